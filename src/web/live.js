@@ -16,8 +16,12 @@ const BACKLOG = 1 << 16;
 /** A pose that is unanswered for this much longer than the quickest response took, ms, means that the connection queues: newer poses wait here.
  * Before the first response, the quickest is assumed to take this long. */
 const QUEUE = 300;
-/** Time, ms, after which a socket that has closed by itself is opened again. */
+/** Time, ms, after which a socket that has closed by itself is opened again. It doubles with each attempt, which is made at a random time of its
+ * second half; after the last attempt the next pose opens the socket. */
 const AGAIN = 1000;
+const ATTEMPTS = 8;
+/** Close code of a session that has ended. */
+const ENDED = 1000;
 
 export class Live {
   #id = null;
@@ -37,8 +41,9 @@ export class Live {
   #asking = null; // AbortController of the outstanding POST
   #report = null;
   #lost = false; // an open socket was closed or given up, and nothing has been received since
-  #broken = false; // it was closed by the other side or the network
+  #broken = false; // it had lived, and was closed by the other side or the network
   #reopening = 0;
+  #attempts = 0;
 
   /**
    * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report, done), frame(blob, revision, report, done),
@@ -61,9 +66,13 @@ export class Live {
 
   /** The server has responded to a request. */
   found() {
-    // The socket may open again, whatever its failures meanwhile.
-    if (this.#broken) this.#failures = 0;
+    const isBroken = this.#broken;
     this.#lost = this.#broken = false;
+    if (!isBroken) return;
+    // The socket may open again, whatever its failures meanwhile.
+    this.#failures = 0;
+    clearTimeout(this.#reopening);
+    if (!this.#socket) this.#connect();
   }
 
   /** `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers. */
@@ -125,6 +134,7 @@ export class Live {
     socket.onopen = current(() => {
       this.#open = true;
       this.#lost = this.#broken = false;
+      this.#attempts = 0;
       this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
@@ -134,9 +144,11 @@ export class Live {
       this.#flush();
     });
     socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
-    socket.onclose = current(() => {
-      this.#broken ||= this.#open;
-      this.#closed(this.#open && performance.now() - this.#opened > LIVED ? 0 : this.#failures + 1);
+    socket.onclose = current(({ code }) => {
+      const hasLived = this.#open && performance.now() - this.#opened > LIVED;
+      if (code === ENDED) this.#open = false;
+      this.#broken ||= hasLived && this.#open;
+      this.#closed(hasLived ? 0 : this.#failures + 1);
     });
   }
 
@@ -149,10 +161,16 @@ export class Live {
     this.#open = false;
     this.#socket = null;
     clearTimeout(this.#reopening);
-    // Without this, the page would learn that the server responds again only from its next request.
-    if (this.#lost) this.#reopening = setTimeout(() => this.#lost && !this.#socket && this.#connect(true), AGAIN);
+    if (this.#lost) this.#reopen();
     this.told.way();
     this.#flush();
+  }
+
+  /** Without this, the page would learn that the server responds again only from its next request. */
+  #reopen() {
+    if (this.#attempts >= ATTEMPTS) return;
+    const pause = (AGAIN * 2 ** this.#attempts++ * (1 + Math.random())) / 2;
+    this.#reopening = setTimeout(() => this.#lost && !this.#socket && this.#connect(this.#broken), pause);
   }
 
   /** The response to a pose is also that to all older ones. */
@@ -239,7 +257,10 @@ export class Live {
         if (!asking.signal.aborted) this.told.frame(blob, revision, report, () => {});
       }
     } catch (error) {
-      if (!api.wasAborted(error)) this.told.problem(error, revision);
+      if (!api.wasAborted(error)) {
+        if (error.code !== "network") this.found();
+        this.told.problem(error, revision);
+      }
     } finally {
       if (this.#asking === asking) this.#asking = null;
     }

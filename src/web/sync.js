@@ -94,7 +94,7 @@ export class Sync {
    * otherwise empty. */
   get behind() {
     const { phase, revision } = this.store.state;
-    if (phase !== "open" || this.condition === "ready") return "";
+    if (phase !== "open" || this.condition === "ready" || this.#refused === revision) return "";
     if (this.live.lost) return "server";
     if (this.condition !== "busy" || this.shown.source === "none") return "";
     const now = performance.now();
@@ -419,7 +419,8 @@ export class Sync {
   }
 }
 
-const figures = (report) => ({ report, residual: report?.residual ?? null });
+/** A report, and the residual: of a compact mesh at most that of the full one and the distance between both. */
+const figures = (report) => ({ report, residual: report?.residual == null ? null : report.residual + (report.error ?? 0) });
 
 /** Whether a warp takes its handles to their posed positions, as far as its grid can follow them. */
 const meetsHandles = ({ method, smoothing }) => method !== "global_affine" && !(method === "tps" && smoothing);

@@ -199,7 +199,7 @@ async fn frames_of_seven_handles_are_small() {
     .into_iter()
     .unzip();
     let id = server.session(&photo(512, 512), &json!({"p": p.iter().map(|p| p.map(|c| c * 512.0)).collect::<Vec<_>>()})).await;
-    for (tolerance, most) in [(0.5, 20_000), (2.0, 8_000)] {
+    for (tolerance, most) in [(0.5, 12_000), (2.0, 8_000)] {
         let mut drag = DragClient::open(server.address, &id, &format!("?mesh=compact&report=true&tolerance={tolerance}")).await;
         assert!(drag.hello["error"].as_f64().unwrap() <= tolerance, "{}", drag.hello);
         for seq in 0..20 {

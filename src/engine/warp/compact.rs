@@ -12,9 +12,14 @@ const MOST_VERTICES: usize = 4997;
 const LARGEST: f32 = 32_767.0;
 /// How far the handles of a reference pose move along an axis, as a share of the picture's shorter side.
 const MOVED: f64 = 0.1;
-/// Most reference poses, and vertices that they pose together; at least two poses.
+/// Most reference poses.
 const MOST_POSES: usize = 16;
-const POSED_VERTICES: usize = 1 << 21;
+/// Most work of the choice, in products of a vertex with a column or with a candidate; at least two poses.
+const WORK: usize = 1 << 26;
+/// Candidates, about: those of a grid of 100 lines.
+const CANDIDATES: usize = 12;
+/// On a grid of more vertices, the finest lattice is taken, whatever its error.
+const COMPARED_VERTICES: usize = 1 << 20;
 
 /// The lattice of compact meshes: every n-th line of the grid along each axis, and the last one.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,11 +31,12 @@ pub struct CompactLattice {
 }
 
 impl CompactLattice {
-    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the reference poses; if none is, the finest
-    /// with at most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones. Stops when `cancelled` returns true.
+    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the reference poses; if none is, or the grid
+    /// has more than 2^20 vertices, the finest with at most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones, and compares
+    /// each with at most a dozen lattices. Stops when `cancelled` returns true.
     ///
     /// In a reference pose one handle is moved along one axis, towards the middle of the picture, by a tenth of the shorter side. Of more
-    /// than eight handles (fewer of them on a grid of more than 131,072 vertices) several are moved at once. Handles that coincide are moved
+    /// than eight handles (fewer of them on a large grid) several are moved at once. Handles that coincide are moved
     /// together; poses that contradict each other are left out if the policy is to reject them.
     ///
     /// # Errors
@@ -56,8 +62,8 @@ impl CompactLattice {
         if has_handles && !is_measured {
             return Ok(Self { grid: *grid, step: steps[0], tolerance, error: None });
         }
-        let last = if errors[0] > tolerance { 0 } else { steps.len() - 1 };
-        Ok(Self { grid: *grid, step: steps[last], tolerance, error: Some(errors[last]) })
+        let coarsest = steps.len() - 1;
+        Ok(Self { grid: *grid, step: steps[coarsest], tolerance, error: Some(errors[coarsest]) })
     }
 
     /// The lines at rest.
@@ -98,7 +104,8 @@ impl CompactLattice {
 fn steps(grid: &Grid) -> Vec<usize> {
     let cells = grid.columns().max(grid.rows()) as usize - 1;
     let first = (1..cells).find(|&step| grid.thinned(step).len() <= MOST_VERTICES).unwrap_or(cells);
-    std::iter::successors(Some(first), |&step| (step < cells).then(|| (step * 5 / 4).max(step + 1).min(cells))).collect()
+    let more = if grid.len() > COMPARED_VERTICES { first } else { cells };
+    std::iter::successors(Some(first), |&step| (step < more).then(|| (step * 3 / 2).max(step + 1).min(cells))).collect()
 }
 
 /// See [`CompactLattice::new`].
@@ -111,7 +118,8 @@ fn reference_poses(setup: &Setup) -> impl Iterator<Item = Pose> + '_ {
             leader[handle] = leader[handle].min(leader[group[0]]);
         }
     }
-    let sets = (POSED_VERTICES / grid.len() / 2).clamp(1, MOST_POSES / 2).min(handles.len());
+    let columns: usize = handles.iter().map(|handle| handle.places().len()).sum();
+    let sets = (WORK / grid.len().saturating_mul(columns + CANDIDATES) / 2).clamp(1, MOST_POSES / 2).min(handles.len());
     let middle = Point::new(grid.width() / 2.0, grid.height() / 2.0);
     let far = MOVED * grid.width().min(grid.height());
     let towards = move |from: f64, to: f64| if from > to { -far } else { far };

@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | for a round trip, poses waited and the fastest frame had almost no queue | one more; at the start, twice as many | idle times |
 //! | the fastest frame of a round trip was in a queue for more than half a sending time | one less | a frame more only waits |
-//! | for more than a quarter, with `frames=auto` and enough frames for [`picture_ladder::RATE`] | one less | age before rate |
+//! | for more than a quarter, with `frames=auto` and more frames than [`picture_ladder::RATE`] needs | one less | age before rate |
 //! | the step up was taken back | no step up for 2 s, then twice as long, up to 20 s | each trial makes a few frames older |
 //! | a frame was in a queue for more than two sending times | what fits at the newest rate, at once | the rate has fallen |
 //! | the period is that of sixty frames per second | no step up | more frames are not seen |
@@ -147,7 +147,7 @@ impl SendWindow {
             self.is_start = false;
             self.step(self.frames, next);
             return Advice::Smaller;
-        } else if self.frames > 1 && least > length(if is_enough && can != (false, false) { SMALL } else { STANDING }) {
+        } else if self.frames > 1 && least > length(if self.frames as f64 > enough && can != (false, false) { SMALL } else { STANDING }) {
             if self.is_trial {
                 self.not_before = Some(now + self.pause);
                 self.pause = (2 * self.pause).min(MAX_PAUSE);

@@ -1,6 +1,6 @@
 //! One frame of a drag: the session is touched, and its image or mesh is drawn as for a request.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -45,8 +45,20 @@ impl Form {
     }
 }
 
-/// The lattice of compact meshes, and the record that it was chosen for.
-pub(super) type KnownLattice = Option<(Arc<Record>, Arc<CompactLattice>)>;
+/// The newest lattice of compact meshes, and the record that it was chosen for. It is known even if the frame that it was chosen for fails.
+#[derive(Clone, Debug, Default)]
+pub(super) struct KnownLattice(Arc<Mutex<Option<(Arc<Record>, Arc<CompactLattice>)>>>);
+
+impl KnownLattice {
+    fn of(&self, record: &Arc<Record>) -> Option<Arc<CompactLattice>> {
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        known.as_ref().filter(|(known, _)| same(known, record)).map(|(_, lattice)| Arc::clone(lattice))
+    }
+
+    fn set(&self, record: &Arc<Record>, lattice: &Arc<CompactLattice>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some((Arc::clone(record), Arc::clone(lattice)));
+    }
+}
 
 /// A frame with its report.
 #[derive(Debug)]
@@ -57,8 +69,6 @@ pub(crate) struct Frame {
     pub(crate) record: Arc<Record>,
     /// The shape of its grid.
     pub(crate) shape: MeshShape,
-    /// The lattice of a compact mesh.
-    pub(crate) lattice: Option<Arc<CompactLattice>>,
     /// The file or the mesh, in order.
     pub(crate) pieces: Vec<Bytes>,
     /// The report as JSON.
@@ -91,7 +101,7 @@ fn output(record: &Record, format: Option<Format>, request: &FrameRequest) -> (O
     }
 }
 
-/// Draws a frame; `known`: the lattice of the newest one. Dropping the future stops the work at the next strip.
+/// Draws a frame. Dropping the future stops the work at the next strip.
 pub(crate) async fn draw_frame(
     app: App,
     client: Client,
@@ -136,19 +146,19 @@ async fn try_draw_frame(
             let (pieces, cost) = collect(picture).await?;
             let file = (format.media_type().trim_start_matches("image/"), quality);
             let report = report_json(seq, target, preview.is_none(), file, (&report, None), timing, cost);
-            Ok(Frame { seq, record, shape, lattice: None, pieces, report })
+            Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh | Form::CompactMesh(_) => {
             // The lattice is chosen after admission; only JSON has a limit of its own.
             let plan = app.admit_mesh(client, &record, &MeshForm::Numbers).await?;
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
-            let (shape, lattice) = mesh_shape(&app, &plan, (form, known), &record, &quota).await?;
-            let numbers = lattice.clone().map_or(MeshForm::Numbers, MeshForm::Compact);
+            let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
+            let numbers = lattice.map_or(MeshForm::Numbers, MeshForm::Compact);
             let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, numbers, quota).await?;
             let target = Target { canvas: None, extent: record.extent, force_alpha: false };
             let report = report_json(seq, target, true, ("mesh", None), (&report, error), timing, Cost::default());
-            Ok(Frame { seq, record, shape, lattice, pieces: vec![body], report })
+            Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }
     }
 }
@@ -157,15 +167,16 @@ async fn try_draw_frame(
 pub(super) async fn mesh_shape(
     app: &App,
     plan: &AdmittedPlan,
-    (form, known): (Form, KnownLattice),
+    (form, known): (Form, &KnownLattice),
     record: &Arc<Record>,
     quota: &ClientQuota,
 ) -> Result<(MeshShape, Option<Arc<CompactLattice>>), Problem> {
     let Form::CompactMesh(tolerance) = form else { return Ok((plan.shape(record.extent), None)) };
-    let lattice = match known {
-        Some((known, lattice)) if same(&known, record) => lattice,
-        _ => Arc::new(app.compact_lattice(plan, tolerance, quota.clone()).await?),
+    let lattice = match known.of(record) {
+        Some(lattice) => lattice,
+        None => Arc::new(app.compact_lattice(plan, tolerance, quota.clone()).await?),
     };
+    known.set(record, &lattice);
     Ok((MeshShape::compact(&lattice, record.extent), Some(lattice)))
 }
 

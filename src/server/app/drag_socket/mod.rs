@@ -11,7 +11,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use mlswarp::warp::CompactLattice;
 
 use super::App;
 use super::session_warp::MeshForm;
@@ -29,7 +28,7 @@ use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{BadMessage, DragMessage, MeshShape};
 pub use frame::Form;
-use frame::{Frame, draw_frame, full_width, mesh_shape};
+use frame::{Frame, KnownLattice, draw_frame, full_width, mesh_shape};
 
 /// The width of previews.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,8 +78,7 @@ pub struct Drag {
     newest: Option<u64>,
     /// The record of the newest frame.
     record: Arc<Record>,
-    /// Of compact meshes of that record.
-    lattice: Option<Arc<CompactLattice>>,
+    lattice: KnownLattice,
     /// The record whose shape the client knows.
     announced: Arc<Record>,
     outgoing: VecDeque<Outgoing>,
@@ -103,11 +101,13 @@ impl App {
         self.require_running()?;
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
-        let (shape, lattice) = if let Form::CompactMesh(_) = options.form {
+        let lattice = KnownLattice::default();
+        let shape = if let Form::CompactMesh(_) = options.form {
+            let _permit = slot.frames.acquire().await.expect("the semaphore is never closed");
             let plan = self.admit_mesh(client, &record, &MeshForm::Numbers).await?;
-            mesh_shape(self, &plan, (options.form, None), &record, &self.response_quota(client)).await?
+            mesh_shape(self, &plan, (options.form, &lattice), &record, &self.response_quota(client)).await?.0
         } else {
-            (MeshShape::new(&*self.session_setup(client, &record).await?, record.extent), None)
+            MeshShape::new(&*self.session_setup(client, &record).await?, record.extent)
         };
         Ok(Drag {
             app: self.clone(),
@@ -214,8 +214,7 @@ impl Drag {
             match self.scheduler.next(now) {
                 Step::Draw(request) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let known = self.lattice.clone().map(|lattice| (Arc::clone(&self.record), lattice));
-                    let (frames, form) = (self.slot.frames.clone(), (self.options.form, known));
+                    let (frames, form) = (self.slot.frames.clone(), (self.options.form, self.lattice.clone()));
                     let drawing = draw_frame(self.app.clone(), self.client, self.id, frames, form, request);
                     self.drawing = Some(Box::pin(scope.wrap(drawing)));
                 }
@@ -250,7 +249,6 @@ impl Drag {
             Ok(frame) => {
                 if !same(&self.record, &frame.record) {
                     self.record = Arc::clone(&frame.record);
-                    self.lattice.clone_from(&frame.lattice);
                     let (options, record) = (self.options, &*self.record);
                     self.scheduler.resize(previews(options, record), pictures(options, record), full(options, record));
                 }
