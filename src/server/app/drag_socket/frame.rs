@@ -47,7 +47,9 @@ impl Form {
 
 /// The newest lattice of compact meshes, and the record that it was chosen for. It is known even if the frame that it was chosen for fails.
 #[derive(Clone, Debug, Default)]
-pub(super) struct KnownLattice(Arc<Mutex<Option<(Arc<Record>, Arc<CompactLattice>)>>>);
+pub(super) struct KnownLattice(Arc<Mutex<Option<LatticeOf>>>);
+
+type LatticeOf = (Arc<Record>, Arc<CompactLattice>);
 
 impl KnownLattice {
     fn of(&self, record: &Arc<Record>) -> Option<Arc<CompactLattice>> {
