@@ -17,7 +17,7 @@ BROKEN = (
 
 
 @pytest.fixture
-def mortal(tmp_path):
+def restartable(tmp_path):
     """A server whose sessions survive its end."""
     server = Server("--store", f"file:{tmp_path / 'store'}")
     yield server
@@ -25,8 +25,8 @@ def mortal(tmp_path):
 
 
 @pytest.fixture
-def link(mortal):
-    link = Link(mortal)
+def link(restartable):
+    link = Link(restartable)
     yield link
     link.close()
 
@@ -113,7 +113,7 @@ def test_the_rate_halves(visits, picture, link, query):
 
 
 @WAYS
-def test_a_tunnel(visits, picture, link, query):
+def test_ten_seconds_without_a_connection(visits, picture, link, query):
     """Ten seconds without a connection: the page says that it is behind, and continues by itself."""
     drag = Drag(visits, link, picture, query)
     visit = drag.visit
@@ -131,38 +131,37 @@ def test_a_tunnel(visits, picture, link, query):
     # The pointer rests: now the server's picture is missing as well.
     visit.body("[data-behind]:not([data-behind=''])")
     assert visit.text("behind").startswith("Preview: the server")
-    visit.keep(f"tunnel-{'plan' if drag.is_local else 'socket'}")
+    visit.keep(f"no-connection-{'plan' if drag.is_local else 'socket'}")
     drag.move(10)
     visit.body("[data-behind='']")
     drag.follows().end()
 
 
 @WAYS
-def test_a_server_that_is_killed_and_starts_again(visits, picture, link, mortal, query):
+def test_a_server_that_is_killed_and_starts_again(visits, picture, link, restartable, query):
     drag = Drag(visits, link, picture, query)
     visit = drag.visit
     session = visit["session"]
     visit.expects("404", *BROKEN)
     drag.move(10).follows()
-    mortal.kill()
+    restartable.kill()
     visit.body("[data-behind=server]")
     assert visit.text("behind") == "Preview: the server does not respond"
     drag.move(10).is_labelled()
     if drag.is_local:
         drag.follows()
     visit.body("[data-behind=server]")
-    mortal.start()
+    restartable.start()
     # The page finds it without being asked for anything.
-    drag.move(5)
+    visit.body("[data-live=socket]")
     visit.body("[data-behind='']")
     drag.move(5)
-    visit.body("[data-live=socket]")
     drag.move(5).follows().end()
     assert visit["session"] == session
-    assert json.loads(mortal.ask("GET", f"/sessions/{session}").body)["id"] == session
+    assert json.loads(restartable.ask("GET", f"/sessions/{session}").body)["id"] == session
 
 
-def test_a_drag_that_ends_in_a_tunnel(visits, picture, link):
+def test_a_drag_that_ends_without_a_connection(visits, picture, link):
     """The pose that was released there is an old one on the screen, and the page says so until the new one arrives."""
     drag = Drag(visits, link, picture, "?plan=off")
     visit = drag.visit
@@ -174,3 +173,15 @@ def test_a_drag_that_ends_in_a_tunnel(visits, picture, link):
     visit.body("[data-moving=false]")
     assert visit["behind"] or visit["state"] == "ready"
     drag.end()
+
+
+def test_the_socket_of_an_ended_session_stays_closed(visits, picture, link, restartable):
+    drag = Drag(visits, link, picture, "?plan=off")
+    visit = drag.visit
+    drag.move(5).follows().end()
+    sockets = []
+    visit.page.on("websocket", sockets.append)
+    assert restartable.ask("DELETE", f"/sessions/{visit['session']}").status == 204
+    visit.body("[data-live=http]")
+    visit.page.wait_for_timeout(3000)
+    assert not sockets and visit["behind"] == ""

@@ -8,7 +8,7 @@ from links import distances
 from support import BLUE, GREEN, RED, SOCKET, Server, near
 
 @pytest.fixture
-def mortal():
+def restartable():
     server = Server()
     yield server
     server.stop()
@@ -138,12 +138,12 @@ def test_new_handles_have_new_coefficients(visit, picture):
     assert visit.saved("download")[1] == visit.of_server().body
 
 
-def test_a_drag_continues_without_the_server_and_says_so(visits, picture, mortal):
-    visit = pinned(visits(of=mortal), picture)
+def test_a_drag_continues_without_the_server_and_says_so(visits, picture, restartable):
+    visit = pinned(visits(of=restartable), picture)
     visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET)
     visit.press(RED, (120, 110))
     visit.body("[data-moving=true][data-source=mesh]")
-    mortal.kill()
+    restartable.kill()
     visit.body("[data-behind=server]")
     assert visit.text("behind") == "Preview: the server does not respond"
     for x in (130, 140, 150):
@@ -153,7 +153,7 @@ def test_a_drag_continues_without_the_server_and_says_so(visits, picture, mortal
     visit.keep("without-a-server")
     visit.page.mouse.up()
     visit.body("[data-problem=network]")
-    mortal.start()
+    restartable.start()
     visit.ready()
     assert visit["behind"] == "" and visit.text("behind") == ""
     assert visit.saved("download")[1] == visit.of_server().body
