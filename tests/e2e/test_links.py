@@ -180,7 +180,7 @@ def test_the_socket_of_an_ended_session_stays_closed(visits, picture, link, rest
     visit = drag.visit
     drag.move(5).follows().end()
     sockets = []
-    visit.page.on("websocket", sockets.append)
+    visit.page.on("websocket", lambda socket: sockets.append(socket.url))
     assert restartable.ask("DELETE", f"/sessions/{visit['session']}").status == 204
     visit.body("[data-live=http]")
     visit.page.wait_for_timeout(3000)
