@@ -17,7 +17,7 @@ const BACKLOG = 1 << 16;
  * Before the first response, the quickest is assumed to take this long. */
 const QUEUE = 300;
 /** Time, ms, after which a socket that has closed by itself is opened again. It doubles with each attempt, which is made at a random time of its
- * second half; after the last attempt the next pose opens the socket. */
+ * second half. After the last attempt, the next response to a request opens the socket. */
 const AGAIN = 1000;
 const ATTEMPTS = 8;
 /** Close code of a session that has ended. */
@@ -123,7 +123,7 @@ export class Live {
     this.#asking = null;
   }
 
-  /** `again`: whatever the failures, because the socket was open before. */
+  /** `again`: whatever the failures, because an earlier socket had lived. */
   #connect(again = false) {
     if (!this.allowSocket || (this.#failures >= TRIES && !again)) return this.told.way();
     const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "&mesh=compact" : "&width=auto"}`;

@@ -231,7 +231,7 @@ async fn the_lattice_is_that_of_the_handles_at_rest() {
     drag.ack(2).await;
     let (mesh, _) = Mesh::of_frame(&hello, &bytes);
     assert!(mesh.distance(&full(&server, &id, &q, [1.0; 2]).await) <= 0.5);
-    // Told once, and the same as a new socket is told.
+    // The message comes once, and is the first one of a new socket.
     drag.pose(3, &q).await;
     let (seq, again) = drag.frame().await;
     assert!(seq == 3 && again == bytes);

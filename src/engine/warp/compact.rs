@@ -1,5 +1,5 @@
-//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines depend on the rest handles, the other settings
-//! of the warp, the image's size and the tolerance, not on the pose: a client learns them once.
+//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines depend on the rest handles, the other
+//! settings of the warp, the image's size and the tolerance, not on the pose: a client learns them once.
 
 use super::posed::Posed;
 use super::{Plan, Setup, WarpError};
@@ -31,13 +31,13 @@ pub struct CompactLattice {
 }
 
 impl CompactLattice {
-    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the reference poses; if none is, or the grid
-    /// has more than 2^20 vertices, the finest with at most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones, and compares
-    /// each with at most a dozen lattices. Stops when `cancelled` returns true.
+    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the reference poses; if none is, or the
+    /// grid has more than 2^20 vertices, the finest with at most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones, and
+    /// compares each with about a dozen lattices. Stops when `cancelled` returns true.
     ///
     /// In a reference pose one handle is moved along one axis, towards the middle of the picture, by a tenth of the shorter side. Of more
-    /// than eight handles (fewer of them on a large grid) several are moved at once. Handles that coincide are moved
-    /// together; poses that contradict each other are left out if the policy is to reject them.
+    /// than eight handles (fewer of them on a large grid) several are moved at once. Handles that coincide are moved together; poses that
+    /// contradict each other are left out if the policy is to reject them.
     ///
     /// # Errors
     /// Cancelled.
@@ -84,8 +84,8 @@ impl CompactLattice {
         self.error
     }
 
-    /// The mesh of a pose, and its largest distance from the full one, px. The file, little-endian: the scale (f32, px), then x and y of the
-    /// displacement of each vertex, row by row, as i16 in units of the scale. The scale is the largest displacement / 32,767.
+    /// The mesh of a pose, and its largest distance from the full one, px. The file, little-endian: the scale (f32, px), then x and y of
+    /// the displacement of each vertex, row by row, as i16 in units of the scale. The scale is the largest displacement / 32,767.
     ///
     /// # Errors
     /// Cancelled.

@@ -289,8 +289,8 @@ fn machine() -> String {
     format!("{cpu}, {} threads{}", std::thread::available_parallelism().map_or(1, usize::from), load.unwrap_or_default())
 }
 
-/// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...: otherwise the scheduler may leave two of them
-/// on one for longer than a sample lasts.
+/// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...: otherwise the scheduler may leave two
+/// of them on one for longer than a sample lasts.
 pub fn pool(threads: usize) -> rayon::ThreadPool {
     let pinned = move |thread| {
         #[cfg(target_os = "linux")]

@@ -61,8 +61,8 @@ const TOLERANCES: std::ops::RangeInclusive<f64> = 0.1..=16.0;
 /// The tolerance if the query has none, px.
 const TOLERANCE: f64 = 0.5;
 
-/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`. Unknown fields are
-/// rejected.
+/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`. Unknown fields
+/// are rejected.
 fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let mut options = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
     let [frames, mesh, tolerance, width, window, report] =

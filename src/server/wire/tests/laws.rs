@@ -114,8 +114,8 @@ pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output, .. } = warp;
     let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = rest;
     let mut object = json!({
-        "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha, "point_mass": point_mass,
-        "smoothing": smoothing, "coincident": AsJson(*coincident),
+        "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha,
+        "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
         "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
     object.as_object_mut().unwrap().retain(|_, value| !value.is_null());

@@ -10,7 +10,8 @@ fn warp_reads_the_example_of_the_contract() {
       "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "smoothing": 0.5, "units": "normalized",
       "coincident": {"policy": "reject", "within": 0.5},
       "grid": {"columns": 100, "rows": 50}, "folds": "reject", "metric": "euclidean",
-      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40", "canvas": "same", "holes": "transparent"}
+      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40",
+        "canvas": "same", "holes": "transparent"}
     }"##;
     let expected = WarpObject {
         rest: RestSpec {
@@ -47,7 +48,8 @@ fn warp_reads_the_example_of_the_contract() {
 fn warp_has_defaults_for_everything() {
     assert_eq!(WarpObject::parse(b" {} "), Ok(WarpObject::default()));
     let defaults = br#"{"p": [], "method": "rigid", "units": "px", "grid": "auto", "folds": "report", "metric": "euclidean",
-        "output": {"format": "png", "quality": 85, "compression": "fast", "filter": "bilinear", "outside": "transparent", "canvas": "same"}}"#;
+        "output": {"format": "png", "quality": 85, "compression": "fast", "filter": "bilinear", "outside": "transparent",
+            "canvas": "same"}}"#;
     assert_eq!(WarpObject::parse(defaults), Ok(WarpObject::default()));
     assert_eq!(WarpObject::parse(br#"{"output": {}}"#), Ok(WarpObject::default()));
 }

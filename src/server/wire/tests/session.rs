@@ -37,7 +37,10 @@ fn session_object_is_written_in_wire_form() {
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "rest_revision": "0123456789abcdef0123456789abcdef",
             "folds": "report",
-            "output": {"format": "png", "quality": 85, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff", "canvas": "same", "holes": "keep"},
+            "output": {
+                "format": "png", "quality": 85, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff",
+                "canvas": "same", "holes": "keep"
+            },
             "layers": {"depth": {"kind": "labels"}},
             "created": "2026-11-20T12:00:00Z", "expires": "2026-11-20T12:15:00Z", "seq": null
         })
