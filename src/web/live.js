@@ -40,7 +40,8 @@ export class Live {
   #overdue = 0;
   #asking = null; // AbortController of the outstanding POST
   #report = null;
-  #lost = false; // an open socket was closed or given up, and nothing has been received since
+  #lost = false; // an open socket was closed or given up, and no later request has been answered
+  #closedAt = 0;
   #broken = false; // it had lived, and was closed by the other side or the network
   #reopening = 0;
   #attempts = 0;
@@ -59,13 +60,15 @@ export class Live {
     return this.#id === null ? "off" : this.#open ? "socket" : "http";
   }
 
-  /** Whether the socket has closed by itself, and the server has not responded since. */
+  /** Whether the socket has closed by itself, and the server has not answered a request that was made since. */
   get lost() {
     return this.#lost;
   }
 
-  /** The server has responded to a request. */
-  found() {
+  /** The server has responded to a request that was made at this time. A response to an earlier one may have been under way when the server
+   * stopped. */
+  found(asked) {
+    if (asked < this.#closedAt) return;
     const isBroken = this.#broken;
     this.#lost = this.#broken = false;
     if (!isBroken) return;
@@ -157,6 +160,7 @@ export class Live {
     this.#waiting ??= this.#sent;
     this.#answered();
     this.#failures = failures;
+    if (this.#open) this.#closedAt = performance.now();
     this.#lost ||= this.#open;
     this.#open = false;
     this.#socket = null;
@@ -244,21 +248,22 @@ export class Live {
     this.#waiting = null;
     const asking = new AbortController();
     this.#asking = asking;
+    const asked = performance.now();
     try {
       const body = { q, seq: this.nextSeq() };
       if (this.kind === "mesh") {
         const { places, report } = await api.mesh(this.#id, body, asking.signal);
-        this.found();
+        this.found(asked);
         if (!asking.signal.aborted) this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
       } else {
         const output = { width: Math.min(1024, this.#grid.width) };
         const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);
-        this.found();
+        this.found(asked);
         if (!asking.signal.aborted) this.told.frame(blob, revision, report, () => {});
       }
     } catch (error) {
       if (!api.wasAborted(error)) {
-        if (error.code !== "network") this.found();
+        if (error.code !== "network") this.found(asked);
         this.told.problem(error, revision);
       }
     } finally {

@@ -45,6 +45,7 @@ export class Sync {
   #sent = -1;
   #meshRevision = -1;
   #seq = 0;
+  #asked = 0; // when the current step began, which makes the requests
   #changed = 0;
   #poses = []; // those newer than the shown one: { revision, time }, oldest first
   #plans = new Plans();
@@ -127,7 +128,7 @@ export class Sync {
   }
 
   #adopt(object, rest, region, borrowed = false) {
-    this.live.found();
+    this.live.found(this.#asked);
     this.session = { id: object.id, grid: gridOf(object), revision: object.rest_revision, rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
@@ -205,6 +206,7 @@ export class Sync {
   }
 
   async #step() {
+    this.#asked = performance.now();
     const { phase, document, revision, before } = this.store.state;
     if (phase !== "open" || !this.session || this.#refused === revision || this.#stalled) return false;
     const rest = restOf(document);
@@ -274,7 +276,7 @@ export class Sync {
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted) return;
     this.png = { blob, revision, canvas: report.canvas };
-    this.live.found();
+    this.live.found(this.#asked);
     this.#settled = revision;
     const apart = movedApart(document, object.coincident ?? []);
     if (apart.length) this.store.do("apart", { handles: apart });

@@ -161,6 +161,30 @@ def test_a_server_that_is_killed_and_starts_again(visits, picture, link, restart
     assert json.loads(restartable.ask("GET", f"/sessions/{session}").body)["id"] == session
 
 
+def test_a_response_from_before_the_server_stopped(visits, picture, link, restartable):
+    """It arrives after the connections have closed, and is no sign that the server responds."""
+    drag = Drag(visits, link, picture, "")
+    visit = drag.visit
+    visit.expects("404", *BROKEN)
+    drag.move(5).follows()
+    held = []
+    visit.page.route("**/sessions/*/warp", lambda route: held.append((route, route.fetch())), times=1)
+    while not held:
+        visit.page.wait_for_timeout(50)
+    restartable.kill()
+    visit.body("[data-behind=server]")
+    route, response = held[0]
+    route.fulfill(response=response)
+    visit.body("[data-source=png]")
+    # An attempt to open the socket has failed since.
+    visit.page.wait_for_timeout(1500)
+    assert visit["behind"] == "server"
+    restartable.start()
+    visit.body("[data-live=socket]")
+    visit.body("[data-behind='']")
+    drag.move(5).follows().end()
+
+
 def test_a_drag_that_ends_without_a_connection(visits, picture, link):
     """The pose that was released there is an old one on the screen, and the page says so until the new one arrives."""
     drag = Drag(visits, link, picture, "?plan=off")

@@ -5,7 +5,9 @@
 //!   the maximum of the samples of the last [`RATE_MEMORY`].
 //! - **Time of a frame.** Without a queue a frame takes a constant latency and its bytes divided by the rate. The estimate for a frame is
 //!   the minimum over the frames of the last [`MEMORY`], each of them corrected if it was smaller. Of each [`THIN`], the fastest frame is
-//!   kept.
+//!   kept, of frames of about equal size.
+//! - **Rate by size.** While the connection is idle at times, the rate above is too low. Then the difference between the fastest frames of
+//!   two sizes shows what a byte takes. It is kept until there are such frames again.
 //! - **Queue.** What a frame takes beyond that has been spent behind other frames.
 //!
 //! Times are arguments. O(number of kept samples) per frame.
@@ -21,6 +23,10 @@ const RATE_MEMORY: Duration = Duration::from_secs(2);
 const THIN: Duration = Duration::from_millis(200);
 /// Samples of the rate.
 const RATES: usize = 64;
+/// Frames of at most this part of the size of another one are compared with it, and those whose size differs by at most the second part
+/// count as equal.
+const SMALLER: f64 = 0.75;
+const EQUAL: f64 = 0.1;
 /// Weight of the newest frame in the mean difference.
 const NEWEST: f64 = 1.0 / 16.0;
 
@@ -63,6 +69,8 @@ pub struct LinkEstimate {
     /// Rates, bytes per second.
     rates: VecDeque<(Instant, f64)>,
     times: VecDeque<FrameTime>,
+    /// The rate by size, bytes per second.
+    by_size: Option<f64>,
     queue: f64,
     jitter: f64,
 }
@@ -104,6 +112,7 @@ impl LinkEstimate {
         let rate = self.rates.iter().fold(sample, |most, (_, rate)| most.max(*rate));
         let time = FrameTime { at: now, took: seconds(newest.at), bytes: size };
         self.keep(time, rate);
+        self.by_size = self.compare(size).or(self.by_size);
         let base = self.times.iter().fold(time.took, |least, kept| least.min(kept.of(size, rate)));
         let queue = time.took - base;
         self.jitter += NEWEST * ((queue - self.queue).abs() - self.jitter);
@@ -116,13 +125,31 @@ impl LinkEstimate {
             self.times.pop_front();
         }
         match self.times.back_mut() {
-            Some(last) if time.at.saturating_duration_since(last.at) < THIN => {
+            Some(last)
+                if time.at.saturating_duration_since(last.at) < THIN
+                    && last.bytes.min(time.bytes) > SMALLER * last.bytes.max(time.bytes) =>
+            {
                 if time.took <= last.of(time.bytes, rate) {
                     *last = FrameTime { at: last.at, ..time };
                 }
             }
             _ => self.times.push_back(time),
         }
+    }
+
+    /// The rate by the fastest frames of this size and of smaller ones: infinite if they were as fast.
+    fn compare(&self, size: f64) -> Option<f64> {
+        let fastest = |least: f64, most: f64| {
+            let of_size = self.times.iter().filter(|kept| kept.bytes >= least && kept.bytes <= most);
+            of_size.min_by(|a, b| a.took.total_cmp(&b.took))
+        };
+        let (small, same) = (fastest(0.0, SMALLER * size)?, fastest((1.0 - EQUAL) * size, (1.0 + EQUAL) * size)?);
+        Some((same.bytes - small.bytes) / (same.took - small.took).max(1e-9))
+    }
+
+    /// Bytes per second that the connection would carry, by both estimates.
+    pub fn possible_rate(&self) -> Option<f64> {
+        self.rate().map(|rate| rate.max(self.by_size.unwrap_or(0.0)))
     }
 
     /// Bytes per second that the connection has carried at most; `None` before the first acknowledgement.

@@ -7,6 +7,7 @@
 //! | | of these, the best quality that fits; [`NARROWEST_QUALITY`] if none does | |
 //! | drawing takes longer than a sixtieth of a second | narrower | so do previews of a fixed format |
 //! | the window reports room, and is large enough for [`RATE`] | `budget` grows by a sixth | better pictures at the same rate |
+//! | `budget` exceeds the narrowest picture of the best quality, and what passes in [`MAX_SEND`] | the larger of these | age before size |
 //! | the window reports a queue | `budget` shrinks by a seventh; by a third if it is long | fewer bytes before fewer frames |
 //! | the pointer rests | PNG of the full size if it passes in a second, otherwise JPEG of [`REST_QUALITY`] | it is looked at |
 //!
@@ -24,8 +25,7 @@ const MOST_QUALITY: u8 = 85;
 const NARROWEST_QUALITY: u8 = 20;
 /// Quality of a picture of a resting pointer.
 const REST_QUALITY: u8 = 95;
-/// Bytes of a moving picture at first and at least.
-const FIRST_BUDGET: f64 = 16e3;
+/// Bytes of a moving picture at first and at least: too small a picture costs a round trip, too large a one seconds.
 const LEAST_BUDGET: f64 = 8e3;
 /// Factor of a step of the budget, and when a queue is long.
 const STEP: f64 = 7.0 / 6.0;
@@ -34,6 +34,8 @@ const LONG: f64 = 0.67;
 const REST_SECONDS: f64 = 1.0;
 /// Frames per second that a connection has to carry as PNG.
 const PNG_RATE: f64 = 60.0;
+/// Sending time of a JPEG picture that costs almost no age, seconds.
+const MAX_SEND: f64 = 1.0 / 120.0;
 /// Maximum drawing time, seconds.
 const MAX_DRAW: f64 = 1.0 / 60.0;
 /// Bytes per pixel until frames are measured: JPEG of quality 50 at full width, and PNG.
@@ -86,7 +88,7 @@ impl PictureLadder {
     pub fn new((width, height): (u32, u32), fixed: Option<u32>) -> Self {
         let widths = fixed.map_or_else(|| preview_widths(width), |fixed| vec![fixed]);
         let aspect = f64::from(height) / f64::from(width);
-        Self { full: width, widths, aspect, budget: FIRST_BUDGET, jpeg: FIRST_JPEG, png: FIRST_PNG, draw: 0.0 }
+        Self { full: width, widths, aspect, budget: LEAST_BUDGET, jpeg: FIRST_JPEG, png: FIRST_PNG, draw: 0.0 }
     }
 
     fn pixels(&self, width: u32) -> f64 {
@@ -106,16 +108,23 @@ impl PictureLadder {
         (f64::from(self.full) / f64::from(width)).sqrt()
     }
 
-    /// Width and encoding of the next moving picture. `rate`: bytes per second that the connection has carried.
-    pub fn next(&self, rate: Option<f64>) -> (u32, Encoding) {
-        let carried = rate.unwrap_or(0.0) / PNG_RATE;
+    /// Maximum bytes of a moving JPEG picture. `possible`: bytes per second that the connection would carry.
+    fn most(&self, possible: Option<f64>) -> f64 {
+        let narrowest = self.widths[self.widths.len() - 1];
+        self.bytes(narrowest, Encoding::Jpeg(MOST_QUALITY)).max(possible.unwrap_or(0.0) * MAX_SEND)
+    }
+
+    /// Width and encoding of the next moving picture. `rate`: bytes per second that the connection has carried; `possible`: those that it
+    /// would carry.
+    pub fn next(&self, rate: Option<f64>, possible: Option<f64>) -> (u32, Encoding) {
+        let rate = rate.unwrap_or(0.0);
         let drawn = |width: &&u32| self.draw * self.pixels(**width) <= MAX_DRAW;
         let least = self.widths[self.widths.len() - 1];
         let widest = *self.widths.iter().find(drawn).unwrap_or(&least);
-        if self.bytes(widest, Encoding::Png) <= carried {
+        if self.bytes(widest, Encoding::Png) <= rate / PNG_RATE {
             return (widest, Encoding::Png);
         }
-        let budget = self.budget.max(carried);
+        let budget = self.budget.max(rate * MAX_SEND).min(self.most(possible));
         let fits = |width: u32, quality: u8| self.bytes(width, Encoding::Jpeg(quality)) <= budget;
         let narrower = self.widths.iter().copied().filter(|width| *width <= widest);
         let width = narrower.clone().find(|width| fits(*width, LEAST_QUALITY)).unwrap_or(least);
@@ -144,9 +153,10 @@ impl PictureLadder {
         }
     }
 
-    /// Whether pictures can become larger, and smaller.
-    pub fn scope(&self) -> (bool, bool) {
-        (self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY)) > self.budget, self.budget > LEAST_BUDGET)
+    /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the connection would carry.
+    pub fn scope(&self, possible: Option<f64>) -> (bool, bool) {
+        let widest = self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY));
+        (self.budget < widest.min(self.most(possible)), self.budget > LEAST_BUDGET)
     }
 
     /// Follows the advice of the window.
@@ -183,7 +193,7 @@ mod tests {
         let mut seen = Vec::new();
         for budget in (8..60).rev() {
             ladder.budget = f64::from(budget) * 1e3;
-            let (width, Encoding::Jpeg(quality)) = ladder.next(None) else { panic!("a fast connection is not known") };
+            let (width, Encoding::Jpeg(quality)) = ladder.next(None, Some(1e9)) else { panic!("a fast connection is not known") };
             assert!(width < last.0 || (width == last.0 && quality <= last.1), "{budget} kB: {width}, {quality} after {last:?}");
             last = (width, quality);
             seen.push(width);
@@ -195,12 +205,12 @@ mod tests {
     #[test]
     fn a_fast_connection_has_png_and_a_slow_machine_has_narrow_pictures() {
         let mut ladder = PictureLadder::new((3840, 2160), None);
-        assert_eq!(ladder.next(Some(2e9)), (3840, Encoding::Png));
+        assert_eq!(ladder.next(Some(2e9), Some(2e9)), (3840, Encoding::Png));
         ladder.drawn(Some(3840), Encoding::Png, 12_000_000, 40 * MS);
-        assert_eq!(ladder.next(Some(2e9)), (1920, Encoding::Png));
-        assert_eq!(ladder.next(Some(1e6)).0, 480);
-        assert_eq!(PictureLadder::new((512, 512), Some(300)).next(Some(2e9)), (300, Encoding::Png));
-        assert_eq!(PictureLadder::new((1, 1), None).next(None), (1, Encoding::Jpeg(MOST_QUALITY)));
+        assert_eq!(ladder.next(Some(2e9), Some(2e9)), (1920, Encoding::Png));
+        assert_eq!(ladder.next(Some(1e6), Some(1e6)).0, 480);
+        assert_eq!(PictureLadder::new((512, 512), Some(300)).next(Some(2e9), Some(2e9)), (300, Encoding::Png));
+        assert_eq!(PictureLadder::new((1, 1), None).next(None, None), (1, Encoding::Jpeg(MOST_QUALITY)));
     }
 
     #[test]
@@ -208,13 +218,13 @@ mod tests {
     fn sizes_are_learned() {
         let mut ladder = PictureLadder::new((512, 512), None);
         for _ in 0..20 {
-            let (width, encoding) = ladder.next(None);
+            let (width, encoding) = ladder.next(None, None);
             // Four times as large as expected.
             let Encoding::Jpeg(quality) = encoding else { panic!() };
             let bytes = 4.0 * FIRST_JPEG * ladder.pixels(width) * curve(quality) * ladder.sharpness(width);
             ladder.drawn(Some(width), encoding, bytes as u64, MS);
         }
-        let (width, encoding) = ladder.next(None);
+        let (width, encoding) = ladder.next(None, None);
         assert!(width < 512 && (ladder.jpeg / FIRST_JPEG - 4.0).abs() < 0.1, "{width}, {encoding:?}, {}", ladder.jpeg);
         assert_eq!((ladder.at_rest(Some(1e6)), ladder.at_rest(Some(1e5))), (Encoding::Png, Encoding::Jpeg(REST_QUALITY)));
         ladder.drawn(None, Encoding::Png, 80_000, MS);

@@ -197,7 +197,7 @@ impl<F> FrameScheduler<F> {
     /// `sent`: the newest acknowledged frame; `bytes`: those of all acknowledged frames.
     fn acknowledged(&mut self, sent: Sent, bytes: u64, now: Instant) {
         let measured = self.link.acknowledged(now, sent.mark, bytes);
-        let can = self.pictures.as_ref().map_or((false, false), PictureLadder::scope);
+        let can = self.pictures.as_ref().map_or((false, false), |pictures| pictures.scope(self.link.possible_rate()));
         let advice = self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured, can);
         if let Some(pictures) = &mut self.pictures {
             pictures.follow(advice);
@@ -288,7 +288,7 @@ impl<F> FrameScheduler<F> {
             (None, _) => ((!is_full_quality).then(|| self.previews.width()), None),
             (Some(pictures), true) => (None, Some(pictures.at_rest(self.link.rate()))),
             (Some(pictures), false) => {
-                let (width, encoding) = pictures.next(self.link.rate());
+                let (width, encoding) = pictures.next(self.link.rate(), self.link.possible_rate());
                 (Some(width), Some(encoding))
             }
         };
