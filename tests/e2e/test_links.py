@@ -168,14 +168,17 @@ def test_a_response_from_before_the_server_stopped(visits, picture, link, restar
     drag = Drag(visits, link, picture, "")
     visit = drag.visit
     visit.expects("404", *BROKEN)
-    drag.move(5).follows()
     held = []
-    visit.page.route("**/sessions/*/warp", lambda route: held.append((route, route.fetch())), times=1)
-    while not held:
-        visit.page.wait_for_timeout(50)
+    stopped = []
+    visit.page.route("**/sessions/*/warp", lambda route: route.continue_() if stopped else held.append((route, route.fetch())))
+    drag.move(5).follows()
+    # The newest response; requests before it were cancelled by further movement.
+    visit.page.wait_for_timeout(2000)
+    assert held, "the picture of the resting pointer was not requested"
+    stopped.append(True)
     restartable.kill()
     visit.body("[data-behind=server]")
-    route, response = held[0]
+    route, response = held[-1]
     route.fulfill(response=response)
     visit.body("[data-source=png]")
     # An attempt to open the socket has failed since.
