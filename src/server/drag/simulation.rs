@@ -355,6 +355,8 @@ fn automatic_pictures_suit_the_link() {
         assert!(fixed.iter().all(|fixed| age <= 1.1 * fixed + 1.0), "{name}: {age}, fixed pictures {fixed:?}");
         assert!(age <= (2 * (link.delay + link.jitter + link.draw + link.refresh) + 100) as f64, "{name}: {age}");
         assert!(auto.queue < 300, "{name}: {}", auto.queue);
+        let large = auto.sizes.iter().filter(|bytes| **bytes > 40_000).count();
+        assert!(link.rate < 100.0 || 2 * large > auto.sizes.len(), "{name}: {large} large pictures");
         assert!(auto.shown.is_sorted_by(|a, b| a.seq <= b.seq), "{name}: nothing old after something new");
         // The last frame is full.
         let last = auto.last.expect("frames were sent");
