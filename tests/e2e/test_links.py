@@ -19,9 +19,9 @@ BROKEN = (
 
 
 @pytest.fixture
-def restartable(tmp_path):
-    """A server whose sessions survive its end."""
-    server = Server("--store", f"file:{tmp_path / 'store'}")
+def restartable(request, tmp_path):
+    """A server whose sessions survive its end. Its parameter: further flags."""
+    server = Server("--store", f"file:{tmp_path / 'store'}", *getattr(request, "param", ()))
     yield server
     server.stop()
 
@@ -204,6 +204,8 @@ def test_a_drag_that_ends_without_a_connection(visits, picture, link):
     drag.end()
 
 
+# The server notices the end of a session at its next ping of a silent socket.
+@pytest.mark.parametrize("restartable", [("--socket-idle", "2s")], indirect=True)
 def test_the_socket_of_an_ended_session_stays_closed(visits, picture, link, restartable):
     drag = Drag(visits, link, picture, "?plan=off")
     visit = drag.visit
