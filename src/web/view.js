@@ -1,5 +1,5 @@
-// The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview is a canvas of the size of the stage, so
-// that its cost does not depend on the size of the picture.
+// The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview is a canvas of the part of the picture that
+// is visible. Its pixels are those of the picture, or of the screen where these are larger: neither a large picture nor a large zoom costs more.
 
 import { boxOf, boxOfPicture } from "./canvas.js";
 import { drawGrid } from "./grid.js";
@@ -36,6 +36,7 @@ export class View {
   #fitted = true;
   #urls = new Map(); // element to object URL
   #frame = null; // ImageBitmap of the server's preview
+  #liveBox = null; // part of the picture that the live canvas shows, as a box
   #afterPaint = [];
   #due = false;
   #views = new Set();
@@ -345,22 +346,42 @@ export class View {
     this.stage.querySelector("#picture").style.visibility = !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
   }
 
+  /** Sizes the live canvas to the visible part of the box; returns where the picture is in it, in its px. */
+  #placeLive() {
+    const { zoom, scale, pan, live } = this;
+    // CSS px of a pixel of the canvas, and where its pixels begin.
+    const [unit, origin] = zoom * scale > 1 ? [zoom, pan] : [1 / scale, [0, 0]];
+    const [low, size] = [[], []];
+    for (const axis of [0, 1]) {
+      const at = (place) => Math.min(this.stageSize[axis], Math.max(0, pan[axis] + zoom * place)) - origin[axis];
+      const [first, side] = [this.box[axis], this.box[axis + 2]];
+      low[axis] = Math.floor(at(first) / unit);
+      size[axis] = Math.max(1, Math.ceil(at(first + side) / unit) - low[axis]);
+    }
+    resize(live, ...size);
+    const { style } = live;
+    [style.width, style.height] = size.map((side) => `${side}px`);
+    const [left, top] = low.map((at, axis) => origin[axis] + unit * at);
+    style.transform = `translate(${left}px, ${top}px) scale(${unit})`;
+    style.imageRendering = zoom >= CRISP ? "pixelated" : "auto";
+    this.#liveBox = [...[left, top].map((at, axis) => (at - pan[axis]) / zoom), ...size.map((side) => (side * unit) / zoom)];
+    return { zoom: zoom / unit, x: (pan[0] - left) / unit, y: (pan[1] - top) / unit };
+  }
+
   #draw() {
     const { scale } = this;
-    const [width, height] = this.stageSize.map((side) => Math.max(1, Math.round(side * scale)));
-    for (const { canvas } of [{ canvas: this.live }, this.lines]) {
-      if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    }
-    const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
+    resize(this.lines.canvas, ...this.stageSize.map((side) => Math.max(1, Math.round(side * scale))));
     const mesh = this.#played ?? this.mesh;
     const following = this.#played !== null || this.source === "mesh" || this.source === "frame";
     const crisp = this.zoom >= CRISP || this.#filter === "nearest";
-    if (this.#played || this.source === "mesh") this.painter.paint(mesh, place, { crisp, outside: this.#outside, holes: this.#holes, box: this.box });
-    else if (this.source === "frame") this.#drawFrame(place);
+    const inLive = following && this.#placeLive();
+    if (this.#played || this.source === "mesh") this.painter.paint(mesh, inLive, { crisp, outside: this.#outside, holes: this.#holes, box: this.box });
+    else if (this.source === "frame") this.#drawFrame(inLive);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
     const folded = this.#played ? this.#played.folded() : this.#folded;
     const drawn = mesh && !this.#show.peek && (this.#show.lines || folded.length > 0);
+    const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     if (drawn) drawGrid(this.lines, mesh, folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
     this.drawn();
@@ -371,16 +392,13 @@ export class View {
 
   /** Copies a rectangle of the stage (x, y, width, height; CSS px) as shown to a square canvas. */
   copyTo(context, [x, y, width, height], side) {
-    const { scale } = this;
     context.imageSmoothingEnabled = this.zoom < CRISP;
-    if (this.source === "mesh" || this.source === "frame") {
-      context.drawImage(this.live, x * scale, y * scale, width * scale, height * scale, 0, 0, side, side);
-      return;
-    }
+    const isLive = this.source === "mesh" || this.source === "frame";
     const factor = side / width;
-    const [atX, atY, wide, high] = this.#pictureBox;
+    const [atX, atY, wide, high] = isLive ? this.#liveBox : this.#pictureBox;
     const [left, top] = [this.pan[0] + this.zoom * atX - x, this.pan[1] + this.zoom * atY - y];
-    context.drawImage(this.stage.querySelector("#picture"), left * factor, top * factor, this.zoom * wide * factor, this.zoom * high * factor);
+    const shown = isLive ? this.live : this.stage.querySelector("#picture");
+    context.drawImage(shown, left * factor, top * factor, this.zoom * wide * factor, this.zoom * high * factor);
   }
 
   #drawFrame({ zoom, x, y }) {
@@ -391,6 +409,10 @@ export class View {
     const [left, top, wide, high] = this.box;
     if (this.#frame) context.drawImage(this.#frame, x + zoom * left, y + zoom * top, zoom * wide, zoom * high);
   }
+}
+
+function resize(canvas, width, height) {
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
 }
 
 const clampZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, zoom));

@@ -12,8 +12,8 @@ The link has MBIT Mbit/s (5) and MS ms each way (75); the window has WIDTH x HEI
 another pose was drawn. The pointer moves once in each display frame. Figures are printed with the
 coefficients and with `?plan=off`, where meshes come by the socket. JavaScript: the median time to pose and to draw.
 
-Without a graphics card, the browser draws with the CPU. Of 67 ms of CPU time per frame at 1280 x 800 (two virtual cores), 35 ms are the layers of the page,
-32 ms the mesh, and of these 13 ms depend on the size of the canvas; JavaScript takes 3 ms. At 640 x 480 the sum is 33 ms.
+Without a graphics card, the browser draws and composes with the CPU; the time of a frame depends on the pixels of the canvas of the
+live preview.
 Screenshots and pictures of the timelines are in tests/artefacts/e2e (page-link-*.png).
 """
 
@@ -220,7 +220,7 @@ def main():
     link = Link(server, mbit, ms)
     print(f"{mbit} Mbit/s, {ms} ms each way, a window of {window['width']} x {window['height']}")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, "--disable-gpu-rasterization"])
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         for query in ("?plan=off", ""):
             name = "socket" if query else "plan"
             visit = opened(browser, link, query, window)

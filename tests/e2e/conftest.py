@@ -21,7 +21,7 @@ def playwright():
 def browser(playwright):
     assert CHROMIUM, "chromium is not in PATH: install Debian's package"
     # Without a graphics card, GPU rasterization of the page takes several times as long as the CPU's.
-    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=[*FLAGS, "--disable-gpu-rasterization"])
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
     yield browser
     browser.close()
 

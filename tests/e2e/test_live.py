@@ -6,7 +6,7 @@ import pytest
 
 from support import BLUE, CHROMIUM, FLAGS, GREEN, RED, near
 
-WITHOUT_WEBGL = [flag for flag in FLAGS if "gl" not in flag.lower() and "swiftshader" not in flag] + ["--disable-gpu", "--disable-3d-apis"]
+WITHOUT_WEBGL = [flag for flag in FLAGS if "swiftshader" not in flag] + ["--disable-3d-apis"]
 
 
 @pytest.fixture(scope="module")
