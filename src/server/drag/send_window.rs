@@ -39,6 +39,8 @@ const LONG: Length = (2.0, 4.0, 0.03);
 const MAX_TRIAL: f64 = 0.3;
 /// More than one step is taken if the frames take at most this time to send, seconds.
 const MAX_STEPS: f64 = 0.15;
+/// Part of a frame that may wait after a reduction by more than one step: a window of one less would leave the connection idle.
+const EXCESS: f64 = 0.25;
 /// Pause after a failed step up; it doubles up to the second value.
 const PAUSE: Duration = Duration::from_secs(2);
 const MAX_PAUSE: Duration = Duration::from_secs(20);
@@ -184,9 +186,9 @@ impl SendWindow {
         Advice::Same
     }
 
-    /// A smaller window, without a queue at the rate of the newest frame.
+    /// A smaller window, at the rate of the newest frame almost without a queue.
     fn fitting(&self, link: Measured) -> usize {
-        (1..self.frames).rev().find(|frames| *frames as f64 <= link.fits).unwrap_or(1)
+        (1..self.frames).rev().find(|frames| *frames as f64 <= link.fits + EXCESS).unwrap_or(1)
     }
 
     fn step(&mut self, frames: usize, next: u64) {

@@ -369,3 +369,12 @@ fn automatic_pictures_suit_the_link() {
         print_pictures();
     }
 }
+
+#[test]
+fn twelve_frames_a_second_pass_a_slow_link_from_the_start() {
+    for delay in [5, 25, 50, 75] {
+        let seen = drag(link("1 Mbit/s", 1.0, delay), Window::Auto, Content::Auto);
+        let frames = seen.shown.iter().filter(|shown| shown.at < 3_000 * STEPS).count();
+        assert!(frames >= 36, "{delay} ms: {frames} frames in three seconds");
+    }
+}
