@@ -138,6 +138,27 @@ def test_new_handles_have_new_coefficients(visit, picture):
     assert visit.saved("download")[1] == visit.of_server().body
 
 
+def test_more_than_two_megabytes_of_coefficients_are_not_requested(visit, picture):
+    """The socket sends meshes instead. Of a rigid point there are 15 kB."""
+    asked = []
+    visit.page.on("request", lambda request: asked.append(request.url))
+    visit.open(picture)
+    points = [RED, *([10 + 27 * (k % 14), 285 - 6 * (k // 14)] for k in range(139))]
+    for count in (140, 130):
+        handles = json.dumps({"p": points[:count], "q": points[:count]}).encode()
+        visit.page.set_input_files("#file", [{"name": "many.json", "mimeType": "application/json", "buffer": handles}])
+        visit.body(f"[data-handles='{count}']").ready()
+        assert any("/plan?" in url for url in asked) == (count == 130), asked
+        assert (visit["plan"] == "") == (count == 140)
+        with visit.without_pictures():
+            visit.press(visit.posed(0), (140, 130))
+            visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
+            assert near(visit.look().centre("red"), (140, 130), 2.5)
+            visit.page.mouse.up()
+        visit.ready()
+        assert visit.saved("download")[1] == visit.of_server().body
+
+
 def test_a_drag_continues_without_the_server_and_says_so(visits, picture, restartable):
     visit = pinned(visits(of=restartable), picture)
     visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET)
