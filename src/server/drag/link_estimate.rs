@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 const MEMORY: Duration = Duration::from_secs(10);
 /// Age of the samples of the rate: a rate that falls is noticed in this time.
 const RATE_MEMORY: Duration = Duration::from_secs(2);
-/// One sample of the time of a frame is kept in each interval of this length.
+/// One sample of the time of a frame is kept in each interval of this length, of frames of about equal size.
 const THIN: Duration = Duration::from_millis(200);
 /// Samples of the rate.
 const RATES: usize = 64;
@@ -124,16 +124,12 @@ impl LinkEstimate {
         while self.times.front().is_some_and(|kept| time.at.saturating_duration_since(kept.at) > MEMORY) {
             self.times.pop_front();
         }
-        match self.times.back_mut() {
-            Some(last)
-                if time.at.saturating_duration_since(last.at) < THIN
-                    && last.bytes.min(time.bytes) > SMALLER * last.bytes.max(time.bytes) =>
-            {
-                if time.took <= last.of(time.bytes, rate) {
-                    *last = FrameTime { at: last.at, ..time };
-                }
-            }
-            _ => self.times.push_back(time),
+        let recent = self.times.iter_mut().rev().take_while(|kept| time.at.saturating_duration_since(kept.at) < THIN);
+        let mut equal = recent.filter(|kept| kept.bytes.min(time.bytes) > SMALLER * kept.bytes.max(time.bytes));
+        match equal.next() {
+            Some(kept) if time.took <= kept.of(time.bytes, rate) => *kept = FrameTime { at: kept.at, ..time },
+            Some(_) => (),
+            None => self.times.push_back(time),
         }
     }
 
@@ -161,5 +157,24 @@ impl LinkEstimate {
     pub fn frame_time(&self, bytes: u64) -> Option<f64> {
         let rate = self.rate()?;
         self.times.iter().map(|kept| kept.of(bytes as f64, rate)).min_by(f64::total_cmp)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_number_of_samples_depends_on_time_and_not_on_frames() {
+        let mut link = LinkEstimate::default();
+        let start = Instant::now();
+        for k in 0..20_000_u32 {
+            let now = start + k * Duration::from_millis(1);
+            let mark = link.sent(now, if k % 2 == 0 { 1_000 } else { 100_000 }, true);
+            link.acknowledged(now + Duration::from_micros(500), mark, mark.bytes);
+        }
+        // Two sizes in each interval.
+        assert!(link.times.len() as u128 <= 2 * (MEMORY.as_millis() / THIN.as_millis() + 1), "{}", link.times.len());
+        assert!(link.rates.len() <= RATES);
     }
 }
