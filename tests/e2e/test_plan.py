@@ -5,7 +5,7 @@ import json
 import pytest
 
 from links import distances
-from support import BLUE, GREEN, RED, SOCKET, Server, near
+from support import BLUE, GREEN, RED, SOCKET, Server, discs, near
 
 @pytest.fixture
 def restartable():
@@ -136,6 +136,29 @@ def test_new_handles_have_new_coefficients(visit, picture):
     visit.page.mouse.up()
     visit.ready()
     assert visit.saved("download")[1] == visit.of_server().body
+
+
+@pytest.mark.parametrize("screen", [1, 1.25, 2])
+def test_the_drawing_covers_the_picture_at_each_zoom(visits, tmp_path, screen):
+    """Its canvas is the visible part of the picture: in the middle of the stage, beyond its edges, in pixels of the screen or of the picture."""
+    visit = pinned(visits(device_scale_factor=screen), discs(tmp_path / "large.png", (1600, 1200)))
+    visit.page.select_option("#canvas", "fit")
+    for turn, times in ((600, 1), (-600, 2), (-600, 2), (-600, 5)):
+        for _ in range(times):
+            before = visit["zoom"]
+            visit.page.mouse.move(*visit.at(*visit.posed(0)))
+            visit.page.mouse.wheel(0, turn)
+            visit.body(f":not([data-zoom='{before}'])").ready()
+        (x, y), step = visit.posed(0), min(30, 60 / float(visit["zoom"]))
+        still = visit.look()
+        with visit.without_pictures():
+            visit.press((x, y), (x + step, y + 0.7 * step))
+            visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
+            moving = visit.look()
+            visit.page.mouse.up()
+        visit.ready()
+        resting = visit.look()
+        assert resting.differs(moving) < 0.25 * resting.differs(still), (visit["zoom"], resting.differs(moving), resting.differs(still))
 
 
 def test_more_than_two_megabytes_of_coefficients_are_not_requested(visit, picture):
