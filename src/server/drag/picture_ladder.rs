@@ -25,7 +25,7 @@ const MOST_QUALITY: u8 = 85;
 const NARROWEST_QUALITY: u8 = 20;
 /// Quality of a picture of a resting pointer.
 const REST_QUALITY: u8 = 95;
-/// Bytes of a moving picture at first and at least: too small a picture costs a round trip, too large a one seconds.
+/// Bytes of a moving picture at first and at least. If the first is too small, that costs a round trip; if it is too large, seconds.
 const LEAST_BUDGET: f64 = 8e3;
 /// Factor of a step of the budget, and when a queue is long.
 const STEP: f64 = 7.0 / 6.0;
@@ -34,7 +34,7 @@ const LONG: f64 = 0.67;
 const REST_SECONDS: f64 = 1.0;
 /// Frames per second that a connection has to carry as PNG.
 const PNG_RATE: f64 = 60.0;
-/// Sending time of a JPEG picture that costs almost no age, seconds.
+/// Sending time of a JPEG picture that adds little to its age, seconds.
 const MAX_SEND: f64 = 1.0 / 120.0;
 /// Maximum drawing time, seconds.
 const MAX_DRAW: f64 = 1.0 / 60.0;
