@@ -1,4 +1,4 @@
-"""A way to a server on which the first drag socket goes dumb: its connection stays, and nothing comes through it any more.
+"""A way to a server on which the first drag socket goes silent: its connection stays open, and nothing is received through it.
 
     examples-relay.py SERVER_PORT      prints its own port
 """

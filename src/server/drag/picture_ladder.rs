@@ -66,6 +66,15 @@ pub enum Advice {
     MuchSmaller,
 }
 
+/// Whether frames can become larger, and smaller. Only those of `frames=auto` can.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Scope {
+    /// The best picture that the connection may carry is larger.
+    pub larger: bool,
+    /// The smallest one is smaller.
+    pub smaller: bool,
+}
+
 /// The state of the pictures of one drag.
 #[derive(Clone, Debug)]
 pub struct PictureLadder {
@@ -153,10 +162,10 @@ impl PictureLadder {
         }
     }
 
-    /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the connection would carry.
-    pub fn scope(&self, possible: Option<f64>) -> (bool, bool) {
+    /// What pictures can do. `possible`: bytes per second that the connection would carry.
+    pub fn scope(&self, possible: Option<f64>) -> Scope {
         let widest = self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY));
-        (self.budget < widest.min(self.most(possible)), self.budget > LEAST_BUDGET)
+        Scope { larger: self.budget < widest.min(self.most(possible)), smaller: self.budget > LEAST_BUDGET }
     }
 
     /// Follows the advice of the window.

@@ -17,7 +17,7 @@
 use std::time::{Duration, Instant};
 
 use super::link_estimate::Measured;
-use super::picture_ladder::{self, Advice};
+use super::picture_ladder::{self, Advice, Scope};
 
 /// Maximum window.
 pub const MAX_WINDOW: usize = 8;
@@ -54,6 +54,30 @@ pub enum Window {
     Auto,
     /// This number of frames, 1 to [`MAX_WINDOW`].
     Fixed(usize),
+}
+
+/// A round trip that has ended.
+struct RoundTrip {
+    now: Instant,
+    /// Number of the first frame after it.
+    next: u64,
+    /// The least queue of its frames, seconds.
+    queue: f64,
+    /// The newest frame.
+    link: Measured,
+    scope: Scope,
+}
+
+impl RoundTrip {
+    /// Frames under way for `rate` per second; `margin`: the part of a frame by which they may fall short.
+    fn frames_of(&self, rate: f64, margin: f64) -> f64 {
+        (rate * (self.link.took - self.link.queue) - margin).ceil()
+    }
+}
+
+/// Seconds of a length of a queue.
+fn length(link: Measured, (frames, jitter, seconds): Length) -> f64 {
+    frames * link.frame + jitter * link.jitter + seconds
 }
 
 /// The window of one drag.
@@ -113,77 +137,102 @@ impl SendWindow {
     }
 
     /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the next frame; `is_alone`: no other frame
-    /// was unacknowledged when it was sent.
-    /// `can`: whether frames can become larger, and smaller; the result says what they should do. Frames become smaller before there are
-    /// fewer than [`picture_ladder::RATE`] per second.
-    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured, can: (bool, bool)) -> Advice {
+    /// was unacknowledged when it was sent. The result says what pictures should do. They become smaller before there are fewer than
+    /// [`picture_ladder::RATE`] per second.
+    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured, scope: Scope) -> Advice {
         if is_alone || self.alone.is_none() {
             self.alone = Some(now);
         }
-        let length = |(frames, jitter, seconds): Length| frames * link.frame + jitter * link.jitter + seconds;
-        if link.queue > length(LONG) {
+        if link.queue > length(link, LONG) {
             // Frames that were sent before the last reduction say nothing of it.
             if number < self.reduced {
                 return Advice::Same;
             }
             self.reduced = next;
             self.is_start = false;
+            self.drained = None;
             self.step(self.fitting(link), next);
             return Advice::MuchSmaller;
         }
         if number < self.round {
             return Advice::Same;
         }
-        let least = self.least.map_or(link.queue, |least| least.min(link.queue));
-        self.least = Some(least);
+        let queue = self.least.map_or(link.queue, |least| least.min(link.queue));
+        self.least = Some(queue);
         // The last frame of the round trip is the last that was sent before the first was acknowledged.
         if number + 1 < self.round + self.frames as u64 && self.is_limit {
             return Advice::Same;
         }
-        let enough = (picture_ladder::RATE * (link.took - link.queue)).ceil();
-        let is_enough = self.frames as f64 >= enough;
-        let most = (RATE * (link.took - link.queue) - MARGIN).ceil().clamp(1.0, MAX_WINDOW as f64);
         if let Some(frames) = self.drained.take() {
             self.step(frames, next);
-        } else if least > length(SMALL) && can.1 && self.frames as f64 <= enough {
-            self.is_start = false;
-            self.step(self.frames, next);
-            return Advice::Smaller;
-        } else if self.frames > 1 && least > length(if self.frames as f64 > enough && can != (false, false) { SMALL } else { STANDING }) {
-            if self.is_trial {
-                self.not_before = Some(now + self.pause);
-                self.pause = (2 * self.pause).min(MAX_PAUSE);
-            }
-            let frames = if self.is_start { self.fitting(link) } else { self.frames - 1 };
-            self.is_start = false;
-            self.step(frames, next);
-        } else if self.frames > 1 && self.alone.is_some_and(|alone| now.saturating_duration_since(alone) > DRAIN) {
-            let frames = self.frames;
-            self.alone = Some(now);
-            self.step(frames / 2, next);
-            self.drained = Some(frames);
-        } else if self.is_limit && least < length(EMPTY) && can.0 && is_enough {
-            self.step(self.frames, next);
-            return Advice::Larger;
-        } else if self.is_limit
-            && least < length(EMPTY)
-            && (self.frames as f64) < most
-            && link.frame < MAX_TRIAL
-            && self.not_before.is_none_or(|time| now >= time)
-        {
-            let steps = if self.is_start { self.frames } else { 1 };
-            let is_short = |steps: &usize| *steps as f64 * link.frame <= MAX_STEPS && (self.frames + steps) as f64 <= most;
-            let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
-            // A queue has built up a round trip later.
-            self.step(frames, next + frames as u64);
-            self.is_trial = true;
-        } else {
+            return Advice::Same;
+        }
+        let round = RoundTrip { now, next, queue, link, scope };
+        let followed = self.shrink(&round).or_else(|| self.drain(&round)).or_else(|| self.grow(&round));
+        followed.unwrap_or_else(|| {
             if self.is_trial {
                 self.pause = PAUSE;
             }
             self.step(self.frames, next);
+            Advice::Same
+        })
+    }
+
+    /// After a round trip with a queue: smaller pictures, or a smaller window.
+    fn shrink(&mut self, round: &RoundTrip) -> Option<Advice> {
+        let enough = round.frames_of(picture_ladder::RATE, 0.0);
+        if round.scope.smaller && self.frames as f64 <= enough && round.queue > length(round.link, SMALL) {
+            self.is_start = false;
+            self.step(self.frames, round.next);
+            return Some(Advice::Smaller);
         }
-        Advice::Same
+        let adapts = round.scope.larger || round.scope.smaller;
+        let most = if adapts && self.frames as f64 > enough { SMALL } else { STANDING };
+        if self.frames == 1 || round.queue <= length(round.link, most) {
+            return None;
+        }
+        if self.is_trial {
+            self.not_before = Some(round.now + self.pause);
+            self.pause = (2 * self.pause).min(MAX_PAUSE);
+        }
+        let frames = if self.is_start { self.fitting(round.link) } else { self.frames - 1 };
+        self.is_start = false;
+        self.step(frames, round.next);
+        Some(Advice::Same)
+    }
+
+    /// If a queue may have been standing for long: half of the window for a round trip.
+    fn drain(&mut self, round: &RoundTrip) -> Option<Advice> {
+        if self.frames == 1 || self.alone.is_none_or(|alone| round.now.saturating_duration_since(alone) <= DRAIN) {
+            return None;
+        }
+        self.alone = Some(round.now);
+        self.drained = Some(self.frames);
+        self.step(self.frames / 2, round.next);
+        Some(Advice::Same)
+    }
+
+    /// After a round trip in which poses waited without a queue: larger pictures, or a larger window.
+    fn grow(&mut self, round: &RoundTrip) -> Option<Advice> {
+        if !self.is_limit || round.queue >= length(round.link, EMPTY) {
+            return None;
+        }
+        if round.scope.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0) {
+            self.step(self.frames, round.next);
+            return Some(Advice::Larger);
+        }
+        let most = round.frames_of(RATE, MARGIN).clamp(1.0, MAX_WINDOW as f64);
+        let frame = round.link.frame;
+        if self.frames as f64 >= most || frame >= MAX_TRIAL || self.not_before.is_some_and(|time| round.now < time) {
+            return None;
+        }
+        let steps = if self.is_start { self.frames } else { 1 };
+        let is_short = |steps: &usize| *steps as f64 * frame <= MAX_STEPS && (self.frames + steps) as f64 <= most;
+        let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
+        // A queue has built up a round trip later.
+        self.step(frames, round.next + frames as u64);
+        self.is_trial = true;
+        Some(Advice::Same)
     }
 
     /// A smaller window, at the rate of the newest frame almost without a queue.
@@ -193,6 +242,6 @@ impl SendWindow {
 
     fn step(&mut self, frames: usize, next: u64) {
         let frames = if self.is_auto { frames } else { self.frames };
-        *self = Self { frames, round: next, least: None, is_limit: false, is_trial: false, drained: None, ..*self };
+        *self = Self { frames, round: next, least: None, is_limit: false, is_trial: false, ..*self };
     }
 }
