@@ -57,7 +57,7 @@ pub enum MeshForm {
     /// A JSON object.
     Json,
     /// Little-endian f32.
-    Numbers,
+    F32,
     /// 16-bit displacements on a part of the lines.
     Compact(Arc<CompactLattice>),
 }
@@ -78,7 +78,7 @@ impl MeshForm {
         let cancelled = || cancel.is_cancelled();
         match self {
             Self::Json => Ok((json_unless(cancel, &MeshObject { shape, vertices: AsJson(posed) }, 0)?, None)),
-            Self::Numbers => Ok((posed.numbers(&cancelled)?, None)),
+            Self::F32 => Ok((posed.numbers(&cancelled)?, None)),
             Self::Compact(lattice) => lattice.numbers(posed, &cancelled).map(|(bytes, error)| (bytes, Some(error))),
         }
     }

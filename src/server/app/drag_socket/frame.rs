@@ -152,11 +152,11 @@ async fn try_draw_frame(
         }
         Form::Mesh | Form::CompactMesh(_) => {
             // The lattice is chosen after admission; only JSON has a limit of its own.
-            let plan = app.admit_mesh(client, &record, &MeshForm::Numbers).await?;
+            let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
-            let numbers = lattice.map_or(MeshForm::Numbers, MeshForm::Compact);
+            let numbers = lattice.map_or(MeshForm::F32, MeshForm::Compact);
             let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, numbers, quota).await?;
             let target = Target { canvas: None, extent: record.extent, force_alpha: false };
             let report = report_json(seq, target, true, ("mesh", None), (&report, error), timing, Cost::default());

@@ -104,7 +104,7 @@ impl App {
         let lattice = KnownLattice::default();
         let shape = if let Form::CompactMesh(_) = options.form {
             let _permit = slot.frames.acquire().await.expect("the semaphore is never closed");
-            let plan = self.admit_mesh(client, &record, &MeshForm::Numbers).await?;
+            let plan = self.admit_mesh(client, &record, &MeshForm::F32).await?;
             mesh_shape(self, &plan, (options.form, &lattice), &record, &self.response_quota(client)).await?.0
         } else {
             MeshShape::new(&*self.session_setup(client, &record).await?, record.extent)
