@@ -21,8 +21,9 @@ const MEMORY: Duration = Duration::from_secs(10);
 const RATE_MEMORY: Duration = Duration::from_secs(2);
 /// One sample of the time of a frame is kept in each interval of this length, of frames of about equal size.
 const THIN: Duration = Duration::from_millis(200);
-/// Samples of the rate.
+/// Maximum numbers of samples: of the rate, and of the time of a frame.
 const RATES: usize = 64;
+const TIMES: usize = 512;
 /// Frames of at most this part of the size of another one are compared with it, and those whose size differs by at most the second part
 /// count as equal.
 const SMALLER: f64 = 0.75;
@@ -121,15 +122,16 @@ impl LinkEstimate {
     }
 
     fn keep(&mut self, time: FrameTime, rate: f64) {
-        while self.times.front().is_some_and(|kept| time.at.saturating_duration_since(kept.at) > MEMORY) {
-            self.times.pop_front();
-        }
         let recent = self.times.iter_mut().rev().take_while(|kept| time.at.saturating_duration_since(kept.at) < THIN);
         let mut equal = recent.filter(|kept| kept.bytes.min(time.bytes) > SMALLER * kept.bytes.max(time.bytes));
         match equal.next() {
             Some(kept) if time.took <= kept.of(time.bytes, rate) => *kept = FrameTime { at: kept.at, ..time },
             Some(_) => (),
             None => self.times.push_back(time),
+        }
+        let is_old = |kept: &FrameTime| time.at.saturating_duration_since(kept.at) > MEMORY;
+        while self.times.len() > TIMES || self.times.front().is_some_and(is_old) {
+            self.times.pop_front();
         }
     }
 
@@ -165,16 +167,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_number_of_samples_depends_on_time_and_not_on_frames() {
-        let mut link = LinkEstimate::default();
-        let start = Instant::now();
-        for k in 0..20_000_u32 {
-            let now = start + k * Duration::from_millis(1);
-            let mark = link.sent(now, if k % 2 == 0 { 1_000 } else { 100_000 }, true);
-            link.acknowledged(now + Duration::from_micros(500), mark, mark.bytes);
-        }
-        // Two sizes in each interval.
-        assert!(link.times.len() as u128 <= 2 * (MEMORY.as_millis() / THIN.as_millis() + 1), "{}", link.times.len());
-        assert!(link.rates.len() <= RATES);
+    fn the_number_of_samples_is_bounded() {
+        let after = |sizes: &[u64]| {
+            let mut link = LinkEstimate::default();
+            let start = Instant::now();
+            for (k, bytes) in (0..20_000_u32).zip(sizes.iter().cycle()) {
+                let now = start + k * Duration::from_millis(1);
+                let mark = link.sent(now, *bytes, true);
+                link.acknowledged(now + Duration::from_micros(500), mark, mark.bytes);
+            }
+            assert_eq!(link.rates.len(), RATES);
+            link.times.len()
+        };
+        // One for each interval and size, whatever the number of frames.
+        let intervals = (MEMORY.as_millis() / THIN.as_millis()) as usize;
+        assert!((intervals..=intervals + 1).contains(&after(&[1_000])));
+        assert!((2 * intervals..=2 * intervals + 2).contains(&after(&[1_000, 100_000])));
+        let sizes: Vec<u64> = (6..26).map(|power| 1 << power).collect();
+        assert_eq!(after(&sizes), TIMES);
     }
 }

@@ -68,7 +68,7 @@ pub enum Advice {
 
 /// Whether frames can become larger, and smaller. Only those of `frames=auto` can.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Scope {
+pub struct PossibleSteps {
     /// The best picture that the connection may carry is larger.
     pub larger: bool,
     /// The smallest one is smaller.
@@ -162,10 +162,10 @@ impl PictureLadder {
         }
     }
 
-    /// What pictures can do. `possible`: bytes per second that the connection would carry.
-    pub fn scope(&self, possible: Option<f64>) -> Scope {
+    /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the connection would carry.
+    pub fn possible_steps(&self, possible: Option<f64>) -> PossibleSteps {
         let widest = self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY));
-        Scope { larger: self.budget < widest.min(self.most(possible)), smaller: self.budget > LEAST_BUDGET }
+        PossibleSteps { larger: self.budget < widest.min(self.most(possible)), smaller: self.budget > LEAST_BUDGET }
     }
 
     /// Follows the advice of the window.

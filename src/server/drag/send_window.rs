@@ -17,7 +17,7 @@
 use std::time::{Duration, Instant};
 
 use super::link_estimate::Measured;
-use super::picture_ladder::{self, Advice, Scope};
+use super::picture_ladder::{self, Advice, PossibleSteps};
 
 /// Maximum window.
 pub const MAX_WINDOW: usize = 8;
@@ -65,7 +65,7 @@ struct RoundTrip {
     queue: f64,
     /// The newest frame.
     link: Measured,
-    scope: Scope,
+    possible: PossibleSteps,
 }
 
 impl RoundTrip {
@@ -139,7 +139,15 @@ impl SendWindow {
     /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the next frame; `is_alone`: no other frame
     /// was unacknowledged when it was sent. The result says what pictures should do. They become smaller before there are fewer than
     /// [`picture_ladder::RATE`] per second.
-    pub fn acknowledged(&mut self, now: Instant, number: u64, next: u64, is_alone: bool, link: Measured, scope: Scope) -> Advice {
+    pub fn acknowledged(
+        &mut self,
+        now: Instant,
+        number: u64,
+        next: u64,
+        is_alone: bool,
+        link: Measured,
+        possible: PossibleSteps,
+    ) -> Advice {
         if is_alone || self.alone.is_none() {
             self.alone = Some(now);
         }
@@ -167,7 +175,7 @@ impl SendWindow {
             self.step(frames, next);
             return Advice::Same;
         }
-        let round = RoundTrip { now, next, queue, link, scope };
+        let round = RoundTrip { now, next, queue, link, possible };
         let followed = self.shrink(&round).or_else(|| self.drain(&round)).or_else(|| self.grow(&round));
         followed.unwrap_or_else(|| {
             if self.is_trial {
@@ -181,12 +189,12 @@ impl SendWindow {
     /// After a round trip with a queue: smaller pictures, or a smaller window.
     fn shrink(&mut self, round: &RoundTrip) -> Option<Advice> {
         let enough = round.frames_of(picture_ladder::RATE, 0.0);
-        if round.scope.smaller && self.frames as f64 <= enough && round.queue > length(round.link, SMALL) {
+        if round.possible.smaller && self.frames as f64 <= enough && round.queue > length(round.link, SMALL) {
             self.is_start = false;
             self.step(self.frames, round.next);
             return Some(Advice::Smaller);
         }
-        let adapts = round.scope.larger || round.scope.smaller;
+        let adapts = round.possible.larger || round.possible.smaller;
         let most = if adapts && self.frames as f64 > enough { SMALL } else { STANDING };
         if self.frames == 1 || round.queue <= length(round.link, most) {
             return None;
@@ -217,7 +225,7 @@ impl SendWindow {
         if !self.is_limit || round.queue >= length(round.link, EMPTY) {
             return None;
         }
-        if round.scope.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0) {
+        if round.possible.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0) {
             self.step(self.frames, round.next);
             return Some(Advice::Larger);
         }

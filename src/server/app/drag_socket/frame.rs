@@ -156,8 +156,8 @@ async fn try_draw_frame(
             drop(permit);
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
-            let numbers = lattice.map_or(MeshForm::F32, MeshForm::Compact);
-            let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, numbers, quota).await?;
+            let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
+            let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
             let target = Target { canvas: None, extent: record.extent, force_alpha: false };
             let report = report_json(seq, target, true, ("mesh", None), (&report, error), timing, Cost::default());
             Ok(Frame { seq, record, shape, pieces: vec![body], report })

@@ -197,8 +197,8 @@ impl<F> FrameScheduler<F> {
     /// `sent`: the newest acknowledged frame; `bytes`: those of all acknowledged frames.
     fn acknowledged(&mut self, sent: Sent, bytes: u64, now: Instant) {
         let measured = self.link.acknowledged(now, sent.mark, bytes);
-        let scope = self.pictures.as_ref().map(|pictures| pictures.scope(self.link.possible_rate())).unwrap_or_default();
-        let advice = self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured, scope);
+        let possible = self.pictures.as_ref().map(|pictures| pictures.possible_steps(self.link.possible_rate())).unwrap_or_default();
+        let advice = self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured, possible);
         if let Some(pictures) = &mut self.pictures {
             pictures.follow(advice);
         }
