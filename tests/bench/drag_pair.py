@@ -25,7 +25,8 @@ POSES = 3 * RATE
 def drag(program, frames):
     """Frames per second, and p50 and p99 of their ages, ms."""
     sent, ages = {}, []
-    with connect(f"ws://127.0.0.1:{program.connection.port}/sessions/{program.session}/drag?{frames}", max_size=None, compression=None) as socket:
+    address = f"ws://127.0.0.1:{program.connection.port}/sessions/{program.session}/drag?{frames}"
+    with connect(address, max_size=None, compression=None) as socket:
         socket.recv()
 
         def move():
@@ -57,7 +58,8 @@ def main():
                 for k in random.sample([0, 1], 2):
                     runs[k].append(drag(programs[k], frames))
             before, after = ([median(run[column] for run in each) for column in range(3)] for each in runs)
-            figures = (f"{name} {a:.2f} {b:.2f}, ratio {b / a:.3f}" for name, a, b in zip(("frames/s", "p50", "p99"), before, after, strict=True))
+            columns = zip(("frames/s", "p50", "p99"), before, after, strict=True)
+            figures = (f"{name} {a:.2f} {b:.2f}, ratio {b / a:.3f}" for name, a, b in columns)
             print(f"{frames}: {'; '.join(figures)}", flush=True)
     finally:
         for program in programs:
