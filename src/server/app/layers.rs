@@ -85,13 +85,12 @@ impl App {
     /// The file of a layer, whose memory counts for the client until it is sent. Reading does not extend the session's life.
     /// Errors: Unknown session or layer, or too little capacity.
     pub async fn layer_file(&self, client: Client, id: SessionId, name: &str) -> Result<Bytes, Problem> {
+        let mut record = self.peek_session(id).await?.record;
         for _ in 0..ATTEMPTS {
-            let record = self.peek_session(id).await?.record;
             let (_, layer) = find_layer(&record, name)?;
             match self.read_layer(client, id, layer.digest).await {
-                // It was replaced meanwhile, unless the session has ended.
-                Err(problem) if problem.code == Code::NoSuchSession => {}
-                read => return read,
+                Ok(file) => return Ok(file),
+                Err(problem) => record = self.newer_record(&record, problem).await?,
             }
         }
         Err(StoreError::Contended.into())

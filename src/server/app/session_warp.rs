@@ -20,7 +20,7 @@ use crate::cache::Key;
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
-use crate::observe::scope::{in_stage, stage};
+use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
@@ -134,17 +134,21 @@ impl App {
         for _ in 0..ATTEMPTS {
             match self.admit_drawing(client, &record, layer).await {
                 Ok((content, plan)) => return Ok((record, content, plan)),
-                Err(problem) if problem.code == Code::NoSuchSession => {
-                    let newest = in_stage("store", self.0.store.peek(record.id)).await?.record;
-                    if newest.revision == record.revision {
-                        return Err(problem);
-                    }
-                    record = newest;
-                }
-                Err(problem) => return Err(problem),
+                Err(problem) => record = self.newer_record(&record, problem).await?,
             }
         }
         Err(StoreError::Contended.into())
+    }
+
+    /// The record by which files are read again after `problem`: another request may have replaced those of `record` since it was read, and
+    /// the session lives. Every reader of a session's files asks this, so that a 404 means that the session has ended.
+    /// Errors: `problem`, if it is about something else or the session has no newer record.
+    pub(crate) async fn newer_record(&self, record: &Record, problem: Problem) -> Result<Arc<Record>, Problem> {
+        if problem.code != Code::NoSuchSession {
+            return Err(problem);
+        }
+        let newest = self.peek_session(record.id).await?.record;
+        if newest.revision == record.revision { Err(problem) } else { Ok(newest) }
     }
 
     async fn admit_drawing(

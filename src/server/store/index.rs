@@ -1,5 +1,8 @@
 //! The sessions of one process: which are alive, what they take, when they expire. Shared by the memory store and the file store.
 //!
+//! A file counts once for each owner whose sessions name it, also where the store keeps it once for all of them: otherwise the bytes that
+//! the store takes would tell one owner what another one has stored.
+//!
 //! A full index refuses new sessions and never drops a living one. A change is checked first (`check_*`), which changes nothing, and then
 //! applied, which cannot fail: in between a store writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
 
@@ -22,7 +25,10 @@ pub(crate) struct Index {
     /// The files' contents are kept here. Otherwise only their sizes are.
     keeps_contents: bool,
     sessions: HashMap<SessionId, Entry>,
-    files: HashMap<Digest, File>,
+    /// The files of each owner.
+    files: HashMap<(Owner, Digest), File>,
+    /// How many owners have each file.
+    owners: HashMap<Digest, usize>,
     bytes: u64,
     /// Ended sessions, in the order in which they ended; at most as many as there may be sessions.
     tombstones: LruCache<SessionId, Tombstone>,
@@ -44,7 +50,7 @@ struct File {
     bytes: u64,
     /// Empty unless contents are kept here.
     content: Bytes,
-    /// How often sessions name it.
+    /// How often sessions of the owner name it.
     names: usize,
 }
 
@@ -75,7 +81,9 @@ pub(crate) enum PutOutcome {
 
 impl Index {
     pub(crate) fn new(bounds: Bounds, keeps_contents: bool) -> Self {
-        Self { bounds, keeps_contents, sessions: HashMap::new(), files: HashMap::new(), bytes: 0, tombstones: LruCache::unbounded() }
+        let (sessions, files, owners) = Default::default();
+        let tombstones = LruCache::unbounded();
+        Self { bounds, keeps_contents, sessions, files, owners, bytes: 0, tombstones }
     }
 
     /// The number of sessions, expired ones included that are not swept yet.
@@ -83,19 +91,19 @@ impl Index {
         self.sessions.len()
     }
 
-    /// Bytes of files and records.
+    /// Bytes of files and records, each file once for each owner.
     pub(crate) const fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The size of a file that a session names.
-    pub(crate) fn file_bytes(&self, digest: Digest) -> Option<u64> {
-        self.files.get(&digest).map(|file| file.bytes)
+    /// The size of a file that a session of the owner names.
+    pub(crate) fn file_bytes(&self, owner: Owner, digest: Digest) -> Option<u64> {
+        self.files.get(&(owner, digest)).map(|file| file.bytes)
     }
 
-    /// The content of a file that a session names.
-    pub(crate) fn file(&self, digest: Digest) -> Option<Bytes> {
-        self.files.get(&digest).map(|file| file.content.clone())
+    /// The content of a file that a session of the owner names.
+    pub(crate) fn file(&self, owner: Owner, digest: Digest) -> Option<Bytes> {
+        self.files.get(&(owner, digest)).map(|file| file.content.clone())
     }
 
     fn left(&self, entry: &Entry) -> Duration {
@@ -158,7 +166,6 @@ impl Index {
     /// The bytes that these files of a session add. The files that they replace count until they are replaced.
     fn added_bytes(&self, id: SessionId, files: &[NamedFile]) -> u64 {
         let is_first = |(k, file): &(usize, &NamedFile)| !files[..*k].iter().any(|before| before.digest == file.digest);
-        // The answer must not tell whether another owner has the same file.
         let is_new = |(_, file): &(usize, &NamedFile)| !self.names(id.owner(), file.digest);
         files.iter().enumerate().filter(is_first).filter(is_new).map(|(_, file)| file.len()).sum()
     }
@@ -176,7 +183,8 @@ impl Index {
             return Put::Same(session);
         }
         // Before the old session is removed, which may name the same files.
-        files.iter().for_each(|file| self.name_file(file.digest, file.len(), &file.bytes));
+        let owner = record.id.owner();
+        files.iter().for_each(|file| self.name_file(owner, file.digest, file.len(), &file.bytes));
         let old = self.insert(Arc::clone(&record), None);
         let session = self.session(&self.sessions[&record.id], &record);
         match old {
@@ -199,7 +207,7 @@ impl Index {
     /// Adds a session of an earlier process; it lives for another idle period. `sizes`: those of its files, in the order of the record.
     pub(crate) fn restore(&mut self, record: Arc<Record>, sizes: &[u64], seq: Option<u64>) {
         for (digest, len) in record.files().zip(sizes) {
-            self.name_file(digest, *len, &Bytes::new());
+            self.name_file(record.id.owner(), digest, *len, &Bytes::new());
         }
         self.insert(record, seq);
     }
@@ -207,39 +215,49 @@ impl Index {
     /// Adds a session whose record, of `bytes` bytes, another version of the program has written, and the files that it names.
     pub(crate) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
         for (digest, len) in files {
-            self.name_file(*digest, *len, &Bytes::new());
+            self.name_file(id.owner(), *digest, *len, &Bytes::new());
         }
         self.bytes += bytes;
         let files = files.iter().map(|(digest, _)| *digest).collect();
         self.sessions.insert(id, Entry { record: None, files, bytes, seq: None, used: Instant::now() });
     }
 
-    fn name_file(&mut self, digest: Digest, bytes: u64, content: &Bytes) {
-        let file = self.files.entry(digest).or_insert_with(|| {
+    fn name_file(&mut self, owner: Owner, digest: Digest, bytes: u64, content: &Bytes) {
+        let file = self.files.entry((owner, digest)).or_insert_with(|| {
             self.bytes += bytes;
-            File { bytes, content: if self.keeps_contents { content.clone() } else { Bytes::new() }, names: 0 }
+            *self.owners.entry(digest).or_default() += 1;
+            let content = if self.keeps_contents { content.clone() } else { Bytes::new() };
+            File { bytes, content, names: 0 }
         });
         file.names += 1;
     }
 
-    fn unname_file(&mut self, digest: Digest) {
-        if let Some(file) = self.files.get_mut(&digest) {
-            file.names -= 1;
-            if file.names == 0 {
-                self.bytes -= file.bytes;
-                self.files.remove(&digest);
+    fn unname_file(&mut self, owner: Owner, digest: Digest) {
+        let Some(file) = self.files.get_mut(&(owner, digest)) else { return };
+        file.names -= 1;
+        if file.names > 0 {
+            return;
+        }
+        self.bytes -= file.bytes;
+        self.files.remove(&(owner, digest));
+        if let Some(owners) = self.owners.get_mut(&digest) {
+            *owners -= 1;
+            if *owners == 0 {
+                self.owners.remove(&digest);
             }
         }
     }
 
     /// Removes a file that cannot be read from the unread sessions that name it.
     pub(crate) fn lose_file(&mut self, digest: Digest) {
-        let named = self.sessions.values_mut().filter(|entry| entry.record.is_none()).filter_map(|entry| {
+        let unread = self.sessions.iter_mut().filter(|(_, entry)| entry.record.is_none());
+        let named = unread.filter_map(|(id, entry)| {
             let place = entry.files.iter().position(|file| *file == digest)?;
-            Some(entry.files.swap_remove(place))
+            entry.files.swap_remove(place);
+            Some(id.owner())
         });
-        for digest in named.collect::<Vec<_>>() {
-            self.unname_file(digest);
+        for owner in named.collect::<Vec<_>>() {
+            self.unname_file(owner, digest);
         }
     }
 
@@ -256,13 +274,15 @@ impl Index {
     pub(crate) fn revise(&mut self, new: Arc<Record>, layer: &[NamedFile]) -> Option<Session> {
         for digest in new.files() {
             let added = layer.iter().find(|file| file.digest == digest);
-            self.name_file(digest, added.map_or(0, NamedFile::len), added.map_or(&Bytes::new(), |file| &file.bytes));
+            let content = added.map_or_else(Bytes::new, |file| file.bytes.clone());
+            self.name_file(new.id.owner(), digest, content.len() as u64, &content);
         }
         let (id, bytes, files) = (new.id, record_bytes(&new), new.files().collect());
         let entry = self.sessions.get_mut(&id)?;
         self.bytes = self.bytes - entry.bytes + bytes;
         (entry.record, entry.bytes, entry.used) = (Some(new), bytes, Instant::now());
-        std::mem::replace(&mut entry.files, files).into_iter().for_each(|digest| self.unname_file(digest));
+        let old = std::mem::replace(&mut entry.files, files);
+        old.into_iter().for_each(|digest| self.unname_file(id.owner(), digest));
         self.peek(id).ok()
     }
 
@@ -286,18 +306,26 @@ impl Index {
     pub(crate) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
         let entry = self.sessions.remove(&id)?;
         self.bytes -= entry.bytes;
-        entry.files.into_iter().for_each(|digest| self.unname_file(digest));
+        entry.files.into_iter().for_each(|digest| self.unname_file(id.owner(), digest));
         entry.record
     }
 
-    /// The files that no session names once these are gone and another one names `kept`.
+    /// The files that no session of any owner names once these are gone and another one names `kept`.
     pub(crate) fn freed(&self, gone: &[SessionId], kept: &[Digest]) -> Vec<Digest> {
-        let mut fewer: HashMap<Digest, usize> = HashMap::new();
-        for digest in gone.iter().filter_map(|id| self.sessions.get(id)).flat_map(|entry| &entry.files) {
-            *fewer.entry(*digest).or_default() += 1;
+        let mut fewer: HashMap<(Owner, Digest), usize> = HashMap::new();
+        for (id, entry) in gone.iter().filter_map(|id| self.sessions.get_key_value(id)) {
+            for digest in &entry.files {
+                *fewer.entry((id.owner(), *digest)).or_default() += 1;
+            }
         }
-        fewer.retain(|digest, fewer| !kept.contains(digest) && self.files.get(digest).is_some_and(|file| file.names == *fewer));
-        fewer.into_keys().collect()
+        let mut owners: HashMap<Digest, usize> = HashMap::new();
+        for (file, fewer) in fewer.into_iter().filter(|((_, digest), _)| !kept.contains(digest)) {
+            if self.files.get(&file).is_some_and(|file| file.names == fewer) {
+                *owners.entry(file.1).or_default() += 1;
+            }
+        }
+        owners.retain(|digest, fewer| self.owners.get(digest) == Some(fewer));
+        owners.into_keys().collect()
     }
 
     /// Sessions that have expired and are not swept yet, the oldest first.
@@ -328,8 +356,7 @@ impl Index {
 
     /// Whether a session of that owner names the file.
     pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        let names = |record: &Arc<Record>| record.id.owner() == owner && record.files().any(|file| file == digest);
-        self.files.contains_key(&digest) && self.records().any(names)
+        self.files.contains_key(&(owner, digest))
     }
 
     /// The records that can be read.

@@ -80,8 +80,8 @@ impl Store for MemoryStore {
         known(Ok(0))
     }
 
-    fn file(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        known(self.lock().file(digest).ok_or(StoreError::NoSuchSession))
+    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        known(self.lock().file(id.owner(), digest).ok_or(StoreError::NoSuchSession))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {
@@ -128,6 +128,6 @@ mod tests {
         store.put(Arc::clone(&record), suite::files(1)).await.unwrap();
         store.delete(record.id).await.unwrap();
         let index = store.lock();
-        assert!(index.file(record.image).is_none() && index.bytes() == 0);
+        assert!(index.file(record.id.owner(), record.image).is_none() && index.bytes() == 0);
     }
 }

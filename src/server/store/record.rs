@@ -10,7 +10,8 @@
 //! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by
 //!    another version. It is kept: not served, not replaced, and deleted only by its owner.
 //! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot
-//!    read the rest keeps the files named like this (`named_files`), and the Redis store removes no layer's file that is.
+//!    read the rest keeps the files named like this (`named_files`), and the Redis store removes no layer's file that is,
+//!    unless only the fields `image` and `made_with_region` name it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -14,15 +14,16 @@ use mlswarp::render::Canvas;
 use mlswarp::warp::{CanvasSpec, OutputSpec};
 
 use super::App;
+use super::draw::Planned;
 use super::drawable::Content;
 use super::session_warp::AdmittedPlan;
-use super::warp::columns;
+use super::warp::{ATTEMPTS, columns};
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::store::Record;
+use crate::store::{Record, StoreError};
 use crate::wire::BatchObject;
 use crate::wire::formats::Formats;
 use frame::BatchJob;
@@ -62,10 +63,8 @@ impl App {
         let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
         drop(ticket);
         check_form(&object, form)?;
-        let (record, content, AdmittedPlan { ticket, planned }) = self.admit_newest(client, record, None).await?;
-        drop(ticket);
         let BatchObject { poses, layers: names, annotations, output, delay } = object;
-        let layers = self.decode_layers(client, &record, names).await?;
+        let (record, content, layers, planned) = self.admit_layers(client, record, &names).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
@@ -108,18 +107,41 @@ impl App {
     }
 }
 
+/// Layers by their names.
+type Layers = Vec<(LayerRef, Content)>;
+
 impl App {
+    /// The picture of a session, its layers of these names and its plan, all by one record: the newest, if files of another one are gone.
+    /// Errors: An unknown layer, or too little capacity.
+    async fn admit_layers(
+        &self,
+        client: Client,
+        mut record: Arc<Record>,
+        names: &[LayerRef],
+    ) -> Result<(Arc<Record>, Content, Layers, Planned), Problem> {
+        for _ in 0..ATTEMPTS {
+            let (newest, content, plan) = self.admit_newest(client, record, None).await?;
+            let AdmittedPlan { ticket, planned } = plan;
+            drop(ticket);
+            match self.decode_layers(client, &newest, names).await {
+                Ok(layers) => return Ok((newest, content, layers, planned)),
+                Err(problem) => record = self.newer_record(&newest, problem).await?,
+            }
+        }
+        Err(StoreError::Contended.into())
+    }
+
     /// The layers of these names, decoded.
     /// Errors: An unknown layer, or too little capacity.
-    async fn decode_layers(&self, client: Client, record: &Arc<Record>, names: Vec<LayerRef>) -> Result<Vec<(LayerRef, Content)>, Problem> {
+    async fn decode_layers(&self, client: Client, record: &Record, names: &[LayerRef]) -> Result<Layers, Problem> {
         let mut layers = Vec::with_capacity(names.len());
-        for (k, name) in names.into_iter().enumerate() {
-            let sources = self.fetch_sources(client, record, Some(&name)).await.map_err(|mut problem| {
+        for (k, name) in names.iter().enumerate() {
+            let sources = self.fetch_sources(client, record, Some(name)).await.map_err(|mut problem| {
                 problem.pointer = problem.pointer.map(|_| format!("/layers/{k}"));
                 problem
             })?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            layers.push((name, self.decode_content(record.id.owner(), &ticket, sources).await?));
+            layers.push((name.clone(), self.decode_content(record.id.owner(), &ticket, sources).await?));
         }
         Ok(layers)
     }

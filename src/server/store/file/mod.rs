@@ -267,13 +267,13 @@ impl FileStoreState {
     }
 
     /// Reads a file. A damaged one ends the sessions that name it.
-    fn file(&self, digest: Digest) -> Result<Bytes, StoreError> {
-        if let Some(file) = self.undamaged(digest)? {
+    fn file(&self, owner: Owner, digest: Digest) -> Result<Bytes, StoreError> {
+        if let Some(file) = self.undamaged(owner, digest)? {
             return Ok(file);
         }
         let mut written = self.begin()?;
         // Between the read and the lock the file may have been removed and stored again.
-        if let Some(file) = self.undamaged(digest)? {
+        if let Some(file) = self.undamaged(owner, digest)? {
             return Ok(file);
         }
         let names = |record: &&Arc<Record>| record.files().any(|file| file == digest);
@@ -290,8 +290,8 @@ impl FileStoreState {
     }
 
     /// The file of a living session, unless it is damaged.
-    fn undamaged(&self, digest: Digest) -> Result<Option<Bytes>, StoreError> {
-        let len = self.index().file_bytes(digest).ok_or(StoreError::NoSuchSession)?;
+    fn undamaged(&self, owner: Owner, digest: Digest) -> Result<Option<Bytes>, StoreError> {
+        let len = self.index().file_bytes(owner, digest).ok_or(StoreError::NoSuchSession)?;
         let bytes = self.disk.file(digest, len)?;
         Ok((check_file(&bytes, digest) == Ok(len)).then(|| bytes.into()))
     }
@@ -349,12 +349,12 @@ impl Store for FileStore {
         self.blocking(move |state| state.delete(id))
     }
 
-    fn file_bytes(&self, _: SessionId, digest: Digest) -> Answer<'_, u64> {
-        known(self.0.index().file_bytes(digest).ok_or(StoreError::NoSuchSession))
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+        known(self.0.index().file_bytes(id.owner(), digest).ok_or(StoreError::NoSuchSession))
     }
 
-    fn file(&self, _: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        self.blocking(move |state| state.file(digest))
+    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        self.blocking(move |state| state.file(id.owner(), digest))
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {

@@ -16,7 +16,8 @@
 //! script would fail after the file has been stored.
 //!
 //! The file of a layer is set before the script runs that decides whether a record will name it. That script then removes all layers' files
-//! that the record does not name, which it would contain in hexadecimal.
+//! that the record does not name, which it would contain in hexadecimal. The picture, and the mask that the session was made with, are named
+//! by fields of their own: they keep no layer's file, which may be the same file.
 
 use std::sync::LazyLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -55,13 +56,16 @@ return {status, is[2] or '', is[3] or '', is[4] or ''}",
 });
 
 /// Removes the files of layers that a record does not name.
-const KEEP_NAMED: &str = r"
+const KEEP_NAMED: &str = r#"
 local function keep_named(record)
+  for _, field in ipairs({'image', 'made_with_region'}) do
+    record = string.gsub(record, '"' .. field .. '":"%x*"', '', 1)
+  end
   for _, field in ipairs(redis.call('HKEYS', KEYS[1])) do
     local digest = string.match(field, '^layer:(%x+)$')
     if digest and not string.find(record, digest, 1, true) then redis.call('HDEL', KEYS[1], field) end
   end
-end";
+end"#;
 
 /// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no
 /// session), and whether its record is readable. Any other revision, and its file, stay as they are.

@@ -385,6 +385,27 @@ async fn a_layer_that_comes_too_late_leaves_nothing() {
     assert_eq!(server.say(&format!("HLEN {}", script::key(a.id, "session"))), fields);
 }
 
+/// The picture, and the mask of the upload, keep no file of a layer that is the same file.
+#[tokio::test]
+async fn a_layers_file_goes_with_its_layer_also_if_it_is_the_pictures_or_the_first_mask() {
+    let server = Redis::start(&[]);
+    let store = store_of(&server, bounds());
+    let [picture, mask] = [1, 2].map(|n| Digest::of(&file(n)));
+    let made = with_layer(&suite::record(1), "region", Some(2));
+    let a = Arc::new(Record { made_with_region: Some(mask), ..(*made).clone() });
+    store.put(Arc::clone(&a), [files(1), files(2)].concat()).await.unwrap();
+    let has = |digest: Digest| server.say(&format!("HEXISTS {} layer:{digest}", script::key(a.id, "session")));
+    let b = with_layer(&a, "image", Some(1));
+    store.revise(a.revision, Arc::clone(&b), named(file(1)).pop()).await.unwrap().unwrap();
+    assert_eq!([picture, mask].map(has), [":1\r\n", ":1\r\n"]);
+    let c = with_layer(&with_layer(&b, "image", None), "region", Some(3));
+    store.revise(b.revision, Arc::clone(&c), named(file(3)).pop()).await.unwrap().unwrap();
+    assert_eq!([picture, mask].map(has), [":0\r\n", ":0\r\n"]);
+    assert_eq!(store.file(a.id, picture).await.unwrap(), file(1));
+    assert_eq!(store.file(a.id, Digest::of(&file(3))).await.unwrap(), file(3));
+    assert_eq!(store.file(a.id, mask).await, Err(StoreError::NoSuchSession));
+}
+
 /// Several processes put different pictures under one name: each is told that it did, and one of them is there.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn one_of_those_who_put_at_the_same_time_is_there() {

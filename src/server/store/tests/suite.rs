@@ -101,6 +101,7 @@ pub(crate) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
 pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     all(&open).await;
     a_file_is_held_once(&open(bounds()).await).await;
+    a_file_counts_once_for_each_owner(&open(Bounds { bytes: 5000, ..bounds() }).await).await;
     layers::a_layer_is_weighed(&open(Bounds { bytes: 3200, ..bounds() }).await).await;
     a_full_store_refuses_newcomers_and_keeps_the_living(&open(Bounds { sessions: 2, bytes: 3500, ..bounds() }).await).await;
     a_replaced_session_weighs_what_the_new_one_does(&open(Bounds { sessions: 1, ..bounds() }).await).await;
@@ -307,6 +308,40 @@ async fn a_file_is_held_once(store: &impl Store) {
     assert_eq!((store.figures().bytes, store.figures().sessions), (one + (one - 1000), 2));
     store.delete(a.id).await.unwrap();
     store.delete(b.id).await.unwrap();
+    assert_eq!((store.figures().bytes, store.figures().sessions), (0, 0));
+}
+
+/// Whatever another owner has stored: the figures, and what a full store says, are those of a file that nobody has.
+async fn a_file_counts_once_for_each_owner(store: &impl Store) {
+    let theirs = |picture: u8| {
+        let id = SessionId::random(Owner::from_bytes([7; 16]));
+        Arc::new(Record { id, ..(*record(picture)).clone() })
+    };
+    let ours = [record(1), with_layer(&record(1), "x", Some(2))];
+    store.put(Arc::clone(&ours[0]), files(1)).await.unwrap();
+    store.put(Arc::clone(&ours[1]), [files(1), files(2)].concat()).await.unwrap();
+    let before = store.figures().bytes;
+    let mut told = Vec::new();
+    // Our picture, our layer, and a file that is nobody's.
+    for picture in [1, 2, 3] {
+        let one = theirs(picture);
+        store.put(Arc::clone(&one), files(picture)).await.unwrap();
+        let refused = store.put(theirs(4), [files(4), named(vec![0; 2000].into())].concat()).await;
+        told.push((store.figures(), refused.unwrap_err()));
+        store.delete(one.id).await.unwrap();
+        assert_eq!(store.figures().bytes, before);
+    }
+    assert!(matches!(told[0].1, StoreError::Full { what: "store_bytes", .. }), "{:?}", told[0]);
+    assert_eq!((&told[0], &told[1]), (&told[2], &told[2]));
+    // Each has the file for as long as its own sessions name it.
+    let one = theirs(2);
+    store.put(Arc::clone(&one), files(2)).await.unwrap();
+    for session in ours {
+        store.delete(session.id).await.unwrap();
+    }
+    assert!(!store.names(Owner::ANYBODY, one.image) && store.names(one.id.owner(), one.image));
+    assert_eq!(store.file(one.id, one.image).await.unwrap(), file(2));
+    store.delete(one.id).await.unwrap();
     assert_eq!((store.figures().bytes, store.figures().sessions), (0, 0));
 }
 
