@@ -50,6 +50,10 @@
 //! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the mathematics and the renderer, and one
 //! dependency.
 
+/// Every formula, with its derivation and the reason for its numerical form. Comments cite its sections: "mathematics 7.1".
+#[doc = include_str!("MATHEMATICS.md")]
+pub mod mathematics {}
+
 #[forbid(unsafe_code)]
 pub mod level;
 

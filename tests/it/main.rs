@@ -7,6 +7,7 @@ mod bad_input;
 mod batch;
 mod binary;
 mod canvas;
+mod citations;
 mod clients;
 mod coincident;
 mod compact;

@@ -64,7 +64,7 @@ const HANDLES: &str = "an array of handles";
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AsJson<T>(pub T);
 
-/// The warp object of api.md section 3.
+/// The warp object: handles, the method, and the output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WarpObject {
     /// Everything that stays while q moves.
