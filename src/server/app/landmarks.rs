@@ -51,7 +51,7 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let columns = self.0.config.limits().columns;
         let held = self.reserve_for(Purpose::Upload, &self.request_quota(client), files.reading_bytes(columns))?;
-        let landmarks = self.0.pool.run(&ticket, move |_| files.read(columns)).await??;
+        let landmarks = self.0.pool.run(&ticket, move |cancel| files.read(columns, &|| cancel.is_cancelled())).await??;
         Ok(HeldLandmarks { landmarks, held })
     }
 

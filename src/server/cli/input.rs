@@ -72,7 +72,7 @@ impl WarpInput {
     /// Errors: As [`Self::landmark_files`]; landmarks of one side.
     pub(super) fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
         let Some(files) = self.landmark_files(config)? else { return Ok(None) };
-        let landmarks = files.read(config.limits().columns)?;
+        let landmarks = files.read(config.limits().columns, &|| false)?;
         landmarks.require_q()?;
         Ok(Some(landmarks))
     }

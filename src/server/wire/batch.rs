@@ -89,7 +89,7 @@ impl FrameTexts {
         let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
         let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
         let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
-        let node = Node { text, at: At::Item(&frames, index) };
+        let node = Node::new(text, At::Item(&frames, index));
         let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
         let strength = optional(strength_, strength)?.unwrap_or(1.0);
         Ok((handles(&q.ok_or_else(|| node.missing("q", HANDLES))?)?, strength))

@@ -10,6 +10,7 @@ use std::fmt;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
+use super::work::{PIECE, Work};
 use super::{fields, suggest, syntax};
 use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
@@ -62,6 +63,8 @@ pub(crate) struct Node<'j, 'p> {
     /// The value as the client wrote it.
     pub(crate) text: &'j str,
     pub(crate) at: At<'p>,
+    /// Where scans of a long text are counted, and end when it is cancelled.
+    pub(crate) work: Option<&'p Work<'p>>,
 }
 
 /// The values of known fields, and the first name that is not known.
@@ -89,7 +92,13 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
 /// Checks that the text is one JSON value and nothing else.
 pub(crate) fn value(text: &str) -> Result<Node<'_, 'static>, serde_json::Error> {
     let raw: &RawValue = serde_json::from_str(text)?;
-    Ok(Node { text: raw.get(), at: At::Root })
+    Ok(Node::new(raw.get(), At::Root))
+}
+
+/// As [`value`], for a long text: the work is counted, and may be cancelled.
+pub(crate) fn long_value<'j, 'w>(text: &'j str, work: &'w Work<'w>) -> Result<Node<'j, 'w>, serde_json::Error> {
+    work.check_json(text)?;
+    Ok(Node { work: Some(work), ..Node::new(text.trim_matches([' ', '\t', '\n', '\r']), At::Root) })
 }
 
 /// Reads a field if it was given.
@@ -100,7 +109,17 @@ pub(crate) fn optional<'j, 'p, T>(
     field.map(|node| read(&node)).transpose()
 }
 
-impl<'j> Node<'j, '_> {
+impl<'j, 'p> Node<'j, 'p> {
+    /// A value of a text that is short, or was scanned before.
+    pub(crate) const fn new(text: &'j str, at: At<'p>) -> Self {
+        Self { text, at, work: None }
+    }
+
+    /// Cuts the next value or field name off the inside of this array or object; `None` at its end.
+    fn next(&self, rest: &mut &'j str) -> Option<&'j str> {
+        next(rest, self.work)
+    }
+
     pub(crate) fn kind(&self) -> Kind {
         match self.text.as_bytes().first() {
             Some(b'[') => Kind::Array,
@@ -195,17 +214,18 @@ impl<'j> Node<'j, '_> {
         }
         let (mut values, mut repeated, mut unknown) = ([None; N], None, None);
         let mut rest = &self.text[1..];
-        while let Some(name) = next(&mut rest) {
+        while let Some(name) = self.next(&mut rest) {
             let Name(name) = serde_json::from_str(name).map_err(|e| self.not_json(&e))?;
             let Some(index) = known.iter().position(|known| *known == name) else {
-                let value = next(&mut rest);
+                let value = self.next(&mut rest);
                 if !(value == Some("null") && fields::is_unsupported(&name, known)) {
                     unknown.get_or_insert(name);
                 }
                 continue;
             };
-            let text = next(&mut rest).unwrap_or_default();
-            if values[index].replace(Node { text, at: At::Field(&self.at, known[index]) }).is_some() {
+            let text = self.next(&mut rest).unwrap_or_default();
+            let node = Node { text, at: At::Field(&self.at, known[index]), work: self.work };
+            if values[index].replace(node).is_some() {
                 repeated.get_or_insert(known[index]);
             }
         }
@@ -217,18 +237,19 @@ impl<'j> Node<'j, '_> {
     }
 
     /// The names, in their quotes, and the values of an object.
-    pub(crate) fn pairs(&self) -> impl Iterator<Item = (&'j str, &'j str)> + use<'j> {
+    pub(crate) fn pairs(&self) -> impl Iterator<Item = (&'j str, &'j str)> + use<'j, 'p> {
         let mut rest = self.text.get(1..).unwrap_or_default();
-        std::iter::from_fn(move || Some((next(&mut rest)?, next(&mut rest)?)))
+        let node = *self;
+        std::iter::from_fn(move || Some((node.next(&mut rest)?, node.next(&mut rest)?)))
     }
 
     /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
     pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
-        let mut node = Node { text: self.text, at: At::Root };
+        let mut node = Node { at: At::Root, ..*self };
         for step in pointer.split('/').skip(1) {
             let mut rest = &node.text[1.min(node.text.len())..];
             let inner = match node.kind() {
-                Kind::Array => step.parse().ok().and_then(|index| std::iter::from_fn(|| next(&mut rest)).nth(index)),
+                Kind::Array => step.parse().ok().and_then(|index| std::iter::from_fn(|| self.next(&mut rest)).nth(index)),
                 Kind::Object => node.pairs().find(|(name, _)| name.trim_matches('"') == step).map(|(_, value)| value),
                 _ => None,
             };
@@ -248,8 +269,8 @@ impl<'j> Node<'j, '_> {
             return Err(self.wrong_kind(expected).into());
         }
         let (mut index, mut rest) = (0, &self.text[1..]);
-        while let Some(text) = next(&mut rest) {
-            each(index, Node { text, at: At::Item(&self.at, index) })?;
+        while let Some(text) = self.next(&mut rest) {
+            each(index, Node { text, at: At::Item(&self.at, index), work: self.work })?;
             index += 1;
         }
         Ok(())
@@ -278,41 +299,77 @@ impl<'j> Node<'j, '_> {
     }
 }
 
-/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end.
-fn next<'j>(rest: &mut &'j str) -> Option<&'j str> {
+/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end, or when the work is cancelled.
+fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
     let bytes = rest.as_bytes();
-    let start = bytes.iter().take_while(|b| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':')).count();
+    let is_between = |b: &u8| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':');
+    let start = match work {
+        Some(work) => work.find(bytes, |b| !is_between(&b)),
+        None => bytes.iter().take_while(|b| is_between(b)).count(),
+    };
     if matches!(bytes[start..], [b']' | b'}', ..]) {
         return None;
     }
-    let (value, after) = rest[start..].split_at_checked(length(&bytes[start..]))?;
+    let length = length(&bytes[start..], work);
+    if work.is_some_and(Work::is_stopped) {
+        return None;
+    }
+    let (value, after) = rest[start..].split_at_checked(length)?;
     *rest = after;
     (!value.is_empty()).then_some(value)
 }
 
-/// The length of the value at the start of a well-formed text.
-fn length(text: &[u8]) -> usize {
-    let (mut depth, mut at) = (0_usize, 0);
-    while let Some(byte) = text.get(at) {
-        match byte {
-            b'"' => {
-                at += 1;
-                while let Some(byte) = text.get(at).filter(|b| **b != b'"') {
-                    at += if *byte == b'\\' { 2 } else { 1 };
-                }
-            }
-            b'[' | b'{' => depth += 1,
-            // The end of a number, `true`, `false` or `null`.
-            b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if depth == 0 => return at,
-            b']' | b'}' => depth -= 1,
-            _ => {}
-        }
-        at += 1;
-        if depth == 0 && matches!(byte, b'"' | b']' | b'}') {
-            return at.min(text.len());
+/// The length of the value at the start of a well-formed text; wrong once the work is cancelled.
+fn length(text: &[u8], work: Option<&Work<'_>>) -> usize {
+    let mut value = Scan::default();
+    let Some(work) = work else { return value.end(text).unwrap_or(text.len()) };
+    let mut before = 0;
+    for piece in text.chunks(PIECE) {
+        let end = value.end(piece);
+        before += end.unwrap_or(piece.len());
+        if !work.add(end.unwrap_or(piece.len())) || end.is_some() {
+            break;
         }
     }
-    text.len()
+    before
+}
+
+/// What is known of a value after some pieces of its text.
+#[derive(Default)]
+struct Scan {
+    depth: usize,
+    is_in_string: bool,
+    is_escaped: bool,
+}
+
+impl Scan {
+    /// The bytes of the next piece that belong to the value, if it ends there.
+    fn end(&mut self, piece: &[u8]) -> Option<usize> {
+        for (at, byte) in piece.iter().enumerate() {
+            match byte {
+                _ if self.is_escaped => self.is_escaped = false,
+                b'"' => {
+                    self.is_in_string = !self.is_in_string;
+                    if !self.is_in_string && self.depth == 0 {
+                        return Some(at + 1);
+                    }
+                }
+                b'\\' => self.is_escaped = self.is_in_string,
+                _ if self.is_in_string => {}
+                b'[' | b'{' => self.depth += 1,
+                // The end of a number, `true`, `false` or `null`.
+                b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if self.depth == 0 => return Some(at),
+                b']' | b'}' => {
+                    self.depth -= 1;
+                    if self.depth == 0 {
+                        return Some(at + 1);
+                    }
+                }
+                _ => {}
+            }
+        }
+        None
+    }
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ mod session;
 mod socket;
 mod suggest;
 mod syntax;
+mod work;
 mod write;
 
 #[cfg(test)]
@@ -136,7 +137,7 @@ impl WarpObject {
             Some(q) => Ok(q),
             None if self.rest.p.is_empty() => Ok(&[]),
             None => {
-                let mut problem = Node { text: "{}", at: At::Root }.missing("q", HANDLES);
+                let mut problem = Node::new("{}", At::Root).missing("q", HANDLES);
                 // Pairs look like lines of two places.
                 if self.rest.p.iter().all(|handle| handle.places().len() == 2) {
                     problem.detail.push_str(" `p` and `q` are arrays of their own, not an array of pairs");

@@ -61,7 +61,7 @@ impl UnreadHandles {
     pub(crate) fn read(&self, rest: &RestSpec) -> Result<Vec<Handle>, Problem> {
         match self {
             Self::Json { text, strength } => {
-                let q = handles(&Node { text, at: At::Field(&At::Root, "q") })?;
+                let q = handles(&Node::new(text, At::Field(&At::Root, "q")))?;
                 Ok(rest.posed_at(*strength, q))
             }
             Self::Binary(bytes) => read_binary(bytes, &rest.p),

@@ -18,7 +18,7 @@ pub(super) fn read(bytes: &[u8]) {
         None => LandmarkFiles { both: part(files), ..LandmarkFiles::default() },
     };
     let files = LandmarkFiles { extent_p: if first & 2 == 0 { None } else { Extent::new(640, 480) }, ..files };
-    let read = match files.read(MAX_COLUMNS).and_then(|landmarks| landmarks.scale(None)) {
+    let read = match files.read(MAX_COLUMNS, &|| false).and_then(|landmarks| landmarks.scale(None)) {
         Ok(landmarks) => json!(landmarks),
         Err(problem) => {
             let document = problem.to_json("", None);
@@ -33,7 +33,7 @@ pub(super) fn read(bytes: &[u8]) {
     assert!((1..=MAX_COLUMNS).contains(&handles), "{read}");
     assert!([count("q"), count("names")].into_iter().flatten().all(|count| count == handles), "{read}");
     let again = LandmarkFiles { both: part(read.to_string().as_bytes()), ..LandmarkFiles::default() };
-    let mut again = json!(again.read(MAX_COLUMNS).expect("what is written is read again"));
+    let mut again = json!(again.read(MAX_COLUMNS, &|| false).expect("what is written is read again"));
     for varying in ["format", "unmatched"] {
         again[varying] = read.get(varying).cloned().unwrap_or(Value::Null);
     }

@@ -46,8 +46,10 @@ impl Bad {
     /// The problem document. `part`: the name of the part or file; `file`: its content.
     pub(super) fn problem(self, part: &str, file: &[u8]) -> Problem {
         let before = &file[..self.at.min(file.len())];
-        let line_start = before.iter().rposition(|byte| *byte == b'\n').map_or(0, |newline| newline + 1);
-        let line = 1 + before[..line_start].iter().filter(|byte| **byte == b'\n').count();
+        // A line ends with LF, CR or both.
+        let ends = |(at, byte): (usize, &u8)| *byte == b'\n' || *byte == b'\r' && file.get(at + 1) != Some(&b'\n');
+        let line_start = before.iter().enumerate().rposition(ends).map_or(0, |end| end + 1);
+        let line = 1 + before[..line_start].iter().enumerate().filter(|end| ends(*end)).count();
         let in_line = before[line_start..].strip_prefix("\u{feff}".as_bytes()).unwrap_or(&before[line_start..]);
         // Characters: bytes that do not continue one.
         let column = 1 + in_line.iter().filter(|byte| **byte & 0xc0 != 0x80).count();

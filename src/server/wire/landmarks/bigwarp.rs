@@ -38,7 +38,7 @@ pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result
         };
         let (p, q, name) = (side(numbers)?, side(numbers + 2)?, row.fields[0].located());
         match (is_active, p, q) {
-            (false, ..) | (true, None, None) => {}
+            (false, ..) | (true, None, None) => out.pass(row.at)?,
             (true, Some(p), Some(q)) => out.point(row.at, p, Some(q), Some(name))?,
             (true, p, _) => out.one_sided(row.at, p.is_some(), name)?,
         }

@@ -127,6 +127,11 @@ impl Collector {
         Ok(())
     }
 
+    /// Counts a landmark that is left out: rows without effect are limited as those that count.
+    pub(super) fn pass(&mut self, at: usize) -> Result<(), Bad> {
+        self.count(at, 1)
+    }
+
     /// Notes a landmark that has a position on one side only.
     pub(super) fn one_sided(&mut self, at: usize, has_p: bool, name: Located<'_>) -> Result<(), Bad> {
         self.count(at, 1)?;

@@ -4,12 +4,12 @@ use bytes::Bytes;
 use mlswarp::deform::{DeformError, Handle, Handles};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::Units;
+use mlswarp::warp::{Units, WarpError};
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 use super::bad::Bad;
 use super::pairs::{Pairs, Unmatched, pair};
-use super::{File, read};
+use super::{File, Work, read};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::wire::{AsJson, WarpObject};
@@ -72,10 +72,21 @@ impl LandmarkFiles {
         bytes.sum::<usize>() as u64
     }
 
-    /// Reads the files.
-    /// Errors: `bad_landmarks`, with line and column unless the files do not go together, or `too_large`.
-    pub fn read(&self, max_columns: usize) -> Result<Landmarks, Problem> {
-        let file = |name: &str, bytes: &Bytes| read(bytes, max_columns).map_err(|bad| bad.problem(name, bytes));
+    /// Reads the files. `cancelled` is true when nobody wants the result any more.
+    /// Errors: `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or cancelled.
+    pub fn read(&self, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
+        self.read_counted(max_columns, &Work::new(cancelled))
+    }
+
+    /// As [`Self::read`]; the work is counted.
+    pub(super) fn read_counted(&self, max_columns: usize, work: &Work<'_>) -> Result<Landmarks, Problem> {
+        let file = |name: &str, bytes: &Bytes| {
+            let file = read(bytes, max_columns, work);
+            if work.is_stopped() {
+                return Err(WarpError::Cancelled.into());
+            }
+            file.map_err(|bad| bad.problem(name, bytes))
+        };
         let rest = |name: &str, bytes: &Bytes| {
             let file = file(name, bytes)?;
             require_lines(&file).map_err(|bad| bad.problem(name, bytes))?;

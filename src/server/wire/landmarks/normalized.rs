@@ -81,7 +81,7 @@ fn read_list(
             Ok(())
         })?;
         if let Some(inner) = inner {
-            let inner = Node { text: inner, at: list.at };
+            let inner = Node { text: inner, ..*list };
             return read_list(text, &inner, names, is_bare, format, out);
         }
     }

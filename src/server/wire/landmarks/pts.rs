@@ -3,10 +3,10 @@
 //! Source: the annotations of the 300-W challenge, and the reader of menpo (`menpo/io/input/landmark.py`, `PTSImporter`: "Here we make the
 //! assumption (as is common) that PTS landmarks are 1-based"). The centre of the first pixel is 1, 1: 1/2 is subtracted.
 
-use super::File;
 use super::bad::Bad;
 use super::collect::{Collector, Located};
 use super::words::Lines;
+use super::{File, Source};
 use crate::problem::words::quote;
 
 const FIRST_CENTRE: f64 = 0.5;
@@ -17,8 +17,8 @@ pub(super) fn is_pts(first: &str) -> bool {
         && first.contains(':')
 }
 
-pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File, Bad> {
-    let mut lines = Lines::new(text, start, false);
+pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> {
+    let mut lines = Lines::new(source, false);
     let mut declared: Option<usize> = None;
     loop {
         let line = lines.line("`{` before the points")?;

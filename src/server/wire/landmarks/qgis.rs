@@ -33,6 +33,8 @@ pub(super) fn read(header: &Row, mut rows: Rows<'_>, mut out: Collector) -> Resu
         let place = [row.fields[x].located().number()?, 0.0 - row.fields[y].located().number()?];
         if is_enabled {
             out.point(row.at, place, None, None)?;
+        } else {
+            out.pass(row.at)?;
         }
     }
     out.finish("qgis", rows.end())

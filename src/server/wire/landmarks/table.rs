@@ -5,12 +5,14 @@ use csv_core::{ReadFieldResult, Reader, ReaderBuilder};
 
 use super::bad::Bad;
 use super::collect::Located;
+use super::words::line_at;
+use super::{Source, Work};
 use crate::problem::words::quote;
 
 /// The longest field, bytes.
 const LONGEST_FIELD: usize = 1024;
 /// The largest number of fields in a row.
-const MOST_FIELDS: usize = 64;
+const MOST_FIELDS: usize = 4096;
 
 /// A field and its place in the file, bytes.
 #[derive(Debug)]
@@ -55,84 +57,115 @@ impl Row {
 
 /// The rows of a text. Empty lines, and comments (`#`) before the first row, are passed over.
 pub(super) struct Rows<'t> {
-    text: &'t str,
+    source: Source<'t>,
     at: usize,
     /// `None` for white space.
     reader: Option<Reader>,
     /// Whether the comma is not the separator and may separate decimals.
     pub(super) decimal_comma: bool,
+    /// The field that is being read.
+    field: Box<[u8; LONGEST_FIELD]>,
 }
 
 impl<'t> Rows<'t> {
-    pub(super) fn new(text: &'t str, start: usize) -> Self {
-        let comments = text[start..].split_inclusive('\n').take_while(|line| line.trim().is_empty() || line.starts_with('#'));
-        let at = start + comments.map(str::len).sum::<usize>();
-        let separator = separator(&text[at..]);
+    /// Errors: A comment that is too long.
+    pub(super) fn new(source: Source<'t>) -> Result<Self, Bad> {
+        let mut at = source.start;
+        while at < source.text.len() {
+            let (line, length) = line_at(source, at)?;
+            if !(line.trim().is_empty() || line.starts_with('#')) {
+                break;
+            }
+            at += length;
+        }
+        let separator = separator(&source.text.as_bytes()[at..], source.work);
         let reader = separator.map(|separator| ReaderBuilder::new().delimiter(separator).build());
-        Self { text, at, reader, decimal_comma: separator.is_some_and(|separator| separator != b',') }
+        let decimal_comma = separator.is_some_and(|separator| separator != b',');
+        Ok(Self { source, at, reader, decimal_comma, field: Box::new([0; LONGEST_FIELD]) })
     }
 
     /// The end of the file, bytes.
     pub(super) fn end(&self) -> usize {
-        self.text.len()
+        self.source.text.len()
     }
 
     /// The next row.
     pub(super) fn next_row(&mut self) -> Result<Option<Row>, Bad> {
-        let blank = self.text[self.at..].split_inclusive('\n').take_while(|line| line.trim().is_empty());
-        self.at += blank.map(str::len).sum::<usize>();
-        if self.at == self.text.len() {
+        let rest = &self.source.text.as_bytes()[self.at..];
+        // Only as far as the first byte of the next row: what follows it is looked at as it is read.
+        let blank = self.source.work.find(rest, |byte| !byte.is_ascii_whitespace());
+        if blank == rest.len() || self.source.work.is_stopped() {
+            self.at = self.source.text.len();
             return Ok(None);
         }
+        let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
+        // Tabs before the first word are fields.
+        self.at += rest[..blank].iter().rposition(is_end).map_or(0, |end| end + 1);
+        let fields = if self.reader.is_some() { self.fields()? } else { self.words()? };
+        Ok(Some(fields))
+    }
+
+    /// The words of the next row, and texts in quotes.
+    fn words(&mut self) -> Result<Row, Bad> {
+        let (line, length) = line_at(self.source, self.at)?;
+        let (row_at, mut rest) = (self.at, line.trim_start());
+        self.at += length;
+        let mut fields = Vec::new();
+        while !rest.is_empty() {
+            let at = row_at + (rest.as_ptr().addr() - line.as_ptr().addr());
+            let quoted = rest.strip_prefix('"').and_then(|inside| inside.split_once('"'));
+            let whole = || rest.split_at(rest.find(char::is_whitespace).unwrap_or(rest.len()));
+            let (text, after) = quoted.unwrap_or_else(whole);
+            if text.len() > LONGEST_FIELD {
+                return Err(too_long(at));
+            }
+            push(&mut fields, Field { at, text: text.to_owned() })?;
+            rest = after.trim_start();
+        }
+        Ok(Row { at: row_at, fields })
+    }
+
+    /// The fields of the next row between separators.
+    fn fields(&mut self) -> Result<Row, Bad> {
         let (row_at, mut fields) = (self.at, Vec::new());
         loop {
             let (field, is_last) = self.field()?;
-            if fields.len() == MOST_FIELDS {
-                return Err(Bad::new(field.at, format!("expected at most {MOST_FIELDS} fields in a row; found more")));
-            }
-            fields.push(field);
+            push(&mut fields, field)?;
             if is_last {
-                return Ok(Some(Row { at: row_at, fields }));
+                return Ok(Row { at: row_at, fields });
             }
         }
-    }
-
-    /// The next word of the row, or text in quotes, and whether it is the last one.
-    fn word(&mut self) -> Result<(Field, bool), Bad> {
-        let line = self.text[self.at..].split_inclusive('\n').next().unwrap_or_default();
-        let rest = line.trim_start();
-        let at = self.at + line.len() - rest.len();
-        let (text, after) = match rest.strip_prefix('"').and_then(|inside| inside.split_once('"')) {
-            Some(quoted) => quoted,
-            None => rest.split_at(rest.find(char::is_whitespace).unwrap_or(rest.len())),
-        };
-        if text.len() > LONGEST_FIELD {
-            return Err(too_long(at));
-        }
-        let is_last = after.trim().is_empty();
-        self.at += line.len() - if is_last { 0 } else { after.len() };
-        Ok((Field { at, text: text.to_owned() }, is_last))
     }
 
     /// The next field of the row, and whether it is the last one.
     fn field(&mut self) -> Result<(Field, bool), Bad> {
-        let Some(reader) = &mut self.reader else { return self.word() };
-        let (at, mut bytes, mut length) = (self.at, [0; LONGEST_FIELD], 0);
+        let Some(reader) = &mut self.reader else { return Err(Bad::new(self.at, "expected a row")) };
+        let (at, mut length) = (self.at, 0);
         loop {
             // Without input the reader ends the field.
-            let (result, read, written) = reader.read_field(&self.text.as_bytes()[self.at..], &mut bytes[length..]);
+            let (result, read, written) = reader.read_field(&self.source.text.as_bytes()[self.at..], &mut self.field[length..]);
             self.at += read;
             length += written;
+            self.source.work.add(read);
             let is_last = match result {
                 ReadFieldResult::InputEmpty => continue,
                 ReadFieldResult::OutputFull => return Err(too_long(at)),
                 ReadFieldResult::Field { record_end } => record_end,
                 ReadFieldResult::End => true,
             };
-            let text = std::str::from_utf8(&bytes[..length]).map_err(|_| Bad::new(at, "expected text in UTF-8"))?;
+            let text = std::str::from_utf8(&self.field[..length]).map_err(|_| Bad::new(at, "expected text in UTF-8"))?;
             return Ok((Field { at, text: text.to_owned() }, is_last));
         }
     }
+}
+
+/// Errors: Too many fields.
+fn push(fields: &mut Vec<Field>, field: Field) -> Result<(), Bad> {
+    if fields.len() == MOST_FIELDS {
+        return Err(Bad::new(field.at, format!("expected at most {MOST_FIELDS} fields in a row; found more")));
+    }
+    fields.push(field);
+    Ok(())
 }
 
 fn too_long(at: usize) -> Bad {
@@ -141,16 +174,16 @@ fn too_long(at: usize) -> Bad {
 
 /// What separates the fields: what every row has outside of quotes, a tab rather than a semicolon rather than a comma; else a comma or a
 /// semicolon, if there is one. `None`: white space.
-fn separator(text: &str) -> Option<u8> {
+fn separator(text: &[u8], work: &Work<'_>) -> Option<u8> {
     const SEPARATORS: [u8; 3] = *b"\t;,";
     let (mut rows, mut counts) = (0_usize, [0_usize; 3]);
     let (mut has, mut is_blank, mut is_quoted, mut may_quote) = ([false; 3], true, false, true);
-    for byte in text.bytes().chain([b'\n']) {
-        let found = SEPARATORS.iter().position(|separator| *separator == byte).filter(|_| !is_quoted);
+    for byte in work.pieces(text).flatten().chain(b"\n") {
+        let found = SEPARATORS.iter().position(|separator| separator == byte).filter(|_| !is_quoted);
         match (byte, found) {
             // A doubled quote ends and begins.
             (b'"', _) if is_quoted || may_quote => is_quoted = !is_quoted,
-            (b'\n', _) if !is_quoted => {
+            (b'\n' | b'\r', _) if !is_quoted => {
                 rows += usize::from(!is_blank);
                 counts.iter_mut().zip(has).for_each(|(count, has)| *count += usize::from(has && !is_blank));
                 (has, is_blank, may_quote) = ([false; 3], true, true);

@@ -9,10 +9,10 @@
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 
-use super::File;
 use super::bad::Bad;
 use super::collect::{Collector, Landmark};
 use super::words::Lines;
+use super::{File, Source};
 use crate::problem::words::quote;
 
 const CENTRE: f64 = 0.5;
@@ -22,8 +22,8 @@ pub(super) fn is_tem(first: &str) -> bool {
     !first.is_empty() && first.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File, Bad> {
-    let mut lines = Lines::new(text, start, true);
+pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> {
+    let mut lines = Lines::new(source, true);
     let count = lines.line("the number of points")?.whole("the number of points")?;
     // Points take no less space than columns, so the limit of columns holds for them too.
     let mut points = Vec::new();
@@ -35,7 +35,7 @@ pub(super) fn read(text: &str, start: usize, mut out: Collector) -> Result<File,
     }
     let mut is_free = vec![true; points.len()];
     let mut contours = Vec::new();
-    if let Some(line) = lines.next_line() {
+    if let Some(line) = lines.next_line()? {
         let declared = line.whole("the number of contours")?;
         for _ in 0..declared {
             contours.extend(contour(&mut lines, &points, &mut is_free, &mut out)?);

@@ -1,43 +1,66 @@
 //! Lines of words that white space separates.
 
+use super::Source;
 use super::bad::Bad;
 use super::collect::Located;
 use crate::problem::words::quote;
 
+/// The longest line, bytes: many times that of a contour of as many points as there may be columns.
+const LONGEST_LINE: usize = 1 << 20;
+
+/// The next line of a text, and its bytes with its end: LF, CR or both.
+/// Errors: A line that is too long.
+pub(super) fn line_at<'t>(source: Source<'t>, at: usize) -> Result<(&'t str, usize), Bad> {
+    let rest = &source.text.as_bytes()[at..];
+    let longest = &rest[..rest.len().min(LONGEST_LINE + 1)];
+    let length = source.work.find(longest, |byte| matches!(byte, b'\n' | b'\r'));
+    if length > LONGEST_LINE {
+        let detail = format!("expected a line of at most {LONGEST_LINE} bytes; found a longer one");
+        return Err(Bad::new(at, detail));
+    }
+    let end = match rest[length..] {
+        [b'\r', b'\n', ..] => 2,
+        [] => 0,
+        _ => 1,
+    };
+    Ok((&source.text[at..at + length], length + end))
+}
+
 /// The lines of a text that are not empty; those that begin with `#` are comments if the format has them.
 pub(super) struct Lines<'t> {
-    text: &'t str,
+    source: Source<'t>,
     at: usize,
     has_comments: bool,
 }
 
 impl<'t> Lines<'t> {
-    pub(super) fn new(text: &'t str, start: usize, has_comments: bool) -> Self {
-        Self { text, at: start, has_comments }
+    pub(super) fn new(source: Source<'t>, has_comments: bool) -> Self {
+        Self { source, at: source.start, has_comments }
     }
 
     /// The next line, trimmed.
     /// Errors: The end of the file, where `expected` describes the line.
     pub(super) fn line(&mut self, expected: &str) -> Result<Located<'t>, Bad> {
-        self.next_line().ok_or_else(|| Bad::new(self.at, format!("expected {expected}; found the end of the file")))
+        self.next_line()?.ok_or_else(|| Bad::new(self.at, format!("expected {expected}; found the end of the file")))
     }
 
     /// The next line, trimmed, unless the file ends.
-    pub(super) fn next_line(&mut self) -> Option<Located<'t>> {
-        loop {
-            let line = self.text[self.at..].split_inclusive('\n').next()?;
+    pub(super) fn next_line(&mut self) -> Result<Option<Located<'t>>, Bad> {
+        while self.at < self.source.text.len() {
+            let (line, length) = line_at(self.source, self.at)?;
             let start = self.at;
-            self.at += line.len();
+            self.at += length;
             let text = line.trim();
             if !(text.is_empty() || self.has_comments && text.starts_with('#')) {
-                return Some(Located { at: start + (line.len() - line.trim_start().len()), text });
+                return Ok(Some(Located { at: start + (line.len() - line.trim_start().len()), text }));
             }
         }
+        Ok(None)
     }
 
     /// Errors: Something other than the end of the file.
     pub(super) fn end(&mut self) -> Result<(), Bad> {
-        match self.next_line() {
+        match self.next_line()? {
             Some(line) => Err(Bad::new(line.at, format!("expected the end of the file; found {}", quote(line.text)))),
             None => Ok(()),
         }

@@ -3,6 +3,7 @@
 mod good;
 mod hostile;
 mod pairs;
+mod work;
 
 use serde_json::{Value, json};
 
@@ -13,7 +14,11 @@ const MAX_COLUMNS: usize = 100;
 
 /// What `POST /landmarks` answers to one file.
 fn read(file: impl AsRef<[u8]>) -> Result<Value, Problem> {
-    convert(&LandmarkFiles { both: Some(file.as_ref().to_vec().into()), ..LandmarkFiles::default() })
+    convert(&both(file.as_ref().to_vec()))
+}
+
+fn both(file: impl Into<bytes::Bytes>) -> LandmarkFiles {
+    LandmarkFiles { both: Some(file.into()), ..LandmarkFiles::default() }
 }
 
 /// What it answers to two.
@@ -26,7 +31,7 @@ fn two(p: &str, q: &str) -> LandmarkFiles {
 }
 
 fn convert(files: &LandmarkFiles) -> Result<Value, Problem> {
-    Ok(json!(files.read(MAX_COLUMNS)?.scale(None)?))
+    Ok(json!(files.read(MAX_COLUMNS, &|| false)?.scale(None)?))
 }
 
 /// The line and the column of a problem, and its text.

@@ -1,0 +1,123 @@
+//! The work of each reader: linear in the file, counted, and stopped soon after nobody wants the result.
+
+use std::cell::Cell;
+
+use super::{LandmarkFiles, both};
+use crate::problem::Code;
+use crate::wire::work::{PIECE, Work};
+
+/// More than any file here has.
+const MANY: usize = 1 << 22;
+/// What a file of each kind begins with, repeats, and ends with.
+const GROWING: [(&str, &str, &str); 22] = [
+    ("", "1.5,2.5\n", ""),
+    ("", "1.5;2.5\n", ""),
+    ("", "1.5 2.5\n", ""),
+    ("", "1 2 ", "\n"),
+    ("x,y\n", "\n", "1,2\n"),
+    ("x,y\n", "\n ", "1,2\n"),
+    ("# a\n", "#\n", "1,2\n"),
+    ("", ",", ""),
+    ("name,x,y\n", "\"a\"\"b\",1,2\n", ""),
+    ("mapX,mapY,sourceX,sourceY,enable\n", "0,0,0,0,0\n", ""),
+    ("mapX,mapY,sourceX,sourceY,enable\n0,0,1,-1,1\n", "0,0,0,0,1\n", ""),
+    ("", "Pt,false,0,0,0,0\n", ""),
+    ("", "Pt,true,0,0,0,0\n", ""),
+    ("", "Pt,true,0,0,Infinity,0\n", ""),
+    ("version: 1\n{\n", "1 2\n", "}\n"),
+    ("version: 1\n{\n", "\n", "1 2\n}\n"),
+    ("3\n1 2\n3 4\n5 6\n99999999\n", "0\n3\n0 1 2\n", ""),
+    (r#"{"p": ["#, "[1, 2], ", "[1, 2]]}"),
+    (r#"{"p": [[1, 2]], "names": [""#, "a", "\"]}"),
+    ("[", r#"{"x": 0.5, "y": 0.5}, "#, r#"{"x": 0.5, "y": 0.5}]"#),
+    ("{", r#""a": 1, "#, r#""landmarks": [{"x": 0.5, "y": 0.5}]}"#),
+    (r#"{"shapes": ["#, r#"{"label": "a", "points": [[1, 2]], "shape_type": "point"}, "#, r#"{}]}"#),
+];
+const LINE_ENDS: [&str; 4] = ["\n", "\r", "\r\n", "\n\r\r\n\r"];
+
+/// Each file at about so many bytes, with each line end.
+fn files(size: usize) -> impl Iterator<Item = String> {
+    GROWING.iter().flat_map(move |(start, row, end)| {
+        let file = format!("{start}{}{end}", row.repeat(size / row.len()));
+        let ends = if file.contains('\n') { &LINE_ENDS[..] } else { &LINE_ENDS[..1] };
+        ends.iter().map(move |end| file.replace('\n', end))
+    })
+}
+
+fn start(file: &str) -> String {
+    file.chars().take(60).collect()
+}
+
+/// Processor time of this thread, ns, from the scheduler.
+fn processor_time() -> u64 {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    text.split(' ').next().unwrap().parse().unwrap()
+}
+
+/// The counted bytes and the processor time of reading, the least of some attempts.
+fn cost(file: &LandmarkFiles) -> (usize, u64) {
+    let attempt = || {
+        let (work, began) = (Work::new(&|| false), processor_time());
+        let _ = file.read_counted(MANY, &work);
+        (work.bytes(), processor_time() - began)
+    };
+    (0..3).map(|_| attempt()).min_by_key(|(_, time)| *time).unwrap()
+}
+
+#[test]
+fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
+    const SIZE: usize = 256 << 10;
+    let mut wrong = Vec::new();
+    for (small, large) in files(SIZE).zip(files(2 * SIZE)) {
+        let what = start(&small);
+        let (small, large) = (both(small), both(large));
+        let ((bytes, time), (more_bytes, more_time)) = (cost(&small), cost(&large));
+        // Each byte is looked at some times, and no byte in vain: the count is what is done.
+        let passes = more_bytes as f64 / large.bytes() as f64;
+        if more_bytes > 2 * bytes + 8 * PIECE || !(0.9..=16.0).contains(&passes) {
+            wrong.push(format!("{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"));
+        }
+        // Four times would be quadratic. The clock of the scheduler ticks in milliseconds.
+        if more_time > 3 * time + 8_000_000 {
+            wrong.push(format!("{what:?}: {time} ns, of twice as much {more_time}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn reading_stops_soon_after_nobody_wants_the_result() {
+    const SIZE: usize = 128 << 10;
+    // A line is looked at in one go.
+    const SOON: usize = 3 * SIZE + 16 * PIECE;
+    for file in files(SIZE) {
+        let what = start(&file);
+        let file = both(file);
+        let whole = Work::new(&|| false);
+        let _ = file.read_counted(MANY, &whole);
+        for part in 0..4 {
+            let asked = Cell::new(0);
+            let is_cancelled = || asked.replace(asked.get() + 1) >= part * 8;
+            let work = Work::new(&is_cancelled);
+            let read = file.read_counted(MANY, &work);
+            if asked.get() <= part * 8 {
+                break;
+            }
+            assert_eq!(read.map(drop).unwrap_err().code, Code::Overloaded, "{what:?}");
+            let until = (part * 8 + 1) * 2 * PIECE;
+            assert!(work.bytes() <= until + SOON, "{what:?}: {} bytes instead of {until}", work.bytes());
+        }
+        assert!(whole.bytes() > 0);
+    }
+}
+
+/// Rows that are left out take the place of those that count.
+#[test]
+fn rows_without_effect_are_limited_as_well() {
+    for row in ["0,0,0,0,0\n", "Pt,false,0,0,0,0\n", "Pt,true,Infinity,0,0,Infinity\n"] {
+        let head = if row.starts_with('0') { "mapX,mapY,sourceX,sourceY,enable\n" } else { "" };
+        let file = |rows: usize| both(format!("{head}{}{}", row.repeat(rows - 1), row.replace("0,0\n", "0,1\n").replace("false", "true")));
+        let refused = file(super::MAX_COLUMNS + 1).read(super::MAX_COLUMNS, &|| false).unwrap_err();
+        assert_eq!((refused.code, refused.what), (Code::TooLarge, Some("handle_columns")), "{row}");
+    }
+}
