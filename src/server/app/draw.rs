@@ -13,7 +13,7 @@ use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::warp::{
     Digest, Folds, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target, Warp, WarpError, WriteObserver,
 };
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
@@ -218,9 +218,9 @@ impl Drop for Meter {
 struct Observer<'a> {
     meter: &'a Meter,
     /// The thread stops when this is true: the request no longer waits.
-    is_cancelled: Option<IsCancelled<'a>>,
-    /// A helper returns when a request waits for its thread.
-    ticket: Option<&'a Ticket>,
+    is_cancelled: IsCancelled<'a>,
+    /// A helper returns when a request waits for its thread, or when its job has given way.
+    helps: Option<&'a Ticket>,
 }
 
 impl WriteObserver for Observer<'_> {
@@ -229,11 +229,11 @@ impl WriteObserver for Observer<'_> {
     }
 
     fn is_wanted(&self) -> bool {
-        self.is_cancelled.is_none_or(|is_cancelled| !is_cancelled())
+        !(self.is_cancelled)()
     }
 
     fn goes_on(&self) -> bool {
-        self.ticket.is_none_or(|ticket| !ticket.is_thread_wanted())
+        self.helps.is_none_or(|ticket| !ticket.is_thread_wanted() && !ticket.is_paused())
     }
 }
 
@@ -242,15 +242,23 @@ type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 /// An image that several threads draw.
 struct SharedDrawing {
     strips: StripScheduler<Box<Warp>, Sink>,
+    /// Closed when nobody reads the image.
+    pieces: UnboundedSender<Piece>,
     /// Its memory stays reserved while strips are drawn from it.
     _content: Content,
     meter: Arc<Meter>,
 }
 
 impl SharedDrawing {
-    /// Draws strips; with a ticket, as a helper.
-    fn draw(&self, ticket: Option<&Ticket>) {
-        self.strips.work(&Observer { meter: &self.meter, is_cancelled: None, ticket });
+    /// Draws strips.
+    fn draw(&self, ticket: &Ticket) {
+        let is_closed = || ticket.is_over(&|| self.pieces.is_closed());
+        self.strips.work(&Observer { meter: &self.meter, is_cancelled: &is_closed, helps: None });
+    }
+
+    /// Draws strips beside the job's own thread.
+    fn help(&self, ticket: &Ticket) {
+        self.strips.work(&Observer { meter: &self.meter, is_cancelled: &|| self.pieces.is_closed(), helps: Some(ticket) });
     }
 }
 
@@ -326,7 +334,7 @@ impl App {
     /// Draws a whole file on this thread.
     fn write_whole(&self, warp: &Warp, mut reservation: Reservation, is_cancelled: IsCancelled<'_>) -> Result<(Bytes, Cost), Problem> {
         let (meter, mut pieces) = (Meter::new(self.clone()), Vec::new());
-        let observer = Observer { meter: &meter, is_cancelled: Some(is_cancelled), ticket: None };
+        let observer = Observer { meter: &meter, is_cancelled, helps: None };
         let flow = warp.write(0, &observer, &mut |bytes| {
             pieces.push(bytes);
             if is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -349,13 +357,14 @@ impl App {
 
 impl DrawTask {
     fn draw(mut self, job: &DrawJob) {
-        let Prepared { warp, report, reservation, timing } = match self.app.prepare_drawing(job, &|| self.answer.is_closed()) {
-            Ok(prepared) => prepared,
-            Err(problem) => {
-                let _ = self.answer.send(Err(problem));
-                return;
-            }
-        };
+        let Prepared { warp, report, reservation, timing } =
+            match self.app.prepare_drawing(job, &|| self.ticket.is_over(&|| self.answer.is_closed())) {
+                Ok(prepared) => prepared,
+                Err(problem) => {
+                    let _ = self.answer.send(Err(problem));
+                    return;
+                }
+            };
         self.timing = timing;
         self.app.metrics().prepared(&timing);
         if warp.is_one_piece() || warp.max_bytes() <= MAX_WHOLE {
@@ -366,9 +375,9 @@ impl DrawTask {
     }
 
     fn draw_whole(self, warp: &Warp, report: Report, reservation: Reservation) {
-        let Self { app, timing, plan_built, answer, .. } = self;
+        let Self { app, ticket, timing, plan_built, answer } = self;
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
-        let written = app.write_whole(warp, reservation, &|| answer.is_closed());
+        let written = app.write_whole(warp, reservation, &|| ticket.is_over(&|| answer.is_closed()));
         let drawn = |(bytes, cost)| Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } };
         let _ = answer.send(written.map(drawn));
     }
@@ -380,7 +389,7 @@ impl DrawTask {
         let drawn = Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Strips(strips) };
         let (meter, mut first) = (Arc::new(Meter::new(app.clone())), Some((answer, drawn)));
         let sink: Sink = Box::new({
-            let meter = Arc::clone(&meter);
+            let (meter, pieces) = (Arc::clone(&meter), pieces.clone());
             move |bytes, is_last| {
                 if is_last && !pieces.is_closed() {
                     meter.finish();
@@ -395,9 +404,9 @@ impl DrawTask {
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
         let helpers = app.0.pool.helpers().min(strips.strips() - 1);
-        let drawing = Arc::new(SharedDrawing { strips, _content: content, meter });
+        let drawing = Arc::new(SharedDrawing { strips, pieces, _content: content, meter });
         let (shared, helpers_ticket) = (Arc::clone(&drawing), ticket.clone());
-        app.0.pool.offer(&ticket, helpers, move || shared.draw(Some(&helpers_ticket)));
-        drawing.draw(None);
+        app.0.pool.offer(&ticket, helpers, move || shared.help(&helpers_ticket));
+        drawing.draw(&ticket);
     }
 }

@@ -1,7 +1,9 @@
-//! Admission to one class of work: a request runs, waits up to `max_wait`, or is rejected.
+//! Admission to one class of work: a request runs, waits up to `max_wait`, or is rejected. A long job gives way to other clients.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::ops::{Deref, DerefMut};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::Thread;
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
@@ -11,15 +13,41 @@ use super::queue::{Arrival, FairQueue, QueueKey};
 use super::worker_threads::WorkerThreads;
 use crate::client::Tenant;
 
-/// Receives the permit of a waiting request; dropped when the request is rejected.
-type Waiter = oneshot::Sender<AdmissionPermit>;
+/// How long a job runs before it gives way to a client that has used less, and how long until it looks again if there is none.
+const TURN: Duration = Duration::from_millis(100);
+const LOOK_AGAIN: Duration = Duration::from_millis(10);
+/// A job goes on without a permit after this time: permits may be held by requests that wait for what it builds.
+const MAX_PAUSE: Duration = Duration::from_secs(1);
+/// A paused job looks this often whether it is cancelled.
+const PAUSED_LOOK: Duration = Duration::from_millis(5);
+
+/// What gets the permit.
+#[derive(Debug)]
+enum Waiter {
+    /// A waiting request; dropped when the request is rejected.
+    Request(oneshot::Sender<AdmissionPermit>),
+    /// A job that has given way, on its sleeping thread.
+    Job(Arc<PausedJob>),
+}
+
+#[derive(Debug)]
+struct PausedJob {
+    has_permit: AtomicBool,
+    thread: Thread,
+}
 
 /// The threads of one class and the queue in front of them.
 #[derive(Debug)]
 pub(crate) struct AdmissionQueue {
     pub(crate) threads: WorkerThreads,
     queue: Mutex<FairQueue<Waiter>>,
+    /// Waiting requests and paused jobs, for jobs that look without the lock.
+    waiting: AtomicUsize,
     max_wait: Duration,
+    /// Whether long jobs give way.
+    gives_way: bool,
+    /// The origin of the times of turns.
+    began: Instant,
     full: AtomicU64,
     late: AtomicU64,
 }
@@ -39,7 +67,43 @@ pub struct Load {
 
 /// A client's right to run; passed to the next request when dropped.
 #[derive(Debug)]
-pub(crate) struct AdmissionPermit(Option<(Arc<AdmissionQueue>, Tenant)>);
+pub(crate) struct AdmissionPermit {
+    queue: Arc<AdmissionQueue>,
+    tenant: Tenant,
+    /// When the job may give way, nanoseconds since the queue began.
+    turn_ends: AtomicU64,
+    /// Held by the thread of the job that waits until the job goes on; other threads of the job wait for it.
+    pause: Mutex<()>,
+    is_paused: AtomicBool,
+    /// It was never used: its request had left.
+    is_returned: bool,
+}
+
+/// The lock of the queue. When it is dropped, jobs see whether anybody waits.
+struct QueueGuard<'a> {
+    queue: MutexGuard<'a, FairQueue<Waiter>>,
+    waiting: &'a AtomicUsize,
+}
+
+impl Deref for QueueGuard<'_> {
+    type Target = FairQueue<Waiter>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.queue
+    }
+}
+
+impl DerefMut for QueueGuard<'_> {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.queue
+    }
+}
+
+impl Drop for QueueGuard<'_> {
+    fn drop(&mut self) {
+        self.waiting.store(self.queue.waiting() + self.queue.paused(), Ordering::Relaxed);
+    }
+}
 
 /// A place in the queue; leaves the queue when dropped.
 struct QueuePosition<'a> {
@@ -55,14 +119,56 @@ impl Drop for QueuePosition<'_> {
 }
 
 impl AdmissionQueue {
-    pub(crate) fn new(threads: WorkerThreads, permits: usize, queue: usize, max_wait: Duration) -> Arc<Self> {
-        let queue = Mutex::new(FairQueue::new(permits, queue));
-        Arc::new(Self { threads, queue, max_wait, full: AtomicU64::new(0), late: AtomicU64::new(0) })
+    /// `gives_way`: whether long jobs give way to clients that have used less.
+    pub(crate) fn new(threads: WorkerThreads, permits: usize, queue: usize, max_wait: Duration, gives_way: bool) -> Arc<Self> {
+        Arc::new(Self {
+            threads,
+            queue: Mutex::new(FairQueue::new(permits, queue)),
+            waiting: AtomicUsize::new(0),
+            max_wait,
+            gives_way,
+            began: Instant::now(),
+            full: AtomicU64::new(0),
+            late: AtomicU64::new(0),
+        })
     }
 
-    fn lock(&self) -> MutexGuard<'_, FairQueue<Waiter>> {
+    fn lock(&self) -> QueueGuard<'_> {
         // No change panics half-way.
-        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+        QueueGuard { queue: self.queue.lock().unwrap_or_else(PoisonError::into_inner), waiting: &self.waiting }
+    }
+
+    /// Nanoseconds since the queue began.
+    fn nanos(&self, now: Instant) -> u64 {
+        u64::try_from(now.saturating_duration_since(self.began).as_nanos()).unwrap_or(u64::MAX)
+    }
+
+    /// Passes free permits on.
+    fn pass_on(self: &Arc<Self>) {
+        let mut returned = None;
+        loop {
+            let next = {
+                let (mut queue, now) = (self.lock(), Instant::now());
+                if let Some(tenant) = returned.take() {
+                    queue.end(tenant, now);
+                }
+                queue.next(now)
+            };
+            match next {
+                None => return,
+                Some((_, Waiter::Job(job))) => {
+                    job.has_permit.store(true, Ordering::Release);
+                    job.thread.unpark();
+                }
+                Some((tenant, Waiter::Request(waiter))) => {
+                    if let Err(mut permit) = waiter.send(AdmissionPermit::new(Arc::clone(self), tenant)) {
+                        // The request left at this moment: its permit ends here, not by being dropped.
+                        permit.is_returned = true;
+                        returned = Some(tenant);
+                    }
+                }
+            }
+        }
     }
 
     pub(crate) fn is_full(&self) -> bool {
@@ -82,9 +188,9 @@ impl AdmissionQueue {
     /// Waits for a permit. Dropping the future leaves the queue.
     pub(crate) async fn enter(self: &Arc<Self>, key: QueueKey) -> Result<AdmissionPermit, PoolError> {
         let (waiter, permit) = oneshot::channel();
-        let arrival = self.lock().arrive(key, Instant::now(), waiter);
+        let arrival = self.lock().arrive(key, Instant::now(), Waiter::Request(waiter));
         let id = match arrival {
-            Arrival::Runs => return Ok(AdmissionPermit(Some((Arc::clone(self), key.tenant())))),
+            Arrival::Runs => return Ok(AdmissionPermit::new(Arc::clone(self), key.tenant())),
             Arrival::Rejected => {
                 self.full.fetch_add(1, Ordering::Relaxed);
                 return Err(PoolError::Full);
@@ -107,24 +213,76 @@ impl AdmissionQueue {
     }
 }
 
+impl AdmissionPermit {
+    fn new(queue: Arc<AdmissionQueue>, tenant: Tenant) -> Self {
+        let permit = Self {
+            tenant,
+            turn_ends: AtomicU64::new(0),
+            pause: Mutex::new(()),
+            is_paused: AtomicBool::new(false),
+            is_returned: false,
+            queue,
+        };
+        permit.begin_turn(TURN);
+        permit
+    }
+
+    fn begin_turn(&self, turn: Duration) {
+        self.turn_ends.store(self.queue.nanos(Instant::now() + turn), Ordering::Relaxed);
+    }
+
+    /// Whether the job has given way and waits.
+    pub(crate) fn is_paused(&self) -> bool {
+        self.is_paused.load(Ordering::Relaxed)
+    }
+
+    /// Called by a job between parts of its work: if its turn is over and another client that has used less waits, that client gets the
+    /// permit, and this thread sleeps until the job is next or cancelled. Costs nothing while nobody waits.
+    #[inline]
+    pub(crate) fn give_way(&self, is_cancelled: &dyn Fn() -> bool) {
+        if self.queue.waiting.load(Ordering::Relaxed) > 0 && self.queue.gives_way {
+            self.look_for_others(is_cancelled);
+        }
+    }
+
+    #[cold]
+    fn look_for_others(&self, is_cancelled: &dyn Fn() -> bool) {
+        let is_over = || self.queue.nanos(Instant::now()) >= self.turn_ends.load(Ordering::Relaxed);
+        if !self.is_paused() && !is_over() {
+            return;
+        }
+        // Another thread of the job may have waited meanwhile.
+        let _pause = self.pause.lock().unwrap_or_else(PoisonError::into_inner);
+        if !is_over() || is_cancelled() {
+            return;
+        }
+        let job = Arc::new(PausedJob { has_permit: AtomicBool::new(false), thread: std::thread::current() });
+        let id = {
+            let (mut queue, now) = (self.queue.lock(), Instant::now());
+            // The next job needs a thread in the place of this one.
+            if !queue.gives_way(self.tenant, now) || !self.queue.threads.reserve(queue.paused() + 1) {
+                drop(queue);
+                return self.begin_turn(LOOK_AGAIN);
+            }
+            queue.pause(self.tenant, now, Waiter::Job(Arc::clone(&job)))
+        };
+        self.is_paused.store(true, Ordering::Relaxed);
+        self.queue.pass_on();
+        let began = Instant::now();
+        while !job.has_permit.load(Ordering::Acquire) && !is_cancelled() && began.elapsed() < MAX_PAUSE {
+            std::thread::park_timeout(PAUSED_LOOK);
+        }
+        self.queue.lock().resume(id, Instant::now());
+        self.begin_turn(TURN);
+        self.is_paused.store(false, Ordering::Relaxed);
+    }
+}
+
 impl Drop for AdmissionPermit {
     fn drop(&mut self) {
-        let Some((queue, tenant)) = self.0.take() else { return };
-        let mut ended = Some(tenant);
-        loop {
-            let next = {
-                let (mut queue, now) = (queue.lock(), Instant::now());
-                if let Some(tenant) = ended.take() {
-                    queue.end(tenant, now);
-                }
-                queue.next(now)
-            };
-            let Some((tenant, waiter)) = next else { return };
-            if let Err(mut returned) = waiter.send(Self(Some((Arc::clone(&queue), tenant)))) {
-                // The request left at this moment: its permit ends here, not by being dropped.
-                returned.0 = None;
-                ended = Some(tenant);
-            }
+        if !self.is_returned {
+            self.queue.lock().end(self.tenant, Instant::now());
+            self.queue.pass_on();
         }
     }
 }

@@ -92,7 +92,7 @@ pub struct Pool {
 #[derive(Clone, Debug)]
 pub struct Ticket {
     queue: Arc<AdmissionQueue>,
-    _permit: Arc<AdmissionPermit>,
+    permit: Arc<AdmissionPermit>,
     scope: Scope,
     waited: Duration,
 }
@@ -103,29 +103,46 @@ impl Ticket {
         self.queue.threads.is_thread_wanted()
     }
 
+    /// Whether a long job is cancelled that learns it in another way than by a [`Cancel`]. Returns later if other clients come first.
+    pub fn is_over(&self, is_cancelled: &dyn Fn() -> bool) -> bool {
+        self.permit.give_way(is_cancelled);
+        is_cancelled()
+    }
+
+    /// Whether the job has given way and waits until it is next.
+    pub fn is_paused(&self) -> bool {
+        self.permit.is_paused()
+    }
+
     /// Time spent in the queue.
     pub const fn waited(&self) -> Duration {
         self.waited
     }
 }
 
-/// Whether a result is no longer needed; long computations check it between their steps.
-#[derive(Clone, Debug, Default)]
-pub struct Cancel(Arc<AtomicBool>);
+/// Whether a result is no longer needed; long computations check it between their steps, at least every 10 ms. A job gives way to other
+/// clients there.
+#[derive(Clone, Debug)]
+pub struct Cancel {
+    is_cancelled: Arc<AtomicBool>,
+    permit: Arc<AdmissionPermit>,
+}
 
 impl Cancel {
-    /// The result is no longer needed.
+    /// The result is no longer needed. Returns later if other clients come first.
     pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        let is_cancelled = || self.is_cancelled.load(Ordering::Relaxed);
+        self.permit.give_way(&is_cancelled);
+        is_cancelled()
     }
 }
 
 /// Cancels when dropped.
-struct CancelOnDrop(Cancel);
+struct CancelOnDrop(Arc<AtomicBool>);
 
 impl Drop for CancelOnDrop {
     fn drop(&mut self) {
-        self.0.0.store(true, Ordering::Relaxed);
+        self.0.store(true, Ordering::Relaxed);
     }
 }
 
@@ -141,14 +158,14 @@ impl Pool {
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let class = |name: &str, max_wait: Duration, niceness: i32| {
+        let class = |name: &str, max_wait: Duration, niceness: i32, gives_way: bool| {
             let threads = WorkerThreads::start(name, workers + queue::SPARE, niceness).map_err(|e| NoThreads(e.to_string()))?;
-            Ok(AdmissionQueue::new(threads, workers, queue, max_wait))
+            Ok(AdmissionQueue::new(threads, workers, queue, max_wait, gives_way))
         };
         Ok(Self {
-            drags: class("drag", drag_wait, 0)?,
-            uploads: class("upload", upload_wait, UPLOAD_NICENESS)?,
-            transfers: AdmissionQueue::new(WorkerThreads::default(), MAX_TRANSFERS, queue, upload_wait),
+            drags: class("drag", drag_wait, 0, false)?,
+            uploads: class("upload", upload_wait, UPLOAD_NICENESS, true)?,
+            transfers: AdmissionQueue::new(WorkerThreads::default(), MAX_TRANSFERS, queue, upload_wait, false),
             parallel: Arc::new(Mutex::new(parallel)),
             workers,
         })
@@ -192,7 +209,7 @@ impl Pool {
         if class != WorkClass::Transfer {
             stage("queue", began);
         }
-        Ok(Ticket { queue: Arc::clone(queue), _permit: Arc::new(permit?), scope: Scope::current(), waited: began.elapsed() })
+        Ok(Ticket { queue: Arc::clone(queue), permit: Arc::new(permit?), scope: Scope::current(), waited: began.elapsed() })
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is set.
@@ -202,8 +219,8 @@ impl Pool {
         T: Send + 'static,
         F: FnOnce(&Cancel) -> T + Send + 'static,
     {
-        let guard = CancelOnDrop(Cancel::default());
-        let cancel = guard.0.clone();
+        let guard = CancelOnDrop(Arc::default());
+        let cancel = Cancel { is_cancelled: Arc::clone(&guard.0), permit: Arc::clone(&ticket.permit) };
         let (sender, result) = oneshot::channel();
         self.start(ticket, move || {
             // The receiver is gone when the request was dropped.
@@ -366,6 +383,69 @@ mod tests {
         assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7), "it has a turn and a thread");
         assert!(pool.rejects(WorkClass::Drag, key(2)) && pool.is_full(WorkClass::Drag));
         drop((go, long, ticket));
+    }
+
+    /// A job that works until its request is dropped, and counts its looks.
+    fn endless(pool: &Pool, n: u8, looks: &Arc<std::sync::atomic::AtomicUsize>) -> tokio::task::JoinHandle<()> {
+        let (pool, looks) = (pool.clone(), Arc::clone(looks));
+        tokio::spawn(async move {
+            let client = Client { address: [192, 0, 2, n].into(), ..Client::default() };
+            let ticket = pool.admit(WorkClass::Upload, QueueKey::client(client)).await.unwrap();
+            let work = move |cancel: &Cancel| {
+                while !cancel.is_cancelled() {
+                    looks.fetch_add(1, Ordering::Relaxed);
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            };
+            pool.run(&ticket, work).await.unwrap();
+        })
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn jobs_that_never_end_give_way_to_another_client_and_go_on() {
+        let pool = pool(8, LONG);
+        let looks: [Arc<std::sync::atomic::AtomicUsize>; 4] = Default::default();
+        let jobs: Vec<_> = (0_u8..).zip(&looks).map(|(n, looks)| endless(&pool, n, looks)).collect();
+        let seen = || looks.each_ref().map(|looks| looks.load(Ordering::Relaxed));
+        // More than the permit and the spare one: they take turns.
+        while seen().contains(&0) {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let ticket = pool.admit(WorkClass::Upload, key(9)).await.unwrap();
+        assert_eq!(pool.run(&ticket, |_: &Cancel| 7).await, Ok(7), "there is a thread for it");
+        drop(ticket);
+        let before = seen();
+        while seen().iter().zip(before).any(|(now, before)| *now == before) {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        jobs.iter().for_each(tokio::task::JoinHandle::abort);
+        while pool.load(WorkClass::Upload).running > 0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let (end, last) = (Instant::now(), seen());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        assert!(seen() == last && end.elapsed() < LONG, "paused jobs end when they are cancelled");
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_job_for_which_the_permits_wait_goes_on_without_one() {
+        let pool = pool(8, LONG);
+        let looks = Arc::default();
+        let job = endless(&pool, 1, &looks);
+        while looks.load(Ordering::Relaxed) == 0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let client = |n: u8| QueueKey::client(Client { address: [192, 0, 2, n].into(), ..Client::default() });
+        let spare = pool.admit(WorkClass::Upload, client(2)).await.unwrap();
+        // It gets the job's permit, and keeps it.
+        let held = pool.admit(WorkClass::Upload, client(3)).await.unwrap();
+        let before = looks.load(Ordering::Relaxed);
+        while looks.load(Ordering::Relaxed) <= before + 1 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        assert_eq!(pool.load(WorkClass::Upload).running, 3);
+        drop((spare, held));
+        job.abort();
     }
 
     #[tokio::test]

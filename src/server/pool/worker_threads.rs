@@ -18,7 +18,14 @@ type Job = Box<dyn FnOnce() + Send>;
 
 /// Compute threads; they end when this is dropped, after the queued jobs. The default has none.
 #[derive(Debug, Default)]
-pub(crate) struct WorkerThreads(Arc<WorkerState>);
+pub(crate) struct WorkerThreads {
+    state: Arc<WorkerState>,
+    name: String,
+    niceness: i32,
+    /// Threads that work, and those beyond them that have been started in the place of sleeping ones.
+    threads: usize,
+    more: Mutex<usize>,
+}
 
 #[derive(Default)]
 struct WorkerState {
@@ -58,20 +65,38 @@ impl WorkerThreads {
     /// Starts `threads` threads with this name and niceness (0 to 19; Linux only).
     /// Errors: The operating system refused to start a thread.
     pub(crate) fn start(name: &str, threads: usize, niceness: i32) -> Result<Self, std::io::Error> {
-        let started = Self(Arc::default());
-        for index in 0..threads {
-            let state = Arc::clone(&started.0);
-            std::thread::Builder::new().name(format!("{name}-{index}")).spawn(move || {
-                lower_priority(niceness);
-                state.run();
-            })?;
-        }
+        let started = Self { state: Arc::default(), name: name.to_owned(), niceness, threads, more: Mutex::default() };
+        (0..threads).try_for_each(|index| started.start_one(index))?;
         Ok(started)
+    }
+
+    fn start_one(&self, index: usize) -> Result<(), std::io::Error> {
+        let (state, niceness) = (Arc::clone(&self.state), self.niceness);
+        let thread = std::thread::Builder::new().name(format!("{}-{index}", self.name));
+        thread.spawn(move || {
+            lower_priority(niceness);
+            state.run();
+        })?;
+        Ok(())
+    }
+
+    /// Makes sure that so many threads may sleep in the middle of their jobs, and as many as before work. Returns false if the operating
+    /// system refuses to start a thread.
+    pub(crate) fn reserve(&self, sleeping: usize) -> bool {
+        // No code panics under the lock.
+        let mut more = self.more.lock().unwrap_or_else(PoisonError::into_inner);
+        while *more < sleeping {
+            if self.start_one(self.threads + *more).is_err() {
+                return false;
+            }
+            *more += 1;
+        }
+        true
     }
 
     /// Whether a job waits for a thread.
     pub(crate) fn is_thread_wanted(&self) -> bool {
-        self.0.waiting.load(Ordering::Relaxed) > 0
+        self.state.waiting.load(Ordering::Relaxed) > 0
     }
 
     /// Queues a job and wakes a thread. A job that panics ends its thread, so jobs catch panics.
@@ -86,10 +111,10 @@ impl WorkerThreads {
     }
 
     fn queue(&self, jobs: impl IntoIterator<Item = Job>, wakes: impl FnOnce(usize) -> usize) {
-        let mut queue = self.0.lock();
+        let mut queue = self.state.lock();
         let idle = queue.asleep.len() + usize::from(queue.is_polled);
         let woken = queue.push(jobs, wakes(idle));
-        self.0.waiting.store(queue.jobs.len(), Ordering::Release);
+        self.state.waiting.store(queue.jobs.len(), Ordering::Release);
         drop(queue);
         woken.iter().rev().for_each(Thread::unpark);
     }
@@ -107,7 +132,7 @@ fn lower_priority(niceness: i32) {
 
 impl Drop for WorkerThreads {
     fn drop(&mut self) {
-        let mut queue = self.0.lock();
+        let mut queue = self.state.lock();
         queue.is_closed = true;
         queue.asleep.drain(..).for_each(|thread| thread.unpark());
     }

@@ -1,0 +1,360 @@
+//! The order of waiting requests: which one gets the next permit, and which one is rejected. It decides at three levels:
+//!
+//! 1. Between clients ([`Tenant`]): the client that has used the least worker time recently is next. Worker time is the time for which a
+//!    client's requests have held permits, including those that run now; it counts half after each [`HALF_LIFE`]. A client with a few
+//!    large requests therefore gets no more of the workers than one with many small ones. A client that waits alone gets all permits.
+//! 2. Between the keys of a client (its sessions, and its requests without a session): round robin.
+//! 3. Within a key: the newest request of a session, because its user wants to see the newest pose; otherwise the oldest.
+//!
+//! There is one permit ([`SPARE`]) more than workers, for a client that holds none. A long job gives way between parts of its work
+//! ([`FairQueue::gives_way`]): it returns its permit when another client that has used less waits for one, and is next when that is no
+//! longer so. So what a client holds shrinks while others wait, and long requests of any number of clients delay a short one of another
+//! by a part of their work only.
+//!
+//! A full queue rejects the oldest request of the longest key for a newcomer: of the client with the most waiting requests, or of the
+//! newcomer's own client.
+//!
+//! Times are arguments; there are no clocks and no threads here.
+
+use std::cmp::Ordering;
+use std::collections::{HashMap, VecDeque};
+use std::time::Instant;
+
+use crate::client::{Client, Tenant};
+use crate::session::SessionId;
+
+/// Permits beyond the number of workers.
+pub(crate) const SPARE: usize = 1;
+/// Seconds after which worker time counts half.
+const HALF_LIFE: f64 = 10.0;
+/// A client without requests that has used fewer seconds is forgotten.
+const NEGLIGIBLE: f64 = 0.01;
+/// Above this many clients, those with negligible use are removed.
+const MANY: usize = 1024;
+/// Most jobs that have given way. Each keeps its memory and a sleeping thread.
+pub(super) const MOST_PAUSED: usize = 64;
+
+/// Requests with equal keys wait together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct QueueKey {
+    tenant: Tenant,
+    part: KeyPart,
+}
+
+/// The part of a client's requests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum KeyPart {
+    Session(SessionId),
+    /// Without a session: users who share an API key are told apart by their addresses.
+    Address(Tenant),
+}
+
+impl QueueKey {
+    /// The key of a client's requests for a session.
+    pub fn session(client: Client, id: SessionId) -> Self {
+        Self { tenant: client.tenant(), part: KeyPart::Session(id) }
+    }
+
+    /// The key of a client's requests without a session.
+    pub fn client(client: Client) -> Self {
+        Self { tenant: client.tenant(), part: KeyPart::Address(Tenant::of_address(client.address)) }
+    }
+
+    /// The client that is charged for the request.
+    pub(crate) const fn tenant(self) -> Tenant {
+        self.tenant
+    }
+
+    const fn is_newest_first(self) -> bool {
+        matches!(self.part, KeyPart::Session(_))
+    }
+}
+
+/// The result of an arrival.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Arrival<W> {
+    /// The request runs.
+    Runs,
+    /// It waits under this number.
+    Waits(u64),
+    /// It waits under this number, and this other request is rejected.
+    Replaces(u64, W),
+    /// It is rejected.
+    Rejected,
+}
+
+/// Running and waiting requests. `W` wakes a waiting request.
+#[derive(Debug)]
+pub(crate) struct FairQueue<W> {
+    permits: usize,
+    max_waiting: usize,
+    running: usize,
+    waiting: usize,
+    waiters: HashMap<QueueKey, VecDeque<(u64, W)>>,
+    usage: HashMap<Tenant, Usage>,
+    /// Clients with waiting requests; the one that got a permit last is the last.
+    order: VecDeque<Tenant>,
+    /// Jobs that have given way, oldest first: number, client, and what wakes the job.
+    paused: Vec<(u64, Tenant, W)>,
+    next_id: u64,
+}
+
+/// What one client uses.
+#[derive(Debug)]
+struct Usage {
+    waiting: usize,
+    /// Keys with waiting requests, the next one first.
+    keys: VecDeque<QueueKey>,
+    running: usize,
+    /// Recently used worker time in seconds, as of `at`. Since then `running` requests have run.
+    used: f64,
+    at: Instant,
+}
+
+impl Usage {
+    fn new(now: Instant) -> Self {
+        Self { waiting: 0, keys: VecDeque::new(), running: 0, used: 0.0, at: now }
+    }
+
+    /// Recently used worker time, as of now.
+    fn used(&self, now: Instant) -> f64 {
+        let half_lives = now.saturating_duration_since(self.at).as_secs_f64() / HALF_LIFE;
+        let kept = (-half_lives).exp2();
+        // The integral of what the running requests have added since, each moment weighted by its age.
+        let added = (1.0 - kept) * HALF_LIFE / std::f64::consts::LN_2;
+        self.used * kept + self.running as f64 * added
+    }
+
+    /// Brings `used` up to date, before `running` changes.
+    fn update(&mut self, now: Instant) {
+        (self.used, self.at) = (self.used(now), now);
+    }
+
+    fn is_negligible(&self, now: Instant) -> bool {
+        self.waiting == 0 && self.running == 0 && self.used(now) < NEGLIGIBLE
+    }
+}
+
+impl<W> FairQueue<W> {
+    /// `permits` requests and [`SPARE`] run at one time; `max_waiting` wait.
+    pub(crate) fn new(permits: usize, max_waiting: usize) -> Self {
+        let (waiters, usage, order) = (HashMap::new(), HashMap::new(), VecDeque::new());
+        Self { permits, max_waiting, running: 0, waiting: 0, waiters, usage, order, paused: Vec::new(), next_id: 0 }
+    }
+
+    pub(crate) const fn waiting(&self) -> usize {
+        self.waiting
+    }
+
+    pub(crate) const fn running(&self) -> usize {
+        self.running
+    }
+
+    /// The number of jobs that have given way.
+    pub(crate) const fn paused(&self) -> usize {
+        self.paused.len()
+    }
+
+    /// Whether a client without requests here would be rejected.
+    pub(crate) fn is_full(&self) -> bool {
+        self.rejects(QueueKey::client(Client::default()))
+    }
+
+    /// Whether a request with this key would be rejected.
+    pub(crate) fn rejects(&self, key: QueueKey) -> bool {
+        !self.may_run(key.tenant) && self.waiting >= self.max_waiting && self.victim(key).is_none()
+    }
+
+    /// The key that loses a request when the queue is full and a request with `key` arrives.
+    fn victim(&self, key: QueueKey) -> Option<QueueKey> {
+        let waiting = |tenant: &Tenant| self.usage.get(tenant).map_or(0, |usage| usage.waiting);
+        let most = self.order.iter().map(waiting).max().unwrap_or(0);
+        if most > waiting(&key.tenant) + 1 {
+            // Among equals, the client that got a permit last.
+            let tenant = self.order.iter().rev().find(|tenant| waiting(tenant) == most)?;
+            return self.longest(*tenant).map(|(key, _)| key);
+        }
+        let own = self.waiters.get(&key).map_or(0, VecDeque::len);
+        match self.longest(key.tenant) {
+            Some((longest, length)) if length > own + 1 => Some(longest),
+            _ => (key.is_newest_first() && own > 0).then_some(key),
+        }
+    }
+
+    /// The client's key with the most waiting requests, and their number; among equals, the one that is farthest from its turn.
+    fn longest(&self, tenant: Tenant) -> Option<(QueueKey, usize)> {
+        let keys = self.usage.get(&tenant)?.keys.iter();
+        keys.map(|key| (*key, self.waiters.get(key).map_or(0, VecDeque::len))).max_by_key(|(_, length)| *length)
+    }
+
+    fn may_run(&self, tenant: Tenant) -> bool {
+        self.may_run_beside(self.running, tenant)
+    }
+
+    fn may_run_beside(&self, running: usize, tenant: Tenant) -> bool {
+        let has_none = || self.usage.get(&tenant).is_none_or(|usage| usage.running == 0);
+        running < self.permits || (running < self.permits + SPARE && has_none())
+    }
+
+    /// The client with the least is next: recently used worker time, running requests.
+    fn rank(&self, tenant: Tenant, now: Instant) -> (f64, usize) {
+        self.usage.get(&tenant).map_or((0.0, 0), |usage| (usage.used(now), usage.running))
+    }
+
+    fn usage(&mut self, tenant: Tenant, now: Instant) -> &mut Usage {
+        if self.usage.len() >= MANY && self.usage.len().is_power_of_two() {
+            self.usage.retain(|_, usage| !usage.is_negligible(now));
+        }
+        self.usage.entry(tenant).or_insert_with(|| Usage::new(now))
+    }
+
+    fn run(&mut self, tenant: Tenant, now: Instant) {
+        self.running += 1;
+        let usage = self.usage(tenant, now);
+        usage.update(now);
+        usage.running += 1;
+    }
+
+    /// A request arrives; `waiter` wakes it if it has to wait.
+    pub(crate) fn arrive(&mut self, key: QueueKey, now: Instant, waiter: W) -> Arrival<W> {
+        // A free permit is given to a waiting request at once, so none waits for this one.
+        if self.may_run(key.tenant) {
+            self.run(key.tenant, now);
+            return Arrival::Runs;
+        }
+        let mut rejected = None;
+        if self.waiting >= self.max_waiting {
+            let Some(victim) = self.victim(key) else { return Arrival::Rejected };
+            rejected = self.take(victim, VecDeque::pop_front);
+        }
+        let id = self.next_id;
+        self.next_id += 1;
+        self.waiting += 1;
+        let waiters = self.waiters.entry(key).or_default();
+        waiters.push_back((id, waiter));
+        let is_first = waiters.len() == 1;
+        let usage = self.usage(key.tenant, now);
+        usage.waiting += 1;
+        if is_first {
+            usage.keys.push_back(key);
+        }
+        if usage.waiting == 1 {
+            self.order.push_back(key.tenant);
+        }
+        match rejected {
+            Some((_, waiter)) => Arrival::Replaces(id, waiter),
+            None => Arrival::Waits(id),
+        }
+    }
+
+    /// Removes a waiting request of a key.
+    fn take(&mut self, key: QueueKey, which: impl FnOnce(&mut VecDeque<(u64, W)>) -> Option<(u64, W)>) -> Option<(u64, W)> {
+        let waiters = self.waiters.get_mut(&key)?;
+        let taken = which(waiters)?;
+        self.waiting -= 1;
+        let is_last = waiters.is_empty();
+        if is_last {
+            self.waiters.remove(&key);
+        }
+        if let Some(usage) = self.usage.get_mut(&key.tenant) {
+            usage.waiting -= 1;
+            if is_last {
+                usage.keys.retain(|other| *other != key);
+            }
+            if usage.waiting == 0 {
+                self.order.retain(|other| *other != key.tenant);
+            }
+            if usage.is_negligible(usage.at) {
+                self.usage.remove(&key.tenant);
+            }
+        }
+        Some(taken)
+    }
+
+    /// A request of this client has ended.
+    pub(crate) fn end(&mut self, tenant: Tenant, now: Instant) {
+        self.running -= 1;
+        if let Some(usage) = self.usage.get_mut(&tenant) {
+            usage.update(now);
+            usage.running -= 1;
+            if usage.is_negligible(now) {
+                self.usage.remove(&tenant);
+            }
+        }
+    }
+
+    /// Whether a job of this client should give way now: another client has used less and would get the permit.
+    pub(crate) fn gives_way(&self, tenant: Tenant, now: Instant) -> bool {
+        let (used, _) = self.rank(tenant, now);
+        // More run than permits allow if jobs have waited too long; then it helps to run less.
+        let is_excess = self.running > self.permits + SPARE;
+        let would_run = |other| is_excess || self.may_run_beside(self.running.saturating_sub(1), other);
+        let mut others = self.order.iter().chain(self.paused.iter().map(|(_, tenant, _)| tenant));
+        self.paused.len() < MOST_PAUSED && others.any(|other| *other != tenant && self.rank(*other, now).0 < used && would_run(*other))
+    }
+
+    /// A job of this client gives way; `waiter` wakes it. Returns its number.
+    pub(crate) fn pause(&mut self, tenant: Tenant, now: Instant, waiter: W) -> u64 {
+        self.end(tenant, now);
+        let id = self.next_id;
+        self.next_id += 1;
+        self.paused.push((id, tenant, waiter));
+        id
+    }
+
+    /// A job that has given way goes on without a permit; nothing happens if it has got one.
+    pub(crate) fn resume(&mut self, id: u64, now: Instant) {
+        if let Some(at) = self.paused.iter().position(|(other, ..)| *other == id) {
+            let (_, tenant, _) = self.paused.remove(at);
+            self.run(tenant, now);
+        }
+    }
+
+    /// The next request or paused job that runs, and its client; `None` if none may run. After an end there may be permits for two.
+    pub(crate) fn next(&mut self, now: Instant) -> Option<(Tenant, W)> {
+        let waiting = self.first(self.order.iter().copied(), now);
+        let paused = self.first(self.paused.iter().map(|(_, tenant, _)| *tenant), now);
+        match (waiting, paused) {
+            // A client's paused jobs come before its waiting requests.
+            (Some((at, rank)), paused) if paused.is_none_or(|(_, other)| by_rank(rank, other).is_lt()) => {
+                let key = self.take_turn(at)?;
+                let next = self.take(key, |waiters| if key.is_newest_first() { waiters.pop_back() } else { waiters.pop_front() });
+                self.run(key.tenant, now);
+                Some((key.tenant, next.expect("a key in order has a request").1))
+            }
+            (_, Some((at, _))) => {
+                let (_, tenant, waiter) = self.paused.remove(at);
+                self.run(tenant, now);
+                Some((tenant, waiter))
+            }
+            (_, None) => None,
+        }
+    }
+
+    /// The place of the client that is next, and its rank.
+    fn first(&self, tenants: impl Iterator<Item = Tenant>, now: Instant) -> Option<(usize, (f64, usize))> {
+        let candidates = tenants.enumerate().filter(|(_, tenant)| self.may_run(*tenant));
+        candidates.map(|(at, tenant)| (at, self.rank(tenant, now))).min_by(|(_, a), (_, b)| by_rank(*a, *b))
+    }
+
+    /// The next key of the client at this place in `order`. It becomes the last of its client, and its client the last among equals.
+    fn take_turn(&mut self, at: usize) -> Option<QueueKey> {
+        let tenant = self.order.remove(at)?;
+        self.order.push_back(tenant);
+        let usage = self.usage.get_mut(&tenant)?;
+        usage.keys.rotate_left(1.min(usage.keys.len()));
+        usage.keys.back().copied()
+    }
+
+    /// A waiting request leaves; nothing happens if it no longer waits.
+    pub(crate) fn leave(&mut self, key: QueueKey, id: u64) {
+        self.take(key, |waiters| waiters.iter().position(|(other, _)| *other == id).and_then(|at| waiters.remove(at)));
+    }
+}
+
+fn by_rank((used, running): (f64, usize), (other_used, other_running): (f64, usize)) -> Ordering {
+    used.total_cmp(&other_used).then(running.cmp(&other_running))
+}
+
+#[cfg(test)]
+mod tests;
