@@ -111,23 +111,31 @@ export class Mesh {
     return [this.restX(i) + x - this.places[best], this.restY(j) + y - this.places[best + 1]];
   }
 
-  /** Folded cells as [i, j]: a cross product at a corner is not positive. The server uses the same rule. */
+  /**
+   * Folded cells as [i, j]: their orientation is not that of most of the area at rest, or the cross products at their corners have several
+   * signs. The server uses the same rule: a mirror image has no folds.
+   */
   folded() {
     const { columns, rows } = this.grid;
     const m = this.places;
-    const cells = [];
-    for (let j = 0; j < rows - 1; j++) {
-      for (let i = 0; i < columns - 1; i++) {
+    const [signs, areas] = [new Int8Array((columns - 1) * (rows - 1)), [0, 0, 0]];
+    for (let j = 0, k = 0; j < rows - 1; j++) {
+      for (let i = 0; i < columns - 1; i++, k++) {
         const a = 2 * (j * columns + i);
         const d = a + 2 * columns;
         const [topX, topY] = [m[a + 2] - m[a], m[a + 3] - m[a + 1]];
         const [bottomX, bottomY] = [m[d + 2] - m[d], m[d + 3] - m[d + 1]];
         const [leftX, leftY] = [m[d] - m[a], m[d + 1] - m[a + 1]];
         const [rightX, rightY] = [m[d + 2] - m[a + 2], m[d + 3] - m[a + 3]];
-        const sound = topX * leftY > topY * leftX && topX * rightY > topY * rightX && bottomX * rightY > bottomY * rightX && bottomX * leftY > bottomY * leftX;
-        if (!sound) cells.push([i, j]);
+        const [p, q] = [topX * leftY - topY * leftX, topX * rightY - topY * rightX];
+        const [r, s] = [bottomX * rightY - bottomY * rightX, bottomX * leftY - bottomY * leftX];
+        signs[k] = p > 0 && q > 0 && r > 0 && s > 0 ? 1 : p < 0 && q < 0 && r < 0 && s < 0 ? -1 : 0;
+        areas[1 + signs[k]] += (this.restX(i + 1) - this.restX(i)) * (this.restY(j + 1) - this.restY(j));
       }
     }
+    const whole = areas[0] > areas[2] ? -1 : 1;
+    const cells = [];
+    signs.forEach((sign, k) => sign === whole || cells.push([k % (columns - 1), Math.floor(k / (columns - 1))]));
     return cells;
   }
 

@@ -81,6 +81,21 @@ async fn a_session_has_the_report_of_its_warp_object() {
     assert!(nothing["shear"]["max"].as_f64().unwrap() < 1e-9, "{nothing}");
 }
 
+/// The header has codes only; the report has an entry for each, in the same order.
+#[tokio::test]
+async fn the_warnings_of_the_header_are_entries_of_the_report() {
+    let server = Server::start(&[]).await;
+    let same = json!([[120, 80], [120, 80], [9000, 300]]);
+    for warp in [warp(), json!({"p": same, "q": [[120, 80], [180, 80], [0.5, 1.5]]}), json!({"p": [[0.5, 0.2]], "q": [[9e5, 0.2]]})] {
+        let response = server.post("/report").json(&with(&warp, json!({"extent": EXTENT}))).send().await.unwrap();
+        let header = response.headers().get("warp-warning").map_or("", |codes| codes.to_str().unwrap()).to_owned();
+        let report: Value = response.json().await.unwrap();
+        let codes: Vec<&str> = report["warnings"].as_array().unwrap().iter().map(|entry| entry["code"].as_str().unwrap()).collect();
+        assert_eq!(codes.join(", "), header, "{report}");
+        assert_eq!(codes.is_empty(), warp == self::warp(), "{codes:?}");
+    }
+}
+
 #[tokio::test]
 async fn wrong_and_hostile_requests_are_refused() {
     let server = Server::start(&[]).await;

@@ -6,9 +6,10 @@
 //! * *Area factor*: det J = s1 s2, which is the signed area of the posed cell over its area at rest. 1 keeps the area; negative is turned
 //!   over.
 //! * *Shear*: the largest change of a right angle, `90 - 2 atan(s2 / s1)` degrees. 0 is a rotation with a uniform scale, 90 is flattened to
-//!   a line, and above 90 the cell is turned over. With |mu| = (s1 - s2) / (s1 + s2), the complex dilatation, it is 2 atan |mu|.
+//!   a line, and above 90 the cell is turned over. With |mu| = (s1 - s2) / (s1 + s2), the complex dilatation, it is 2 atan |mu|. It is
+//!   relative to the orientation of the whole: in a mirrored mesh s2 has the opposite sign, so that a mirror image has no shear.
 
-use super::Mesh;
+use super::{Mesh, Orientation};
 
 /// Minimum, median and maximum of some values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,9 +51,10 @@ pub struct Distortion {
 }
 
 impl Mesh {
-    /// The distortion of the grid's cells. Memory: 16 bytes per cell. `None` when cancelled, which is checked for each row.
+    /// The distortion of the grid's cells in a mesh of this orientation. Memory: 16 bytes per cell. `None` when cancelled, which is checked
+    /// for each row.
     #[must_use]
-    pub fn distortion(&self, cancelled: &dyn Fn() -> bool) -> Option<Distortion> {
+    pub fn distortion(&self, orientation: Orientation, cancelled: &dyn Fn() -> bool) -> Option<Distortion> {
         let grid = self.grid();
         let cells = (grid.columns() as usize - 1) * (grid.rows() as usize - 1);
         let (mut area_factors, mut shears) = (Vec::with_capacity(cells), Vec::with_capacity(cells));
@@ -68,6 +70,7 @@ impl Mesh {
                 // s1 + s2 and s1 - s2.
                 let sum = (along.x + down.y).hypot(along.y - down.x);
                 let difference = (along.x - down.y).hypot(along.y + down.x);
+                let (sum, difference) = if orientation == Orientation::Mirrored { (difference, sum) } else { (sum, difference) };
                 shears.push(2.0 * difference.atan2(sum).to_degrees());
             }
         }
@@ -89,7 +92,11 @@ mod tests {
     }
 
     fn constant(map: impl Fn(Point) -> Point) -> (f64, f64) {
-        let Distortion { area_factor: Some(area), shear: Some(shear) } = mesh(map).distortion(&|| false).unwrap() else { panic!("none") };
+        let mesh = mesh(map);
+        let orientation = mesh.folding(&|| false).unwrap().orientation;
+        let Distortion { area_factor: Some(area), shear: Some(shear) } = mesh.distortion(orientation, &|| false).unwrap() else {
+            panic!("none")
+        };
         assert!(area.max - area.min < 1e-4 && shear.max - shear.min < 1e-3, "{area:?} {shear:?}");
         (area.median, shear.median)
     }
@@ -108,7 +115,11 @@ mod tests {
             "a shear"
         );
         assert!(near(constant(|p| Point::new(p.x, 7.0)), (0.0, 90.0)), "a line");
-        assert!(near(constant(|p| Point::new(-p.x, p.y)), (-1.0, 180.0)), "a mirror");
+        assert!(near(constant(|p| Point::new(-p.x, p.y)), (-1.0, 0.0)), "a mirror");
+        assert!(near(constant(|p| Point::new(p.y, p.x)), (-1.0, 0.0)), "a mirror that is turned");
+        assert!(near(constant(|p| Point::new(-2.0 * p.x, p.y)), (-2.0, 90.0 - 2.0 * 0.5f64.atan().to_degrees())), "a stretched mirror");
+        let upright = mesh(|p| Point::new(-p.x, p.y)).distortion(Orientation::Upright, &|| false).unwrap();
+        assert!((upright.shear.unwrap().median - 180.0).abs() < 2e-3, "a cell turned over in a mesh that is not");
     }
 
     #[test]

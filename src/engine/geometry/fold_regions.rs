@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::Mesh;
+use super::{Mesh, Orientation};
 
 /// Where a posed grid folds.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -60,10 +60,10 @@ fn include(bounds: &mut [f64; 4], other: [f64; 4]) {
 }
 
 impl Mesh {
-    /// The regions of [`Mesh::folded_cells`], of which at most `most` have boxes. Memory: at most 32 bytes per cell. `None` when cancelled,
-    /// which is checked for each row.
+    /// The regions of the cells that fold in a mesh of this orientation, of which at most `most` have boxes. Memory: at most 32 bytes per
+    /// cell. `None` when cancelled, which is checked for each row.
     #[must_use]
-    pub fn fold_regions(&self, most: usize, cancelled: &dyn Fn() -> bool) -> Option<FoldRegions> {
+    pub fn fold_regions(&self, orientation: Orientation, most: usize, cancelled: &dyn Fn() -> bool) -> Option<FoldRegions> {
         let grid = self.grid();
         let mut components = UnionFind::default();
         let (mut above, mut runs): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
@@ -74,7 +74,7 @@ impl Mesh {
             }
             runs.clear();
             let mut before = 0;
-            for i in (0..grid.columns() - 1).filter(|&i| self.is_folded(i, j)) {
+            for i in (0..grid.columns() - 1).filter(|&i| self.is_folded(i, j, orientation)) {
                 cells += 1;
                 let size = grid.vertex(i + 1, j + 1) - grid.vertex(i, j);
                 area += size.x * size.y;
@@ -128,9 +128,13 @@ mod tests {
         Mesh::new(grid, displacement)
     }
 
+    fn regions_of(mesh: &Mesh, most: usize) -> FoldRegions {
+        mesh.fold_regions(mesh.folding(&|| false).unwrap().orientation, most, &|| false).unwrap()
+    }
+
     #[test]
     fn cells_that_touch_are_one_region() {
-        let regions = |vertices: &[(usize, usize)], most| folded(vertices).fold_regions(most, &|| false).unwrap();
+        let regions = |vertices: &[(usize, usize)], most| regions_of(&folded(vertices), most);
         assert_eq!(regions(&[], 9), FoldRegions::default());
         let one = regions(&[(3, 4)], 9);
         assert_eq!((one.cells, one.regions, one.boxes.as_slice()), (2, 1, &[[30.0, 30.0, 44.0, 50.0]][..]));
@@ -164,17 +168,17 @@ mod tests {
                 }
                 sizes.push(size);
             }
-            let found = mesh.fold_regions(usize::MAX, &|| false).unwrap();
+            let found = regions_of(&mesh, usize::MAX);
             assert_eq!((found.cells, found.regions, found.boxes.len()), (cells, sizes.len() as u64, sizes.len()), "{columns} x {rows}");
-            assert_eq!(mesh.fold_regions(1, &|| false).unwrap().boxes[..], found.boxes[..found.boxes.len().min(1)]);
+            assert_eq!(regions_of(&mesh, 1).boxes[..], found.boxes[..found.boxes.len().min(1)]);
         }
     }
 
     #[test]
     fn the_largest_regions_have_boxes() {
-        let three = folded(&[(3, 2), (14, 2), (14, 3), (3, 8)]).fold_regions(2, &|| false).unwrap();
+        let three = regions_of(&folded(&[(3, 2), (14, 2), (14, 3), (3, 8)]), 2);
         assert_eq!((three.regions, three.boxes.len()), (3, 2));
         assert!(three.boxes[0][0] >= 140.0 && three.boxes[1][1] < 30.0, "{three:?}");
-        assert_eq!(folded(&[]).fold_regions(2, &|| true), None);
+        assert_eq!(folded(&[]).fold_regions(Orientation::Upright, 2, &|| true), None);
     }
 }

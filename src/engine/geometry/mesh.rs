@@ -86,49 +86,6 @@ impl Mesh {
         Some(p + top * (1.0 - t) + bottom * t)
     }
 
-    /// Cells with a corner whose cross product is not positive: the bilinear patch is not one-to-one there (its Jacobian is affine in the
-    /// parameters, so the minimum is at a corner). `(column, row)` of each, row by row.
-    pub fn folded_cells(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
-        let (columns, rows) = (self.grid.columns(), self.grid.rows());
-        (0..rows - 1).flat_map(move |j| (0..columns - 1).filter(move |&i| self.is_folded(i, j)).map(move |i| (i, j)))
-    }
-
-    /// Number of folded cells, equal to `folded_cells().count()`; computes a row of edges at a time, because each edge belongs to two
-    /// cells. `None` when cancelled, which is checked for each row.
-    #[must_use]
-    pub fn folded_cell_count(&self, cancelled: &dyn Fn() -> bool) -> Option<u64> {
-        let columns = self.grid.columns() as usize;
-        let rest: Vec<f64> = (0..self.grid.columns()).map(|i| self.grid.x(i)).collect();
-        let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {
-            let (y, row) = (self.grid.y(j), &self.displacement[j as usize * columns..][..columns]);
-            posed.clear();
-            posed.extend(rest.iter().zip(row).map(|(&x, d)| Point::new(x, y) + Vec2::new(f64::from(d[0]), f64::from(d[1]))));
-            along.clear();
-            along.extend(posed.windows(2).map(|ab| ab[1] - ab[0]));
-        };
-        let (mut above, mut top, mut below, mut bottom, mut across) = (vec![], vec![], vec![], vec![], vec![]);
-        line(0, &mut above, &mut top);
-        let mut folded = 0;
-        for j in 1..self.grid.rows() {
-            if cancelled() {
-                return None;
-            }
-            line(j, &mut below, &mut bottom);
-            across.clear();
-            across.extend(above.iter().zip(&below).map(|(a, d)| *d - *a));
-            for ((top, bottom), sides) in top.iter().zip(&bottom).zip(across.windows(2)) {
-                let sound = (top.cross(sides[0]) > 0.0)
-                    & (top.cross(sides[1]) > 0.0)
-                    & (bottom.cross(sides[1]) > 0.0)
-                    & (bottom.cross(sides[0]) > 0.0);
-                folded += u64::from(!sound);
-            }
-            std::mem::swap(&mut above, &mut below);
-            std::mem::swap(&mut top, &mut bottom);
-        }
-        Some(folded)
-    }
-
     /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px.
     #[must_use]
     pub fn bounds(&self) -> [f64; 4] {
@@ -174,15 +131,6 @@ impl Mesh {
             }
         }
         Some(false)
-    }
-
-    /// Whether a cell is one of [`Mesh::folded_cells`].
-    #[must_use]
-    pub fn is_folded(&self, i: u32, j: u32) -> bool {
-        let (a, b) = (self.posed(i, j), self.posed(i + 1, j));
-        let (d, c) = (self.posed(i, j + 1), self.posed(i + 1, j + 1));
-        let (top, right, bottom, left) = (b - a, c - b, c - d, d - a);
-        !(top.cross(left) > 0.0 && top.cross(right) > 0.0 && bottom.cross(right) > 0.0 && bottom.cross(left) > 0.0)
     }
 }
 
@@ -246,25 +194,6 @@ mod tests {
             assert!(turned(90.0));
             let beside = |p: Point| Point::new(-40.0 + (p.x - p.y) * 0.5, -75.0 + (p.x + p.y) * 0.5);
             assert!(!moved(&beside), "{columns} x {rows}");
-        }
-    }
-
-    #[test]
-    fn folded_cells_are_counted_as_they_are_listed() {
-        let mut state = 7_u32;
-        for (columns, rows, reach) in [(2, 2, 30.0), (3, 5, 4.0), (40, 30, 0.5), (40, 30, 3.0), (17, 23, 1e30), (9, 9, 0.0)] {
-            let grid = Grid::with_counts(100.0, 80.0, columns, rows);
-            let displacement = (0..grid.len()).map(|_| {
-                [(); 2].map(|()| {
-                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                    (f32::from((state >> 16) as u16) / 32_768.0 - 1.0) * reach
-                })
-            });
-            let mut mesh = Mesh::new(grid, displacement.collect());
-            assert_eq!(mesh.folded_cell_count(&|| false), Some(mesh.folded_cells().count() as u64), "{columns} x {rows}, {reach}");
-            // A number that is none folds what it touches.
-            mesh.displacement[0][1] = f32::NAN;
-            assert_eq!(mesh.folded_cell_count(&|| false), Some(mesh.folded_cells().count() as u64));
         }
     }
 }

@@ -7,7 +7,7 @@ use std::ops::{ControlFlow, Range};
 
 use super::canvas::Canvas;
 use super::inverse_map::InverseMap;
-use crate::geometry::{CellTree, Mesh, Point, RefinedCell};
+use crate::geometry::{CellTree, Mesh, Orientation, Point, RefinedCell};
 use crate::pixmap::Extent;
 
 /// Pixels nearer than this to an outline are measured, px: the renderer snaps vertices, which may move an outline past a pixel's centre.
@@ -155,14 +155,13 @@ impl Coverage {
                 lines.push([self.on_target(a), self.on_target(b)]);
             }
         };
+        let orientation = self.mesh.folding(&|| false).unwrap_or_default().orientation;
         let (columns, rows) = (self.mesh.grid().columns() - 1, self.mesh.grid().rows() - 1);
         for j in 0..rows {
             for i in 0..columns {
                 let on_border = [j == 0, i + 1 == columns, j + 1 == rows, i == 0];
                 self.quads((j as usize) * columns as usize + i as usize, |[a, b, c, d]| {
-                    let (top, right, bottom, left) = (b - a, c - b, c - d, d - a);
-                    let is_sound = top.cross(left) > 0.0 && top.cross(right) > 0.0 && bottom.cross(right) > 0.0 && bottom.cross(left) > 0.0;
-                    if !is_sound {
+                    if !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a])) {
                         [(a, b), (b, c), (c, d), (d, a), (a, c), (b, d)].into_iter().for_each(|(a, b)| add(a, b));
                     }
                 });

@@ -1,5 +1,7 @@
 //! Errors and warnings of a warp, by what the client can change.
 
+use std::cmp::Ordering;
+
 use thiserror::Error;
 
 use crate::codec::{CodecError, Format};
@@ -86,8 +88,8 @@ pub enum WarpError {
     NothingVisible,
 }
 
-/// An unusual property of a warp that does not prevent a result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+/// An unusual property of a warp that does not prevent a result, with the figures that describe it.
+#[derive(Clone, Debug, PartialEq, PartialOrd)]
 pub enum Warning {
     /// A property of the handles or the pose.
     Deform(deform::Warning),
@@ -100,22 +102,60 @@ pub enum Warning {
     LooksNormalized,
     /// No posed cell intersects the canvas.
     NothingVisible,
+    /// Most of the picture is turned over, as in a mirror.
+    Mirrored,
     /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
     ProfileDropped,
+}
+
+/// A figure of a warning.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Figure {
+    /// A number of things, or the index of one.
+    Count(u64),
+    /// A measure.
+    Number(f64),
+    /// Indices of handles or frames.
+    Indices(Vec<usize>),
+    /// Names, as of things in a file.
+    Names(Vec<String>),
 }
 
 impl Warning {
     /// The stable code in responses.
     #[must_use]
-    pub const fn code(self) -> &'static str {
+    pub const fn code(&self) -> &'static str {
         match self {
             Self::Deform(warning) => warning.code(),
             Self::ToleranceExceeded => "tolerance_exceeded",
             Self::HandlesOutsidePicture => "handles_outside_picture",
             Self::LooksNormalized => "looks_normalized",
             Self::NothingVisible => "nothing_visible",
+            Self::Mirrored => "mirrored",
             Self::ProfileDropped => "profile_dropped",
         }
+    }
+
+    /// What a report says beside the code, each figure with its name.
+    #[must_use]
+    pub fn figures(&self) -> Vec<(&'static str, Figure)> {
+        match self {
+            Self::Deform(_)
+            | Self::ToleranceExceeded
+            | Self::HandlesOutsidePicture
+            | Self::LooksNormalized
+            | Self::NothingVisible
+            | Self::Mirrored
+            | Self::ProfileDropped => vec![],
+        }
+    }
+
+    /// Each warning once, in the order of the variants.
+    #[must_use]
+    pub fn in_order(mut warnings: Vec<Self>) -> Vec<Self> {
+        warnings.sort_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+        warnings.dedup_by_key(|warning| warning.code());
+        warnings
     }
 }
 

@@ -34,7 +34,7 @@ pub use self::compact::CompactLattice;
 pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
-pub use self::error::{Warning, WarpError};
+pub use self::error::{Figure, Warning, WarpError};
 pub use self::fit::{Candidate, Fit, Prediction, best, choose};
 pub use self::image::Image;
 pub use self::label_image::LabelImage;

@@ -4,7 +4,7 @@ use super::digest::Collector;
 use super::setup::FINE_BYTES;
 use super::{Digest, Folds, Plan, Region, Setup, Subject, Target, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
-use crate::geometry::{Mesh, Point, Vec2};
+use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
@@ -15,8 +15,10 @@ const LEAST_ROTATION: f32 = 0.1;
 pub struct Report {
     /// In the order of [`Warning`].
     pub warnings: Vec<Warning>,
-    /// Drawn cells that fold.
+    /// Drawn cells that fold: their orientation is not that of the whole.
     pub folds: u64,
+    /// That of most of the picture.
+    pub orientation: Orientation,
     /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
     /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
     /// the distance from where it takes them. Points that are one handle because they lie within a distance of each other count at their
@@ -26,6 +28,13 @@ pub struct Report {
     pub exceeded: u64,
     /// The first groups of handles that coincide at rest and move differently, at most 100.
     pub coincident: Vec<Contradiction>,
+}
+
+impl Report {
+    fn warn(&mut self, warning: Warning) {
+        self.warnings.push(warning);
+        self.warnings = Warning::in_order(std::mem::take(&mut self.warnings));
+    }
 }
 
 /// A posed mesh and its report.
@@ -53,8 +62,7 @@ impl Posed {
             posed.report.exceeded = refined.exceeded.len() as u64;
             posed.exceeded = refined.exceeded;
             if !posed.exceeded.is_empty() {
-                posed.report.warnings.push(Warning::ToleranceExceeded);
-                posed.report.warnings.sort_unstable();
+                posed.report.warn(Warning::ToleranceExceeded);
             }
             posed.digest =
                 Collector::new("mlswarp refined pose 1").bytes(&posed.digest.0).float(setup.tolerance().unwrap_or_default()).finish();
@@ -68,17 +76,19 @@ impl Posed {
     /// Those of [`Posed::new`].
     pub fn coarse(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
-        let cells = mesh.folded_cell_count(cancelled).ok_or(WarpError::Cancelled)?;
+        let Folding { orientation, cells } = mesh.folding(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
-        let mut warnings = setup.warnings(pose);
+        let (warnings, residual) = (setup.warnings(pose), residual(setup.field(), pose, &mesh));
+        let coincident = pose.contradictions().listed.clone();
+        let mut report = Report { warnings, folds: cells, orientation, residual, coincident, exceeded: 0 };
         if quality.least_rotation < LEAST_ROTATION {
-            warnings.push(Warning::Deform(deform::Warning::RotationUndefined));
-            warnings.sort_unstable();
+            report.warn(Warning::Deform(deform::Warning::RotationUndefined));
         }
-        let residual = residual(setup.field(), pose, &mesh);
-        let report = Report { warnings, folds: cells, residual, coincident: pose.contradictions().listed.clone(), exceeded: 0 };
+        if orientation == Orientation::Mirrored {
+            report.warn(Warning::Mirrored);
+        }
         Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new(), region: None })
     }
 
@@ -140,8 +150,7 @@ impl Posed {
             None => false,
         };
         if !is_visible {
-            self.report.warnings.push(Warning::NothingVisible);
-            self.report.warnings.sort_unstable();
+            self.report.warn(Warning::NothingVisible);
         }
         Ok(self.report)
     }

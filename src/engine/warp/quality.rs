@@ -5,7 +5,7 @@
 use super::setup::to_px;
 use super::{Posed, Setup, Target, WarpError};
 use crate::deform::{Contradiction, Handle, IsCancelled, MAX_COORDINATE, Pose};
-use crate::geometry::{Distortion, FoldRegions, Mesh, Point, Summary};
+use crate::geometry::{Distortion, FoldRegions, Mesh, Orientation, Point, Summary};
 use crate::pixmap::Extent;
 use crate::render::{Canvas, InverseMap};
 
@@ -30,6 +30,8 @@ pub struct Quality {
     pub residuals: Vec<Option<f64>>,
     /// Where the grid folds.
     pub folds: FoldRegions,
+    /// The orientation of most of the picture.
+    pub orientation: Orientation,
     /// The distortion of the grid's cells.
     pub distortion: Distortion,
     /// What is drawn; `None` if `fit` has nothing to show.
@@ -88,16 +90,17 @@ impl Quality {
         canvas: Option<Canvas>,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let mesh = posed.mesh();
+        let (mesh, orientation) = (posed.mesh(), posed.report().orientation);
         Ok(Self {
             residuals: residuals(setup, q, mesh, cancelled)?,
-            folds: mesh.fold_regions(MOST_REGIONS, cancelled).ok_or(WarpError::Cancelled)?,
-            distortion: mesh.distortion(cancelled).ok_or(WarpError::Cancelled)?,
+            folds: mesh.fold_regions(orientation, MOST_REGIONS, cancelled).ok_or(WarpError::Cancelled)?,
+            orientation,
+            distortion: mesh.distortion(orientation, cancelled).ok_or(WarpError::Cancelled)?,
             canvas,
             covered: canvas.map_or(Ok(0.0), |canvas| covered(mesh, canvas, cancelled))?,
             tolerance: setup.tolerance().map(|px| ToleranceQuality { px, exceeded: posed.report().exceeded }),
             coincident: pose.contradictions().listed.clone(),
-            round_trip: round_trip(setup, pose, to_invert.mesh(), cancelled)?,
+            round_trip: round_trip(setup, pose, to_invert, cancelled)?,
         })
     }
 }
@@ -145,8 +148,8 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
     Ok(f64::from(covered) / f64::from(width * height))
 }
 
-fn round_trip(setup: &Setup, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Result<RoundTrip, WarpError> {
-    let grid = mesh.grid();
+fn round_trip(setup: &Setup, pose: &Pose, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<RoundTrip, WarpError> {
+    let (mesh, grid, orientation) = (posed.mesh(), posed.mesh().grid(), posed.report().orientation);
     let centres = |side: f64| {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of pixels")]
         let parts = LATTICE.min(side as u32).max(1);
@@ -157,7 +160,7 @@ fn round_trip(setup: &Setup, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_
     let is_folded = |p: Point| {
         grid.locate(p).is_some_and(|(i, j, ..)| {
             let around = |k: u32, lines: u32| k.saturating_sub(1)..=(k + 1).min(lines - 2);
-            around(j, grid.rows()).any(|j| around(i, grid.columns()).any(|i| mesh.is_folded(i, j)))
+            around(j, grid.rows()).any(|j| around(i, grid.columns()).any(|i| mesh.is_folded(i, j, orientation)))
         })
     };
     let in_range = |p: &Point| [p.x, p.y].iter().all(|c| c.abs() <= MAX_COORDINATE);

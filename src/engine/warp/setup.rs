@@ -249,11 +249,9 @@ impl Setup {
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
-        warnings.extend(&self.warnings);
+        warnings.extend_from_slice(&self.warnings);
         warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.units));
-        warnings.sort_unstable();
-        warnings.dedup();
-        warnings
+        Warning::in_order(warnings)
     }
 
     /// The resolved grid.

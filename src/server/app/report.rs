@@ -19,7 +19,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::wire::{DragObject, ReportAnswer, ReportObject, method_text};
+use crate::wire::{DragObject, ReportAnswer, ReportObject, WarningEntry, method_text};
 
 /// The quality of a pose.
 #[derive(Debug)]
@@ -40,13 +40,21 @@ struct ReportJob {
     q: Vec<Handle>,
     extent: Extent,
     canvas: CanvasSpec,
+    /// Warnings that the pose does not show, such as those of landmark files.
+    more: Vec<WarningEntry>,
     quota: ClientQuota,
 }
 
 impl App {
-    /// Measures the pose of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
+    /// Measures the pose of a warp object. `more`: warnings that the pose does not show. The second result: the method that was chosen if
+    /// that was requested, as a header shows it.
     /// Errors: Wrong handles, or too little capacity.
-    pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
+    pub(crate) async fn report_once(
+        &self,
+        client: Client,
+        json: Bytes,
+        more: Vec<WarningEntry>,
+    ) -> Result<(QualityReport, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let ReportObject { mut warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
         // Nothing is drawn.
@@ -56,7 +64,8 @@ impl App {
         let Resolved { setup, held: _held, object } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
-        Ok((self.report(&ticket, ReportJob { owner: client.owner, setup, q, extent, canvas, quota }).await?, method))
+        let job = ReportJob { owner: client.owner, setup, q, extent, canvas, more, quota };
+        Ok((self.report(&ticket, job).await?, method))
     }
 
     /// Measures a pose of a session.
@@ -74,11 +83,11 @@ impl App {
             Ok::<_, Problem>((record.rest.posed_at(strength, q), canvas))
         };
         let (q, canvas) = self.0.pool.run(&ticket, parse).await??;
-        self.report(&ticket, ReportJob { owner: id.owner(), setup, q, extent, canvas, quota }).await
+        self.report(&ticket, ReportJob { owner: id.owner(), setup, q, extent, canvas, more: Vec::new(), quota }).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, extent, canvas, quota } = job;
+        let ReportJob { owner, setup, q, extent, canvas, more, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
         // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
@@ -106,7 +115,8 @@ impl App {
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
-            let answer = ReportAnswer(&quality);
+            let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).chain(more).collect();
+            let answer = ReportAnswer { quality: &quality, warnings: &warnings };
             let text = answer.text_bytes();
             app.reserve_more(&mut reservation, text as u64)?;
             let mut body = json_unless(cancel, &answer, text)?;

@@ -5,6 +5,8 @@ use super::input::Body;
 use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, ReportArgs};
+use crate::wire::WarningEntry;
+use crate::wire::landmarks::UNMATCHED;
 
 /// Measures a pose. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
@@ -14,7 +16,8 @@ pub fn run(config: &Config, args: &ReportArgs) -> Result<Option<String>, Failure
     output::require_directory(out)?;
     let body = Body::read(config, input, extent, None)?;
     let service = Service::start(config)?;
-    let (report, method) = service.wait(service.app.report_once(service.client, body.json.clone()))?;
+    let of_landmarks = body.has_unmatched.then(|| WarningEntry::of(UNMATCHED)).into_iter().collect();
+    let (report, method) = service.wait(service.app.report_once(service.client, body.json.clone(), of_landmarks))?;
     output::write_text(out, &report.body)?;
     Ok(summary(method, &report.report.warnings, body.has_unmatched))
 }

@@ -25,6 +25,7 @@ mod session;
 mod socket;
 mod suggest;
 mod syntax;
+mod warning;
 mod work;
 mod write;
 
@@ -58,6 +59,7 @@ use rest::strength;
 pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
+pub use warning::WarningEntry;
 
 const HANDLES: &str = "an array of handles";
 

@@ -1,11 +1,11 @@
 //! `POST /report` and `/sessions/{id}/report`: the request without an image, and the response.
 
-use mlswarp::geometry::{FoldRegions, Summary};
+use mlswarp::geometry::{FoldRegions, Orientation, Summary};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-use super::{AsJson, SIZE, WarpObject, WarpPatch, fields, json, size};
+use super::{AsJson, SIZE, WarningEntry, WarpObject, WarpPatch, fields, json, size};
 use crate::problem::Problem;
 
 /// Longest text of a number and its comma, bytes.
@@ -37,25 +37,32 @@ impl ReportObject {
 
 /// The response of `/report`.
 #[derive(Debug)]
-pub struct ReportAnswer<'a>(pub &'a Quality);
+pub struct ReportAnswer<'a> {
+    /// The figures.
+    pub quality: &'a Quality,
+    /// Those of the header `Warp-Warning`, with their figures.
+    pub warnings: &'a [WarningEntry],
+}
 
 impl ReportAnswer<'_> {
     /// Upper bound of its JSON, bytes.
     #[must_use]
     pub fn text_bytes(&self) -> usize {
-        let Quality { residuals, folds, coincident, .. } = self.0;
+        let Quality { residuals, folds, coincident, .. } = self.quality;
         let groups: usize = coincident.iter().map(|group| group.handles.len() + 8).sum();
-        FIXED_TEXT + NUMBER_TEXT * (residuals.len() + 4 * folds.boxes.len() + groups)
+        let warnings: usize = self.warnings.iter().map(WarningEntry::text_bytes).sum();
+        FIXED_TEXT + warnings + NUMBER_TEXT * (residuals.len() + 4 * folds.boxes.len() + groups)
     }
 }
 
 // Numbers that are not finite become `null`.
 impl Serialize for ReportAnswer<'_> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Quality { residuals, folds, distortion, canvas, covered, tolerance, coincident, round_trip } = self.0;
-        let mut object = s.serialize_map(Some(9))?;
+        let Quality { residuals, folds, orientation, distortion, canvas, covered, tolerance, coincident, round_trip } = self.quality;
+        let mut object = s.serialize_map(Some(11))?;
         object.serialize_entry("residuals", residuals)?;
         object.serialize_entry("folds", &AsJson(folds))?;
+        object.serialize_entry("mirrored", &(*orientation == Orientation::Mirrored))?;
         object.serialize_entry("area_factor", &distortion.area_factor.map(AsJson))?;
         object.serialize_entry("shear", &distortion.shear.map(AsJson))?;
         object.serialize_entry("canvas", &canvas.map(AsJson))?;
@@ -63,6 +70,7 @@ impl Serialize for ReportAnswer<'_> {
         object.serialize_entry("tolerance", &tolerance.map(AsJson))?;
         object.serialize_entry("coincident", &AsJson(coincident.as_slice()))?;
         object.serialize_entry("round_trip", &AsJson(*round_trip))?;
+        object.serialize_entry("warnings", self.warnings)?;
         object.end()
     }
 }

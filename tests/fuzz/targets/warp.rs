@@ -9,7 +9,7 @@ use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::warp::{CoordinateMap, Folds, Image, ImageLimits, Limits, MapFormat, Posed, Quality, Setup, Subject, Warp};
 use mlswarp_server::problem::Problem;
-use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarpObject};
+use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarningEntry, WarpObject};
 
 use serde_json::{Map, Value};
 
@@ -80,7 +80,8 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     let quality = Quality::of(&setup, q, &pose, &posed, &posed, warp.output.canvas.of(extent, &posed), &never)?;
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
     assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
-    let answer = ReportAnswer(&quality);
+    let warnings: Vec<_> = posed.report().warnings.iter().map(WarningEntry::from).collect();
+    let answer = ReportAnswer { quality: &quality, warnings: &warnings };
     let text = serde_json::to_vec(&answer).expect("a report is JSON");
     assert!(text.len() <= answer.text_bytes(), "{} bytes", text.len());
     Ok(())
