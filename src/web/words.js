@@ -213,6 +213,7 @@ export const WARNINGS = {
   handles_outside_picture: "A handle is far outside the picture.",
   looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
   nothing_visible: "The whole picture is outside the canvas.",
+  mirrored: "The picture is mirrored.",
   profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };
 
