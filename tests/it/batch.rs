@@ -95,15 +95,90 @@ async fn in_betweens_go_from_rest_to_the_pose() {
     let (eased, _) = zip(post(&server, &id, &body("ease-in-out")).await).await;
     for (k, t) in [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().enumerate() {
         let name = format!("{k:04}.png");
-        assert_eq!(index["frames"][k]["t"], t);
+        assert_eq!((&index["frames"][k]["t"], &index["frames"][k]["strength"]), (&json!(t), &json!(2.0 * t)));
         let single = |strength: f64| server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": q(5), "strength": 2.0 * strength}));
         assert!(linear[&name] == png(single(t).send().await.unwrap()).await, "{name}");
         assert!(eased[&name] == png(single(t * t * (3.0 - 2.0 * t)).send().await.unwrap()).await, "{name}");
     }
     assert!(decoded(&linear["0000.png"]).samples == decoded(&photo(120, 80)).samples, "the first is the source");
-    let (one, index) = zip(post(&server, &id, &json!({"q": q(5), "steps": 1})).await).await;
-    assert!(one["0000.png"] == png(server.drag(&id, &json!({"q": q(5)})).await).await);
-    assert_eq!(index["frames"][0]["t"], 1.0);
+    for (wrong, pointer, sentence) in [
+        (json!({"q": q(5), "steps": 1}), "/steps", "at least 2: the first at rest, the last at `q`; found 1"),
+        (json!({"q": q(5), "frames": 24}), "/frames", "found a number; did you mean `steps`: 24?"),
+        (json!({"steps": 2}), "/q", "`q` is missing"),
+        (json!({"frames": [{"q": q(1)}, {}]}), "/frames/1/q", "`q` is missing"),
+    ] {
+        let told = problem(post(&server, &id, &wrong).await, 422, "bad_value").await;
+        assert!(told["pointer"] == pointer && told["detail"].as_str().unwrap().contains(sentence), "{told}");
+    }
+}
+
+#[tokio::test]
+async fn the_way_back_has_the_frames_of_the_way_there() {
+    let server = Server::start(&["--workers", "2"]).await;
+    let id = server.session(&photo(120, 80), &rest()).await;
+    let own = json!({"frames": [{"q": q(1)}, {"q": q(2)}, {"q": q(5)}], "points": [[3, 4]]});
+    for there in [json!({"q": q(5), "steps": 4, "strength": 1.5, "points": [[3, 4]]}), own] {
+        let mut both = there.clone();
+        both["and_back"] = json!(true);
+        let (there, there_index) = zip(post(&server, &id, &there).await).await;
+        let (both, index) = zip(post(&server, &id, &both).await).await;
+        let count = there_index["frames"].as_array().unwrap().len();
+        assert_eq!(index["frames"].as_array().unwrap().len(), 2 * count - 2);
+        for k in 0..2 * count - 2 {
+            let from = if k < count { k } else { 2 * count - 2 - k };
+            for extension in ["png", "json"] {
+                assert!(both[&format!("{k:04}.{extension}")] == there[&format!("{from:04}.{extension}")], "{k} is {from}");
+            }
+            for name in ["t", "strength", "residual"] {
+                assert_eq!(index["frames"][k][name], there_index["frames"][from][name]);
+            }
+        }
+    }
+    for (fields, count, plays) in [(json!({}), 4, 0), (json!({"and_back": true}), 6, 0), (json!({"and_back": true, "loop": 3}), 7, 3)] {
+        let mut body = json!({"q": q(5), "steps": 4});
+        body.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+        let (info, frames) = frames(animation(&server, &id, &body).await).await;
+        assert_eq!((frames.len(), info.animation_control.unwrap().num_plays), (count, plays), "{body}");
+        // What ends shows the handles at rest at its end.
+        assert_eq!(frames.first() == frames.last(), plays > 0, "{body}");
+    }
+    let told = problem(post(&server, &id, &json!({"q": q(5), "steps": 4, "loop": 1})).await, 422, "bad_value").await;
+    assert_eq!(told["pointer"], "/loop");
+}
+
+#[tokio::test]
+async fn a_jitter_needs_neither_a_pose_nor_handles() {
+    let server = Server::start(&[]).await;
+    let (picture, jitter) = (photo(120, 80), json!({"jitter": {"seed": 5, "count": 3, "sigma": 4}, "boxes": [[9, 9, 30, 30]]}));
+    let with = |q: Value| {
+        let mut body = jitter.clone();
+        body["q"] = q;
+        body
+    };
+    let bytes = async |id: &str, body: &Value| {
+        let response = post(&server, id, body).await;
+        assert_eq!(response.status(), 200, "{body}");
+        response.bytes().await.unwrap()
+    };
+    let id = server.session(&picture, &rest()).await;
+    assert!(bytes(&id, &jitter).await == bytes(&id, &with(rest()["p"].clone())).await, "around the handles at rest");
+    for (units, width, height) in [("px", 120.0, 80.0), ("normalized", 1.0, 1.0)] {
+        let grid: Vec<[f64; 2]> = (0..25).map(|k| [width * f64::from(k % 5) / 4.0, height * f64::from(k / 5) / 4.0]).collect();
+        let grid = json!({"p": grid, "method": "similarity", "units": units});
+        let none = server.session(&picture, &json!({"p": [], "method": "similarity", "units": units})).await;
+        let of_grid = server.session(&picture, &grid).await;
+        let body = if units == "px" { jitter.clone() } else { json!({"jitter": jitter["jitter"], "points": [[0.5, 0.5]]}) };
+        let found = bytes(&none, &body).await;
+        assert!(found == bytes(&of_grid, &body).await, "{units}: by a grid of 5 x 5 handles");
+        let mut posed = body.clone();
+        posed["q"] = json!([]);
+        assert!(found == bytes(&none, &posed).await);
+    }
+    let none = server.session(&picture, &json!({})).await;
+    assert_eq!(problem(post(&server, &none, &with(json!([[1, 1]]))).await, 422, "shape_mismatch").await["pointer"], "/q");
+    // In-betweens of nothing show the picture.
+    let (files, _) = zip(post(&server, &none, &json!({"steps": 2})).await).await;
+    assert!(decoded(&files["0001.png"]).samples == decoded(&picture).samples);
 }
 
 #[tokio::test]

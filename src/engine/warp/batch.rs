@@ -3,9 +3,10 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore as _, SeedableRng as _};
 
-use super::Setup;
+use super::{Setup, Units};
 use crate::deform::Handle;
 use crate::geometry::Point;
+use crate::pixmap::Extent;
 
 /// How in-betweens follow one another.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -30,6 +31,21 @@ impl Easing {
             Self::EaseInOut => t * t * (3.0 - 2.0 * t),
         }
     }
+}
+
+/// Handles along each side of [`jitter_grid`].
+const GRID: u32 = 5;
+
+/// The handles by which a picture without handles is jittered: 5 x 5 points from corner to corner, row by row.
+#[must_use]
+pub fn jitter_grid(units: Units, extent: Extent) -> Vec<Handle> {
+    let (width, height) = match units {
+        Units::Px => (f64::from(extent.width()), f64::from(extent.height())),
+        Units::Normalized => (1.0, 1.0),
+    };
+    let share = |k: u32| f64::from(k) / f64::from(GRID - 1);
+    let row = |y: u32| (0..GRID).map(move |x| Handle::Point(Point::new(width * share(x), height * share(y))));
+    (0..GRID).flat_map(row).collect()
 }
 
 /// Plane waves of a frame.
@@ -178,9 +194,8 @@ fn sine(periods: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Limits, RestSpec, Units};
+    use super::super::{Limits, RestSpec};
     use super::*;
-    use crate::pixmap::Extent;
 
     fn setup(p: &[Handle], units: Units) -> Setup {
         let rest = RestSpec { p: p.to_vec(), units, ..RestSpec::default() };

@@ -29,7 +29,7 @@ mod target;
 mod tests;
 mod transform;
 
-pub use self::batch::{Easing, Jitter};
+pub use self::batch::{Easing, Jitter, jitter_grid};
 pub use self::compact::CompactLattice;
 pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
 pub use self::digest::Digest;

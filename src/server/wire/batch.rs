@@ -13,11 +13,11 @@ use serde::Serialize;
 use super::annotations::{Annotations, MappedAnnotations};
 use super::enum_name::enum_name;
 use super::handles::handles;
-use super::json::{At, Node, optional};
+use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
 use super::rest::strength;
-use super::{AsJson, HANDLES, fields, json, layer};
+use super::{AsJson, fields, json, layer};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -27,6 +27,10 @@ const MOST_FRAMES: u32 = 10_000;
 const MOST_LAYERS: usize = MAX_LAYERS + LayerRef::BUILT_IN.len();
 /// What a number of frames is.
 const COUNT: &str = "a whole number of frames, at least 1";
+/// What the number of in-betweens is.
+const STEPS: &str = "a whole number of frames, at least 2: the first at rest, the last at `q`";
+/// What the frames are.
+const FRAMES: &str = "an array of frames, {\"q\": [...], \"strength\": t}";
 /// The largest standard deviation of a jitter, px.
 const MOST_SIGMA: f64 = 10_000.0;
 /// The longest display of a frame, ms.
@@ -45,6 +49,10 @@ pub struct BatchObject {
     pub(crate) output: OutputPatch,
     /// How long an animation shows each frame, ms.
     pub(crate) delay: Option<u16>,
+    /// How often an animation is played; 0 is without end.
+    pub(crate) plays: Option<u16>,
+    /// Whether the frames follow once more, from the last to the first.
+    pub(crate) and_back: bool,
 }
 
 /// The poses of a batch.
@@ -54,8 +62,8 @@ pub enum BatchPoses {
     Frames(FrameTexts),
     /// From rest to `q`.
     Steps {
-        /// The last pose.
-        q: Vec<Handle>,
+        /// The last pose, if the request gives it.
+        q: Option<Vec<Handle>>,
         /// How much of the way from p to q the handles are moved in the last frame.
         strength: f64,
         /// The number of frames.
@@ -65,8 +73,8 @@ pub enum BatchPoses {
     },
     /// Around `q`.
     Jitter {
-        /// The pose that is displaced.
-        q: Vec<Handle>,
+        /// The pose that is displaced, if the request gives it.
+        q: Option<Vec<Handle>>,
         /// How much of the way from p to q the handles are moved before.
         strength: f64,
         /// The displacements.
@@ -85,14 +93,13 @@ pub struct FrameTexts {
 
 impl FrameTexts {
     /// Reads `q` and `strength` of a frame.
-    fn read(&self, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
+    fn read(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
         let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
         let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
         let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
         let node = Node::new(text, At::Item(&frames, index));
         let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
-        let strength = optional(strength_, strength)?.unwrap_or(1.0);
-        Ok((handles(&q.ok_or_else(|| node.missing("q", HANDLES))?)?, strength))
+        Ok((optional(q, handles)?, optional(strength_, strength)?.unwrap_or(1.0)))
     }
 }
 
@@ -103,9 +110,9 @@ pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
 }
 
 impl BatchPoses {
-    /// `q` and the strength that the request gives for a frame.
+    /// `q`, if the request gives it, and the strength of a frame.
     /// Errors: A frame with another form.
-    pub fn given(&self, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
+    pub fn given(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
         match self {
             Self::Frames(texts) => texts.read(frame),
             Self::Steps { q, strength, .. } | Self::Jitter { q, strength, .. } => Ok((q.clone(), *strength)),
@@ -126,7 +133,7 @@ impl BatchObject {
     /// Reads the object. `most_bytes`: the most bytes of everything but the frames; `most_frame_bytes`: the most of one frame.
     pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [frames, q, strength_, steps, easing, jitter, delay, layers_, output, points, polygons, boxes, geojson, refine] =
+        let [frames, q, strength_, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
             root.fields(&fields::BATCH)?;
         let of_frames = frames.map_or(0, |frames| frames.text.len());
         let rest = (body.len() - of_frames) as u64;
@@ -135,26 +142,31 @@ impl BatchObject {
             return Err(Problem::new(Code::TooLarge, detail).limit("json_bytes", most_bytes, rest));
         }
         let poses = match (frames, steps, jitter) {
+            (Some(frames), ..) if frames.kind() == Kind::Number => {
+                let meant = frames.text.parse::<u32>().map_or_else(|_| String::new(), |n| format!(": {n}"));
+                return Err(frames.unexpected(FRAMES, format_args!("a number; did you mean `steps`{meant}?")));
+            }
             (Some(frames), None, None) => {
                 let others = [("q", q), ("strength", strength_), ("easing", easing)];
                 refuse_beside("frames", "each frame has its own", &others)?;
                 BatchPoses::Frames(frame_texts(body, &frames, most_frame_bytes)?)
             }
             (None, Some(steps), None) => BatchPoses::Steps {
-                q: posed(&root, q)?,
+                q: optional(q, handles)?,
                 strength: optional(strength_, strength)?.unwrap_or(1.0),
-                steps: frame_count(&steps)?,
+                steps: frame_count(&steps, 2, STEPS)?,
                 easing: optional(easing, enum_name)?.unwrap_or_default(),
             },
             (None, None, Some(jitter)) => {
                 refuse_beside("jitter", "it applies to `steps`", &[("easing", easing)])?;
+                refuse_beside("jitter", "it applies to `steps` and `frames`", &[("and_back", and_back)])?;
                 let [seed, count, sigma] = jitter.fields(&fields::JITTER)?;
                 let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
                 let (seed_of, sigma_of) = ("a whole number between 0 and 18446744073709551615", "a number of pixels between 0 and 10000");
                 BatchPoses::Jitter {
-                    q: posed(&root, q)?,
+                    q: optional(q, handles)?,
                     strength: optional(strength_, strength)?.unwrap_or(1.0),
-                    count: frame_count(&required(count, "count", COUNT)?)?,
+                    count: frame_count(&required(count, "count", COUNT)?, 1, COUNT)?,
                     jitter: Jitter {
                         seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
                         sigma: number_in(&required(sigma, "sigma", sigma_of)?, 0.0..=MOST_SIGMA, sigma_of)?,
@@ -162,18 +174,34 @@ impl BatchObject {
                 }
             }
             (None, None, None) => {
-                let detail = "the poses are missing: send `frames`, or `q` with `steps` or `jitter`";
-                return Err(Problem::new(Code::BadValue, detail).pointer("/frames"));
+                let detail = "the poses are missing: give `steps`, `frames` or `jitter`";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/steps"));
             }
             _ => {
                 let last = jitter.or(steps).unwrap_or(root);
-                return Err(last.problem(Code::BadValue, "send one of `frames`, `steps` and `jitter`"));
+                return Err(last.problem(Code::BadValue, "give one of `frames`, `steps` and `jitter`"));
             }
         };
         let layers = optional(layers_, layers)?.unwrap_or_default();
+        let [points, polygons, boxes, geojson, refine] = annotations;
         let annotations = Annotations::read([points, polygons, boxes, geojson, None, refine])?;
         let output = optional(output, OutputPatch::read)?.unwrap_or_default();
-        Ok(Self { poses, layers, annotations, output, delay: optional(delay, read_delay)? })
+        let (delay, plays) = (optional(delay, read_delay)?, optional(loop_, read_plays)?);
+        let object = Self { poses, layers, annotations, output, delay, plays, and_back: optional(and_back, Node::bool)?.unwrap_or(false) };
+        match (object.count(), and_back) {
+            (count, Some(node)) if count > MOST_FRAMES => Err(too_many(&node, count.into())),
+            _ => Ok(object),
+        }
+    }
+
+    /// The number of frames.
+    pub(crate) fn count(&self) -> u32 {
+        let (there, is_endless) = (self.poses.count(), self.plays.unwrap_or(0) == 0);
+        match self.and_back {
+            false => there,
+            // What is repeated without end follows its last frame with its first.
+            true => (2 * there).saturating_sub(if is_endless { 2 } else { 1 }).max(there),
+        }
     }
 }
 
@@ -194,10 +222,6 @@ fn layers(node: &Node<'_, '_>) -> Result<Vec<LayerRef>, Problem> {
     Ok(layers)
 }
 
-fn posed(root: &Node<'_, '_>, q: Option<Node<'_, '_>>) -> Result<Vec<Handle>, Problem> {
-    handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)
-}
-
 /// Errors: A field that does not apply.
 fn refuse_beside(form: &str, why: &str, others: &[(&str, Option<Node<'_, '_>>)]) -> Result<(), Problem> {
     match others.iter().find_map(|(name, node)| Some((name, (*node)?))) {
@@ -209,7 +233,7 @@ fn refuse_beside(form: &str, why: &str, others: &[(&str, Option<Node<'_, '_>>)])
 /// Where each frame is; nothing is parsed.
 fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<FrameTexts, Problem> {
     let (mut places, mut count) = (Vec::new(), 0_u64);
-    frames.items::<Problem>("an array of frames, {\"q\": [...], \"strength\": t}", |_, item| {
+    frames.items::<Problem>(FRAMES, |_, item| {
         let length = item.text.len();
         if length as u64 > most_bytes {
             let detail = format!("the frame has {length} bytes; the limit is {most_bytes}");
@@ -229,8 +253,8 @@ fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<F
     }
 }
 
-fn frame_count(node: &Node<'_, '_>) -> Result<u32, Problem> {
-    match count(node, 1, COUNT)? {
+fn frame_count(node: &Node<'_, '_>, least: u32, expected: &str) -> Result<u32, Problem> {
+    match count(node, least, expected)? {
         count if count > MOST_FRAMES => Err(too_many(node, count.into())),
         count => Ok(count),
     }
@@ -247,16 +271,29 @@ fn read_delay(node: &Node<'_, '_>) -> Result<u16, Problem> {
     u16::try_from(value).ok().filter(|delay| *delay <= MOST_DELAY).ok_or_else(|| node.unexpected(DELAY, value).actual(value))
 }
 
+fn read_plays(node: &Node<'_, '_>) -> Result<u16, Problem> {
+    const PLAYS: &str = "how often the animation is played: a whole number, 0 (without end) to 65535";
+    let value = count(node, 0, PLAYS)?;
+    u16::try_from(value).map_err(|_| node.unexpected(PLAYS, value).actual(value))
+}
+
 /// How far a frame is from the handles at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub(crate) enum FramePosition {
-    /// Of a frame with a pose of its own.
-    Strength(f64),
-    /// Of an in-between.
-    T(f64),
-    /// The seed, and the number of the frame.
-    Jitter { seed: u64, frame: u32 },
+pub(crate) struct FramePosition {
+    /// The share of the way from rest to `q`; with a jitter, before the handles are displaced.
+    pub(crate) strength: f64,
+    /// Of an in-between: its time, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) t: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) jitter: Option<FrameJitter>,
+}
+
+/// The seed, and the number of the frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct FrameJitter {
+    pub(crate) seed: u64,
+    pub(crate) frame: u32,
 }
 
 /// What the index of a batch says of a frame.
@@ -318,13 +355,26 @@ mod tests {
             parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
                 .unwrap();
         let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
-        assert_eq!((frames.poses.count(), texts.read(0).unwrap().1, texts.read(1).unwrap().1), (2, 1.0, 0.5));
+        assert_eq!((frames.count(), texts.read(0).unwrap().1, texts.read(1).unwrap().1), (2, 1.0, 0.5));
         assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
         let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
         let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, strength: 2.0, .. } = steps.poses else { panic!() };
         assert_eq!(steps.delay, Some(20));
-        let jitter = parse(r#"{"q": [[1, 2]], "jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#).unwrap();
-        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, .. } = jitter.poses else { panic!() };
+        let jitter = parse(r#"{"jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#).unwrap();
+        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, q: None, .. } = jitter.poses else { panic!() };
+    }
+
+    #[test]
+    fn the_way_back_repeats_neither_end_unless_the_animation_ends() {
+        let count = |text: &str| parse(text).unwrap().count();
+        assert_eq!(count(r#"{"steps": 24, "and_back": true}"#), 46);
+        assert_eq!(count(r#"{"steps": 24, "and_back": true, "loop": 0}"#), 46);
+        assert_eq!(count(r#"{"steps": 24, "and_back": true, "loop": 2}"#), 47, "it ends at rest");
+        assert_eq!(count(r#"{"steps": 24, "and_back": false, "loop": 2}"#), 24);
+        assert_eq!((count(r#"{"steps": 2, "and_back": true}"#), count(r#"{"frames": [{}], "and_back": true}"#)), (2, 1));
+        assert_eq!(count(r#"{"steps": 5001, "and_back": true}"#), 10_000);
+        let problem = parse(r#"{"steps": 5001, "loop": 1, "and_back": true}"#).unwrap_err();
+        assert_eq!((problem.pointer.as_deref(), problem.actual), (Some("/and_back"), Some(10_001.into())));
     }
 
     #[test]
@@ -333,14 +383,20 @@ mod tests {
         let many = format!(r#"{{"frames": [{}1]}}"#, "1,".repeat(10_000));
         let much = format!(r#"{{"q": [{}[1, 2]], "steps": 2}}"#, "[1, 2],".repeat(200));
         for (text, code, pointer) in [
-            ("{}", Code::BadValue, Some("/frames")),
-            (r#"{"q": []}"#, Code::BadValue, Some("/frames")),
+            ("{}", Code::BadValue, Some("/steps")),
+            (r#"{"q": []}"#, Code::BadValue, Some("/steps")),
+            (r#"{"frames": 24}"#, Code::BadValue, Some("/frames")),
+            (r#"{"q": [], "frames": 24, "easing": "linear"}"#, Code::BadValue, Some("/frames")),
+            (r#"{"q": [], "steps": 1}"#, Code::BadValue, Some("/steps")),
+            (r#"{"steps": 2, "loop": 65536}"#, Code::BadValue, Some("/loop")),
+            (r#"{"steps": 2, "loop": true}"#, Code::BadValue, Some("/loop")),
+            (r#"{"steps": 2, "and_back": 1}"#, Code::BadValue, Some("/and_back")),
+            (r#"{"jitter": {"seed": 1, "count": 1, "sigma": 1}, "and_back": true}"#, Code::BadValue, Some("/and_back")),
             (r#"{"frames": []}"#, Code::BadValue, Some("/frames")),
             (r#"{"frames": {}}"#, Code::BadValue, Some("/frames")),
             (r#"{"frames": [{"q": []}], "q": []}"#, Code::BadValue, Some("/q")),
             (r#"{"frames": [{"q": []}], "steps": 2}"#, Code::BadValue, Some("/steps")),
             (r#"{"q": [], "steps": 2, "jitter": {}}"#, Code::BadValue, Some("/jitter")),
-            (r#"{"steps": 2}"#, Code::BadValue, Some("/q")),
             (r#"{"q": [], "steps": 0}"#, Code::BadValue, Some("/steps")),
             (r#"{"q": [], "steps": 10001}"#, Code::TooLarge, Some("/steps")),
             (r#"{"q": [], "steps": 2, "easing": "bounce"}"#, Code::BadValue, Some("/easing")),
@@ -370,9 +426,10 @@ mod tests {
         let BatchPoses::Frames(texts) = parse(r#"{"frames": [{"q": []}, {"q": [[1]]}, 7, {"strength": 1}]}"#).unwrap().poses else {
             panic!()
         };
-        for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2"), (3, "/frames/3/q")] {
+        for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2")] {
             assert_eq!(texts.read(frame).unwrap_err().pointer.as_deref(), Some(pointer));
         }
+        assert_eq!(texts.read(3).unwrap(), (None, 1.0));
     }
 
     #[test]
@@ -390,13 +447,15 @@ mod tests {
             warnings: vec!["translation_only"],
             exceeded: None,
         };
-        let frames = [frame(FramePosition::T(0.25), None), frame(FramePosition::Jitter { seed: 7, frame: 1 }, Some("0001.json"))];
+        let between = FramePosition { strength: 0.5, t: Some(0.25), jitter: None };
+        let jittered = FramePosition { strength: 1.0, t: None, jitter: Some(FrameJitter { seed: 7, frame: 1 }) };
+        let frames = [frame(between, None), frame(jittered, Some("0001.json"))];
         assert_eq!(
             serde_json::to_value(BatchIndex { frames: &frames }).unwrap(),
             serde_json::json!({"frames": [
-                {"picture": "0000.png", "t": 0.25, "width": 4, "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
-                {"picture": "0000.png", "annotations": "0001.json", "jitter": {"seed": 7, "frame": 1}, "width": 4, "height": 3, "folds": 1,
-                 "residual": 0.5, "warnings": ["translation_only"]}
+                {"picture": "0000.png", "strength": 0.5, "t": 0.25, "width": 4, "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
+                {"picture": "0000.png", "annotations": "0001.json", "strength": 1.0, "jitter": {"seed": 7, "frame": 1}, "width": 4,
+                 "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]}
             ]})
         );
     }

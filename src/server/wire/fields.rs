@@ -57,8 +57,9 @@ pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
 /// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
-pub(crate) const BATCH: [&str; 14] = [
-    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "layers", "output", "points", "polygons", "boxes", "geojson", "refine",
+pub(crate) const BATCH: [&str; 16] = [
+    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "loop", "and_back", "layers", "output", "points", "polygons", "boxes",
+    "geojson", "refine",
 ];
 pub(crate) const BATCH_FRAME: [&str; 2] = ["q", "strength"];
 pub(crate) const JITTER: [&str; 3] = ["seed", "count", "sigma"];

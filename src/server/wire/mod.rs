@@ -36,7 +36,7 @@ use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 pub use annotations::{Annotation, Annotations, MappedAnnotations, reading_bytes};
-pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FramePosition, in_frame};
+pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
@@ -139,7 +139,7 @@ impl WarpObject {
             Some(q) => Ok(q),
             None if self.rest.p.is_empty() => Ok(&[]),
             None => {
-                let mut problem = Node::new("{}", At::Root).missing("q", HANDLES);
+                let mut problem = missing_q();
                 // Pairs look like lines of two places.
                 if self.rest.p.iter().all(|handle| handle.places().len() == 2) {
                     problem.detail.push_str(" `p` and `q` are arrays of their own, not an array of pairs");
@@ -148,6 +148,11 @@ impl WarpObject {
             }
         }
     }
+}
+
+/// The problem of handles at rest without posed ones.
+pub(crate) fn missing_q() -> Problem {
+    Node::new("{}", At::Root).missing("q", HANDLES)
 }
 
 /// One step of a drag: `{"q", "strength"?, "seq"?, "layer"?, "output"?}`.

@@ -8,10 +8,10 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, Holes, OutputSpec, Plan, Setup};
+use mlswarp::warp::{CanvasSpec, Folds, Holes, OutputSpec, Plan};
 
 use super::package::{BatchForm, PackedFrame};
-use super::poses::{FramePose, check, pose_of};
+use super::poses::{FramePose, Rest};
 use crate::app::App;
 use crate::app::draw::{DrawJob, DrawnFile, Planned, Prepared};
 use crate::app::drawable::Content;
@@ -41,9 +41,11 @@ pub(crate) struct BatchJob {
     pub(crate) content: Content,
     /// The layers that are drawn, by name.
     pub(crate) layers: Vec<(LayerRef, Content)>,
-    pub(crate) setup: Arc<Setup>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) rest: Rest,
     pub(crate) poses: BatchPoses,
+    /// The number of frames: those of the poses, and then the same in the reverse order as far as they are repeated.
+    pub(crate) frames: u32,
     pub(crate) annotations: Annotations,
     pub(crate) output: OutputSpec,
     pub(crate) form: BatchForm,
@@ -71,9 +73,10 @@ pub(crate) struct Frame {
 }
 
 impl BatchJob {
-    /// The number of frames.
-    pub(crate) fn count(&self) -> u32 {
-        self.poses.count()
+    /// The pose of a frame, by its number among the poses.
+    fn pose_number(&self, frame: u32) -> u32 {
+        let last = self.poses.count() - 1;
+        if frame <= last { frame } else { 2 * last - frame }
     }
 
     /// Files of each frame in an archive.
@@ -87,7 +90,7 @@ impl BatchJob {
 
     /// The job of drawing the picture or a layer.
     fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
-        let planned = Planned { setup: Arc::clone(&self.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
+        let planned = Planned { setup: Arc::clone(&self.rest.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
         let output = OutputSpec { format: content.format_beside(self.output.format), ..self.output };
         DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
@@ -103,7 +106,7 @@ impl BatchJob {
     /// Checks all poses, and whether frames must be posed to find out what all pictures have in common.
     /// Errors: Those of a frame, or of the output.
     pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
-        check(&self.poses, &self.record.rest, &self.setup, &|| cancel.is_cancelled())?;
+        self.rest.check(&self.poses, &|| cancel.is_cancelled())?;
         self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
@@ -119,8 +122,8 @@ impl BatchJob {
         let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
         while !self.is_surveyed(survey) {
             // The last in-between first: it moves the most, and is the likeliest to need alpha.
-            let frame = if survey.posed == 0 { self.count() - 1 } else { survey.posed - 1 };
-            let FramePose { q, .. } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
+            let frame = if survey.posed == 0 { self.poses.count() - 1 } else { survey.posed - 1 };
+            let FramePose { q, .. } = self.rest.pose_of(&self.poses, frame)?;
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
             let Prepared { warp, .. } = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
@@ -138,7 +141,7 @@ impl BatchJob {
 
     /// Whether no more frames need to be posed.
     pub(crate) fn is_surveyed(&self, survey: &Survey) -> bool {
-        survey.posed == self.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
+        survey.posed == self.poses.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
     }
 
     /// Decides on the canvas of all pictures of an animation.
@@ -172,8 +175,9 @@ impl BatchJob {
 
     /// Draws a frame and maps its annotations.
     pub(crate) fn draw(&self, frame: u32, timing: Timing, cancel: &Cancel) -> Result<Frame, Problem> {
-        let located = |problem| self.located(frame, problem);
-        let FramePose { q, position } = pose_of(&self.poses, &self.record.rest, &self.setup, frame)?;
+        let pose = self.pose_number(frame);
+        let located = |problem| self.located(pose, problem);
+        let FramePose { q, position } = self.rest.pose_of(&self.poses, pose)?;
         let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
             Some((format!("{frame:04}.json"), self.annotate(&q, position, cancel).map_err(located)?))
         } else {
@@ -211,14 +215,14 @@ impl BatchJob {
 
     /// The annotations of a frame as JSON, as `/points` returns them.
     fn annotate(&self, q: &[Handle], position: FramePosition, cancel: &Cancel) -> Result<Bytes, Problem> {
-        let least = self.annotations.least_mapped_bytes() + 2 * self.record.rest.p.len() as u64;
+        let least = self.annotations.least_mapped_bytes() + 2 * self.rest.spec().p.len() as u64;
         let mut reservation = self.app.reserve_for(Purpose::Frame, &self.quota, least)?;
-        let pose = self.setup.pose(q)?;
-        let mapped = self.annotations.clone().map(&self.setup.transform(&pose), &|| cancel.is_cancelled())?;
+        let pose = self.rest.setup.pose(q)?;
+        let mapped = self.annotations.clone().map(&self.rest.setup.transform(&pose), &|| cancel.is_cancelled())?;
         let text = mapped.text_bytes();
         // Refined outlines have more vertices than those of the request.
         self.app.reserve_more(&mut reservation, text as u64)?;
-        let q = matches!(position, FramePosition::Jitter { .. }).then_some(AsJson(q));
+        let q = position.jitter.is_some().then_some(AsJson(q));
         let mut body = json_unless(cancel, &FrameAnnotations { q, mapped }, text)?;
         body.shrink_to_fit();
         reservation.shrink_to(body.len() as u64);

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, OutputSpec};
+use mlswarp::warp::{CanvasSpec, OutputSpec, RestSpec, Setup, jitter_grid};
 
 use super::App;
 use super::draw::Planned;
@@ -24,11 +24,12 @@ use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, StoreError};
-use crate::wire::BatchObject;
 use crate::wire::formats::Formats;
+use crate::wire::{BatchObject, BatchPoses};
 use frame::BatchJob;
 pub use package::BatchForm;
 use package::DELAY;
+use poses::Rest;
 pub(crate) use stream::BatchStream;
 
 /// A batch whose first frame has been drawn.
@@ -63,14 +64,17 @@ impl App {
         let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
         drop(ticket);
         check_form(&object, form)?;
-        let BatchObject { poses, layers: names, annotations, output, delay } = object;
+        let frames = object.count();
+        let BatchObject { poses, layers: names, annotations, output, delay, plays, .. } = object;
         let (record, content, layers, planned) = self.admit_layers(client, record, &names).await?;
+        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &poses).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
         };
         let output = OutputSpec { format, ..output.merge_onto(&record.output) };
-        let (setup, plan, quota) = (planned.setup, planned.plan, self.response_quota(client));
+        let (plan, quota) = (planned.plan, self.response_quota(client));
+        let rest = Rest { record: Arc::clone(&record), grid, setup: planned.setup };
         let mut job = BatchJob {
             app: self.clone(),
             client,
@@ -78,9 +82,10 @@ impl App {
             record,
             content,
             layers,
-            setup,
             plan,
+            rest,
             poses,
+            frames,
             annotations,
             output,
             form,
@@ -96,12 +101,11 @@ impl App {
             (job, survey) = self.0.pool.run(&ticket, surveyed).await??;
         }
         job.decide(&survey)?;
-        let frames = job.count();
         let canvas = match job.output.canvas {
             CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
             _ => None,
         };
-        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY))?;
+        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0))?;
         let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
         Ok(Batch { frames, canvas, plan_built: planned.is_built, first, rest })
     }
@@ -131,6 +135,27 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
+    /// The handles at rest and the plan by which a session without handles is jittered: those of a grid.
+    /// Errors: Too little capacity.
+    async fn grid_unless_handles(
+        &self,
+        client: Client,
+        record: &Record,
+        planned: Planned,
+        poses: &BatchPoses,
+    ) -> Result<(Planned, Option<RestSpec>), Problem> {
+        let is_empty = matches!(poses, BatchPoses::Jitter { q, .. } if q.as_ref().is_none_or(Vec::is_empty));
+        if !record.rest.p.is_empty() || !is_empty {
+            return Ok((planned, None));
+        }
+        let spec = RestSpec { p: jitter_grid(record.rest.units, record.extent), ..record.rest.clone() };
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let (rest, extent, limits) = (spec.clone(), record.extent, self.0.config.limits());
+        let new = move |cancel: &Cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled());
+        let setup = Arc::new(self.0.pool.run(&ticket, new).await??);
+        Ok((self.plan(client.owner, &ticket, &setup, planned.timing).await?, Some(spec)))
+    }
+
     /// The layers of these names, decoded.
     /// Errors: An unknown layer, or too little capacity.
     async fn decode_layers(&self, client: Client, record: &Record, names: &[LayerRef]) -> Result<Layers, Problem> {
@@ -151,6 +176,7 @@ impl App {
 fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
     let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {
+        BatchForm::Zip if object.plays.is_some() => refused("/loop", "`loop` does not apply to an archive, only to an animation"),
         BatchForm::Zip if object.delay.is_some() => {
             refused("/delay", "`delay` does not apply to an archive, only to an animation (image/apng)")
         }

@@ -77,8 +77,8 @@ enum Writer {
 }
 
 impl Package {
-    /// `delay`: how long an animation shows each frame, ms.
-    pub(crate) fn new(form: BatchForm, frames: u32, delay: u16) -> Self {
+    /// `delay`: how long an animation shows each frame, ms. `plays`: how often it is played; 0 is without end.
+    pub(crate) fn new(form: BatchForm, frames: u32, delay: u16, plays: u16) -> Self {
         match form {
             BatchForm::Zip => {
                 let written = Written::default();
@@ -86,7 +86,7 @@ impl Package {
                 let writer = Box::new(ZipWriter::new(StreamWriter::new(written.clone())));
                 Self(Writer::Zip { writer, written })
             }
-            BatchForm::Apng => Self(Writer::Apng(Animation::new(frames, delay))),
+            BatchForm::Apng => Self(Writer::Apng(Animation::new(frames, delay, plays))),
         }
     }
 
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     fn file(frames: u32) -> Vec<u8> {
-        let mut package = Package::new(BatchForm::Zip, frames, DELAY);
+        let mut package = Package::new(BatchForm::Zip, frames, DELAY, 0);
         let mut out = Vec::new();
         for k in 0..frames {
             let files = vec![(format!("{k:04}.png"), Bytes::from(vec![7; 100])), (format!("{k:04}.json"), Bytes::from_static(b"{}"))];
@@ -191,7 +191,7 @@ mod tests {
 
     #[test]
     fn more_entries_than_16_bits_count_are_an_archive_too() {
-        let mut package = Package::new(BatchForm::Zip, 10_000, DELAY);
+        let mut package = Package::new(BatchForm::Zip, 10_000, DELAY, 0);
         let mut out = Vec::new();
         for k in 0..10_000 {
             let files = (0..7).map(|layer| (format!("{k:04}.{layer}.png"), Bytes::from_static(b"x"))).collect();

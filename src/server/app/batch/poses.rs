@@ -1,10 +1,13 @@
 //! The pose of each frame of a batch. All are checked before the first is drawn.
 
+use std::sync::Arc;
+
 use mlswarp::deform::Handle;
 use mlswarp::warp::{RestSpec, Setup, WarpError};
 
 use crate::problem::{Code, Problem};
-use crate::wire::{BatchPoses, FramePosition, in_frame};
+use crate::store::Record;
+use crate::wire::{BatchPoses, FrameJitter, FramePosition, in_frame, missing_q};
 
 /// A frame's pose.
 #[derive(Debug)]
@@ -14,44 +17,76 @@ pub(crate) struct FramePose {
     pub(crate) position: FramePosition,
 }
 
-/// The pose of a frame.
-pub(crate) fn pose_of(poses: &BatchPoses, rest: &RestSpec, setup: &Setup, frame: u32) -> Result<FramePose, Problem> {
-    let (q, strength) = poses.given(frame)?;
-    let posed = |strength| rest.posed_at(strength, q);
-    Ok(match *poses {
-        BatchPoses::Frames(_) => FramePose { q: posed(strength), position: FramePosition::Strength(strength) },
-        BatchPoses::Steps { steps, easing, .. } => {
-            let t = easing.at(frame, steps);
-            FramePose { q: posed(strength * t), position: FramePosition::T(t) }
-        }
-        BatchPoses::Jitter { jitter, .. } => {
-            let position = FramePosition::Jitter { seed: jitter.seed, frame };
-            FramePose { q: jitter.displace(setup, &rest.p, &posed(strength), frame), position }
-        }
-    })
+/// What the poses refer to.
+#[derive(Debug)]
+pub(crate) struct Rest {
+    pub(crate) record: Arc<Record>,
+    /// The handles of a jitter in a session that has none.
+    pub(crate) grid: Option<RestSpec>,
+    pub(crate) setup: Arc<Setup>,
 }
 
-/// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
-/// Errors: The first invalid pose.
-pub(crate) fn check(poses: &BatchPoses, rest: &RestSpec, setup: &Setup, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
-    match poses {
-        BatchPoses::Frames(_) => {
-            for frame in (0..poses.count()).take_while(|_| !is_cancelled()) {
-                setup.pose(&pose_of(poses, rest, setup, frame)?.q).map_err(|error| in_frame(frame, error.into()))?;
+impl Rest {
+    /// The handles at rest.
+    pub(crate) fn spec(&self) -> &RestSpec {
+        self.grid.as_ref().unwrap_or(&self.record.rest)
+    }
+
+    /// The posed handles and the strength that a frame begins with.
+    fn given(&self, poses: &BatchPoses, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
+        let (q, strength) = poses.given(frame)?;
+        let p = &self.spec().p;
+        let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
+        let missing = || match poses {
+            BatchPoses::Frames(_) => in_frame(frame, missing_q()),
+            BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => missing_q(),
+        };
+        // The empty `q` of a session without handles.
+        let q = q.filter(|q| self.grid.is_none() || !q.is_empty());
+        Ok((q.or_else(|| is_at_rest.then(|| p.clone())).ok_or_else(missing)?, strength))
+    }
+
+    /// The pose of a frame.
+    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32) -> Result<FramePose, Problem> {
+        let (q, strength) = self.given(poses, frame)?;
+        let posed = |strength| self.spec().posed_at(strength, q);
+        let plain = FramePosition { strength, t: None, jitter: None };
+        Ok(match *poses {
+            BatchPoses::Frames(_) => FramePose { q: posed(strength), position: plain },
+            BatchPoses::Steps { steps, easing, .. } => {
+                let t = easing.at(frame, steps);
+                FramePose { q: posed(strength * t), position: FramePosition { strength: strength * t, t: Some(t), jitter: None } }
             }
-        }
-        BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
-            let (q, strength) = poses.given(0)?;
-            let q = rest.posed_at(strength, q);
-            setup.pose(&q)?;
-            if let BatchPoses::Jitter { jitter, .. } = poses {
-                for q in jitter.extremes(setup, &q) {
-                    let too_far =
-                        |error: WarpError| Problem::new(Code::BadValue, format!("displaced by 16 sigma: {error}")).pointer("/jitter/sigma");
-                    setup.pose(&q).map_err(too_far)?;
+            BatchPoses::Jitter { jitter, .. } => {
+                let position = FramePosition { jitter: Some(FrameJitter { seed: jitter.seed, frame }), ..plain };
+                FramePose { q: jitter.displace(&self.setup, &self.spec().p, &posed(strength), frame), position }
+            }
+        })
+    }
+
+    /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
+    /// Errors: The first invalid pose.
+    pub(crate) fn check(&self, poses: &BatchPoses, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
+        match poses {
+            BatchPoses::Frames(_) => {
+                for frame in (0..poses.count()).take_while(|_| !is_cancelled()) {
+                    self.setup.pose(&self.pose_of(poses, frame)?.q).map_err(|error| in_frame(frame, error.into()))?;
+                }
+            }
+            BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
+                let (q, strength) = self.given(poses, 0)?;
+                let q = self.spec().posed_at(strength, q);
+                self.setup.pose(&q)?;
+                if let BatchPoses::Jitter { jitter, .. } = poses {
+                    for q in jitter.extremes(&self.setup, &q) {
+                        let too_far = |error: WarpError| {
+                            Problem::new(Code::BadValue, format!("displaced by 16 sigma: {error}")).pointer("/jitter/sigma")
+                        };
+                        self.setup.pose(&q).map_err(too_far)?;
+                    }
                 }
             }
         }
+        Ok(())
     }
-    Ok(())
 }

@@ -53,17 +53,17 @@ impl Drop for FrameTask {
 
 impl BatchStream {
     /// Errors: Too little memory for the directory.
-    pub(crate) fn new(job: BatchJob, delay: u16) -> Result<Self, Problem> {
-        let directory = job.form.directory_bytes(job.count(), job.files_per_frame());
+    pub(crate) fn new(job: BatchJob, delay: u16, plays: u16) -> Result<Self, Problem> {
+        let directory = job.form.directory_bytes(job.frames, job.files_per_frame());
         let held = Some(job.app.reserve_for(Purpose::Frame, &job.quota, directory)?);
-        let package = Some(Package::new(job.form, job.count(), delay));
+        let package = Some(Package::new(job.form, job.frames, delay, plays));
         let width = most_ahead(&job);
         Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, entries: Vec::new(), package, held })
     }
 
     /// The next bytes; `None` at the end, also after an error.
     pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
-        if self.entries.len() < self.job.count() as usize {
+        if self.entries.len() < self.job.frames as usize {
             self.package.as_ref()?;
             let next = self.next_frame().await;
             if next.is_err() {
@@ -126,7 +126,7 @@ impl BatchStream {
 
     /// Begins as many frames as may be made ahead.
     fn begin(&mut self) {
-        while self.ahead.len() < self.width && self.begun < self.job.count() {
+        while self.ahead.len() < self.width && self.begun < self.job.frames {
             self.ahead.push_back(FrameTask(tokio::spawn(Scope::current().answered().wrap(make(Arc::clone(&self.job), self.begun)))));
             self.begun += 1;
         }

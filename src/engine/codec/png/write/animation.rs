@@ -7,21 +7,22 @@ use crate::codec::CodecError;
 /// Milliseconds of a second.
 const SECOND: u16 = 1000;
 
-/// An animation that is being written; viewers repeat it without end.
+/// An animation that is being written.
 #[derive(Debug)]
 pub struct Animation {
     frames: u32,
     delay: u16,
+    plays: u16,
     sequence: u32,
     /// IHDR of all frames.
     header: Vec<u8>,
 }
 
 impl Animation {
-    /// An animation of this number of frames, each shown for `delay` ms.
+    /// An animation of this number of frames, each shown for `delay` ms. `plays`: how often viewers play it; 0 is without end.
     #[must_use]
-    pub const fn new(frames: u32, delay: u16) -> Self {
-        Self { frames, delay, sequence: 0, header: Vec::new() }
+    pub const fn new(frames: u32, delay: u16, plays: u16) -> Self {
+        Self { frames, delay, plays, sequence: 0, header: Vec::new() }
     }
 
     /// Appends the next frame, which is a PNG file.
@@ -39,8 +40,7 @@ impl Animation {
                     self.header = payload.to_vec();
                     out.extend_from_slice(&SIGNATURE);
                     out.extend_from_slice(chunk);
-                    // The number of plays; 0 is without end.
-                    chunk::write(out, *b"acTL", &[self.frames.to_be_bytes(), [0; 4]].concat());
+                    chunk::write(out, *b"acTL", &[self.frames, self.plays.into()].map(u32::to_be_bytes).concat());
                     // Before IDAT, in any order.
                     self.control(out);
                 }
@@ -124,12 +124,12 @@ mod tests {
         let profile = Profile::new(&[7; 500]);
         for (icc, sides) in [(None, (9, 5)), (Some(&profile), (300, 200))] {
             let frames: Vec<_> = [3, 5, 11].map(|value| file(sides.0, sides.1, value, icc)).into();
-            let (mut animation, mut out) = (Animation::new(3, 40), Vec::new());
+            let (mut animation, mut out) = (Animation::new(3, 40, 7), Vec::new());
             frames.iter().for_each(|(file, _)| animation.push(file, &mut out).unwrap());
             out.extend_from_slice(&Animation::tail());
             let mut reader = ::png::Decoder::new(std::io::Cursor::new(out)).read_info().unwrap();
             let control = reader.info().animation_control.unwrap();
-            assert_eq!((control.num_frames, control.num_plays), (3, 0));
+            assert_eq!((control.num_frames, control.num_plays), (3, 7));
             assert_eq!(reader.info().icc_profile.is_some(), icc.is_some());
             for (_, samples) in &frames {
                 let mut read = vec![0; reader.output_buffer_size().unwrap()];
@@ -145,7 +145,7 @@ mod tests {
     #[test]
     fn frames_of_another_shape_and_other_bytes_are_refused() {
         let (one, _) = file(9, 5, 3, None);
-        let mut animation = Animation::new(2, 40);
+        let mut animation = Animation::new(2, 40, 0);
         animation.push(&one, &mut Vec::new()).unwrap();
         for bad in [file(9, 6, 3, None).0, one[..one.len() - 12].to_vec(), one[1..].to_vec(), Vec::new(), SIGNATURE.to_vec()] {
             assert!(animation.push(&bad, &mut Vec::new()).is_err());
