@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a failed unwrap is a failed test, and test numbers are small")]
 
 mod account;
+mod asking;
 mod bad_input;
 mod batch;
 mod binary;

@@ -95,7 +95,26 @@ impl Opened<'_> {
         };
         work.check()?;
         let profile_dropped = has_profile && icc.is_none();
-        Ok(Decoded { pixmap: Pixmap::new(header.extent, header.channels, upright), icc, profile_dropped })
+        let is_opaque = self.is_opaque(&upright)?;
+        Ok(Decoded { pixmap: Pixmap::of_opacity(header.extent, header.channels, upright, is_opaque), icc, profile_dropped })
+    }
+
+    /// Whether no pixel is transparent.
+    fn is_opaque(&self, samples: &Samples) -> Result<bool, CodecError> {
+        let Header { extent, channels, .. } = self.header;
+        let row = extent.width() as usize * channels.count();
+        for y in 0..extent.height() as usize {
+            self.work.step(extent.width().into())?;
+            let is_opaque = match samples {
+                _ if channels == Channels::Rgb => true,
+                Samples::Eight(samples) => crate::pixmap::is_opaque(&samples[y * row..][..row], u8::MAX),
+                Samples::Sixteen(samples) => crate::pixmap::is_opaque(&samples[y * row..][..row], u16::MAX),
+            };
+            if !is_opaque {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 }
 

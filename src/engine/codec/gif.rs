@@ -1,10 +1,9 @@
-//! Reads GIF (89a): walks the blocks for the frames; the `image` crate decodes one frame onto its screen. Pixels that the frame does not
-//! cover, or marks, are transparent. Cost: RGBA, of which an opaque picture drops the alpha.
+//! Reads GIF (89a): walks the blocks for the frames; the `gif` crate decodes the indices of one frame, some rows at a time. Pixels that the
+//! frame does not cover, or marks, are transparent.
 
-use image::ImageDecoder as _;
-use image::codecs::gif::GifDecoder;
+use gif::DecodeOptions;
 
-use super::alloc::zeros;
+use super::alloc::{sample_count, zeros};
 use super::work::{Pieces, StepCounter};
 use super::{CodecError, SourceFormat};
 use crate::pixmap::{Channels, Extent, Samples};
@@ -90,26 +89,57 @@ impl<'a> GifFile<'a> {
         if self.transparency || !self.covered { Channels::Rgba } else { Channels::Rgb }
     }
 
-    /// Memory beside the picture: the alpha that is dropped, and a frame that is smaller than the screen.
+    /// Memory beside the picture: the decoder's tables, and rows of indices.
     pub(super) fn decoder_bytes(&self) -> u64 {
-        (512 << 10) + self.extent.pixels() * if self.covered { 4 } else { 5 }
+        (512 << 10) + ROWS as u64
     }
 
     pub(super) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        let decoder = GifDecoder::new(Pieces::new(self.bytes, work)).map_err(bad)?;
-        if decoder.dimensions() != (self.extent.width(), self.extent.height()) {
+        let mut decoder = DecodeOptions::new().read_info(Pieces::new(self.bytes, work)).map_err(bad)?;
+        let (width, height) = (usize::from(decoder.width()), usize::from(decoder.height()));
+        let frame = decoder.next_frame_info().map_err(bad)?.ok_or_else(|| bad("no frame"))?;
+        let (left, top, frame_width) = (usize::from(frame.left), usize::from(frame.top), usize::from(frame.width));
+        let (rows, transparent) = (frame_rows(usize::from(frame.height), frame.interlaced), frame.transparent);
+        if (width, height) != (self.extent.width() as usize, self.extent.height() as usize) || left + frame_width > width {
             return Err(bad("two headers that disagree"));
         }
-        let mut rgba = zeros::<u8>(4 * self.extent.pixels(), work)?;
-        decoder.read_image(&mut rgba).map_err(bad)?;
-        if self.channels() == Channels::Rgb {
-            let mut index = 0;
-            rgba.retain(|_| {
-                index += 1;
-                index % 4 != 0
-            });
-            rgba.shrink_to_fit();
+        let colours = colours(decoder.palette().map_err(bad)?, transparent);
+        let count = self.channels().count();
+        let mut out = zeros::<u8>(sample_count(self.extent.pixels(), self.channels()), work)?;
+        // Several rows at once where they are short.
+        let mut indices = vec![0; frame_width * (ROWS / frame_width).max(1)];
+        for rows in rows.chunks(indices.len() / frame_width) {
+            work.step((rows.len() * frame_width) as u64)?;
+            let indices = &mut indices[..rows.len() * frame_width];
+            if !decoder.fill_buffer(indices).map_err(bad)? {
+                return Err(bad("the frame is cut off"));
+            }
+            for (row, indices) in rows.iter().zip(indices.chunks_exact(frame_width)) {
+                let start = ((top + row) * width + left) * count;
+                let line = out.get_mut(start..start + frame_width * count).ok_or_else(|| bad("two headers that disagree"))?;
+                for (pixel, index) in line.chunks_exact_mut(count).zip(indices) {
+                    pixel.copy_from_slice(&colours[usize::from(*index)][..count]);
+                }
+            }
         }
-        Ok(Samples::Eight(rgba))
+        Ok(Samples::Eight(out))
     }
+}
+
+/// Indices that are decoded at once, unless a row is longer.
+const ROWS: usize = 1 << 16;
+
+/// The rows of a frame in the order in which they are stored.
+fn frame_rows(height: usize, interlaced: bool) -> Vec<usize> {
+    let passes: &[(usize, usize)] = if interlaced { &[(0, 8), (4, 8), (2, 4), (1, 2)] } else { &[(0, 1)] };
+    passes.iter().flat_map(|&(first, step)| (first..height).step_by(step)).collect()
+}
+
+/// The colour of each index; those beyond the palette are transparent black.
+fn colours(palette: &[u8], transparent: Option<u8>) -> [[u8; 4]; 256] {
+    let mut colours = [[0; 4]; 256];
+    for (index, (colour, &[r, g, b])) in (0..=u8::MAX).zip(colours.iter_mut().zip(palette.as_chunks::<3>().0)) {
+        *colour = [r, g, b, if transparent == Some(index) { 0 } else { u8::MAX }];
+    }
+    colours
 }

@@ -83,24 +83,36 @@ impl Opened<'_> {
         let Decoded { pixmap, .. } = self.decode()?;
         let shape = self.label_shape();
         let mut values = room(shape.sample_bytes())?;
-        let (stored, written) = (shape.channels.count(), shape.samples());
         // The first of three equal colours, and alpha.
-        let is_kept = |index: usize| written == stored || index == 0 || index == 3;
+        let kept: &[usize] = match (shape.channels.count(), shape.samples()) {
+            (3, 1) => &[0],
+            (4, 2) => &[0, 3],
+            (3, _) => &[0, 1, 2],
+            _ => &[0, 1, 2, 3],
+        };
         match pixmap.samples() {
-            Samples::Eight(samples) if written == stored => values.extend_from_slice(samples),
-            Samples::Eight(samples) => {
-                for pixel in samples.chunks_exact(stored) {
-                    values.extend(pixel.iter().enumerate().filter(|(index, _)| is_kept(*index)).map(|(_, sample)| *sample));
-                }
-            }
-            Samples::Sixteen(samples) => {
-                for pixel in samples.chunks_exact(stored) {
-                    let kept = pixel.iter().enumerate().filter(|(index, _)| is_kept(*index));
-                    values.extend(kept.flat_map(|(_, sample)| sample.to_be_bytes()));
-                }
-            }
+            Samples::Eight(samples) => self.keep(samples, kept, &mut values, |sample| [sample])?,
+            Samples::Sixteen(samples) => self.keep(samples, kept, &mut values, u16::to_be_bytes)?,
         }
         Ok(Labels { shape, palette, values })
+    }
+
+    /// Appends these samples of each pixel as bytes.
+    fn keep<S: Copy, const BYTES: usize>(
+        &self,
+        samples: &[S],
+        kept: &[usize],
+        values: &mut Vec<u8>,
+        to_bytes: impl Fn(S) -> [u8; BYTES],
+    ) -> Result<(), CodecError> {
+        let header = self.header;
+        for row in samples.chunks_exact(header.extent.width() as usize * header.channels.count()) {
+            self.work.step(header.extent.width().into())?;
+            for pixel in row.chunks_exact(header.channels.count()) {
+                kept.iter().for_each(|index| values.extend_from_slice(&to_bytes(pixel[*index])));
+            }
+        }
+        Ok(())
     }
 }
 

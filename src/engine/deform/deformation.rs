@@ -11,13 +11,15 @@ use super::lanes::{Vertices, gather};
 use super::moments::MomentInputs;
 use super::span::Workspace;
 use super::spline::PosedSpline;
-use super::{Field, Handle, Method, Pose};
+use super::{Field, Handle, IsCancelled, Method, Pose};
 use crate::geometry::{Point, Vec2};
 
 /// Sets of more points are posed by moments where rows are used once.
 const MANY_POINTS: usize = 128;
 /// The largest alpha at which affine moments are accurate: above it, the weights at most positions differ by more than numbers hold.
 const MOST_AFFINE: f64 = 2.0;
+/// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some microseconds, with lines a millisecond.
+const COLUMNS_BETWEEN_CHECKS: usize = 256;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
 
@@ -66,9 +68,9 @@ impl Field {
     }
 
     /// Calls `look` with positions at which f is known, and their displacements, px: those of points, and a few of each segment. Positions
-    /// at which handles contradict each other are left out.
-    pub fn look_at_handles(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
-        let approximated = self.approximated(pose);
+    /// at which handles contradict each other are left out. `None` when cancelled.
+    pub fn look_at_handles(&self, pose: &Pose, cancelled: IsCancelled<'_>, mut look: impl FnMut(Point, Vec2)) -> Option<()> {
+        let approximated = self.approximated(pose, cancelled)?;
         let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
         let mut next = || d.next().expect("one column a point, two a segment");
         let mut look = |p: Point, displacement: Vec2| {
@@ -90,13 +92,14 @@ impl Field {
                 }
             }
         }
+        Some(())
     }
 
     /// Calls `look` with the client's points that are one handle with others, where they agree with them: their own positions, at which f
-    /// is only approximately known, and their displacements, px.
-    pub fn look_at_grouped_points(&self, pose: &Pose, mut look: impl FnMut(Point, Vec2)) {
-        let Some((given, groups)) = self.grouped.as_deref() else { return };
-        let approximated = self.approximated(pose);
+    /// is only approximately known, and their displacements, px. `None` when cancelled.
+    pub fn look_at_grouped_points(&self, pose: &Pose, cancelled: IsCancelled<'_>, mut look: impl FnMut(Point, Vec2)) -> Option<()> {
+        let Some((given, groups)) = self.grouped.as_deref() else { return Some(()) };
+        let approximated = self.approximated(pose, cancelled)?;
         let d = approximated.as_deref().unwrap_or(pose.displacements());
         for element in &self.elements {
             if let Element::Point { p, column, .. } = element
@@ -105,25 +108,27 @@ impl Field {
                 groups.handles_of(*column).for_each(|handle| look(given.handles()[handle].places()[0], d[*column]));
             }
         }
+        Some(())
     }
 
-    /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
+    /// Where f takes the handles, if not to their targets: the displacements of the columns, px. The outer `None`: cancelled.
     #[must_use]
-    pub fn approximated(&self, pose: &Pose) -> Option<Vec<Vec2>> {
+    pub fn approximated(&self, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Option<Vec<Vec2>>> {
         let interpolates = match &self.model {
             Model::MovingLeastSquares { .. } => true,
             Model::ThinPlateSpline { spline, .. } => spline.as_ref().is_none_or(|spline| spline.interpolates()),
             Model::GlobalAffine { map, .. } => map.is_none(),
         };
         if interpolates {
-            return None;
+            return Some(None);
         }
-        let f = self.deformation(pose);
         let places = self.elements.iter().flat_map(|element| match element {
             Element::Point { p, .. } => [Some(*p), None],
             Element::Segment(Segment { a, b, .. }) => [Some(*a), Some(*b)],
         });
-        Some(places.flatten().map(|p| f.map(p) - p).collect())
+        let places: Vec<Point> = places.flatten().collect();
+        let mapped = self.deformation(pose).map_all(&places, cancelled)?;
+        Some(Some(mapped.into_iter().zip(places).map(|(mapped, place)| mapped - place).collect()))
     }
 }
 
@@ -145,11 +150,18 @@ impl Deformation<'_> {
         })
     }
 
-    /// f at many positions: the same bits as [`Deformation::map`], several times as fast.
+    /// f at many positions: the same bits as [`Deformation::map`], several times as fast. `None` when cancelled.
     #[must_use]
-    pub fn map_all(&self, places: &[Point]) -> Vec<Point> {
+    pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
         let mut workspace = Workspace::new(self.columns());
-        places.chunks(LANES).flat_map(|places| self.map_block(places, &mut workspace)).collect()
+        let mut mapped = Vec::with_capacity(places.len());
+        for places in places.chunks(LANES * (COLUMNS_BETWEEN_CHECKS / self.columns().max(1)).max(1)) {
+            if cancelled() {
+                return None;
+            }
+            places.chunks(LANES).for_each(|places| mapped.extend(self.map_block(places, &mut workspace)));
+        }
+        Some(mapped)
     }
 
     /// f at up to [`LANES`] positions.

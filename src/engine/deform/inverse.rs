@@ -3,10 +3,12 @@
 //! f per step: its matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with
 //! differences of f and shorter steps takes over. Cost: about five f per position.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use super::deformation::Deformation;
 use super::kernel::LANES;
 use super::span::Workspace;
-use super::{Field, Pose};
+use super::{Field, IsCancelled, Pose};
 use crate::geometry::{CellTree, Mesh, Point, Vec2};
 
 /// The largest distance of f from the position that was asked for, px.
@@ -33,6 +35,13 @@ pub struct Inverse<'a> {
     f: Deformation<'a>,
     mesh: &'a Mesh,
     tree: CellTree,
+    steps: AtomicU64,
+}
+
+/// What a thread that searches needs.
+struct Search<'a> {
+    workspace: Workspace<LANES>,
+    cancelled: IsCancelled<'a>,
 }
 
 /// Where the solution of one position is sought.
@@ -79,18 +88,34 @@ impl<'a> Inverse<'a> {
     /// where larger ones differ from f by more than `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
-        Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh) }
+        Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh), steps: AtomicU64::new(0) }
     }
 
     /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture is posed. If several rest
-    /// positions have the same posed one, that of the cell that is drawn.
+    /// positions have the same posed one, that of the cell that is drawn. `None` for all when cancelled, which is checked for each step of
+    /// a search: one position may have many.
     #[must_use]
-    pub fn map(&self, posed: &[Point]) -> Vec<Option<Point>> {
-        let mut workspace = Workspace::new(self.f.columns());
-        posed.chunks(LANES).flat_map(|posed| self.block(posed, &mut workspace)).collect()
+    pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
+        let mut search = Search { workspace: Workspace::new(self.f.columns()), cancelled };
+        let mut found = Vec::with_capacity(posed.len());
+        for posed in posed.chunks(LANES) {
+            found.extend(self.block(posed, &mut search)?);
+        }
+        Some(found)
     }
 
-    fn block(&self, posed: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Option<Point>> {
+    /// The number of times that f has been computed for [`LANES`] positions.
+    pub(crate) fn steps(&self) -> u64 {
+        self.steps.load(Ordering::Relaxed)
+    }
+
+    /// f at up to [`LANES`] positions; `None` when cancelled.
+    fn f(&self, x: &[Point], search: &mut Search<'_>) -> Option<Vec<Point>> {
+        self.steps.fetch_add(1, Ordering::Relaxed);
+        (!(search.cancelled)()).then(|| self.f.map_block(x, &mut search.workspace))
+    }
+
+    fn block(&self, posed: &[Point], search: &mut Search<'_>) -> Option<Vec<Option<Point>>> {
         let mut cells = Vec::new();
         let starts: Vec<Vec<Start>> = posed
             .iter()
@@ -110,12 +135,14 @@ impl<'a> Inverse<'a> {
             if now.is_empty() {
                 break;
             }
-            for ((k, start), x) in now.iter().zip(self.solve(posed, &now, workspace)) {
-                let x = x.or_else(|| if start.is_inside { self.newton(posed[*k], start, workspace) } else { None });
+            for ((k, start), mut x) in now.iter().zip(self.solve(posed, &now, search)?) {
+                if x.is_none() && start.is_inside {
+                    x = self.newton(posed[*k], start, search)?;
+                }
                 found[*k] = x.and_then(|x| self.within(x, start.cell));
             }
         }
-        found
+        Some(found)
     }
 
     /// The position in the patch of a cell, or beside it.
@@ -147,17 +174,17 @@ impl<'a> Inverse<'a> {
         }
     }
 
-    /// Broyden's method from a start of each position.
-    fn solve(&self, posed: &[Point], starts: &[(usize, Start)], workspace: &mut Workspace<LANES>) -> Vec<Option<Point>> {
+    /// Broyden's method from a start of each position; `None` for all when cancelled.
+    fn solve(&self, posed: &[Point], starts: &[(usize, Start)], search: &mut Search<'_>) -> Option<Vec<Option<Point>>> {
         let (width, height) = self.mesh.grid().cell();
         let longest = LONGEST_STEP * width.max(height);
         let mut x: Vec<Point> = starts.iter().map(|(_, start)| start.x).collect();
         let mut inverses: Vec<Matrix> = starts.iter().map(|(_, start)| start.inverse).collect();
-        let off = |x: &[Point], workspace: &mut Workspace<LANES>| -> Vec<Vec2> {
-            let f = self.f.map_block(x, workspace);
-            starts.iter().zip(f).map(|((k, _), f)| posed[*k] - f).collect()
+        let off = |x: &[Point], search: &mut Search<'_>| -> Option<Vec<Vec2>> {
+            let f = self.f(x, search)?;
+            Some(starts.iter().zip(f).map(|((k, _), f)| posed[*k] - f).collect())
         };
-        let mut offs = off(&x, workspace);
+        let mut offs = off(&x, search)?;
         for _ in 0..STEPS {
             if offs.iter().all(|off| off.norm() <= SOLVED) {
                 break;
@@ -171,7 +198,7 @@ impl<'a> Inverse<'a> {
                     x[k] = x[k] + *step;
                 }
             }
-            let next = off(&x, workspace);
+            let next = off(&x, search)?;
             for (k, step) in steps.into_iter().enumerate() {
                 if step != Vec2::ZERO {
                     inverses[k].learn(step, offs[k] - next[k]);
@@ -181,28 +208,30 @@ impl<'a> Inverse<'a> {
         }
         // One more step costs nothing.
         let last = x.into_iter().zip(inverses).zip(offs);
-        last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off))).collect()
+        Some(last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off))).collect())
     }
 
-    /// Newton's method with shorter steps where whole ones lead away.
-    fn newton(&self, y: Point, start: &Start, workspace: &mut Workspace<LANES>) -> Option<Point> {
+    /// Newton's method with shorter steps where whole ones lead away. The outer `None`: cancelled.
+    fn newton(&self, y: Point, start: &Start, search: &mut Search<'_>) -> Option<Option<Point>> {
         let mut x = start.x;
         for _ in 0..NEWTON_STEPS {
             let (across, down) = (Vec2::new(DIFFERENCE, 0.0), Vec2::new(0.0, DIFFERENCE));
             let around = [x, x + across, x - across, x + down, x - down];
-            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f.map_block(&around, workspace)).expect("five");
+            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f(&around, search)?).expect("five");
             let off = y - f;
             if off.norm() <= SOLVED {
-                return Some(x);
+                return Some(Some(x));
             }
             let per = 0.5 / DIFFERENCE;
-            let step = Matrix::inverse_of((right - left) * per, (below - above) * per)?.times(off);
+            let Some(inverse) = Matrix::inverse_of((right - left) * per, (below - above) * per) else { return Some(None) };
+            let step = inverse.times(off);
             let shorter: Vec<Point> = (0..HALVINGS).map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few"))).collect();
-            let tried = self.f.map_block(&shorter, workspace);
+            let tried = self.f(&shorter, search)?;
             let nearest = shorter.into_iter().zip(tried).find(|(_, f)| (y - *f).norm() < off.norm());
-            x = nearest?.0;
+            let Some((nearer, _)) = nearest else { return Some(None) };
+            x = nearer;
         }
-        None
+        Some(None)
     }
 
     /// A solution, if it lies in the picture and in the cell or beside it.
@@ -225,6 +254,8 @@ mod tests {
     use super::*;
     use crate::deform::{Falloff, Handle, Handles, Method, Plan};
     use crate::geometry::Grid;
+
+    const NEVER: IsCancelled<'static> = &|| false;
 
     fn set(method: Method, alpha: f64, count: u32, seed: u32, reach: f64) -> (Field, Pose) {
         let noise = |k: u32, n: u32| f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
@@ -261,7 +292,7 @@ mod tests {
             prop_assume!(mesh.folded_cells().next().is_none());
             let rest: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
             let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
-            for ((p, y), found) in rest.iter().zip(&posed).zip(Inverse::new(&field, &pose, &mesh).map(&posed)) {
+            for ((p, y), found) in rest.iter().zip(&posed).zip(Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap()) {
                 let found = found.expect("a position of the picture");
                 prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{p:?} to {y:?}: {found:?}");
                 prop_assert!(found.distance(*p) < 1e-6 || folds_finely(&field, &pose), "{p:?} to {y:?}: {found:?}");
@@ -278,7 +309,7 @@ mod tests {
             let (field, pose) = set(Method::Rigid, alpha, count, seed, 120.0);
             let mesh = mesh(&field, &pose, 5.0);
             let posed: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
-            for (y, found) in posed.iter().zip(Inverse::new(&field, &pose, &mesh).map(&posed)) {
+            for (y, found) in posed.iter().zip(Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap()) {
                 if let Some(found) = found {
                     prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{y:?}: {found:?}");
                     prop_assert!((0.0..=300.0).contains(&found.x) && (0.0..=200.0).contains(&found.y));
@@ -295,7 +326,7 @@ mod tests {
         assert!(mesh.folded_cells().next().is_none() && folds_finely(&field, &pose));
         let rest = Point::new(215.095_558_834_529_53, 77.372_808_486_161_86);
         let posed = field.map(&pose, rest);
-        let found = Inverse::new(&field, &pose, &mesh).map(&[posed])[0].expect("a position of the picture");
+        let found = Inverse::new(&field, &pose, &mesh).map(&[posed], NEVER).unwrap()[0].expect("a position of the picture");
         assert!(field.map(&pose, found).distance(posed) < 2e-6 && found.distance(rest) > 1.0, "{found:?}");
     }
 
@@ -306,11 +337,11 @@ mod tests {
         let inverse = Inverse::new(&field, &pose, &mesh);
         let rest: Vec<Point> = field.handles().handles().iter().map(|handle| handle.places()[0]).collect();
         let posed: Vec<Point> = rest.iter().zip(pose.displacements()).map(|(p, d)| *p + *d).collect();
-        for (p, found) in rest.iter().zip(inverse.map(&posed)) {
+        for (p, found) in rest.iter().zip(inverse.map(&posed, NEVER).unwrap()) {
             assert!(found.is_some_and(|found| found.distance(*p) < 1e-6), "{p:?}: {found:?}");
         }
         let outside = [Point::new(-200.0, 10.0), Point::new(1e6, 1e6), Point::new(150.0, -90.0)];
-        assert_eq!(inverse.map(&outside), [None; 3]);
+        assert_eq!(inverse.map(&outside, NEVER).unwrap(), [None; 3]);
     }
 
     /// Whatever the folds, a position where f puts something of the picture has an inverse.
@@ -324,7 +355,7 @@ mod tests {
                 for cell in [4.0, 5.0, 8.0] {
                     let grid = Grid::with_cell(300.0, 200.0, cell);
                     let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
-                    let found = Inverse::new(&field, &pose, &mesh).map(&posed);
+                    let found = Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap();
                     let lost = found.iter().filter(|found| found.is_none()).count();
                     assert_eq!(lost, 0, "seed {seed}, reach {reach}, alpha {alpha}, cells of {cell} px");
                 }

@@ -80,7 +80,7 @@ impl Refiner<'_> {
         let bytes = Plan::bytes_for(self.field, grid.len());
         let f = (!Plan::rows_inside_cells_pay(self.field)).then(|| self.field.deformation(pose));
         let posing = Posing { field: self.field, f: f.as_ref(), grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
-        let samples = Samples::of_handles(self.field, grid, pose);
+        let samples = Samples::of_handles(self.field, grid, pose, cancelled)?;
         let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };
         let mut work = Work {
             refiner: self,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::measured::at_level;
-use super::{Field, Pose};
+use super::{Field, IsCancelled, Pose};
 use crate::geometry::{Grid, Refinement, Vec2};
 
 /// A position in a cell, in shares of its sides, at which f is known.
@@ -20,14 +20,14 @@ pub(super) struct Samples(BTreeMap<u32, Vec<Sample>>);
 
 impl Samples {
     /// The handles inside the grid.
-    pub(super) fn of_handles(field: &Field, grid: &Grid, pose: &Pose) -> Self {
+    pub(super) fn of_handles(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Self> {
         let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
-        field.look_at_handles(pose, |p, displacement| {
+        field.look_at_handles(pose, cancelled, |p, displacement| {
             if let Some((i, j, s, t)) = grid.locate(p) {
                 samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
             }
-        });
-        Self(samples)
+        })?;
+        Some(Self(samples))
     }
 
     /// Those of a cell.

@@ -91,6 +91,11 @@ pub enum Samples {
     Sixteen(Vec<u16>),
 }
 
+/// Whether the alpha of all RGBA pixels is `most`.
+pub(crate) fn is_opaque<S: Copy + PartialEq>(rgba: &[S], most: S) -> bool {
+    rgba.chunks_exact(4).all(|pixel| pixel[3] == most)
+}
+
 /// An upright picture. Shapes: samples `[height][width][channels]`, straight alpha.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pixmap {
@@ -105,16 +110,25 @@ impl Pixmap {
     /// If the number of samples is not `width * height * channels`.
     #[must_use]
     pub fn new(extent: Extent, channels: Channels, samples: Samples) -> Self {
+        let opaque = channels == Channels::Rgb
+            || match &samples {
+                Samples::Eight(s) => is_opaque(s, u8::MAX),
+                Samples::Sixteen(s) => is_opaque(s, u16::MAX),
+            };
+        Self::of_opacity(extent, channels, samples, opaque)
+    }
+
+    /// Like [`Pixmap::new`] where it is known whether no pixel is transparent.
+    ///
+    /// # Panics
+    /// If the number of samples is not `width * height * channels`.
+    #[must_use]
+    pub fn of_opacity(extent: Extent, channels: Channels, samples: Samples, opaque: bool) -> Self {
         let len = match &samples {
             Samples::Eight(s) => s.len(),
             Samples::Sixteen(s) => s.len(),
         };
         assert_eq!(len as u64, extent.pixels() * channels.count() as u64, "samples fill the extent");
-        let opaque = channels == Channels::Rgb
-            || match &samples {
-                Samples::Eight(s) => s.chunks_exact(4).all(|p| p[3] == u8::MAX),
-                Samples::Sixteen(s) => s.chunks_exact(4).all(|p| p[3] == u16::MAX),
-            };
         Self { extent, channels, samples, opaque }
     }
 

@@ -58,7 +58,7 @@ impl Posed {
         let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
         if let Some(refined) = setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)? {
             posed.mesh = posed.mesh.refined(refined.refinement);
-            posed.report.residual = residual(setup.field(), pose, &posed.mesh);
+            posed.report.residual = residual(setup.field(), pose, &posed.mesh, cancelled)?;
             posed.report.exceeded = refined.exceeded.len() as u64;
             posed.exceeded = refined.exceeded;
             if !posed.exceeded.is_empty() {
@@ -80,7 +80,8 @@ impl Posed {
         if folds == Folds::Reject && cells > 0 {
             return Err(WarpError::Folded { cells });
         }
-        let (warnings, residual) = (setup.warnings(pose), residual(setup.field(), pose, &mesh));
+        let residual = residual(setup.field(), pose, &mesh, cancelled)?;
+        let warnings = setup.warnings(pose);
         let coincident = pose.contradictions().listed.clone();
         let mut report = Report { warnings, folds: cells, orientation, residual, coincident, exceeded: 0 };
         if quality.least_rotation < LEAST_ROTATION {
@@ -204,16 +205,16 @@ impl Posed {
 }
 
 /// Largest distance between a handle under f and its position in the mesh.
-fn residual(field: &Field, pose: &Pose, mesh: &Mesh) -> f64 {
+fn residual(field: &Field, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Result<f64, WarpError> {
     let mut worst = 0.0f64;
     let mut look = |p: Point, displacement: Vec2| {
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }
     };
-    field.look_at_handles(pose, &mut look);
-    field.look_at_grouped_points(pose, &mut look);
-    worst
+    field.look_at_handles(pose, cancelled, &mut look).ok_or(WarpError::Cancelled)?;
+    field.look_at_grouped_points(pose, cancelled, &mut look).ok_or(WarpError::Cancelled)?;
+    Ok(worst)
 }
 
 fn digest(setup: &Setup, pose: &Pose) -> Digest {

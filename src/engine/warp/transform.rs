@@ -196,7 +196,7 @@ impl<'a> Transform<'a> {
             samples.extend(halves);
         }
         samples.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Ok(Some(simplified(&samples, tolerance / 2.0)))
+        simplified(&samples, tolerance / 2.0, cancelled).map(Some).ok_or(WarpError::Cancelled)
     }
 
     /// The images of positions on an edge.
@@ -208,19 +208,20 @@ impl<'a> Transform<'a> {
             return Err(WarpError::TooLarge { what: "outline_samples", limit: MOST_SAMPLES as u64, actual: MOST_SAMPLES as u64 + 1 });
         }
         let places: Vec<Point> = at.iter().map(|t| a.lerp(b, *t)).collect();
-        let mapped = self.map_block(&places);
+        let mapped = self.map_block(&places, cancelled)?;
         Ok(at.into_iter().zip(mapped).map(|(t, place)| Some((t, place?))).collect())
     }
 
-    fn map_block(&self, places: &[Point]) -> Vec<Option<Point>> {
-        match &self.map {
-            Map::Forward(f) => f.map_all(places).into_iter().map(Some).collect(),
-            Map::Inverse(inverse) => inverse.map(places),
-        }
+    fn map_block(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+        let mapped = match &self.map {
+            Map::Forward(f) => f.map_all(places, cancelled).map(|mapped| mapped.into_iter().map(Some).collect()),
+            Map::Inverse(inverse) => inverse.map(places, cancelled),
+        };
+        mapped.ok_or(WarpError::Cancelled)
     }
 
     fn map_px(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
-        let task = |places: &[Point]| if cancelled() { Err(WarpError::Cancelled) } else { Ok(self.map_block(places)) };
+        let task = |places: &[Point]| self.map_block(places, cancelled);
         let tasks: Result<Vec<_>, WarpError> = places.par_chunks(PLACES_PER_TASK).map(task).collect();
         Ok(tasks?.into_iter().flatten().collect())
     }
@@ -251,11 +252,14 @@ fn to_segment(p: Point, a: Point, b: Point) -> f64 {
 }
 
 /// The fewest samples between the first and the last by the method of Douglas and Peucker: the others are within the tolerance of the lines
-/// between them.
-fn simplified(samples: &[(f64, Point)], tolerance: f64) -> Vec<Point> {
+/// between them. Takes the squared number of samples if each part is split near its end. `None` when cancelled.
+fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
     let mut kept = vec![false; samples.len()];
     let mut parts = vec![(0, samples.len() - 1)];
     while let Some((first, last)) = parts.pop() {
+        if cancelled() {
+            return None;
+        }
         let distance = |k: usize| to_segment(samples[k].1, samples[first].1, samples[last].1);
         let farthest = (first + 1..last).map(|k| (distance(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((distance, k)) = farthest
@@ -265,7 +269,7 @@ fn simplified(samples: &[(f64, Point)], tolerance: f64) -> Vec<Point> {
             parts.extend([(first, k), (k, last)]);
         }
     }
-    samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| sample.1).collect()
+    Some(samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| sample.1).collect())
 }
 
 #[cfg(test)]
