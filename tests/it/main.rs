@@ -3,7 +3,6 @@
 #![expect(clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a failed unwrap is a failed test, and test numbers are small")]
 
 mod account;
-mod asking;
 mod bad_input;
 mod batch;
 mod binary;

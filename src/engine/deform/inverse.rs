@@ -105,7 +105,8 @@ impl<'a> Inverse<'a> {
     }
 
     /// The number of times that f has been computed for [`LANES`] positions.
-    pub(crate) fn steps(&self) -> u64 {
+    #[must_use]
+    pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)
     }
 

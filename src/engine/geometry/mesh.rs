@@ -86,12 +86,19 @@ impl Mesh {
         Some(p + top * (1.0 - t) + bottom * t)
     }
 
-    /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px.
+    /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px. `None` when cancelled, which is checked for
+    /// each row.
     #[must_use]
-    pub fn bounds(&self) -> [f64; 4] {
-        let base = (0..self.grid.rows()).flat_map(|row| (0..self.grid.columns()).map(move |column| self.posed(column, row)));
-        let refined = self.refinement.cells().iter().flat_map(|cell| self.refinement.posed(&self.grid, cell));
-        bounds(base.chain(refined))
+    pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
+        let mut all = bounds(self.refinement.cells().iter().flat_map(|cell| self.refinement.posed(&self.grid, cell)));
+        for row in 0..self.grid.rows() {
+            if cancelled() {
+                return None;
+            }
+            let of_row = bounds((0..self.grid.columns()).map(|column| self.posed(column, row)));
+            all = [all[0].min(of_row[0]), all[1].min(of_row[1]), all[2].max(of_row[2]), all[3].max(of_row[3])];
+        }
+        Some(all)
     }
 
     /// Left, top, right and bottom edge of the smallest box that contains a posed cell, px.

@@ -28,18 +28,29 @@ impl Pixmap {
     /// The picture box-reduced by `2^k` along both axes; `k` = 0 is the picture itself.
     #[must_use]
     pub fn reduced(&self, k: u32) -> Self {
+        self.reduced_unless(k, &|| false).expect("nothing gives it up")
+    }
+
+    /// Like [`Pixmap::reduced`]; `None` when cancelled, which is checked for each row.
+    #[must_use]
+    pub fn reduced_unless(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Self> {
         if k == 0 {
-            return self.clone();
+            return Some(self.clone());
         }
         let extent = self.extent().reduced(k);
         let samples = match self.samples() {
             Samples::Eight(s) if self.is_opaque() && k <= MOST_IN_U16 => {
-                Samples::Eight(reduce_opaque(s, self.extent(), self.channels(), k))
+                Samples::Eight(reduce_opaque(s, self.extent(), self.channels(), k, cancelled)?)
             }
-            Samples::Eight(s) => Samples::Eight(reduce(s, self.extent(), self.channels(), k)),
-            Samples::Sixteen(s) => Samples::Sixteen(reduce(s, self.extent(), self.channels(), k)),
+            Samples::Eight(s) => Samples::Eight(reduce(s, self.extent(), self.channels(), k, cancelled)?),
+            Samples::Sixteen(s) => Samples::Sixteen(reduce(s, self.extent(), self.channels(), k, cancelled)?),
         };
-        Self::new(extent, self.channels(), samples)
+        // A mean of opaque pixels is opaque.
+        Some(if self.is_opaque() {
+            Self::of_opacity(extent, self.channels(), samples, true)
+        } else {
+            Self::new(extent, self.channels(), samples)
+        })
     }
 }
 
@@ -50,7 +61,7 @@ pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
 }
 
 /// Of opaque 8-bit samples: columns are summed first, which the compiler vectorises. The weights of all colours are equal.
-fn reduce_opaque(samples: &[u8], from: Extent, channels: Channels, k: u32) -> Vec<u8> {
+fn reduce_opaque(samples: &[u8], from: Extent, channels: Channels, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Vec<u8>> {
     let (width, count, side) = (from.width() as usize, channels.count(), 1_usize << k);
     let to = from.reduced(k);
     let row = width * count;
@@ -60,6 +71,9 @@ fn reduce_opaque(samples: &[u8], from: Extent, channels: Channels, k: u32) -> Ve
     for block in samples.chunks(row * side) {
         columns.fill(0);
         for row in block.chunks_exact(row) {
+            if cancelled() {
+                return None;
+            }
             for (sum, &sample) in columns.iter_mut().zip(row) {
                 *sum += u16::from(sample);
             }
@@ -81,11 +95,17 @@ fn reduce_opaque(samples: &[u8], from: Extent, channels: Channels, k: u32) -> Ve
             }));
         }
     }
-    reduced
+    Some(reduced)
 }
 
 /// Sums are exact up to 2^31 pixels.
-fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(samples: &[S], from: Extent, channels: Channels, k: u32) -> Vec<S> {
+fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(
+    samples: &[S],
+    from: Extent,
+    channels: Channels,
+    k: u32,
+    cancelled: &dyn Fn() -> bool,
+) -> Option<Vec<S>> {
     let (width, height, count) = (from.width() as usize, from.height() as usize, channels.count());
     let to = from.reduced(k);
     let side = 1_usize.checked_shl(k).unwrap_or(usize::MAX);
@@ -96,6 +116,9 @@ fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(samples: &[S], from: Ext
         sums.fill([0; 4]);
         let rows = (block.len() / (width * count)) as u64;
         for row in block.chunks_exact(width * count) {
+            if cancelled() {
+                return None;
+            }
             for (sum, pixels) in sums.iter_mut().zip(row.chunks(side.min(width) * count)) {
                 for pixel in pixels.chunks_exact(count) {
                     let alpha = if count == 4 { pixel[3].into() } else { 1 };
@@ -116,7 +139,7 @@ fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(samples: &[S], from: Ext
             }
         }
     }
-    reduced
+    Some(reduced)
 }
 
 /// `total / weight` to the nearest integer; zero where nothing weighs.
@@ -172,7 +195,7 @@ mod tests {
                     let pixel = |i| if white { [u8::MAX; 4] } else { pixel(i) };
                     let samples: Vec<u8> = (0..pixels).flat_map(|i| pixel(i).into_iter().take(channels.count())).collect();
                     let picture = pixmap(width, height, channels, samples.clone());
-                    let expected = reduce(&samples, picture.extent(), channels, k);
+                    let expected = reduce(&samples, picture.extent(), channels, k, &|| false).unwrap();
                     assert_eq!(picture.reduced(k).samples(), &Samples::Eight(expected), "{width} x {height}, {k}, {channels:?}");
                 }
             }

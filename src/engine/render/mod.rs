@@ -129,11 +129,13 @@ impl RenderOptions {
         !self.is_copy(source, mesh) && source.lacks_copies(self.placement(source).source(mesh.grid()), self.is_packed())
     }
 
-    /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond or two per pixel of the source.
-    pub fn make_copies(&self, source: &Source, mesh: &Mesh) {
+    /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond or two per pixel of the source. `None`
+    /// when cancelled.
+    pub fn make_copies(&self, source: &Source, mesh: &Mesh, cancelled: &dyn Fn() -> bool) -> Option<()> {
         if !self.is_copy(source, mesh) {
-            source.make_copies(self.placement(source).source(mesh.grid()), self.is_packed());
+            source.make_copies(self.placement(source).source(mesh.grid()), self.is_packed(), cancelled)?;
         }
+        Some(())
     }
 
     /// Whether samples are copied as they are.
@@ -192,7 +194,8 @@ impl Renderer {
         } else {
             let placement = options.placement(&source);
             // Not in the first band.
-            let k = source.make_copies(placement.source(mesh.grid()), options.is_packed());
+            let copies = source.make_copies(placement.source(mesh.grid()), options.is_packed(), &|| false);
+            let k = copies.expect("nothing gives it up");
             let shrinking = if options.filter == Filter::Nearest {
                 Vec::new()
             } else {

@@ -2,7 +2,7 @@
 //! the bilinear kernels. `[height][width]` grows by one column and one row that repeat the last ones, so that a kernel may load a pair of
 //! texels at any pixel. Each sample is stored minus 128, as the signed operand of a byte product.
 
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 
@@ -16,14 +16,18 @@ pub struct Source {
     packed: OnceLock<Packed>,
     /// Reduced by 2, 4, 8, ...
     reduced: Vec<OnceLock<Box<Self>>>,
+    /// Held while a copy is made, so that it is made once.
+    making: Mutex<()>,
 }
+
+const NEVER: &dyn Fn() -> bool = &|| false;
 
 impl Source {
     /// Wraps a decoded picture.
     #[must_use]
     pub fn new(pixmap: Pixmap) -> Self {
         let reduced = (0..deepest(pixmap.extent())).map(|_| OnceLock::new()).collect();
-        Self { pixmap, packed: OnceLock::new(), reduced }
+        Self { pixmap, packed: OnceLock::new(), reduced, making: Mutex::new(()) }
     }
 
     /// The picture as decoded.
@@ -56,12 +60,29 @@ impl Source {
 
     /// The picture reduced by `2^k`.
     pub(super) fn level(&self, k: u32) -> &Self {
-        match (k as usize).checked_sub(1).and_then(|index| self.reduced.get(index)) {
-            Some(cell) => cell.get_or_init(|| {
-                let pixmap = self.pixmap.reduced(k);
-                Box::new(Self { pixmap, packed: OnceLock::new(), reduced: Vec::new() })
-            }),
-            None => self,
+        self.level_unless(k, NEVER).expect("nothing gives it up")
+    }
+
+    /// Like [`Source::level`]; `None` when cancelled.
+    fn level_unless(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<&Self> {
+        let Some(cell) = (k as usize).checked_sub(1).and_then(|index| self.reduced.get(index)) else { return Some(self) };
+        let level = self.copy(cell, || {
+            let pixmap = self.pixmap.reduced_unless(k, cancelled)?;
+            Some(Box::new(Self { pixmap, packed: OnceLock::new(), reduced: Vec::new(), making: Mutex::new(()) }))
+        })?;
+        Some(level)
+    }
+
+    /// A copy, made now if it has not been made.
+    fn copy<'a, T>(&self, cell: &'a OnceLock<T>, make: impl FnOnce() -> Option<T>) -> Option<&'a T> {
+        if let Some(copy) = cell.get() {
+            return Some(copy);
+        }
+        // A panic leaves nothing behind.
+        let _making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        match cell.get() {
+            Some(copy) => Some(copy),
+            None => make().map(|copy| cell.get_or_init(|| copy)),
         }
     }
 
@@ -75,20 +96,21 @@ impl Source {
         reduced.is_none_or(|reduced| is_packed && reduced.packed.get().is_none())
     }
 
-    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number of halvings.
-    pub(super) fn make_copies(&self, size: Extent, is_packed: bool) -> u32 {
+    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number of halvings; `None` when cancelled,
+    /// which is checked for each row.
+    pub(super) fn make_copies(&self, size: Extent, is_packed: bool, cancelled: &dyn Fn() -> bool) -> Option<u32> {
         let k = self.level_for(size);
-        let reduced = self.level(k);
-        if is_packed {
-            reduced.packed();
+        let reduced = self.level_unless(k, cancelled)?;
+        if let (true, Samples::Eight(samples)) = (is_packed, reduced.pixmap.samples()) {
+            reduced.copy(&reduced.packed, || Packed::new(&reduced.pixmap, samples, cancelled))?;
         }
-        k
+        Some(k)
     }
 
     /// The packed texels; `None` at 16 bit.
     pub(super) fn packed(&self) -> Option<&Packed> {
         match self.pixmap.samples() {
-            Samples::Eight(samples) => Some(self.packed.get_or_init(|| Packed::new(&self.pixmap, samples))),
+            Samples::Eight(samples) => self.copy(&self.packed, || Packed::new(&self.pixmap, samples, NEVER)),
             Samples::Sixteen(_) => None,
         }
     }
@@ -110,12 +132,15 @@ pub(super) struct Packed {
 }
 
 impl Packed {
-    fn new(pixmap: &Pixmap, samples: &[u8]) -> Self {
+    fn new(pixmap: &Pixmap, samples: &[u8], cancelled: &dyn Fn() -> bool) -> Option<Self> {
         let (width, height) = (pixmap.extent().width() as usize, pixmap.extent().height() as usize);
         let stride = width + 1;
         let mut texels = Vec::with_capacity(stride * (height + 1));
         let count = pixmap.channels().count();
         for row in samples.chunks_exact(width * count) {
+            if cancelled() {
+                return None;
+            }
             match pixmap.channels() {
                 Channels::Rgb => texels.extend(row.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ FLIP)),
                 Channels::Rgba => texels.extend(row.chunks_exact(4).map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ FLIP)),
@@ -123,7 +148,7 @@ impl Packed {
             texels.extend(texels.last().copied());
         }
         texels.extend_from_within(texels.len() - stride..);
-        Self { texels, width, height, opaque: pixmap.is_opaque() }
+        Some(Self { texels, width, height, opaque: pixmap.is_opaque() })
     }
 
     /// Texels per row, including the repeated one.

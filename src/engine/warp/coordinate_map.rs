@@ -7,6 +7,7 @@ use super::digest::Collector;
 use super::spec::at_most;
 use super::{CanvasSpec, Digest, Limits, OutputSpec, Posed, Target, WarpError};
 use crate::codec::FloatTiff;
+use crate::deform::IsCancelled;
 use crate::geometry::{Mesh, PIXEL_CENTER, Point};
 use crate::pixmap::Extent;
 use crate::render::{Canvas, InverseMap, band_rows};
@@ -73,10 +74,10 @@ impl MapSpec {
     /// The target of a posed grid.
     ///
     /// # Errors
-    /// Over the limits of pictures; nothing to show on the canvas `fit`.
-    pub fn target(&self, posed: &Posed, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
+    /// Over the limits of pictures; nothing to show on the canvas `fit`; cancelled.
+    pub fn target(&self, posed: &Posed, source: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Target, WarpError> {
         self.check(source, limits)?;
-        self.output().target(source, posed, limits)
+        self.output().target(source, posed, limits, cancelled)
     }
 
     /// Checks the size of the map as far as it is known before anything is posed.

@@ -28,7 +28,7 @@ impl Warp {
     /// Those of [`OutputSpec::target`] and [`Subject::check`].
     pub fn new(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
         subject.check(output)?;
-        Ok(Self::onto(output.target(subject.extent(), posed, limits)?, subject, posed, output))
+        Ok(Self::onto(output.target(subject.extent(), posed, limits, &|| false)?, subject, posed, output))
     }
 
     /// Prepares the drawing of a target of `output`.

@@ -1,10 +1,11 @@
 //! A decoded picture, shared by all requests with the same file.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
+use super::region::occupied_words;
 use super::{Digest, Warning, WarpError};
 use crate::codec::{self, Limits, Opened, Profile, StepCounter};
-use crate::pixmap::{Channels, Extent};
+use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::Source;
 
 /// A decoded, upright picture with its derived copies for sampling, and its colour profile for every output.
@@ -12,6 +13,8 @@ use crate::render::Source;
 pub struct Image {
     digest: Digest,
     pub(super) source: Arc<Source>,
+    /// Which pixels have some of a mask, if the picture has been one.
+    pub(super) occupied: Arc<OnceLock<Vec<u64>>>,
     pub(super) icc: Option<Profile>,
     profile_dropped: bool,
     /// Whether the file stores one sample for the three colours.
@@ -29,7 +32,7 @@ impl Image {
     #[must_use]
     pub fn peak_bytes(opened: &Opened<'_>) -> u64 {
         let header = opened.header();
-        let used = Source::bytes(header.extent, header.channels, header.depth);
+        let used = used_bytes(header.extent, header.channels, header.depth);
         header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES)
     }
 
@@ -51,6 +54,7 @@ impl Image {
         Ok(Self {
             digest,
             source: Arc::new(Source::new(decoded.pixmap)),
+            occupied: Arc::default(),
             icc,
             profile_dropped: decoded.profile_dropped,
             grey: opened.header().grey,
@@ -60,7 +64,8 @@ impl Image {
     /// A picture that no file has. `name`: of its digest.
     #[cfg(test)]
     pub(super) fn of_pixmap(name: &str, pixmap: crate::pixmap::Pixmap, grey: bool) -> Self {
-        Self { digest: Digest::of(name.as_bytes()), source: Arc::new(Source::new(pixmap)), icc: None, profile_dropped: false, grey }
+        let source = Arc::new(Source::new(pixmap));
+        Self { digest: Digest::of(name.as_bytes()), source, occupied: Arc::default(), icc: None, profile_dropped: false, grey }
     }
 
     /// The warning for every output drawn from this picture.
@@ -92,6 +97,11 @@ impl Image {
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
         let profile = self.icc.as_ref().map_or(0, Profile::bytes);
-        Source::bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + profile as u64
+        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + profile as u64
     }
+}
+
+/// Upper bound of the memory of a picture of this shape with all that is derived from it, bytes.
+fn used_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
+    Source::bytes(extent, channels, depth).saturating_add(8 * occupied_words(extent) as u64)
 }

@@ -107,9 +107,15 @@ impl Posed {
 
     /// Left, top, right and bottom edge of the smallest box that contains everything that is drawn, px; with a region, cells that have some
     /// of it count as a whole.
-    #[must_use]
-    pub fn bounds(&self) -> [f64; 4] {
-        self.region.as_ref().map_or_else(|| self.mesh.bounds(), |region| region.bounds(&self.mesh))
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn bounds(&self, cancelled: IsCancelled<'_>) -> Result<[f64; 4], WarpError> {
+        let bounds = match &self.region {
+            None => self.mesh.bounds(cancelled),
+            Some(region) => region.bounds(&self.mesh, cancelled),
+        };
+        bounds.ok_or(WarpError::Cancelled)
     }
 
     /// Memory of the cells that are halved, bytes.

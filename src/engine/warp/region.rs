@@ -23,9 +23,10 @@
 //! A region changes what is drawn, not f: annotations, maps and reports are those of the whole warp.
 
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use super::{Digest, Image};
+use crate::deform::IsCancelled;
 use crate::geometry::Mesh;
 use crate::pixmap::{Depth, Extent, Samples};
 use crate::render::{FULL_WEIGHT, Outside, RenderOptions, Renderer, Source};
@@ -33,12 +34,17 @@ use crate::render::{FULL_WEIGHT, Outside, RenderOptions, Renderer, Source};
 /// Pixels of the mask around a cell that a filter may add to it.
 const FILTER_REACH: f64 = 2.0;
 
+/// Bits of a word.
+const WORD: usize = u64::BITS as usize;
+
 /// The part of a picture that moves: a mask of the picture's size, feathered or not. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Region {
     mask: Arc<Source>,
     channel: MaskChannel,
     digest: Digest,
+    /// See [`Region::occupied`]; kept with the picture.
+    occupied: Arc<OnceLock<Vec<u64>>>,
 }
 
 /// Where a mask has its values.
@@ -69,7 +75,7 @@ impl Region {
     #[must_use]
     pub fn new(mask: &Image) -> Self {
         let channel = if mask.source.pixmap().is_opaque() { MaskChannel::Luma } else { MaskChannel::Alpha };
-        Self { mask: Arc::clone(&mask.source), channel, digest: mask.digest() }
+        Self { mask: Arc::clone(&mask.source), channel, digest: mask.digest(), occupied: Arc::clone(&mask.occupied) }
     }
 
     pub(super) fn mask(&self) -> &Source {
@@ -88,52 +94,70 @@ impl Region {
         self.digest
     }
 
-    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: each pixel
-    /// of the mask is read once, whatever the size of the cells.
-    pub(super) fn bounds(&self, mesh: &Mesh) -> [f64; 4] {
+    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: the pixels
+    /// of a mask are read once for all poses, and their bits once for each. `None` when cancelled, which is checked for each row.
+    pub(super) fn bounds(&self, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Option<[f64; 4]> {
+        let occupied = self.occupied(cancelled)?;
         let grid = mesh.grid();
         let (width, height) = (self.extent().width() as usize, self.extent().height() as usize);
         let mut bounds = [0.0, 0.0, grid.width(), grid.height()];
-        // For each column, the number of rows down to the last pixel of the mask that has been read.
-        let (mut last, mut read) = (vec![0; width], 0);
-        // For each column, the number of columns before it that have some of the mask in the rows of the cells.
-        let mut before = vec![0_u32; width + 1];
+        // The columns of the mask that have some of it in the rows of the cells.
+        let mut columns = vec![0_u64; width.div_ceil(WORD)];
         for j in 0..grid.rows() - 1 {
-            let rows = pixels(grid.vertex(0, j).y, grid.vertex(0, j + 1).y, height);
-            for y in read..rows.end {
-                for (x, last) in last.iter_mut().enumerate() {
-                    if self.weight_at(x, y) > 0 {
-                        *last = y + 1;
-                    }
-                }
+            if cancelled() {
+                return None;
             }
-            read = rows.end;
-            for x in 0..width {
-                before[x + 1] = before[x] + u32::from(last[x] > rows.start);
+            let rows = pixels(grid.vertex(0, j).y, grid.vertex(0, j + 1).y, height);
+            columns.fill(0);
+            for row in occupied[rows.start * columns.len()..rows.end * columns.len()].chunks_exact(columns.len()) {
+                columns.iter_mut().zip(row).for_each(|(column, row)| *column |= row);
             }
             for i in 0..grid.columns() - 1 {
-                let columns = pixels(grid.vertex(i, j).x, grid.vertex(i + 1, j).x, width);
-                if before[columns.end] > before[columns.start] {
+                if has_bit(&columns, pixels(grid.vertex(i, j).x, grid.vertex(i + 1, j).x, width)) {
                     let [left, top, right, bottom] = mesh.cell_bounds(i, j);
                     bounds = [bounds[0].min(left), bounds[1].min(top), bounds[2].max(right), bounds[3].max(bottom)];
                 }
             }
         }
-        bounds
+        Some(bounds)
     }
 
-    fn weight_at(&self, x: usize, y: usize) -> u16 {
-        let pixmap = self.mask.pixmap();
-        let count = pixmap.channels().count();
-        let start = (y * pixmap.extent().width() as usize + x) * count;
-        let mut pixel = [FULL_WEIGHT; 4];
-        for (k, value) in pixel.iter_mut().enumerate().take(count) {
-            *value = match pixmap.samples() {
-                Samples::Eight(samples) => widened(samples[start + k]),
-                Samples::Sixteen(samples) => samples[start + k],
+    /// A bit for each pixel: whether it has some of the mask. Rows of whole words.
+    fn occupied(&self, cancelled: IsCancelled<'_>) -> Option<&[u64]> {
+        if self.occupied.get().is_none() {
+            let pixmap = self.mask.pixmap();
+            let row = pixmap.extent().width() as usize * pixmap.channels().count();
+            let occupied = match pixmap.samples() {
+                Samples::Eight(samples) => self.occupied_rows(samples.chunks_exact(row), |sample| widened(*sample), cancelled)?,
+                Samples::Sixteen(samples) => self.occupied_rows(samples.chunks_exact(row), |sample| *sample, cancelled)?,
             };
+            // Another request may have been first, with the same.
+            let _ = self.occupied.set(occupied);
         }
-        self.channel.weight(&pixel)
+        self.occupied.get().map(Vec::as_slice)
+    }
+
+    fn occupied_rows<'a, S: 'a>(
+        &self,
+        rows: impl Iterator<Item = &'a [S]>,
+        widen: impl Fn(&S) -> u16,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<u64>> {
+        let count = self.mask.pixmap().channels().count();
+        let mut occupied = Vec::with_capacity(occupied_words(self.extent()));
+        for row in rows {
+            if cancelled() {
+                return None;
+            }
+            let has_some = |pixel: &[S]| {
+                let mut values = [FULL_WEIGHT; 4];
+                values.iter_mut().zip(pixel).for_each(|(value, sample)| *value = widen(sample));
+                self.channel.weight(&values) > 0
+            };
+            let word = |pixels: &[S]| pixels.chunks_exact(count).rev().fold(0, |word, pixel| word << 1 | u64::from(has_some(pixel)));
+            occupied.extend(row.chunks(WORD * count).map(word));
+        }
+        Some(occupied)
     }
 
     /// The mask through a mesh, 0 outside.
@@ -148,6 +172,21 @@ impl Region {
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
 fn pixels(from: f64, to: f64, side: usize) -> Range<usize> {
     ((from - FILTER_REACH).floor() as usize).min(side - 1)..((to + FILTER_REACH).ceil() as usize).min(side)
+}
+
+/// Words of the bits of a picture.
+pub(super) fn occupied_words(extent: Extent) -> usize {
+    (extent.width() as usize).div_ceil(WORD) * extent.height() as usize
+}
+
+/// Whether a bit of this range is set.
+fn has_bit(words: &[u64], bits: Range<usize>) -> bool {
+    let (first, last) = (bits.start / WORD, (bits.end - 1) / WORD);
+    let (from, to) = (u64::MAX << (bits.start % WORD), u64::MAX >> (WORD - 1 - (bits.end - 1) % WORD));
+    if first == last {
+        return words[first] & from & to != 0;
+    }
+    words[first] & from != 0 || words[last] & to != 0 || words[first + 1..last].iter().any(|word| *word != 0)
 }
 
 const fn widened(sample: u8) -> u16 {

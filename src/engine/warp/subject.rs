@@ -5,6 +5,7 @@ use super::drawer::Drawer;
 use super::drawer::region::RegionDrawer;
 use super::{Digest, Image, LabelImage, OutputSpec, Posed, Region, Target, Warning, WarpError};
 use crate::codec::Format;
+use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
 use crate::render::{Coverage, Source};
 
@@ -81,8 +82,12 @@ impl Subject<'_> {
     }
 
     /// Makes the copies, for which [`Warp::onto`](super::Warp::onto) otherwise takes the time.
-    pub fn make_copies(self, target: Target, posed: &Posed, output: &OutputSpec) {
-        self.sources(posed).for_each(|source| target.options(output).make_copies(source, posed.mesh()));
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn make_copies(self, target: Target, posed: &Posed, output: &OutputSpec, cancelled: IsCancelled<'_>) -> Result<(), WarpError> {
+        let make = |source| target.options(output).make_copies(source, posed.mesh(), cancelled).ok_or(WarpError::Cancelled);
+        self.sources(posed).try_for_each(make)
     }
 
     /// The source that is drawn, and the mask of what moves.

@@ -2,6 +2,7 @@
 
 use super::spec::at_most;
 use super::{Limits, OutputSpec, Posed, WarpError};
+use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
 use crate::render::{Canvas, RenderOptions, window_count};
 
@@ -28,19 +29,24 @@ pub enum CanvasSpec {
 
 impl CanvasSpec {
     /// The box that is drawn; `None` if the posed picture of `fit` has no area or extends too far.
-    #[must_use]
-    pub fn of(self, source: Extent, posed: &Posed) -> Option<Canvas> {
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn of(self, source: Extent, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Option<Canvas>, WarpError> {
         match self {
-            Self::Same => Some(Canvas::of(source)),
-            Self::Fit => fit(posed).ok(),
-            Self::Box(canvas) => Some(canvas),
+            Self::Same => Ok(Some(Canvas::of(source))),
+            Self::Fit => match fit(posed, cancelled) {
+                Err(WarpError::Cancelled) => Err(WarpError::Cancelled),
+                canvas => Ok(canvas.ok()),
+            },
+            Self::Box(canvas) => Ok(Some(canvas)),
         }
     }
 }
 
-/// Errors: A result without area, or one that extends beyond [`FARTHEST`].
-fn fit(posed: &Posed) -> Result<Canvas, WarpError> {
-    let [left, top, right, bottom] = posed.bounds().map(|edge| (edge * STEPS).round() / STEPS);
+/// Errors: A result without area, or one that extends beyond [`FARTHEST`]; cancelled.
+fn fit(posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpError> {
+    let [left, top, right, bottom] = posed.bounds(cancelled)?.map(|edge| (edge * STEPS).round() / STEPS);
     let farthest = [left, top, right, bottom].into_iter().fold(0.0, |far: f64, edge| far.max(edge.abs()));
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
     if farthest > f64::from(FARTHEST) {
@@ -96,11 +102,11 @@ impl OutputSpec {
     /// The target of a pose.
     ///
     /// # Errors
-    /// Over the limits; nothing to show.
-    pub fn target(&self, source: Extent, posed: &Posed, limits: &Limits) -> Result<Target, WarpError> {
+    /// Over the limits; nothing to show; cancelled.
+    pub fn target(&self, source: Extent, posed: &Posed, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Target, WarpError> {
         let canvas = match self.canvas {
             CanvasSpec::Same => Canvas::of(source),
-            CanvasSpec::Fit => fit(posed)?,
+            CanvasSpec::Fit => fit(posed, cancelled)?,
             CanvasSpec::Box(canvas) => canvas,
         };
         let extent = self.extent_of(canvas, source, limits)?;

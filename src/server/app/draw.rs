@@ -91,9 +91,11 @@ impl DrawJob {
             Some(region) => posed.within(region.clone()),
             None => posed,
         };
-        let target = output.target(extent, &posed, limits)?;
+        let target = output.target(extent, &posed, limits, is_cancelled)?;
         let target = match *preview {
-            Some(width) if width < target.extent.width() => OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits)?,
+            Some(width) if width < target.extent.width() => {
+                OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits, is_cancelled)?
+            }
             _ => target,
         };
         Ok((posed, Target { force_alpha: self.force_alpha, ..target }))
@@ -319,7 +321,7 @@ impl App {
         self.reserve_more(&mut reservation, bytes)?;
         if subject.lacks_copies(target, &posed, &job.output) {
             let began = Instant::now();
-            subject.make_copies(target, &posed, &job.output);
+            subject.make_copies(target, &posed, &job.output, is_cancelled)?;
             timing.reduce = began.elapsed();
             stage("reduce", began);
         }

@@ -147,7 +147,7 @@ impl App {
             let (began, is_cancelled, limits) = (Instant::now(), || cancel.is_cancelled(), app.0.config.limits());
             let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
             let (posed, mut held) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
-            let target = spec.target(&posed, source, &limits).map_err(|error| in_map(error.into()))?;
+            let target = spec.target(&posed, source, &limits, &is_cancelled).map_err(|error| in_map(error.into()))?;
             app.reserve_more(&mut held, posed.halved_bytes() + target.window_bytes(&posed))?;
             let map = CoordinateMap::new(&spec, &posed, target)?;
             let report = posed.into_report(Some(target.canvas.unwrap_or(Canvas::of(source))), &is_cancelled)?;

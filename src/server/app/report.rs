@@ -103,7 +103,7 @@ impl App {
             let pose = setup.pose(&q)?;
             let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
             let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
-            let canvas = canvas.of(extent, &posed);
+            let canvas = canvas.of(extent, &posed, &is_cancelled)?;
             let inverse_bytes = to_invert.as_ref().map_or(0, |planned| planned.setup.posed_bytes());
             app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes)?;
             let quality = app.0.pool.run_parallel(|| {

@@ -208,7 +208,7 @@ impl App {
             let (body, error) = form.write(&posed, MeshShape::new(&setup, extent), cancel)?;
             reservation.shrink_to(body.len() as u64);
             let body = reservation.attach(body);
-            let canvas = canvas.of(extent, &posed);
+            let canvas = canvas.of(extent, &posed, &is_cancelled)?;
             let report = posed.into_report(canvas, &is_cancelled)?;
             Ok::<_, Problem>(PosedMesh { report, timing, plan_built: is_built, body, error })
         };

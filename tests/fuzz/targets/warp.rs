@@ -77,7 +77,7 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     let pose = setup.pose(q)?;
     warp.output.check(extent, &LIMITS)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
-    let quality = Quality::of(&setup, q, &pose, &posed, &posed, warp.output.canvas.of(extent, &posed), &never)?;
+    let quality = Quality::of(&setup, q, &pose, &posed, &posed, warp.output.canvas.of(extent, &posed, &never)?, &never)?;
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
     assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
     let warnings: Vec<_> = posed.report().warnings.iter().map(WarningEntry::from).collect();
@@ -112,7 +112,7 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
         spec.check(*extent, &LIMITS)?;
         let setup = Setup::new(&warp.rest, *extent, &LIMITS)?;
         let posed = Posed::new(&setup, &setup.plan(), &setup.pose(&object.q)?, warp.folds, &|| false)?;
-        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, *extent, &LIMITS)?)?;
+        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, *extent, &LIMITS, &never)?)?;
         let bytes: u64 = (0..map.bands()).map(|band| map.band(band).len() as u64).sum();
         assert_eq!(bytes, map.file_bytes());
     }

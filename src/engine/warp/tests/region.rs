@@ -278,7 +278,7 @@ fn canvases_are_crops_and_bands_do_not_matter() {
         }
         // What `fit` leaves out has nothing of the picture.
         let output = OutputSpec { holes: Holes::Keep, canvas: CanvasSpec::Fit, ..OutputSpec::default() };
-        let canvas = output.target(size, &moved, &Limits::default()).unwrap().canvas.unwrap();
+        let canvas = output.target(size, &moved, &Limits::default(), &|| false).unwrap().canvas.unwrap();
         let output = OutputSpec { canvas: CanvasSpec::Box(Canvas { x: -60, y: -60, extent: extent(240, 210) }), ..OutputSpec::default() };
         for (k, pixel) in draw(Subject::Image(&image), &moved, &output).all().enumerate() {
             let (x, y) = ((k % 240) as f64 - 60.0 - f64::from(canvas.x), (k / 240) as f64 - 60.0 - f64::from(canvas.y));
@@ -321,7 +321,7 @@ fn a_box_contains_the_cells_that_have_some_of_the_mask() {
                     want = [want[0].min(cell[0]), want[1].min(cell[1]), want[2].max(cell[2]), want[3].max(cell[3])];
                 }
             }
-            assert_eq!(region.bounds(mesh), want, "{name}: {}, {grid:?}", case.name);
+            assert_eq!(region.bounds(mesh, &|| false).unwrap(), want, "{name}: {}, {grid:?}", case.name);
         }
     }
 }

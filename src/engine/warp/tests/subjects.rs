@@ -71,7 +71,7 @@ fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
                 let output = OutputSpec { canvas, width, format, ..OutputSpec::default() };
                 let out = drawn(Subject::Labels(&image), &posed, &output);
                 assert_eq!((out.shape.samples(), out.shape.depth, &out.palette), (1, Depth::Sixteen, &None));
-                let target = output.target(size, &posed, &Limits::default()).unwrap();
+                let target = output.target(size, &posed, &Limits::default(), &|| false).unwrap();
                 let mut positions = vec![[0.0; 2]; target.extent.pixels() as usize];
                 InverseMap::new(posed.mesh(), target.extent, target.canvas).rows(0..target.extent.height(), &mut positions);
                 for (value, [x, y]) in out.values.as_chunks::<2>().0.iter().zip(positions) {
@@ -134,7 +134,7 @@ fn file(map: &CoordinateMap) -> Vec<u8> {
 
 fn map(case: &Case, spec: &MapSpec) -> (Posed, CoordinateMap) {
     let posed = posed(case);
-    let target = spec.target(&posed, case.extent, &Limits::default()).unwrap();
+    let target = spec.target(&posed, case.extent, &Limits::default(), &|| false).unwrap();
     let map = CoordinateMap::new(spec, &posed, target).unwrap();
     (posed, map)
 }
