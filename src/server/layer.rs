@@ -33,6 +33,11 @@ impl LayerName {
         &self.0
     }
 
+    /// Whether both are one name where upper and lower case are not told apart, as in the file names of many systems, and yet are two.
+    pub fn is_twin(&self, other: &Self) -> bool {
+        self != other && self.0.eq_ignore_ascii_case(&other.0)
+    }
+
     /// Whether the layer is the mask of what moves.
     pub fn is_region(&self) -> bool {
         self.0 == Self::REGION
@@ -107,6 +112,8 @@ mod tests {
                 .all(|name| matches!(LayerRef::parse(name), Some(built_in) if built_in != LayerRef::Stored(LayerName::region())))
         );
         assert_eq!((LayerRef::parse("region"), LayerRef::parse("@region")), (Some(LayerRef::Stored(LayerName::region())), None));
+        let name = |text: &str| LayerName::parse(text).unwrap();
+        assert!(name("Depth").is_twin(&name("depth")) && !name("depth").is_twin(&name("depth")) && !name("a").is_twin(&name("b")));
         assert!(LayerName::region().is_region() && !LayerName::parse("Region").unwrap().is_region());
     }
 }

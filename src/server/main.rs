@@ -8,7 +8,7 @@ mod malloc_trim;
 use std::process::ExitCode;
 
 use mlswarp_server::cli::{batch, health, map, points, report, warp};
-use mlswarp_server::config::{Cli, Command};
+use mlswarp_server::config::{Cli, Command, unknown_variables};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
 
@@ -21,9 +21,14 @@ fn main() -> ExitCode {
             return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
         }
     };
-    let done = match command.unwrap_or(Command::Serve) {
+    let (command, unknown) = (command.unwrap_or(Command::Serve), unknown_variables());
+    if !matches!(command, Command::Serve | Command::Health) {
+        unknown.iter().for_each(|sentence| eprintln!("warning: {sentence}"));
+    }
+    let done = match command {
         Command::Serve => {
             observe::start(&config.telemetry.log, config.telemetry.log_format);
+            unknown.iter().for_each(|sentence| tracing::warn!("{sentence}"));
             #[cfg(all(target_os = "linux", target_env = "gnu"))]
             malloc_trim::start();
             connection::run(config).map_err(|e| format!("error: {e}"))

@@ -116,7 +116,24 @@ async fn pages_of_listed_sites_may_ask_and_no_others() {
     assert_eq!(header(&refused, "cross-origin-resource-policy"), "cross-origin");
     problem(refused, 401, "unauthorized").await;
 
+    // Pages of other sites embed nothing, although one site is listed.
+    let policy = async |server: &Server, origin: Option<&str>| {
+        let mut request = server.get("/healthz");
+        request = if let Some(origin) = origin { request.header("Origin", origin) } else { request };
+        header(&request.send().await.unwrap(), "cross-origin-resource-policy").to_owned()
+    };
+    let one = Server::start(&["--cors-origin", "https://warp.example"]).await;
+    for (origin, expected) in [
+        (None, "same-origin"),
+        (Some("https://evil.example"), "same-origin"),
+        (Some("https://warp.example.evil"), "same-origin"),
+        (Some("null"), "same-origin"),
+        (Some("https://warp.example"), "cross-origin"),
+    ] {
+        assert_eq!(policy(&one, origin).await, expected, "{origin:?}");
+    }
     let any = Server::start(&["--cors-origin", "*"]).await;
+    assert_eq!(policy(&any, None).await, "cross-origin");
     let answer = any.post("/points").header("Origin", "https://any.example").json(&points()).send().await.unwrap();
     assert_eq!((answer.status().as_u16(), header(&answer, "access-control-allow-origin")), (200, "*"));
 }

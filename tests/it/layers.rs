@@ -10,7 +10,7 @@ const SERVER: [(&str, &[&str]); 16] = [
     ("cli", &["http", "app", "config", "auth", "problem", "wire", "layer", "client"]),
     ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "layer", "client"]),
     ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "layer", "client"]),
-    ("config", &["store", "observe", "auth", "limits"]),
+    ("config", &["store", "observe", "auth", "limits", "problem"]),
     ("drag", &["wire"]),
     ("pool", &["observe", "limits", "session", "client"]),
     ("cache", &["observe", "limits", "problem", "client"]),

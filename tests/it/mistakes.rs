@@ -59,6 +59,12 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         (r#"{"p": [], "output": {"method": "rigid"}}"#, "unknown_field", "/output/method", &["put it beside `output`, not in it"]),
         (r#"{"p": [], "cell": 5}"#, "unknown_field", "/cell", &["put it in `grid`: `grid.cell`"]),
         (r#"{"p": [], "grid": {"cells": 5}}"#, "unknown_field", "/grid/cells", &["did you mean `cell`?", "`cell`, `columns`, `rows`"]),
+        (r#"{"p": [], "qualitty": 5}"#, "unknown_field", "/qualitty", &["unknown field: `qualitty`; known fields: `p`"]),
+        (r#"{"strength": 50}"#, "bad_value", "/strength", &["between -10 and 10, where 1 is 100 %; found 50"]),
+        (r#"{"p": [], "steps": 7}"#, "unknown_field", "/steps", &["`steps` belongs to many frames in one file: POST /sessions/{id}/batch"]),
+        (r#"{"p": [], "jitter": {}}"#, "unknown_field", "/jitter", &["POST /sessions/{id}/batch, or mlswarp batch"]),
+        (r#"{"p": [], "boxes": []}"#, "unknown_field", "/boxes", &["`boxes` belongs to annotations: POST /points"]),
+        (r#"{"p": [], "candidates": []}"#, "unknown_field", "/candidates", &["POST /fit"]),
         (r#"{"height": 10}"#, "unknown_field", "/height", &["the height follows from `output.width`"]),
         (r#"{"output": {"scale": 2}}"#, "unknown_field", "/output/scale", &["the height follows from `output.width`"]),
         (r#"{"warp": {"p": []}}"#, "unknown_field", "/warp", &["send the content of `warp`, without `warp`"]),
@@ -112,6 +118,37 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         let hint = format!("put it in `output`: `output.{name}`");
         told(server.post("/warp").multipart(form(&image, warp)), 422, "unknown_field", Some(&format!("/{name}")), &[&hint]).await;
     }
+    // Other kinds of objects, each known by its members and not by one of its fields.
+    let answer = server.post("/landmarks").body("x,y,name\n1,2,a\n").send().await.unwrap().text().await.unwrap();
+    let geojson = r#"{"type": "FeatureCollection", "features": []}"#;
+    for (warp, pointer, words) in [
+        (answer.as_str(), "/names", "this is an answer of POST /landmarks: send its `p`, `q` and `units` alone, or the file as landmarks"),
+        (geojson, "/type", "this is GeoJSON, a FeatureCollection: POST /points maps it, in the field `geojson`"),
+        (r#"{"best": {"method": "tps"}, "candidates": []}"#, "/best", "this is an answer of /fit: the fields of its `best`"),
+        (r#"{"shapes": [], "imagePath": "a.png"}"#, "/shapes", "this is a labelme file: send it as landmarks"),
+    ] {
+        let document = told(server.post("/warp").multipart(form(&image, warp)), 422, "unknown_field", Some(pointer), &[words]).await;
+        assert!(!document["detail"].as_str().unwrap().contains("did you mean"), "{document}");
+    }
+    let body = format!(r#"{{"p": [], "extent": [64, 48], {}"#, &geojson[1..]);
+    let points = server.post("/points").header("content-type", "application/json").body(body);
+    told(points, 422, "unknown_field", Some("/type"), &["a FeatureCollection: put it in `geojson`"]).await;
+    let refused = server.post("/points").json(&json!({"p": []})).send().await.unwrap().text().await.unwrap();
+    let words = ["this is an error of an earlier request, `bad_value`: `\\`extent\\` is missing"];
+    told(server.post("/warp").multipart(form(&image, refused)), 422, "unknown_field", Some("/type"), &words).await;
+    for (body, hint) in [
+        ("[[1, 2]]", "found an array; handles are {\"p\": [...], \"q\": [...]}"),
+        (r#"[{"type": "Feature", "geometry": null}]"#, "found an array; GeoJSON goes in the field `geojson`"),
+    ] {
+        let request = server.post("/points").header("content-type", "application/json").body(body);
+        told(request, 400, "malformed_request", None, &[hint]).await;
+    }
+    // Why a size is needed where there is no image.
+    for path in ["/points", "/report", "/map", "/fit"] {
+        let request = server.post(path).json(&json!({"p": [[1, 1]], "q": [[1, 2]]}));
+        let words = ["`extent` is missing: expected the size of the image, [width, height] in pixels; this request has no image"];
+        told(request, 422, "bad_value", Some("/extent"), &words).await;
+    }
     // The same without an image, and in a session.
     let points = json!({"q": [[10, 10]], "extent": [64, 48], "points": [[1, 2]]});
     told(server.post("/points").json(&points), 422, "bad_value", Some("/p"), &["where do the handles start?"]).await;
@@ -125,6 +162,9 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     ] {
         told(server.post(&format!("/sessions/{id}/warp")).json(&body), 422, "unknown_field", Some(pointer), &[words]).await;
     }
+    let batch = server.post(&format!("/sessions/{id}/batch")).json(&json!({"q": [[12, 10]], "frames": 24}));
+    told(batch, 422, "bad_value", Some("/frames"), &["an array of frames, one pose for each; found a number; did you mean \"steps\": 24?"])
+        .await;
     for name in ["landmarks", "pins"] {
         let points = server.post(&format!("/sessions/{id}/points")).json(&json!({"q": [[12, 10]], name: []}));
         told(points, 422, "unknown_field", Some(&format!("/{name}")), &["did you mean `points`?"]).await;
@@ -296,7 +336,20 @@ async fn mistakes_in_the_method_and_the_path_name_the_route() {
     told(server.post("/healthz"), 405, "method_not_allowed", None, &["POST is not supported at `/healthz`; use GET"]).await;
     let id = "/sessions/0f8fad5b-d9cb-469f-a165-70867728950e";
     let words = ["POST is not supported at `/sessions/", "; use GET, PUT or DELETE"];
-    told(server.post(id), 405, "method_not_allowed", None, &words).await;
+    let document = told(server.post(id), 405, "method_not_allowed", None, &words).await;
+    for route in ["POST /sessions/{id}/warp", "POST /sessions/{id}/points", "POST /sessions/{id}/batch"] {
+        assert!(document["detail"].as_str().unwrap().contains(route), "{document}");
+    }
+    let words = ["GET is not supported at `/sessions`; use POST. Below it are GET /sessions/{id}, "];
+    told(server.get("/sessions"), 405, "method_not_allowed", None, &words).await;
+    let words = ["GET is not supported at `/sessions/", "/handles`; use PUT"];
+    told(server.get(&format!("{id}/handles")), 405, "method_not_allowed", None, &words).await;
+    let words = ["below it are GET, PUT, DELETE /sessions/{id}/layers/{name}. See /docs"];
+    told(server.get(&format!("{id}/layers")), 404, "not_found", None, &words).await;
+    told(server.get("/problems"), 404, "not_found", None, &["below it are GET /problems/{code}. See /docs"]).await;
+    // A script whose variable is empty.
+    let words = ["the path has an empty segment: is a variable of your script, such as the id of the session, empty?"];
+    told(server.post("/sessions//warp"), 404, "not_found", None, &words).await;
     told(server.post("/page/main.js"), 405, "method_not_allowed", None, &["; use GET"]).await;
     let drag = format!("{id}/drag");
     told(server.post(&drag), 405, "method_not_allowed", None, &["POST is not supported at", "; use GET"]).await;

@@ -92,6 +92,58 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
     eventually("every connection is given back", || server.app.access().connections().open() <= 2).await;
 }
 
+/// The rest of a body is read for a client that reads only afterwards; a body that has no end, or is far too long, is not.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_body_without_end_ends_the_connection_soon_after_its_problem() {
+    let server = Server::start(&["--max-body-bytes", "1MiB"]).await;
+    let address = server.address;
+    let parts = "Content-Type: multipart/form-data; boundary=x\r\n";
+    let json = "Content-Type: application/json\r\n";
+    let chunked = "Transfer-Encoding: chunked\r\n";
+    let cases = [
+        ("too large", format!("POST /warp HTTP/1.1\r\n{parts}{chunked}"), 413),
+        ("a length beyond all limits", format!("POST /warp HTTP/1.1\r\n{parts}Content-Length: 1000000000000\r\n"), 413),
+        ("no multipart", format!("POST /warp HTTP/1.1\r\nContent-Type: text/plain\r\n{chunked}"), 415),
+        ("a wrong boundary", format!("POST /warp HTTP/1.1\r\nContent-Type: multipart/form-data\r\n{chunked}"), 400),
+        ("no such session", format!("POST /sessions/x/warp HTTP/1.1\r\n{json}{chunked}"), 404),
+        ("no such route", format!("POST /nothing HTTP/1.1\r\n{json}{chunked}"), 404),
+    ];
+    let ends = cases.map(|(what, head, status)| {
+        tokio::spawn(async move {
+            let (mut read, mut write) = TcpStream::connect(address).await.unwrap().into_split();
+            write.write_all(format!("{head}Host: localhost\r\n\r\n").as_bytes()).await.unwrap();
+            let began = Instant::now();
+            let writes = tokio::spawn(async move {
+                let piece = [&b"4000\r\n"[..], &[b'x'; 0x4000], b"\r\n"].concat();
+                while write.write_all(&piece).await.is_ok() {
+                    assert!(began.elapsed() < Duration::from_secs(25), "{what}: the connection goes on");
+                    tokio::time::sleep(Duration::from_millis(5)).await;
+                }
+            });
+            let mut line = [0; 12];
+            read.read_exact(&mut line).await.unwrap();
+            assert_eq!(std::str::from_utf8(&line), Ok(format!("HTTP/1.1 {status}").as_str()), "{what}");
+            writes.await.unwrap();
+            began.elapsed()
+        })
+    });
+    for end in ends {
+        let took = end.await.unwrap();
+        assert!(took < Duration::from_secs(15), "{took:?}: the deadline of a body is 30 s");
+    }
+    // A body of a length that is allowed is taken to its end, however slowly it comes, and the answer is found.
+    let (mut stream, length) = (TcpStream::connect(address).await.unwrap(), 400_000);
+    let head = format!("POST /nothing HTTP/1.1\r\nHost: localhost\r\n{json}Content-Length: {length}\r\n\r\n");
+    stream.write_all(head.as_bytes()).await.unwrap();
+    for _ in 0..40 {
+        stream.write_all(&[b' '; 10_000]).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(80)).await;
+    }
+    let mut line = [0; 12];
+    stream.read_exact(&mut line).await.unwrap();
+    assert_eq!(&line, b"HTTP/1.1 404");
+}
+
 /// A session whose picture is some megabytes, never compressed.
 async fn large(server: &Server) -> String {
     server.session(&photo(1600, 1200), &json!({"p": [[20, 20]], "grid": {"cell": 100}})).await

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use mlswarp::warp::Digest;
 
 use crate::client::Tenant;
+use crate::limits::client_limit::ClientLimit;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Bounds, NamedFile, Record, record_bytes};
@@ -26,8 +27,8 @@ pub struct ClientSessions(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     idle: Duration,
-    max_sessions: u64,
-    max_bytes: u64,
+    max_sessions: ClientLimit,
+    max_bytes: ClientLimit,
     counted: Mutex<Counted>,
 }
 
@@ -126,7 +127,7 @@ impl Counted {
 
 impl ClientSessions {
     /// The sessions in a store with these bounds; `of_client` gives one client's share of a total.
-    pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> u64) -> Self {
+    pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> ClientLimit) -> Self {
         let (max_sessions, max_bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
         Self(Arc::new(Shared { idle: bounds.idle, max_sessions, max_bytes, counted: Mutex::default() }))
     }
@@ -178,12 +179,15 @@ impl ClientSessions {
         counted.add(id, CountedSession { claim: claim.number, is_pending: true, ..session });
         let total = &counted.totals[&tenant];
         let limits = [
-            ("client_sessions", "sessions", self.0.max_sessions, total.sessions),
-            ("client_store_bytes", "bytes", self.0.max_bytes, total.bytes),
+            ("client_sessions", "sessions", self.0.max_sessions.get(), total.sessions),
+            ("client_store_bytes", "bytes", self.0.max_bytes.get(), total.bytes),
         ];
         let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else { return Ok(claim) };
         counted.restore(claim);
-        let detail = format!("this client would store {actual} {unit}; the limit is {limit}. Delete sessions, or let them expire");
+        let detail = format!(
+            "this client would store {actual} {unit}; the limit of one client is {limit} (--max-client-share). \
+             Delete sessions, or let them expire"
+        );
         Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
     }
 
@@ -280,7 +284,7 @@ mod tests {
     }
 
     fn client_sessions(idle: Duration, sessions: usize, bytes: u64) -> ClientSessions {
-        ClientSessions::new(Bounds { idle, sessions, bytes }, |total| total / 2)
+        ClientSessions::new(Bounds { idle, sessions, bytes }, |total| (total / 2).into())
     }
 
     fn sum(client_sessions: &ClientSessions, n: u8) -> (u64, u64) {

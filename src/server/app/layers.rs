@@ -45,6 +45,7 @@ impl App {
             let session = self.touch(id, None).await?;
             let old = Arc::clone(&session.record);
             check_count(&old, name)?;
+            check_twin(&old, name)?;
             let setup = self.session_setup(client, &old).await?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let digest = self.check_layer(&ticket, file.clone(), old.extent).await?;
@@ -142,6 +143,17 @@ fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {
         return Err(Problem::new(Code::TooLarge, detail).limit("session_layers", MAX_LAYERS, count));
     }
     Ok(())
+}
+
+/// Errors: Another layer has the name in other letters: both would be one file of a batch.
+fn check_twin(record: &Record, name: &LayerName) -> Result<(), Problem> {
+    let region = LayerName::region();
+    let twin = record.layers.keys().chain([&region]).find(|other| name.is_twin(other));
+    // Sessions of earlier versions may have both.
+    let Some(twin) = twin.filter(|_| !record.layers.contains_key(name)) else { return Ok(()) };
+    let other = if record.layers.contains_key(twin) { "a layer" } else { "the name" };
+    let detail = format!("{} differs only in upper and lower case from {other} `{twin}`; choose another name", quote(name.as_str()));
+    Err(Problem::new(Code::BadValue, detail))
 }
 
 /// The problem of a name that no stored layer can have.

@@ -33,6 +33,7 @@ use crate::auth::AccessControl;
 use crate::cache::Cache;
 use crate::client::Client;
 use crate::config::{Config, WorkConfig};
+use crate::limits::client_limit::ClientLimit;
 use crate::limits::client_quota::{ClientQuota, ClientQuotas, QuotaKind};
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::memory::{Budget, BudgetExceeded, Purpose, Reservation};
@@ -116,17 +117,17 @@ impl App {
         let tracer = config.telemetry.otlp_endpoint.as_ref().map(|collector| Tracer::new(collector, config.telemetry.otlp_sample));
         let tracer = tracer.transpose().map_err(NotStarted::Traces)?;
         let (work, auth, clients) = (config.work, &config.auth, &config.clients);
-        let of_client = |total| clients.client_share.of(total);
+        let access = AccessControl::new(
+            auth.keys.as_ref().map(|keys| keys.all.clone()),
+            clients.rate_per_address,
+            clients.rate_per_key,
+            ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
+        );
+        let of_client = |total| ClientLimit::new(clients.client_share.of(total), access.sole_client());
         let WorkConfig { workers, drag_wait, upload_wait, .. } = work;
         let queue = work.queue();
         let shape = Shape { workers, queue, drag_wait, upload_wait };
         Ok(Self(Arc::new(AppState {
-            access: AccessControl::new(
-                auth.keys.as_ref().map(|keys| keys.all.clone()),
-                clients.rate_per_address,
-                clients.rate_per_key,
-                ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
-            ),
             budget: Budget::new(work.memory_bytes),
             response_quotas: ClientQuotas::new(QuotaKind::Responses, work.memory_bytes / UNREAD_DIVISOR),
             request_quotas: ClientQuotas::new(QuotaKind::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
@@ -143,6 +144,7 @@ impl App {
             // The frames of one client may use half of the queue, its requests the other half.
             sockets: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
             metrics: Metrics::default(),
+            access,
             tracer,
             config,
         })))

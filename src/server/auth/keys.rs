@@ -79,6 +79,12 @@ impl Keys {
         self.0.is_empty()
     }
 
+    /// Whether all keys belong to one name.
+    pub(crate) fn have_one_owner(&self) -> bool {
+        let owner = self.0.first().map(|key| key.owner);
+        owner.is_some() && self.0.iter().all(|key| Some(key.owner) == owner)
+    }
+
     /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
     /// and the owner is selected without a branch.
     pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
@@ -167,7 +173,9 @@ mod tests {
         for wrong in ["", "0123456789abcdeg", "0123456789abcde", "ann"] {
             assert_eq!(keys.owner_of(wrong), None);
         }
-        assert_eq!(Keys::parse(&format!("ann {ONE},bob {TWO}")).unwrap().len(), 2);
+        let two = Keys::parse(&format!("ann {ONE},bob {TWO}")).unwrap();
+        assert_eq!((two.len(), two.have_one_owner(), Keys::default().have_one_owner()), (2, false, false));
+        assert!(Keys::parse(&format!("ann {ONE},ann {TWO}")).unwrap().have_one_owner());
     }
 
     #[test]

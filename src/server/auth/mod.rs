@@ -19,6 +19,7 @@ use std::time::Instant;
 use tokio::sync::watch;
 
 use crate::client::Tenant;
+use crate::limits::client_limit::SoleClient;
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::rate_limit::RateLimit;
 use crate::problem::{Code, Problem};
@@ -31,13 +32,17 @@ pub struct AccessControl {
     keys: Option<watch::Sender<Arc<Keys>>>,
     by_address: Option<RateLimit<Tenant>>,
     by_owner: Option<RateLimit<Tenant>>,
+    sole: SoleClient,
     connections: ConnectionLimiter,
 }
 
 impl AccessControl {
     /// Access control with these limits.
     pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, connections: ConnectionLimiter) -> Self {
+        let sole = SoleClient::default();
+        sole.set(keys.as_ref().is_some_and(Keys::have_one_owner));
         Self {
+            sole,
             keys: keys.map(|keys| watch::Sender::new(Arc::new(keys))),
             by_address: rate_per_address.map(RateLimit::new),
             by_owner: rate_per_key.map(RateLimit::new),
@@ -50,9 +55,15 @@ impl AccessControl {
         &self.connections
     }
 
+    /// Whether all keys belong to one name, now and after they are replaced.
+    pub const fn sole_client(&self) -> &SoleClient {
+        &self.sole
+    }
+
     /// Replaces the keys.
     pub fn replace_keys(&self, new: Keys) {
         if let Some(keys) = &self.keys {
+            self.sole.set(new.have_one_owner());
             keys.send_replace(Arc::new(new));
         }
     }

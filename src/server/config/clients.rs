@@ -26,7 +26,8 @@ pub struct ClientLimits {
     #[arg(long, value_name = "N", default_value = "256", value_parser = Checked(whole::<usize>(0, 1_000_000)))]
     pub max_sockets: usize,
     /// Largest share of one client, in percent, of `--max-sessions`, `--store-bytes`, `--max-sockets` and the memory for uploads;
-    /// requests above it are answered 429. A client is the name of a key or, without keys, an address (IPv6: one /64). 100 = no limit.
+    /// requests above it are answered 429. A client is the name of a key or, without keys, an address (IPv6: one /64). 100 = no limit; while
+    /// all keys belong to one name, there is none either.
     #[arg(long = "max-client-share", value_name = "PERCENT", default_value = "50", value_parser = Checked(client_share))]
     pub client_share: ClientShare,
 }
@@ -36,6 +37,9 @@ pub struct ClientLimits {
 pub struct ClientShare(u64);
 
 impl ClientShare {
+    /// No limit.
+    pub(super) const ALL: Self = Self(100);
+
     /// The client's part of a total, rounded up, so that each client may use at least one.
     pub const fn of(self, total: u64) -> u64 {
         let part = total / 100 * self.0 + (total % 100 * self.0).div_ceil(100);

@@ -7,6 +7,7 @@ mod command;
 mod option;
 mod store;
 mod telemetry;
+mod unknown;
 mod work;
 
 use std::ffi::OsString;
@@ -26,6 +27,8 @@ pub use command::{BatchArgs, Command, ExtentInput, MapArgs, PointsArgs, ReportAr
 use command::{EFFECTIVE, help_of};
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
+use unknown::suggest_effective;
+pub use unknown::unknown_variables;
 pub use work::WorkConfig;
 
 /// The command line.
@@ -135,7 +138,13 @@ impl Cli {
 
     fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, clap::Error> {
         clear_mistakes();
-        let matches = command.clone().try_get_matches_from(args)?;
+        let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
+        let matches = command.clone().try_get_matches_from(&args).map_err(|error| {
+            // `serve` has the options of the program.
+            let is_named = |(name, _): &&(&str, _)| args.iter().skip(1).any(|arg| arg == name);
+            let named = EFFECTIVE.iter().find(is_named).and_then(|(name, _)| command.find_subcommand(name));
+            suggest_effective(error, named.unwrap_or(&command))
+        })?;
         let mut cli = Self::from_arg_matches(&matches)?;
         keep_final(&matches, &command);
         report_without_effect(&matches, &command);
@@ -167,6 +176,7 @@ impl Config {
         let mut offline = Self::default();
         // Nobody waits for a response.
         offline.timeouts.request = std::time::Duration::from_secs(u64::from(u32::MAX));
+        offline.clients.client_share = ClientShare::ALL;
         Self {
             max_body_bytes,
             max_warp_json_bytes,

@@ -13,7 +13,7 @@ use axum::http::HeaderMap;
 use bytes::Bytes;
 use http_body::Frame;
 use http_body_util::BodyExt as _;
-use tokio::time::{Sleep, sleep, timeout};
+use tokio::time::{Sleep, sleep, timeout_at};
 
 use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
@@ -41,8 +41,12 @@ pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &
     problem.unwrap_or_else(|| Problem::new(Code::MalformedRequest, format!("{context}: {error}")))
 }
 
-/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded for as long again, so that a client which
-/// sends its whole body before it reads finds the response instead of a reset connection.
+/// The time for which the rest of a body is read and discarded that is too large, or may have no end.
+const LINGER: Duration = Duration::from_secs(2);
+
+/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded, so that a client which sends its whole body
+/// before it reads finds the response instead of a reset connection: until the deadline if the rest has a length within the limit, and
+/// otherwise for [`LINGER`] at most, as the rest could be endless.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,
@@ -113,8 +117,10 @@ impl Drop for LimitedBody {
         if let Some(mut body) = self.body.take().filter(|body| !is_withheld && !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
-            let limit = self.timeout;
-            runtime.spawn(timeout(limit, async move { while let Some(Ok(_)) = body.frame().await {} }));
+            let ends = body.size_hint().upper().is_some_and(|rest| rest <= self.left);
+            let until = tokio::time::Instant::now() + LINGER;
+            let until = if ends { self.deadline.deadline() } else { until.min(self.deadline.deadline()) };
+            runtime.spawn(timeout_at(until, async move { while let Some(Ok(_)) = body.frame().await {} }));
         }
     }
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::client_limit::ClientLimit;
 use crate::client::{Client, Tenant};
 
 /// Number of clients from which those that use nothing are removed from the map.
@@ -32,7 +33,7 @@ impl QuotaKind {
 #[derive(Debug)]
 pub(crate) struct ClientQuotas {
     kind: QuotaKind,
-    limit: u64,
+    limit: ClientLimit,
     used: Mutex<HashMap<Tenant, Arc<AtomicU64>>>,
 }
 
@@ -40,14 +41,14 @@ pub(crate) struct ClientQuotas {
 #[derive(Clone, Debug)]
 pub struct ClientQuota {
     kind: QuotaKind,
-    limit: u64,
+    limit: ClientLimit,
     used: Arc<AtomicU64>,
 }
 
 impl ClientQuotas {
     /// `limit`: bytes per client.
-    pub(crate) fn new(kind: QuotaKind, limit: u64) -> Self {
-        Self { kind, limit, used: Mutex::default() }
+    pub(crate) fn new(kind: QuotaKind, limit: impl Into<ClientLimit>) -> Self {
+        Self { kind, limit: limit.into(), used: Mutex::default() }
     }
 
     pub(crate) fn of(&self, client: Client) -> ClientQuota {
@@ -56,7 +57,8 @@ impl ClientQuotas {
             // A client that uses memory, or is about to, holds another reference.
             used.retain(|_, used| Arc::strong_count(used) > 1);
         }
-        ClientQuota { kind: self.kind, limit: self.limit, used: Arc::clone(used.entry(client.tenant()).or_default()) }
+        let used = Arc::clone(used.entry(client.tenant()).or_default());
+        ClientQuota { kind: self.kind, limit: self.limit.clone(), used }
     }
 }
 
@@ -66,8 +68,8 @@ impl ClientQuota {
     }
 
     /// Maximum number of bytes.
-    pub const fn limit(&self) -> u64 {
-        self.limit
+    pub fn limit(&self) -> u64 {
+        self.limit.get()
     }
 
     /// Bytes in use.
@@ -79,7 +81,7 @@ impl ClientQuota {
     /// Errors: The bytes in use, if the quota is exceeded.
     pub(crate) fn reserve(&self, own: u64, more: u64) -> Result<(), u64> {
         let is_alone = |used: u64| self.kind == QuotaKind::Responses && used <= own;
-        let fits = |used: u64| used.checked_add(more).filter(|sum| *sum <= self.limit || is_alone(used));
+        let fits = |used: u64| used.checked_add(more).filter(|sum| *sum <= self.limit() || is_alone(used));
         self.used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)
     }
 

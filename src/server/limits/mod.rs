@@ -20,6 +20,7 @@
 //! | messages per second on a drag socket | 1000, 2000 at once | WebSocket close code 1008 | [`bucket`] |
 
 pub mod bucket;
+pub mod client_limit;
 pub mod client_quota;
 pub mod connections;
 mod counts;

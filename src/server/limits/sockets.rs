@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{Semaphore, watch};
 
+use super::client_limit::ClientLimit;
 use super::counts::Counts;
 use crate::client::Tenant;
 use crate::problem::{Code, Problem};
@@ -21,7 +22,7 @@ pub(crate) struct SocketSlots(Arc<SlotState>);
 #[derive(Debug)]
 struct SlotState {
     max: usize,
-    max_per_client: usize,
+    max_per_client: ClientLimit,
     max_frames: usize,
     counts: Mutex<SocketCounts>,
     open: watch::Sender<usize>,
@@ -45,10 +46,10 @@ pub(crate) struct SocketSlot {
 
 impl SocketSlots {
     /// At most `max_frames` frames of one client are in the pool or its queue at a time; the rest of the queue is for its requests.
-    pub(crate) fn new(max: usize, max_per_client: u64, max_frames: usize) -> Self {
+    pub(crate) fn new(max: usize, max_per_client: impl Into<ClientLimit>, max_frames: usize) -> Self {
         Self(Arc::new(SlotState {
             max,
-            max_per_client: usize::try_from(max_per_client).unwrap_or(usize::MAX),
+            max_per_client: max_per_client.into(),
             max_frames: max_frames.clamp(1, Semaphore::MAX_PERMITS),
             counts: Mutex::default(),
             open: watch::Sender::new(0),
@@ -60,13 +61,15 @@ impl SocketSlots {
     pub(crate) fn acquire(&self, tenant: Tenant, id: SessionId) -> Result<SocketSlot, Problem> {
         let slots = &self.0;
         let mut counts = slots.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        let max_per_client = usize::try_from(slots.max_per_client.get()).unwrap_or(usize::MAX);
         for (what, whose, code, open, max) in [
             ("sockets", "this server", Code::Overloaded, self.open(), slots.max),
             ("session_sockets", "this session", Code::Overloaded, counts.sessions.get(&id), MAX_PER_SESSION),
-            ("client_sockets", "this client", Code::RateLimited, counts.clients.get(&tenant), slots.max_per_client),
+            ("client_sockets", "this client", Code::RateLimited, counts.clients.get(&tenant), max_per_client),
         ] {
             if open >= max {
-                let detail = format!("{whose} has {open} open drag sockets; the limit is {max}");
+                let by = if what == "client_sockets" { " (--max-client-share)" } else { "" };
+                let detail = format!("{whose} has {open} open drag sockets; the limit is {max}{by}");
                 return Err(Problem::new(code, detail).limit(what, max, open + 1).retry_after(RETRY));
             }
         }

@@ -10,7 +10,7 @@ use super::handles::handles;
 use super::json::{Node, optional};
 use super::number::number;
 use super::rest::WarpPatch;
-use super::{AsJson, HANDLES, SIZE, fields, json, size};
+use super::{AsJson, EXTENT, HANDLES, fields, json, size};
 use crate::problem::{Code, Problem};
 
 /// The most candidates of a request.
@@ -37,7 +37,7 @@ impl FitObject {
         let [p, q, weights, coincident, units, extent, candidates] = root.fields(&fields::FIT)?;
         let warp =
             WarpPatch::read([p, q, None, weights, None, None, None, None, coincident, units, None, None, None, None])?.into_object()?;
-        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let q = warp.posed()?.to_vec();
         Ok(Self { rest: Some((warp.rest, extent)), q, candidates: read_candidates(candidates)? })
     }

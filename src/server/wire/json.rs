@@ -11,7 +11,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use super::work::{PIECE, Work};
-use super::{fields, suggest, syntax};
+use super::{fields, shape, suggest, syntax};
 use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
 
@@ -85,7 +85,10 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     let node = value(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
     match node.kind() {
         Kind::Object => Ok(node),
-        other => Err(malformed(format!("the request must be a JSON object, {{...}}; found {}", other.name()))),
+        other => {
+            let hint = if other == Kind::Array { shape::of_list(&node) } else { "" };
+            Err(malformed(format!("the request must be a JSON object, {{...}}; found {}{hint}", other.name())))
+        }
     }
 }
 
@@ -170,7 +173,8 @@ impl<'j, 'p> Node<'j, 'p> {
             return fields::unsupported(name, known).pointer(pointer);
         }
         let useful = fields::useful(known);
-        let advice = advice(suggest::field(name, &useful), &format!("known fields: {}", list(&useful)));
+        let hint = shape::recognised(self, known).or_else(|| suggest::field(name, &useful));
+        let advice = advice(hint, &format!("known fields: {}", list(&useful)));
         let detail = format!("unknown field: {}{advice}", quote(name));
         let problem = Problem::new(Code::UnknownField, detail);
         if pointer.is_empty() { problem } else { problem.pointer(pointer) }

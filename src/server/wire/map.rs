@@ -9,7 +9,7 @@ use super::handles::handles;
 use super::json::{Node, optional};
 use super::output::{canvas, width};
 use super::rest::{WarpPatch, strength};
-use super::{HANDLES, SIZE, WarpObject, fields, json, size};
+use super::{EXTENT, HANDLES, WarpObject, fields, json, size};
 use crate::problem::Problem;
 
 /// A request for a map. The canvas and the width are those of `output` if they are absent.
@@ -33,7 +33,7 @@ impl MapObject {
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
         warp.apply_strength()?;
-        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let q = warp.posed()?.to_vec();
         Self::read(Some((warp, extent)), q, 1.0, [direction, canvas, width])
     }

@@ -22,6 +22,7 @@ mod plan;
 mod report;
 mod rest;
 mod session;
+mod shape;
 mod socket;
 mod suggest;
 mod syntax;
@@ -232,7 +233,7 @@ impl PointsObject {
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
         warp.apply_strength()?;
-        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let annotations = Annotations::read([a, b, c, d, e, f])?;
         let q = warp.posed()?.to_vec();
         Ok(Self { warp: Some((warp, extent)), q, strength: 1.0, annotations })
@@ -249,6 +250,8 @@ impl PointsObject {
 }
 
 const SIZE: &str = "a size: [width, height] in pixels";
+/// The size that a request without an image gives.
+const EXTENT: &str = "the size of the image, [width, height] in pixels; this request has no image, and the grid and the units depend on it";
 /// Bytes of text of an ordinary side.
 const SIDE_TEXT: usize = 5;
 

@@ -5,7 +5,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-use super::{AsJson, SIZE, WarningEntry, WarpObject, WarpPatch, fields, json, size};
+use super::{AsJson, EXTENT, WarningEntry, WarpObject, WarpPatch, fields, json, size};
 use crate::problem::Problem;
 
 /// Longest text of a number and its comma, bytes.
@@ -29,7 +29,7 @@ impl ReportObject {
         let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
         let mut warp = WarpPatch::read(warp)?.into_object()?;
         warp.apply_strength()?;
-        let extent = size(&extent.ok_or_else(|| root.missing("extent", SIZE))?)?;
+        let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
         Ok(Self { warp, extent })
     }

@@ -115,7 +115,7 @@ impl WarpPatch {
 
 /// How much of the way from p to q the handles are moved.
 pub(crate) fn strength(node: &Node<'_, '_>) -> Result<f64, Problem> {
-    number_in(node, RestSpec::STRENGTHS, "a number between -10 and 10")
+    number_in(node, RestSpec::STRENGTHS, "a number between -10 and 10, where 1 is 100 %")
 }
 
 fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {

@@ -1,6 +1,6 @@
 //! What a client probably meant by a field, a name or a colour that the contract does not have.
 
-use super::fields::{self, GRID, OUTPUT, WARP};
+use super::fields::{GRID, OUTPUT, WARP};
 use crate::problem::words::nearest;
 
 /// What other programs call the handles at rest, posed, and both.
@@ -27,8 +27,15 @@ const SIZES: [&str; 6] = ["height", "size", "scale", "resize", "dimensions", "re
 const BOTH: [&str; 5] = ["points", "handles", "pins", "landmarks", "pairs"];
 
 /// Other names of fields.
-const OTHER_FIELDS: [(&str, &str); 5] =
-    [("family", "method"), ("background", "outside"), ("interpolation", "filter"), ("type", "format"), ("mesh", "grid")];
+const OTHER_FIELDS: [(&str, &str); 4] = [("family", "method"), ("background", "outside"), ("interpolation", "filter"), ("mesh", "grid")];
+/// Fields of other requests, and where they go.
+const OF_OTHERS: [(&[&str], &str); 5] = [
+    (&["frames", "steps", "easing", "jitter"], "belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch"),
+    (&["polygons", "boxes", "geojson", "inverse", "refine"], "belongs to annotations: POST /points, or mlswarp points"),
+    (&["candidates"], "belongs to a comparison of methods: POST /fit"),
+    (&["direction"], "belongs to a map of coordinates: POST /map, or mlswarp map"),
+    (&["seq", "layer"], "belongs to a drag of a session: POST /sessions/{id}/warp"),
+];
 /// Other names of values.
 const OTHER_VALUES: [(&str, &str); 8] = [
     ("jpg", "jpeg"),
@@ -102,7 +109,9 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
 }
 
 fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
-    let name = in_table(&OTHER_FIELDS, name).unwrap_or(name);
+    // Of a warp object the type could be anything.
+    let is_format = name == "type" && known.contains(&"format");
+    let name = if is_format { "format" } else { in_table(&OTHER_FIELDS, name).unwrap_or(name) };
     let inside = |object: &str, fields: &[&str], name: &str| {
         (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))
     };
@@ -112,10 +121,15 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
         let object = if is_output { "output" } else { "grid" };
         ((is_output || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
     };
+    let of_others = || {
+        let (_, place) = OF_OTHERS.iter().find(|(names, _)| names.contains(&name))?;
+        Some(format!("`{name}` {place}"))
+    };
+    // A name of another level is known only if it is spelled right: a similar one would be a guess about two things.
     nested(name)
         .or_else(outside)
         .or_else(|| nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?")))
-        .or_else(|| nested(nearest(name, fields::useful(&OUTPUT).into_iter().chain(GRID))?))
+        .or_else(of_others)
 }
 
 const OF_SESSION: &str = "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
@@ -147,7 +161,7 @@ pub(crate) fn colour(text: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::fields::{POINTS_OF_SESSION, WARP_WITH_POINTS};
+    use crate::wire::fields::{BATCH, POINTS_OF_SESSION, WARP_WITH_POINTS};
 
     #[test]
     fn fields_are_suggested_by_name_place_and_spelling() {
@@ -164,7 +178,13 @@ mod tests {
             ("width", &WARP, Some("put it in `output`: `output.width`")),
             ("width", &drag, Some("put it in `output`: `output.width`")),
             ("background", &WARP, Some("put it in `output`: `output.outside`")),
-            ("qualitty", &WARP, Some("put it in `output`: `output.quality`")),
+            ("qualitty", &WARP, None),
+            ("qualitty", &OUTPUT, Some("did you mean `quality`?")),
+            ("type", &WARP, None),
+            ("type", &OUTPUT, Some("did you mean `format`?")),
+            ("layer", &BATCH, Some("did you mean `layers`?")),
+            ("steps", &WARP, Some("`steps` belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch")),
+            ("boxes", &WARP, Some("`boxes` belongs to annotations: POST /points, or mlswarp points")),
             ("cell", &WARP, Some("put it in `grid`: `grid.cell`")),
             ("method", &OUTPUT, Some("put it beside `output`, not in it")),
             ("alpha", &GRID, Some("put it beside `grid`, not in it")),

@@ -13,6 +13,24 @@ pub(crate) fn photo(width: u32, height: u32) -> Vec<u8> {
     png(width, height, png::ColorType::Rgb, &samples)
 }
 
+/// A BMP of noise: every file of one size has one length. `width` is a multiple of 4.
+pub(crate) fn bmp(width: u32, height: u32, seed: u32) -> Vec<u8> {
+    let pixels = (3 * width * height) as usize;
+    let mut file = b"BM".to_vec();
+    for number in [54 + pixels as u32, 0, 54, 40, width, height, 1 | 24 << 16, 0, pixels as u32, 2835, 2835, 0, 0] {
+        file.extend(number.to_le_bytes());
+    }
+    let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
+    file.extend((0..pixels).map(|_| {
+        // A generator of Marsaglia's.
+        state ^= state << 13;
+        state ^= state >> 17;
+        state ^= state << 5;
+        state.to_le_bytes()[1]
+    }));
+    file
+}
+
 /// A PNG file, 8 bits a sample.
 pub(crate) fn png(width: u32, height: u32, color: png::ColorType, samples: &[u8]) -> Vec<u8> {
     png_of(width, height, color, png::BitDepth::Eight, samples)

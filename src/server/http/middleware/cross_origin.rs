@@ -65,6 +65,13 @@ pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Proble
     Ok(())
 }
 
+/// Which pages may embed a response (`Cross-Origin-Resource-Policy`): those of a listed site, if the request is from one. A listed site
+/// opens nothing for others, whose pages send no `Origin` when they embed a picture; so a listed one embeds it with `crossorigin`.
+pub(super) fn resource_policy(headers: &HeaderMap, origins: &Origins) -> HeaderValue {
+    let is_open = *origins == Origins::Any || is_listed(headers, origins);
+    HeaderValue::from_static(if is_open { "cross-origin" } else { "same-origin" })
+}
+
 /// Whether the page that sends a request is of a listed site.
 pub(crate) fn is_listed(headers: &HeaderMap, origins: &Origins) -> bool {
     let origin = headers.get(ORIGIN).and_then(|origin| origin.to_str().ok());

@@ -27,7 +27,6 @@ use super::body::{LimitedBody, too_large};
 use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
-use crate::auth::cors::Origins;
 use crate::auth::hosts::Hosts;
 use crate::observe::metrics::known_method;
 use crate::observe::{RequestInfo, Scope};
@@ -86,6 +85,7 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
     };
     let host = host::check(&request, hosts.as_ref());
     let (method, version) = (request.method().clone(), request.version());
+    let policy = cross_origin::resource_policy(request.headers(), &app.config().auth.cors_origin);
     let client = client(&app, &request);
     request.extensions_mut().insert(client);
     let answered = async {
@@ -104,7 +104,7 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
         }
         let status = response.status();
         let headers = response.headers_mut();
-        set_security_headers(&app, headers);
+        set_security_headers(&app, headers, policy);
         // The server may have stopped before the connection's next request.
         if app.is_leaving() && version < Version::HTTP_2 && status != StatusCode::SWITCHING_PROTOCOLS {
             headers.insert(CONNECTION, HeaderValue::from_static("close"));
@@ -126,13 +126,11 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
 }
 
 /// Tells browsers how a response may be used.
-fn set_security_headers(app: &App, headers: &mut HeaderMap) {
-    let access = &app.config().auth;
+fn set_security_headers(app: &App, headers: &mut HeaderMap, policy: HeaderValue) {
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-    let policy = if access.cors_origin == Origins::Own { "same-origin" } else { "cross-origin" };
-    headers.insert(RESOURCE_POLICY, HeaderValue::from_static(policy));
-    if access.tls.is_some() {
+    headers.insert(RESOURCE_POLICY, policy);
+    if app.config().auth.tls.is_some() {
         headers.insert(STRICT_TRANSPORT_SECURITY, HSTS);
     }
 }

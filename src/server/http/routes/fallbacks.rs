@@ -39,29 +39,54 @@ static CONTRACT: LazyLock<Contract<'static>> =
 pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) -> Problem {
     let (path, public) = (uri.path(), app.config().public_path.as_str());
     let reference = if cfg!(feature = "docs") { "/docs" } else { "/openapi.json" };
+    if path.contains("//") {
+        let detail = "the path has an empty segment: is a variable of your script, such as the id of the session, empty? See";
+        return Problem::new(Code::NotFound, format!("nothing is served at {}; {detail} {public}{reference}", quote(path)));
+    }
     let is_public = path.strip_prefix(public).is_some_and(|rest| !public.is_empty() && (rest.is_empty() || rest.starts_with('/')));
     let hint = match meant(method.as_str(), path) {
         _ if is_public => format!("; the proxy must remove {public} from the path before it forwards a request. See"),
         Some((method, route)) => format!("; did you mean {method}{public}{route}? See"),
-        None => "; see".to_owned(),
+        None => below(None, path, public).map_or_else(|| "; see".to_owned(), |routes| format!("; below it are {routes}. See")),
     };
     Problem::new(Code::NotFound, format!("nothing is served at {}{hint} {public}{reference}", quote(path)))
 }
 
 /// Answers a method that a path does not have. axum adds `Allow`.
-pub(crate) async fn method_not_allowed(request: Request) -> Problem {
-    not_allowed(&request)
+pub(crate) async fn method_not_allowed(State(app): State<App>, request: Request) -> Problem {
+    not_allowed(&request, &app.config().public_path)
 }
 
-/// See [`method_not_allowed`].
-pub(crate) fn not_allowed(request: &Request) -> Problem {
+/// See [`method_not_allowed`]. `public` precedes the paths that it names.
+pub(crate) fn not_allowed(request: &Request, public: &str) -> Problem {
     // A client may send any word as its method.
     let method = Some(request.method().as_str()).filter(|method| method.len() <= LONGEST_METHOD).unwrap_or("this method");
-    let route = request.extensions().get::<MatchedPath>().and_then(|route| CONTRACT.paths.get(route.as_str()));
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     // The other routes are files.
-    let methods = route.map_or_else(|| vec!["GET"], methods);
-    let detail = format!("{method} is not supported at {}; use {}", quote(request.uri().path()), series(&methods, "or"));
+    let methods = CONTRACT.paths.get(route).map_or_else(|| vec!["GET"], methods);
+    let below = below(Some(method), route, public);
+    let below = below.map_or_else(String::new, |routes| format!(". Below it are {routes}"));
+    let detail = format!("{method} is not supported at {}; use {}{below}", quote(request.uri().path()), series(&methods, "or"));
     Problem::new(Code::MethodNotAllowed, detail)
+}
+
+/// The routes below a path, or below the pattern of one, that have the method, or any: what a path means that lacks its last part.
+fn below(method: Option<&str>, path: &str, public: &str) -> Option<String> {
+    let segments: Vec<&str> = path.split('/').skip(1).collect();
+    let is_below = |pattern: &&str| {
+        let pattern: Vec<&str> = pattern.split('/').skip(1).collect();
+        let is_alike = |(segment, pattern): (&&str, &&str)| segment == pattern || (pattern.starts_with('{') && !segment.is_empty());
+        pattern.len() > segments.len() && segments.iter().zip(&pattern).all(is_alike)
+    };
+    let named = |(pattern, operations): (&&str, &BTreeMap<&str, IgnoredAny>)| {
+        let methods = methods(operations);
+        match method {
+            Some(method) => methods.contains(&method).then(|| format!("{method} {public}{pattern}")),
+            None => Some(format!("{} {public}{pattern}", methods.join(", "))),
+        }
+    };
+    let routes: Vec<String> = CONTRACT.paths.iter().filter(|(pattern, _)| is_below(pattern)).filter_map(named).collect();
+    (!routes.is_empty()).then(|| series(&routes.iter().map(String::as_str).collect::<Vec<_>>(), "and"))
 }
 
 /// The methods of a path of the contract.
@@ -123,5 +148,22 @@ mod tests {
             assert_eq!(found.as_deref(), expected, "{method} {path}");
         }
         assert_eq!(meant("GET", &"/warp".repeat(1000)), None);
+    }
+
+    #[test]
+    fn routes_below_a_path_are_those_that_have_the_method() {
+        let posts = below(Some("POST"), "/sessions/{id}", "").unwrap();
+        assert!(posts.starts_with("POST /sessions/{id}/batch, ") && posts.ends_with(" and POST /sessions/{id}/warp"), "{posts}");
+        assert!(!posts.contains("layers") && !posts.contains("GET"), "{posts}");
+        for (method, path, expected) in [
+            (Some("POST"), "/sessions/{id}/warp", None),
+            (Some("DELETE"), "/sessions/{id}/handles", None),
+            (None, "/sessions/x/layers", Some("GET, PUT, DELETE /a/sessions/{id}/layers/{name}")),
+            (None, "/problems", Some("GET /a/problems/{code}")),
+            (None, "/sessions//layers", None),
+            (None, "/nothing", None),
+        ] {
+            assert_eq!(below(method, path, "/a").as_deref(), expected, "{path}");
+        }
     }
 }

@@ -28,7 +28,7 @@ const KEY_BYTES: usize = 16;
 pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.method() != Method::GET {
-        let problem = not_allowed(request);
+        let problem = not_allowed(request, "");
         return Err(([(ALLOW, HeaderValue::from_static("GET"))], problem).into_response());
     }
     let has = |name: HeaderName, element: &str| elements(headers, name).any(|other| other.eq_ignore_ascii_case(element));
