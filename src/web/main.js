@@ -56,7 +56,7 @@ function toast(words) {
 }
 
 const KEYS = new Set(["unauthorized", "forbidden"]);
-const RETRIES = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
+const RETRIES = new Set(["network", "overloaded", "unavailable", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
 const PICTURES = "image/png,image/jpeg,image/webp,image/gif,image/bmp,.png,.jpg,.jpeg,.webp,.gif,.bmp,";
 const HANDLES = "application/json,.json";

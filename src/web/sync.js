@@ -14,7 +14,7 @@ const REST = 150;
 /** Age of the oldest pose that is newer than the shown one, and delay of the server's picture of a resting pose, ms, after which the page says
  * that it is behind. */
 const LATE = 1000;
-const TRANSIENT = new Set(["network", "overloaded", "stored_by_another_version", "rate_limited", "timeout"]);
+const TRANSIENT = new Set(["network", "overloaded", "unavailable", "stored_by_another_version", "rate_limited", "timeout"]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 /** The region of a session without a mask. */

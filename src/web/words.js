@@ -19,6 +19,7 @@ export const BEHIND = {
 const PROBLEMS = {
   network: ["The server does not respond", "Your handles are safe in this browser. Retrying automatically."],
   overloaded: ["The server is busy", "Retrying automatically."],
+  unavailable: ["The server does not respond", "It is stopped or being updated. Retrying automatically."],
   stored_by_another_version: ["The server is being updated", "Another version of the server stored this picture. Retrying automatically."],
   misdirected: ["The server does not serve this host name", "Open the page as localhost, or add the name to --allowed-hosts."],
   rate_limited: ["Too many requests", "Retrying automatically."],

@@ -82,7 +82,7 @@ def check_nginx(stage):
         replicas[addresses[1]].end(signal.SIGKILL)
         status, headers, body = front.ask("GET", f"/sessions/{clients[0].session}")
         code = json.loads(body).get("code") if headers["Content-Type"] == "application/problem+json" else body[:80]
-        check("nginx: with none left it says so", (status, headers["Retry-After"], code) == (503, "1", "overloaded"), f"{status} {code}")
+        check("nginx: with none left it says so", (status, headers["Retry-After"], code) == (503, "1", "unavailable"), f"{status} {code}")
         log = server.log.read_text(errors="replace")
         told = [client.name for client in clients if client.session in log]
         check("nginx: its log names no session", '"POST 200"' in log and not told, told or f"{len(log.splitlines())} lines")

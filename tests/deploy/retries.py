@@ -116,7 +116,7 @@ def check_deadly(check, front, met):
         status, headers, said = pose(front, body)
         problem = json.loads(said)
         told = (status, headers["Content-Type"], headers["Retry-After"], problem["status"], problem["code"])
-        # Not `overloaded`, which clients retry automatically.
+        # Not `unavailable`, which clients retry automatically.
         if told != (502, "application/problem+json", "1", 502, "internal") or len(set(met[body])) != 2 or len(met[body]) != 2:
             unlike.append((told, met[body]))
     check("retries: a request over which replicas die is sent to two of them, and refused", not unlike, unlike[:2] or f"{QUESTIONS} of them")
@@ -135,7 +135,7 @@ def check_nginx(stage, names, met):
             front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question([]))
         body = question(DEADLY)
         status, headers, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", body)
-        right = (status, headers["Retry-After"]) == (503, "1") and len(met[body]) == len(set(met[body])) == 2
+        right = (status, headers["Retry-After"]) == (502, "1") and len(met[body]) == len(set(met[body])) == 2
         stage.check("retries: nginx sends a request over which replicas die to two of them", right, (status, met[body]))
 
 

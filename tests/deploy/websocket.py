@@ -27,14 +27,17 @@ class Refused(Exception):
 
 
 class WebSocket:
-    def __init__(self, host, port, path, timeout=5.0):
-        self.socket = socket.create_connection((host, port), timeout=timeout)
+    def __init__(self, host, port, path, timeout=5.0, connected=None, headers=None):
+        """`connected`: a socket to use, such as one with TLS."""
+        self.socket = connected or socket.create_connection((host, port), timeout=timeout)
+        self.socket.settimeout(timeout)
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.buffer, self.begun = b"", None
         key = base64.b64encode(os.urandom(16)).decode()
+        more = "".join(f"{name}: {value}\r\n" for name, value in (headers or {}).items())
         self.socket.sendall(
             f"GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n\r\n".encode()
+            f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {key}\r\n{more}\r\n".encode()
         )
         while b"\r\n\r\n" not in self.buffer:
             self._more()
@@ -70,7 +73,9 @@ class WebSocket:
         """The next message as (kind, bytes), or None after the deadline."""
         while True:
             while (frame := self._frame()) is None:
-                if not select.select([self.socket], [], [], max(0.0, until - time.monotonic()))[0]:
+                # TLS may have read more than was asked for.
+                pending = getattr(self.socket, "pending", lambda: 0)()
+                if not pending and not select.select([self.socket], [], [], max(0.0, until - time.monotonic()))[0]:
                     return None
                 self._more()
             last, kind, payload = frame

@@ -91,6 +91,26 @@ fn environment_example_uncommented_starts_the_program() {
     assert!(program.wait().0.success());
 }
 
+/// A limit whose name is misspelt would be no limit.
+#[test]
+fn unknown_variables_are_named_at_the_start() {
+    let mut command = mlswarp(&["serve", "--listen", "127.0.0.1:0"]);
+    command.env("MLSWARP_MAX_SESION", "3").env("MLSWARP_FROBNICATE", "1").env("MLSWARP_LOG", "warn");
+    let program = Program::spawn(command);
+    program.terminate();
+    let (_, log) = program.wait();
+    for said in [
+        "the variable MLSWARP_MAX_SESION is not known and has no effect; did you mean MLSWARP_MAX_SESSIONS?",
+        "the variable MLSWARP_FROBNICATE is not known and has no effect",
+    ] {
+        assert!(log.lines().any(|line| line.contains("WARN") && line.contains(said)), "{said} in {log}");
+    }
+    assert_eq!(log.matches("is not known").count(), 2, "{log}");
+    let offline = mlswarp(&["report", "none.json", "--extent", "4,3"]).env("MLSWARP_MAX_COLUMS", "9").output().unwrap();
+    let said = String::from_utf8(offline.stderr).unwrap();
+    assert!(said.starts_with("warning: the variable MLSWARP_MAX_COLUMS is not known") && said.contains("MLSWARP_MAX_COLUMNS?"), "{said}");
+}
+
 #[test]
 fn a_flag_takes_precedence_over_a_wrong_variable() {
     let code = |args: &[&str]| mlswarp(args).env("MLSWARP_METRICS_LISTEN", "none").env("MLSWARP_LISTEN", "127.0.0.1:1").output().unwrap();

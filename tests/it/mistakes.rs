@@ -135,7 +135,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
     told(points, 422, "unknown_field", Some("/type"), &["a FeatureCollection: put it in `geojson`"]).await;
     let refused = server.post("/points").json(&json!({"p": []})).send().await.unwrap().text().await.unwrap();
     let words = ["this is an error of an earlier request, `bad_value`: `\\`extent\\` is missing"];
-    told(server.post("/warp").multipart(form(&image, refused)), 422, "unknown_field", Some("/type"), &words).await;
+    told(server.post("/warp").multipart(form(&image, refused)), 422, "unknown_field", Some("/code"), &words).await;
     for (body, hint) in [
         ("[[1, 2]]", "found an array; handles are {\"p\": [...], \"q\": [...]}"),
         (r#"[{"type": "Feature", "geometry": null}]"#, "found an array; GeoJSON goes in the field `geojson`"),
@@ -348,8 +348,16 @@ async fn mistakes_in_the_method_and_the_path_name_the_route() {
     told(server.get(&format!("{id}/layers")), 404, "not_found", None, &words).await;
     told(server.get("/problems"), 404, "not_found", None, &["below it are GET /problems/{code}. See /docs"]).await;
     // A script whose variable is empty.
-    let words = ["the path has an empty segment: is a variable of your script, such as the id of the session, empty?"];
-    told(server.post("/sessions//warp"), 404, "not_found", None, &words).await;
+    let words = ["the id of the session is empty in the path, as if a variable of a script were empty; POST /sessions opens a session"];
+    told(server.post("/sessions//warp"), 404, "no_such_session", None, &words).await;
+    told(
+        server.post("/sessions//nothing"),
+        404,
+        "not_found",
+        None,
+        &["the path has an empty segment, as if a variable of a script were empty. See /docs"],
+    )
+    .await;
     told(server.post("/page/main.js"), 405, "method_not_allowed", None, &["; use GET"]).await;
     let drag = format!("{id}/drag");
     told(server.post(&drag), 405, "method_not_allowed", None, &["POST is not supported at", "; use GET"]).await;

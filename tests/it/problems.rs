@@ -149,7 +149,7 @@ fn shown(code: &str) -> Value {
 }
 
 /// Codes that take a fault or the passing of time to see.
-const LEFT_OUT: [&str; 5] = ["internal", "overloaded", "session_expired", "stored_by_another_version", "timeout"];
+const LEFT_OUT: [&str; 6] = ["internal", "overloaded", "session_expired", "stored_by_another_version", "timeout", "unavailable"];
 
 /// What the service says is what the page shows, word for word.
 #[tokio::test]

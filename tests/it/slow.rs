@@ -101,7 +101,8 @@ async fn a_body_without_end_ends_the_connection_soon_after_its_problem() {
     let json = "Content-Type: application/json\r\n";
     let chunked = "Transfer-Encoding: chunked\r\n";
     let cases = [
-        ("too large", format!("POST /warp HTTP/1.1\r\n{parts}{chunked}"), 413),
+        ("too large", format!("POST /points HTTP/1.1\r\n{json}{chunked}"), 413),
+        ("no parts", format!("POST /warp HTTP/1.1\r\n{parts}{chunked}"), 400),
         ("a length beyond all limits", format!("POST /warp HTTP/1.1\r\n{parts}Content-Length: 1000000000000\r\n"), 413),
         ("no multipart", format!("POST /warp HTTP/1.1\r\nContent-Type: text/plain\r\n{chunked}"), 415),
         ("a wrong boundary", format!("POST /warp HTTP/1.1\r\nContent-Type: multipart/form-data\r\n{chunked}"), 400),

@@ -20,7 +20,7 @@ const VERSIONS: u8 = 32;
 
 /// A version of a layer: one grey value, apart from those of the others by more than is lost where it is blended with itself.
 fn grey(version: u8) -> Vec<u8> {
-    png(SIZE.0, SIZE.1, ::png::ColorType::Grayscale, &[version * 8].repeat((SIZE.0 * SIZE.1) as usize))
+    png(SIZE.0, SIZE.1, ::png::ColorType::Rgb, &[version * 8].repeat(3 * (SIZE.0 * SIZE.1) as usize))
 }
 
 /// The versions of the layers in the archive of one frame.

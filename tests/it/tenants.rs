@@ -59,8 +59,9 @@ impl<'a> Name<'a> {
         eventually("answers have left", || budget.taken_for(Purpose::Frame) == 0).await;
         let request = self.server.get("/metrics").bearer_auth(self.key);
         let text = request.send().await.unwrap().text().await.unwrap();
-        let is_of_time = |line: &&str| line.contains("_seconds") || line.contains("resident") || line.contains("connections");
-        let lines: Vec<&str> = text.lines().filter(|line| !is_of_time(line)).collect();
+        let is_of_time = |line: &&str| ["_seconds", "resident", "connections", "busy"].iter().any(|name| line.contains(name));
+        let mut lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#') && !is_of_time(line)).collect();
+        lines.sort_unstable();
         assert!(lines.len() > 40 && text.contains("mlswarp_store_size_bytes"), "{text}");
         self.seen.push(format!("{what}: {}", lines.join("\n")));
     }

@@ -157,11 +157,22 @@ async fn the_program_asks_itself_through_it() {
     let ask = |options: &[&str]| mlswarp(&[&["health", "--listen", &address], options].concat()).output().unwrap();
     let said = ask(&options);
     assert!(said.status.success(), "{said:?}");
-    assert!(!ask(&[]).status.success(), "without TLS there is no answer");
+    let told = |output: std::process::Output| {
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let said = told(ask(&[]));
+    assert!(said.contains(&format!("the server at {address} serves HTTPS: give --tls-cert (MLSWARP_TLS_CERT) and --tls-key")), "{said}");
+    // The other way round.
+    let plain = Program::start(&[]);
+    let listen = plain.address.to_string();
+    let said = told(mlswarp(&[&["health", "--listen", &listen], &options[..]].concat()).output().unwrap());
+    assert!(said.contains(&format!("the server at {listen} serves plain HTTP: leave out --tls-cert (MLSWARP_TLS_CERT)")), "{said}");
     // Another certificate than the server's own is not taken.
     let other = Folder::new("other");
     let others = other.options();
-    assert!(!ask(&others.each_ref().map(String::as_str)).status.success());
+    let said = told(ask(&others.each_ref().map(String::as_str)));
+    assert!(said.contains("does not answer GET /readyz") && !said.contains("plain HTTP"), "{said}");
 }
 
 #[test]

@@ -68,6 +68,7 @@ codes! {
     RateLimited = 429, "rate_limited", "Rate limited";
     Internal = 500, "internal", "Internal error";
     Overloaded = 503, "overloaded", "Overloaded";
+    Unavailable = 503, "unavailable", "Unavailable";
     StoredByAnotherVersion = 503, "stored_by_another_version", "Stored by another version";
 }
 

@@ -15,6 +15,9 @@ use super::{fields, shape, suggest, syntax};
 use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
 
+/// Members of an object of another kind that are looked at.
+const MOST_MEMBERS: usize = 64;
+
 /// The address of a node: a linked list on the stack, written as a JSON pointer only for a problem.
 #[derive(Clone, Copy)]
 pub(crate) enum At<'p> {
@@ -86,9 +89,21 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     match node.kind() {
         Kind::Object => Ok(node),
         other => {
-            let hint = if other == Kind::Array { shape::of_list(&node) } else { "" };
+            let hint = if other == Kind::Array { list_hint(&node) } else { "" };
             Err(malformed(format!("the request must be a JSON object, {{...}}; found {}{hint}", other.name())))
         }
+    }
+}
+
+/// Where the items of a list go that is sent instead of an object.
+fn list_hint(list: &Node<'_, '_>) -> &'static str {
+    let first = next(&mut &list.text[1..]).map(|text| Node { text, at: At::Root });
+    match first {
+        Some(first) if first.kind() == Kind::Array => "; handles are {\"p\": [...], \"q\": [...]}",
+        Some(first) if shape::geojson(&first.members()).is_some() => {
+            "; GeoJSON goes in the field `geojson`: {\"type\": \"FeatureCollection\", \"features\": [...]}"
+        }
+        _ => "",
     }
 }
 
@@ -173,7 +188,7 @@ impl<'j, 'p> Node<'j, 'p> {
             return fields::unsupported(name, known).pointer(pointer);
         }
         let useful = fields::useful(known);
-        let hint = shape::recognised(self, known).or_else(|| suggest::field(name, &useful));
+        let hint = shape::recognised(&self.members(), known).or_else(|| suggest::field(name, &useful));
         let advice = advice(hint, &format!("known fields: {}", list(&useful)));
         let detail = format!("unknown field: {}{advice}", quote(name));
         let problem = Problem::new(Code::UnknownField, detail);
@@ -245,6 +260,11 @@ impl<'j, 'p> Node<'j, 'p> {
         let mut rest = self.text.get(1..).unwrap_or_default();
         let node = *self;
         std::iter::from_fn(move || Some((node.next(&mut rest)?, node.next(&mut rest)?)))
+    }
+
+    /// The first pairs, enough to tell what the object is; none if it is no object.
+    pub(crate) fn members(&self) -> Vec<(&'j str, &'j str)> {
+        if self.kind() == Kind::Object { self.pairs().take(MOST_MEMBERS).collect() } else { Vec::new() }
     }
 
     /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.

@@ -1,8 +1,10 @@
 //! Objects of another kind that people send: annotations, landmark files, answers of other routes. They are known by their members, so
 //! what is said about them is about this object, and not about one of its fields.
 
-use super::json::{Kind, Node};
 use crate::problem::words::quote;
+
+/// The members of an object: each name, in its quotes, and its value, as they are written.
+pub(super) type Members<'j> = [(&'j str, &'j str)];
 
 /// The types of GeoJSON (RFC 7946, section 1.4) with the member that each has.
 const GEOJSON: [(&str, &str); 9] = [
@@ -32,36 +34,39 @@ const KINDS: [(&[&str], &str); 6] = [
     (&["type", "Landmarks"], "a BigWarp file: send it as landmarks (the part `landmarks`, or --landmarks FILE)"),
 ];
 
+/// Formats of pictures: with one of them, `format` is a field in the wrong place.
+const PICTURES: [&str; 8] = ["png", "jpeg", "jpg", "webp", "tiff", "tif", "gif", "bmp"];
+
+fn value<'j>(members: &Members<'j>, wanted: &str) -> Option<&'j str> {
+    members.iter().find(|(name, _)| name.trim_matches('"') == wanted).map(|(_, value)| *value)
+}
+
+fn text<'j>(members: &Members<'j>, name: &str) -> Option<&'j str> {
+    value(members, name)?.strip_prefix('"')?.strip_suffix('"')
+}
+
+/// The type of an object that is GeoJSON.
+pub(super) fn geojson(members: &Members<'_>) -> Option<&'static str> {
+    let kind = text(members, "type")?;
+    let has = |(name, member): &&(&str, &str)| kind == *name && value(members, member).is_some();
+    GEOJSON.iter().find(has).map(|(name, _)| *name)
+}
+
 /// What an object is that has fields other than the `known` ones, and where it goes.
-pub(super) fn recognised(object: &Node<'_, '_>, known: &[&str]) -> Option<String> {
-    let value = |wanted: &str| object.pairs().find(|(name, _)| name.trim_matches('"') == wanted).map(|(_, value)| value);
-    let text = |name: &str| value(name).and_then(|value| value.strip_prefix('"')?.strip_suffix('"'));
-    if let Some((name, _)) = GEOJSON.iter().find(|(name, member)| text("type") == Some(name) && value(member).is_some()) {
+pub(super) fn recognised(members: &Members<'_>, known: &[&str]) -> Option<String> {
+    if let Some(name) = geojson(members) {
         let place = if known.contains(&"geojson") { "put it in `geojson`" } else { "POST /points maps it, in the field `geojson`" };
         return Some(format!("this is GeoJSON, a {name}: {place}"));
     }
-    if let (Some(code), Some(detail), Some(_)) = (text("code"), text("detail"), value("title")) {
+    if let (Some(code), Some(detail), Some(_)) = (text(members, "code"), text(members, "detail"), value(members, "title")) {
         return Some(format!("this is an error of an earlier request, {}: {}", quote(code), quote(detail)));
     }
-    let has =
-        |members: &[&str]| members.iter().all(|member| value(member).is_some()) && !members.iter().all(|member| known.contains(member));
-    KINDS.iter().find(|(members, _)| has(members)).map(|(_, what)| format!("this is {what}"))
-}
-
-/// A hint to follow the kind of a value that is not an object.
-pub(super) fn of_list(list: &Node<'_, '_>) -> &'static str {
-    let mut hint = "";
-    let _ = list.items::<crate::problem::Problem>("", |index, item| {
-        hint = match (index, item.kind()) {
-            (0, Kind::Array) => "; handles are {\"p\": [...], \"q\": [...]}",
-            (0, Kind::Object) if recognised(&item, &[]).is_some_and(|what| what.contains("GeoJSON")) => {
-                "; GeoJSON goes in the field `geojson`, a list of features as {\"type\": \"FeatureCollection\", \"features\": [...]}"
-            }
-            _ => return Err(item.wrong_kind("")),
-        };
-        Ok(())
-    });
-    hint
+    if text(members, "format").is_some_and(|format| PICTURES.contains(&format)) {
+        return None;
+    }
+    let has = |wanted: &[&str]| wanted.iter().all(|name| value(members, name).is_some());
+    let is_new = |wanted: &[&str]| wanted.iter().any(|name| !known.contains(name));
+    KINDS.iter().find(|(wanted, _)| has(wanted) && is_new(wanted)).map(|(_, what)| format!("this is {what}"))
 }
 
 #[cfg(test)]
@@ -70,7 +75,7 @@ mod tests {
     use super::super::json;
 
     fn told(text: &str, known: &[&str]) -> String {
-        super::recognised(&json::value(text).unwrap(), known).unwrap_or_default()
+        super::recognised(&json::value(text).unwrap().members(), known).unwrap_or_default()
     }
 
     #[test]
@@ -89,7 +94,9 @@ mod tests {
         ] {
             assert!(told(text, &WARP).contains(says), "{text}: {}", told(text, &WARP));
         }
-        for plain in [r#"{"p": [], "format": "png"}"#, r#"{"type": "tps", "p": []}"#, r#"{"type": "Point"}"#, r#"{"best": 1}"#, "{}"] {
+        for plain in
+            [r#"{"p": [], "units": "px", "format": "png"}"#, r#"{"type": "tps", "p": []}"#, r#"{"type": "Point"}"#, r#"{"best": 1}"#, "{}"]
+        {
             assert_eq!(told(plain, &WARP), "", "{plain}");
         }
         assert!(told(r#"{"type": "Feature", "geometry": 1}"#, &WARP_WITH_POINTS).ends_with("put it in `geojson`"));

@@ -40,7 +40,7 @@ pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) 
     let (path, public) = (uri.path(), app.config().public_path.as_str());
     let reference = if cfg!(feature = "docs") { "/docs" } else { "/openapi.json" };
     if path.contains("//") {
-        let detail = "the path has an empty segment: is a variable of your script, such as the id of the session, empty? See";
+        let detail = "the path has an empty segment, as if a variable of a script were empty. See";
         return Problem::new(Code::NotFound, format!("nothing is served at {}; {detail} {public}{reference}", quote(path)));
     }
     let is_public = path.strip_prefix(public).is_some_and(|rest| !public.is_empty() && (rest.is_empty() || rest.starts_with('/')));

@@ -90,6 +90,9 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
 }
 
 fn not_an_id(text: &str) -> String {
+    if text.is_empty() {
+        return "the id of the session is empty in the path, as if a variable of a script were empty".to_owned();
+    }
     format!("{} is not a session id: a session id is a hyphenated UUID of version 4, such as {EXAMPLE_ID}", quote(text))
 }
 
