@@ -97,7 +97,7 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
 
 /// Where the items of a list go that is sent instead of an object.
 fn list_hint(list: &Node<'_, '_>) -> &'static str {
-    let first = next(&mut &list.text[1..]).map(|text| Node { text, at: At::Root });
+    let first = next(&mut &list.text[1..], list.work).map(|text| Node::new(text, At::Root));
     match first {
         Some(first) if first.kind() == Kind::Array => "; handles are {\"p\": [...], \"q\": [...]}",
         Some(first) if shape::geojson(&first.members()).is_some() => {

@@ -33,19 +33,19 @@ impl Program {
     pub(crate) fn spawn(mut command: Command) -> Self {
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
+        let mut said = String::new();
         let address = loop {
-            line.clear();
-            assert_ne!(lines.read_line(&mut line).unwrap(), 0, "the server ended before it listened");
+            let before = said.len();
+            assert_ne!(lines.read_line(&mut said).unwrap(), 0, "the server ended before it listened");
+            let line = &said[before..];
             if let Some((_, address)) = line.split_once("://") {
                 let end = address.find(|c: char| !"0123456789.:".contains(c)).unwrap_or(address.len());
                 break address[..end].parse().unwrap();
             }
         };
         let log = std::thread::spawn(move || {
-            let mut rest = String::new();
-            let _ = lines.read_to_string(&mut rest);
-            rest
+            let _ = lines.read_to_string(&mut said);
+            said
         });
         Self { address, child, log: Some(log) }
     }
