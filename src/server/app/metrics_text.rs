@@ -88,7 +88,7 @@ impl App {
         let stats = self.0.store.figures();
         registry.register("store_up", "1 while the store works", ConstGauge::new(u64::from(!stats.is_away)));
         registry.register("store_sessions", "Sessions that this process knows of", ConstGauge::new(stats.sessions));
-        let help = "Size of their records, and of their files unless Redis keeps them";
+        let help = "Size of their records, and of their files (once for each name) unless Redis keeps them";
         registry.register_with_unit("store_size", help, Unit::Bytes, ConstGauge::new(stats.bytes));
         for (name, help, value) in [
             ("store_damaged", "Sessions that were left out because their stored data was damaged", stats.damaged),
