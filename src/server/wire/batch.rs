@@ -148,7 +148,7 @@ impl BatchObject {
                 return Err(frames.unexpected(FRAMES, format_args!("a number; did you mean `steps`{meant}?")));
             }
             (Some(frames), None, None) => {
-                if frames.kind() == json::Kind::Number {
+                if frames.kind() == Kind::Number {
                     let hint = format!("a number; did you mean \"steps\": {}?", quote(frames.text).trim_matches('`'));
                     return Err(frames.unexpected("an array of frames, one pose for each", hint));
                 }
