@@ -163,8 +163,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         told(server.post(&format!("/sessions/{id}/warp")).json(&body), 422, "unknown_field", Some(pointer), &[words]).await;
     }
     let batch = server.post(&format!("/sessions/{id}/batch")).json(&json!({"q": [[12, 10]], "frames": 24}));
-    told(batch, 422, "bad_value", Some("/frames"), &["an array of frames, one pose for each; found a number; did you mean \"steps\": 24?"])
-        .await;
+    told(batch, 422, "bad_value", Some("/frames"), &["found a number; did you mean `steps`: 24?"]).await;
     for name in ["landmarks", "pins"] {
         let points = server.post(&format!("/sessions/{id}/points")).json(&json!({"q": [[12, 10]], name: []}));
         told(points, 422, "unknown_field", Some(&format!("/{name}")), &["did you mean `points`?"]).await;

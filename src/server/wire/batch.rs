@@ -19,7 +19,6 @@ use super::output::OutputPatch;
 use super::rest::strength;
 use super::{AsJson, fields, json, layer};
 use crate::layer::{LayerRef, MAX_LAYERS};
-use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// The most frames of a batch.
@@ -148,10 +147,6 @@ impl BatchObject {
                 return Err(frames.unexpected(FRAMES, format_args!("a number; did you mean `steps`{meant}?")));
             }
             (Some(frames), None, None) => {
-                if frames.kind() == Kind::Number {
-                    let hint = format!("a number; did you mean \"steps\": {}?", quote(frames.text).trim_matches('`'));
-                    return Err(frames.unexpected("an array of frames, one pose for each", hint));
-                }
                 let others = [("q", q), ("strength", strength_), ("easing", easing)];
                 refuse_beside("frames", "each frame has its own", &others)?;
                 BatchPoses::Frames(frame_texts(body, &frames, most_frame_bytes)?)
