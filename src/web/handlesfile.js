@@ -4,10 +4,11 @@
 import { Problem, readLandmarks } from "./api.js";
 import { massOf, near, takesPinsOnly } from "./edits.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
+import { decodeParts } from "./region.js";
 import { pinOf } from "./twist.js";
 
-/** Largest file, bytes: many times what this page writes. */
-const LARGEST = 2 << 20;
+/** Largest file, bytes: many times what this page writes, with the mask of a large picture. */
+const LARGEST = 16 << 20;
 const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
 const FILTERS = ["nearest", "bilinear", "bicubic"];
 
@@ -36,7 +37,9 @@ export async function readHandles(file) {
   try {
     if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
     if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length)) return ready(await landmarks(file));
-    return ready(parsed.value);
+    const read = ready(parsed.value);
+    await decodeParts(read.document.region ?? []).catch(() => demand(false, "/region", "the mask of a region, a PNG in base64,"));
+    return read;
   } catch (error) {
     if (error instanceof Broken) throw problem(`${where(error.at)}: ${error.expected} is expected.`);
     if (!(error instanceof Unsupported)) throw error;
@@ -139,7 +142,11 @@ function documentFrom(warp) {
   demand(holes === "keep" || holes === "transparent", "/output/holes", '"keep" or "transparent"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
-  const read = { handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas, holes };
+  const mask = given.region;
+  demand(mask === undefined || (typeof mask === "string" && /^[A-Za-z0-9+/]+={0,2}$/.test(mask)), "/region", "the mask of a region, a PNG in base64,");
+  // What is in the mask is feathered already.
+  const region = mask === undefined ? {} : { region: [{ kind: "mask", png: mask }], feather: 0 };
+  const read = { ...region, handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas, holes };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

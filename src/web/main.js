@@ -235,7 +235,7 @@ const copying = (words, what) =>
     toast(`${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`);
   });
 find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
-find("save-handles").addEventListener("click", taking((state) => save(new Blob([handlesText(state.document)], { type: "application/json" }), handlesName(state.picture.name))));
+find("save-handles").addEventListener("click", taking(async (state) => save(new Blob([await handlesText(state)], { type: "application/json" }), handlesName(state.picture.name))));
 find("save-landmarks").addEventListener("click", taking((state) => save(new Blob([landmarksText(state.document)], { type: "text/csv" }), landmarksName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
 find("copy-link").addEventListener("click", copying(linkTo, "Link"));

@@ -5,7 +5,7 @@ import { alphaOf, restOf, sameRest } from "./edits.js";
 import { documentOf, isHandles, readHandles, scaled } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
-import { maskPart, regionOf } from "./region.js";
+import { maskPart, regionOf, sizeOfMask } from "./region.js";
 import { SAMPLES } from "./samples.js";
 import { readLink } from "./share.js";
 import { emptyDocument } from "./state.js";
@@ -65,8 +65,16 @@ export class Opener {
   }
 
   #useHandles({ name, document, warp }) {
-    const { region, feather } = this.store.state.document;
-    const fitted = { ...(warp ? scaled(warp, this.store.state.picture) : document), region, feather };
+    const { picture, document: before } = this.store.state;
+    const own = warp ? scaled(warp, picture) : document;
+    const [mask] = own.region ?? [];
+    const size = mask && sizeOfMask(mask);
+    if (mask && (size[0] !== picture.width || size[1] !== picture.height)) {
+      const detail = `The region in ${name} has ${size.join(" × ")} px, and the picture ${picture.width} × ${picture.height} px: it is for another picture.`;
+      return this.#refuse(new api.Problem({ code: "bad_handles_file", detail }, 0));
+    }
+    // A file without a region keeps the region of the picture.
+    const fitted = mask ? own : { ...own, region: before.region, feather: before.feather };
     this.actions.edit(fitted, { select: [] });
     this.toast(`${count(fitted.handles.length, "handle")} from ${name}`);
   }

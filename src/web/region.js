@@ -2,7 +2,7 @@
 // server gets it as a mask, white where content moves. Without parts the whole picture moves. Positions are those at rest.
 //
 // A part is { kind: "lasso", removes, places }, { kind: "brush", removes, places, size }, { kind: "invert" } or, from a session that
-// another page has made, { kind: "mask", png (base64) }.
+// another page has made or from a file of handles, { kind: "mask", png (base64) }.
 
 const NONE = [];
 
@@ -82,6 +82,9 @@ export async function decodeParts(parts) {
     decoded.set(png, whiteByLuma(image));
   }
 }
+
+/** The sides of a decoded mask, px. */
+export const sizeOfMask = ({ png }) => [decoded.get(png).width, decoded.get(png).height];
 
 /** The part that is a mask of the server. */
 export async function maskPart(blob) {

@@ -3,7 +3,7 @@
 import { hasKey } from "./access.js";
 import * as api from "./api.js";
 import { warpOf, wire } from "./edits.js";
-import { maskFile, regionOf } from "./region.js";
+import { maskFile, maskPart, regionOf } from "./region.js";
 
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
 export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
@@ -39,9 +39,11 @@ export async function warpedPicture(sync, store, output = {}, signal = undefined
   return (await sync.ask((id) => api.picture(id, { q: wire(document, "q"), ...(!usual && { output }) }, signal))).blob;
 }
 
-/** The warp object as JSON, with one handle per line. */
-export function handlesText(document) {
-  const { p, q, ...others } = warpOf(document);
+/** The document as JSON: the warp object with one handle per line, and the mask of the region, if there is one, as `region` (a PNG in base64). */
+export async function handlesText({ picture, document }) {
+  const region = regionOf(document);
+  const mask = region.parts.length ? { region: (await maskPart(await maskFile(region, [picture.width, picture.height]))).png } : {};
+  const { p, q, ...others } = { ...warpOf(document), ...mask };
   const list = (handles) => (handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]");
   const parts = [["p", list(p)], ["q", list(q)], ...Object.entries(others).map(([name, value]) => [name, JSON.stringify(value)])];
   return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;

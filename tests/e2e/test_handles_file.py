@@ -1,8 +1,11 @@
 """Files with handles: opened on a picture, before it or with it; what is wrong with a file is said with its name and position."""
 
+import base64
+import io
 import json
 
 import pytest
+from PIL import Image
 
 from support import RED, near, tell
 
@@ -138,9 +141,55 @@ def test_a_broken_file_changes_nothing(opened):
 
 
 def test_a_large_file_is_not_read(visit):
-    visit.page.set_input_files("#file", [file(value=b" " * (2 * 1024 * 1024 + 1))])
+    visit.page.set_input_files("#file", [file(value=b" " * (16 * 1024 * 1024 + 1))])
     visit.body("[data-problem=bad_handles_file]")
     assert visit.text("problem-detail") == "The file face.json cannot be read: it is too large for a file of handles."
+
+
+def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
+    """The same picture comes back, after the region was cleared, on the picture opened anew, and by curl as the refusal says."""
+    opened.click(*RED)
+    opened.drag(RED, (140, 130))
+    opened.page.click("label:has(#tool-lasso)")
+    opened.drag((60, 60), (150, 60), (150, 150), (60, 150), (60, 60))
+    opened.page.locator("#feather").fill("12")
+    opened.body("[data-region='1']").ready()
+    shown = opened.of_server().body
+    name, content = opened.saved("save-handles")
+    saved = json.loads(content)
+    assert name == "discs-handles.json" and base64.b64decode(saved["region"]).startswith(b"\x89PNG") and saved["p"] == opened.warp()["p"]
+    opened.page.click("#region-clear")
+    opened.body("[data-region='0']").ready()
+    whole = opened.of_server().body
+    assert whole != shown
+    opened.page.set_input_files("#file", [file(name, saved)])
+    opened.body("[data-region='1']").ready()
+    assert opened.of_server().body == shown
+    # Opening is one step.
+    opened.keys("Control+z")
+    opened.body("[data-region='0']").ready()
+    assert opened.of_server().body == whole
+    opened.keys("Control+Shift+z")
+    opened.body("[data-region='1']").ready()
+    assert opened.of_server().body == shown
+    # A file without a region keeps the one that is there.
+    opened.page.set_input_files("#file", [file("bare.json", {**{"p": saved["p"], "q": saved["q"]}, "method": saved["method"]})])
+    opened.page.locator("#toast", has_text="from bare.json").wait_for()
+    opened.ready()
+    assert opened["region"] == "1"
+
+
+def test_a_region_that_is_none_or_of_another_picture_is_refused(opened):
+    opened.page.set_input_files("#file", [file("bad.json", {**HANDLES, "region": "not base64!"})])
+    opened.body("[data-problem=bad_handles_file]")
+    assert "the mask of a region, a PNG in base64, is expected for region." in opened.text("problem-detail")
+    opened.page.set_input_files("#file", [file("no-png.json", {**HANDLES, "region": "AAAA"})])
+    opened.page.locator("#problem-detail", has_text="In no-png.json").wait_for()
+    small = io.BytesIO()
+    Image.new("L", (20, 10), 255).save(small, "PNG")
+    opened.page.set_input_files("#file", [file("small.json", {**HANDLES, "region": base64.b64encode(small.getvalue()).decode()})])
+    opened.page.locator("#problem-detail", has_text="The region in small.json has 20 × 10 px, and the picture 400 × 300 px").wait_for()
+    assert (opened["handles"], opened["region"]) == ("0", "0")
 
 
 @pytest.mark.parametrize("options", [{}, {"viewport": {"width": 390, "height": 780}}])
