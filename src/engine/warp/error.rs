@@ -45,6 +45,16 @@ pub enum WarpError {
         /// The requested value.
         actual: u64,
     },
+    /// More work than the limit, as it is estimated before it begins.
+    #[error("{} would take {actual} operations; the limit is {limit}; {}", task.name(), task.advice())]
+    TooMuchWork {
+        /// What would take them.
+        task: Task,
+        /// The limit.
+        limit: u64,
+        /// The estimate; at a task that has begun, what it has taken so far.
+        actual: u64,
+    },
     /// A parameter of another method.
     #[error("{}", foreign(parameter))]
     ForeignParameter {
@@ -86,6 +96,52 @@ pub enum WarpError {
     /// `canvas: fit` and the posed picture has no area.
     #[error("the posed picture has no area, so the canvas `fit` would be empty")]
     NothingVisible,
+}
+
+/// Work that is a product or a power by nature.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Task {
+    /// The system of a spline.
+    Spline,
+    /// The coefficients of a grid, or posing one without a table.
+    Grid,
+    /// Positions, mapped by f or its inverse.
+    Positions,
+    /// Outlines that are refined.
+    Outlines,
+    /// Methods, compared.
+    Comparison,
+    /// The measures of a report.
+    Quality,
+    /// The frames of a batch that are posed before the first is drawn.
+    Survey,
+}
+
+impl Task {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Spline => "the spline of the handles",
+            Self::Grid => "the grid with these handles",
+            Self::Positions => "mapping the positions with these handles",
+            Self::Outlines => "refining the outlines with these handles",
+            Self::Comparison => "comparing the candidates on these points",
+            Self::Quality => "measuring the posed grid",
+            Self::Survey => "posing all frames before the first is sent",
+        }
+    }
+
+    /// What to send instead.
+    const fn advice(self) -> &'static str {
+        match self {
+            Self::Spline => "send fewer handles, or another method than `tps`",
+            Self::Grid => "send fewer handles or a coarser `grid`",
+            Self::Positions => "send fewer positions in a request, or fewer handles",
+            Self::Outlines => "send fewer or shorter outlines in a request, `\"refine\": false`, or fewer handles",
+            Self::Comparison => "send fewer candidates in a request, or fewer points",
+            Self::Quality => "send a coarser `grid`",
+            Self::Survey => "send fewer frames in a request, fewer handles, or an opaque `output.outside`",
+        }
+    }
 }
 
 /// An unusual property of a warp that does not prevent a result, with the figures that describe it.

@@ -2,7 +2,7 @@
 
 use super::setup::{check_parameters, field, to_px};
 use super::spec::at_most;
-use super::{Method, RestSpec, Units, WarpError};
+use super::{Limits, Method, RestSpec, Task, Units, WarpError, work};
 use crate::deform::{DeformError, Field, Handle, Handles, IsCancelled};
 use crate::geometry::Vec2;
 use crate::pixmap::Extent;
@@ -154,6 +154,14 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let half = values.len() / 2;
     if values.len().is_multiple_of(2) { 0.5 * (values[half - 1] + values[half]) } else { values[half] }
+}
+
+/// Checks the work of comparing candidates on so many points.
+///
+/// # Errors
+/// More than the limit.
+pub fn check_comparison(points: usize, candidates: &[Candidate], limits: &Limits) -> Result<(), WarpError> {
+    work::at_most(Task::Comparison, limits.work, work::of_comparison(points as u64, candidates))
 }
 
 /// The default candidate that predicts the points best; rigid moving least squares if they are too few to compare methods.

@@ -28,14 +28,15 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod transform;
+mod work;
 
 pub use self::batch::{Easing, Jitter, jitter_grid};
 pub use self::compact::CompactLattice;
 pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
 pub use self::digest::Digest;
 pub use self::drawing::Warp;
-pub use self::error::{Figure, Warning, WarpError};
-pub use self::fit::{Candidate, Fit, Prediction, best, choose};
+pub use self::error::{Figure, Task, Warning, WarpError};
+pub use self::fit::{Candidate, Fit, Prediction, best, check_comparison, choose};
 pub use self::image::Image;
 pub use self::label_image::LabelImage;
 pub use self::posed::{Posed, Report};

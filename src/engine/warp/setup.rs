@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::digest::Collector;
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
-use super::{Digest, GridSpec, Limits, Method, RestSpec, Units, Warning, WarpError, plausibility};
+use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, plausibility, work};
 use crate::deform::{
     self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner, pose_without_table,
 };
@@ -51,6 +51,8 @@ pub struct Setup {
     table_bytes: Option<u64>,
     /// For exact rows that are kept with the table.
     exact_bytes: u64,
+    /// Most operations of a task.
+    max_work: u64,
 }
 
 /// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that poses have needed.
@@ -90,10 +92,14 @@ impl Setup {
         let grid = resolve_grid(rest.grid, width, height, limits)?;
         let handles = Handles::new(to_px(&rest.p, unit(rest.units, &grid)), rest.weights.clone()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
+        if rest.method == Method::ThinPlateSpline {
+            work::at_most(Task::Spline, limits.work, work::of_spline(rest.p.len() as u64))?;
+        }
         let field = field(handles, rest, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
+        work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&field)))?;
         let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, mixed, warnings), limits))
     }
@@ -108,7 +114,7 @@ impl Setup {
         let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
         let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
-        Self { field, grid, units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes }
+        Self { field, grid, units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes, max_work: limits.work }
     }
 
     /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a
@@ -122,6 +128,7 @@ impl Setup {
             return Ok(self.clone());
         }
         let grid = resolve_grid(GridSpec::Auto, self.grid.width(), self.grid.height(), limits)?;
+        work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)))?;
         let rest = (self.units, self.mixed, self.warnings.clone());
         Ok(Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits))
     }
@@ -137,6 +144,27 @@ impl Setup {
     #[must_use]
     pub fn plan_bytes(&self) -> Option<u64> {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
+    }
+
+    /// Checks the work of posing so many frames, and of drawing their grids.
+    ///
+    /// # Errors
+    /// More than the limit.
+    pub fn check_frames(&self, frames: u64) -> Result<(), WarpError> {
+        let of_vertex = if self.table_bytes.is_some() { work::of_table(&self.field) } else { work::of_position(&self.field) };
+        work::at_most(Task::Survey, self.max_work, frames.saturating_mul(self.grid.len() as u64).saturating_mul(of_vertex))
+    }
+
+    /// Checks the work of measuring a posed grid.
+    ///
+    /// # Errors
+    /// More than the limit.
+    pub fn check_quality(&self) -> Result<(), WarpError> {
+        work::at_most(Task::Quality, self.max_work, (self.grid.len() as u64).saturating_mul(work::CELL))
+    }
+
+    pub(super) const fn max_work(&self) -> u64 {
+        self.max_work
     }
 
     /// The tolerance of the drawn picture, px.

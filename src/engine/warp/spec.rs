@@ -17,12 +17,14 @@ pub struct Limits {
     pub columns: usize,
     /// Bytes of a plan's table or a mesh; a larger plan is evaluated without a table, a larger mesh is refused.
     pub plan_bytes: u64,
+    /// Operations of one task, as they are estimated before it begins: see `deploy/capacity.md`.
+    pub work: u64,
 }
 
 impl Default for Limits {
-    /// 50 MP and 16,384 px a side, 10,000 columns, 512 MiB.
+    /// 50 MP and 16,384 px a side, 10,000 columns, 512 MiB, 12 thousand million operations.
     fn default() -> Self {
-        Self { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20 }
+        Self { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20, work: 12_000_000_000 }
     }
 }
 

@@ -4,10 +4,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{Setup, WarpError};
+use super::{Setup, Task, WarpError, work};
 use crate::deform::{Deformation, Inverse, IsCancelled, MAX_COORDINATE, Pose};
 use crate::geometry::{Mesh, Point};
 
+/// Positions at which the search of an inverse computes f at once.
+const LANES: usize = 16;
 /// Positions and edges that one task maps.
 const PLACES_PER_TASK: usize = 64;
 const EDGES_PER_TASK: usize = 16;
@@ -26,6 +28,9 @@ pub struct Transform<'a> {
     map: Map<'a>,
     unit: (f64, f64),
     samples: AtomicUsize,
+    /// Operations of f at a position, and the most of all.
+    per_position: u64,
+    max_work: u64,
 }
 
 #[derive(Debug)]
@@ -68,20 +73,27 @@ impl Setup {
     /// f of a pose.
     #[must_use]
     pub fn transform<'a>(&'a self, pose: &'a Pose) -> Transform<'a> {
-        Transform::new(Map::Forward(self.field().deformation(pose)), self.unit())
+        Transform::new(Map::Forward(self.field().deformation(pose)), self)
     }
 
     /// The inverse of f. `mesh`: of the same pose and of [`Setup::to_invert`]; it decides where several rest positions have the same posed
     /// one.
     #[must_use]
     pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
-        Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self.unit())
+        Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self)
     }
 }
 
 impl<'a> Transform<'a> {
-    const fn new(map: Map<'a>, unit: (f64, f64)) -> Self {
-        Self { map, unit, samples: AtomicUsize::new(0) }
+    fn new(map: Map<'a>, setup: &Setup) -> Self {
+        let (per_position, max_work) = (work::of_position(setup.field()), setup.max_work());
+        Self { map, unit: setup.unit(), samples: AtomicUsize::new(0), per_position, max_work }
+    }
+
+    /// Errors: More positions than may be mapped.
+    fn check_work(&self, task: Task, positions: usize) -> Result<(), WarpError> {
+        let times = if matches!(self.map, Map::Inverse(_)) { work::INVERSE } else { 1 };
+        work::at_most(task, self.max_work, (positions as u64).saturating_mul(self.per_position).saturating_mul(times))
     }
 
     /// The same map between positions in px.
@@ -94,6 +106,7 @@ impl<'a> Transform<'a> {
     /// # Errors
     /// A coordinate that is not finite or out of range; cancelled.
     pub fn map(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+        self.check_work(Task::Positions, places.len())?;
         let mut mapped = self.map_px(&self.to_px(places, 0)?, cancelled)?;
         mapped.iter_mut().flatten().for_each(|place| *place = self.to_units(*place));
         Ok(mapped)
@@ -114,7 +127,7 @@ impl<'a> Transform<'a> {
         for outline in outlines {
             places.extend(self.to_px(outline.places, places.len())?);
         }
-        let mapped = self.map_px(&places, cancelled)?;
+        self.check_work(Task::Positions, places.len())?;
         let mut edges = Vec::new();
         let mut start = 0;
         for outline in outlines {
@@ -122,6 +135,11 @@ impl<'a> Transform<'a> {
             edges.extend((0..outline.edge_count()).map(|k| (start + k, start + (k + 1) % count)));
             start += count;
         }
+        if tolerance.is_some() {
+            let parts: usize = edges.iter().map(|&(a, b)| 2 * pairs(places[a], places[b])).sum();
+            self.check_work(Task::Outlines, places.len() + parts)?;
+        }
+        let mapped = self.map_px(&places, cancelled)?;
         let bent = match tolerance {
             Some(tolerance) => self.bends(&edges, &places, &mapped, tolerance, cancelled)?,
             None => vec![Some(Vec::new()); edges.len()],
@@ -173,8 +191,7 @@ impl<'a> Transform<'a> {
         tolerance: f64,
         cancelled: IsCancelled<'_>,
     ) -> Result<Option<Vec<Point>>, WarpError> {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a bounded number, at least 1")]
-        let pairs = (a.distance(b) / (2.0 * SPACING)).ceil().clamp(1.0, MOST_PARTS as f64 / 2.0) as usize;
+        let pairs = pairs(a, b);
         let at = |k: usize| k as f64 / (2 * pairs) as f64;
         let inner: Vec<f64> = (1..2 * pairs).map(at).collect();
         let Some(inner) = self.samples(a, b, inner, cancelled)? else { return Ok(None) };
@@ -204,9 +221,11 @@ impl<'a> Transform<'a> {
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        if self.samples.fetch_add(at.len(), Ordering::Relaxed) + at.len() > MOST_SAMPLES {
+        let samples = self.samples.fetch_add(at.len(), Ordering::Relaxed) + at.len();
+        if samples > MOST_SAMPLES {
             return Err(WarpError::TooLarge { what: "outline_samples", limit: MOST_SAMPLES as u64, actual: MOST_SAMPLES as u64 + 1 });
         }
+        self.check_work(Task::Outlines, samples)?;
         let places: Vec<Point> = at.iter().map(|t| a.lerp(b, *t)).collect();
         let mapped = self.map_block(&places, cancelled)?;
         Ok(at.into_iter().zip(mapped).map(|(t, place)| Some((t, place?))).collect())
@@ -215,7 +234,12 @@ impl<'a> Transform<'a> {
     fn map_block(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
         let mapped = match &self.map {
             Map::Forward(f) => f.map_all(places, cancelled).map(|mapped| mapped.into_iter().map(Some).collect()),
-            Map::Inverse(inverse) => inverse.map(places, cancelled),
+            Map::Inverse(inverse) => {
+                // Beside folds, a search may take a hundred times as long as elsewhere.
+                let taken = inverse.steps().saturating_mul(LANES as u64).saturating_mul(self.per_position);
+                work::at_most(Task::Positions, self.max_work, taken)?;
+                inverse.map(places, cancelled)
+            }
         };
         mapped.ok_or(WarpError::Cancelled)
     }
@@ -241,6 +265,12 @@ impl<'a> Transform<'a> {
     fn to_units(&self, place: Point) -> Point {
         Point::new(place.x / self.unit.0, place.y / self.unit.1)
     }
+}
+
+/// Pairs of parts at whose ends an edge is first examined.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a bounded number, at least 1")]
+fn pairs(a: Point, b: Point) -> usize {
+    (a.distance(b) / (2.0 * SPACING)).ceil().clamp(1.0, MOST_PARTS as f64 / 2.0) as usize
 }
 
 /// The distance of a position from a segment.

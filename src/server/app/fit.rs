@@ -4,7 +4,7 @@ use bytes::Bytes;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, choose};
+use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, check_comparison, choose};
 
 use super::App;
 use super::json_text::json_unless;
@@ -85,6 +85,7 @@ impl App {
         candidates: &[Candidate],
         cancel: &Cancel,
     ) -> Result<Vec<Prediction>, Problem> {
+        check_comparison(rest.p.len().min(self.0.config.max_fit_handles), candidates, &self.0.config.limits())?;
         let _held = self.reserve_comparison(rest, candidates)?;
         let is_cancelled = || cancel.is_cancelled();
         let most = self.0.config.max_fit_handles as u64;
@@ -103,6 +104,7 @@ impl App {
     pub(crate) fn choose_method(&self, object: &mut WarpObject, extent: Extent, cancel: &Cancel) -> Result<(), Problem> {
         if object.is_auto {
             object.require_choice()?;
+            check_comparison(object.rest.p.len().min(self.0.config.max_fit_handles), &Candidate::defaults(), &self.0.config.limits())?;
             let _held = self.reserve_comparison(&object.rest, &Candidate::defaults())?;
             let (rest, q, most) = (&object.rest, object.posed()?, self.0.config.max_fit_handles as u64);
             let chosen = self.0.pool.run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;

@@ -89,6 +89,7 @@ impl App {
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
         let ReportJob { owner, setup, q, extent, canvas, more, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        setup.check_quality()?;
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
         // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
         let to_invert = Arc::new(setup.to_invert(&self.0.config.limits())?);

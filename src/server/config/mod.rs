@@ -80,6 +80,10 @@ pub struct Config {
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
+    /// Maximum work of one task, in operations of some nanoseconds that are counted before it begins: handles times grid vertices or
+    /// positions, the system of a spline, methods that are compared. A larger task is answered 413.
+    #[arg(long, value_name = "N", default_value = "12G", value_parser = Checked(whole::<u64>(1, u64::MAX)))]
+    max_work: u64,
     /// Workers, queues and memory.
     #[command(flatten)]
     pub work: WorkConfig,
@@ -185,6 +189,8 @@ impl Config {
             max_columns,
             max_fit_handles,
             max_plan_bytes,
+            // The user waits as long as it takes.
+            max_work: u64::MAX,
             work,
             ..offline
         }
@@ -193,7 +199,7 @@ impl Config {
     /// What one warp may use.
     pub const fn limits(&self) -> Limits {
         let image = ImageLimits { max_pixels: self.max_image_pixels, max_side: self.max_image_side };
-        Limits { image, columns: self.max_columns, plan_bytes: self.max_plan_bytes }
+        Limits { image, columns: self.max_columns, plan_bytes: self.max_plan_bytes, work: self.max_work }
     }
 }
 

@@ -137,6 +137,7 @@ fn count(text: &str) -> Result<u64, String> {
         "" => 1,
         "k" | "K" => 1_000,
         "m" | "M" => 1_000_000,
+        "g" | "G" => 1_000_000_000,
         _ => 0,
     };
     scaled(&number, scale).ok_or_else(|| format!("`{text}` is not a whole number such as 10000 or 50M"))

@@ -15,6 +15,7 @@
 //! | waiting requests | `--queue`, `--drag-wait`, `--upload-wait` | 503 `overloaded` | `pool` |
 //! | bytes of a body, of its JSON | `--max-body-bytes`, `--max-warp-json-bytes` | 413 `too_large` | `http::body`, `http::upload` |
 //! | pixels, sides, columns, size of a plan | `--max-image-pixels`, `--max-image-side`, `--max-columns` | 413 `too_large` | the engine |
+//! | operations of a task, by an estimate | `--max-work` | 413 `too_large` | the engine, `warp::work` |
 //! | frames of a batch | 10,000 | 413 `too_large` | `wire::batch` |
 //! | frames of a batch that are drawn ahead of the client | workers + 2, at most 8 | the batch waits | `app::batch` |
 //! | messages per second on a drag socket | 1000, 2000 at once | WebSocket close code 1008 | [`bucket`] |

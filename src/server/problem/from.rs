@@ -2,7 +2,7 @@
 
 use mlswarp::codec::CodecError;
 use mlswarp::deform::{Contradiction, DeformError};
-use mlswarp::warp::WarpError;
+use mlswarp::warp::{Task, WarpError};
 use serde_json::{Value, json};
 
 use super::{Code, Problem};
@@ -30,6 +30,15 @@ impl From<WarpError> for Problem {
                     output if output.starts_with("output_") || output == "scaled_source_side" => problem.pointer("/output/width"),
                     canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
                     _ => problem,
+                }
+            }
+            WarpError::TooMuchWork { task, limit, actual } => {
+                let problem = Self::new(Code::TooLarge, detail).limit("work", limit, actual);
+                match task {
+                    Task::Spline => problem.pointer("/p"),
+                    Task::Grid | Task::Quality => problem.pointer("/grid"),
+                    Task::Comparison => problem.pointer("/candidates"),
+                    Task::Positions | Task::Outlines | Task::Survey => problem,
                 }
             }
             WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),

@@ -132,6 +132,9 @@ impl BatchJob {
                 survey.canvas = Some(survey.canvas.map_or(shown, |canvas| canvas.union(shown)));
             }
             survey.posed += 1;
+            if !self.is_surveyed(survey) {
+                self.rest.setup.check_frames((self.poses.count() - survey.posed).into())?;
+            }
             if began.elapsed() >= MAX_SURVEY_TIME {
                 return Ok(());
             }

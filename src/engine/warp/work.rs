@@ -1,0 +1,60 @@
+//! Estimates of work: operations, counted before anything is computed, so that the same request is always refused or always accepted. An
+//! operation is about what it takes to weigh one point at one position in a table of coefficients: some nanoseconds. What is a product or a
+//! power by nature is compared with [`Limits::work`](super::Limits::work).
+
+use super::error::{Task, WarpError};
+use super::{Candidate, Method};
+use crate::deform::{Field, Handle, Plan};
+
+/// Operations for weighing a point or a segment at a position.
+const POINT: u64 = 2;
+const SEGMENT: u64 = 64;
+/// Coefficients of a table, and multiplications of a linear system, that an operation poses or takes.
+const COEFFICIENTS: u64 = 16;
+const MULTIPLICATIONS: u64 = 16;
+/// Times that f is computed to find the inverse of a position, on the average.
+pub(super) const INVERSE: u64 = 8;
+/// Operations for measuring a cell of a posed grid.
+pub(super) const CELL: u64 = 40;
+
+/// Errors: More operations than the limit.
+pub(super) const fn at_most(task: Task, limit: u64, actual: u64) -> Result<(), WarpError> {
+    if actual > limit { Err(WarpError::TooMuchWork { task, limit, actual }) } else { Ok(()) }
+}
+
+/// Operations of f at a position.
+pub(super) fn of_position(field: &Field) -> u64 {
+    let of = |handle: &Handle| match handle {
+        Handle::Point(_) => POINT,
+        Handle::Polyline(places) => SEGMENT * (places.len() as u64 - 1),
+    };
+    1 + field.handles().handles().iter().map(of).sum::<u64>()
+}
+
+/// Operations of the coefficients of a vertex, or, of a grid without a table, of posing one.
+pub(super) fn of_vertex(field: &Field) -> u64 {
+    let columns = field.handles().columns() as u64;
+    // The rows of a spline take the square of its sites.
+    let solved = if field.smoothing().is_some() && Plan::pays(field) { columns * columns / MULTIPLICATIONS } else { 0 };
+    of_position(field) + solved
+}
+
+/// Operations of posing a vertex by a table.
+pub(super) fn of_table(field: &Field) -> u64 {
+    1 + field.handles().columns() as u64 / COEFFICIENTS
+}
+
+/// Operations of the system of a spline.
+pub(super) const fn of_spline(points: u64) -> u64 {
+    points.saturating_mul(points).saturating_mul(points) / (6 * MULTIPLICATIONS)
+}
+
+/// Operations of leaving out each point in turn, for each candidate.
+pub(super) fn of_comparison(points: u64, candidates: &[Candidate]) -> u64 {
+    let of = |candidate: &Candidate| match candidate.method {
+        // A factorisation, and a substitution for each point.
+        Method::ThinPlateSpline => of_spline(points).saturating_mul(4),
+        _ => points.saturating_mul(points).saturating_mul(POINT),
+    };
+    candidates.iter().map(of).fold(0, u64::saturating_add)
+}
