@@ -30,7 +30,9 @@ pub(super) fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Failu
     let mut bytes = Vec::new();
     source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        return Err(Problem::new(Code::TooLarge, format!("the {what} is larger than {limit} bytes")).into());
+        let flag = if ["warp object", "annotations"].contains(&what) { "--max-warp-json-bytes" } else { "--max-body-bytes" };
+        let detail = format!("the {what} is larger than {limit} bytes; {flag} raises the limit");
+        return Err(Problem::new(Code::TooLarge, detail).into());
     }
     Ok(bytes)
 }
