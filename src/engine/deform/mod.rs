@@ -12,6 +12,8 @@ mod curvature;
 #[forbid(unsafe_code)]
 mod deformation;
 #[forbid(unsafe_code)]
+mod demand;
+#[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
 mod exact_rows;
@@ -49,6 +51,8 @@ mod members;
 #[forbid(unsafe_code)]
 mod moments;
 #[forbid(unsafe_code)]
+mod overall;
+#[forbid(unsafe_code)]
 mod plan;
 #[forbid(unsafe_code)]
 mod posed_cells;
@@ -71,6 +75,7 @@ mod spline;
 
 pub use contradictions::{Contradiction, Contradictory};
 pub use deformation::Deformation;
+pub use demand::Demand;
 pub use error::{DeformError, Warning};
 pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
@@ -79,6 +84,7 @@ pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;
 pub use members::ColumnMember;
+pub use overall::{Class, Fitted, PlaneMap, fitted};
 pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
 pub use refine::{Refined, Refiner};
 

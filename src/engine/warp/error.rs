@@ -160,6 +160,16 @@ pub enum Warning {
     NothingVisible,
     /// Most of the picture is turned over, as in a mirror.
     Mirrored,
+    /// The handles mirror the picture, and the method cannot.
+    MirroredUseAffine {
+        /// Of the best affine map of the handles.
+        determinant: f64,
+    },
+    /// The handles give the picture another size, and the method keeps it.
+    ScaledUseSimilarity {
+        /// Of the best affine map of the handles.
+        scale: f64,
+    },
     /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
     ProfileDropped,
 }
@@ -188,6 +198,8 @@ impl Warning {
             Self::LooksNormalized => "looks_normalized",
             Self::NothingVisible => "nothing_visible",
             Self::Mirrored => "mirrored",
+            Self::MirroredUseAffine { .. } => "mirrored_use_affine",
+            Self::ScaledUseSimilarity { .. } => "scaled_use_similarity",
             Self::ProfileDropped => "profile_dropped",
         }
     }
@@ -196,6 +208,8 @@ impl Warning {
     #[must_use]
     pub fn figures(&self) -> Vec<(&'static str, Figure)> {
         match self {
+            Self::MirroredUseAffine { determinant } => vec![("determinant", Figure::Number(*determinant))],
+            Self::ScaledUseSimilarity { scale } => vec![("scale", Figure::Number(*scale))],
             Self::Deform(_)
             | Self::ToleranceExceeded
             | Self::HandlesOutsidePicture

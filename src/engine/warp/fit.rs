@@ -2,7 +2,7 @@
 
 use super::setup::{check_parameters, field, to_px};
 use super::spec::at_most;
-use super::{Limits, Method, RestSpec, Task, Units, WarpError, work};
+use super::{Limits, Method, RestSpec, Task, WarpError, work};
 use crate::deform::{DeformError, Field, Handle, Handles, IsCancelled};
 use crate::geometry::Vec2;
 use crate::pixmap::Extent;
@@ -93,10 +93,7 @@ impl Fit {
             return Err(WarpError::LineInFit { handle });
         }
         at_most("fit_handles", most, rest.p.len() as u64)?;
-        let unit = match rest.units {
-            Units::Px => (1.0, 1.0),
-            Units::Normalized => (f64::from(extent.width()), f64::from(extent.height())),
-        };
+        let unit = rest.unit(extent);
         let handles = Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
         let rest =
             Candidate { method: Method::GlobalAffine, alpha: None, smoothing: None }.applied_to(RestSpec { p: Vec::new(), ..rest.clone() });

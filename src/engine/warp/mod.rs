@@ -5,6 +5,7 @@
 //! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
 //! What is drawn is a [`Subject`]: a picture, labels or coverage. A [`CoordinateMap`] has the positions themselves.
 
+mod alignment;
 mod batch;
 mod compact;
 mod coordinate_map;
@@ -30,6 +31,7 @@ mod tests;
 mod transform;
 mod work;
 
+pub use self::alignment::Alignment;
 pub use self::batch::{Easing, Jitter, jitter_grid};
 pub use self::compact::CompactLattice;
 pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
@@ -43,7 +45,7 @@ pub use self::posed::{Posed, Report};
 pub use self::quality::{Quality, RoundTrip, ToleranceQuality};
 pub use self::region::Region;
 pub use self::setup::{Plan, Setup};
-pub use self::spec::{Folds, GridSpec, Holes, Limits, Method, OutputSpec, RestSpec, Units};
+pub use self::spec::{Align, Folds, GridSpec, Holes, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::subject::Subject;
 pub use self::table::Table;

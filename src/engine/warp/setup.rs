@@ -7,7 +7,8 @@ use super::digest::Collector;
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
 use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, plausibility, work};
 use crate::deform::{
-    self, DeformError, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner, pose_without_table,
+    self, DeformError, Demand, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner,
+    pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -42,6 +43,7 @@ pub struct Setup {
     grid: Grid,
     /// Of the client's coordinates.
     units: Units,
+    method: Method,
     mixed: bool,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
@@ -101,12 +103,12 @@ impl Setup {
         })?;
         work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&field)))?;
         let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
-        Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, mixed, warnings), limits))
+        Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, rest.method, mixed, warnings), limits))
     }
 
     /// `field` on a resolved grid.
-    pub(super) fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, bool, Vec<Warning>), limits: &Limits) -> Self {
-        let (units, mixed, warnings) = rest;
+    fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, Method, bool, Vec<Warning>), limits: &Limits) -> Self {
+        let (units, method, mixed, warnings) = rest;
         let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
@@ -114,7 +116,8 @@ impl Setup {
         let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
         let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
-        Self { field, grid, units, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes, max_work: limits.work }
+        let max_work = limits.work;
+        Self { field, grid, units, method, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes, max_work }
     }
 
     /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a
@@ -129,7 +132,7 @@ impl Setup {
         }
         let grid = resolve_grid(GridSpec::Auto, self.grid.width(), self.grid.height(), limits)?;
         work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)))?;
-        let rest = (self.units, self.mixed, self.warnings.clone());
+        let rest = (self.units, self.method, self.mixed, self.warnings.clone());
         Ok(Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits))
     }
 
@@ -278,8 +281,20 @@ impl Setup {
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
         warnings.extend_from_slice(&self.warnings);
+        warnings.extend(self.unmet(pose));
         warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.units));
         Warning::in_order(warnings)
+    }
+
+    /// What the pose asks for and the method cannot do.
+    fn unmet(&self, pose: &Pose) -> Option<Warning> {
+        if self.method.can_mirror() && self.method.can_scale() {
+            return None;
+        }
+        match self.field.demand(pose)? {
+            Demand::Mirrored { determinant } => (!self.method.can_mirror()).then_some(Warning::MirroredUseAffine { determinant }),
+            Demand::Scaled { scale } => (!self.method.can_scale()).then_some(Warning::ScaledUseSimilarity { scale }),
+        }
     }
 
     /// The resolved grid.

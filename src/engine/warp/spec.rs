@@ -5,7 +5,6 @@ use std::ops::RangeInclusive;
 use super::{CanvasSpec, WarpError};
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits, Subsampling};
 use crate::deform::{self, Coincident, Handle};
-use crate::geometry::Point;
 use crate::render::{Filter, Outside};
 
 /// Limits of a warp; each is a flag of the service.
@@ -56,6 +55,24 @@ impl Method {
         }
     }
 
+    /// Whether a pose can mirror the picture as a whole.
+    #[must_use]
+    pub const fn can_mirror(self) -> bool {
+        match self {
+            Self::Rigid | Self::Similarity => false,
+            Self::Affine | Self::ThinPlateSpline | Self::GlobalAffine => true,
+        }
+    }
+
+    /// Whether a pose can give the picture as a whole another size.
+    #[must_use]
+    pub const fn can_scale(self) -> bool {
+        match self {
+            Self::Rigid => false,
+            Self::Similarity | Self::Affine | Self::ThinPlateSpline | Self::GlobalAffine => true,
+        }
+    }
+
     /// Memory of the deformation of this number of handles, bytes, beyond that of the handles.
     #[must_use]
     pub fn field_bytes(self, handles: u64) -> u64 {
@@ -74,6 +91,20 @@ impl Method {
 
 /// Handles of a spline: its system takes about a second, and 16 MB.
 pub(super) const MOST_SPLINE_HANDLES: u64 = 2000;
+
+/// The class of maps by which q is aligned; never mirrored except by `Affine`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Align {
+    /// q is meant as it is.
+    #[default]
+    None,
+    /// Rotations.
+    Rigid,
+    /// Rotations with a uniform scale.
+    Similarity,
+    /// Affine maps.
+    Affine,
+}
 
 /// The unit of p and q.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -152,30 +183,13 @@ pub struct RestSpec {
     pub coincident: Coincident,
     /// Unit of p and q.
     pub units: Units,
+    /// How q is brought to the frame of p, before anything else.
+    pub align: Align,
     /// The grid.
     pub grid: GridSpec,
 }
 
 impl RestSpec {
-    /// The strengths that can be requested.
-    pub const STRENGTHS: RangeInclusive<f64> = -10.0..=10.0;
-
-    /// The handles at `p + strength (q - p)`; exactly `q` at 1. Handles of another shape than those of `p` stay as they are.
-    #[must_use]
-    pub fn posed_at(&self, strength: f64, q: Vec<Handle>) -> Vec<Handle> {
-        // Handles that are where they rest stay there exactly.
-        let at = |p: &Point, q: Point| *p + (q - *p) * strength;
-        let handle = |(k, q): (usize, Handle)| match (self.p.get(k), q) {
-            (Some(Handle::Point(p)), Handle::Point(q)) => Handle::Point(at(p, q)),
-            (Some(Handle::Polyline(p)), Handle::Polyline(q)) if p.len() == q.len() => {
-                Handle::Polyline(p.iter().zip(q).map(|(p, q)| at(p, q)).collect())
-            }
-            (_, q) => q,
-        };
-        // The sum of a position and a difference is rounded.
-        if strength.to_bits() == 1.0_f64.to_bits() { q } else { q.into_iter().enumerate().map(handle).collect() }
-    }
-
     /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
     /// is allocated.
     #[must_use]

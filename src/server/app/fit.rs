@@ -63,6 +63,7 @@ impl App {
         let app = self.clone();
         let work = move |cancel: &Cancel| {
             let FitObject { q, candidates, .. } = object;
+            let (q, _) = rest.posed(q, 1.0, extent);
             let text =
                 candidates.len() * (CANDIDATE_TEXT + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.0.config.max_fit_handles));
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, text as u64)?;

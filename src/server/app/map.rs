@@ -114,11 +114,11 @@ impl App {
         warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, source, cancel);
-        let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let planned = self.plan(client.owner, &ticket, &setup, timing).await?;
-        let job = MapJob { planned, q: object.q, folds: warp.folds, spec, source, key, quota: self.response_quota(client) };
+        let job = MapJob { planned, q: warp.posed()?.to_vec(), folds: warp.folds, spec, source, key, quota: self.response_quota(client) };
         Ok((self.map_file(&ticket, job).await?, method))
     }
 
@@ -134,7 +134,7 @@ impl App {
         spec.check(record.extent, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let planned = self.plan(id.owner(), &ticket, &setup, timing).await?;
-        let q = record.rest.posed_at(object.strength, object.q);
+        let (q, _) = record.rest.posed(object.q, object.strength, record.extent);
         let (folds, source, quota) = (record.folds, record.extent, self.response_quota(client));
         self.map_file(&ticket, MapJob { planned, q, folds, spec, source, key, quota }).await
     }

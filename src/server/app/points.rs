@@ -41,7 +41,8 @@ impl App {
         warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object: warp } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
+        object.q = warp.posed()?.to_vec();
         let method = warp.is_auto.then(|| method_text(&warp.rest));
         let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL, reading };
         Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
@@ -57,7 +58,7 @@ impl App {
         let record = session.record;
         let parse = move |json: &[u8]| {
             let mut object = PointsObject::parse_posed(json)?;
-            object.q = record.rest.posed_at(object.strength, object.q);
+            object.q = record.rest.posed(object.q, object.strength, record.extent).0;
             Ok(object)
         };
         let (object, reading) = self.read_points(client, &ticket, json, parse).await?;

@@ -6,7 +6,7 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CanvasSpec, Folds, OutputSpec, Posed, Quality, Report, Setup};
+use mlswarp::warp::{Alignment, CanvasSpec, Folds, OutputSpec, Posed, Quality, Report, Setup};
 
 use super::App;
 use super::draw::Planned;
@@ -38,6 +38,8 @@ struct ReportJob {
     owner: Owner,
     setup: Arc<Setup>,
     q: Vec<Handle>,
+    /// How q was aligned, if that was requested.
+    alignment: Option<Alignment>,
     extent: Extent,
     canvas: CanvasSpec,
     /// Warnings that the pose does not show, such as those of landmark files.
@@ -61,10 +63,10 @@ impl App {
         warp.output = OutputSpec { canvas: warp.output.canvas, ..OutputSpec::default() };
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, extent, canvas, more, quota };
+        let job = ReportJob { owner: client.owner, setup, q, alignment, extent, canvas, more, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -80,14 +82,15 @@ impl App {
             let DragObject { q, strength, output, .. } = DragObject::parse_for_report(&json)?;
             let canvas = output.merge_onto(&record.output).canvas;
             OutputSpec { canvas, ..OutputSpec::default() }.check(extent, &limits)?;
-            Ok::<_, Problem>((record.rest.posed_at(strength, q), canvas))
+            Ok::<_, Problem>((record.rest.posed(q, strength, extent), canvas))
         };
-        let (q, canvas) = self.0.pool.run(&ticket, parse).await??;
-        self.report(&ticket, ReportJob { owner: id.owner(), setup, q, extent, canvas, more: Vec::new(), quota }).await
+        let ((q, alignment), canvas) = self.0.pool.run(&ticket, parse).await??;
+        let job = ReportJob { owner: id.owner(), setup, q, alignment, extent, canvas, more: Vec::new(), quota };
+        self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, extent, canvas, more, quota } = job;
+        let ReportJob { owner, setup, q, alignment, extent, canvas, more, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
@@ -117,7 +120,7 @@ impl App {
             stage("deform", began);
             app.metrics().prepared(&timing);
             let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).chain(more).collect();
-            let answer = ReportAnswer { quality: &quality, warnings: &warnings };
+            let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings };
             let text = answer.text_bytes();
             app.reserve_more(&mut reservation, text as u64)?;
             let mut body = json_unless(cancel, &answer, text)?;

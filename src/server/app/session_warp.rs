@@ -110,7 +110,7 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        let q = record.rest.posed_at(drag.strength, drag.q);
+        let (q, _) = record.rest.posed(drag.q, drag.strength, record.extent);
         self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
     }
 
@@ -119,7 +119,7 @@ impl App {
     pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
-        let q = request.record.rest.posed_at(drag.strength, drag.q);
+        let (q, _) = request.record.rest.posed(drag.q, drag.strength, request.record.extent);
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 

@@ -7,7 +7,7 @@ use std::time::{Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, OutputSpec, Setup};
+use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, Setup};
 
 use super::draw::{DrawJob, Drawn, Planned};
 use super::drawable::{Content, check_extent};
@@ -98,18 +98,18 @@ impl PreparedWarp {
 }
 
 impl App {
-    /// Chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
+    /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
     /// pool.
     /// Errors: Wrong handles, or too little memory.
     pub(crate) fn resolve(&self, mut object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
         object.output.check(extent, &self.0.config.limits())?;
-        object.apply_strength()?;
+        let alignment = object.settle_pose(extent)?;
         self.choose_method(&mut object, extent, cancel)?;
         let bytes = object.rest.field_bytes();
         let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
         let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
         object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
-        Ok(Resolved { object, setup: Arc::new(setup), held })
+        Ok(Resolved { object, alignment, setup: Arc::new(setup), held })
     }
 
     /// Draws an image from a file and a warp object with `q`.
@@ -208,7 +208,7 @@ impl App {
             }
             app.resolve(object, extent, cancel)
         };
-        let Resolved { object, setup, held } = self.0.pool.run(ticket, resolve).await??;
+        let Resolved { object, setup, held, .. } = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(owner, ticket, &setup, timing).await?;
         Ok((PreparedWarp { file, digest, object, format, image, region, setup, held }, planned))
     }
@@ -250,6 +250,8 @@ fn in_part_region(mut problem: Problem) -> Problem {
 #[derive(Debug)]
 pub(crate) struct Resolved {
     pub(crate) object: WarpObject,
+    /// How q was aligned, if that was requested.
+    pub(crate) alignment: Option<Alignment>,
     pub(crate) setup: Arc<Setup>,
     pub(crate) held: Option<Reservation>,
 }

@@ -136,7 +136,7 @@ pub(super) fn resolve(config: &Config, object: &mut WarpObject, landmarks: Optio
     if let Some(landmarks) = landmarks {
         landmarks.place_in(object, extent)?;
     }
-    object.apply_strength()?;
+    object.settle_pose(extent)?;
     if object.is_auto {
         object.require_choice()?;
         let chosen = choose(&object.rest, object.posed()?, extent, config.max_fit_handles as u64, &|| false)?;

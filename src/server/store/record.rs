@@ -22,7 +22,7 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{Align, CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -61,6 +61,7 @@ fn base() -> WarpObject {
             coincident: Coincident { policy: CoincidentPolicy::Mean, within: 0.0 },
             units: Units::Px,
             grid: GridSpec::Auto,
+            align: Align::None,
         },
         q: None,
         folds: Folds::Report,
@@ -104,7 +105,7 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = &record.rest;
+        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -131,6 +132,7 @@ impl Serialize for Warp<'_> {
         }
         // Later fields (rule 2).
         Defaults::LeftOut.field(&mut object, "coincident", *coincident, &base.rest.coincident)?;
+        Defaults::LeftOut.field(&mut object, "align", *align, &base.rest.align)?;
         object.end()
     }
 }
@@ -318,6 +320,7 @@ mod tests {
             coincident: Coincident { policy: CoincidentPolicy::Reject, within: 1.5 },
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 9, rows: 7 },
+            align: Align::Similarity,
             ..rich().rest
         };
         let output = OutputSpec {

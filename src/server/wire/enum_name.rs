@@ -4,7 +4,7 @@
 use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::CoincidentPolicy;
 use mlswarp::render::Filter;
-use mlswarp::warp::{Easing, Folds, Holes, MapDirection, Method, Units};
+use mlswarp::warp::{Align, Easing, Folds, Holes, MapDirection, Method, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -106,6 +106,10 @@ enum_names!(
 );
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
+enum_names!(
+    Align, unsupported [],
+    Align::None = "none", Align::Rigid = "rigid", Align::Similarity = "similarity", Align::Affine = "affine"
+);
 enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
 enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");

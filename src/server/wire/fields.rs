@@ -4,9 +4,10 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 14] = [
+pub(crate) const WARP: [&str; 15] = [
     "p",
     "q",
+    "align",
     "strength",
     "weights",
     "method",
@@ -22,8 +23,8 @@ pub(crate) const WARP: [&str; 14] = [
 ];
 
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
-    let mut fields = [""; 21];
+pub(crate) const WARP_WITH_POINTS: [&str; 22] = {
+    let mut fields = [""; 22];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "points", "polygons", "boxes", "geojson", "inverse", "refine"]);
@@ -31,8 +32,8 @@ pub(crate) const WARP_WITH_POINTS: [&str; 21] = {
 };
 
 /// The fields of `/report`: those of the warp object, and the extent.
-pub(crate) const WARP_WITH_EXTENT: [&str; 15] = {
-    let mut fields = ["extent"; 15];
+pub(crate) const WARP_WITH_EXTENT: [&str; 16] = {
+    let mut fields = ["extent"; 16];
     fields.split_at_mut(WARP.len()).0.copy_from_slice(&WARP);
     fields
 };
@@ -41,8 +42,8 @@ pub(crate) const WARP_WITH_EXTENT: [&str; 15] = {
 pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
 /// The fields of `/map`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_MAP: [&str; 18] = {
-    let mut fields = [""; 18];
+pub(crate) const WARP_WITH_MAP: [&str; 19] = {
+    let mut fields = [""; 19];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "direction", "canvas", "width"]);
@@ -53,7 +54,7 @@ pub(crate) const WARP_WITH_MAP: [&str; 18] = {
 pub(crate) const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "canvas", "width"];
 
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
-pub(crate) const FIT: [&str; 7] = ["p", "q", "weights", "coincident", "units", "extent", "candidates"];
+pub(crate) const FIT: [&str; 8] = ["p", "q", "align", "weights", "coincident", "units", "extent", "candidates"];
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
 /// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.

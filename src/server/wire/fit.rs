@@ -34,9 +34,9 @@ impl FitObject {
     /// Reads the body of `/fit`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [p, q, weights, coincident, units, extent, candidates] = root.fields(&fields::FIT)?;
-        let warp =
-            WarpPatch::read([p, q, None, weights, None, None, None, None, coincident, units, None, None, None, None])?.into_object()?;
+        let [p, q, align, weights, coincident, units, extent, candidates] = root.fields(&fields::FIT)?;
+        let warp = WarpPatch::read([p, q, align, None, weights, None, None, None, None, coincident, units, None, None, None, None])?
+            .into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let q = warp.posed()?.to_vec();
         Ok(Self { rest: Some((warp.rest, extent)), q, candidates: read_candidates(candidates)? })

@@ -17,7 +17,7 @@ use crate::problem::Problem;
 pub struct MapObject {
     /// With `/map` only: the warp object and the extent `[W, H]`.
     pub warp: Option<(WarpObject, Extent)>,
-    /// Posed handles.
+    /// Posed handles of a session.
     pub q: Vec<Handle>,
     /// How much of the way from p to q the handles are moved.
     pub strength: f64,
@@ -31,11 +31,10 @@ impl MapObject {
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
-        let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength()?;
+        let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
-        let q = warp.posed()?.to_vec();
-        Self::read(Some((warp, extent)), q, 1.0, [direction, canvas, width])
+        warp.posed()?;
+        Self::read(Some((warp, extent)), Vec::new(), 1.0, [direction, canvas, width])
     }
 
     /// Reads the body of `/sessions/{id}/map`.

@@ -50,7 +50,7 @@ pub(crate) use merge::{extent_in, merged, split_batch};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Folds, OutputSpec, RestSpec};
+use mlswarp::warp::{Alignment, Candidate, Folds, OutputSpec, RestSpec};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
@@ -120,17 +120,19 @@ impl WarpObject {
         self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
     }
 
-    /// Moves the posed handles to where the strength has them, once.
+    /// Aligns the posed handles and moves them to where the strength has them, once.
     /// Errors: `bad_value` at `/strength` if there are handles at rest and no `q` that it could apply to.
-    pub fn apply_strength(&mut self) -> Result<(), Problem> {
+    pub fn settle_pose(&mut self, extent: Extent) -> Result<Option<Alignment>, Problem> {
         #[expect(clippy::float_cmp, reason = "the default")]
         if self.q.is_none() && !self.rest.p.is_empty() && self.strength != 1.0 {
             let detail = "`strength` applies to `q`, which is missing; a session keeps no strength: send it with each `q`";
             return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
         }
         let strength = std::mem::replace(&mut self.strength, 1.0);
-        self.q = self.q.take().map(|q| self.rest.posed_at(strength, q));
-        Ok(())
+        let Some(q) = self.q.take() else { return Ok(None) };
+        let (posed, alignment) = self.rest.posed(q, strength, extent);
+        self.q = Some(posed);
+        Ok(alignment)
     }
 
     /// The posed handles; none if there are none at rest.
@@ -218,7 +220,7 @@ fn layer(node: &Node<'_, '_>) -> Result<LayerRef, Problem> {
 pub struct PointsObject {
     /// With `/points` only: the warp object and the extent `[W, H]`.
     pub warp: Option<(WarpObject, Extent)>,
-    /// Posed handles.
+    /// Posed handles of a session.
     pub q: Vec<Handle>,
     /// How much of the way from p to q the handles are moved.
     pub strength: f64,
@@ -231,12 +233,11 @@ impl PointsObject {
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
-        let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength()?;
+        let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let annotations = Annotations::read([a, b, c, d, e, f])?;
-        let q = warp.posed()?.to_vec();
-        Ok(Self { warp: Some((warp, extent)), q, strength: 1.0, annotations })
+        warp.posed()?;
+        Ok(Self { warp: Some((warp, extent)), q: Vec::new(), strength: 1.0, annotations })
     }
 
     /// Reads the object of `/sessions/{id}/points`.

@@ -1,8 +1,9 @@
 //! `POST /report` and `/sessions/{id}/report`: the request without an image, and the response.
 
+use mlswarp::deform::Class;
 use mlswarp::geometry::{FoldRegions, Orientation, Summary};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Quality, RoundTrip, ToleranceQuality};
+use mlswarp::warp::{Alignment, Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::{AsJson, EXTENT, WarningEntry, WarpObject, WarpPatch, fields, json, size};
@@ -16,7 +17,7 @@ const FIXED_TEXT: usize = 2048;
 /// The body of `/report`: a warp object with `q`, and the extent of the picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReportObject {
-    /// The warp object; its strength is applied.
+    /// The warp object.
     pub warp: WarpObject,
     /// The extent `[W, H]`.
     pub extent: Extent,
@@ -27,8 +28,7 @@ impl ReportObject {
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
-        let mut warp = WarpPatch::read(warp)?.into_object()?;
-        warp.apply_strength()?;
+        let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
         Ok(Self { warp, extent })
@@ -40,6 +40,8 @@ impl ReportObject {
 pub struct ReportAnswer<'a> {
     /// The figures.
     pub quality: &'a Quality,
+    /// How q was aligned, if that was requested.
+    pub alignment: Option<Alignment>,
     /// Those of the header `Warp-Warning`, with their figures.
     pub warnings: &'a [WarningEntry],
 }
@@ -59,7 +61,7 @@ impl ReportAnswer<'_> {
 impl Serialize for ReportAnswer<'_> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let Quality { residuals, folds, orientation, distortion, canvas, covered, tolerance, coincident, round_trip } = self.quality;
-        let mut object = s.serialize_map(Some(11))?;
+        let mut object = s.serialize_map(Some(12))?;
         object.serialize_entry("residuals", residuals)?;
         object.serialize_entry("folds", &AsJson(folds))?;
         object.serialize_entry("mirrored", &(*orientation == Orientation::Mirrored))?;
@@ -70,6 +72,7 @@ impl Serialize for ReportAnswer<'_> {
         object.serialize_entry("tolerance", &tolerance.map(AsJson))?;
         object.serialize_entry("coincident", &AsJson(coincident.as_slice()))?;
         object.serialize_entry("round_trip", &AsJson(*round_trip))?;
+        object.serialize_entry("align", &self.alignment.map(AsJson))?;
         object.serialize_entry("warnings", self.warnings)?;
         object.end()
     }
@@ -105,6 +108,21 @@ impl Serialize for AsJson<ToleranceQuality> {
         object.serialize_entry("px", &px)?;
         object.serialize_entry("met", &(exceeded == 0))?;
         object.serialize_entry("exceeded", &exceeded)?;
+        object.end()
+    }
+}
+
+impl Serialize for AsJson<Alignment> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let class = match self.0.class {
+            Class::Translation => "translation",
+            Class::Rigid => "rigid",
+            Class::Similarity => "similarity",
+            Class::Affine => "affine",
+        };
+        let mut object = s.serialize_map(Some(2))?;
+        object.serialize_entry("class", class)?;
+        object.serialize_entry("matrix", &self.0.map.matrix())?;
         object.end()
     }
 }

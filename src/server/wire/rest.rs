@@ -2,7 +2,7 @@
 
 use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
 use mlswarp::geometry::Compact;
-use mlswarp::warp::{Folds, GridSpec, Method, RestSpec, Units};
+use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
 use super::handles::{handles, weights};
@@ -21,6 +21,7 @@ const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"col
 pub(crate) struct WarpPatch {
     pub(crate) p: Option<Vec<Handle>>,
     pub(crate) q: Option<Vec<Handle>>,
+    pub(crate) align: Option<Align>,
     pub(crate) strength: Option<f64>,
     pub(crate) weights: Option<Vec<f64>>,
     pub(crate) method: Option<RequestedMethod>,
@@ -40,13 +41,14 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, strength_, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
-            14],
+        [p, q, align, strength_, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
+            15],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
         Ok(Self {
             p: optional(p, handles)?,
             q: optional(q, handles)?,
+            align: optional(align, enum_name)?,
             strength: optional(strength_, strength)?,
             weights: optional(weights_, weights)?,
             method: optional(method, enum_name)?,
@@ -103,6 +105,7 @@ impl WarpPatch {
                 coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
+                align: self.align.unwrap_or(base.rest.align),
             },
             q: self.q,
             strength: self.strength.unwrap_or(1.0),

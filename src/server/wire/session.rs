@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use mlswarp::deform::{Coincident, Handle};
-use mlswarp::warp::{Digest, Folds, GridSpec, Method, OutputSpec, Units};
+use mlswarp::warp::{Align, Digest, Folds, GridSpec, Method, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -35,6 +35,9 @@ pub(crate) struct SessionObject<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) coincident_policy: Option<AsJson<Coincident>>,
     pub(crate) units: AsJson<Units>,
+    /// How each `q` is aligned; absent if it is not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) align: Option<AsJson<Align>>,
     pub(crate) grid: SessionGrid,
     /// Hexadecimal; that of the table of coefficients.
     pub(crate) rest_revision: &'a str,

@@ -2,6 +2,7 @@
 
 use mlswarp::deform::{Contradiction, Handle};
 use mlswarp::geometry::Point;
+use mlswarp::pixmap::Extent;
 use mlswarp::render::Canvas;
 use mlswarp::warp::RestSpec;
 use serde::Serialize;
@@ -35,7 +36,7 @@ pub enum UnreadHandles {
     Json {
         /// The array of handles.
         text: Box<str>,
-        /// See [`RestSpec::posed_at`].
+        /// See [`RestSpec::posed`].
         strength: f64,
     },
     /// The numbers of all handles, as little-endian f32.
@@ -57,15 +58,13 @@ impl UnreadHandles {
         }
     }
 
-    /// `rest`: the handles at rest. A strength needs their positions, and numbers their shapes.
-    pub(crate) fn read(&self, rest: &RestSpec) -> Result<Vec<Handle>, Problem> {
-        match self {
-            Self::Json { text, strength } => {
-                let q = handles(&Node::new(text, At::Field(&At::Root, "q")))?;
-                Ok(rest.posed_at(*strength, q))
-            }
-            Self::Binary(bytes) => read_binary(bytes, &rest.p),
-        }
+    /// `rest`: the handles at rest on a picture of this extent. Alignment and strength need their positions, and numbers their shapes.
+    pub(crate) fn read(&self, rest: &RestSpec, extent: Extent) -> Result<Vec<Handle>, Problem> {
+        let (q, strength) = match self {
+            Self::Json { text, strength } => (handles(&Node::new(text, At::Field(&At::Root, "q")))?, *strength),
+            Self::Binary(bytes) => (read_binary(bytes, &rest.p)?, 1.0),
+        };
+        Ok(rest.posed(q, strength, extent).0)
     }
 }
 
@@ -188,14 +187,18 @@ pub(crate) struct FrameTiming {
 mod tests {
     use super::*;
 
+    fn extent() -> Extent {
+        Extent::new(8, 4).unwrap()
+    }
+
     #[test]
     fn messages_are_poses_and_acknowledgements() {
         let read = |text: &str| DragMessage::parse(text.as_bytes());
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
-        assert_eq!(q.read(&RestSpec::default()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
+        assert_eq!(q.read(&RestSpec::default(), extent()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]], "strength": -0.5}"#) else { panic!() };
         let rest = RestSpec { p: vec![Handle::Point(Point::new(3.0, 8.0))], ..RestSpec::default() };
-        assert_eq!(q.read(&rest), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
+        assert_eq!(q.read(&rest, extent()), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"ack": 7, "seq": null, "q": null}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"seq": 7, "q": [], "ack": null}"#), read(r#"{"seq": 7, "q": []}"#));
@@ -222,7 +225,7 @@ mod tests {
             [("7", Code::BadValue, "/q"), ("[[1]]", Code::BadValue, "/q/0"), ("[[1, 1e999]]", Code::NotFinite, "/q/0/1")]
         {
             let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
-            let bad = q.read(&RestSpec::default()).unwrap_err();
+            let bad = q.read(&RestSpec::default(), extent()).unwrap_err();
             assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
         }
     }
@@ -237,7 +240,7 @@ mod tests {
             seq.to_le_bytes().into_iter().chain(numbers).collect::<Vec<_>>()
         };
         let read = |numbers: &[f32]| match DragMessage::parse_binary(&message(9, numbers)) {
-            Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest),
+            Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest, extent()),
             other => panic!("{other:?}"),
         };
         let numbers = [0.1, -2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 1e6];

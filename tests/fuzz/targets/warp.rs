@@ -71,7 +71,8 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
 }
 
 fn measured(object: &ReportObject) -> Result<(), Problem> {
-    let (warp, extent) = (&object.warp, object.extent);
+    let (mut warp, extent) = (object.warp.clone(), object.extent);
+    let alignment = warp.settle_pose(extent)?;
     let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
     let (q, never) = (warp.posed()?, || false);
     let pose = setup.pose(q)?;
@@ -81,13 +82,15 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
     assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
     let warnings: Vec<_> = posed.report().warnings.iter().map(WarningEntry::from).collect();
-    let answer = ReportAnswer { quality: &quality, warnings: &warnings };
+    let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings };
     let text = serde_json::to_vec(&answer).expect("a report is JSON");
     assert!(text.len() <= answer.text_bytes(), "{} bytes", text.len());
     Ok(())
 }
 
 fn warped(object: &WarpObject) -> Result<(), Problem> {
+    let mut object = object.clone();
+    object.settle_pose(IMAGE.extent())?;
     let setup = Setup::new(&object.rest, IMAGE.extent(), &LIMITS)?;
     let pose = setup.pose(object.posed()?)?;
     object.output.check(IMAGE.extent(), &LIMITS)?;
@@ -106,13 +109,14 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
 
 /// Every number of a map is a place or NaN, and the file has as many bytes as it says.
 fn inverted(object: &MapObject) -> Result<(), Problem> {
-    let Some((warp, extent)) = &object.warp else { return Ok(()) };
+    let Some((mut warp, extent)) = object.warp.clone() else { return Ok(()) };
+    warp.settle_pose(extent)?;
     for format in MapFormat::ALL {
         let spec = object.spec(&warp.output, format);
-        spec.check(*extent, &LIMITS)?;
-        let setup = Setup::new(&warp.rest, *extent, &LIMITS)?;
-        let posed = Posed::new(&setup, &setup.plan(), &setup.pose(&object.q)?, warp.folds, &|| false)?;
-        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, *extent, &LIMITS, &never)?)?;
+        spec.check(extent, &LIMITS)?;
+        let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
+        let posed = Posed::new(&setup, &setup.plan(), &setup.pose(warp.posed()?)?, warp.folds, &|| false)?;
+        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, extent, &LIMITS, &never)?)?;
         let bytes: u64 = (0..map.bands()).map(|band| map.band(band).len() as u64).sum();
         assert_eq!(bytes, map.file_bytes());
     }
@@ -120,9 +124,10 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
 }
 
 fn mapped(object: &PointsObject) -> Result<(), Problem> {
-    let Some((warp, extent)) = &object.warp else { return Ok(()) };
-    let setup = Setup::new(&warp.rest, *extent, &LIMITS)?;
-    let pose = setup.pose(&object.q)?;
+    let Some((mut warp, extent)) = object.warp.clone() else { return Ok(()) };
+    warp.settle_pose(extent)?;
+    let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
+    let pose = setup.pose(warp.posed()?)?;
     let posed = Posed::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
     let transform = if object.annotations.is_inverse { setup.inverse(&pose, posed.mesh()) } else { setup.transform(&pose) };
     let mapped = object.annotations.clone().map(&transform, &|| false)?;

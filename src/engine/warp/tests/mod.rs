@@ -2,6 +2,7 @@
 
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small numbers of the tests themselves")]
 
+mod alignment;
 mod drawn;
 mod quality;
 mod region;

@@ -49,7 +49,7 @@ impl Rest {
     /// The pose of a frame.
     pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32) -> Result<FramePose, Problem> {
         let (q, strength) = self.given(poses, frame)?;
-        let posed = |strength| self.spec().posed_at(strength, q);
+        let posed = |strength| self.spec().posed(q, strength, self.record.extent).0;
         let plain = FramePosition { strength, t: None, jitter: None };
         Ok(match *poses {
             BatchPoses::Frames(_) => FramePose { q: posed(strength), position: plain },
@@ -75,7 +75,7 @@ impl Rest {
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
                 let (q, strength) = self.given(poses, 0)?;
-                let q = self.spec().posed_at(strength, q);
+                let (q, _) = self.spec().posed(q, strength, self.record.extent);
                 self.setup.pose(&q)?;
                 if let BatchPoses::Jitter { jitter, .. } = poses {
                     for q in jitter.extremes(&self.setup, &q) {

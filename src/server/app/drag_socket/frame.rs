@@ -188,10 +188,10 @@ const MAX_PARSED_HERE: usize = 16 << 10;
 /// Parses the handles of a pose.
 async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
     if q.len() <= MAX_PARSED_HERE {
-        return q.read(&record.rest);
+        return q.read(&record.rest, record.extent);
     }
     let record = Arc::clone(record);
-    app.0.pool.run(ticket, move |_| q.read(&record.rest)).await?
+    app.0.pool.run(ticket, move |_| q.read(&record.rest, record.extent)).await?
 }
 
 /// All pieces of an image.

@@ -8,7 +8,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use data_encoding::HEXLOWER;
 use mlswarp::deform::Coincident;
-use mlswarp::warp::Setup;
+use mlswarp::warp::{Align, Setup};
 
 use crate::app::App;
 use crate::app::warp::Upload;
@@ -141,6 +141,7 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         coincident_policy: (record.rest.coincident != Coincident::default()).then_some(AsJson(record.rest.coincident)),
         coincident: setup.groups().into_iter().map(|handles| CoincidentGroup { handles }).collect(),
         units: AsJson(record.rest.units),
+        align: (record.rest.align != Align::None).then_some(AsJson(record.rest.align)),
         grid: SessionGrid { columns, rows, cell: setup.cell().into(), requested: AsJson(record.rest.grid) },
         rest_revision: &HEXLOWER.encode(&rest_revision(setup.rest_digest())),
         folds: AsJson(record.folds),

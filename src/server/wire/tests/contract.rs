@@ -4,7 +4,7 @@
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Easing, Holes, MapDirection, Method, Units};
+use mlswarp::warp::{Align, Easing, Holes, MapDirection, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -193,6 +193,7 @@ fn enums_list_what_this_version_has() {
     names::<Method>(&document(), "/EffectiveMethod");
     words::<RequestedMethod>("/Method");
     words::<Units>("/Units");
+    words::<Align>("/Align");
     words::<Folds>("/Folds");
     words::<Compression>("/Compression");
     words::<Filter>("/Filter");
@@ -256,6 +257,10 @@ fn schemas_and_parsers_agree_on_a_table() {
         "smoothing: [0]",
         "units: \"normalized\"",
         "units: \"cm\"",
+        "align: \"none\"",
+        "align: \"similarity\"",
+        "align: \"mirror\"",
+        "align: true",
         "grid: \"auto\"",
         "grid: \"pixel\"",
         "grid: \"coarse\"",

@@ -73,8 +73,8 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
     let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
-    let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, coincident, (all(), grid)).prop_map(
-        |(p, weights, method, (alpha, point_mass, smoothing), coincident, (units, grid))| RestSpec {
+    let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, coincident, (all(), grid, all())).prop_map(
+        |(p, weights, method, (alpha, point_mass, smoothing), coincident, (units, grid, align))| RestSpec {
             p,
             weights,
             method,
@@ -84,6 +84,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
             coincident,
             units,
             grid,
+            align,
         },
     );
     let place = || -1_000_000..=1_000_000;
@@ -112,11 +113,11 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output, .. } = warp;
-    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid } = rest;
+    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
-        "units": AsJson(*units), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
+        "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
     object.as_object_mut().unwrap().retain(|_, value| !value.is_null());
     object

@@ -15,7 +15,7 @@ use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{Candidate, CanvasSpec, Digest, GridSpec, Holes, Method, Units};
+use mlswarp::warp::{Align, Candidate, CanvasSpec, Digest, GridSpec, Holes, Method, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 

@@ -18,6 +18,7 @@ fn session_object_is_written_in_wire_form() {
         coincident: vec![CoincidentGroup { handles: vec![0, 4] }],
         coincident_policy: None,
         units: AsJson(Units::Px),
+        align: None,
         grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
         rest_revision: "0123456789abcdef0123456789abcdef",
         folds: AsJson(Folds::Report),
