@@ -397,7 +397,7 @@ mod tests {
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
-        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"subsampling":"4:4:4","compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit","holes":"transparent"},"coincident":{"policy":"reject","within":1.5}}"#;
+        let warp = r#"{"p":[[0.1,-0.0],[[1e-300,2.5],[0.3333333333333333,100000.0]]],"weights":[1.0,0.30000000000000004],"method":"affine","alpha":1.3,"point_mass":7.5,"units":"normalized","grid":{"columns":9,"rows":7},"folds":"reject","metric":"euclidean","output":{"format":"jpeg","quality":7,"subsampling":"4:4:4","compression":"best","width":5,"filter":"nearest","outside":"edge","canvas":"fit","holes":"transparent"},"coincident":{"policy":"reject","within":1.5},"align":"similarity"}"#;
         assert_eq!(made(&full), digest(&full, warp));
     }
 
@@ -414,6 +414,19 @@ mod tests {
             assert_eq!(*read(&write(record)).unwrap(), *record);
         }
         assert!(made(&exact) != made(&smooth) && !exact.is_made_like(&smooth));
+    }
+
+    #[test]
+    fn align_is_written_and_digested_only_where_it_is_requested() {
+        let text = |record: &Record| String::from_utf8(write(record)).unwrap();
+        let aligned = |align| Record { rest: RestSpec { align, ..base().rest }, ..plain() };
+        assert_eq!(text(&aligned(Align::None)), text(&plain()));
+        assert!(text(&aligned(Align::Rigid)).ends_with(r#","warp":{"align":"rigid"}}"#), "{}", text(&aligned(Align::Rigid)));
+        for align in [Align::Rigid, Align::Similarity, Align::Affine] {
+            let record = aligned(align);
+            assert_eq!(*read(&write(&record)).unwrap(), record);
+            assert!(made(&record) != made(&plain()) && !record.is_made_like(&plain()));
+        }
     }
 
     #[test]

@@ -43,11 +43,11 @@ fn points_read_their_fields() {
                   \"inverse\": false}";
     let points = PointsObject::parse(text).unwrap();
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
-    let warp = WarpObject { rest, q: Some(points.q.clone()), ..WarpObject::default() };
+    let warp = WarpObject { rest, q: Some(vec![point(3.0, 4.0)]), ..WarpObject::default() };
     assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
     let kinds = vec![Annotation::Points(vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)])];
     let annotations = Annotations { kinds, is_inverse: false, is_refined: true };
-    assert_eq!((points.q, points.annotations), (vec![point(3.0, 4.0)], annotations));
+    assert_eq!((points.q, points.annotations), (vec![], annotations));
     let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
     assert_eq!((posed.warp, posed.q, posed.annotations.kinds), (None, vec![point(3.0, 4.0)], vec![Annotation::Points(vec![])]));
     assert_eq!(PointsObject::parse(b"{\"extent\": [1, 1]}").unwrap().q, []);
