@@ -215,6 +215,8 @@ export const WARNINGS = {
   looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
   nothing_visible: "The whole picture is outside the canvas.",
   mirrored: "The picture is mirrored.",
+  mirrored_use_affine: "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
+  scaled_use_similarity: "The handles change the size of the picture, which Rigid cannot. Choose Similarity.",
   profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };
 

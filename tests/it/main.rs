@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a failed unwrap is a failed test, and test numbers are small")]
 
 mod account;
+mod align;
 mod bad_input;
 mod batch;
 mod binary;
@@ -36,6 +37,7 @@ mod leaving;
 mod links;
 mod maps;
 mod metrics;
+mod mirrors;
 mod mistakes;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;

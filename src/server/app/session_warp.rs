@@ -8,14 +8,14 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CompactLattice, OutputSpec, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{Align, CompactLattice, OutputSpec, Posed, Report, Setup, WarpError};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
 use super::drawable::Content;
 use super::json_text::json_unless;
 use super::sequence::SequencePosition;
-use super::warp::ATTEMPTS;
+use super::warp::{ATTEMPTS, columns};
 use crate::cache::Key;
 use crate::client::Client;
 use crate::layer::LayerRef;
@@ -31,6 +31,9 @@ use crate::wire::{AsJson, DragObject, MeshObject, MeshShape};
 
 /// Maximum number of vertices of a mesh as JSON, which takes some 40 bytes per vertex.
 const MAX_JSON_VERTICES: u64 = 1 << 20;
+
+/// Columns up to which aligning handles is faster than waking a compute thread.
+pub(crate) const MOST_POSED_HERE: u64 = 64;
 
 /// A request for a session, with its position among the numbered ones.
 struct SequencedRequest {
@@ -110,7 +113,7 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        let (q, _) = record.rest.posed(drag.q, drag.strength, record.extent);
+        let q = self.posed(&ticket, &record, drag.q, drag.strength).await?;
         self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
     }
 
@@ -119,8 +122,18 @@ impl App {
     pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
-        let (q, _) = request.record.rest.posed(drag.q, drag.strength, request.record.extent);
+        let q = self.posed(&plan.ticket, &request.record, drag.q, drag.strength).await?;
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
+    }
+
+    /// The handles that a request means (see [`RestSpec::posed`](mlswarp::warp::RestSpec::posed)).
+    pub(crate) async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, q: Vec<Handle>, strength: f64) -> Result<Vec<Handle>, Problem> {
+        let is_as_given = record.rest.align == Align::None && strength.to_bits() == 1.0_f64.to_bits();
+        if is_as_given || columns(record) <= MOST_POSED_HERE {
+            return Ok(record.rest.posed(q, strength, record.extent).0);
+        }
+        let record = Arc::clone(record);
+        Ok(self.0.pool.run(ticket, move |_| record.rest.posed(q, strength, record.extent).0).await?)
     }
 
     /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the

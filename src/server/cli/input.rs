@@ -15,7 +15,7 @@ use super::failure::Failure;
 use crate::config::{Config, ExtentInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, Landmarks, extent};
-use crate::wire::{AsJson, WarpObject, extent_in, merged};
+use crate::wire::{AsJson, WarpObject, extent_in, merged, with_field};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -47,10 +47,14 @@ impl WarpInput {
         Err(Failure::Local("standard input can be one of the input files only".to_owned()))
     }
 
-    /// The text of the warp object; an empty object if there is none.
-    /// Errors: As [`read`].
+    /// The text of the warp object with what options replace; an empty object if there is none.
+    /// Errors: As [`read`]; not a JSON object.
     pub(super) fn json(&self, config: &Config) -> Result<Vec<u8>, Failure> {
-        self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read("warp object", path, config.max_warp_json_bytes))
+        let warp = self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read("warp object", path, config.max_warp_json_bytes))?;
+        match &self.align {
+            Some(class) => Ok(with_field(&warp, "align", &json!(class).to_string())?),
+            None => Ok(warp),
+        }
     }
 
     /// The landmark files, if there are any.

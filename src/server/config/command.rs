@@ -47,6 +47,10 @@ pub struct WarpInput {
     /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
     #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
     pub extent_q: Option<String>,
+    /// Brings q to the frame of p by the best map of this class before anything else: none, rigid, similarity or affine. Takes precedence
+    /// over the warp object.
+    #[arg(long, value_name = "CLASS", display_order = 4)]
+    pub align: Option<String>,
 }
 
 /// The size of the image, for commands that do not read its pixels.
@@ -183,7 +187,7 @@ const WARP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp warp cat.png warp.json -o warped.png
   mlswarp warp cat-labels.png warp.json --kind labels -o warped-labels.png
-  mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts -o average.jpg"#;
+  mlswarp warp face.jpg --landmarks face.pts --landmarks-q average.pts --align similarity -o average.jpg"#;
 
 const POINTS_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json

@@ -19,6 +19,14 @@ pub(crate) fn merged(objects: &[&[u8]]) -> Result<Vec<u8>, Problem> {
     Ok(format!("{{{}}}", fields.join(",")).into_bytes())
 }
 
+/// An object in which a field has this value, whatever it had; `value`: JSON.
+/// Errors: Not a JSON object.
+pub(crate) fn with_field(object: &[u8], name: &str, value: &str) -> Result<Vec<u8>, Problem> {
+    let others = json::root(object)?.pairs().filter(|(other, _)| other.trim_matches('"') != name);
+    let fields: Vec<String> = others.map(|(name, value)| format!("{name}:{value}")).chain([format!("\"{name}\":{value}")]).collect();
+    Ok(format!("{{{}}}", fields.join(",")).into_bytes())
+}
+
 /// Splits an object with the fields of both into the warp object of a session and the body of a batch. `q` and `strength` go into both.
 /// Errors: Not a JSON object.
 pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
@@ -56,6 +64,10 @@ mod tests {
         assert_eq!(extent_in(b"{\"extent\": [4, 3]}").unwrap(), Extent::new(4, 3));
         assert_eq!(extent_in(b"{\"extent\": null, \"p\": []}").unwrap(), None);
         assert!(extent_in(b"{\"extent\": [4]}").is_err());
+        let field = |object: &str| String::from_utf8(with_field(object.as_bytes(), "align", "\"affine\"").unwrap()).unwrap();
+        assert_eq!(field("{}"), r#"{"align":"affine"}"#);
+        assert_eq!(field(r#"{"align": "none", "p": [[1, 2]]}"#), r#"{"p":[[1, 2]],"align":"affine"}"#);
+        assert!(with_field(b"[]", "align", "1").is_err());
         let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
         let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
         assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);

@@ -6,13 +6,14 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
-use mlswarp::warp::{CanvasSpec, CompactLattice, OutputSpec, Report, Target};
+use mlswarp::warp::{Align, CanvasSpec, CompactLattice, OutputSpec, Report, Target};
 use tokio::sync::Semaphore;
 
 use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
-use crate::app::session_warp::{AdmittedPlan, MeshForm, PosedMesh};
+use crate::app::session_warp::{AdmittedPlan, MOST_POSED_HERE, MeshForm, PosedMesh};
+use crate::app::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
@@ -187,7 +188,8 @@ const MAX_PARSED_HERE: usize = 16 << 10;
 
 /// Parses the handles of a pose.
 async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
-    if q.len() <= MAX_PARSED_HERE {
+    let is_aligned_here = record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE;
+    if q.len() <= MAX_PARSED_HERE && is_aligned_here {
         return q.read(&record.rest, record.extent);
     }
     let record = Arc::clone(record);
