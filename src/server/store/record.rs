@@ -420,7 +420,7 @@ mod tests {
     fn align_is_written_and_digested_only_where_it_is_requested() {
         let text = |record: &Record| String::from_utf8(write(record)).unwrap();
         let aligned = |align| Record { rest: RestSpec { align, ..base().rest }, ..plain() };
-        assert_eq!(text(&aligned(Align::None)), text(&plain()));
+        assert!(text(&aligned(Align::None)).ends_with(r#","warp":{}}"#));
         assert!(text(&aligned(Align::Rigid)).ends_with(r#","warp":{"align":"rigid"}}"#), "{}", text(&aligned(Align::Rigid)));
         for align in [Align::Rigid, Align::Similarity, Align::Affine] {
             let record = aligned(align);
