@@ -55,6 +55,8 @@ fn sample(name: &str) -> Value {
         "easing" => json!("ease-in-out"),
         "jitter" => json!({"seed": 7, "count": 2, "sigma": 0.5}),
         "delay" => json!(20),
+        "loop" => json!(2),
+        "and_back" => json!(true),
         "candidates" => json!([{"method": "tps"}, {"method": "rigid", "alpha": 2}]),
         other => panic!("`{other}` is new: say here what it may hold"),
     }
