@@ -123,6 +123,8 @@ function documentFrom(warp) {
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
+  // Handles are drawn where their file has them.
+  demand((given.align ?? "none") === "none", "/align", '"none", because this page does not align handles,');
   demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine", "tps" or "global_affine"');
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
   demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
