@@ -208,6 +208,36 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
     }
 }
 
+/// Row: worker time. Requests of a few kB that take many seconds each, from more addresses than there are slots: they give way.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_one() {
+    let p: Vec<[u32; 2]> = (0..700).map(|k| [k * 37 % 601, k * 59 % 397]).collect();
+    let fit = json!({"p": p, "q": p, "extent": [640, 400], "candidates": vec![json!({"method": "tps"}); 40]});
+    for addresses in [1, 3] {
+        let server = Server::start(&["--workers", "2"]).await;
+        let busy: Vec<Party> = (2..2 + addresses).map(|last| Party::new(&server, last)).collect();
+        let calm = Party::new(&server, 9);
+        let floods: Vec<Flood> = busy
+            .into_iter()
+            .map(|party| {
+                let fit = fit.clone();
+                Flood::start(3, move |_, _| party.post("/fit").json(&fit))
+            })
+            .collect();
+        eventually("they wait for slots", || server.app.pool().load(WorkClass::Upload).waiting > 0).await;
+        let (tiny, warp) = (photo(32, 24), json!({"p": [[20, 20]], "q": [[25, 20]]}));
+        let mut times = Vec::new();
+        for _ in 0..10 {
+            let began = Instant::now();
+            png(calm.post("/warp").multipart(form(&tiny, warp.to_string())).send().await.unwrap()).await;
+            times.push(began.elapsed());
+        }
+        times.sort_unstable();
+        eprintln!("10 uploads beside long requests from {addresses} addresses: median {:.0?}, longest {:.0?}", times[5], times[9]);
+        floods.iter().for_each(|flood| flood.tasks.iter().for_each(JoinHandle::abort));
+    }
+}
+
 /// Row: turns, of drag sockets. Their frames wait behind those of the same client alone.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_sockets_do_not_starve_the_socket_of_another_address() {

@@ -255,7 +255,8 @@ async fn what_cannot_be_compared_is_refused() {
 /// A comparison of splines takes long; a client that leaves ends it.
 #[tokio::test]
 async fn a_comparison_ends_with_its_client() {
-    let server = Server::start(&["--workers", "1"]).await;
+    // An estimate would refuse it.
+    let server = Server::start(&["--workers", "1", "--max-work", "1000G"]).await;
     let (p, q) = landmarks(2000);
     let candidates = vec![json!({"method": "tps", "smoothing": 0.1}); 64];
     let body = json!({"p": p, "q": q, "extent": [400, 300], "candidates": candidates, "coincident": {"within": 0}});
