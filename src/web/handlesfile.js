@@ -16,7 +16,7 @@ export const isHandles = (file) =>
   ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
 
 /**
- * The handles of a file: { name, document, warp }. The positions of a normalised file are shares of the picture's size; `warp` then makes
+ * The handles of a file: { name, document, warp, missing: how many have no position }. The positions of a normalised file are shares of the picture's size; `warp` then makes
  * the document for a picture (`scaled`), and is otherwise null. Throws a Problem.
  */
 export async function readHandles(file) {
@@ -31,7 +31,8 @@ export async function readHandles(file) {
   const ready = (warp) => {
     const isNormalized = warp?.units === "normalized";
     const document = documentFrom(isNormalized ? { ...warp, units: "px" } : warp);
-    return { name: file.name, document, warp: isNormalized ? warp : null };
+    const missing = warp.p.length - document.handles.length;
+    return { name: file.name, document, warp: isNormalized ? warp : null, missing };
   };
   let parsed = null;
   try {
@@ -64,7 +65,7 @@ async function landmarks(file) {
 /** The document of a normalised warp object for a picture. */
 export function scaled({ p, q, ...others }, { width, height }) {
   const place = ([x, y]) => [x * width, y * height];
-  const px = (handles) => handles.map((handle) => (isPlace(handle) ? place(handle) : handle.map(place)));
+  const px = (handles) => handles.map((handle) => (isPlace(handle) ? place(handle) : (handle?.map(place) ?? null)));
   return documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" });
 }
 
@@ -111,15 +112,17 @@ function documentFrom(warp) {
   const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, coincident, grid = "auto" } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
   demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
+  // A handle without a position on either side is left out, as the server does.
+  const present = [...p.keys()].filter((i) => p[i] !== null && q[i] !== null);
   demand(units === "px", "/units", '"px" or "normalized"');
   const areWeights = (list) => Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
   demand(weights === undefined || areWeights(weights), "/weights", "a list of one positive number for each handle");
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
-  const handles = p.map((handle, i) => {
-    const [rest, posed] = [placesOf(handle, `/p/${i}`), placesOf(q[i], `/q/${i}`)];
+  const handles = present.map((i, n) => {
+    const [rest, posed] = [placesOf(p[i], `/p/${i}`), placesOf(q[i], `/q/${i}`)];
     demand(posed.length === rest.length, `/q/${i}`, `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`);
     const pin = pinOf(rest, posed, weights?.[i], mass);
-    return { id: i + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
+    return { id: n + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
@@ -127,7 +130,7 @@ function documentFrom(warp) {
   demand((given.align ?? "none") === "none", "/align", '"none", because this page does not align handles,');
   demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine", "tps" or "global_affine"');
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
-  demand(line < 0, `/p/${line}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
+  demand(line < 0, `/p/${present[line]}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   const { policy = "mean", within = 0 } = coincident ?? {};
   demand(policy === "mean" || policy === "reject", "/coincident/policy", '"mean" or "reject"');

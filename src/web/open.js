@@ -64,7 +64,7 @@ export class Opener {
     return true;
   }
 
-  #useHandles({ name, document, warp }) {
+  #useHandles({ name, document, warp, missing }) {
     const { picture, document: before } = this.store.state;
     const own = warp ? scaled(warp, picture) : document;
     const [mask] = own.region ?? [];
@@ -76,7 +76,8 @@ export class Opener {
     // A file without a region keeps the region of the picture.
     const fitted = mask ? own : { ...own, region: before.region, feather: before.feather };
     this.actions.edit(fitted, { select: [] });
-    this.toast(`${count(fitted.handles.length, "handle")} from ${name}`);
+    const without = missing ? `; ${count(missing, "handle")} without a position left out` : "";
+    this.toast(`${count(fitted.handles.length, "handle")} from ${name}${without}`);
   }
 
   file(file, name) {

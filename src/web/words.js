@@ -217,6 +217,8 @@ export const WARNINGS = {
   mirrored: "The picture is mirrored.",
   mirrored_use_affine: "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
   scaled_use_similarity: "The handles change the size of the picture, which Rigid cannot. Choose Similarity.",
+  handles_missing: "Handles without a position are left out.",
+  landmarks_unmatched: "Landmarks that only one file has are left out.",
   profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
 };
 

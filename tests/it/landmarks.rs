@@ -93,7 +93,17 @@ async fn uploads_that_say_too_much_or_too_little_are_refused() {
         (vec![("landmarks_q", CSV)], 422, "bad_landmarks", &["`landmarks_p` is missing"]),
         (vec![("landmarks", CSV), ("landmarks_q", CSV)], 422, "bad_landmarks", &["alone"]),
         (vec![("landmarks", CSV), ("landmarks", CSV)], 400, "malformed_request", &["twice"]),
-        (vec![("warp", "{}"), ("extent_p", "3,4")], 422, "bad_value", &["belong to landmark files"]),
+        (vec![("warp", "{}"), ("extent_p", "3,4")], 422, "bad_value", &["`extent_p` belongs to landmark files"]),
+        (vec![("warp", "{}"), ("match", "order")], 422, "bad_value", &["`match` belongs to landmark files"]),
+        (vec![("warp", r#"{"item": 0}"#)], 422, "bad_value", &["`item` belongs to landmark files"]),
+        (vec![("warp", r#"{"match": "any"}"#), ("landmarks_p", CSV), ("landmarks_q", CSV)], 422, "bad_value", &["one of `name`, `order`"]),
+        (
+            vec![("warp", r#"{"match": "order"}"#), ("match", "order"), ("landmarks_p", CSV), ("landmarks_q", CSV)],
+            422,
+            "bad_value",
+            &["twice"],
+        ),
+        (vec![("landmarks", "4,3,5,3\n"), ("item", "b")], 422, "bad_landmarks", &["expected the item `b`"]),
         (vec![("landmarks", PTS), ("extent_p", "3x4")], 422, "bad_value", &["`extent_p`", "640,480"]),
         (vec![("landmarks", PTS), ("extent_p", &"1".repeat(100))], 413, "too_large", &["extent"]),
         (vec![("landmark", PTS)], 400, "malformed_request", &["did you mean `landmarks`?"]),
@@ -132,7 +142,7 @@ async fn files_are_converted_without_an_image() {
         let (status, read) = convert("/landmarks", media_type, list).await;
         assert_eq!((status, read), (200, json!({"p": [[0.25, 0.5]], "units": "normalized", "format": "mediapipe"})), "{media_type}");
     }
-    for query in ["extent_p=640,480", "extent_p=640%2C480&extent_q=1,1", "extent_p=%5B640%2c%20480%5D"] {
+    for query in ["extent_p=640,480", "extent_p=640%2C480&item=0", "extent_p=%5B640%2c%20480%5D"] {
         let (_, read) = convert(&format!("/landmarks?{query}"), "application/json", list).await;
         assert_eq!((&read["p"], &read["units"]), (&json!([[160.0, 240.0]]), &json!("px")), "{query}: {read}");
     }
@@ -140,6 +150,10 @@ async fn files_are_converted_without_an_image() {
         ("extent=1,2", "unknown_field", "did you mean `extent_p`?"),
         ("extent_p=250001,2", "bad_value", "`extent_p`"),
         ("extent_p=1,2&extent_q=1,4000000000", "bad_value", "`extent_q`"),
+        ("extent_p=1,2&extent_q=1,4", "bad_value", "`extent_q` belongs to posed positions"),
+        ("match=both", "bad_value", "`name`, `order`"),
+        ("match=order", "bad_value", "two files"),
+        ("item=%C3%A9", "bad_landmarks", "the item `é`"),
         ("extent_p=1", "bad_value", "`extent_p`"),
         ("extent_p=1,2&extent_p=1,2", "malformed_request", "twice"),
     ] {

@@ -41,6 +41,7 @@ fn map_handles(handles: &[Handle], f: impl Fn(Point) -> Point) -> Vec<Handle> {
         .map(|h| match h {
             Handle::Point(p) => Handle::Point(f(*p)),
             Handle::Polyline(places) => Handle::Polyline(places.iter().map(|p| f(*p)).collect()),
+            Handle::Missing => Handle::Missing,
         })
         .collect()
 }

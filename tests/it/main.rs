@@ -38,6 +38,7 @@ mod links;
 mod maps;
 mod metrics;
 mod mirrors;
+mod missing;
 mod mistakes;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;

@@ -119,10 +119,8 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         told(server.post("/warp").multipart(form(&image, warp)), 422, "unknown_field", Some(&format!("/{name}")), &[&hint]).await;
     }
     // Other kinds of objects, each known by its members and not by one of its fields.
-    let answer = server.post("/landmarks").body("x,y,name\n1,2,a\n").send().await.unwrap().text().await.unwrap();
     let geojson = r#"{"type": "FeatureCollection", "features": []}"#;
     for (warp, pointer, words) in [
-        (answer.as_str(), "/names", "this is an answer of POST /landmarks: send its `p`, `q` and `units` alone, or the file as landmarks"),
         (geojson, "/type", "this is GeoJSON, a FeatureCollection: POST /points maps it, in the field `geojson`"),
         (r#"{"best": {"method": "tps"}, "candidates": []}"#, "/best", "this is an answer of /fit: the fields of its `best`"),
         (r#"{"shapes": [], "imagePath": "a.png"}"#, "/shapes", "this is a labelme file: send it as landmarks"),

@@ -475,6 +475,7 @@ mod tests {
             agrees(handles.iter().map(|h| match h {
                 Handle::Point(p) => Handle::Point(moved(p)),
                 Handle::Polyline(places) => Handle::Polyline(places.iter().map(moved).collect()),
+                Handle::Missing => Handle::Missing,
             }).collect())?;
         }
     }

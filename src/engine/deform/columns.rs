@@ -101,6 +101,7 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
                     column += 2;
                 }
             }
+            Handle::Missing => {}
         }
     }
     (elements, owners)

@@ -90,6 +90,7 @@ impl Field {
                         }
                     }
                 }
+                Handle::Missing => {}
             }
         }
         Some(())

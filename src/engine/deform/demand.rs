@@ -64,6 +64,7 @@ impl Field {
                         segment_pairs([ab[0], ab[1]], posed, weight, pair);
                     }
                 }
+                Handle::Missing => {}
             }
         }
     }

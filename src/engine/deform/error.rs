@@ -45,6 +45,11 @@ pub enum DeformError {
         /// Kind posed.
         posed: String,
     },
+    /// A handle that has a position at rest has none in this pose.
+    MissingInPose {
+        /// Index of the handle.
+        handle: usize,
+    },
     /// `weights` has another length than `p`.
     WeightCount {
         /// Handles at rest.
@@ -130,6 +135,10 @@ impl fmt::Display for DeformError {
             }
             Self::CountMismatch { rest, posed } => write!(f, "`q` has {}, but `p` has {rest}", counted(*posed, "handle")),
             Self::ShapeMismatch { handle, rest, posed } => write!(f, "handle {handle} is {posed} in `q`, but {rest} in `p`"),
+            Self::MissingInPose { handle } => write!(
+                f,
+                "handle {handle} has a position in `p` and none in `q`: to leave it out, the set of rest handles must have none either"
+            ),
             Self::WeightCount { rest, weights } => {
                 write!(f, "`weights` has {}, but `p` has {}", counted(*weights, "number"), counted(*rest, "handle"))
             }

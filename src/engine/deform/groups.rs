@@ -167,7 +167,7 @@ impl Groups {
     /// Adds the position of each group whose displacements differ from their mean by more than `tolerance`.
     pub(super) fn add_contradictions(&self, found: &mut Contradictions, grouped: &Handles, given: &[Vec2], mean: &[Vec2], tolerance: f64) {
         let mut columns = self.origins.iter().zip(mean);
-        for handle in grouped.handles() {
+        for handle in grouped.handles().iter().filter(|handle| handle.columns() > 0) {
             let column = columns.next();
             if let (Handle::Point(p), Some((&Origin::Group(group), mean))) = (handle, column)
                 && self.groups[group].iter().any(|point| (given[point.column] - *mean).norm() > tolerance)

@@ -20,6 +20,9 @@ pub enum Handle {
     Point(Point),
     /// A segment (two positions) or polyline (more): its consecutive segments.
     Polyline(Vec<Point>),
+    /// A handle without a position, such as a landmark that nobody could see. It is left out and
+    /// keeps its index.
+    Missing,
 }
 
 impl Handle {
@@ -29,6 +32,7 @@ impl Handle {
         match self {
             Self::Point(p) => std::slice::from_ref(p),
             Self::Polyline(places) => places,
+            Self::Missing => &[],
         }
     }
 
@@ -38,6 +42,7 @@ impl Handle {
         match self {
             Self::Point(_) => 1,
             Self::Polyline(places) => 2 * places.len().saturating_sub(1),
+            Self::Missing => 0,
         }
     }
 
@@ -45,6 +50,7 @@ impl Handle {
         match self {
             Self::Point(_) => "a point".to_owned(),
             Self::Polyline(places) => format!("a line of {} positions", places.len()),
+            Self::Missing => "missing".to_owned(),
         }
     }
 }
@@ -143,9 +149,11 @@ pub struct Pose {
 
 impl Pose {
     /// Pairs posed handles with the rest handles of the same order and shape. The field decides whether targets contradict each other.
+    /// Where a rest handle is missing, the posed one is left out too.
     ///
     /// # Errors
-    /// A coordinate that is not finite or out of range, or a shape that differs, by handle.
+    /// A coordinate that is not finite or out of range, a handle that is missing in this pose only,
+    /// or a shape that differs, by handle.
     pub fn new(rest: &Handles, posed: &[Handle]) -> Result<Self, DeformError> {
         if posed.len() != rest.handles.len() {
             return Err(DeformError::CountMismatch { rest: rest.handles.len(), posed: posed.len() });
@@ -160,6 +168,9 @@ impl Pose {
                         displacements.extend([q[0] - p[0], q[1] - p[1]]);
                     }
                 }
+                (Handle::Missing, _) => {}
+                // Its columns are in the plan: leaving it out needs another set of rest handles.
+                (_, Handle::Missing) => return Err(DeformError::MissingInPose { handle }),
                 _ => return Err(DeformError::ShapeMismatch { handle, rest: p.kind(), posed: q.kind() }),
             }
         }

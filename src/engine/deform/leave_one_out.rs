@@ -102,7 +102,8 @@ impl Field {
     }
 
     fn place(&self, index: usize) -> Point {
-        self.handles.handles()[index].places()[0]
+        // Of points alone, in the order of their columns: handles that are missing have none.
+        self.sources.points[index].p
     }
 }
 

@@ -30,6 +30,7 @@ impl Field {
         for (handle, (places, &weight)) in given.handles().iter().zip(given.weights()).enumerate() {
             match places {
                 Handle::Point(_) => add(handle, 0, weight),
+                Handle::Missing => {}
                 Handle::Polyline(places) => (1..places.len()).flat_map(|end| [end - 1, end]).for_each(|place| add(handle, place, weight)),
             }
         }

@@ -54,6 +54,8 @@ impl RestSpec {
         let is_alike = |(p, q): (&Handle, &Handle)| match (p, q) {
             (Handle::Point(_), Handle::Point(_)) => true,
             (Handle::Polyline(p), Handle::Polyline(q)) => p.len() == q.len(),
+            // It is left out, whatever q has for it.
+            (Handle::Missing, _) => true,
             _ => false,
         };
         let unit = self.unit(extent);
@@ -74,6 +76,7 @@ impl RestSpec {
             if is_at_rest { *p } else { Point::new(moved.x / unit.0, moved.y / unit.1) }
         };
         let handle = |(p, q): (&Handle, &Handle)| match (p, q) {
+            (Handle::Missing, _) => Handle::Missing,
             (Handle::Point(p), Handle::Point(q)) => Handle::Point(moved(p, q)),
             (p, q) => Handle::Polyline(p.places().iter().zip(q.places()).map(|(p, q)| moved(p, q)).collect()),
         };

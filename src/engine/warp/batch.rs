@@ -91,6 +91,7 @@ impl Jitter {
             let handle = |handle: &Handle| match handle {
                 Handle::Point(place) => Handle::Point(moved(place)),
                 Handle::Polyline(places) => Handle::Polyline(places.iter().map(moved).collect()),
+                Handle::Missing => Handle::Missing,
             };
             q.iter().map(handle).collect()
         })

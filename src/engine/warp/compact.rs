@@ -125,12 +125,13 @@ fn reference_poses(setup: &Setup) -> impl Iterator<Item = Pose> + '_ {
     let towards = move |from: f64, to: f64| if from > to { -far } else { far };
     (0..2 * sets).filter_map(move |pose| {
         let posed = handles.iter().zip(&leader).map(|(handle, &leader)| {
-            let first = handles[leader].places()[0];
+            let first = handles[leader].places().first().copied().unwrap_or(middle);
             let along = if pose % 2 == 0 { Vec2::new(towards(first.x, middle.x), 0.0) } else { Vec2::new(0.0, towards(first.y, middle.y)) };
             match handle {
                 moved if leader % sets != pose / 2 => moved.clone(),
                 Handle::Point(p) => Handle::Point(*p + along),
                 Handle::Polyline(places) => Handle::Polyline(places.iter().map(|p| *p + along).collect()),
+                Handle::Missing => Handle::Missing,
             }
         });
         field.pose(&posed.collect::<Vec<_>>()).ok()

@@ -156,6 +156,13 @@ pub enum Warning {
     /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
     /// value is beyond 4.
     LooksNormalized,
+    /// Handles that have no position at rest, or had none when they were posed, are left out.
+    HandlesMissing {
+        /// Their indices, ascending.
+        handles: Vec<usize>,
+    },
+    /// Landmarks that only one of two files has are left out.
+    LandmarksUnmatched,
     /// No posed cell intersects the canvas.
     NothingVisible,
     /// Most of the picture is turned over, as in a mirror.
@@ -196,6 +203,8 @@ impl Warning {
             Self::ToleranceExceeded => "tolerance_exceeded",
             Self::HandlesOutsidePicture => "handles_outside_picture",
             Self::LooksNormalized => "looks_normalized",
+            Self::HandlesMissing { .. } => "handles_missing",
+            Self::LandmarksUnmatched => "landmarks_unmatched",
             Self::NothingVisible => "nothing_visible",
             Self::Mirrored => "mirrored",
             Self::MirroredUseAffine { .. } => "mirrored_use_affine",
@@ -210,10 +219,12 @@ impl Warning {
         match self {
             Self::MirroredUseAffine { determinant } => vec![("determinant", Figure::Number(*determinant))],
             Self::ScaledUseSimilarity { scale } => vec![("scale", Figure::Number(*scale))],
+            Self::HandlesMissing { handles } => vec![("handles", Figure::Indices(handles.clone()))],
             Self::Deform(_)
             | Self::ToleranceExceeded
             | Self::HandlesOutsidePicture
             | Self::LooksNormalized
+            | Self::LandmarksUnmatched
             | Self::NothingVisible
             | Self::Mirrored
             | Self::ProfileDropped => vec![],

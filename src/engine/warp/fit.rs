@@ -64,8 +64,8 @@ pub struct Fit {
     rest: RestSpec,
     handles: Handles,
     q: Vec<Handle>,
-    /// The distinct point of each given one.
-    columns: Vec<usize>,
+    /// The distinct point of each given one, unless that is missing.
+    columns: Vec<Option<usize>>,
 }
 
 /// How well a candidate predicts the points.
@@ -77,8 +77,8 @@ pub struct Prediction {
     pub rms: f64,
     /// Largest length, px.
     pub max: f64,
-    /// Of every point: its target less the prediction, px. Coincident points share one.
-    pub residuals: Vec<Vec2>,
+    /// Of every point: its target less the prediction, px, unless it is missing. Coincident points share one.
+    pub residuals: Vec<Option<Vec2>>,
     /// Points whose residuals are unusually long, ascending.
     pub outliers: Vec<usize>,
 }
@@ -104,7 +104,9 @@ impl Fit {
         if distinct < LEAST {
             return Err(WarpError::TooFewPoints { least: LEAST, actual: distinct });
         }
-        fit.columns = field.grouped_columns();
+        let mut columns = field.grouped_columns().into_iter();
+        let column = |handle: &Handle| if handle.columns() > 0 { columns.next() } else { None };
+        fit.columns = fit.handles.handles().iter().map(column).collect();
         Ok(fit)
     }
 
@@ -134,8 +136,8 @@ impl Fit {
             candidate,
             rms: mean.sqrt(),
             max: lengths.iter().copied().fold(0.0, f64::max),
-            residuals: self.columns.iter().map(|&column| distinct[column]).collect(),
-            outliers: (0..self.columns.len()).filter(|&k| lengths[self.columns[k]] > limit).collect(),
+            residuals: self.columns.iter().map(|column| Some(distinct[(*column)?])).collect(),
+            outliers: (0..self.columns.len()).filter(|&k| self.columns[k].is_some_and(|k| lengths[k] > limit)).collect(),
         })
     }
 }

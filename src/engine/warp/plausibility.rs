@@ -53,6 +53,7 @@ pub(super) fn of_pose(handles: &Handles, pose: &Pose, grid: &Grid, units: Units)
         match handle {
             Handle::Point(p) => look(p),
             Handle::Polyline(places) => places.windows(2).flatten().for_each(&mut look),
+            Handle::Missing => {}
         }
     }
     let looks_normalized = match units {

@@ -102,7 +102,8 @@ impl Setup {
             error => WarpError::Rest(error),
         })?;
         work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&field)))?;
-        let warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
+        let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
+        warnings.extend(rest.left_out());
         Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, rest.method, mixed, warnings), limits))
     }
 
@@ -421,6 +422,7 @@ pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
         .map(|h| match h {
             Handle::Point(p) => Handle::Point(px(p)),
             Handle::Polyline(places) => Handle::Polyline(places.iter().map(px).collect()),
+            Handle::Missing => Handle::Missing,
         })
         .collect()
 }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{CanvasSpec, WarpError};
+use super::{CanvasSpec, Warning, WarpError};
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits, Subsampling};
 use crate::deform::{self, Coincident, Handle};
 use crate::render::{Filter, Outside};
@@ -187,9 +187,32 @@ pub struct RestSpec {
     pub align: Align,
     /// The grid.
     pub grid: GridSpec,
+    /// Whether landmarks were left out before because one side does not have them.
+    pub has_unmatched: bool,
 }
 
 impl RestSpec {
+    /// Leaves out the handles that are missing at rest or in `q`, on both sides. They keep their
+    /// indices. A `q` of another number of handles is left as it is, to be refused.
+    pub fn leave_out_missing(&mut self, q: &mut [Handle]) {
+        if self.p.len() != q.len() {
+            return;
+        }
+        for (p, q) in self.p.iter_mut().zip(q) {
+            if [&*p, &*q].contains(&&Handle::Missing) {
+                (*p, *q) = (Handle::Missing, Handle::Missing);
+            }
+        }
+    }
+
+    /// What was left out of the handles.
+    pub fn left_out(&self) -> impl Iterator<Item = Warning> {
+        let missing = self.p.iter().enumerate().filter(|(_, handle)| **handle == Handle::Missing);
+        let handles: Vec<usize> = missing.map(|(index, _)| index).collect();
+        let missing = (!handles.is_empty()).then_some(Warning::HandlesMissing { handles });
+        missing.into_iter().chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
+    }
+
     /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
     /// is allocated.
     #[must_use]

@@ -27,6 +27,7 @@ pub(super) fn of_position(field: &Field) -> u64 {
     let of = |handle: &Handle| match handle {
         Handle::Point(_) => POINT,
         Handle::Polyline(places) => SEGMENT * (places.len() as u64 - 1),
+        Handle::Missing => 0,
     };
     1 + field.handles().handles().iter().map(of).sum::<u64>()
 }

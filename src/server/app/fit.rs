@@ -4,7 +4,7 @@ use bytes::Bytes;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, WarpError, check_comparison, choose};
+use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, Warning, WarpError, check_comparison, choose};
 
 use super::App;
 use super::json_text::json_unless;
@@ -40,10 +40,13 @@ const CANDIDATE_TEXT: usize = 256;
 /// Longest index of an outlier with its comma, bytes.
 const OUTLIER_TEXT: usize = 5;
 
+/// The JSON of the response, and the warnings of the points.
+type ComparedFit = (Bytes, Vec<Warning>);
+
 impl App {
     /// Compares methods on the points of the body.
     /// Errors: Wrong points or candidates, or too little capacity.
-    pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<Bytes, Problem> {
+    pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<ComparedFit, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await??;
         let (rest, extent) = object.rest.take().ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))?;
@@ -52,15 +55,22 @@ impl App {
 
     /// Compares methods on the points of a session.
     /// Errors: Unknown session, wrong `q` or candidates, lines, or too little capacity.
-    pub async fn fit_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<Bytes, Problem> {
+    pub async fn fit_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<ComparedFit, Problem> {
         let record = self.touch(id, None).await?.record;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let object = self.0.pool.run(&ticket, move |_| FitObject::parse_posed(&json)).await??;
         self.fit(&ticket, self.response_quota(client), record.rest.clone(), record.extent, object).await
     }
 
-    async fn fit(&self, ticket: &Ticket, quota: ClientQuota, rest: RestSpec, extent: Extent, object: FitObject) -> Result<Bytes, Problem> {
-        let app = self.clone();
+    async fn fit(
+        &self,
+        ticket: &Ticket,
+        quota: ClientQuota,
+        rest: RestSpec,
+        extent: Extent,
+        object: FitObject,
+    ) -> Result<ComparedFit, Problem> {
+        let (app, warnings) = (self.clone(), rest.left_out().collect());
         let work = move |cancel: &Cancel| {
             let FitObject { q, candidates, .. } = object;
             let (q, _) = rest.posed(q, 1.0, extent);
@@ -74,7 +84,7 @@ impl App {
             reservation.shrink_to(body.len() as u64);
             Ok::<_, Problem>(reservation.attach(body))
         };
-        self.0.pool.run(ticket, work).await?
+        Ok((self.0.pool.run(ticket, work).await??, warnings))
     }
 
     /// Runs on the pool, and uses all of its threads.

@@ -7,10 +7,10 @@ use super::App;
 use super::json_text::json_unless;
 use crate::client::Client;
 use crate::limits::memory::{Purpose, Reservation};
-use crate::pool::{QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::wire::WarpObject;
-use crate::wire::landmarks::{LandmarkFiles, Landmarks};
+use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks};
 
 /// Longest text of a number with its punctuation, bytes, and that of the response without numbers and names.
 const NUMBER_TEXT: usize = 30;
@@ -24,11 +24,6 @@ pub struct HeldLandmarks {
 }
 
 impl HeldLandmarks {
-    /// Whether a landmark was left out because the other side does not have its name.
-    pub(crate) fn has_unmatched(&self) -> bool {
-        self.landmarks.has_unmatched()
-    }
-
     /// The longest text of the handles of one side, bytes.
     pub(crate) fn text_length(&self) -> usize {
         NUMBER_TEXT * self.landmarks.numbers()
@@ -45,26 +40,30 @@ impl HeldLandmarks {
 }
 
 impl App {
-    /// Reads landmark files.
+    /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read of them.
     /// Errors: A file that cannot be read, or too little capacity.
-    pub async fn read_landmarks(&self, client: Client, files: LandmarkFiles) -> Result<HeldLandmarks, Problem> {
+    pub async fn read_landmarks(&self, client: Client, mut files: LandmarkFiles, warp: Bytes) -> Result<HeldLandmarks, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let columns = self.0.config.limits().columns;
         let held = self.reserve_for(Purpose::Upload, &self.request_quota(client), files.reading_bytes(columns))?;
-        let landmarks = self.0.pool.run(&ticket, move |cancel| files.read(columns, &|| cancel.is_cancelled())).await??;
+        let read = move |cancel: &Cancel| {
+            files.choice.add(Choice::of_warp(&warp)?)?;
+            files.read(columns, &|| cancel.is_cancelled())
+        };
+        let landmarks = self.0.pool.run(&ticket, read).await??;
         Ok(HeldLandmarks { landmarks, held })
     }
 
     /// Reads landmark files; returns the JSON of the response.
     /// Errors: As [`App::read_landmarks`].
     pub async fn convert_landmarks(&self, client: Client, files: LandmarkFiles) -> Result<Bytes, Problem> {
-        let HeldLandmarks { landmarks, held } = self.read_landmarks(client, files).await?;
+        let HeldLandmarks { landmarks, held } = self.read_landmarks(client, files, Bytes::from_static(b"{}")).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (app, quota) = (self.clone(), self.response_quota(client));
         let write = self.0.pool.run(&ticket, move |cancel| {
             let _held = held;
-            let landmarks = landmarks.scale(None)?;
             let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
+            let landmarks = landmarks.scale(None)?;
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, length as u64)?;
             let mut body = json_unless(cancel, &landmarks, length)?;
             body.shrink_to_fit();

@@ -42,21 +42,13 @@ struct ReportJob {
     alignment: Option<Alignment>,
     extent: Extent,
     canvas: CanvasSpec,
-    /// Warnings that the pose does not show, such as those of landmark files.
-    more: Vec<WarningEntry>,
     quota: ClientQuota,
 }
 
 impl App {
-    /// Measures the pose of a warp object. `more`: warnings that the pose does not show. The second result: the method that was chosen if
-    /// that was requested, as a header shows it.
+    /// Measures the pose of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
     /// Errors: Wrong handles, or too little capacity.
-    pub(crate) async fn report_once(
-        &self,
-        client: Client,
-        json: Bytes,
-        more: Vec<WarningEntry>,
-    ) -> Result<(QualityReport, Option<String>), Problem> {
+    pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let ReportObject { mut warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
         // Nothing is drawn.
@@ -66,7 +58,7 @@ impl App {
         let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, alignment, extent, canvas, more, quota };
+        let job = ReportJob { owner: client.owner, setup, q, alignment, extent, canvas, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -85,12 +77,12 @@ impl App {
             Ok::<_, Problem>((record.rest.posed(q, strength, extent), canvas))
         };
         let ((q, alignment), canvas) = self.0.pool.run(&ticket, parse).await??;
-        let job = ReportJob { owner: id.owner(), setup, q, alignment, extent, canvas, more: Vec::new(), quota };
+        let job = ReportJob { owner: id.owner(), setup, q, alignment, extent, canvas, quota };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, alignment, extent, canvas, more, quota } = job;
+        let ReportJob { owner, setup, q, alignment, extent, canvas, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
@@ -119,7 +111,7 @@ impl App {
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
-            let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).chain(more).collect();
+            let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).collect();
             let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings };
             let text = answer.text_bytes();
             app.reserve_more(&mut reservation, text as u64)?;

@@ -86,7 +86,7 @@ impl App {
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output, strength: 1.0, is_auto: false };
             let (app, json, extent) = (self.clone(), json.clone(), old.extent);
-            let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.merge_onto(base), extent, cancel);
+            let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.without_files()?.merge_onto(base), extent, cancel);
             let Resolved { object, setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
             self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
             // The ticket is not held while the store works.

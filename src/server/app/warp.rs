@@ -164,7 +164,7 @@ impl App {
         let began = Instant::now();
         let hashed_file = file.clone();
         let parse = move |_: &_| {
-            let patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
+            let mut patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
             if has_landmarks {
                 patch.require_no_handles()?;
             }

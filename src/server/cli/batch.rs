@@ -53,17 +53,16 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let layers = layers.into_iter().filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
     let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, config.max_body_bytes)?)));
     let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
-    let service = Service::start(config)?;
+    let (service, warp) = (Service::start(config)?, Bytes::from(warp));
     let (app, client) = (&service.app, service.client);
     let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
-    let (made, method, has_unmatched) = service.wait(async {
+    let (made, method, warnings) = service.wait(async {
         let landmarks = match files {
-            Some(files) => Some(app.read_landmarks(client, files).await?),
+            Some(files) => Some(app.read_landmarks(client, files, warp.clone()).await?),
             None => None,
         };
-        let has_unmatched = landmarks.as_ref().is_some_and(|landmarks| landmarks.has_unmatched());
-        let upload = Upload { image: image.into(), warp: warp.into(), region, landmarks };
-        let (session, _, method) = app.create_session(client, upload).await?;
+        let upload = Upload { image: image.into(), warp, region, landmarks };
+        let (session, setup, method) = app.create_session(client, upload).await?;
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
             app.put_layer(client, session.record.id, &name, kind, file.into()).await.map_err(|mut problem| {
@@ -72,7 +71,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
             })?;
         }
         let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
-        Ok((made, method, has_unmatched))
+        Ok((made, method, setup.rest_warnings().to_vec()))
     })?;
     let frames = made.frames;
     let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
@@ -84,7 +83,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         }
     }
     let what = if frames == 1 { "frame" } else { "frames" };
-    let more = summary(method, &[], has_unmatched).map_or_else(String::new, |more| format!(", {more}"));
+    let more = summary(method, &warnings).map_or_else(String::new, |more| format!(", {more}"));
     Ok(Some(format!("{frames} {what}{more}")))
 }
 

@@ -14,8 +14,8 @@ use serde_json::json;
 use super::failure::Failure;
 use crate::config::{Config, ExtentInput, WarpInput};
 use crate::problem::{Code, Problem};
-use crate::wire::landmarks::{LandmarkFiles, Landmarks, extent};
-use crate::wire::{AsJson, WarpObject, extent_in, merged, with_field};
+use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, extent};
+use crate::wire::{WarpObject, extent_in, merged, with_field, without};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -63,9 +63,14 @@ impl WarpInput {
         let Some(path) = &self.landmarks else { return Ok(None) };
         let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
         let extent = |name: &str, text: &Option<String>| text.as_ref().map(|text| extent(name, text)).transpose();
+        let mut choice = Choice::default();
+        for (name, text) in [("match", &self.matching), ("item", &self.item)] {
+            text.as_ref().map_or(Ok(()), |text| choice.add_text(name, text))?;
+        }
         let extents = LandmarkFiles {
             extent_p: extent("--extent-p", &self.extent_p)?,
             extent_q: extent("--extent-q", &self.extent_q)?,
+            choice,
             ..LandmarkFiles::default()
         };
         Ok(Some(match &self.landmarks_q {
@@ -74,10 +79,11 @@ impl WarpInput {
         }))
     }
 
-    /// Landmarks of both sides, if there are landmark files.
+    /// Landmarks of both sides, if there are landmark files. `warp`: the text of the warp object, which may choose what is read of them.
     /// Errors: As [`Self::landmark_files`]; landmarks of one side.
-    pub(super) fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
-        let Some(files) = self.landmark_files(config)? else { return Ok(None) };
+    pub(super) fn landmarks(&self, config: &Config, warp: &[u8]) -> Result<Option<Landmarks>, Failure> {
+        let Some(mut files) = self.landmark_files(config)? else { return Ok(None) };
+        files.choice.add(Choice::of_warp(warp)?)?;
         let landmarks = files.read(config.limits().columns, &|| false)?;
         landmarks.require_q()?;
         Ok(Some(landmarks))
@@ -103,35 +109,23 @@ pub(super) fn extent_of(config: &Config, file: &[u8]) -> Result<Extent, WarpErro
     Ok(codec::open(file, &config.limits().image, &steps)?.header().extent)
 }
 
-/// The body of a request with a whole warp object and the size of its image.
-pub(super) struct Body {
-    /// The JSON.
-    pub(super) json: Bytes,
-    /// A landmark was left out because the other side does not have its name.
-    pub(super) has_unmatched: bool,
-}
-
-impl Body {
-    /// Reads all of it; `more`: the text of another object with fields of the request.
-    /// Errors: A file that cannot be read, or no size.
-    pub(super) fn read(config: &Config, input: &WarpInput, size: &ExtentInput, more: Option<&[u8]>) -> Result<Self, Failure> {
-        let json = input.json(config)?;
-        let given = size.read(config)?;
-        let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
-        let extent = given.or(extent_in(&json)?).ok_or_else(|| Failure::Local(missing.to_owned()))?;
-        let landmarks = input.landmarks(config)?;
-        let has_unmatched = landmarks.as_ref().is_some_and(Landmarks::has_unmatched);
-        let handles = landmarks.map(|landmarks| {
-            let mut object = WarpObject::default();
-            landmarks.place_in(&mut object, extent)?;
-            let [p, q] = [&object.rest.p, object.posed()?].map(AsJson);
-            Ok::<_, Failure>(json!({"p": p, "q": q, "units": "px"}).to_string())
-        });
-        let handles = handles.transpose()?.unwrap_or_else(|| "{}".to_owned());
-        let size = given.map_or_else(|| "{}".to_owned(), |size| json!({"extent": [size.width(), size.height()]}).to_string());
-        let json = merged(&[&json, handles.as_bytes(), size.as_bytes(), more.unwrap_or(b"{}")])?.into();
-        Ok(Self { json, has_unmatched })
-    }
+/// The body of a request with a whole warp object and the size of its image; `more`: the text of another object with fields of the
+/// request.
+/// Errors: A file that cannot be read, or no size.
+pub(super) fn body(config: &Config, input: &WarpInput, size: &ExtentInput, more: Option<&[u8]>) -> Result<Bytes, Failure> {
+    let mut json = input.json(config)?;
+    let given = size.read(config)?;
+    let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
+    let extent = given.or(extent_in(&json)?).ok_or_else(|| Failure::Local(missing.to_owned()))?;
+    let handles = match input.landmarks(config, &json)? {
+        Some(landmarks) => {
+            json = without(&json, &["match", "item"])?;
+            json!(landmarks.scale(Some(extent))?).to_string()
+        }
+        None => "{}".to_owned(),
+    };
+    let size = given.map_or_else(|| "{}".to_owned(), |size| json!({"extent": [size.width(), size.height()]}).to_string());
+    Ok(merged(&[&json, handles.as_bytes(), size.as_bytes(), more.unwrap_or(b"{}")])?.into())
 }
 
 /// Resolves a warp object as the server does: places the handles of landmark files, applies the strength and chooses the method.

@@ -4,7 +4,7 @@ use mlswarp::warp::MapFormat;
 use serde_json::json;
 
 use super::failure::Failure;
-use super::input::Body;
+use super::input;
 use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, MapArgs};
@@ -18,9 +18,9 @@ pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
     let format = output::by_extension(out, &known, "")?.unwrap_or_default();
     output::require_directory(out)?;
     let direction = direction.as_ref().map(|direction| json!({"direction": direction}).to_string().into_bytes());
-    let body = Body::read(config, input, extent, direction.as_deref())?;
+    let body = input::body(config, input, extent, direction.as_deref())?;
     let service = Service::start(config)?;
-    let (mut map, method) = service.wait(service.app.map_once(service.client, body.json.clone(), format))?;
+    let (mut map, method) = service.wait(service.app.map_once(service.client, body, format))?;
     output::write(out, |sink| {
         sink.put(&map.first)?;
         while let Some(bytes) = service.next(map.rest.next())? {
@@ -28,5 +28,5 @@ pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
         }
         Ok(())
     })?;
-    Ok(summary(method, &map.report.warnings, body.has_unmatched))
+    Ok(summary(method, &map.report.warnings))
 }

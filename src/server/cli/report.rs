@@ -1,12 +1,10 @@
 //! `mlswarp report WARP.json --extent WIDTH,HEIGHT`: `POST /report` without a server.
 
 use super::failure::Failure;
-use super::input::Body;
+use super::input;
 use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, ReportArgs};
-use crate::wire::WarningEntry;
-use crate::wire::landmarks::UNMATCHED;
 
 /// Measures a pose. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
@@ -14,10 +12,9 @@ pub fn run(config: &Config, args: &ReportArgs) -> Result<Option<String>, Failure
     let ReportArgs { input, extent, out } = args;
     input.require_one_stdin(&[extent.image.as_ref()])?;
     output::require_directory(out)?;
-    let body = Body::read(config, input, extent, None)?;
+    let body = input::body(config, input, extent, None)?;
     let service = Service::start(config)?;
-    let of_landmarks = body.has_unmatched.then(|| WarningEntry::of(UNMATCHED)).into_iter().collect();
-    let (report, method) = service.wait(service.app.report_once(service.client, body.json.clone(), of_landmarks))?;
+    let (report, method) = service.wait(service.app.report_once(service.client, body))?;
     output::write_text(out, &report.body)?;
-    Ok(summary(method, &report.report.warnings, body.has_unmatched))
+    Ok(summary(method, &report.report.warnings))
 }

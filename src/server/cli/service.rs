@@ -10,7 +10,6 @@ use crate::app::App;
 use crate::client::Client;
 use crate::config::Config;
 use crate::problem::Problem;
-use crate::wire::landmarks::UNMATCHED;
 
 /// A service that one client uses.
 pub(super) struct Service {
@@ -42,9 +41,9 @@ impl Service {
 }
 
 /// What a server sends in response headers: the method that was chosen, and warnings. `None` if there is neither.
-pub(super) fn summary(method: Option<String>, warnings: &[Warning], has_unmatched: bool) -> Option<String> {
+pub(super) fn summary(method: Option<String>, warnings: &[Warning]) -> Option<String> {
     let method = method.map(|method| format!("method {method}"));
-    let warnings = warnings.iter().map(|warning| warning.code()).chain(has_unmatched.then_some(UNMATCHED)).map(str::to_owned);
+    let warnings = warnings.iter().map(|warning| warning.code().to_owned());
     let words: Vec<String> = method.into_iter().chain(warnings).collect();
     (!words.is_empty()).then(|| words.join(", "))
 }

@@ -12,7 +12,7 @@ use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, WarpArgs, WarpKind};
 use crate::problem::Problem;
-use crate::wire::landmarks::{Landmarks, UNMATCHED};
+use crate::wire::landmarks::Landmarks;
 use crate::wire::{WarpObject, WarpPatch};
 use crate::wire::{canvas_from_text, canvas_text, method_text};
 
@@ -23,11 +23,12 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     handles.require_one_stdin(&[Some(image), region.as_ref()])?;
     let canvas = canvas.as_deref().map(canvas_from_text).transpose();
     let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
-    let patch = WarpPatch::parse(&handles.json(config)?)?;
+    let json = handles.json(config)?;
+    let mut patch = WarpPatch::parse(&json)?;
     // The file name takes the place of `Accept`.
     let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
     output::require_directory(out)?;
-    let landmarks = handles.landmarks(config)?;
+    let landmarks = handles.landmarks(config, &json)?;
     if landmarks.is_some() {
         patch.require_no_handles()?;
     }
@@ -68,7 +69,6 @@ fn render(
     landmarks: Option<Landmarks>,
     out: &Path,
 ) -> Result<String, Failure> {
-    let unmatched = landmarks.as_ref().is_some_and(Landmarks::has_unmatched).then_some(UNMATCHED);
     let setup = input::resolve(config, &mut object, landmarks, subject.extent())?;
     let pose = setup.pose(object.posed()?)?;
     subject.check(&object.output)?;
@@ -94,7 +94,7 @@ fn render(
     let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
     let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
     let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
-    let warnings = warnings.iter().map(|warning| warning.code()).chain(unmatched);
+    let warnings = warnings.iter().map(|warning| warning.code());
     Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
 }
 

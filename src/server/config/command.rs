@@ -41,12 +41,19 @@ pub struct WarpInput {
     /// Landmark file with q.
     #[arg(long, value_name = "FILE", requires = "landmarks", display_order = 2)]
     pub landmarks_q: Option<PathBuf>,
-    /// Size of the image that p belongs to, if the landmark file is normalised (0 to 1). By default that of the image.
+    /// Size of the image on which p was placed, such as a thumbnail: p is scaled to the image. Normalised files (0 to 1) are multiplied by
+    /// it, by default by the size of the image.
     #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
     pub extent_p: Option<String>,
-    /// Size of the image that q belongs to, if its landmark file is normalised. By default that of p.
+    /// Size of the image on which q was placed. By default that of p.
     #[arg(long, value_name = "WIDTH,HEIGHT", requires = "landmarks", display_order = 3)]
     pub extent_q: Option<String>,
+    /// How two landmark files are matched: `name` or `order`. By default by name if the names explain them.
+    #[arg(long = "match", value_name = "name|order", requires = "landmarks_q", display_order = 3)]
+    pub matching: Option<String>,
+    /// Which specimen, image, person or row of a landmark file is read, if it has several: an index from 0, or a name.
+    #[arg(long, value_name = "INDEX|NAME", requires = "landmarks", display_order = 3)]
+    pub item: Option<String>,
     /// Brings q to the frame of p by the best map of this class before anything else: none, rigid, similarity or affine. Takes precedence
     /// over the warp object.
     #[arg(long, value_name = "CLASS", display_order = 4)]

@@ -19,7 +19,7 @@ use crate::limits::memory::Purpose;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
 use crate::wire::fields;
-use crate::wire::landmarks::{LandmarkFiles, extent};
+use crate::wire::landmarks::{Choice, LandmarkFiles, extent};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
 const MAX_OVERHEAD: u64 = 16 << 10;
@@ -27,11 +27,12 @@ const MAX_OVERHEAD: u64 = 16 << 10;
 const PARSER_BYTES: u64 = 128 << 10;
 
 /// The parts of an upload, and those of landmark files alone, which are its last ones.
-const UPLOAD: [&str; 8] = ["image", "warp", "region", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q"];
-const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p` and `extent_q`";
-const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`";
-/// Longest text of an extent, bytes.
+const UPLOAD: [&str; 10] = ["image", "warp", "region", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q", "match", "item"];
+const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p`, `extent_q`, `match` and `item`";
+const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
+/// Longest text of an extent, and of the name of an item, bytes.
 const EXTENT_BYTES: u64 = 64;
+const ITEM_BYTES: u64 = 1024;
 
 const NO_BOUNDARY: &str =
     "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
@@ -53,6 +54,7 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
     }
     let [image, warp, region, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
     let files = landmark_files(files)?;
+    files.require_files()?;
     // Every field of a warp object has a default, except for the handles.
     let warp = if files.is_empty() { warp } else { warp.or(Some(Bytes::from_static(b"{}"))) };
     match (image, warp) {
@@ -62,10 +64,7 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
             let mut upload = Upload::new(image, warp);
             upload.region = region;
             if !files.is_empty() {
-                upload.landmarks = Some(caller.app.read_landmarks(caller.client, files).await?);
-            } else if files.extent_p.or(files.extent_q).is_some() {
-                let detail = "`extent_p` and `extent_q` belong to landmark files: send `landmarks` too";
-                return Err(Problem::new(Code::BadValue, detail));
+                upload.landmarks = Some(caller.app.read_landmarks(caller.client, files, upload.warp.clone()).await?);
             }
             Ok(upload)
         }
@@ -81,11 +80,15 @@ pub(crate) async fn read_landmark_parts(caller: &Caller, request: Request) -> Re
     landmark_files(files)
 }
 
-fn landmark_files([both, p, q, extent_p, extent_q]: [Option<Bytes>; 5]) -> Result<LandmarkFiles, Problem> {
+fn landmark_files([both, p, q, extent_p, extent_q, matching, item]: [Option<Bytes>; 7]) -> Result<LandmarkFiles, Problem> {
     let names = [("landmarks", &both), ("landmarks_p", &p), ("landmarks_q", &q)];
     require_contents(&names.map(|(name, part)| (name, Code::BadLandmarks, part.as_ref())))?;
     let extent = |name: &str, part: Option<Bytes>| part.map(|part| extent(name, &String::from_utf8_lossy(&part))).transpose();
-    Ok(LandmarkFiles { extent_p: extent("extent_p", extent_p)?, extent_q: extent("extent_q", extent_q)?, both, p, q })
+    let mut choice = Choice::default();
+    for (name, part) in [("match", matching), ("item", item)] {
+        part.map_or(Ok(()), |part| choice.add_text(name, &String::from_utf8_lossy(&part)))?;
+    }
+    Ok(LandmarkFiles { extent_p: extent("extent_p", extent_p)?, extent_q: extent("extent_q", extent_q)?, both, p, q, choice })
 }
 
 pub(crate) fn is_multipart(request: &Request) -> bool {
@@ -93,7 +96,12 @@ pub(crate) fn is_multipart(request: &Request) -> bool {
 }
 
 /// Reads the parts of these names, each once, in any order.
-async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str], advice: &str) -> Result<[Option<Bytes>; 8], Problem> {
+async fn read_parts(
+    caller: &Caller,
+    mut request: Request,
+    names: &[&'static str],
+    advice: &str,
+) -> Result<[Option<Bytes>; UPLOAD.len()], Problem> {
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
@@ -101,7 +109,7 @@ async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
-    let mut read: [Option<Bytes>; 8] = Default::default();
+    let mut read: [Option<Bytes>; UPLOAD.len()] = Default::default();
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
@@ -119,6 +127,7 @@ async fn read_parts(caller: &Caller, mut request: Request, names: &[&'static str
         let (what, limit) = match name.as_str() {
             "warp" => ("warp_json_bytes", app.config().max_warp_json_bytes),
             "extent_p" | "extent_q" => ("extent_bytes", EXTENT_BYTES),
+            "match" | "item" => ("item_bytes", ITEM_BYTES),
             _ => ("body_bytes", u64::MAX),
         };
         read[index] = Some(read_part(caller, part, what, limit, &buffered).await?);

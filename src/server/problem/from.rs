@@ -76,6 +76,11 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
         DeformError::TooFewPlaces { handle, places } => at_handle(Code::BadValue, handle).actual(places),
         DeformError::CountMismatch { .. } => new(Code::ShapeMismatch).pointer(format!("/{field}")),
         DeformError::ShapeMismatch { handle, .. } => at_handle(Code::ShapeMismatch, handle),
+        DeformError::MissingInPose { handle } => {
+            let mut problem = at_handle(Code::BadValue, handle);
+            problem.detail.push_str("; in a session, send `p` with `null` there to PUT /sessions/{id}/handles");
+            problem
+        }
         DeformError::WeightCount { .. } => new(Code::ShapeMismatch).pointer("/weights"),
         DeformError::BadWeight { handle, value } => {
             new(Code::BadValue).pointer(format!("/weights/{handle}")).handle(handle).actual(number(value))

@@ -62,6 +62,7 @@ fn base() -> WarpObject {
             units: Units::Px,
             grid: GridSpec::Auto,
             align: Align::None,
+            has_unmatched: false,
         },
         q: None,
         folds: Folds::Report,
@@ -105,7 +106,7 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align } = &record.rest;
+        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align, has_unmatched: _ } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -187,6 +188,9 @@ struct Document<W> {
     layers: BTreeMap<String, Layer>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     made_with_region: Option<String>,
+    /// Whether the rest handles lack landmarks that one side has.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    has_unmatched: bool,
     warp: W,
 }
 
@@ -221,6 +225,7 @@ pub fn write(record: &Record) -> Vec<u8> {
         created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
         layers: record.layers.iter().map(Layer::write).collect(),
         made_with_region: record.made_with_region.map(|digest| digest.to_string()),
+        has_unmatched: record.rest.has_unmatched,
         warp: Warp(record, Defaults::LeftOut),
     };
     sealed(&serde_json::to_vec(&document).expect("an object of numbers and words"))
@@ -265,7 +270,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
         layers,
         made_with_region: region.transpose()?,
         extent: Extent::new(read.width, read.height).ok_or_else(|| other("its picture has no size"))?,
-        rest: warp.rest,
+        rest: RestSpec { has_unmatched: read.has_unmatched, ..warp.rest },
         folds: warp.folds,
         output: warp.output,
         created: SystemTime::UNIX_EPOCH + Duration::from_nanos(read.created),
@@ -321,6 +326,7 @@ mod tests {
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 9, rows: 7 },
             align: Align::Similarity,
+            has_unmatched: true,
             ..rich().rest
         };
         let output = OutputSpec {

@@ -88,6 +88,15 @@ impl RequestedMethod {
     }
 }
 
+/// How the landmarks of two files are matched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Matching {
+    /// Those of one name; landmarks that only one file has are left out.
+    Name,
+    /// The first with the first.
+    Order,
+}
+
 /// How distances between places are measured.
 #[derive(Clone, Copy)]
 pub(crate) enum Metric {
@@ -118,5 +127,6 @@ enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Neare
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
 enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
+enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
 enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");

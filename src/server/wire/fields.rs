@@ -4,7 +4,7 @@ use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
 /// The fields of the warp object, in the order of `WarpPatch::read`.
-pub(crate) const WARP: [&str; 15] = [
+pub(crate) const WARP: [&str; 20] = [
     "p",
     "q",
     "align",
@@ -20,11 +20,19 @@ pub(crate) const WARP: [&str; 15] = [
     "folds",
     "metric",
     "output",
+    "names",
+    "format",
+    "unmatched",
+    "match",
+    "item",
 ];
 
+/// Fields of the warp object that only the response of `POST /landmarks` has.
+pub(crate) const OF_LANDMARKS: [&str; 3] = ["names", "format", "unmatched"];
+
 /// The fields of `/points`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_POINTS: [&str; 22] = {
-    let mut fields = [""; 22];
+pub(crate) const WARP_WITH_POINTS: [&str; WARP.len() + 7] = {
+    let mut fields = [""; WARP.len() + 7];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "points", "polygons", "boxes", "geojson", "inverse", "refine"]);
@@ -32,8 +40,8 @@ pub(crate) const WARP_WITH_POINTS: [&str; 22] = {
 };
 
 /// The fields of `/report`: those of the warp object, and the extent.
-pub(crate) const WARP_WITH_EXTENT: [&str; 16] = {
-    let mut fields = ["extent"; 16];
+pub(crate) const WARP_WITH_EXTENT: [&str; WARP.len() + 1] = {
+    let mut fields = ["extent"; WARP.len() + 1];
     fields.split_at_mut(WARP.len()).0.copy_from_slice(&WARP);
     fields
 };
@@ -42,8 +50,8 @@ pub(crate) const WARP_WITH_EXTENT: [&str; 16] = {
 pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
 /// The fields of `/map`: those of the warp object, then its own.
-pub(crate) const WARP_WITH_MAP: [&str; 19] = {
-    let mut fields = [""; 19];
+pub(crate) const WARP_WITH_MAP: [&str; WARP.len() + 4] = {
+    let mut fields = [""; WARP.len() + 4];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
     own.copy_from_slice(&["extent", "direction", "canvas", "width"]);
@@ -54,7 +62,8 @@ pub(crate) const WARP_WITH_MAP: [&str; 19] = {
 pub(crate) const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "canvas", "width"];
 
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
-pub(crate) const FIT: [&str; 8] = ["p", "q", "align", "weights", "coincident", "units", "extent", "candidates"];
+pub(crate) const FIT: [&str; 11] =
+    ["p", "q", "align", "weights", "coincident", "units", "extent", "candidates", "names", "format", "unmatched"];
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
 /// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
@@ -83,9 +92,12 @@ pub(crate) const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
 /// Fields that this version accepts with one value only: nobody needs to send them.
 const ONE_VALUED: [&str; 1] = ["metric"];
 
-/// The names without those that this version accepts with one value only.
+/// The names without those that nobody needs to send.
 pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
-    known.iter().copied().filter(|name| !ONE_VALUED.contains(name)).collect()
+    let is_useful = |name: &&str| !ONE_VALUED.contains(name) && !OF_LANDMARKS.contains(name);
+    // Objects of a format, such as `output`, have a field of that name too.
+    let is_output = known.contains(&"compression");
+    known.iter().copied().filter(|name| is_output || is_useful(name)).collect()
 }
 
 /// Fields and parts of the contract that this version does not support, each with a known name of the objects that it belongs to.

@@ -34,9 +34,13 @@ impl FitObject {
     /// Reads the body of `/fit`.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [p, q, align, weights, coincident, units, extent, candidates] = root.fields(&fields::FIT)?;
-        let warp = WarpPatch::read([p, q, align, None, weights, None, None, None, None, coincident, units, None, None, None, None])?
-            .into_object()?;
+        let [p, q, align, weights, coincident, units, extent, candidates, names, format, unmatched] = root.fields(&fields::FIT)?;
+        let given = [("p", p), ("q", q), ("align", align), ("weights", weights), ("coincident", coincident), ("units", units)];
+        let given = given.into_iter().chain([("names", names), ("format", format), ("unmatched", unmatched)]);
+        let given: Vec<_> = given.collect();
+        let of_warp = fields::WARP.map(|name| given.iter().find(|(other, _)| *other == name).and_then(|(_, node)| *node));
+        let mut warp = WarpPatch::read(of_warp)?.into_object()?;
+        warp.leave_out_missing();
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let q = warp.posed()?.to_vec();
         Ok(Self { rest: Some((warp.rest, extent)), q, candidates: read_candidates(candidates)? })
@@ -126,7 +130,7 @@ impl Serialize for AsJson<&Prediction> {
         impl Serialize for Residuals<'_> {
             fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
                 let mut list = s.serialize_seq(Some(self.0.residuals.len()))?;
-                self.0.residuals.iter().try_for_each(|residual| list.serialize_element(&[residual.x, residual.y]))?;
+                self.0.residuals.iter().try_for_each(|residual| list.serialize_element(&residual.map(|d| [d.x, d.y])))?;
                 list.end()
             }
         }

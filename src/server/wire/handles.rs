@@ -1,10 +1,10 @@
-//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline. Numbers are finite; the engine checks everything
+//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline, `null` a handle without a position. Numbers are finite; the engine checks everything
 //! else (range, length, pairing). The memory used is at most ten times the text, usually two or three times.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 
-use super::json::Node;
+use super::json::{Kind, Node};
 use super::number::number;
 use crate::problem::{Code, Problem};
 
@@ -29,6 +29,9 @@ pub(crate) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
 }
 
 pub(crate) fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
+    if node.kind() == Kind::Null {
+        return Ok(Handle::Missing);
+    }
     let is_line = node.text.strip_prefix('[').is_some_and(|inside| inside.trim_start().starts_with('['));
     if !is_line {
         return place(node, HANDLE).map(Handle::Point);

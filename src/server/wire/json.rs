@@ -267,6 +267,12 @@ impl<'j, 'p> Node<'j, 'p> {
         if self.kind() == Kind::Object { self.pairs().take(MOST_MEMBERS).collect() } else { Vec::new() }
     }
 
+    /// The first value of an array.
+    pub(crate) fn first(&self) -> Option<Self> {
+        let text = self.next(&mut self.text.get(1..).unwrap_or_default())?;
+        Some(Node { text, at: At::Root, work: self.work })
+    }
+
     /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
     pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
         let mut node = Node { at: At::Root, ..*self };

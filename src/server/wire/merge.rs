@@ -27,6 +27,15 @@ pub(crate) fn with_field(object: &[u8], name: &str, value: &str) -> Result<Vec<u
     Ok(format!("{{{}}}", fields.join(",")).into_bytes())
 }
 
+/// An object without some of its fields.
+/// Errors: A text that is not a JSON object.
+pub(crate) fn without(object: &[u8], names: &[&str]) -> Result<Vec<u8>, Problem> {
+    let root = json::root(object)?;
+    let kept = root.pairs().filter(|(name, _)| !names.contains(&name.trim_matches('"')));
+    let fields: Vec<String> = kept.map(|(name, value)| format!("{name}:{value}")).collect();
+    Ok(format!("{{{}}}", fields.join(",")).into_bytes())
+}
+
 /// Splits an object with the fields of both into the warp object of a session and the body of a batch. `q` and `strength` go into both.
 /// Errors: Not a JSON object.
 pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {

@@ -46,7 +46,7 @@ use handles::handles;
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
-pub(crate) use merge::{extent_in, merged, split_batch, with_field};
+pub(crate) use merge::{extent_in, merged, split_batch, with_field, without};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
@@ -95,7 +95,7 @@ impl Default for WarpObject {
 impl WarpObject {
     /// Reads the object. Whether it has what a route needs is not checked.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
+        Ok(WarpPatch::parse(json)?.without_files()?.merge_onto(Self::default()))
     }
 
     /// Errors: `method: auto` with a parameter that it chooses, or without `q`.
@@ -120,7 +120,12 @@ impl WarpObject {
         self.rest = candidate.applied_to(std::mem::take(&mut self.rest));
     }
 
-    /// Aligns the posed handles and moves them to where the strength has them, once.
+    /// Leaves out the handles that are missing on either side.
+    pub(crate) fn leave_out_missing(&mut self) {
+        self.rest.leave_out_missing(self.q.as_deref_mut().unwrap_or_default());
+    }
+
+    /// Leaves out the handles that are missing on either side, aligns the posed ones and moves them to where the strength has them, once.
     /// Errors: `bad_value` at `/strength` if there are handles at rest and no `q` that it could apply to.
     pub fn settle_pose(&mut self, extent: Extent) -> Result<Option<Alignment>, Problem> {
         #[expect(clippy::float_cmp, reason = "the default")]
@@ -128,6 +133,7 @@ impl WarpObject {
             let detail = "`strength` applies to `q`, which is missing; a session keeps no strength: send it with each `q`";
             return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
         }
+        self.leave_out_missing();
         let strength = std::mem::replace(&mut self.strength, 1.0);
         let Some(q) = self.q.take() else { return Ok(None) };
         let (posed, alignment) = self.rest.posed(q, strength, extent);

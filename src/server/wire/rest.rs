@@ -7,9 +7,11 @@ use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
 use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
 use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
+use super::landmarks::{Choice, Item, is_format, without_files};
 use super::number::{count, number, number_in, positive};
 use super::output::OutputPatch;
-use super::{WarpObject, fields, json};
+use super::{WarpObject, fields, json, suggest};
+use crate::problem::words::advice;
 use crate::problem::{Code, Problem};
 
 const COINCIDENT: &str = "an object, {\"policy\": \"mean\" or \"reject\", \"within\": px}";
@@ -33,6 +35,10 @@ pub(crate) struct WarpPatch {
     pub(crate) grid: Option<GridSpec>,
     pub(crate) folds: Option<Folds>,
     pub(crate) output: OutputPatch,
+    /// Whether landmarks were left out because one side does not have them.
+    pub(crate) has_unmatched: bool,
+    /// What is read from landmark files.
+    pub(crate) choice: Choice,
 }
 
 impl WarpPatch {
@@ -41,12 +47,34 @@ impl WarpPatch {
     }
 
     pub(crate) fn read(
-        [p, q, align, strength_, weights_, method, alpha, point_mass, smoothing, coincident_, units, grid_, folds, metric, output]: [Option<Node<'_, '_>>;
-            15],
+        [
+            p,
+            q,
+            align,
+            strength_,
+            weights_,
+            method,
+            alpha,
+            point_mass,
+            smoothing,
+            coincident_,
+            units,
+            grid_,
+            folds,
+            metric,
+            output,
+            names,
+            format,
+            unmatched,
+            matching,
+            item,
+        ]: [Option<Node<'_, '_>>; fields::WARP.len()],
     ) -> Result<Self, Problem> {
         optional(metric, enum_name::<Metric>)?;
+        let p = optional(p, handles)?;
+        let has_unmatched = of_landmarks([names, format, unmatched], p.as_deref())?;
         Ok(Self {
-            p: optional(p, handles)?,
+            p,
             q: optional(q, handles)?,
             align: optional(align, enum_name)?,
             strength: optional(strength_, strength)?,
@@ -60,12 +88,15 @@ impl WarpPatch {
             grid: optional(grid_, grid)?,
             folds: optional(folds, enum_name)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            has_unmatched,
+            choice: Choice { matching: optional(matching, enum_name)?, item: optional(item, Item::read)? },
         })
     }
 
-    /// For a request whose handles are in landmark files.
+    /// For a request whose handles are in landmark files, from which the chosen ones have been read.
     /// Errors: `bad_value` at the first field that says the same.
-    pub(crate) fn require_no_handles(&self) -> Result<(), Problem> {
+    pub(crate) fn require_no_handles(&mut self) -> Result<(), Problem> {
+        self.choice = Choice::default();
         let given = [("p", self.p.is_some()), ("q", self.q.is_some()), ("units", self.units.is_some())];
         match given.into_iter().find(|(_, is_given)| *is_given) {
             Some((name, _)) => {
@@ -76,14 +107,23 @@ impl WarpPatch {
         }
     }
 
+    /// Errors: `bad_value` at a field that belongs to landmark files, of which there are none.
+    pub(crate) fn without_files(self) -> Result<Self, Problem> {
+        match self.choice.given() {
+            Some(name) => Err(without_files(name).pointer(format!("/{name}"))),
+            None => Ok(self),
+        }
+    }
+
     /// The object of a request that is not about a session.
-    /// Errors: `bad_value` at `/p` if there are posed handles only.
+    /// Errors: `bad_value` at `/p` if there are posed handles only; as [`Self::without_files`].
     pub(crate) fn into_object(self) -> Result<WarpObject, Problem> {
-        match (&self.p, &self.q) {
+        let patch = self.without_files()?;
+        match (&patch.p, &patch.q) {
             (None, Some(q)) if !q.is_empty() => {
                 Err(Problem::new(Code::BadValue, "`p` is missing: where do the handles start?").pointer("/p"))
             }
-            _ => Ok(self.merge_onto(WarpObject::default())),
+            _ => Ok(patch.merge_onto(WarpObject::default())),
         }
     }
 
@@ -91,6 +131,7 @@ impl WarpPatch {
     /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
+        let has_unmatched = self.has_unmatched || self.p.is_none() && base.rest.has_unmatched;
         let is_auto = self.method == Some(RequestedMethod::Auto);
         let method = self.method.and_then(RequestedMethod::method).unwrap_or(if is_auto { Method::default() } else { base.rest.method });
         let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && method.is_like(base.rest.method));
@@ -106,6 +147,7 @@ impl WarpPatch {
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
                 align: self.align.unwrap_or(base.rest.align),
+                has_unmatched,
             },
             q: self.q,
             strength: self.strength.unwrap_or(1.0),
@@ -114,6 +156,33 @@ impl WarpPatch {
             is_auto,
         }
     }
+}
+
+/// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say nothing more; the result: whether
+/// landmarks are `unmatched`.
+pub(crate) fn of_landmarks([names, format, unmatched]: [Option<Node<'_, '_>>; 3], p: Option<&[Handle]>) -> Result<bool, Problem> {
+    const NAMES: &str = "an array of names, one for each handle";
+    const LENGTH: usize = 8;
+    let count = |node: &Node<'_, '_>| node.list(NAMES, LENGTH, |_, item| item.string("a name")).map(|names| names.len());
+    if let Some(node) = names {
+        let (found, handles) = (count(&node)?, p.map(<[_]>::len));
+        if handles.is_some_and(|handles| handles != found) {
+            return Err(node.problem(Code::ShapeMismatch, format!("`names` has {found}, but `p` has {}", handles.unwrap_or_default())));
+        }
+    }
+    if let Some(node) = format
+        && !(node.kind() == Kind::String && is_format(&node.string("a format")?))
+    {
+        // The format of a picture stands elsewhere.
+        let hint = suggest::field("format", &fields::useful(&fields::WARP));
+        let detail = format!("unknown field: `format`{}", advice(hint, "the format of a landmark file is its only value"));
+        return Err(Problem::new(Code::UnknownField, detail).pointer("/format"));
+    }
+    optional(unmatched, |node| {
+        let [p, q] = node.fields(&["p", "q"])?;
+        Ok(optional(p, count)?.unwrap_or_default() + optional(q, count)?.unwrap_or_default() > 0)
+    })
+    .map(Option::unwrap_or_default)
 }
 
 /// How much of the way from p to q the handles are moved.

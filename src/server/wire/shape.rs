@@ -19,11 +19,7 @@ const GEOJSON: [(&str, &str); 9] = [
     ("GeometryCollection", "geometries"),
 ];
 /// The members of other kinds, with what they are and where they go. A kind has all of its members.
-const KINDS: [(&[&str], &str); 6] = [
-    (
-        &["p", "format", "units"],
-        "an answer of POST /landmarks: send its `p`, `q` and `units` alone, or the file as landmarks (the part `landmarks`, or --landmarks FILE)",
-    ),
+const KINDS: [(&[&str], &str); 5] = [
     (&["best", "candidates"], "an answer of /fit: the fields of its `best` (`method`, `alpha`, `smoothing`) are those of a warp object"),
     (&["id", "image", "p", "seq"], "the object of a session: a warp object has its `p`, `method`, `alpha`, `units` and `output`, and `q`"),
     (
@@ -84,7 +80,6 @@ mod tests {
             (r#"{"type": "FeatureCollection", "features": []}"#, "GeoJSON, a FeatureCollection"),
             (r#"{"p": [], "type": "Feature", "geometry": null}"#, "GeoJSON, a Feature"),
             (r#"{"type": "Polygon", "coordinates": []}"#, "GeoJSON, a Polygon"),
-            (r#"{"p": [], "names": ["a"], "units": "px", "format": "csv"}"#, "an answer of POST /landmarks"),
             (r#"{"best": {}, "candidates": []}"#, "an answer of /fit"),
             (r#"{"id": "x", "image": {}, "p": [], "seq": null, "grid": {}}"#, "the object of a session"),
             (r#"{"images": [], "annotations": [], "categories": []}"#, "a COCO file"),

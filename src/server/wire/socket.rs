@@ -88,6 +88,7 @@ fn read_binary(bytes: &[u8], rest: &[Handle]) -> Result<Vec<Handle>, Problem> {
     let handle = |(index, handle): (usize, &Handle)| match handle {
         Handle::Point(_) => place(index).map(Handle::Point),
         Handle::Polyline(line) => line.iter().map(|_| place(index)).collect::<Result<_, _>>().map(Handle::Polyline),
+        Handle::Missing => Ok(Handle::Missing),
     };
     rest.iter().enumerate().map(handle).collect()
 }

@@ -26,6 +26,9 @@ const POSED: [&str; 14] = [
 const SIZES: [&str; 6] = ["height", "size", "scale", "resize", "dimensions", "resolution"];
 const BOTH: [&str; 5] = ["points", "handles", "pins", "landmarks", "pairs"];
 
+/// Fields of the warp object that a session does not keep.
+const NOT_KEPT: [&str; 7] = ["output", "strength", "names", "format", "unmatched", "match", "item"];
+
 /// Other names of fields.
 const OTHER_FIELDS: [(&str, &str); 4] = [("family", "method"), ("background", "outside"), ("interpolation", "filter"), ("mesh", "grid")];
 /// Fields of other requests, and where they go.
@@ -96,7 +99,7 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
         (true, false) if is_any(&POSED) => "did you mean `q`?",
         (true, false) if name == "p" || is_any(&[&REST[..], &BOTH].concat()) => OF_SESSION,
         // These belong to a request and are not replaced there.
-        (true, false) if !["output", "strength"].contains(&name) && WARP.contains(&name) => {
+        (true, false) if !NOT_KEPT.contains(&name) && WARP.contains(&name) => {
             return Some(format!("the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"));
         }
         _ => {

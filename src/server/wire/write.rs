@@ -14,6 +14,7 @@ impl Serialize for AsJson<&Handle> {
         match self.0 {
             Handle::Point(place) => [place.x, place.y].serialize(s),
             Handle::Polyline(places) => AsJson(places.as_slice()).serialize(s),
+            Handle::Missing => s.serialize_unit(),
         }
     }
 }

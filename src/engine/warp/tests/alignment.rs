@@ -30,6 +30,7 @@ fn each(handles: &[Handle], map: impl Fn(Point) -> Point) -> Vec<Handle> {
     let of = |handle: &Handle| match handle {
         Handle::Point(p) => Handle::Point(map(*p)),
         Handle::Polyline(places) => Handle::Polyline(places.iter().map(|p| map(*p)).collect()),
+        Handle::Missing => Handle::Missing,
     };
     handles.iter().map(of).collect()
 }
@@ -95,6 +96,7 @@ fn the_map_is_the_best_of_its_class_and_aligning_twice_is_aligning_once() {
                 .map(|handle| match handle {
                     Handle::Point(_) => Handle::Point(moved.next().unwrap()),
                     Handle::Polyline(line) => Handle::Polyline(line.iter().map(|_| moved.next().unwrap()).collect()),
+                    Handle::Missing => Handle::Missing,
                 })
                 .collect();
             let once = aligned(&rest, &q);
@@ -136,6 +138,7 @@ fn squares(rest: &RestSpec, q: &[Handle]) -> f64 {
                     }
                 }
             }
+            Handle::Missing => {}
         }
     }
     sum

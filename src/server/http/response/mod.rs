@@ -18,15 +18,12 @@ use tokio::sync::mpsc::UnboundedReceiver;
 
 use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Picture, Piece};
-use crate::app::landmarks::HeldLandmarks;
 use crate::app::map::MapFile;
 use crate::app::plan::PlanFile;
-use crate::app::warp::Upload;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
 use crate::problem::Problem;
 use crate::wire::canvas_text;
-use crate::wire::landmarks::UNMATCHED;
 
 const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 const WARP_CANVAS: HeaderName = HeaderName::from_static("warp-canvas");
@@ -36,29 +33,6 @@ const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
 const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
 const WARP_RESIDUAL: HeaderName = HeaderName::from_static("warp-residual");
 const WARP_WARNING: HeaderName = HeaderName::from_static("warp-warning");
-
-/// A warning about landmark files, which the engine does not know.
-#[derive(Clone, Copy)]
-pub(crate) struct Warning {
-    has_unmatched: bool,
-}
-
-impl Warning {
-    pub(crate) fn of(upload: &Upload) -> Self {
-        Self { has_unmatched: upload.landmarks.as_ref().is_some_and(HeldLandmarks::has_unmatched) }
-    }
-
-    /// Adds the warning to those of the response.
-    pub(crate) fn add_to(self, mut response: Response) -> Response {
-        if self.has_unmatched {
-            let headers = response.headers_mut();
-            let others = headers.get(WARP_WARNING).and_then(|others| others.to_str().ok());
-            let all = others.map_or_else(|| UNMATCHED.to_owned(), |others| format!("{others}, {UNMATCHED}"));
-            headers.insert(WARP_WARNING, text(all));
-        }
-        response
-    }
-}
 
 /// A response with the warnings of its handles.
 pub(crate) fn with_warnings(mut response: Response, warnings: &[mlswarp::warp::Warning]) -> Response {

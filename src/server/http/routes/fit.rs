@@ -6,17 +6,19 @@ use axum::response::Response;
 use super::sessions::session_id;
 use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::json_text;
+use crate::http::response::{json_text, with_warnings};
 use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
     let body = warp_json(&caller, request).await?;
-    Ok(json_text(caller.app.fit_once(caller.client, body).await?))
+    let (json, warnings) = caller.app.fit_once(caller.client, body).await?;
+    Ok(with_warnings(json_text(json), &warnings))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
     let body = warp_json(&caller, request).await?;
-    Ok(json_text(caller.app.fit_session(caller.client, id, body).await?))
+    let (json, warnings) = caller.app.fit_session(caller.client, id, body).await?;
+    Ok(with_warnings(json_text(json), &warnings))
 }

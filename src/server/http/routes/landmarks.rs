@@ -1,5 +1,7 @@
 //! `POST /landmarks`: landmark files as handles.
 
+use std::borrow::Cow;
+
 use axum::extract::Request;
 use axum::response::Response;
 
@@ -9,15 +11,20 @@ use crate::http::response::json_text;
 use crate::http::{body, upload};
 use crate::limits::memory::Purpose;
 use crate::problem::{Code, Problem};
-use crate::wire::landmarks::{LandmarkFiles, extent};
+use crate::wire::landmarks::{Choice, LandmarkFiles, extent};
 
-const EXTENTS: [&str; 2] = ["extent_p", "extent_q"];
+const FIELDS: [&str; 4] = ["extent_p", "extent_q", "match", "item"];
 
 /// The body is one file of any media type, or a form.
 pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let given = query_fields(request.uri().query(), EXTENTS)?;
-    let [extent_p, extent_q] = [0, 1].map(|side| given[side].map(|text| extent(EXTENTS[side], &decoded(text))).transpose());
-    let (extent_p, extent_q) = (extent_p?, extent_q?);
+    let given = query_fields(request.uri().query(), FIELDS)?;
+    let [extent_p, extent_q, matching, item] = given.map(|text| text.map(decoded));
+    let read = |name: &str, text: Option<String>| text.map(|text| extent(name, &text)).transpose();
+    let (extent_p, extent_q) = (read("extent_p", extent_p)?, read("extent_q", extent_q)?);
+    let mut choice = Choice::default();
+    for (name, text) in [("match", matching), ("item", item)] {
+        text.map_or(Ok(()), |text| choice.add_text(name, &text))?;
+    }
     let mut files = if upload::is_multipart(&request) {
         upload::read_landmark_parts(&caller, request).await?
     } else {
@@ -30,14 +37,24 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
         }
         *of_part = of_part.or(of_query);
     }
+    files.choice.add(choice)?;
     Ok(json_text(caller.app.convert_landmarks(caller.client, files).await?))
 }
 
-/// The characters of an extent that clients escape in a query.
+/// The text of a field of a query: clients escape bytes, and write a space as `+`.
 fn decoded(value: &str) -> String {
-    let mut text = value.replace('+', " ");
-    for (escape, character) in [("%2C", ","), ("%2c", ","), ("%20", " "), ("%5B", "["), ("%5b", "["), ("%5D", "]"), ("%5d", "]")] {
-        text = text.replace(escape, character);
+    let bytes = value.as_bytes();
+    let digit = |at: usize| bytes.get(at).and_then(|digit| char::from(*digit).to_digit(16));
+    let (mut text, mut at) = (Vec::with_capacity(bytes.len()), 0);
+    while let Some(byte) = bytes.get(at) {
+        let escaped = digit(at + 1).zip(digit(at + 2)).and_then(|(high, low)| u8::try_from(16 * high + low).ok());
+        let (byte, length) = match (byte, escaped) {
+            (b'%', Some(byte)) => (byte, 3),
+            (b'+', _) => (b' ', 1),
+            (byte, _) => (*byte, 1),
+        };
+        text.push(byte);
+        at += length;
     }
-    text
+    Cow::into_owned(String::from_utf8_lossy(&text))
 }

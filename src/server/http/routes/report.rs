@@ -12,7 +12,7 @@ use crate::problem::Problem;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
     let body = warp_json(&caller, request).await?;
-    let (report, method) = caller.app.report_once(caller.client, body, Vec::new()).await?;
+    let (report, method) = caller.app.report_once(caller.client, body).await?;
     Ok(with_method(answer(report), method))
 }
 

@@ -14,7 +14,7 @@ use crate::app::App;
 use crate::app::warp::Upload;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{Warning, json_text, with_method, with_warnings};
+use crate::http::response::{json_text, with_method, with_warnings};
 use crate::http::{body, upload};
 use crate::layer::MAX_LAYERS;
 use crate::limits::memory::{Purpose, Reservation};
@@ -33,21 +33,21 @@ const FIXED_PART: usize = 2048 + 128 * MAX_LAYERS;
 /// Creates a session. Its picture is decoded and its table filled before the first drag.
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
     let upload = upload::read(&caller, request).await?;
-    let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
+    let held = reserve_object(&caller, &upload)?;
     let (session, setup, method) = caller.app.create_session(caller.client, upload).await?;
-    Ok(with_method(warning.add_to(created(&caller, &session, object(held, &session, &setup))), method))
+    Ok(with_method(created(&caller, &session, object(held, &session, &setup)), method))
 }
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
 pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = SessionId::parse(caller.client.owner, &id).ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
-    let (held, warning) = (reserve_object(&caller, &upload)?, Warning::of(&upload));
+    let held = reserve_object(&caller, &upload)?;
     let (put, setup, method) = caller.app.put_session(caller.client, id, upload).await?;
-    let response = warning.add_to(match put {
+    let response = match put {
         Put::Created(session) => created(&caller, &session, object(held, &session, &setup)),
         Put::Same(session) | Put::Replaced(session, _) => object(held, &session, &setup),
-    });
+    };
     Ok(with_method(response, method))
 }
 

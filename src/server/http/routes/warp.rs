@@ -10,7 +10,7 @@ use crate::app::warp::columns;
 use crate::http::body::json;
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{Warning, picture, takes_trailers, with_method};
+use crate::http::response::{picture, takes_trailers, with_method};
 use crate::http::{accept, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::Problem;
@@ -29,11 +29,11 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let upload = upload::read(&caller, request).await?;
-    let (Caller { app, client }, warning) = (caller, Warning::of(&upload));
+    let Caller { app, client } = caller;
     let (drawn, material) = app.warp_once(client, upload, formats).await?;
     let method = material.chosen_method();
     let session = if keeps_session { Some(app.create_session_from(client, material).await?.0.record.id) } else { None };
-    let mut response = with_method(warning.add_to(picture(drawn, trailers)), method);
+    let mut response = with_method(picture(drawn, trailers), method);
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
         response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);

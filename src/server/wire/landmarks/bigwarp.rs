@@ -6,19 +6,21 @@
 //! the images uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does; `Infinity` is a side that is not
 //! set yet.
 
-use super::File;
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Field, Row, Rows, flag};
+use super::table::{Field, Row, Table, flag};
+use super::{Form, Format};
 
+pub(super) const FORMAT: Format = Format { name: "bigwarp", title: "BigWarp CSV", items: "tables", form: Form::Table(is_bigwarp, read) };
 const CENTRE: f64 = 0.5;
 
-pub(super) fn is_bigwarp(first: &Row) -> bool {
+fn is_bigwarp(first: &Row) -> bool {
     let is_flag = |text: &str| text.eq_ignore_ascii_case("true") || text.eq_ignore_ascii_case("false");
     (6..=9).contains(&first.fields.len()) && is_flag(first.fields[1].text.trim())
 }
 
-pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result<File, Bad> {
+fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
+    let Table { first, mut rows } = table;
     let width = first.fields.len();
     if width > 7 {
         return Err(Bad::new(first.at, format!("expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 dimensions")));
@@ -39,10 +41,10 @@ pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result
         let (p, q, name) = (side(numbers)?, side(numbers + 2)?, row.fields[0].located());
         match (is_active, p, q) {
             (false, ..) | (true, None, None) => out.pass(row.at)?,
-            (true, Some(p), Some(q)) => out.point(row.at, p, Some(q), Some(name))?,
+            (true, Some(p), Some(q)) => out.pair(row.at, [Some(p), Some(q)], Some(name))?,
             (true, p, _) => out.one_sided(row.at, p.is_some(), name)?,
         }
         next = rows.next_row()?;
     }
-    out.finish("bigwarp", rows.end())
+    Ok(rows.end())
 }

@@ -2,10 +2,10 @@
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
-use mlswarp::warp::Units;
 
+use super::Format;
 use super::bad::Bad;
-use super::{File, Unmatched};
+use super::item::{Item, Items, Turn};
 use crate::problem::words::quote;
 
 /// The largest coordinate of the contract, px.
@@ -26,6 +26,11 @@ impl Located<'_> {
     /// A finite number within the range of coordinates in px.
     pub(super) fn number(self) -> Result<f64, Bad> {
         self.parse(false)
+    }
+
+    /// Whether this cell has no value: it is empty, or not a number by its own account.
+    pub(super) fn is_missing(self) -> bool {
+        ["", "nan", "na", "n/a"].iter().any(|missing| self.text.trim().eq_ignore_ascii_case(missing))
     }
 
     /// As [`Located::number`]; `decimal_comma`: as spreadsheets of many countries write it.
@@ -49,6 +54,53 @@ fn in_range(at: usize, value: f64, max: f64, found: &str) -> Result<f64, Bad> {
     }
 }
 
+/// The coordinates of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Frame {
+    /// Those of the contract.
+    Px,
+    /// As [`Frame::Px`], but y points up from the lower edge of the image.
+    PxUp,
+    /// Shares of the size of the image.
+    Normalized,
+}
+
+impl Frame {
+    /// The largest coordinate.
+    fn max(self) -> f64 {
+        if self == Self::Normalized { MAX_NORMALIZED } else { MAX_PX }
+    }
+}
+
+/// Names that only one side has; their landmarks are left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Unmatched {
+    pub(super) p: Vec<String>,
+    pub(super) q: Vec<String>,
+}
+
+impl Unmatched {
+    /// Whether every landmark has two sides.
+    pub(super) fn is_empty(&self) -> bool {
+        self.p.is_empty() && self.q.is_empty()
+    }
+}
+
+/// What one file holds.
+#[derive(Debug)]
+pub(super) struct File {
+    pub(super) p: Vec<Handle>,
+    pub(super) q: Option<Vec<Handle>>,
+    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names may be repeated.
+    pub(super) names: Option<Vec<(usize, String)>>,
+    /// Where each handle is in the file, bytes.
+    pub(super) at: Vec<usize>,
+    pub(super) frame: Frame,
+    pub(super) format: &'static str,
+    /// Names of landmarks that the file gives for one side only.
+    pub(super) unmatched: Unmatched,
+}
+
 /// A landmark: its handle on each side, and its place in the file.
 #[derive(Debug)]
 pub(super) struct Landmark<'a> {
@@ -67,23 +119,37 @@ pub(super) struct Collector {
     q: Vec<Handle>,
     at: Vec<usize>,
     names: Vec<(usize, Option<String>)>,
-    units: Units,
+    frame: Frame,
     unmatched: Unmatched,
+    items: Items,
+}
+
+/// A position as a point; `None` is a landmark without one.
+fn point(place: Option<[f64; 2]>) -> Handle {
+    place.map_or(Handle::Missing, |[x, y]| Handle::Point(Point::new(x, y)))
 }
 
 impl Collector {
-    pub(super) fn new(max_columns: usize) -> Self {
+    pub(super) fn new(max_columns: usize, item: Option<Item>) -> Self {
         let (p, q, at, names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { max_columns, columns: 0, p, q, at, names, units: Units::Px, unmatched: Unmatched::default() }
+        let (frame, unmatched, items) = (Frame::Px, Unmatched::default(), Items::new(item));
+        Self { max_columns, columns: 0, p, q, at, names, frame, unmatched, items }
     }
 
-    pub(super) fn set_units(&mut self, units: Units) {
-        self.units = units;
+    pub(super) fn set_frame(&mut self, frame: Frame) {
+        self.frame = frame;
     }
 
-    /// The largest coordinate in these units.
-    fn max(&self) -> f64 {
-        if self.units == Units::Normalized { MAX_NORMALIZED } else { MAX_PX }
+    /// The next item of the file begins, which has these names. Whether its landmarks are wanted; those that were collected before
+    /// may be forgotten.
+    /// Errors: A second item with the wanted name.
+    pub(super) fn item(&mut self, at: usize, names: &[&str]) -> Result<bool, Bad> {
+        let turn = self.items.next(at, names)?;
+        if turn == Turn::ReadInstead {
+            (self.columns, self.unmatched) = (0, Unmatched::default());
+            (self.p, self.q, self.at, self.names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        }
+        Ok(turn != Turn::Skip)
     }
 
     /// Counts the columns of a handle of so many positions, before memory is allocated for it.
@@ -98,11 +164,17 @@ impl Collector {
         if positions > self.max_columns { Err(Bad::too_many(at, self.max_columns)) } else { Ok(()) }
     }
 
-    /// Adds a point; it is counted here.
-    pub(super) fn point(&mut self, at: usize, p: [f64; 2], q: Option<[f64; 2]>, name: Option<Located<'_>>) -> Result<(), Bad> {
+    /// Adds a point of one side, or a landmark without a position; it is counted here.
+    pub(super) fn point(&mut self, at: usize, p: Option<[f64; 2]>, name: Option<Located<'_>>) -> Result<(), Bad> {
         self.count(at, 1)?;
-        let point = |[x, y]: [f64; 2]| Handle::Point(Point::new(x, y));
-        self.push(Landmark { at, p: point(p), q: q.map(point), name })
+        self.push(Landmark { at, p: point(p), q: None, name })
+    }
+
+    /// Adds a point of both sides, or a landmark without a position on one; it is counted here.
+    pub(super) fn pair(&mut self, at: usize, sides: [Option<[f64; 2]>; 2], name: Option<Located<'_>>) -> Result<(), Bad> {
+        self.count(at, 1)?;
+        let [p, q] = sides.map(point);
+        self.push(Landmark { at, p, q: Some(q), name })
     }
 
     /// Adds a landmark that has been counted.
@@ -111,7 +183,7 @@ impl Collector {
         for handle in [Some(&p), q.as_ref()].into_iter().flatten() {
             for place in handle.places() {
                 for value in [place.x, place.y] {
-                    in_range(at, value, self.max(), &format!("`{value}`"))?;
+                    in_range(at, value, self.frame.max(), &format!("`{value}`"))?;
                 }
             }
         }
@@ -141,14 +213,16 @@ impl Collector {
     }
 
     /// The file. `end`: where a missing landmark would be.
-    /// Errors: No landmarks, or names of some of them only.
-    pub(super) fn finish(self, format: &'static str, end: usize) -> Result<File, Bad> {
-        let Self { p, q, at, names, units, unmatched, .. } = self;
-        if p.is_empty() {
-            return Err(Bad::new(end, "expected at least one landmark; found none"));
+    /// Errors: No landmarks, or names of some of them only; several items and none was chosen.
+    pub(super) fn finish(self, format: &'static Format, end: usize) -> Result<File, Bad> {
+        let Self { p, q, at, names, frame, unmatched, items, .. } = self;
+        items.check(format.items, end)?;
+        if p.iter().all(|handle| *handle == Handle::Missing) {
+            let found = if p.is_empty() { "none" } else { "landmarks without positions only" };
+            return Err(Bad::new(end, format!("expected at least one landmark; found {found}")));
         }
         let q = (!q.is_empty()).then_some(q);
-        Ok(File { p, q, names: all_or_none(names)?, at, units, format, unmatched })
+        Ok(File { p, q, names: all_or_none(names)?, at, frame, format: format.name, unmatched })
     }
 }
 

@@ -2,15 +2,18 @@
 //! where tabs or semicolons separate the fields, if the file has no decimal points.
 //!
 //! With a header the columns may have any order; `name`, `label`, `id` or `landmark` is the name, and further columns are ignored. Without
-//! one, the rows are 2 or 4 numbers, before or after which a name may stand.
+//! one, the rows are 2 or 4 numbers, before or after which a name may stand. A named landmark whose cells are empty or `NaN` is missing.
 
 use super::bad::Bad;
-use super::collect::Collector;
-use super::table::{Row, Rows};
-use super::{FORMATS, File};
+use super::collect::{Collector, Located};
+use super::table::{Row, Table};
+use super::{Form, Format, titles};
 use crate::problem::words::quote;
 
-const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
+pub(super) const FORMAT: Format = Format { name: "csv", title: "CSV", items: "tables", form: Form::Table(|_| true, read) };
+pub(super) const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
+/// The most columns of a header that an error names.
+const MOST_NAMED: usize = 8;
 
 /// Which field is what.
 struct Columns {
@@ -22,33 +25,51 @@ struct Columns {
     like: &'static str,
 }
 
-pub(super) fn read(first: Row, mut rows: Rows<'_>, mut out: Collector) -> Result<File, Bad> {
+fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
+    let Table { first, mut rows } = table;
     let header = first.as_header();
     let columns = match &header {
         Some(names) => named(&first, names)?,
         None => unnamed(&first)?,
     };
     let mut mark = None;
-    let mut row = if header.is_some() { rows.next_row()? } else { Some(first) };
-    while let Some(Row { at, fields }) = &row {
-        row.as_ref().map_or(Ok(()), |row| row.require_width(columns.width, columns.like))?;
+    let mut next = if header.is_some() { rows.next_row()? } else { Some(first) };
+    while let Some(row) = next {
+        row.require_width(columns.width, columns.like)?;
+        let name = columns.name.map(|name| row.fields[name].located());
+        let is_named = name.is_some_and(|name| !name.text.is_empty());
         let mut number = |field: usize| {
-            let field = fields[field].located();
-            let value = field.parse(rows.decimal_comma)?;
-            if let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)).filter(|found| found != mark.get_or_insert(*found)) {
-                let expected = if found == '.' { "comma" } else { "point" };
-                return Err(Bad::new(
-                    field.at,
-                    format!("expected a decimal {expected}, as in the numbers before; found {}", quote(field.text)),
-                ));
+            let field = row.fields[field].located();
+            if is_named && field.is_missing() {
+                return Ok(None);
             }
-            Ok(value)
+            let value = field.parse(rows.decimal_comma)?;
+            same_mark(field, &mut mark)?;
+            Ok(Some(value))
         };
-        let mut side = |[x, y]: [usize; 2]| Ok::<_, Bad>([number(x)?, number(y)?]);
-        out.point(*at, side(columns.p)?, columns.q.map(&mut side).transpose()?, columns.name.map(|name| fields[name].located()))?;
-        row = rows.next_row()?;
+        let mut side = |[x, y]: [usize; 2]| {
+            let (x, y) = (number(x)?, number(y)?);
+            Ok::<_, Bad>(x.zip(y).map(<[f64; 2]>::from))
+        };
+        let p = side(columns.p)?;
+        match columns.q {
+            Some(q) => out.pair(row.at, [p, side(q)?], name)?,
+            None => out.point(row.at, p, name)?,
+        }
+        next = rows.next_row()?;
     }
-    out.finish("csv", rows.end())
+    Ok(rows.end())
+}
+
+/// Errors: Another decimal mark than in the numbers before.
+fn same_mark(field: Located<'_>, mark: &mut Option<char>) -> Result<(), Bad> {
+    let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)) else { return Ok(()) };
+    if *mark.get_or_insert(found) == found {
+        return Ok(());
+    }
+    let expected = if found == '.' { "comma" } else { "point" };
+    let detail = format!("expected a decimal {expected}, as in the numbers before; found {}", quote(field.text));
+    Err(Bad::new(field.at, detail))
 }
 
 /// The columns of a header.
@@ -73,8 +94,11 @@ fn named(header: &Row, names: &[String]) -> Result<Columns, Bad> {
         (None, Some(p), q) => (p, q),
         (Some(_), ..) => return Err(Bad::new(header.at, "expected `x`, `y` or `px`, `py`, `qx`, `qy`; found columns of both kinds")),
         (None, None, _) => {
-            let found = names.iter().take(8).map(|name| quote(name)).collect::<Vec<_>>().join(", ");
-            let detail = format!("expected a landmark file ({FORMATS}) or the columns `x`, `y` or `px`, `py`, `qx`, `qy`; found {found}");
+            let found: Vec<String> = names.iter().take(MOST_NAMED).map(|name| quote(name)).collect();
+            let more = names.len() - found.len();
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let expected = "the columns `x`, `y` or `px`, `py`, `qx`, `qy`, beside which there may be others";
+            let detail = format!("expected a landmark file ({}) or {expected}; found {}{more}", titles(), found.join(", "));
             return Err(Bad::new(header.at, detail));
         }
     };
@@ -90,16 +114,28 @@ fn unnamed(first: &Row) -> Result<Columns, Bad> {
         2 | 4 => (0, None),
         3 | 5 if !is_number(0) => (1, Some(0)),
         3 | 5 if !is_number(width - 1) => (0, Some(width - 1)),
-        3 | 5 => {
-            let detail = "expected 2 or 4 numbers, with or without a name, or a header that names the columns";
-            let hint = "decimal commas need tabs or semicolons between the numbers";
-            return Err(Bad::new(first.at, format!("{detail}; found {width} fields: {hint}")));
-        }
         _ => {
-            let detail = format!("expected x, y or px, py, qx, qy, with or without a name; found {width} fields");
-            return Err(Bad::new(first.at, detail));
+            let detail = "expected x, y or px, py, qx, qy, with or without a name, or a header that names the columns";
+            return Err(Bad::new(first.at, format!("{detail}; found {width} fields{}", hint(first))));
         }
     };
     let q = (width > 3).then_some([start + 2, start + 3]);
     Ok(Columns { p: [start, start + 1], q, name, width, like: "as the first row has" })
+}
+
+/// What probably is the matter with a row of so many fields.
+fn hint(first: &Row) -> &'static str {
+    let is_number = |text: &str| text.trim().parse::<f64>().is_ok();
+    // `1,5 2,5`: a field between two commas that is two numbers.
+    let is_two = |text: &str| {
+        let mut numbers = text.split([' ', '\t', ';']).filter(|part| !part.is_empty());
+        text.trim().contains([' ', '\t', ';']) && numbers.all(|part| part.parse::<f64>().is_ok())
+    };
+    match &first.fields[..] {
+        fields if fields.iter().any(|field| is_two(&field.text)) => ": decimal commas need tabs or semicolons between the numbers",
+        fields if !fields.iter().all(|field| is_number(&field.text)) => "",
+        [_, _, _] => ": is the first a number of the row? give the file a header: id,x,y",
+        [_, _, _, _, _] => ": is the first a number of the row? give the file a header: id,px,py,qx,qy",
+        _ => ": write one landmark in a line, x,y or px,py,qx,qy",
+    }
 }

@@ -9,17 +9,23 @@ use mlswarp::geometry::Point;
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Landmark, Located};
-use super::{File, offset};
+use super::json::Fields;
+use super::{Form, Format, offset};
 use crate::problem::Problem;
 use crate::problem::words::quote;
 use crate::wire::handles::{PLACE, place};
 use crate::wire::json::{Node, optional};
 
+pub(super) const FORMAT: Format = Format { name: "labelme", title: "labelme", items: "images", form: Form::Json(is_labelme, read) };
 const SHAPES: &str = "an array of shapes";
 const POINTS: &str = "an array of positions";
 const TYPES: &str = "`point`, `line`, `linestrip` or `polygon`";
 
-pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Result<File, BadJson> {
+fn is_labelme(fields: &Fields<'_>) -> bool {
+    !fields.is_list && fields.has("shapes")
+}
+
+fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
     let [shapes] = root.find(&["shapes"])?;
     let shapes = shapes.ok_or_else(|| root.missing("shapes", SHAPES))?;
     shapes.items::<BadJson>(SHAPES, |_, shape| {
@@ -56,7 +62,7 @@ pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Resul
         let name = Some(Located { at: label_at, text: &label });
         Ok(out.push(Landmark { at, p: handle(positions), q: None, name })?)
     })?;
-    Ok(out.finish("labelme", offset(text, &shapes))?)
+    Ok(offset(text, &shapes))
 }
 
 fn handle(positions: Vec<Point>) -> Handle {

@@ -1,15 +1,17 @@
 //! Landmark files: points and lines that other programs have written, read as handles.
 //!
 //! The format is recognised by content. Each format has a file of its own, which states its convention and where that is described, and
-//! converts to the coordinates of the contract (`x` right, `y` down, the centre of the first pixel at 1/2, 1/2). Every error has a line and
-//! a column. The work is linear in the length of the file, counted, and stops when it is cancelled; the number of handles is limited
-//! before memory is allocated for them.
+//! converts to the coordinates of the contract (`x` right, `y` down, the centre of the first pixel at 1/2, 1/2); [`FORMATS`] has a row for
+//! it. Every error has a line and a column. The work is linear in the length of the file, counted, and stops when it is cancelled; the
+//! number of handles is limited before memory is allocated for them.
 
 mod bad;
 mod bigwarp;
 mod collect;
 mod csv;
 mod files;
+mod item;
+mod json;
 mod labelme;
 mod normalized;
 mod own;
@@ -23,32 +25,63 @@ mod words;
 #[cfg(test)]
 mod tests;
 
-use bad::Bad;
-use collect::Collector;
-pub use files::{LandmarkFiles, Landmarks, UNMATCHED, extent};
-use mlswarp::deform::Handle;
-use mlswarp::warp::Units;
-use pairs::Unmatched;
+use bad::{Bad, BadJson};
+use collect::{Collector, File};
+pub(crate) use files::without_files;
+pub use files::{Choice, LandmarkFiles, Landmarks, Placed, extent};
+pub use item::Item;
+use json::Fields;
 
-use super::json::{Kind, Node};
+pub use super::enum_name::Matching;
+use table::{Row, Table};
+
+use super::json::Node;
 use super::work::Work;
 use crate::problem::words::quote;
 
-const FORMATS: &str = "JSON, CSV, BigWarp CSV, ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points";
+/// A format: how a file of it is recognised and read.
+struct Format {
+    /// Its name in responses.
+    name: &'static str,
+    /// What people call it.
+    title: &'static str,
+    /// What one file may have several of; only one is read.
+    items: &'static str,
+    form: Form,
+}
 
-/// What one file holds.
-#[derive(Debug)]
-struct File {
-    p: Vec<Handle>,
-    q: Option<Vec<Handle>>,
-    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names may be repeated.
-    names: Option<Vec<(usize, String)>>,
-    /// Where each handle is in the file, bytes.
-    at: Vec<usize>,
-    units: Units,
-    format: &'static str,
-    /// Names of landmarks that the file gives for one side only.
-    unmatched: Unmatched,
+/// What a format is written in. The first function: whether a file is of this format, by its beginning. The second one reads it.
+enum Form {
+    /// Lines, by the first that is neither empty nor a comment.
+    Lines(fn(&str) -> bool, fn(Source<'_>, &mut Collector) -> Result<usize, Bad>),
+    /// Rows of fields, by the first.
+    Table(fn(&Row) -> bool, fn(Table<'_>, &mut Collector) -> Result<usize, Bad>),
+    /// JSON, by the fields of its outermost object.
+    Json(fn(&Fields<'_>) -> bool, fn(&str, &Node<'_, '_>, &mut Collector) -> Result<usize, BadJson>),
+}
+
+/// The formats, in the order in which they are asked; CSV is what no other table is.
+const FORMATS: [Format; 9] = [
+    labelme::FORMAT,
+    own::FORMAT,
+    normalized::ARKIT,
+    normalized::MEDIAPIPE,
+    pts::FORMAT,
+    tem::FORMAT,
+    bigwarp::FORMAT,
+    qgis::FORMAT,
+    csv::FORMAT,
+];
+
+/// What people call the formats, with commas.
+fn titles() -> String {
+    FORMATS.each_ref().map(|format| format.title).join(", ")
+}
+
+/// Whether a response has this text as its `format`.
+pub(crate) fn is_format(text: &str) -> bool {
+    let names = text.split(" (").next().unwrap_or_default();
+    names.split('+').all(|name| FORMATS.iter().any(|format| format.name == name))
 }
 
 /// The text of a file, and the work of reading it.
@@ -61,7 +94,7 @@ struct Source<'t> {
 }
 
 /// Reads one file. Once the work is cancelled, the result is wrong.
-fn read(bytes: &[u8], max_columns: usize, work: &Work<'_>) -> Result<File, Bad> {
+fn read(bytes: &[u8], max_columns: usize, item: Option<Item>, work: &Work<'_>) -> Result<File, Bad> {
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
         return Err(Bad::new(0, "expected UTF-8; found UTF-16: save the file as UTF-8"));
     }
@@ -73,58 +106,64 @@ fn read(bytes: &[u8], max_columns: usize, work: &Work<'_>) -> Result<File, Bad> 
     if zero < text.len() {
         return Err(Bad::new(zero, "expected text; found a zero byte"));
     }
-    let out = Collector::new(max_columns);
     let start = if text.starts_with('\u{feff}') { '\u{feff}'.len_utf8() } else { 0 };
     let source = Source { text, start, work };
     let before = work.find(&text.as_bytes()[start..], |byte| !byte.is_ascii_whitespace());
     let content = text[start + before..].trim_start();
-    let first = first_line(content);
-    match content.as_bytes().first() {
-        None => Err(Bad::new(start, "expected landmarks; the file is empty")),
-        Some(b'{' | b'[') => read_json(source, text.len() - content.len(), out),
-        _ if pts::is_pts(first) => pts::read(source, out),
-        _ if tem::is_tem(first) => tem::read(source, out),
-        _ => read_table(source, out),
-    }
+    let mut out = Collector::new(max_columns, item);
+    let (format, end) = match content.as_bytes().first() {
+        None => return Err(Bad::new(start, "expected landmarks; the file is empty")),
+        Some(b'{' | b'[') => read_json(source, text.len() - content.len(), &mut out)?,
+        Some(_) => read_text(source, first_line(content), &mut out)?,
+    };
+    out.finish(format, end)
 }
 
 /// The beginning of the first line that is neither empty nor a comment, among the first ones.
 fn first_line(text: &str) -> &str {
     const LONGEST_HEAD: usize = 1 << 16;
     let head = &text[..text.floor_char_boundary(LONGEST_HEAD)];
-    head.split(['\n', '\r']).find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
+    let mut lines = head.split(['\n', '\r']);
+    lines.find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
 }
 
-fn read_json(source: Source<'_>, start: usize, out: Collector) -> Result<File, Bad> {
+/// What a reader returns: its format, and where a missing landmark would be.
+type Reading = (&'static Format, usize);
+
+fn read_json(source: Source<'_>, start: usize, out: &mut Collector) -> Result<Reading, Bad> {
     let text = source.text;
     let node = super::json::long_value(&text[start..], source.work).map_err(|e| Bad::of_syntax(text, start, &e))?;
-    let read = match node.kind() {
-        Kind::Object => match node.find(&["shapes", "p", "q"]) {
-            Ok([Some(_), ..]) => labelme::read(text, &node, out),
-            Ok([None, None, None]) => normalized::read(text, &node, out),
-            Ok(_) => own::read(text, &node, out),
-            Err(problem) => Err(problem.into()),
-        },
-        _ => normalized::read(text, &node, out),
-    };
-    read.map_err(|wrong| wrong.locate(text, &node))
+    let fields = Fields::of(&node);
+    for format in &FORMATS {
+        if let Form::Json(is, read) = format.form
+            && is(&fields)
+        {
+            return read(text, &node, out).map(|end| (format, end)).map_err(|wrong| wrong.locate(text, &node));
+        }
+    }
+    Err(fields.unknown(start))
 }
 
-fn read_table(source: Source<'_>, out: Collector) -> Result<File, Bad> {
-    let mut rows = table::Rows::new(source)?;
-    let Some(first) = rows.next_row()? else {
-        return Err(Bad::new(source.start, "expected landmarks; the file has comments only"));
-    };
-    if bigwarp::is_bigwarp(&first) {
-        return bigwarp::read(first, rows, out);
+fn read_text(source: Source<'_>, first: &str, out: &mut Collector) -> Result<Reading, Bad> {
+    for format in &FORMATS {
+        if let Form::Lines(is, read) = format.form
+            && is(first)
+        {
+            return Ok((format, read(source, out)?));
+        }
     }
-    if qgis::is_qgis(&first) {
-        return qgis::read(&first, rows, out);
+    let table = Table::new(source)?;
+    if let [only] = &table.first.fields[..] {
+        return Err(Bad::new(only.at, format!("expected a landmark file ({}); found {}", titles(), quote(&only.text))));
     }
-    if let [only] = &first.fields[..] {
-        return Err(Bad::new(only.at, format!("expected a landmark file ({FORMATS}); found {}", quote(&only.text))));
+    for format in &FORMATS {
+        if let Form::Table(is, read) = format.form
+            && is(&table.first)
+        {
+            return Ok((format, read(table, out)?));
+        }
     }
-    csv::read(first, rows, out)
+    Err(Bad::new(table.first.at, format!("expected a landmark file ({})", titles())))
 }
 
 /// Where in `text` a part of it begins. Nodes of JSON are parts of the text.

@@ -6,16 +6,17 @@
 //! image coordinates" (`faceLandmarks`, a list for each face); ARKit's `ARSkeleton2D.jointLandmarks` ("where 0 is the upper left, and 1 is
 //! the bottom right"). Apple's Vision framework counts y from the bottom and has no file format: convert it before.
 
-use mlswarp::warp::Units;
-
 use super::bad::{Bad, BadJson};
-use super::collect::{Collector, Located};
+use super::collect::{Collector, Frame, Located};
+use super::json::Fields;
 use super::own::read_names;
-use super::{File, offset};
+use super::{Form, Format, offset};
 use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
 
+pub(super) const MEDIAPIPE: Format = Format { name: "mediapipe", title: "MediaPipe", items: "lists", form: Form::Json(is_mediapipe, read) };
+pub(super) const ARKIT: Format = Format { name: "arkit", title: "ARKit", items: "lists", form: Form::Json(is_arkit, read) };
 /// The fields of an object that contain a list. ARKit's stand last, with the names of its joints.
 const LISTS: [&str; 16] = [
     "landmarks",
@@ -39,52 +40,48 @@ const LIST: &str = "a list of landmarks {\"x\", \"y\"}";
 const ARRAY: &str = "at least 2 numbers, x and y";
 const SHARE: &str = "a share of the image, 0 to 1";
 
-pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Result<File, BadJson> {
-    out.set_units(Units::Normalized);
-    if root.kind() != Kind::Object {
-        return read_list(text, root, None, true, "mediapipe", out);
+fn is_arkit(fields: &Fields<'_>) -> bool {
+    !fields.is_list && fields.has("jointLandmarks")
+}
+
+/// A list without a field that says what it is, or an object with such a field.
+fn is_mediapipe(fields: &Fields<'_>) -> bool {
+    fields.is_list || LISTS.iter().any(|name| fields.has(name))
+}
+
+fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
+    out.set_frame(Frame::Normalized);
+    if root.kind() == Kind::Array {
+        return read_lists(text, root, None, true, out);
     }
     let [lists @ .., names] = root.find(&LISTS)?;
     let mut given = lists.iter().zip(LISTS).filter_map(|(list, name)| Some((list.as_ref()?, name)));
     match (given.next(), given.next()) {
-        (None, _) => {
-            let detail = "expected `p` (our JSON), `shapes` (labelme) or a list of landmarks such as `landmarks` or `faceLandmarks`";
-            Err(Bad::new(offset(text, root), format!("{detail}; found an object without any of them")).into())
-        }
+        (None, _) => Err(Bad::new(offset(text, root), "expected a list of landmarks; found none").into()),
         (Some((_, first)), Some((list, second))) => {
             let detail = format!("expected one list of landmarks; found `{first}` and `{second}`: send one of them");
             Err(Bad::new(offset(text, list), detail).into())
         }
-        (Some((list, name)), None) => {
-            let format = if name == "jointLandmarks" { "arkit" } else { "mediapipe" };
-            read_list(text, list, names.as_ref(), false, format, out)
-        }
+        (Some((list, _)), None) => read_lists(text, list, names.as_ref(), false, out),
     }
 }
 
-/// Reads a list, or the only one in a list of lists. `is_bare`: without a field that says what it is.
-fn read_list(
-    text: &str,
-    list: &Node<'_, '_>,
-    names: Option<&Node<'_, '_>>,
-    is_bare: bool,
-    format: &'static str,
-    mut out: Collector,
-) -> Result<File, BadJson> {
+/// Reads a list, or one of the lists of several faces, hands or bodies. `is_bare`: without a field that says what it is.
+fn read_lists(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_bare: bool, out: &mut Collector) -> Result<usize, BadJson> {
     if is_list_of_lists(list) {
-        let mut inner = None;
-        list.items::<BadJson>(LIST, |index, item| {
-            if index > 0 {
-                return Err(Bad::new(offset(text, &item), "expected the landmarks of one face, hand or body; found a second list").into());
+        list.items::<BadJson>(LIST, |_, inner| {
+            if out.item(offset(text, &inner), &[])? {
+                read_list(text, &inner, names, is_bare, out)?;
             }
-            inner = Some(item.text);
             Ok(())
         })?;
-        if let Some(inner) = inner {
-            let inner = Node { text: inner, ..*list };
-            return read_list(text, &inner, names, is_bare, format, out);
-        }
+    } else {
+        read_list(text, list, names, is_bare, out)?;
     }
+    Ok(offset(text, list))
+}
+
+fn read_list(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_bare: bool, out: &mut Collector) -> Result<(), BadJson> {
     let mut count = 0;
     let mut places = Vec::new();
     list.items::<BadJson>(LIST, |_, item| {
@@ -102,18 +99,21 @@ fn read_list(
     for (index, (at, (place, name))) in places.into_iter().enumerate() {
         let own = name.map(|name| (at, name));
         let name = own.as_ref().or_else(|| names.as_ref().and_then(|names| names.get(index)));
-        out.point(at, place, None, name.map(|(at, name)| Located { at: *at, text: name }))?;
+        out.point(at, place, name.map(|(at, name)| Located { at: *at, text: name }))?;
     }
-    Ok(out.finish(format, offset(text, list))?)
+    Ok(())
 }
 
 /// `[[{...}], ...]`: the lists of several faces.
 fn is_list_of_lists(list: &Node<'_, '_>) -> bool {
-    let inside = list.text.strip_prefix('[').and_then(|inside| inside.trim_start().strip_prefix('['));
-    inside.is_some_and(|inside| inside.trim_start().starts_with('{'))
+    list.first().is_some_and(|first| first.kind() == Kind::Array && first.first().is_some_and(|inner| inner.kind() == Kind::Object))
 }
 
-fn read_item(item: &Node<'_, '_>) -> Result<([f64; 2], Option<String>), BadJson> {
+/// The position of a landmark, `None` if it is `null`, and its name.
+fn read_item(item: &Node<'_, '_>) -> Result<(Option<[f64; 2]>, Option<String>), BadJson> {
+    if item.kind() == Kind::Null {
+        return Ok((None, None));
+    }
     if item.kind() == Kind::Array {
         // Further numbers are the depth and the like.
         let (mut place, mut count) = ([0.0; 2], 0);
@@ -124,10 +124,10 @@ fn read_item(item: &Node<'_, '_>) -> Result<([f64; 2], Option<String>), BadJson>
             count += 1;
             Ok(())
         })?;
-        return if count < 2 { Err(item.unexpected(ARRAY, count).into()) } else { Ok((place, None)) };
+        return if count < 2 { Err(item.unexpected(ARRAY, count).into()) } else { Ok((Some(place), None)) };
     }
     let [x, y, name] = item.find(&["x", "y", "name"])?;
     let x = number(&x.ok_or_else(|| item.missing("x", SHARE))?, SHARE)?;
     let y = number(&y.ok_or_else(|| item.missing("y", SHARE))?, SHARE)?;
-    Ok(([x, y], name.map(|name| name.string("a name")).transpose()?))
+    Ok((Some([x, y]), name.map(|name| name.string("a name")).transpose()?))
 }

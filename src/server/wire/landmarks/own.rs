@@ -4,20 +4,28 @@ use mlswarp::deform::Handle;
 use mlswarp::warp::Units;
 
 use super::bad::{Bad, BadJson};
-use super::collect::{Collector, Landmark, Located};
-use super::{File, offset};
+use super::collect::{Collector, Frame, Landmark, Located};
+use super::json::Fields;
+use super::{Form, Format, offset};
 use crate::wire::enum_name::enum_name;
 use crate::wire::handles::handle;
-use crate::wire::json::{Node, optional};
+use crate::wire::json::{Kind, Node, optional};
 
+pub(super) const FORMAT: Format = Format { name: "json", title: "JSON", items: "objects", form: Form::Json(is_own, read) };
 /// `format` and `unmatched` are in what the server has written; they say nothing about the handles.
 const FIELDS: [&str; 6] = ["p", "q", "names", "units", "format", "unmatched"];
 const HANDLES: &str = "an array of handles";
 
-pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Result<File, BadJson> {
+fn is_own(fields: &Fields<'_>) -> bool {
+    !fields.is_list && (fields.has("p") || fields.has("q"))
+}
+
+fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
     let [p, q, names, units, _, _] = root.fields(&FIELDS)?;
     let p = p.ok_or_else(|| root.missing("p", HANDLES))?;
-    out.set_units(optional(units, enum_name::<Units>)?.unwrap_or_default());
+    if optional(units, enum_name::<Units>)? == Some(Units::Normalized) {
+        out.set_frame(Frame::Normalized);
+    }
     let (mut rest, mut at) = (Vec::new(), Vec::new());
     p.items::<BadJson>(HANDLES, |_, item| {
         out.count(offset(text, &item), positions(&item))?;
@@ -32,7 +40,7 @@ pub(super) fn read(text: &str, root: &Node<'_, '_>, mut out: Collector) -> Resul
         let name = name.as_ref().map(|(at, name)| Located { at: *at, text: name });
         out.push(Landmark { at, p, q: posed.as_mut().and_then(Iterator::next), name })?;
     }
-    Ok(out.finish("json", offset(text, &p))?)
+    Ok(offset(text, &p))
 }
 
 /// The number of positions of a handle: an upper limit if it is not well-formed.
@@ -50,7 +58,8 @@ fn read_posed(text: &str, q: &Node<'_, '_>, rest: &[Handle]) -> Result<Vec<Handl
             return Err(bad(format!("expected {} handles in `q`, as in `p`; found more", rest.len())).into());
         };
         let (expected, found) = (p.places().len(), positions(&item));
-        if expected != found {
+        let is_missing = *p == Handle::Missing || item.kind() == Kind::Null;
+        if expected != found && !is_missing {
             return Err(bad(format!("expected a handle of {expected} positions, as in `p`; found {found}")).into());
         }
         posed.push(handle(&item)?);

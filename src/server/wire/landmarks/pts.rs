@@ -6,18 +6,19 @@
 use super::bad::Bad;
 use super::collect::{Collector, Located};
 use super::words::Lines;
-use super::{File, Source};
+use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
+pub(super) const FORMAT: Format = Format { name: "pts", title: "ibug .pts", items: "faces", form: Form::Lines(is_pts, read) };
 const FIRST_CENTRE: f64 = 0.5;
 
 /// Whether the first line is that of such a file.
-pub(super) fn is_pts(first: &str) -> bool {
+fn is_pts(first: &str) -> bool {
     ["version", "n_points"].iter().any(|name| first.split(':').next().is_some_and(|word| word.trim().eq_ignore_ascii_case(name)))
         && first.contains(':')
 }
 
-pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> {
+fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, false);
     let mut declared: Option<usize> = None;
     loop {
@@ -39,12 +40,12 @@ pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> 
             break line.at;
         }
         let [x, y] = line.place()?;
-        out.point(line.at, [x - FIRST_CENTRE, y - FIRST_CENTRE], None, None)?;
+        out.point(line.at, Some([x - FIRST_CENTRE, y - FIRST_CENTRE]), None)?;
         found += 1;
     };
     if let Some(declared) = declared.filter(|declared| *declared != found) {
         return Err(Bad::new(end, format!("expected {declared} points, as `n_points` says; found {found}")));
     }
     lines.end()?;
-    out.finish("pts", end)
+    Ok(end)
 }

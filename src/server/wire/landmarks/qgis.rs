@@ -5,10 +5,12 @@
 //! covers x from 0 to W and y from 0 down to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
 //! that are not enabled are checked and left out.
 
-use super::File;
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Row, Rows, flag};
+use super::table::{Row, Table, flag};
+use super::{Form, Format};
+
+pub(super) const FORMAT: Format = Format { name: "qgis", title: "QGIS .points", items: "rasters", form: Form::Table(is_qgis, read) };
 
 const X: [&str; 2] = ["sourcex", "pixelx"];
 const Y: [&str; 2] = ["sourcey", "pixely"];
@@ -17,11 +19,12 @@ fn find(names: &[String], wanted: &[&str]) -> Option<usize> {
     names.iter().position(|name| wanted.contains(&name.as_str()))
 }
 
-pub(super) fn is_qgis(first: &Row) -> bool {
+fn is_qgis(first: &Row) -> bool {
     first.as_header().is_some_and(|names| find(&names, &["mapx"]).is_some())
 }
 
-pub(super) fn read(header: &Row, mut rows: Rows<'_>, mut out: Collector) -> Result<File, Bad> {
+fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
+    let Table { first: header, mut rows } = table;
     let names = header.as_header().unwrap_or_default();
     let (Some(x), Some(y)) = (find(&names, &X), find(&names, &Y)) else {
         return Err(Bad::new(header.at, "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points file"));
@@ -32,10 +35,10 @@ pub(super) fn read(header: &Row, mut rows: Rows<'_>, mut out: Collector) -> Resu
         let is_enabled = enable.map_or(Ok(true), |enable| flag(&row.fields[enable]))?;
         let place = [row.fields[x].located().number()?, 0.0 - row.fields[y].located().number()?];
         if is_enabled {
-            out.point(row.at, place, None, None)?;
+            out.point(row.at, Some(place), None)?;
         } else {
             out.pass(row.at)?;
         }
     }
-    out.finish("qgis", rows.end())
+    Ok(rows.end())
 }

@@ -55,6 +55,22 @@ impl Row {
     }
 }
 
+/// The rows of a file, the first of which has been read.
+pub(super) struct Table<'t> {
+    pub(super) first: Row,
+    pub(super) rows: Rows<'t>,
+}
+
+impl<'t> Table<'t> {
+    /// Errors: A row that is too long, or none.
+    pub(super) fn new(source: Source<'t>) -> Result<Self, Bad> {
+        let mut rows = Rows::new(source)?;
+        let first = rows.next_row()?;
+        let missing = || Bad::new(source.start, "expected landmarks; the file has comments only");
+        Ok(Self { first: first.ok_or_else(missing)?, rows })
+    }
+}
+
 /// The rows of a text. Empty lines, and comments (`#`) before the first row, are passed over.
 pub(super) struct Rows<'t> {
     source: Source<'t>,

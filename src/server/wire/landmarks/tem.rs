@@ -12,9 +12,10 @@ use mlswarp::geometry::Point;
 use super::bad::Bad;
 use super::collect::{Collector, Landmark};
 use super::words::Lines;
-use super::{File, Source};
+use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
+pub(super) const FORMAT: Format = Format { name: "tem", title: "WebMorph .tem", items: "faces", form: Form::Lines(is_tem, read) };
 const CENTRE: f64 = 0.5;
 
 /// Whether the first line is that of such a file.
@@ -22,7 +23,7 @@ pub(super) fn is_tem(first: &str) -> bool {
     !first.is_empty() && first.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> {
+fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, true);
     let count = lines.line("the number of points")?.whole("the number of points")?;
     // Points take no less space than columns, so the limit of columns holds for them too.
@@ -38,16 +39,16 @@ pub(super) fn read(source: Source<'_>, mut out: Collector) -> Result<File, Bad> 
     if let Some(line) = lines.next_line()? {
         let declared = line.whole("the number of contours")?;
         for _ in 0..declared {
-            contours.extend(contour(&mut lines, &points, &mut is_free, &mut out)?);
+            contours.extend(contour(&mut lines, &points, &mut is_free, out)?);
         }
     }
     for (at, place) in points.iter().zip(&is_free).filter_map(|(point, is_free)| is_free.then_some(*point)) {
-        out.point(at, [place.x, place.y], None, None)?;
+        out.point(at, Some([place.x, place.y]), None)?;
     }
     for (at, contour) in contours {
         out.push(Landmark { at, p: Handle::Polyline(contour), q: None, name: None })?;
     }
-    out.finish("tem", lines.position())
+    Ok(lines.position())
 }
 
 /// One contour, counted; `None` if it has one point only.

@@ -53,7 +53,8 @@ fn place() -> impl Strategy<Value = Point> {
 }
 
 fn handle() -> impl Strategy<Value = Handle> {
-    prop_oneof![place().prop_map(Handle::Point), prop::collection::vec(place(), 2..5).prop_map(Handle::Polyline)]
+    let line = prop::collection::vec(place(), 2..5).prop_map(Handle::Polyline);
+    prop_oneof![4 => place().prop_map(Handle::Point), 4 => line, 1 => Just(Handle::Missing)]
 }
 
 fn all<T: EnumName + std::fmt::Debug>() -> impl Strategy<Value = T> {
@@ -85,6 +86,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
             units,
             grid,
             align,
+            has_unmatched: false,
         },
     );
     let place = || -1_000_000..=1_000_000;
@@ -113,7 +115,7 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
     let WarpObject { rest, q, folds, output, .. } = warp;
-    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align } = rest;
+    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align, .. } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),

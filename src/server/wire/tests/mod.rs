@@ -4,6 +4,7 @@ mod contract;
 mod drag;
 mod laws;
 mod methods;
+mod missing;
 mod points;
 mod reads;
 mod session;

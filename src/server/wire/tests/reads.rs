@@ -25,6 +25,7 @@ fn warp_reads_the_example_of_the_contract() {
             units: Units::Normalized,
             grid: GridSpec::Counts { columns: 100, rows: 50 },
             align: Align::Affine,
+            has_unmatched: false,
         },
         q: Some(vec![point(130.0, 60.0), line(&[(40.0, 220.0), (300.0, 190.0)])]),
         folds: Folds::Reject,

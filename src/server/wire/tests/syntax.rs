@@ -88,7 +88,7 @@ fn nesting_of_any_depth_is_refused_without_a_stack() {
 }
 
 #[test]
-fn null_is_absence_for_fields_and_a_wrong_value_in_arrays() {
+fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays() {
     use Code::{BadValue as B, MalformedRequest as M, UnknownField as U};
     assert_eq!(WarpObject::parse(b"{\"grid\": {\"cell\": 2, \"columns\": null, \"rows\": null}}").unwrap().rest.grid, GridSpec::Cell(2.0));
     assert_eq!(WarpObject::parse(b"{\"p\": [[1, 2]], \"q\": null}").unwrap().posed().unwrap_err().pointer.as_deref(), Some("/q"));
@@ -98,7 +98,7 @@ fn null_is_absence_for_fields_and_a_wrong_value_in_arrays() {
     check(
         WarpObject::parse,
         &[
-            ("{\"p\": [null]}", B, Some("/p/0"), Some(0)),
+            ("{\"p\": [[null]]}", B, Some("/p/0/0"), Some(0)),
             ("{\"q\": [[[1, 2], null]]}", B, Some("/q/0/1"), Some(0)),
             ("{\"weights\": [1, null]}", B, Some("/weights/1"), Some(1)),
             ("{\"alpha\": null, \"alpha\": 1}", M, Some("/alpha"), None),

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use super::read;
 
 /// The centre of the first pixel, and the centre of the pixel (9, 4), as each format writes them. (Normalised: of an image of 16 x 8 px.)
-const CENTRES: [(&str, &str); 14] = [
+const CENTRES: &[(&str, &str)] = &[
     ("json", r#"{"p": [[0.5, 0.5], [9.5, 4.5]]}"#),
     ("json", r#"{"units": "px", "p": [[5e-1, 0.5], [9.5, 4.5]], "q": null}"#),
     ("csv", "x,y\n0.5,0.5\n9.5,4.5\n"),
@@ -28,15 +28,16 @@ const CENTRES: [(&str, &str); 14] = [
 #[test]
 fn convention_the_centre_of_the_first_pixel_is_half_in_each_format() {
     for (format, file) in CENTRES {
-        let file = super::LandmarkFiles {
-            both: Some(file.into()),
-            extent_p: mlswarp::pixmap::Extent::new(16, 8),
-            ..super::LandmarkFiles::default()
-        };
-        let read = super::convert(&file).unwrap_or_else(|problem| panic!("{format}: {problem}"));
-        assert_eq!(read["format"], format);
+        let image = mlswarp::pixmap::Extent::new(16, 8);
+        let read = super::both(*file).read(super::MAX_COLUMNS, &|| false);
+        let read = read.and_then(|landmarks| landmarks.scale(image)).unwrap_or_else(|problem| panic!("{format}: {problem}"));
+        let read = json!(read);
+        assert_eq!(read["format"], *format);
         assert_eq!(read["units"], "px", "{format}");
         assert_eq!(read["p"], json!([[0.5, 0.5], [9.5, 4.5]]), "{format}");
+    }
+    for format in &crate::wire::landmarks::FORMATS {
+        assert!(CENTRES.iter().any(|(name, _)| *name == format.name), "{} has no file", format.name);
     }
 }
 

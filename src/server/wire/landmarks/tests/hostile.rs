@@ -1,11 +1,11 @@
 use super::{MAX_COLUMNS, place, read};
 
 /// Files, where they are wrong, and a word of the sentence.
-const BAD: [(&str, u64, u64, &str); 82] = [
+const BAD: &[(&str, u64, u64, &str)] = &[
     ("", 1, 1, "empty"),
     ("\u{feff} \r\n", 1, 1, "empty"),
     ("hello", 1, 1, "landmark file"),
-    ("hello world\nagain", 1, 1, "BigWarp CSV, ibug .pts, WebMorph .tem, MediaPipe, ARKit, labelme, QGIS .points"),
+    ("hello world\nagain", 1, 1, "ARKit, MediaPipe, ibug .pts, WebMorph .tem, BigWarp CSV, QGIS .points, CSV"),
     ("1 2\n3 4 5\n", 2, 5, "2 fields"),
     ("1 2\n3 \"four\n", 2, 3, "`\"four`"),
     ("1,5\t2,5\n3.5\t4\n", 2, 1, "expected a decimal comma"),
@@ -20,14 +20,21 @@ const BAD: [(&str, u64, u64, &str); 82] = [
     ("x,y,qx,qy\n1,2,3,4\n", 1, 1, "both kinds"),
     ("x,y,x\n1,2,3\n", 1, 5, "twice"),
     ("qx,qy\n1,2\n", 1, 1, "landmark file"),
-    ("1,2,3\n", 1, 1, "2 or 4 numbers"),
-    ("1,2,3,4,5\n", 1, 1, "2 or 4 numbers"),
-    ("1,2,3,4,5,6\n", 1, 1, "6 fields"),
+    ("1,2,3\n", 1, 1, "found 3 fields: is the first a number of the row? give the file a header: id,x,y"),
+    ("1 100.5 200.5\n", 1, 1, "give the file a header: id,x,y"),
+    ("1;2;3;4;5\n", 1, 1, "give the file a header: id,px,py,qx,qy"),
+    ("1,2,3,4,5,6\n", 1, 1, "found 6 fields: write one landmark in a line"),
+    ("a,b,c,d,e,f\n", 1, 1, "`x`, `y` or `px`, `py`, `qx`, `qy`, beside which there may be others; found `a`, `b`"),
+    ("c0,c1,c2,c3,c4,c5,c6,c7,c8,c9\n", 1, 1, "`c7` and 2 more"),
+    ("left,1,2,3,4,5\n", 1, 1, "found 6 fields"),
     ("1,2\n3\n", 2, 1, "2 fields"),
     ("1,2\n3,4,5\n", 2, 5, "2 fields"),
     ("1,2\n3,four\n", 2, 3, "`four`"),
     ("é,1,2\nü,3,ß\n", 2, 5, "`ß`"),
     ("x,y\n1,\n", 2, 3, "nothing"),
+    ("name,x,y\n,1,\n", 2, 4, "nothing"),
+    ("name,x,y\na,,\nb,NaN,2\n", 4, 1, "landmarks without positions only"),
+    ("name,x,y\na,inf,2\n", 2, 3, "finite"),
     ("x,y\n1,NaN\n", 2, 3, "finite"),
     ("x,y\n1,2\n1e999,3\n", 3, 1, "finite"),
     ("x,y\n1,-inf\n", 2, 3, "finite"),
@@ -83,13 +90,18 @@ const BAD: [(&str, u64, u64, &str); 82] = [
     ("[{\"x\": 0.5, \"y\": 0.5}, {\"x\": 0.5}]", 1, 24, "`y` is missing"),
     ("[{\"x\": 312, \"y\": 88}]", 1, 2, "from -4 to 4"),
     ("[[1, 2], [3, 4]]", 1, 2, "may be px"),
-    ("{\"faceLandmarks\": [[{\"x\": 0, \"y\": 0}],\n [{\"x\": 0, \"y\": 0}]]}", 2, 2, "second list"),
+    (
+        "{\"faceLandmarks\": [[{\"x\": 0, \"y\": 0}],\n [{\"x\": 0, \"y\": 0}]]}",
+        2,
+        2,
+        "expected `item`, the index or name of one, because the file has 2 lists: 0, 1",
+    ),
 ];
 
 #[test]
 fn bad_files_are_refused_with_line_and_column() {
     let mut wrong = Vec::new();
-    for (file, line, column, word) in BAD {
+    for &(file, line, column, word) in BAD {
         let Err(problem) = read(file) else {
             wrong.push(format!("{file:?} is read"));
             continue;

@@ -1,0 +1,131 @@
+//! The item of a file that is read, where a file may have several: specimens, images, persons, rows.
+
+use super::bad::Bad;
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
+use crate::wire::json::{Kind, Node};
+use crate::wire::number::whole;
+
+/// The most items that an error lists.
+const MOST_LISTED: usize = 12;
+
+/// Which item is read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Item {
+    /// By its place in the file, from 0.
+    Index(usize),
+    /// By its name.
+    Name(String),
+    /// By its name, or else by its place: where numbers and names are written alike.
+    Text(String),
+}
+
+impl Item {
+    pub(crate) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
+        const EXPECTED: &str = "the index or the name of an item";
+        match node.kind() {
+            Kind::String => node.string(EXPECTED).map(Self::Name),
+            Kind::Number => {
+                let index = whole(node, EXPECTED)?;
+                usize::try_from(index).map(Self::Index).map_err(|_| node.problem(Code::BadValue, EXPECTED))
+            }
+            _ => Err(node.wrong_kind(EXPECTED)),
+        }
+    }
+
+    fn text(&self) -> String {
+        match self {
+            Self::Index(index) => index.to_string(),
+            Self::Name(name) | Self::Text(name) => quote(name),
+        }
+    }
+}
+
+/// The items of a file, as they come.
+#[derive(Debug)]
+pub(super) struct Items {
+    wanted: Option<Item>,
+    count: usize,
+    /// The first ones, as an error names them.
+    listed: Vec<String>,
+    /// Where the second one is, bytes.
+    second: usize,
+    /// Whether the wanted one was found, and by its name.
+    found: Option<bool>,
+}
+
+/// What is to be done with an item.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Turn {
+    Skip,
+    Read,
+    /// It has the name that an earlier one has as its index: forget that.
+    ReadInstead,
+}
+
+impl Items {
+    pub(super) fn new(wanted: Option<Item>) -> Self {
+        Self { wanted, count: 0, listed: Vec::new(), second: 0, found: None }
+    }
+
+    /// The next item has these names.
+    /// Errors: A second item with the wanted name.
+    pub(super) fn next(&mut self, at: usize, names: &[&str]) -> Result<Turn, Bad> {
+        let index = self.count;
+        self.count += 1;
+        if index == 1 {
+            self.second = at;
+        }
+        if self.listed.len() < MOST_LISTED {
+            let names: Vec<String> = names.iter().filter(|name| !name.is_empty()).map(|name| quote(name)).collect();
+            self.listed.push(format!("{index} {}", names.join(" ")).trim_end().to_owned());
+        }
+        let (is_index, is_name) = match &self.wanted {
+            None => (index == 0, false),
+            Some(Item::Index(wanted)) => (index == *wanted, false),
+            Some(Item::Name(wanted)) => (false, names.contains(&wanted.as_str())),
+            Some(Item::Text(wanted)) => (wanted.parse() == Ok(index), names.contains(&wanted.trim())),
+        };
+        match (is_name, is_index, self.found) {
+            (true, _, Some(true)) => {
+                let name = self.wanted.as_ref().map(Item::text).unwrap_or_default();
+                Err(Bad::new(at, format!("expected one item named {name}; found a second: send `item` as an index, such as {index}")))
+            }
+            (true, _, before) => {
+                self.found = Some(true);
+                Ok(if before.is_some() { Turn::ReadInstead } else { Turn::Read })
+            }
+            (false, true, None) => {
+                self.found = Some(false);
+                Ok(Turn::Read)
+            }
+            _ => Ok(Turn::Skip),
+        }
+    }
+
+    /// The names of the first items.
+    fn list(&self, what: &str) -> String {
+        let more = self.count - self.listed.len();
+        let more = if more > 0 { format!(", and {more} more") } else { String::new() };
+        format!("{} {what}: {}{more}", self.count, self.listed.join(", "))
+    }
+
+    /// `what`: what the items are; `end`: where the file ends.
+    /// Errors: Several items and none was chosen, or the chosen one is not there.
+    pub(super) fn check(&self, what: &str, end: usize) -> Result<(), Bad> {
+        // A format without items is one.
+        let is_only = self.count == 0 && matches!(&self.wanted, Some(Item::Index(0)));
+        let is_only = is_only || self.count == 0 && self.wanted == Some(Item::Text("0".to_owned()));
+        match &self.wanted {
+            None if self.count > 1 => {
+                let detail = format!("expected `item`, the index or name of one, because the file has {}", self.list(what));
+                Err(Bad::new(self.second, detail))
+            }
+            Some(item) if self.found.is_none() && !is_only => {
+                let found = if self.count == 0 { "one item, without a name".to_owned() } else { self.list(what) };
+                Err(Bad::new(end, format!("expected the item {}; the file has {found}", item.text())))
+            }
+            _ => Ok(()),
+        }
+    }
+}
