@@ -9,17 +9,21 @@ mod bad;
 mod bigwarp;
 mod collect;
 mod csv;
+mod elastix;
 mod files;
 mod item;
 mod json;
 mod labelme;
+mod napari;
 mod normalized;
+mod openface;
 mod own;
 mod pairs;
 mod pts;
 mod qgis;
 mod table;
 mod tem;
+mod tps;
 mod words;
 
 #[cfg(test)]
@@ -61,15 +65,19 @@ enum Form {
 }
 
 /// The formats, in the order in which they are asked; CSV is what no other table is.
-const FORMATS: [Format; 9] = [
+const FORMATS: [Format; 13] = [
     labelme::FORMAT,
     own::FORMAT,
     normalized::ARKIT,
     normalized::MEDIAPIPE,
     pts::FORMAT,
     tem::FORMAT,
+    tps::FORMAT,
+    elastix::FORMAT,
     bigwarp::FORMAT,
     qgis::FORMAT,
+    napari::FORMAT,
+    openface::FORMAT,
     csv::FORMAT,
 ];
 

@@ -22,6 +22,10 @@ const CENTRES: &[(&str, &str)] = &[
             {"label": "b", "points": [[9.5, 4.5]], "shape_type": "point"}], "imagePath": "face.jpg", "imageData": null, "imageHeight": 8}"#,
     ),
     ("qgis", "#CRS: EPSG:3857\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n1e6,2e6,0.5,-0.5,1,0,0,0\n1e6,2e6,9.5,-4.5,1,0,0,0\n"),
+    ("tps", "LM=2\n0.5 7.5\n9.5 3.5\nIMAGE=a.jpg\nID=0\nSCALE=0.01\n"),
+    ("elastix", "index\n2\n0 0\n9 4\n"),
+    ("napari", "index,axis-0,axis-1\n0.0,0.0,0.0\n1.0,4.0,9.0\n"),
+    ("openface", "frame, face_id, timestamp, confidence, success, x_0, x_1, y_0, y_1\n1, 0, 0.0, 0.98, 1, 0, 9, 0, 4\n"),
     ("qgis", "mapX,mapY,pixelX,pixelY,enable\n13.4,52.5,0.5,-0.5,1\n13.5,52.6,9.5,-4.5,1\n"),
 ];
 
