@@ -35,7 +35,7 @@ pub struct WarpInput {
     #[arg(required_unless_present = "landmarks")]
     pub warp: Option<PathBuf>,
     /// Landmark file with the handles: both p and q, or p alone with --landmarks-q. The format is recognised: JSON, CSV, BigWarp CSV,
-    /// ibug .pts, WebMorph .tem, tpsDig .tps, elastix, napari, OpenFace, MediaPipe, ARKit, labelme, QGIS .points.
+    /// ibug .pts, WebMorph .tem, tpsDig .tps, elastix, napari, OpenFace, DeepLabCut, MediaPipe, ARKit, labelme, QGIS .points.
     #[arg(long, value_name = "FILE", display_order = 1)]
     pub landmarks: Option<PathBuf>,
     /// Landmark file with q.

@@ -7,8 +7,10 @@
 
 mod bad;
 mod bigwarp;
+mod bigwarp_json;
 mod collect;
 mod csv;
+mod deeplabcut;
 mod elastix;
 mod files;
 mod item;
@@ -65,9 +67,10 @@ enum Form {
 }
 
 /// The formats, in the order in which they are asked; CSV is what no other table is.
-const FORMATS: [Format; 13] = [
+const FORMATS: [Format; 15] = [
     labelme::FORMAT,
     own::FORMAT,
+    bigwarp_json::FORMAT,
     normalized::ARKIT,
     normalized::MEDIAPIPE,
     pts::FORMAT,
@@ -77,6 +80,7 @@ const FORMATS: [Format; 13] = [
     bigwarp::FORMAT,
     qgis::FORMAT,
     napari::FORMAT,
+    deeplabcut::FORMAT,
     openface::FORMAT,
     csv::FORMAT,
 ];

@@ -26,6 +26,12 @@ const CENTRES: &[(&str, &str)] = &[
     ("elastix", "index\n2\n0 0\n9 4\n"),
     ("napari", "index,axis-0,axis-1\n0.0,0.0,0.0\n1.0,4.0,9.0\n"),
     ("openface", "frame, face_id, timestamp, confidence, success, x_0, x_1, y_0, y_1\n1, 0, 0.0, 0.98, 1, 0, 9, 0, 4\n"),
+    (
+        "bigwarp",
+        r#"{"Transform": {"landmarks": {"type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": [[0, 0], [9, 4]],
+        "fixedPoints": [[3, 3], [5, 5]], "active": [true, true], "names": ["a", "b"]}}}"#,
+    ),
+    ("deeplabcut", "scorer,me,me,me,me\nbodyparts,a,a,b,b\ncoords,x,y,x,y\nvideo/img1.png,0,0,9,4\n"),
     ("qgis", "mapX,mapY,pixelX,pixelY,enable\n13.4,52.5,0.5,-0.5,1\n13.5,52.6,9.5,-4.5,1\n"),
 ];
 

@@ -5,7 +5,7 @@ const BAD: &[(&str, u64, u64, &str)] = &[
     ("", 1, 1, "empty"),
     ("\u{feff} \r\n", 1, 1, "empty"),
     ("hello", 1, 1, "landmark file"),
-    ("hello world\nagain", 1, 1, "WebMorph .tem, tpsDig .tps, elastix points, BigWarp CSV, QGIS .points, napari points, OpenFace CSV, CSV"),
+    ("hello world\nagain", 1, 1, "BigWarp CSV, QGIS .points, napari points, DeepLabCut CSV, OpenFace CSV, CSV"),
     ("1 2\n3 4 5\n", 2, 5, "2 fields"),
     ("1 2\n3 \"four\n", 2, 3, "`\"four`"),
     ("1,5\t2,5\n3.5\t4\n", 2, 1, "expected a decimal comma"),
