@@ -35,6 +35,12 @@ pub(super) fn pair(files: &[File; 2], matching: Option<Matching>) -> Result<Pair
         _ => None,
     };
     let pairs = pairs.map_or_else(|| pair_by_order([p, q]), Ok)?;
+    // What is written is read again: some landmark of `landmarks_p` needs a position.
+    let is_missing = |(index, _): &(usize, usize)| p.p[*index] == Handle::Missing;
+    if let Some((first, _)) = pairs.indices.first().filter(|_| pairs.indices.iter().all(is_missing)) {
+        let detail = "expected a position of at least one landmark that the other file has too; found none";
+        return Err((0, Bad::new(p.at[*first], detail)));
+    }
     for (index_p, index_q) in &pairs.indices {
         let [of_p, of_q] = [&p.p[*index_p], &q.p[*index_q]];
         let is_missing = [of_p, of_q].contains(&&Handle::Missing);

@@ -247,6 +247,9 @@ fn a_landmark_without_a_position_stays_in_its_place() {
     assert_eq!((&again["p"], &again["q"]), (&p, &q));
     let read = read_two("a,1,2\nb,NA,3\n", "b,30,40\na,,\n").unwrap();
     assert_eq!((&read["p"], &read["q"]), (&json!([[1.0, 2.0], null]), &json!([null, [30.0, 40.0]])));
+    // None of those that match has a position: what would be written could not be read.
+    let problem = read_two("a,1,2\nb,,\n", "b,3,4\n").unwrap_err();
+    assert!(problem.detail.starts_with("landmarks_p, line 2, column 1: expected a position"), "{}", problem.detail);
     let list = r#"{"faceLandmarks": [[{"x": 0.5, "y": 0.5}, null]]}"#;
     assert_eq!(super::read(list).unwrap()["p"], json!([[0.5, 0.5], null]));
 }

@@ -9,7 +9,7 @@ use crate::wire::work::{PIECE, Work};
 /// More than any file here has.
 const MANY: usize = 1 << 22;
 /// What a file of each kind begins with, repeats, and ends with.
-const GROWING: [(&str, &str, &str); 22] = [
+const GROWING: &[(&str, &str, &str)] = &[
     ("", "1.5,2.5\n", ""),
     ("", "1.5;2.5\n", ""),
     ("", "1.5 2.5\n", ""),
@@ -27,6 +27,17 @@ const GROWING: [(&str, &str, &str); 22] = [
     ("version: 1\n{\n", "1 2\n", "}\n"),
     ("version: 1\n{\n", "\n", "1 2\n}\n"),
     ("3\n1 2\n3 4\n5 6\n99999999\n", "0\n3\n0 1 2\n", ""),
+    ("LM=99999999\n", "1 2\n", ""),
+    ("", "LM=1\n1 2\nIMAGE=a.jpg\n", ""),
+    ("LM=1\n1 2\n", "COMMENT=a\n", ""),
+    ("LM=1\n1 2\nCURVES=1\nPOINTS=99999999\n", "1 2\n", ""),
+    ("index\n99999999\n", "1 2\n", ""),
+    ("index,axis-0,axis-1\n", "0,1,2\n", ""),
+    ("index,axis-0,axis-1,axis-2\n", "0,7,1,2\n0,8,1,2\n", ""),
+    ("frame,success,x_0,y_0\n", "1,1,2,3\n", ""),
+    ("scorer,a,a\nbodyparts,b,b\ncoords,x,y\n", "i.png,1,2\n", ""),
+    (r#"{"movingPoints": ["#, "[1, 2], ", r#"[1, 2]], "fixedPoints": [[1, 2]]}"#),
+    (r#"{"Transform": {"landmarks": {"names": [""#, "a", r#""], "movingPoints": [[1, 2]], "fixedPoints": [[1, 2]]}}}"#),
     (r#"{"p": ["#, "[1, 2], ", "[1, 2]]}"),
     (r#"{"p": [[1, 2]], "names": [""#, "a", "\"]}"),
     ("[", r#"{"x": 0.5, "y": 0.5}, "#, r#"{"x": 0.5, "y": 0.5}]"#),
