@@ -24,6 +24,8 @@ mod fairness;
 mod fit;
 mod floods;
 mod formats;
+mod frames;
+mod geojson;
 mod golden;
 mod hostile;
 mod hosts;

@@ -69,7 +69,8 @@ async fn points_are_those_that_the_server_answers() {
             (&["points", "-", &*file, "--image", &*image], &*warp.to_string()),
             (&["points", "-"], &*whole),
         ] {
-            assert!(done(args, stdin) == (expected.clone(), String::new()), "{name}: {args:?}");
+            let far = if name == "inverse.json" { "annotations_outside_picture\n" } else { "" };
+            assert!(done(args, stdin) == (expected.clone(), far.to_owned()), "{name}: {args:?}");
         }
         assert!(done(&["points", "-", "-o", &out], &whole).0.is_empty());
         assert!(std::fs::read(out).unwrap() == expected, "{name}");
@@ -87,6 +88,46 @@ async fn points_are_those_that_the_server_answers() {
     assert!(stdout == expected && said.starts_with("method "), "{said}");
     let (_, said) = done(&["points", "-"], r#"{"p": [[0.1, 0.2]], "q": [[0.2, 0.2]], "extent": [40, 30]}"#);
     assert_eq!(said, "translation_only, looks_normalized\n");
+}
+
+/// A file of features is read as what it is, and written as such.
+#[tokio::test]
+async fn geojson_files_are_mapped_into_geojson_files() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let warp = json!({"p": [[20, 20], [300, 200]], "q": [[40, 20], [300, 180]]});
+    let feature = json!({"type": "Feature", "properties": {"a": 1}, "geometry": {"type": "Point", "coordinates": [10, 10, 3]}});
+    let cells: Vec<Value> = (0..20_000).map(|k| with_id(&feature, k)).collect();
+    let (warp_file, file, out) = (scratch.path("warp.json"), scratch.path("cells.geojson"), scratch.path("out.geojson"));
+    std::fs::write(&warp_file, warp.to_string()).unwrap();
+    for geojson in [
+        json!({"type": "FeatureCollection", "features": [feature]}),
+        json!([feature]),
+        feature.clone(),
+        feature["geometry"].clone(),
+        json!({"features": cells, "type": "FeatureCollection"}),
+    ] {
+        std::fs::write(&file, format!(" {geojson}\n")).unwrap();
+        for inverse in [false, true] {
+            let whole = json!({"extent": [400, 300], "geojson": geojson, "inverse": inverse});
+            let expected = answer(&server, "/points", &merged(&warp, &whole)).await;
+            let expected = std::str::from_utf8(&expected).unwrap().strip_prefix("{\"geojson\":").unwrap().strip_suffix('}').unwrap();
+            let flags = if inverse { &["--inverse"][..] } else { &[] };
+            let args = [&["points", &*warp_file, &*file, "--extent", "400,300", "-o", &*out], flags].concat();
+            assert_eq!(done(&args, ""), (Vec::new(), String::new()));
+            assert!(std::fs::read_to_string(&out).unwrap() == expected, "{args:?}");
+        }
+    }
+    let stdout = done(&["points", &warp_file, "-", "--extent", "400,300"], &feature.to_string()).0;
+    assert!(stdout.starts_with(b"{\"") && stdout.ends_with(b"}"), "{stdout:?}");
+    // Beside other annotations it is one of the fields.
+    std::fs::write(&warp_file, merged(&warp, &json!({"points": [[1, 2]]})).to_string()).unwrap();
+    let stdout = done(&["points", &warp_file, "-", "--extent", "400,300"], &feature.to_string()).0;
+    let both: Value = serde_json::from_slice(&stdout).unwrap();
+    assert!(both["points"].is_array() && both["geojson"]["type"] == "Feature", "{both}");
+}
+
+fn with_id(feature: &Value, id: usize) -> Value {
+    merged(feature, &json!({"id": id}))
 }
 
 #[tokio::test]
@@ -303,7 +344,16 @@ fn points_name_what_is_wrong() {
         (&["missing.json", extent[0], extent[1]], "", "error: cannot read the warp object "),
         (&["-", "missing.json", extent[0], extent[1]], "{}", "error: cannot read the annotations "),
         (&["-", extent[0], extent[1], "-o", "missing/out.json"], "{}", "error: cannot write "),
-        (&["-", extent[0], extent[1], "--max-warp-json-bytes", "1"], "{}", "too_large: the warp object is larger than 1 bytes"),
+        (
+            &["-", extent[0], extent[1], "--max-warp-json-bytes", "1"],
+            "{}",
+            "too_large: the warp object is larger than 1 bytes; --max-warp-json-bytes raises the limit",
+        ),
+        (
+            &["-", &annotations, extent[0], extent[1], "--max-body-bytes", "1"],
+            "{}",
+            "too_large: the annotations are larger than 1 bytes; --max-body-bytes raises the limit",
+        ),
     ] {
         let said = failed(&[&["points"], args].concat(), stdin);
         assert!(said.starts_with(sentence), "{args:?}: {said}");

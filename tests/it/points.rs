@@ -12,7 +12,7 @@ use crate::support::{Server, eventually, photo};
 const SIDE: (u32, u32) = (160, 120);
 
 /// A 16-bit picture: red grows along x, green along y, by 256 a pixel.
-fn coordinates() -> Vec<u8> {
+pub(crate) fn coordinates() -> Vec<u8> {
     let sample = |at: u32| u16::try_from(256 * at + 128).unwrap().to_be_bytes();
     let pixel = |x, y| [sample(x), sample(y), [0, 0]].concat();
     let samples: Vec<u8> = (0..SIDE.1).flat_map(|y| (0..SIDE.0).flat_map(move |x| pixel(x, y))).collect();
@@ -20,10 +20,10 @@ fn coordinates() -> Vec<u8> {
 }
 
 /// Numbers in 0..1 that depend on a seed.
-struct Noise(u64);
+pub(crate) struct Noise(pub(crate) u64);
 
 impl Noise {
-    fn next(&mut self) -> f64 {
+    pub(crate) fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) as f64 / f64::from(1_u32 << 31)
     }
@@ -34,7 +34,7 @@ impl Noise {
 }
 
 /// A warp of a few points, and of a line in every third, all of which move little enough for most results to have no folds.
-fn warp(seed: u64, tolerance: Option<f64>) -> Value {
+pub(crate) fn warp(seed: u64, tolerance: Option<f64>) -> Value {
     let mut noise = Noise(seed * 977 + 13);
     for _ in 0..4 {
         noise.next();
@@ -59,7 +59,7 @@ fn warp(seed: u64, tolerance: Option<f64>) -> Value {
     warp
 }
 
-fn with(warp: &Value, more: Value) -> Value {
+pub(crate) fn with(warp: &Value, more: Value) -> Value {
     let mut object = warp.as_object().unwrap().clone();
     object.extend(more.as_object().unwrap().clone());
     object.into()
@@ -77,7 +77,7 @@ fn point(value: &Value) -> Option<Point> {
     Some(Point::new(numbers[0].as_f64().unwrap(), numbers[1].as_f64().unwrap()))
 }
 
-fn places(value: &Value) -> Vec<Option<Point>> {
+pub(crate) fn places(value: &Value) -> Vec<Option<Point>> {
     value.as_array().unwrap().iter().map(point).collect()
 }
 
@@ -162,14 +162,16 @@ async fn every_kind_is_returned_under_its_name_in_the_order_of_the_request() {
     let response = server.post("/points").header("content-type", "application/json").body(body).send().await.unwrap();
     let text = response.text().await.unwrap();
     let point = r#"{"type":"Point","coordinates":[6.0,4.0]}"#;
-    let points = r#"{"type":"MultiPoint","coordinates":[[6.0,3.0],[7.0,4.0]]}"#;
-    let polygon = r#"{"type":"Polygon","coordinates":[[[5.0,2.0],[9.0,2.0],[5.0,6.0],[5.0,2.0]]]}"#;
+    let points = r#"{"type": "MultiPoint", "bbox": [6.0,3.0,7.0,4.0], "coordinates": [[6.0,3.0],[7.0,4.0]]}"#;
+    let polygon = r#"{"type": "Polygon", "coordinates": [[[5.0,2.0],[9.0,2.0],[5.0,6.0],[5.0,2.0]]]}"#;
     let expected = format!(
-        r#"{{"boxes":[[6.0,4.0,8.0,6.0]],"geojson":{{ "type": "FeatureCollection", "name": "A", "bbox": [5,2,9,6], "features": [
-  {{"type":"Feature","id":9007199254740993,"bbox":[6,4,6,4],"geometry":{point},"properties":{{"z":1.50,"a":null}}}},
+        r#"{{"boxes":[[6.0,4.0,8.0,6.0]],"geojson":{{ "type": "FeatureCollection", "name": "A", "features": [
+  {{"type":"Feature","id":9007199254740993,"bbox":[6.0,4.0,6.0,4.0],"geometry":{point},"properties":{{"z":1.50,"a":null}}}},
   {{"type": "Feature", "geometry": null, "properties": {{}}}},
-  {{"type": "Feature", "geometry": {{"type":"GeometryCollection","geometries":[{points},{polygon}]}}, "properties": {{}}}}
-] }},"polygons":[[[5.0,2.0],[9.0,2.0],[5.0,6.0]]],"points":[[12.0,10.0]]}}"#
+  {{"type": "Feature", "geometry": {{"type": "GeometryCollection", "geometries": [
+    {points},
+    {polygon}]}}, "properties": {{}}}}
+] ,"bbox":[5.0,2.0,9.0,6.0]}},"polygons":[[[5.0,2.0],[9.0,2.0],[5.0,6.0]]],"points":[[12.0,10.0]]}}"#
     );
     assert_eq!(text, expected);
 }
@@ -273,20 +275,29 @@ async fn annotations_that_cannot_be_mapped_are_named() {
     told(json!({"polygons": [[[0, 0], [1, 1], [2, 0]], [[0, 0], [5e6, 1], [2, 0]]]}), 422, "bad_value", "/polygons/1/1", "1000000").await;
     told(json!({"boxes": [[0, 0, 1, 1], [0, 0, 2e6, 1]]}), 422, "bad_value", "/boxes/1", "1000000").await;
     told(json!({"boxes": [[50, 50, 20, 20]]}), 422, "bad_value", "/boxes/0", "[left, top, right, bottom]").await;
-    told(feature(json!({"type": "Point", "coordinates": [3e6, 0]})), 422, "bad_value", "/geojson/features/1/geometry", "1000000").await;
+    let coordinates = "/geojson/features/1/geometry/coordinates";
+    told(feature(json!({"type": "Point", "coordinates": [3e6, 0]})), 422, "bad_value", coordinates, "1000000").await;
+    let far = json!({"type": "Polygon", "coordinates": [[[0, 0], [1, 0]], [[0, 0], [0, -3e6]]]});
+    told(feature(far), 422, "bad_value", &format!("{coordinates}/1/1"), "1000000").await;
     let out_of_range = r#"{"p": [], "extent": [9, 9], "geojson": {"type": "FeatureCollection", "features": [
         {"type": "Feature", "geometry": {"type": "Point", "coordinates": [1, 1e999]}}]}}"#;
     let response = server.post("/points").header("content-type", "application/json").body(out_of_range).send().await.unwrap();
-    assert_eq!(problem(response, 422, "not_finite").await["pointer"], "/geojson/features/0/geometry");
-    told(feature(json!({"type": "Point", "coordinates": [1, 2, 3]})), 422, "bad_value", "/geojson/features/1/geometry", "3 numbers").await;
-    told(feature(json!({"type": "Circle", "coordinates": [1, 2]})), 422, "bad_value", "/geojson/features/1/geometry", "Circle").await;
-    told(json!({"geojson": {"type": "Feature", "geometry": null}}), 422, "bad_value", "/geojson/type", "FeatureCollection").await;
+    assert_eq!(problem(response, 422, "not_finite").await["pointer"], "/geojson/features/0/geometry/coordinates/1");
+    told(feature(json!({"type": "Point", "coordinates": [1]})), 422, "bad_value", coordinates, "1 number").await;
+    told(feature(json!({"type": "Circle", "coordinates": [1, 2]})), 422, "bad_value", "/geojson/features/1/geometry/type", "Circle").await;
+    told(json!({"geojson": {"type": "Feature", "geometry": 1}}), 422, "bad_value", "/geojson/geometry", "GeoJSON geometry").await;
+    told(json!({"geojson": {"type": "Topology", "objects": {}}}), 422, "bad_value", "/geojson/type", "FeatureCollection").await;
+    told(json!({"geojson": [{"type": "FeatureCollection", "features": []}]}), 422, "bad_value", "/geojson/0/type", "Feature").await;
+    told(json!({"polygons": [[[0, 0], null, [2, 0]]]}), 422, "bad_value", "/polygons/0/1", "null in place of the polygon").await;
     let long: Vec<[f64; 2]> = (0..3000).map(|k| [if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k)]).collect();
     told(json!({"polygons": [long]}), 413, "too_large", "/polygons", "2097152").await;
     let nested = format!("{}1{}", "[".repeat(100), "]".repeat(100));
     let nested: Value = serde_json::from_str(&nested).unwrap();
-    told(feature(json!({"type": "Point", "coordinates": nested})), 422, "bad_value", "/geojson/features/1/geometry", "geometry").await;
-    let members: Vec<Value> = (0..2000).map(|_| json!({"a": 0})).collect();
-    let heavy = json!({"type": "Point", "coordinates": [1, 2], "notes": members});
-    told(feature(heavy), 422, "bad_value", "/geojson/features/1/geometry", "1000 objects").await;
+    told(feature(json!({"type": "Point", "coordinates": nested})), 422, "bad_value", &format!("{coordinates}/0"), "number").await;
+    let mut collection = json!({"type": "Point", "coordinates": [1, 2]});
+    for _ in 0..17 {
+        collection = json!({"type": "GeometryCollection", "geometries": [collection]});
+    }
+    let inner = format!("/geojson/features/1/geometry{}", "/geometries/0".repeat(16));
+    told(feature(collection), 422, "bad_value", &inner, "16 GeometryCollections").await;
 }

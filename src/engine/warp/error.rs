@@ -151,7 +151,8 @@ pub enum Warning {
     Deform(deform::Warning),
     /// Some cells of the grid are farther from the exact map than the tolerance.
     ToleranceExceeded,
-    /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far.
+    /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far
+    /// and not on the canvas.
     HandlesOutsidePicture,
     /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
     /// value is beyond 4.
@@ -177,6 +178,9 @@ pub enum Warning {
         /// Of the best affine map of the handles.
         scale: f64,
     },
+    /// Annotations are farther from their image than its size, or look as if they had another unit
+    /// than the handles; then [`Warning::LooksNormalized`] says so too.
+    AnnotationsOutsidePicture,
     /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
     ProfileDropped,
 }
@@ -209,6 +213,7 @@ impl Warning {
             Self::Mirrored => "mirrored",
             Self::MirroredUseAffine { .. } => "mirrored_use_affine",
             Self::ScaledUseSimilarity { .. } => "scaled_use_similarity",
+            Self::AnnotationsOutsidePicture => "annotations_outside_picture",
             Self::ProfileDropped => "profile_dropped",
         }
     }
@@ -227,6 +232,7 @@ impl Warning {
             | Self::LandmarksUnmatched
             | Self::NothingVisible
             | Self::Mirrored
+            | Self::AnnotationsOutsidePicture
             | Self::ProfileDropped => vec![],
         }
     }

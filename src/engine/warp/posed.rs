@@ -1,8 +1,9 @@
 //! A posed grid and its report: everything that follows from the handles alone, before any pixel.
 
 use super::digest::Collector;
+use super::plausibility::PosedHandles;
 use super::setup::FINE_BYTES;
-use super::{Digest, Folds, Plan, Region, Setup, Subject, Target, Warning, WarpError};
+use super::{Digest, Folds, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
@@ -44,6 +45,8 @@ pub struct Posed {
     report: Report,
     digest: Digest,
     unit: (f64, f64),
+    units: Units,
+    handles: PosedHandles,
     exceeded: Vec<(u32, u32)>,
     region: Option<Region>,
 }
@@ -81,7 +84,7 @@ impl Posed {
             return Err(WarpError::Folded { cells });
         }
         let residual = residual(setup.field(), pose, &mesh, cancelled)?;
-        let warnings = setup.warnings(pose);
+        let warnings = setup.warnings_anywhere(pose);
         let coincident = pose.contradictions().listed.clone();
         let mut report = Report { warnings, folds: cells, orientation, residual, coincident, exceeded: 0 };
         if quality.least_rotation < LEAST_ROTATION {
@@ -90,7 +93,9 @@ impl Posed {
         if orientation == Orientation::Mirrored {
             report.warn(Warning::Mirrored);
         }
-        Ok(Self { mesh, report, digest: digest(setup, pose), unit: setup.unit(), exceeded: Vec::new(), region: None })
+        let (units, handles) = (setup.units(), setup.posed_handles(pose));
+        let (digest, unit) = (digest(setup, pose), setup.unit());
+        Ok(Self { mesh, report, digest, unit, units, handles, exceeded: Vec::new(), region: None })
     }
 
     /// The same pose, of which only the content of a region moves. Its mask has the size of the picture.
@@ -136,7 +141,7 @@ impl Posed {
         &self.exceeded
     }
 
-    /// The report.
+    /// The report, without what depends on the canvas.
     #[must_use]
     pub const fn report(&self) -> &Report {
         &self.report
@@ -156,6 +161,9 @@ impl Posed {
             Some(canvas) => self.mesh.intersects(canvas.edges(), cancelled).ok_or(WarpError::Cancelled)?,
             None => false,
         };
+        for warning in self.handles.warnings(self.units, canvas) {
+            self.report.warn(warning);
+        }
         if !is_visible {
             self.report.warn(Warning::NothingVisible);
         }

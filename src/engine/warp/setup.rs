@@ -4,14 +4,16 @@
 use std::sync::Arc;
 
 use super::digest::Collector;
+use super::plausibility::{self, PosedHandles};
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
-use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, plausibility, work};
+use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, work};
 use crate::deform::{
     self, DeformError, Demand, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner,
     pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
+use crate::render::Canvas;
 
 /// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics section 12, step 1).
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
@@ -277,14 +279,25 @@ impl Setup {
         &self.warnings
     }
 
-    /// The warnings of the rest handles and of a pose, each once, in their order; without those that only a posed grid shows.
+    /// The warnings of the rest handles and of a pose, each once, in their order; without those that only a posed grid shows. `canvas`: the
+    /// part of the plane that is drawn, where that is meant to contain the handles.
     #[must_use]
-    pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
+    pub fn warnings(&self, pose: &Pose, canvas: Option<Canvas>) -> Vec<Warning> {
+        let mut warnings = self.warnings_anywhere(pose);
+        warnings.extend(self.posed_handles(pose).warnings(self.units, canvas));
+        Warning::in_order(warnings)
+    }
+
+    /// Those that do not depend on the canvas.
+    pub(super) fn warnings_anywhere(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
         warnings.extend_from_slice(&self.warnings);
         warnings.extend(self.unmet(pose));
-        warnings.extend(plausibility::of_pose(self.field.handles(), pose, &self.grid, self.units));
         Warning::in_order(warnings)
+    }
+
+    pub(super) fn posed_handles(&self, pose: &Pose) -> PosedHandles {
+        PosedHandles::new(self.field.handles(), pose, &self.grid)
     }
 
     /// What the pose asks for and the method cannot do.
@@ -306,6 +319,21 @@ impl Setup {
 
     pub(super) const fn field(&self) -> &Arc<Field> {
         &self.field
+    }
+
+    /// The size of the source.
+    ///
+    /// # Panics
+    /// Never: a grid has the size of a picture.
+    #[must_use]
+    pub fn source(&self) -> Extent {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the sides of an extent")]
+        let [width, height] = [self.grid.width(), self.grid.height()].map(|side| side as u32);
+        Extent::new(width, height).expect("a grid has the size of a picture")
+    }
+
+    pub(super) const fn units(&self) -> Units {
+        self.units
     }
 
     /// The picture's size, px, and the client's units.

@@ -28,18 +28,24 @@ pub enum CanvasSpec {
 }
 
 impl CanvasSpec {
+    /// The box that is drawn if that does not depend on the pose.
+    #[must_use]
+    pub const fn before_pose(self, source: Extent) -> Option<Canvas> {
+        match self {
+            Self::Same => Some(Canvas::of(source)),
+            Self::Fit => None,
+            Self::Box(canvas) => Some(canvas),
+        }
+    }
+
     /// The box that is drawn; `None` if the posed picture of `fit` has no area or extends too far.
     ///
     /// # Errors
     /// Cancelled.
     pub fn of(self, source: Extent, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Option<Canvas>, WarpError> {
-        match self {
-            Self::Same => Ok(Some(Canvas::of(source))),
-            Self::Fit => match fit(posed, cancelled) {
-                Err(WarpError::Cancelled) => Err(WarpError::Cancelled),
-                canvas => Ok(canvas.ok()),
-            },
-            Self::Box(canvas) => Ok(Some(canvas)),
+        match self.before_pose(source).map_or_else(|| fit(posed, cancelled), Ok) {
+            Err(WarpError::Cancelled) => Err(WarpError::Cancelled),
+            canvas => Ok(canvas.ok()),
         }
     }
 }
@@ -92,11 +98,16 @@ impl OutputSpec {
     /// # Errors
     /// Over the limits.
     pub fn check(&self, source: Extent, limits: &Limits) -> Result<(), WarpError> {
-        match self.canvas {
-            CanvasSpec::Same => self.extent_of(Canvas::of(source), source, limits).map(drop),
-            CanvasSpec::Box(canvas) => self.extent_of(canvas, source, limits).map(drop),
-            CanvasSpec::Fit => Ok(()),
-        }
+        self.target_before_pose(source, limits).map(drop)
+    }
+
+    /// The target, if it does not depend on the pose.
+    ///
+    /// # Errors
+    /// Over the limits.
+    pub fn target_before_pose(&self, source: Extent, limits: &Limits) -> Result<Option<Target>, WarpError> {
+        let canvas = self.canvas.before_pose(source);
+        canvas.map(|canvas| self.target_of(canvas, source, limits)).transpose()
     }
 
     /// The target of a pose.
@@ -104,16 +115,23 @@ impl OutputSpec {
     /// # Errors
     /// Over the limits; nothing to show; cancelled.
     pub fn target(&self, source: Extent, posed: &Posed, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Target, WarpError> {
-        let canvas = match self.canvas {
-            CanvasSpec::Same => Canvas::of(source),
-            CanvasSpec::Fit => fit(posed, cancelled)?,
-            CanvasSpec::Box(canvas) => canvas,
-        };
+        let canvas = self.canvas.before_pose(source).map_or_else(|| fit(posed, cancelled), Ok)?;
+        self.target_of(canvas, source, limits)
+    }
+
+    fn target_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
         let extent = self.extent_of(canvas, source, limits)?;
         Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, force_alpha: false })
     }
 
-    /// The size of the target: `width` with the height that keeps the proportions, max(1, round(H w / W)).
+    /// The size of the target on this canvas, whatever the limits.
+    pub(super) fn size_of(&self, canvas: Canvas) -> Extent {
+        let Some(width) = self.width else { return canvas.extent };
+        let height = u32::try_from(height_of(canvas, width)).unwrap_or(u32::MAX);
+        Extent::new(width, height).unwrap_or(canvas.extent)
+    }
+
+    /// The size of the target: `width` with the height that keeps the proportions.
     fn extent_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
         let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
         let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
@@ -130,11 +148,17 @@ impl OutputSpec {
             return Ok(canvas.extent);
         };
         at_most("output_side", max_side, width.into())?;
-        let height = ((2 * h * u64::from(width) + w) / (2 * w)).max(1);
+        let height = height_of(canvas, width);
         at_most("output_side", max_side, height)?;
         at_most("output_pixels", max_pixels, height * u64::from(width))?;
         at_most("scaled_source_side", LONGEST_SCALED_SOURCE, u64::from(source.width().max(source.height())) * u64::from(width) / w)?;
         let height = u32::try_from(height).expect("at most max_side");
         Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
     }
+}
+
+/// The height that keeps the proportions, max(1, round(H w / W)).
+fn height_of(canvas: Canvas, width: u32) -> u64 {
+    let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
+    ((2 * h * u64::from(width) + w) / (2 * w)).max(1)
 }

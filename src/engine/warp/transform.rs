@@ -1,10 +1,11 @@
 //! Positions and outlines mapped by f or by its inverse: exactly, not by the grid. Outlines get more vertices where the map bends them.
+//! Positions at rest are those of the source, posed ones those of the picture that is drawn ([`Transform::onto`]).
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{Setup, Task, WarpError, work};
+use super::{Frame, Setup, Task, Units, WarpError, work};
 use crate::deform::{Deformation, Inverse, IsCancelled, MAX_COORDINATE, Pose};
 use crate::geometry::{Mesh, Point};
 
@@ -18,15 +19,17 @@ const SPACING: f64 = 8.0;
 const MOST_PARTS: usize = 1024;
 /// A part of an edge is halved at most this often.
 const HALVINGS: usize = 6;
-/// Positions at which the edges of one request are examined.
-const MOST_SAMPLES: usize = 1 << 21;
+/// Positions at which the edges that a [`Transform`] maps are examined, beyond one for each edge.
+pub const SAMPLES: usize = 1 << 21;
 
 /// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse, positions at which nothing of the picture
 /// is posed have none.
 #[derive(Debug)]
 pub struct Transform<'a> {
     map: Map<'a>,
-    unit: (f64, f64),
+    /// Those of the source and of the picture.
+    rest: Frame,
+    posed: Frame,
     samples: AtomicUsize,
     /// Operations of f at a position, and the most of all.
     per_position: u64,
@@ -46,6 +49,21 @@ pub struct Outline<'a> {
     pub places: &'a [Point],
     /// What connects them.
     pub edges: Edges,
+}
+
+/// A mapped outline with the vertices that were added.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MappedOutline {
+    /// Its vertices.
+    pub places: Vec<Point>,
+    /// Where each of them was: k for the vertex k, k + t for one that was added at this share of the edge after it.
+    pub at: Vec<f64>,
+}
+
+impl MappedOutline {
+    fn with_capacity(vertices: usize) -> Self {
+        Self { places: Vec::with_capacity(vertices), at: Vec::with_capacity(vertices) }
+    }
 }
 
 /// The edges of an outline.
@@ -87,7 +105,16 @@ impl Setup {
 impl<'a> Transform<'a> {
     fn new(map: Map<'a>, setup: &Setup) -> Self {
         let (per_position, max_work) = (work::of_position(setup.field()), setup.max_work());
-        Self { map, unit: setup.unit(), samples: AtomicUsize::new(0), per_position, max_work }
+        let source = setup.source_frame();
+        Self { map, rest: source, posed: source, samples: AtomicUsize::new(0), per_position, max_work }
+    }
+
+    /// Checks the work of this number of positions, for those that are mapped part by part.
+    ///
+    /// # Errors
+    /// More positions than may be mapped.
+    pub fn check_positions(&self, positions: usize) -> Result<(), WarpError> {
+        self.check_work(Task::Positions, positions)
     }
 
     /// Errors: More positions than may be mapped.
@@ -96,9 +123,23 @@ impl<'a> Transform<'a> {
         work::at_most(task, self.max_work, (positions as u64).saturating_mul(self.per_position).saturating_mul(times))
     }
 
-    /// The same map between positions in px.
+    /// The same map, where posed positions are those of a picture; without this, they are those of the plane.
+    #[must_use]
+    pub fn onto(self, picture: Frame) -> Self {
+        Self { posed: picture, ..self }
+    }
+
+    /// The same map between positions in px of the plane.
     pub(super) fn in_px(self) -> Self {
-        Self { unit: (1.0, 1.0), ..self }
+        let plane = Frame::of_source(self.rest.image(), Units::Px);
+        Self { rest: plane, posed: plane, ..self }
+    }
+
+    const fn frames(&self) -> (&Frame, &Frame) {
+        match self.map {
+            Map::Forward(_) => (&self.rest, &self.posed),
+            Map::Inverse(_) => (&self.posed, &self.rest),
+        }
     }
 
     /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops when `cancelled` returns true.
@@ -108,21 +149,24 @@ impl<'a> Transform<'a> {
     pub fn map(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
         self.check_work(Task::Positions, places.len())?;
         let mut mapped = self.map_px(&self.to_px(places, 0)?, cancelled)?;
-        mapped.iter_mut().flatten().for_each(|place| *place = self.to_units(*place));
+        let (_, to) = self.frames();
+        mapped.iter_mut().flatten().for_each(|place| *place = to.from_plane(*place));
         Ok(mapped)
     }
 
-    /// Maps outlines; `None` if any position of an outline has none. With a `tolerance`, px, vertices are added where the mapped outline
-    /// would differ from straight lines by more. CPU work like [`Transform::map`].
+    /// Maps outlines; `None` if any position of an outline has none. With a `tolerance`, px of the image that has the results, vertices are
+    /// added where the mapped outline would differ from straight lines by more. CPU work like [`Transform::map`].
     ///
     /// # Errors
-    /// Those of [`Transform::map`], with the index of the position in all outlines; more than 2,097,152 positions have to be examined.
+    /// Those of [`Transform::map`], with the index of the position in all outlines; more than [`SAMPLES`] positions have to be examined.
     pub fn map_outlines(
         &self,
         outlines: &[Outline<'_>],
         tolerance: Option<f64>,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Vec<Option<Vec<Point>>>, WarpError> {
+    ) -> Result<Vec<Option<MappedOutline>>, WarpError> {
+        let (_, to) = self.frames();
+        let tolerance = tolerance.map(|px| to.in_plane(px));
         let mut places = Vec::new();
         for outline in outlines {
             places.extend(self.to_px(outline.places, places.len())?);
@@ -147,13 +191,17 @@ impl<'a> Transform<'a> {
         let mut bent = bent.into_iter();
         let mut mapped = mapped.into_iter();
         let outlines = outlines.iter().map(|outline| {
-            let mut refined = Some(Vec::with_capacity(outline.places.len()));
+            let mut refined = Some(MappedOutline::with_capacity(outline.places.len()));
             for k in 0..outline.places.len() {
                 let vertex = mapped.next().expect("each vertex");
-                let inserted = if k < outline.edge_count() { bent.next().expect("each edge") } else { Some(Vec::new()) };
+                let has_edge = k < outline.edge_count();
+                let inserted = if has_edge { bent.next().expect("each edge") } else { Some(Vec::new()) };
                 refined = match (refined, vertex, inserted) {
                     (Some(mut refined), Some(vertex), Some(inserted)) => {
-                        refined.extend([vertex].into_iter().chain(inserted).map(|place| self.to_units(place)));
+                        for (t, place) in [(0.0, vertex)].into_iter().chain(inserted) {
+                            refined.places.push(to.from_plane(place));
+                            refined.at.push(k as f64 + t);
+                        }
                         Some(refined)
                     }
                     _ => None,
@@ -172,7 +220,7 @@ impl<'a> Transform<'a> {
         mapped: &[Option<Point>],
         tolerance: f64,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Vec<Option<Vec<Point>>>, WarpError> {
+    ) -> Result<Vec<Option<Vec<(f64, Point)>>>, WarpError> {
         let task = |edges: &[(usize, usize)]| {
             let bend = |&(a, b): &(usize, usize)| match (mapped[a], mapped[b]) {
                 (Some(fa), Some(fb)) => self.bend([(places[a], fa), (places[b], fb)], tolerance, cancelled),
@@ -190,11 +238,12 @@ impl<'a> Transform<'a> {
         [(a, fa), (b, fb)]: [(Point, Point); 2],
         tolerance: f64,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Option<Vec<Point>>, WarpError> {
+    ) -> Result<Option<Vec<(f64, Point)>>, WarpError> {
         let pairs = pairs(a, b);
         let at = |k: usize| k as f64 / (2 * pairs) as f64;
         let inner: Vec<f64> = (1..2 * pairs).map(at).collect();
-        let Some(inner) = self.samples(a, b, inner, cancelled)? else { return Ok(None) };
+        let beyond_one = inner.len() - 1;
+        let Some(inner) = self.samples(a, b, inner, beyond_one, cancelled)? else { return Ok(None) };
         let mut samples = vec![(0.0, fa)];
         samples.extend(inner);
         samples.push((1.0, fb));
@@ -207,7 +256,8 @@ impl<'a> Transform<'a> {
                 break;
             }
             let halves: Vec<f64> = triples.iter().flat_map(|[a, m, b]| [0.5 * (a.0 + m.0), 0.5 * (m.0 + b.0)]).collect();
-            let Some(halves) = self.samples(a, b, halves, cancelled)? else { return Ok(None) };
+            let count = halves.len();
+            let Some(halves) = self.samples(a, b, halves, count, cancelled)? else { return Ok(None) };
             let smaller = triples.iter().zip(halves.as_chunks::<2>().0).flat_map(|([a, m, b], [am, mb])| [[*a, *am, *m], [*m, *mb, *b]]);
             triples = smaller.collect();
             samples.extend(halves);
@@ -216,14 +266,21 @@ impl<'a> Transform<'a> {
         simplified(&samples, tolerance / 2.0, cancelled).map(Some).ok_or(WarpError::Cancelled)
     }
 
-    /// The images of positions on an edge.
-    fn samples(&self, a: Point, b: Point, at: Vec<f64>, cancelled: IsCancelled<'_>) -> Result<Option<Vec<(f64, Point)>>, WarpError> {
+    /// The images of positions on an edge, of which `count` count.
+    fn samples(
+        &self,
+        a: Point,
+        b: Point,
+        at: Vec<f64>,
+        count: usize,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Option<Vec<(f64, Point)>>, WarpError> {
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        let samples = self.samples.fetch_add(at.len(), Ordering::Relaxed) + at.len();
-        if samples > MOST_SAMPLES {
-            return Err(WarpError::TooLarge { what: "outline_samples", limit: MOST_SAMPLES as u64, actual: MOST_SAMPLES as u64 + 1 });
+        let samples = self.samples.fetch_add(count, Ordering::Relaxed) + count;
+        if samples > SAMPLES {
+            return Err(WarpError::TooLarge { what: "outline_samples", limit: SAMPLES as u64, actual: SAMPLES as u64 + 1 });
         }
         self.check_work(Task::Outlines, samples)?;
         let places: Vec<Point> = at.iter().map(|t| a.lerp(b, *t)).collect();
@@ -252,8 +309,9 @@ impl<'a> Transform<'a> {
 
     /// `before`: positions before these ones.
     fn to_px(&self, places: &[Point], before: usize) -> Result<Vec<Point>, WarpError> {
+        let (from, _) = self.frames();
         let to_px = |(index, place): (usize, &Point)| {
-            let px = Point::new(place.x * self.unit.0, place.y * self.unit.1);
+            let px = from.to_plane(*place);
             match [px.x, px.y].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
                 Some(value) => Err(WarpError::BadPlace { index: before + index, value, limit: MAX_COORDINATE }),
                 None => Ok(px),
@@ -261,10 +319,12 @@ impl<'a> Transform<'a> {
         };
         places.iter().enumerate().map(to_px).collect()
     }
+}
 
-    fn to_units(&self, place: Point) -> Point {
-        Point::new(place.x / self.unit.0, place.y / self.unit.1)
-    }
+/// The number of positions at which an edge is first examined, px.
+#[must_use]
+pub fn samples_of(a: Point, b: Point) -> usize {
+    2 * pairs(a, b) - 1
 }
 
 /// Pairs of parts at whose ends an edge is first examined.
@@ -283,7 +343,7 @@ fn to_segment(p: Point, a: Point, b: Point) -> f64 {
 
 /// The fewest samples between the first and the last by the method of Douglas and Peucker: the others are within the tolerance of the lines
 /// between them. Takes the squared number of samples if each part is split near its end. `None` when cancelled.
-fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
+fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'_>) -> Option<Vec<(f64, Point)>> {
     let mut kept = vec![false; samples.len()];
     let mut parts = vec![(0, samples.len() - 1)];
     while let Some((first, last)) = parts.pop() {
@@ -299,7 +359,7 @@ fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'
             parts.extend([(first, k), (k, last)]);
         }
     }
-    Some(samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| sample.1).collect())
+    Some(samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| *sample).collect())
 }
 
 #[cfg(test)]
@@ -332,10 +392,13 @@ mod tests {
         let f = setup.transform(&pose);
         let places = square(20.0, 180.0);
         let outline = Outline { places: &places, edges: Edges::Closed };
-        let bare = f.map_outlines(&[outline], None, NEVER).unwrap().remove(0).unwrap();
+        let bare = f.map_outlines(&[outline], None, NEVER).unwrap().remove(0).unwrap().places;
         assert_eq!(bare.iter().copied().map(Some).collect::<Vec<_>>(), f.map(&places, NEVER).unwrap());
         for tolerance in [1.0, 0.1, 0.01] {
-            let refined = f.map_outlines(&[outline], Some(tolerance), NEVER).unwrap().remove(0).unwrap();
+            let MappedOutline { places: refined, at } = f.map_outlines(&[outline], Some(tolerance), NEVER).unwrap().remove(0).unwrap();
+            let of_edge = |at: f64| places[at as usize].lerp(places[(at as usize + 1) % 4], at.fract());
+            let there = f.map(&at.into_iter().map(of_edge).collect::<Vec<_>>(), NEVER).unwrap();
+            assert!(there.into_iter().zip(&refined).all(|(there, vertex)| there.unwrap().distance(*vertex) < 1e-9));
             assert!(refined.len() > 8, "{}", refined.len());
             assert!(bare.iter().all(|vertex| refined.contains(vertex)));
             let segments: Vec<(Point, Point)> = (0..refined.len()).map(|k| (refined[k], refined[(k + 1) % refined.len()])).collect();
@@ -349,7 +412,8 @@ mod tests {
         }
         let still = setup.pose(&set(0.0).1).unwrap();
         let straight = setup.transform(&still).map_outlines(&[outline], Some(0.1), NEVER).unwrap();
-        assert_eq!(straight, [Some(places.clone())]);
+        let at = vec![0.0, 1.0, 2.0, 3.0];
+        assert_eq!(straight, [Some(MappedOutline { places: places.clone(), at })]);
     }
 
     #[test]
@@ -359,8 +423,9 @@ mod tests {
         let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
         let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
         let places = square(30.0, 170.0);
-        let there = f.map_outlines(&[Outline { places: &places, edges: Edges::Closed }], Some(0.1), NEVER).unwrap().remove(0).unwrap();
-        let again = back.map_outlines(&[Outline { places: &there, edges: Edges::Closed }], None, NEVER).unwrap().remove(0).unwrap();
+        let there =
+            f.map_outlines(&[Outline { places: &places, edges: Edges::Closed }], Some(0.1), NEVER).unwrap().remove(0).unwrap().places;
+        let again = back.map_outlines(&[Outline { places: &there, edges: Edges::Closed }], None, NEVER).unwrap().remove(0).unwrap().places;
         for place in again {
             let nearest = (0..4).map(|k| to_segment(place, places[k], places[(k + 1) % 4])).fold(f64::INFINITY, f64::min);
             assert!(nearest < 1e-6, "{place:?}");

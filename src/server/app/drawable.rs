@@ -8,7 +8,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format, StepCounter};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Digest, Image, LabelImage, Region, Subject, WarpError};
+use mlswarp::warp::{CanvasSpec, Digest, Image, LabelImage, Region, Subject, WarpError};
 
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
@@ -144,6 +144,16 @@ impl App {
             None => None,
         };
         Ok(ContentSources { drawn, region })
+    }
+
+    /// Something with the region of a session, if there is one and the canvas depends on it: with a region, `fit` contains what stays.
+    pub(crate) async fn region_of(&self, client: Client, record: &Record, canvas: CanvasSpec) -> Result<Option<Content>, Problem> {
+        if canvas != CanvasSpec::Fit || !record.layers.contains_key(&LayerName::region()) {
+            return Ok(None);
+        }
+        let sources = self.fetch_sources(client, record, Some(&LayerRef::Holes)).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
+        self.decode_content(record.id.owner(), &ticket, sources).await.map(Some)
     }
 
     /// A file of a session in decoded form, if that is cached, or its bytes.

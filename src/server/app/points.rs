@@ -1,68 +1,191 @@
-//! `POST /points` and `/sessions/{id}/points`: annotations, mapped by the exact deformation or its inverse instead of the grid.
+//! `POST /points` and `/sessions/{id}/points`: annotations, mapped by the exact deformation or its inverse instead of the grid. They are
+//! mapped part by part as the client reads them. Each part is a job of its own, so that a slow reader holds no worker; when the client
+//! leaves, nothing more is mapped.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::warp::{Folds, GridSpec, OutputSpec, Posed, Setup, Warning};
+use mlswarp::deform::Pose;
+use mlswarp::render::Canvas;
+use mlswarp::warp::{CanvasSpec, Folds, Frame, GridSpec, Posed, Setup, Target, Warning};
 
 use super::App;
-use super::json_text::json_unless;
+use super::draw::Planned;
+use super::drawable::Content;
 use super::warp::Resolved;
 use crate::client::{Client, Owner};
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{PointsObject, method_text, reading_bytes};
+use crate::wire::{Annotations, Cursor, PointsObject, method_text, reading_bytes};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
+/// Attempts to admit a part of an answer that has begun, and the pause between them.
+const ATTEMPTS: usize = 100;
+const PAUSE: Duration = Duration::from_millis(50);
 
-/// The JSON of the response, and the warnings of the handles.
-type MappedPoints = (Bytes, Vec<Warning>);
+/// Annotations of which the first part has been mapped.
+#[derive(Debug)]
+pub struct MappedFile {
+    /// Those of the handles, and of the annotations.
+    pub warnings: Vec<Warning>,
+    /// The part of the plane that the picture shows, if it is not the box of the source.
+    pub canvas: Option<Canvas>,
+    /// The method that was chosen if that was requested, as a header shows it.
+    pub method: Option<String>,
+    /// The first bytes of the JSON.
+    pub first: Bytes,
+    /// The others, if there are any.
+    pub rest: Option<MappedParts>,
+}
+
+/// The parts that are still to be mapped.
+#[derive(Debug)]
+pub struct MappedParts {
+    app: App,
+    job: Arc<MappingJob>,
+    /// `None` at the end.
+    cursor: Option<Cursor>,
+}
+
+impl MappedParts {
+    /// The next bytes; `None` at the end.
+    pub async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
+        let cursor = self.cursor.take()?;
+        let part = self.part(cursor).await;
+        Some(part.map(|(bytes, cursor)| {
+            self.cursor = cursor;
+            bytes
+        }))
+    }
+
+    async fn part(&self, cursor: Cursor) -> Result<(Bytes, Option<Cursor>), Problem> {
+        let mut attempts = 0;
+        let ticket = loop {
+            match self.app.0.pool.admit(WorkClass::Upload, self.job.key).await {
+                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ATTEMPTS => {
+                    attempts += 1;
+                    tokio::time::sleep(PAUSE).await;
+                }
+                admitted => break admitted?,
+            }
+        };
+        let (app, job) = (self.app.clone(), Arc::clone(&self.job));
+        self.app.0.pool.run(&ticket, move |cancel| job.part(&app, cursor, cancel)).await?
+    }
+}
+
+/// Annotations and the deformation by which they are mapped.
+#[derive(Debug)]
+struct MappingJob {
+    setup: Arc<Setup>,
+    pose: Pose,
+    /// The posed grid, which shows where to look for the inverse, and its memory.
+    posed: Option<(Posed, Reservation)>,
+    picture: Frame,
+    annotations: Annotations,
+    is_long: bool,
+    key: QueueKey,
+    quota: ClientQuota,
+}
+
+impl MappingJob {
+    /// Maps a part in memory that counts for the client until it is sent.
+    fn part(&self, app: &App, mut cursor: Cursor, cancel: &Cancel) -> Result<(Bytes, Option<Cursor>), Problem> {
+        let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
+        let mut reservation = app.reserve_for(Purpose::Frame, &self.quota, 0)?;
+        let mut reserve = |bytes| app.reserve_more(&mut reservation, bytes);
+        let mut map = || {
+            let transform = match &self.posed {
+                Some((posed, _)) => self.setup.inverse(&self.pose, posed.mesh()),
+                None => self.setup.transform(&self.pose),
+            };
+            let (transform, mut out) = (transform.onto(self.picture), Vec::new());
+            let more = self.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut out)?;
+            Ok::<_, Problem>((out, more))
+        };
+        let (mut out, more) = if self.is_long { app.0.pool.run_parallel(map) } else { map() }?;
+        stage("deform", began);
+        // The client may read it slowly.
+        out.shrink_to_fit();
+        reservation.shrink_to(out.len() as u64);
+        Ok((reservation.attach(out), more.then_some(cursor)))
+    }
+}
+
+/// What is mapped, before it is known where the picture lies.
+struct PointsJob {
+    owner: Owner,
+    setup: Arc<Setup>,
+    object: PointsObject,
+    folds: Folds,
+    /// Has the region that moves, if the canvas depends on it.
+    region: Option<Content>,
+    cursor: Cursor,
+    is_long: bool,
+    key: QueueKey,
+    quota: ClientQuota,
+}
+
+impl PointsJob {
+    /// Whether a posed grid decides on the canvas, or whether the request is refused.
+    fn needs_grid(object: &PointsObject, folds: Folds) -> bool {
+        object.output.canvas == CanvasSpec::Fit || folds == Folds::Reject
+    }
+}
 
 impl App {
-    /// Maps points. The second result: the method that was chosen if that was requested, as a header shows it.
+    /// Maps points. `cursor`: a new one.
     /// Errors: Wrong handles, or too little capacity.
-    pub async fn points_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let length = json.len();
-        let (mut object, reading) = self.read_points(client, &ticket, json, PointsObject::parse).await?;
+    pub async fn points_once(&self, client: Client, json: Bytes, cursor: Cursor) -> Result<MappedFile, Problem> {
+        let key = QueueKey::client(client);
+        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
+        let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
+        let parse = move |json: &Bytes| PointsObject::parse(json, most_bytes);
+        let (mut object, _reading) = self.read_points(client, &ticket, json, parse).await?;
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
-        if !object.annotations.is_inverse {
+        if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
             // The exact deformation needs no grid; this one is within all limits.
             warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         }
-        // Nothing is drawn.
-        warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
         object.q = warp.posed()?.to_vec();
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL, reading };
-        Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
+        let (owner, quota) = (client.owner, self.response_quota(client));
+        let job = PointsJob { owner, setup, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
+        Ok(MappedFile { method, ..self.map_points(&ticket, job).await? })
     }
 
     /// Maps points by the deformation of a session.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn points_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedPoints, Problem> {
-        let session = self.touch(id, None).await?;
-        let setup = self.session_setup(client, &session.record).await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let is_long = json.len() > MAX_SEQUENTIAL;
-        let record = session.record;
-        let parse = move |json: &[u8]| {
-            let mut object = PointsObject::parse_posed(json)?;
-            object.q = record.rest.posed(object.q, object.strength, record.extent).0;
+    pub async fn points_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedFile, Problem> {
+        let record = self.touch(id, None).await?.record;
+        let setup = self.session_setup(client, &record).await?;
+        let key = QueueKey::session(client, id);
+        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
+        let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
+        let of_session = Arc::clone(&record);
+        let parse = move |json: &Bytes| {
+            let (rest, size) = (&of_session.rest, of_session.extent);
+            let mut object = PointsObject::parse_posed(json, most_bytes, (size, rest.units), &of_session.output)?;
+            object.q = rest.posed(object.q, object.strength, size).0;
             Ok(object)
         };
-        let (object, reading) = self.read_points(client, &ticket, json, parse).await?;
-        self.map(&ticket, self.response_quota(client), PointsJob { owner: id.owner(), setup, object, is_long, reading }).await
+        let (object, _reading) = self.read_points(client, &ticket, json, parse).await?;
+        drop(ticket);
+        let region = self.region_of(client, &record, object.output.canvas).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
+        let (owner, quota, folds) = (id.owner(), self.response_quota(client), record.folds);
+        let job = PointsJob { owner, setup, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
+        self.map_points(&ticket, job).await
     }
 
     /// Reads a request into memory that is reserved before.
@@ -71,7 +194,7 @@ impl App {
         client: Client,
         ticket: &Ticket,
         json: Bytes,
-        parse: impl FnOnce(&[u8]) -> Result<PointsObject, Problem> + Send + 'static,
+        parse: impl FnOnce(&Bytes) -> Result<PointsObject, Problem> + Send + 'static,
     ) -> Result<(PointsObject, Reservation), Problem> {
         let (app, quota) = (self.clone(), self.request_quota(client));
         let read = move |_: &_| {
@@ -81,50 +204,49 @@ impl App {
         self.0.pool.run(ticket, read).await?
     }
 
-    async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: PointsJob) -> Result<MappedPoints, Problem> {
-        let PointsJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long, reading } = job;
-        if annotations.is_inverse {
-            setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
-        }
-        // The posed grid shows where to look for the inverse.
-        let planned = if annotations.is_inverse { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
+    /// Finds the picture, and maps the first part.
+    async fn map_points(&self, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
+        let PointsJob { owner, setup, object, folds, region, cursor, is_long, key, quota } = job;
+        let drawn =
+            if PointsJob::needs_grid(&object, folds) { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
+        let to_invert = if object.annotations.is_inverse {
+            let setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
+            Some(self.plan(owner, ticket, &setup, Timing::default()).await?)
+        } else {
+            None
+        };
         let app = self.clone();
-        let mapped = self.0.pool.run(ticket, move |cancel| {
-            let _reading = reading;
-            let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-            let posed_bytes = planned.as_ref().map_or(0, |_| setup.posed_bytes());
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, annotations.least_mapped_bytes() + posed_bytes)?;
-            let pose = setup.pose(&q)?;
-            let map = || {
-                let posed = planned.as_ref().map(|planned| Posed::coarse(&setup, &planned.plan, &pose, Folds::Report, &is_cancelled));
-                let posed = posed.transpose()?;
-                let transform = match &posed {
-                    Some(posed) => setup.inverse(&pose, posed.mesh()),
-                    None => setup.transform(&pose),
-                };
-                annotations.map(&transform, &is_cancelled)
+        let prepare = move |cancel: &Cancel| {
+            let PointsObject { q, output, annotations, .. } = object;
+            let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
+            let target = match drawn {
+                Some(drawn) => {
+                    let pose = || Posed::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
+                    let (posed, _held) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+                    let region = region.as_ref().and_then(Content::region).cloned();
+                    let posed = region.into_iter().fold(posed, Posed::within);
+                    output.target(setup.source(), &posed, &app.0.config.limits(), &is_cancelled)?
+                }
+                None => match output.target_before_pose(setup.source(), &app.0.config.limits())? {
+                    Some(target) => target,
+                    None => return Err(Problem::new(Code::Internal, "a canvas without a grid")),
+                },
             };
-            let mapped = if is_long || planned.is_some() { app.0.pool.run_parallel(map) } else { map() }?;
-            stage("deform", began);
-            let text = mapped.text_bytes();
-            // Outlines may have more vertices now.
-            app.reserve_more(&mut reservation, text as u64)?;
-            let mut body = json_unless(cancel, &mapped, text)?;
-            // The client may read it slowly.
-            body.shrink_to_fit();
-            reservation.shrink_to(body.len() as u64);
-            Ok::<_, Problem>((reservation.attach(body), setup.warnings(&pose)))
-        });
-        mapped.await?
+            let (picture, source) = (setup.frame_of(target), setup.source_frame());
+            let mut warnings = setup.warnings(&pose, Some(picture.canvas()));
+            annotations.add_warnings(if annotations.is_inverse { &picture } else { &source }, &mut warnings);
+            let posed = to_invert.map(|Planned { setup, plan, .. }| {
+                let coarse = || Posed::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+                app.reserve_and_pose(&setup, &quota, 0, coarse)
+            });
+            let posed = posed.transpose()?;
+            let is_long = is_long || posed.is_some();
+            let job = Arc::new(MappingJob { setup, pose, posed, picture, annotations, is_long, key, quota });
+            let (first, cursor) = job.part(&app, cursor, cancel)?;
+            let rest = cursor.map(|cursor| MappedParts { app, job, cursor: Some(cursor) });
+            let Target { canvas, .. } = target;
+            Ok(MappedFile { warnings, canvas, method: None, first, rest })
+        };
+        self.0.pool.run(ticket, prepare).await?
     }
-}
-
-/// Annotations and the deformation by which they are mapped.
-struct PointsJob {
-    owner: Owner,
-    setup: Arc<Setup>,
-    object: PointsObject,
-    is_long: bool,
-    /// The memory of the annotations.
-    reading: Reservation,
 }

@@ -5,11 +5,11 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, CanvasSpec, Folds, OutputSpec, Posed, Quality, Report, Setup};
+use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Setup, Units};
 
 use super::App;
 use super::draw::Planned;
+use super::drawable::Content;
 use super::json_text::json_unless;
 use super::warp::Resolved;
 use crate::client::{Client, Owner};
@@ -40,8 +40,9 @@ struct ReportJob {
     q: Vec<Handle>,
     /// How q was aligned, if that was requested.
     alignment: Option<Alignment>,
-    extent: Extent,
-    canvas: CanvasSpec,
+    output: OutputSpec,
+    /// Has the region that moves, if the canvas depends on it.
+    region: Option<Content>,
     quota: ClientQuota,
 }
 
@@ -50,15 +51,13 @@ impl App {
     /// Errors: Wrong handles, or too little capacity.
     pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let ReportObject { mut warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
-        // Nothing is drawn.
-        warp.output = OutputSpec { canvas: warp.output.canvas, ..OutputSpec::default() };
+        let ReportObject { warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
-        let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, alignment, extent, canvas, quota };
+        let (q, output, quota) = (object.posed()?.to_vec(), object.output, self.response_quota(client));
+        let job = ReportJob { owner: client.owner, setup, q, alignment, output, region: None, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -69,20 +68,23 @@ impl App {
         let setup = self.session_setup(client, &record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let limits = self.0.config.limits();
-        let (extent, quota) = (record.extent, self.response_quota(client));
+        let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
         let parse = move |_: &_| {
             let DragObject { q, strength, output, .. } = DragObject::parse_for_report(&json)?;
-            let canvas = output.merge_onto(&record.output).canvas;
-            OutputSpec { canvas, ..OutputSpec::default() }.check(extent, &limits)?;
-            Ok::<_, Problem>((record.rest.posed(q, strength, extent), canvas))
+            let output = output.merge_onto(&of_session.output);
+            output.check(of_session.extent, &limits)?;
+            Ok::<_, Problem>((of_session.rest.posed(q, strength, of_session.extent), output))
         };
-        let ((q, alignment), canvas) = self.0.pool.run(&ticket, parse).await??;
-        let job = ReportJob { owner: id.owner(), setup, q, alignment, extent, canvas, quota };
+        let ((q, alignment), output) = self.0.pool.run(&ticket, parse).await??;
+        drop(ticket);
+        let region = self.region_of(client, &record, output.canvas).await?;
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+        let job = ReportJob { owner: id.owner(), setup, q, alignment, output, region, quota };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, alignment, extent, canvas, quota } = job;
+        let ReportJob { owner, setup, q, alignment, output, region, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
@@ -99,7 +101,9 @@ impl App {
             let pose = setup.pose(&q)?;
             let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
             let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
-            let canvas = canvas.of(extent, &posed, &is_cancelled)?;
+            let region = region.as_ref().and_then(Content::region).cloned();
+            let posed = region.into_iter().fold(posed, Posed::within);
+            let canvas = output.canvas.of(setup.source(), &posed, &is_cancelled)?;
             let inverse_bytes = to_invert.as_ref().map_or(0, |planned| planned.setup.posed_bytes());
             app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes)?;
             let quality = app.0.pool.run_parallel(|| {
@@ -112,7 +116,8 @@ impl App {
             stage("deform", began);
             app.metrics().prepared(&timing);
             let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).collect();
-            let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings };
+            let picture = canvas.map(|canvas| Frame::on_canvas(canvas, &output, Units::Px));
+            let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings, picture };
             let text = answer.text_bytes();
             app.reserve_more(&mut reservation, text as u64)?;
             let mut body = json_unless(cancel, &answer, text)?;

@@ -17,6 +17,9 @@ use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, extent};
 use crate::wire::{WarpObject, extent_in, merged, with_field, without};
 
+/// What a file with a warp object is called; it has a limit of its own.
+const WARP: &str = "warp object";
+
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
     path == Path::new("-")
@@ -30,8 +33,9 @@ pub(super) fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Failu
     let mut bytes = Vec::new();
     source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        let flag = if ["warp object", "annotations"].contains(&what) { "--max-warp-json-bytes" } else { "--max-body-bytes" };
-        let detail = format!("the {what} is larger than {limit} bytes; {flag} raises the limit");
+        let flag = if what == WARP { "--max-warp-json-bytes" } else { "--max-body-bytes" };
+        let is = if what.ends_with('s') { "are" } else { "is" };
+        let detail = format!("the {what} {is} larger than {limit} bytes; {flag} raises the limit");
         return Err(Problem::new(Code::TooLarge, detail).into());
     }
     Ok(bytes)
@@ -50,7 +54,7 @@ impl WarpInput {
     /// The text of the warp object with what options replace; an empty object if there is none.
     /// Errors: As [`read`]; not a JSON object.
     pub(super) fn json(&self, config: &Config) -> Result<Vec<u8>, Failure> {
-        let warp = self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read("warp object", path, config.max_warp_json_bytes))?;
+        let warp = self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read(WARP, path, config.max_warp_json_bytes))?;
         match &self.align {
             Some(class) => Ok(with_field(&warp, "align", &json!(class).to_string())?),
             None => Ok(warp),

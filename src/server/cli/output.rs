@@ -52,6 +52,12 @@ impl Sink<'_> {
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Failure> {
         self.file.write_all(bytes).map_err(|e| cannot_write(self.out, &e))
     }
+
+    /// Ends the line of a terminal.
+    /// Errors: As [`Self::put`].
+    pub(super) fn end_line(&mut self) -> Result<(), Failure> {
+        if is_stdio(self.out) && io::stdout().is_terminal() { self.put(b"\n") } else { Ok(()) }
+    }
 }
 
 fn cannot_write(out: &Path, e: &io::Error) -> Failure {
@@ -63,7 +69,7 @@ fn cannot_write(out: &Path, e: &io::Error) -> Failure {
 pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
     write(out, |sink| {
         sink.put(text)?;
-        if is_stdio(out) && io::stdout().is_terminal() { sink.put(b"\n") } else { Ok(()) }
+        sink.end_line()
     })
 }
 

@@ -118,9 +118,12 @@ pub struct PointsArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Annotations (JSON): points, polygons, boxes, geojson, inverse, refine; `-` reads standard input. Without this file they are read
-    /// from the warp object, as in the body of POST /points.
+    /// Annotations: a JSON object with points, polygons, boxes, geojson, inverse, refine; or a GeoJSON file, whose result is GeoJSON; `-`
+    /// reads standard input. Without this file they are read from the warp object, as in the body of POST /points.
     pub annotations: Option<PathBuf>,
+    /// Map from the picture that is drawn back to the image, as `"inverse": true` does.
+    #[arg(long, display_order = 4)]
+    pub inverse: bool,
     /// The size of the image.
     #[command(flatten)]
     pub extent: ExtentInput,
@@ -199,7 +202,8 @@ const WARP_EXAMPLE: &str = r#"Examples:
 const POINTS_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   echo '{"boxes": [[150, 90, 330, 150]]}' | mlswarp points warp.json - --image cat.png
-  echo '{"points": [[9, 9]], "inverse": true}' | mlswarp points warp.json - --extent 451,300"#;
+  echo '{"points": [[9, 9]], "inverse": true}' | mlswarp points warp.json - --extent 451,300
+  mlswarp points warp.json cells.geojson --extent 451,300 -o warped.geojson"#;
 
 const MAP_EXAMPLE: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
@@ -220,8 +224,8 @@ const BATCH_EXAMPLE: &str = r#"Examples:
 /// The options that limit the work of a subcommand. An empty help text stands for that of the server.
 const LIMITS: [(&str, &str); 8] = [
     ("workers", "Number of compute threads. auto = number of cores"),
-    ("max-body-bytes", "Maximum size of the image file, and of a landmark file"),
-    ("max-warp-json-bytes", "Maximum size of the warp object, and of the annotations"),
+    ("max-body-bytes", "Maximum size of the image file, of a landmark file, and of the annotations"),
+    ("max-warp-json-bytes", "Maximum size of the warp object"),
     ("max-image-pixels", ""),
     ("max-image-side", ""),
     ("max-columns", ""),

@@ -188,6 +188,11 @@ pub(crate) async fn warp_json(caller: &Caller, request: Request) -> Result<Bytes
     json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
 }
 
+/// Reads a JSON body with annotations or frames, which may be as large as any body.
+pub(crate) async fn large_json(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
+    json(caller, request, Purpose::Upload, "body_bytes", caller.app.config().max_body_bytes).await
+}
+
 /// Reads a body of any type, of at most `limit` bytes.
 pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     Ok(buffered(caller, request, purpose, what, limit).await?.finish())

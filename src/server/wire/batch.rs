@@ -7,17 +7,17 @@ use std::ops::Range;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{Easing, Jitter};
+use mlswarp::warp::{Easing, Frame, Jitter};
 use serde::Serialize;
 
-use super::annotations::{Annotations, MappedAnnotations};
+use super::annotations::Annotations;
 use super::enum_name::enum_name;
 use super::handles::handles;
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
 use super::rest::strength;
-use super::{AsJson, fields, json, layer};
+use super::{AsJson, fields, json, layer, require_length, text_bytes};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -130,17 +130,15 @@ impl BatchPoses {
 }
 
 impl BatchObject {
-    /// Reads the object. `most_bytes`: the most bytes of everything but the frames; `most_frame_bytes`: the most of one frame.
-    pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64) -> Result<Self, Problem> {
+    /// Reads the object. `most_bytes`: the most bytes of everything but frames and annotations; `most_frame_bytes`: the most of one frame;
+    /// `source`: the image of annotations.
+    pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64, source: Frame) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [frames, q, strength_, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
             root.fields(&fields::BATCH)?;
-        let of_frames = frames.map_or(0, |frames| frames.text.len());
-        let rest = (body.len() - of_frames) as u64;
-        if rest > most_bytes {
-            let detail = format!("the JSON of a batch has {rest} bytes without its frames; the limit is {most_bytes}");
-            return Err(Problem::new(Code::TooLarge, detail).limit("json_bytes", most_bytes, rest));
-        }
+        let [points, polygons, boxes, geojson, refine] = annotations;
+        let rest = body.len() - text_bytes([frames, points, polygons, boxes, geojson]);
+        require_length(rest, most_bytes, "its frames and annotations")?;
         let poses = match (frames, steps, jitter) {
             (Some(frames), ..) if frames.kind() == Kind::Number => {
                 let meant = frames.text.parse::<u32>().map_or_else(|_| String::new(), |n| format!(": {n}"));
@@ -183,8 +181,7 @@ impl BatchObject {
             }
         };
         let layers = optional(layers_, layers)?.unwrap_or_default();
-        let [points, polygons, boxes, geojson, refine] = annotations;
-        let annotations = Annotations::read([points, polygons, boxes, geojson, None, refine])?;
+        let annotations = Annotations::read(body, [points, polygons, boxes, geojson, None, refine], |_| source)?;
         let output = optional(output, OutputPatch::read)?.unwrap_or_default();
         let (delay, plays) = (optional(delay, read_delay)?, optional(loop_, read_plays)?);
         let object = Self { poses, layers, annotations, output, delay, plays, and_back: optional(and_back, Node::bool)?.unwrap_or(false) };
@@ -311,12 +308,13 @@ pub(crate) struct BatchFrame {
     /// Size of the picture, px.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// The part of the posed plane that the picture shows; absent if it is that of the source.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) canvas: Option<AsJson<Canvas>>,
+    /// The part of the posed plane that the picture shows.
+    pub(crate) canvas: AsJson<Canvas>,
+    /// px of the picture in a px of the canvas, along each axis.
+    pub(crate) scale: [f64; 2],
     /// Drawn cells that fold.
     pub(crate) folds: u64,
-    /// Largest distance between a posed handle and where it is drawn, px.
+    /// Largest distance between a posed handle and where it is drawn, px of the source.
     pub(crate) residual: f64,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'static str>,
@@ -331,22 +329,16 @@ pub(crate) struct BatchIndex<'a> {
     pub(crate) frames: &'a [BatchFrame],
 }
 
-/// The file of a frame's annotations.
-#[derive(Debug, Serialize)]
-pub(crate) struct FrameAnnotations<'a> {
-    /// Where jitter has posed the handles.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) q: Option<AsJson<&'a [Handle]>>,
-    #[serde(flatten)]
-    pub(crate) mapped: MappedAnnotations,
-}
-
 #[cfg(test)]
 mod tests {
+    use mlswarp::pixmap::Extent;
+    use mlswarp::warp::Units;
+
     use super::*;
 
     fn parse(text: &str) -> Result<BatchObject, Problem> {
-        BatchObject::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100)
+        let source = Frame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
+        BatchObject::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100, source)
     }
 
     #[test]
@@ -441,7 +433,8 @@ mod tests {
             position,
             width: 4,
             height: 3,
-            canvas: None,
+            canvas: AsJson(Canvas { x: -1, y: 0, extent: Extent::new(8, 6).unwrap() }),
+            scale: [0.5, 0.5],
             folds: 1,
             residual: 0.5,
             warnings: vec!["translation_only"],
@@ -450,12 +443,14 @@ mod tests {
         let between = FramePosition { strength: 0.5, t: Some(0.25), jitter: None };
         let jittered = FramePosition { strength: 1.0, t: None, jitter: Some(FrameJitter { seed: 7, frame: 1 }) };
         let frames = [frame(between, None), frame(jittered, Some("0001.json"))];
+        let canvas = serde_json::json!({"x": -1, "y": 0, "width": 8, "height": 6});
         assert_eq!(
             serde_json::to_value(BatchIndex { frames: &frames }).unwrap(),
             serde_json::json!({"frames": [
-                {"picture": "0000.png", "strength": 0.5, "t": 0.25, "width": 4, "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
+                {"picture": "0000.png", "strength": 0.5, "t": 0.25, "width": 4, "height": 3, "canvas": canvas, "scale": [0.5, 0.5],
+                 "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
                 {"picture": "0000.png", "annotations": "0001.json", "strength": 1.0, "jitter": {"seed": 7, "frame": 1}, "width": 4,
-                 "height": 3, "folds": 1, "residual": 0.5, "warnings": ["translation_only"]}
+                 "height": 3, "canvas": canvas, "scale": [0.5, 0.5], "folds": 1, "residual": 0.5, "warnings": ["translation_only"]}
             ]})
         );
     }

@@ -30,6 +30,9 @@ pub(crate) const WARP: [&str; 20] = [
 /// Fields of the warp object that only the response of `POST /landmarks` has.
 pub(crate) const OF_LANDMARKS: [&str; 3] = ["names", "format", "unmatched"];
 
+/// The annotations of a request.
+pub(crate) const ANNOTATIONS: [&str; 4] = ["points", "polygons", "boxes", "geojson"];
+
 /// The fields of `/points`: those of the warp object, then its own.
 pub(crate) const WARP_WITH_POINTS: [&str; WARP.len() + 7] = {
     let mut fields = [""; WARP.len() + 7];
@@ -47,7 +50,7 @@ pub(crate) const WARP_WITH_EXTENT: [&str; WARP.len() + 1] = {
 };
 
 /// The fields of `/sessions/{id}/points`.
-pub(crate) const POINTS_OF_SESSION: [&str; 8] = ["q", "strength", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
+pub(crate) const POINTS_OF_SESSION: [&str; 9] = ["q", "strength", "output", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
 
 /// The fields of `/map`: those of the warp object, then its own.
 pub(crate) const WARP_WITH_MAP: [&str; WARP.len() + 4] = {

@@ -24,10 +24,6 @@ pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
     node.list("an array of numbers", WEIGHT_TEXT, |index, item| number(&item, "a positive number").map_err(|problem| problem.handle(index)))
 }
 
-pub(crate) fn places(node: &Node<'_, '_>) -> Result<Vec<Point>, Problem> {
-    node.list("an array of positions", PLACE_TEXT, |_, item| place(&item, PLACE))
-}
-
 pub(crate) fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
     if node.kind() == Kind::Null {
         return Ok(Handle::Missing);

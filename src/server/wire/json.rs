@@ -6,6 +6,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::ops::Range;
 
 use serde::Deserialize;
 use serde_json::value::RawValue;
@@ -23,6 +24,8 @@ const MOST_MEMBERS: usize = 64;
 pub(crate) enum At<'p> {
     Root,
     Field(&'p At<'p>, &'static str),
+    /// A field whose name the client has chosen.
+    Member(&'p At<'p>, &'p str),
     Item(&'p At<'p>, usize),
 }
 
@@ -32,6 +35,9 @@ impl fmt::Display for At<'_> {
             Self::Root => Ok(()),
             // Known names contain neither `~` nor `/`: nothing to escape.
             Self::Field(parent, name) => write!(f, "{parent}/{name}"),
+            // The pointer ends before a name that a reader could not see.
+            Self::Member(parent, name) if is_unreadable(name) => write!(f, "{parent}"),
+            Self::Member(parent, name) => write!(f, "{parent}/{}", step(name)),
             Self::Item(parent, index) => write!(f, "{parent}/{index}"),
         }
     }
@@ -197,11 +203,10 @@ impl<'j, 'p> Node<'j, 'p> {
 
     /// The JSON pointer to an unknown field; to this object if the name is long or has characters that a reader would not see.
     fn pointer_to(&self, name: &str) -> String {
-        if name.chars().nth(LONGEST_QUOTE).is_some() || name.contains(is_unseen) {
+        if is_unreadable(name) {
             return self.at.to_string();
         }
-        // One step (RFC 6901, section 3).
-        format!("{}/{}", self.at, name.replace('~', "~0").replace('/', "~1"))
+        format!("{}/{}", self.at, step(name))
     }
 
     pub(crate) fn bool(&self) -> Result<bool, Problem> {
@@ -253,6 +258,11 @@ impl<'j, 'p> Node<'j, 'p> {
             return Err(Problem::new(Code::MalformedRequest, format!("the field `{name}` is given twice")).pointer(pointer));
         }
         Ok((values.map(|value| value.filter(|node| node.kind() != Kind::Null)), unknown))
+    }
+
+    /// The name of a field as it is written, in its quotes, without them and without escapes.
+    pub(crate) fn name(written: &'j str) -> Option<Cow<'j, str>> {
+        serde_json::from_str(written).ok().map(|Name(name)| name)
     }
 
     /// The names, in their quotes, and the values of an object.
@@ -329,24 +339,42 @@ impl<'j, 'p> Node<'j, 'p> {
     }
 }
 
+fn is_unreadable(name: &str) -> bool {
+    name.chars().nth(LONGEST_QUOTE).is_some() || name.contains(is_unseen)
+}
+
+/// A name as one step of a pointer (RFC 6901, section 3).
+fn step(name: &str) -> String {
+    name.replace('~', "~0").replace('/', "~1")
+}
+
 /// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end, or when the work is cancelled.
 fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
-    let bytes = rest.as_bytes();
+    let range = value_from(rest.as_bytes(), 0, work)?;
+    let (value, after) = (rest.get(range.clone())?, rest.get(range.end..)?);
+    *rest = after;
+    Some(value)
+}
+
+/// Where the next value or field name is in the inside of a well-formed array or object, from a byte between two of them on; `None` at
+/// its end.
+pub(crate) fn next_value(text: &[u8], from: usize) -> Option<Range<usize>> {
+    value_from(text, from, None)
+}
+
+fn value_from(text: &[u8], from: usize, work: Option<&Work<'_>>) -> Option<Range<usize>> {
+    let bytes = text.get(from..)?;
     let is_between = |b: &u8| matches!(b, b' ' | b'\t' | b'\n' | b'\r' | b',' | b':');
     let start = match work {
         Some(work) => work.find(bytes, |b| !is_between(&b)),
         None => bytes.iter().take_while(|b| is_between(b)).count(),
     };
-    if matches!(bytes[start..], [b']' | b'}', ..]) {
+    if matches!(bytes[start..], [] | [b']' | b'}', ..]) {
         return None;
     }
     let length = length(&bytes[start..], work);
-    if work.is_some_and(Work::is_stopped) {
-        return None;
-    }
-    let (value, after) = rest[start..].split_at_checked(length)?;
-    *rest = after;
-    (!value.is_empty()).then_some(value)
+    let is_whole = length > 0 && !work.is_some_and(Work::is_stopped);
+    is_whole.then_some(from + start..from + start + length)
 }
 
 /// The length of the value at the start of a well-formed text; wrong once the work is cancelled.

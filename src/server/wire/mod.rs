@@ -33,11 +33,14 @@ mod write;
 #[cfg(test)]
 pub(crate) mod tests;
 
+use bytes::Bytes;
+
 use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-pub use annotations::{Annotation, Annotations, MappedAnnotations, reading_bytes};
-pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FrameJitter, FramePosition, in_frame};
+pub(crate) use annotations::is_geojson;
+pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, Reserve, reading_bytes};
+pub(crate) use batch::{BatchFrame, BatchIndex, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
@@ -50,7 +53,7 @@ pub(crate) use merge::{extent_in, merged, split_batch, with_field, without};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Candidate, Folds, OutputSpec, RestSpec};
+use mlswarp::warp::{Alignment, Candidate, Folds, Frame, OutputSpec, RestSpec, Units};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
@@ -230,30 +233,56 @@ pub struct PointsObject {
     pub q: Vec<Handle>,
     /// How much of the way from p to q the handles are moved.
     pub strength: f64,
+    /// The picture that posed positions belong to.
+    pub output: OutputSpec,
     /// What is mapped.
     pub annotations: Annotations,
 }
 
 impl PointsObject {
-    /// Reads the object of `/points`. `q` may be absent if there is no `p`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
-        let root = json::root(json)?;
+    /// Reads the object of `/points`. `q` may be absent if there is no `p`. `most_bytes`: the most bytes of everything but annotations.
+    pub fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
+        let root = json::root(body)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
+        require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
         let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
-        let annotations = Annotations::read([a, b, c, d, e, f])?;
+        let (output, units) = (warp.output, warp.rest.units);
+        let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
         warp.posed()?;
-        Ok(Self { warp: Some((warp, extent)), q: Vec::new(), strength: 1.0, annotations })
+        Ok(Self { warp: Some((warp, extent)), q: Vec::new(), strength: 1.0, output, annotations })
     }
 
-    /// Reads the object of `/sessions/{id}/points`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
-        let root = json::root(json)?;
-        let [q, strength_, annotations @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
-        let annotations = Annotations::read(annotations)?;
+    /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the session.
+    pub fn parse_posed(body: &Bytes, most_bytes: u64, (extent, units): (Extent, Units), output: &OutputSpec) -> Result<Self, Problem> {
+        let root = json::root(body)?;
+        let [q, strength_, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
+        require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
+        let output = optional(output_, OutputPatch::read)?.unwrap_or_default().merge_onto(output);
+        let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
         let strength = optional(strength_, strength)?.unwrap_or(1.0);
-        Ok(Self { warp: None, q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?, strength, annotations })
+        let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;
+        Ok(Self { warp: None, q, strength, output, annotations })
     }
+}
+
+/// The image of annotations: the picture if they are mapped by the inverse, otherwise the source.
+fn image_of(output: &OutputSpec, source: Extent, units: Units) -> impl FnOnce(bool) -> Frame {
+    move |is_inverse| if is_inverse { Frame::requested(output, source, units) } else { Frame::of_source(source, units) }
+}
+
+/// Bytes of the values of fields.
+fn text_bytes<const N: usize>(nodes: [Option<Node<'_, '_>>; N]) -> usize {
+    nodes.into_iter().flatten().map(|node| node.text.len()).sum()
+}
+
+/// Errors: JSON without its `large` fields is longer than a limit.
+fn require_length(length: usize, most_bytes: u64, large: &str) -> Result<(), Problem> {
+    if length as u64 <= most_bytes {
+        return Ok(());
+    }
+    let detail = format!("the JSON has {length} bytes without {large}; the limit is {most_bytes}");
+    Err(Problem::new(Code::TooLarge, detail).limit("json_bytes", most_bytes, length))
 }
 
 const SIZE: &str = "a size: [width, height] in pixels";

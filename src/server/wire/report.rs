@@ -1,9 +1,9 @@
 //! `POST /report` and `/sessions/{id}/report`: the request without an image, and the response.
 
 use mlswarp::deform::Class;
-use mlswarp::geometry::{FoldRegions, Orientation, Summary};
+use mlswarp::geometry::{FoldRegions, Orientation, Point, Summary};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Quality, RoundTrip, ToleranceQuality};
+use mlswarp::warp::{Alignment, Frame, Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::{AsJson, EXTENT, WarningEntry, WarpObject, WarpPatch, fields, json, size};
@@ -44,6 +44,8 @@ pub struct ReportAnswer<'a> {
     pub alignment: Option<Alignment>,
     /// Those of the header `Warp-Warning`, with their figures.
     pub warnings: &'a [WarningEntry],
+    /// The picture that the output asks for, in px; `None` if `fit` has nothing to show. Boxes are in its frame.
+    pub picture: Option<Frame>,
 }
 
 impl ReportAnswer<'_> {
@@ -61,13 +63,17 @@ impl ReportAnswer<'_> {
 impl Serialize for ReportAnswer<'_> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let Quality { residuals, folds, orientation, distortion, canvas, covered, tolerance, coincident, round_trip } = self.quality;
-        let mut object = s.serialize_map(Some(12))?;
+        let picture = self.picture;
+        let mut object = s.serialize_map(Some(15))?;
         object.serialize_entry("residuals", residuals)?;
-        object.serialize_entry("folds", &AsJson(folds))?;
+        object.serialize_entry("folds", &AsJson((folds, picture)))?;
         object.serialize_entry("mirrored", &(*orientation == Orientation::Mirrored))?;
         object.serialize_entry("area_factor", &distortion.area_factor.map(AsJson))?;
         object.serialize_entry("shear", &distortion.shear.map(AsJson))?;
         object.serialize_entry("canvas", &canvas.map(AsJson))?;
+        object.serialize_entry("width", &picture.map(|picture| picture.image().width()))?;
+        object.serialize_entry("height", &picture.map(|picture| picture.image().height()))?;
+        object.serialize_entry("scale", &picture.map(|picture| picture.scale()))?;
         object.serialize_entry("covered", covered)?;
         object.serialize_entry("tolerance", &tolerance.map(AsJson))?;
         object.serialize_entry("coincident", &AsJson(coincident.as_slice()))?;
@@ -78,14 +84,21 @@ impl Serialize for ReportAnswer<'_> {
     }
 }
 
-impl Serialize for AsJson<&FoldRegions> {
+/// Folds, with boxes in the frame of a picture.
+impl Serialize for AsJson<(&FoldRegions, Option<Frame>)> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let FoldRegions { cells, share, regions, boxes } = self.0;
+        let (FoldRegions { cells, share, regions, boxes }, picture) = self.0;
+        let corner = |x, y| picture.map_or(Point::new(x, y), |picture| picture.from_plane(Point::new(x, y)));
+        let shown = |[left, top, right, bottom]: &[f64; 4]| {
+            let (first, last) = (corner(*left, *top), corner(*right, *bottom));
+            [first.x, first.y, last.x, last.y]
+        };
+        let boxes: Vec<[f64; 4]> = boxes.iter().map(shown).collect();
         let mut object = s.serialize_map(Some(4))?;
         object.serialize_entry("cells", cells)?;
         object.serialize_entry("share", share)?;
         object.serialize_entry("regions", regions)?;
-        object.serialize_entry("boxes", boxes)?;
+        object.serialize_entry("boxes", &boxes)?;
         object.end()
     }
 }

@@ -58,13 +58,21 @@ impl UnreadHandles {
         }
     }
 
+    /// How much of the way from p to q the handles are moved.
+    pub(crate) const fn strength(&self) -> f64 {
+        match self {
+            Self::Json { strength, .. } => *strength,
+            Self::Binary(_) => 1.0,
+        }
+    }
+
     /// `rest`: the handles at rest on a picture of this extent. Alignment and strength need their positions, and numbers their shapes.
     pub(crate) fn read(&self, rest: &RestSpec, extent: Extent) -> Result<Vec<Handle>, Problem> {
-        let (q, strength) = match self {
-            Self::Json { text, strength } => (handles(&Node::new(text, At::Field(&At::Root, "q")))?, *strength),
-            Self::Binary(bytes) => (read_binary(bytes, &rest.p)?, 1.0),
+        let q = match self {
+            Self::Json { text, .. } => handles(&Node::new(text, At::Field(&At::Root, "q")))?,
+            Self::Binary(bytes) => read_binary(bytes, &rest.p)?,
         };
-        Ok(rest.posed(q, strength, extent).0)
+        Ok(rest.posed(q, self.strength(), extent).0)
     }
 }
 
@@ -147,9 +155,12 @@ pub(crate) struct FrameReport<'a> {
     /// Size of the frame, px; of the source if the frame is a mesh.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// The part of the posed plane that the picture shows; absent if it is that of the source.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) canvas: Option<AsJson<Canvas>>,
+    /// The part of the posed plane that the picture shows; that of the source if the frame is a mesh.
+    pub(crate) canvas: AsJson<Canvas>,
+    /// px of the picture in a px of the canvas, along each axis.
+    pub(crate) scale: [f64; 2],
+    /// How much of the way from p to q the handles are moved.
+    pub(crate) strength: f64,
     /// Not a preview.
     pub(crate) full: bool,
     /// Of the file, or `mesh`.
@@ -159,7 +170,7 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) quality: Option<u8>,
     /// Drawn cells that fold.
     pub(crate) folds: u64,
-    /// Largest distance between a posed handle and where it is drawn, px.
+    /// Largest distance between a posed handle and where it is drawn, px of the source.
     pub(crate) residual: f64,
     /// Largest distance between a compact mesh and the full one, px.
     #[serde(skip_serializing_if = "Option::is_none")]

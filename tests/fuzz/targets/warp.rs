@@ -7,9 +7,14 @@ use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{CoordinateMap, Folds, Image, ImageLimits, Limits, MapFormat, Posed, Quality, Setup, Subject, Warp};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{
+    CoordinateMap, Folds, Frame, Image, ImageLimits, Limits, MapFormat, OutputSpec, Posed, Quality, Setup, Subject, Units, Warp,
+};
 use mlswarp_server::problem::Problem;
-use mlswarp_server::wire::{BatchObject, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarningEntry, WarpObject};
+use mlswarp_server::wire::{
+    BatchObject, Cursor, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarningEntry, WarpObject,
+};
 
 use serde_json::{Map, Value};
 
@@ -30,8 +35,8 @@ pub(super) fn parse(bytes: &[u8]) {
     let refused = match route % 11 {
         0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
         3 => as_with_nulls("Drag", json, DragObject::parse).err(),
-        4 => as_with_nulls("Points", json, PointsObject::parse).and_then(|object| mapped(&object)).err(),
-        5 => as_with_nulls("PosedPoints", json, PointsObject::parse_posed).err(),
+        4 => as_with_nulls("Points", json, points).and_then(|object| mapped(&object)).err(),
+        5 => as_with_nulls("PosedPoints", json, posed_points).err(),
         6 => as_with_nulls("Map", json, MapObject::parse).and_then(|object| inverted(&object)).err(),
         7 => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
         8 => as_with_nulls("Batch", json, batch).err(),
@@ -64,7 +69,8 @@ fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8
 type Poses = (u32, Vec<Result<(Vec<Handle>, f64), Problem>>);
 
 fn batch(json: &[u8]) -> Result<Poses, Problem> {
-    let object = BatchObject::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16)?;
+    let source = Frame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
+    let object = BatchObject::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16, source)?;
     let count = object.poses.count();
     assert!((1..=10_000).contains(&count), "{count}");
     Ok((count, (0..count.min(100)).map(|frame| object.poses.given(frame)).collect()))
@@ -82,7 +88,7 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
     assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
     let warnings: Vec<_> = posed.report().warnings.iter().map(WarningEntry::from).collect();
-    let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings };
+    let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings, picture: None };
     let text = serde_json::to_vec(&answer).expect("a report is JSON");
     assert!(text.len() <= answer.text_bytes(), "{} bytes", text.len());
     Ok(())
@@ -130,8 +136,18 @@ fn mapped(object: &PointsObject) -> Result<(), Problem> {
     let pose = setup.pose(warp.posed()?)?;
     let posed = Posed::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
     let transform = if object.annotations.is_inverse { setup.inverse(&pose, posed.mesh()) } else { setup.transform(&pose) };
-    let mapped = object.annotations.clone().map(&transform, &|| false)?;
-    // JSON has no other numbers.
-    assert!(!serde_json::to_string(&mapped).expect("JSON").contains("NaN"), "{mapped:?}");
+    let transform = transform.onto(Frame::requested(&object.output, extent, warp.rest.units));
+    let (mut cursor, mut out) = (Cursor::default(), Vec::new());
+    while object.annotations.map_part(&mut cursor, &transform, &|| false, &mut |_| Ok(()), &mut out)? {}
+    let _: Value = serde_json::from_slice(&out).expect("JSON");
     Ok(())
+}
+
+fn points(json: &[u8]) -> Result<PointsObject, Problem> {
+    PointsObject::parse(&Bytes::copy_from_slice(json), 1 << 20)
+}
+
+fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
+    let of_session = (Extent::new(40, 30).expect("a size"), Units::Px);
+    PointsObject::parse_posed(&Bytes::copy_from_slice(json), 1 << 20, of_session, &OutputSpec::default())
 }

@@ -8,7 +8,8 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, Holes, OutputSpec, Plan};
+use mlswarp::warp::{CanvasSpec, Folds, Frame as PictureFrame, Holes, OutputSpec, Plan};
+use serde_json::json;
 
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, Rest};
@@ -25,11 +26,12 @@ use crate::observe::stages::Timing;
 use crate::pool::Cancel;
 use crate::problem::Problem;
 use crate::store::Record;
-use crate::wire::annotations::Annotations;
-use crate::wire::{AsJson, BatchFrame, BatchPoses, FrameAnnotations, FramePosition, in_frame};
+use crate::wire::{Annotations, AsJson, BatchFrame, BatchPoses, Cursor, in_frame};
 
 /// Time after which a survey gives its worker back, so that other clients do not wait for all of its frames.
 const MAX_SURVEY_TIME: Duration = Duration::from_millis(20);
+/// Text of an ordinary handle, bytes; longer ones are reserved when they are sent.
+const HANDLE_TEXT: u64 = 64;
 
 /// Everything that the frames of a batch have in common.
 #[derive(Debug)]
@@ -181,11 +183,6 @@ impl BatchJob {
         let pose = self.pose_number(frame);
         let located = |problem| self.located(pose, problem);
         let FramePose { q, position } = self.rest.pose_of(&self.poses, pose)?;
-        let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
-            Some((format!("{frame:04}.json"), self.annotate(&q, position, cancel).map_err(located)?))
-        } else {
-            None
-        };
         let is_cancelled = || cancel.is_cancelled();
         let (mut layers, mut layer_files) = (BTreeMap::new(), Vec::new());
         for (layer, content) in &self.layers {
@@ -196,6 +193,14 @@ impl BatchJob {
         }
         let job = self.draw_job(&self.content, q, timing);
         let DrawnFile { report, target, bytes } = self.app.draw_file(&job, &is_cancelled).map_err(located)?;
+        let picture = self.rest.setup.frame_of(target);
+        let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
+            Some((format!("{frame:04}.json"), self.annotate(&job.q, picture, cancel).map_err(located)?))
+        } else {
+            None
+        };
+        let mut warnings = report.warnings;
+        self.annotations.add_warnings(&self.rest.setup.source_frame(), &mut warnings);
         let entry = BatchFrame {
             layers,
             picture: format!("{frame:04}.{}", self.output.format.extension()),
@@ -203,10 +208,11 @@ impl BatchJob {
             position,
             width: target.extent.width(),
             height: target.extent.height(),
-            canvas: target.canvas.map(AsJson),
+            canvas: AsJson(picture.canvas()),
+            scale: picture.scale(),
             folds: report.folds,
             residual: report.residual,
-            warnings: report.warnings.iter().map(|warning| warning.code()).collect(),
+            warnings: warnings.iter().map(|warning| warning.code()).collect(),
             exceeded: (report.exceeded > 0).then_some(report.exceeded),
         };
         let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(layer_files).chain(annotations).collect();
@@ -216,17 +222,20 @@ impl BatchJob {
         Ok(Frame { packed: self.form.pack(files)?, entry, held })
     }
 
-    /// The annotations of a frame as JSON, as `/points` returns them.
-    fn annotate(&self, q: &[Handle], position: FramePosition, cancel: &Cancel) -> Result<Bytes, Problem> {
-        let least = self.annotations.least_mapped_bytes() + 2 * self.rest.spec().p.len() as u64;
-        let mut reservation = self.app.reserve_for(Purpose::Frame, &self.quota, least)?;
+    /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture; with jitter, also the handles.
+    fn annotate(&self, q: &[Handle], picture: PictureFrame, cancel: &Cancel) -> Result<Bytes, Problem> {
         let pose = self.rest.setup.pose(q)?;
-        let mapped = self.annotations.clone().map(&self.rest.setup.transform(&pose), &|| cancel.is_cancelled())?;
-        let text = mapped.text_bytes();
-        // Refined outlines have more vertices than those of the request.
-        self.app.reserve_more(&mut reservation, text as u64)?;
-        let q = position.jitter.is_some().then_some(AsJson(q));
-        let mut body = json_unless(cancel, &FrameAnnotations { q, mapped }, text)?;
+        let transform = self.rest.setup.transform(&pose).onto(picture);
+        let mut reservation = self.app.reserve_for(Purpose::Frame, &self.quota, HANDLE_TEXT * q.len() as u64)?;
+        let (mut cursor, mut body) = (Cursor::default(), Vec::new());
+        if matches!(self.poses, BatchPoses::Jitter { .. }) {
+            body = json_unless(cancel, &json!({"q": AsJson(q)}), 0)?;
+            body.pop();
+            cursor = Cursor::after_fields();
+        }
+        let is_cancelled = || cancel.is_cancelled();
+        let mut reserve = |bytes| self.app.reserve_more(&mut reservation, bytes);
+        while self.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut body)? {}
         body.shrink_to_fit();
         reservation.shrink_to(body.len() as u64);
         Ok(reservation.attach(body))

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, OutputSpec, RestSpec, Setup, jitter_grid};
+use mlswarp::warp::{CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Setup, Warning, jitter_grid};
 
 use super::App;
 use super::draw::Planned;
@@ -40,6 +40,8 @@ pub(crate) struct Batch {
     pub(crate) canvas: Option<Canvas>,
     /// Whether the plan was built for this request.
     pub(crate) plan_built: bool,
+    /// Those of the annotations; the index has those of each frame.
+    pub(crate) warnings: Vec<Warning>,
     /// The first bytes of the file.
     pub(crate) first: Bytes,
     /// The others.
@@ -61,7 +63,9 @@ impl App {
         let record = self.touch(id, None).await?.record;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (most, most_of_frame) = (self.0.config.max_warp_json_bytes, most_frame_bytes(columns(&record)));
-        let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
+        let source = PictureFrame::of_source(record.extent, record.rest.units);
+        let parse = move |_: &_| BatchObject::parse(&json, most, most_of_frame, source);
+        let object = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         check_form(&object, form)?;
         let frames = object.count();
@@ -105,9 +109,11 @@ impl App {
             CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
             _ => None,
         };
+        let mut warnings = Vec::new();
+        job.annotations.add_warnings(&source, &mut warnings);
         let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0))?;
         let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
-        Ok(Batch { frames, canvas, plan_built: planned.is_built, first, rest })
+        Ok(Batch { frames, canvas, plan_built: planned.is_built, warnings, first, rest })
     }
 }
 

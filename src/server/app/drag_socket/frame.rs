@@ -6,7 +6,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
-use mlswarp::warp::{Align, CanvasSpec, CompactLattice, OutputSpec, Report, Target};
+use mlswarp::warp::{Align, CanvasSpec, CompactLattice, Frame as PictureFrame, OutputSpec, Report};
 use tokio::sync::Semaphore;
 
 use super::same;
@@ -132,7 +132,7 @@ async fn try_draw_frame(
     let quota = app.response_quota(client);
     // Once per frame, not once per pose: the store knows whether the session still exists and has changed.
     let record = app.touch(id, None).await?.record;
-    let seq = request.pose.seq;
+    let (seq, strength) = (request.pose.seq, request.pose.q.strength());
     match form {
         Form::Picture(_) | Form::Auto => {
             let format = if let Form::Picture(format) = form { format } else { None };
@@ -148,7 +148,9 @@ async fn try_draw_frame(
             let quality = (format == Format::Jpeg).then_some(output.quality);
             let (pieces, cost) = collect(picture).await?;
             let file = (format.media_type().trim_start_matches("image/"), quality);
-            let report = report_json(seq, target, preview.is_none(), file, (&report, None), timing, cost);
+            let picture = PictureFrame::of_target(target, record.extent, record.rest.units);
+            let head = ReportHead { seq, strength, picture, full: preview.is_none() };
+            let report = report_json(head, file, (&report, None), timing, cost);
             Ok(Frame { seq, record, shape, pieces, report })
         }
         Form::Mesh | Form::CompactMesh(_) => {
@@ -159,8 +161,9 @@ async fn try_draw_frame(
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
             let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
-            let target = Target { canvas: None, extent: record.extent, force_alpha: false };
-            let report = report_json(seq, target, true, ("mesh", None), (&report, error), timing, Cost::default());
+            let picture = PictureFrame::of_source(record.extent, record.rest.units);
+            let head = ReportHead { seq, strength, picture, full: true };
+            let report = report_json(head, ("mesh", None), (&report, error), timing, Cost::default());
             Ok(Frame { seq, record, shape, pieces: vec![body], report })
         }
     }
@@ -216,12 +219,19 @@ async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
     }
 }
 
+/// What a report says first.
+struct ReportHead {
+    seq: u64,
+    strength: f64,
+    picture: PictureFrame,
+    /// Not a preview.
+    full: bool,
+}
+
 /// `file`: its format, and the quality of a JPEG; `error`: of a compact mesh.
 fn report_json(
-    seq: u64,
-    target: Target,
-    full: bool,
-    file: (&'static str, Option<u8>),
+    ReportHead { seq, strength, picture, full }: ReportHead,
+    (format, quality): (&'static str, Option<u8>),
     (report, error): (&Report, Option<f64>),
     timing: Timing,
     cost: Cost,
@@ -229,13 +239,24 @@ fn report_json(
     let ms = |time: Duration| (time.as_secs_f64() * 1e6).round() / 1e3;
     let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
-    let (width, height) = (target.extent.width(), target.extent.height());
     let Report { folds, residual, exceeded, ref coincident, .. } = *report;
-    let exceeded = (exceeded > 0).then_some(exceeded);
-    let coincident = (!coincident.is_empty()).then_some(AsJson(coincident.as_slice()));
-    let canvas = target.canvas.map(AsJson);
-    let (format, quality) = file;
-    let report =
-        FrameReport { seq, width, height, canvas, full, format, quality, folds, residual, error, warnings, exceeded, coincident, timing };
+    let report = FrameReport {
+        seq,
+        width: picture.image().width(),
+        height: picture.image().height(),
+        canvas: AsJson(picture.canvas()),
+        scale: picture.scale(),
+        strength,
+        full,
+        format,
+        quality,
+        folds,
+        residual,
+        error,
+        warnings,
+        exceeded: (exceeded > 0).then_some(exceeded),
+        coincident: (!coincident.is_empty()).then_some(AsJson(coincident.as_slice())),
+        timing,
+    };
     serde_json::to_string(&report).expect("an object of numbers and codes")
 }

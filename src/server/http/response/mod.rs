@@ -20,6 +20,7 @@ use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Picture, Piece};
 use crate::app::map::MapFile;
 use crate::app::plan::PlanFile;
+use crate::app::points::MappedFile;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
 use crate::problem::Problem;
@@ -33,6 +34,23 @@ const WARP_PLAN: HeaderName = HeaderName::from_static("warp-plan");
 const WARP_FOLDS: HeaderName = HeaderName::from_static("warp-folds");
 const WARP_RESIDUAL: HeaderName = HeaderName::from_static("warp-residual");
 const WARP_WARNING: HeaderName = HeaderName::from_static("warp-warning");
+
+/// Mapped annotations, of which later parts are mapped as they are sent.
+pub(crate) fn mapped(file: MappedFile) -> Response {
+    let MappedFile { warnings, canvas, method, first, rest } = file;
+    let mut headers = HeaderMap::new();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/json"));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    if let Some(canvas) = canvas {
+        headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
+    }
+    insert_warnings(&mut headers, &warnings);
+    let response = match rest {
+        None => (headers, first).into_response(),
+        Some(rest) => streamed(headers, first, unfold(rest, async |mut rest| Some((rest.next().await?, rest)))),
+    };
+    with_method(response, method)
+}
 
 /// A response with the warnings of its handles.
 pub(crate) fn with_warnings(mut response: Response, warnings: &[mlswarp::warp::Warning]) -> Response {
@@ -175,6 +193,7 @@ pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
     if let Some(canvas) = batch.canvas {
         headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
     }
+    insert_warnings(&mut headers, &batch.warnings);
     headers
 }
 

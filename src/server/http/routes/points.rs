@@ -4,21 +4,20 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 
 use super::sessions::session_id;
-use crate::http::body::warp_json;
+use crate::http::body::large_json;
 use crate::http::middleware::authentication::Caller;
-use crate::http::response::{json_text, with_method, with_warnings};
+use crate::http::response::mapped;
 use crate::problem::Problem;
+use crate::wire::Cursor;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = warp_json(&caller, request).await?;
-    let ((json, warnings), method) = caller.app.points_once(caller.client, body).await?;
-    Ok(with_method(with_warnings(json_text(json), &warnings), method))
+    let body = large_json(&caller, request).await?;
+    Ok(mapped(caller.app.points_once(caller.client, body, Cursor::default()).await?))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     caller.app.peek_session(id).await?;
-    let body = warp_json(&caller, request).await?;
-    let (json, warnings) = caller.app.points_session(caller.client, id, body).await?;
-    Ok(with_warnings(json_text(json), &warnings))
+    let body = large_json(&caller, request).await?;
+    Ok(mapped(caller.app.points_session(caller.client, id, body).await?))
 }

@@ -1,221 +1,236 @@
-//! A GeoJSON FeatureCollection (RFC 7946) as the client wrote it. Geometries are read and written by the `geojson` crate; everything else
-//! (ids, properties, foreign members, order, white space) stays the client's text, byte for byte.
+//! GeoJSON (RFC 7946) as the client wrote it: a FeatureCollection, a list of features, one feature,
+//! or one geometry. Every member of a feature that is a geometry is mapped, such as the
+//! `nucleusGeometry` of QuPath, and every such member of its `properties`. Only positions and
+//! bounding boxes are replaced; everything else stays the client's text, byte for byte.
 
-use std::fmt::Write as _;
-use std::ops::Range;
-
-use geojson::{Geometry, GeometryValue, Position};
 use mlswarp::geometry::Point;
 use mlswarp::warp::Edges;
 
-use super::super::json::{Kind, Node};
+use super::super::json::{At, Kind, Node};
+use super::super::number::number;
+use super::reader::{Geometry, Object, Reader};
+use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
-const COLLECTION: &str = "a GeoJSON FeatureCollection: {\"type\": \"FeatureCollection\", \"features\": [...]}";
-const FEATURE: &str = "a GeoJSON Feature: {\"type\": \"Feature\", \"geometry\": {...}, \"properties\": {...}}";
-/// Most objects in a geometry: those of a GeometryCollection, or foreign members. Each takes several hundred bytes of memory.
-const MOST_OBJECTS: usize = 1000;
+const SHAPES: &str = "GeoJSON: a FeatureCollection, a list of features, one Feature, or one geometry";
+const FEATURES: &str = "an array of GeoJSON features";
+const OBJECT: &str = "a GeoJSON Feature or geometry: {\"type\": ...}";
+const GEOMETRY: &str = "a GeoJSON geometry: {\"type\": \"Polygon\", \"coordinates\": [...]}";
+const POSITION: &str = "a position: [x, y]";
+/// GeometryCollections that may contain one another.
+const DEEPEST: usize = 16;
 
-/// A FeatureCollection: its text, and what is replaced in it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FeatureCollection {
-    text: String,
-    features: Vec<Feature>,
-    bbox: Option<Range<usize>>,
+const COLLECTION: &str = "GeometryCollection";
+/// The geometries with coordinates: how deep their lists of positions are, and what connects those.
+const GEOMETRIES: [(&str, usize, Edges); 6] = [
+    ("Point", 0, Edges::None),
+    ("MultiPoint", 0, Edges::None),
+    ("LineString", 0, Edges::Open),
+    ("MultiLineString", 1, Edges::Open),
+    ("Polygon", 1, Edges::Open),
+    ("MultiPolygon", 2, Edges::Open),
+];
+
+/// The outermost form, which the response has too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shape {
+    List,
+    FeatureCollection,
+    Single,
 }
 
-/// A feature: where its geometry and bounding box are in the text.
-#[derive(Clone, Debug, PartialEq)]
-struct Feature {
-    geometry: Option<(Range<usize>, Geometry)>,
-    bbox: Option<Range<usize>>,
-}
-
-/// Positions of a geometry that are mapped together.
-pub(super) enum Part<'a> {
-    /// A position.
-    Position(&'a mut Position),
-    /// Positions without edges.
-    Positions(&'a mut Vec<Position>),
-    /// A line, or a ring that ends where it begins.
-    Line(&'a mut Vec<Position>),
-}
-
-/// The smallest box that contains positions.
-#[derive(Clone, Copy, Debug)]
-struct Bounds([f64; 4]);
-
-impl FeatureCollection {
-    pub(super) fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        if node.kind() != Kind::Object {
-            return Err(node.wrong_kind(COLLECTION));
+/// The form of a text, and the text of its features.
+/// Errors: Not GeoJSON.
+pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(Shape, &'j str), Problem> {
+    match node.kind() {
+        Kind::Array => return Ok((Shape::List, node.text)),
+        Kind::Object => {}
+        _ => return Err(node.wrong_kind(SHAPES)),
+    }
+    let [kind, features] = node.find(&["type", "features"])?;
+    let kind = kind.ok_or_else(|| node.missing("type", SHAPES))?;
+    match &*kind.string(SHAPES)? {
+        "FeatureCollection" => {
+            let features = features.ok_or_else(|| node.missing("features", FEATURES))?;
+            if features.kind() == Kind::Array { Ok((Shape::FeatureCollection, features.text)) } else { Err(features.wrong_kind(FEATURES)) }
         }
-        let start = node.text.as_ptr() as usize;
-        let range = |inner: &Node<'_, '_>| {
-            let from = inner.text.as_ptr() as usize - start;
-            from..from + inner.text.len()
+        name if name == "Feature" || is_geometry_type(name) => Ok((Shape::Single, node.text)),
+        name => Err(kind.unexpected(SHAPES, format_args!("the type {}", quote(name)))),
+    }
+}
+
+/// Whether a text is GeoJSON and not an object of annotations.
+pub(super) fn is_geojson(node: &Node<'_, '_>) -> bool {
+    let is_type = |name: &str| ["FeatureCollection", "Feature"].contains(&name) || is_geometry_type(name);
+    match node.kind() {
+        Kind::Array => true,
+        Kind::Object => type_of(node).is_some_and(|name| is_type(&name)),
+        _ => false,
+    }
+}
+
+/// The members of a FeatureCollection, without its features.
+pub(super) fn read_collection<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let first = reader.line_count();
+    let [bbox] = node.find(&["bbox"])?;
+    object(reader, |reader| {
+        members(node, &["type", "features", "bbox"], reader)?;
+        Ok((first..first, bbox.map(|bbox| bbox.text)))
+    })
+}
+
+/// A feature, or a geometry in place of one.
+pub(super) fn read_object<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    if node.kind() != Kind::Object {
+        return Err(node.wrong_kind(OBJECT));
+    }
+    let [kind] = node.find(&["type"])?;
+    let kind = kind.ok_or_else(|| node.missing("type", OBJECT))?;
+    let first = reader.line_count();
+    match &*kind.string(OBJECT)? {
+        "Feature" => object(reader, |reader| {
+            let [own, properties, bbox] = node.find(&["geometry", "properties", "bbox"])?;
+            own.map(|own| geometry(&own, reader)).transpose()?;
+            let own = first..reader.line_count();
+            members(node, &["type", "id", "geometry", "properties", "bbox"], reader)?;
+            if let Some(properties) = properties.filter(|p| p.kind() == Kind::Object) {
+                members(&properties, &[], reader)?;
+            }
+            Ok((own, bbox.map(|bbox| bbox.text)))
+        }),
+        name if is_geometry_type(name) => object(reader, |reader| {
+            geometry(node, reader)?;
+            Ok((first..reader.line_count(), None))
+        }),
+        name => Err(kind.unexpected(OBJECT, format_args!("the type {}", quote(name)))),
+    }
+}
+
+type Own<'j> = (std::ops::Range<usize>, Option<&'j str>);
+
+/// Reads an object with geometries by `read`.
+fn object<'j>(reader: &mut Reader<'j>, read: impl FnOnce(&mut Reader<'j>) -> Result<Own<'j>, Problem>) -> Result<(), Problem> {
+    let count = |reader: &Reader<'_>| reader.kept.as_ref().map_or(0, |kept| kept.geometries.len());
+    let first = count(reader);
+    let (own, bbox) = read(reader)?;
+    let geometries = first..count(reader);
+    if let Some(kept) = &mut reader.kept {
+        kept.objects.push(Object { geometries, own, bbox });
+    }
+    Ok(())
+}
+
+/// The members that are geometries, without the `known` ones.
+fn members<'j>(node: &Node<'j, '_>, known: &[&str], reader: &mut Reader<'j>) -> Result<(), Problem> {
+    for (name, text) in node.pairs().filter(|(_, text)| text.starts_with('{')) {
+        let Some(name) = Node::name(name).filter(|name| !known.contains(&&**name)) else { continue };
+        let member = Node { text, at: At::Member(&node.at, &name), work: node.work };
+        if is_geometry(&member) {
+            geometry(&member, reader)?;
+        }
+    }
+    Ok(())
+}
+
+fn type_of(node: &Node<'_, '_>) -> Option<String> {
+    let [kind] = node.find(&["type"]).ok()?;
+    kind?.string("").ok()
+}
+
+fn is_geometry_type(name: &str) -> bool {
+    name == COLLECTION || GEOMETRIES.iter().any(|(known, ..)| *known == name)
+}
+
+/// Whether a member that has any name is a geometry: it has the type and the list of one.
+fn is_geometry(node: &Node<'_, '_>) -> bool {
+    let Some(name) = type_of(node).filter(|name| is_geometry_type(name)) else { return false };
+    let list = if name == COLLECTION { "geometries" } else { "coordinates" };
+    node.find(&[list]).is_ok_and(|[list]| list.is_some_and(|list| list.kind() == Kind::Array))
+}
+
+fn geometry<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let (first, mut boxes) = (reader.line_count(), Vec::new());
+    nested(node, reader, &mut boxes, 0)?;
+    let lines = first..reader.line_count();
+    if let Some(kept) = &mut reader.kept {
+        kept.geometries.push(Geometry { text: node.text, lines, boxes });
+    }
+    Ok(())
+}
+
+/// A geometry, or one of a GeometryCollection.
+fn nested<'j>(
+    node: &Node<'j, '_>,
+    reader: &mut Reader<'j>,
+    boxes: &mut Vec<(&'j str, std::ops::Range<usize>)>,
+    depth: usize,
+) -> Result<(), Problem> {
+    if node.kind() != Kind::Object {
+        return Err(node.wrong_kind(GEOMETRY));
+    }
+    let [kind, coordinates, geometries, bbox] = node.find(&["type", "coordinates", "geometries", "bbox"])?;
+    let kind = kind.ok_or_else(|| node.missing("type", GEOMETRY))?;
+    let (name, first) = (kind.string(GEOMETRY)?, reader.line_count());
+    if name == COLLECTION {
+        if depth == DEEPEST {
+            let detail = format!("more than {DEEPEST} GeometryCollections contain one another");
+            return Err(node.problem(Code::BadValue, detail));
+        }
+        let missing = || node.missing("geometries", "an array of GeoJSON geometries");
+        geometries.ok_or_else(missing)?.items("an array of GeoJSON geometries", |_, inner| nested(&inner, reader, boxes, depth + 1))?;
+    } else {
+        let Some((_, depth, edges)) = GEOMETRIES.iter().find(|(known, ..)| *known == name) else {
+            return Err(kind.unexpected(GEOMETRY, format_args!("the type {}", quote(&name))));
         };
-        let [kind, features, bbox] = node.find(&["type", "features", "bbox"])?;
-        require_type(node, kind, "FeatureCollection", COLLECTION)?;
-        let features = features.ok_or_else(|| node.missing("features", "an array of GeoJSON features"))?;
-        let features = features.list("an array of GeoJSON features", 100, |_, feature| {
-            if feature.kind() != Kind::Object {
-                return Err(feature.wrong_kind(FEATURE));
-            }
-            let [kind, geometry, bbox] = feature.find(&["type", "geometry", "bbox"])?;
-            require_type(&feature, kind, "Feature", FEATURE)?;
-            let geometry = geometry.map(|node| Ok::<_, Problem>((range(&node), read_geometry(&node)?))).transpose()?;
-            Ok(Feature { geometry, bbox: bbox.map(|node| range(&node)) })
-        })?;
-        Ok(Self { bbox: bbox.map(|node| range(&node)), text: node.text.to_owned(), features })
+        let positions = coordinates.ok_or_else(|| node.missing("coordinates", "an array"))?;
+        if name == "Point" { single(&positions, reader)? } else { lists(&positions, *depth, *edges, reader)? }
     }
-
-    /// The parts of each feature's geometry, in their order.
-    pub(super) fn parts(&mut self) -> Vec<Vec<Part<'_>>> {
-        self.features.iter_mut().map(|feature| feature.geometry.as_mut().map_or_else(Vec::new, |(_, geometry)| parts(geometry))).collect()
+    // Only what is kept is replaced.
+    if let (Some(bbox), true) = (bbox, reader.kept.is_some()) {
+        boxes.push((bbox.text, first..reader.line_count()));
     }
-
-    /// The memory of the mapped text if nothing is refined, bytes.
-    pub(super) fn most_bytes(&self) -> usize {
-        /// A short position, `[0,0],`, becomes one of 52 bytes.
-        const GROWTH: usize = 9;
-        let geometries = self.features.iter().filter_map(|feature| feature.geometry.as_ref());
-        self.text.len() + GROWTH * geometries.map(|(range, _)| range.len()).sum::<usize>()
-    }
-
-    /// The text with the geometries as they are now; `null` for features that are not `kept`.
-    pub(super) fn into_text(mut self, kept: &[bool]) -> String {
-        let mut all = Bounds::EMPTY;
-        let mut replaced: Vec<(Range<usize>, String)> = Vec::new();
-        for (feature, kept) in self.features.iter_mut().zip(kept) {
-            let mut bounds = Bounds::EMPTY;
-            if let Some((range, mut geometry)) = feature.geometry.take() {
-                let text = if *kept {
-                    bounds.add(&mut geometry);
-                    drop_bounds(&mut geometry);
-                    serde_json::to_string(&geometry).unwrap_or_else(|_| "null".to_owned())
-                } else {
-                    "null".to_owned()
-                };
-                replaced.push((range, text));
-            }
-            all.merge(bounds);
-            replaced.extend(feature.bbox.take().map(|range| (range, bounds.text())));
-        }
-        replaced.extend(self.bbox.take().map(|range| (range, all.text())));
-        replaced.sort_by_key(|(range, _)| range.start);
-        let mut text = String::with_capacity(self.text.len() + replaced.iter().map(|(_, new)| new.len()).sum::<usize>());
-        let mut end = 0;
-        for (range, new) in replaced {
-            text += &self.text[end..range.start];
-            text += &new;
-            end = range.end;
-        }
-        text + &self.text[end..]
-    }
+    Ok(())
 }
 
-impl Part<'_> {
-    pub(super) fn positions(&self) -> &[Position] {
-        match self {
-            Self::Position(position) => std::slice::from_ref(*position),
-            Self::Positions(positions) | Self::Line(positions) => positions,
-        }
-    }
-
-    pub(super) fn points(&self) -> Vec<Point> {
-        self.positions().iter().map(|position| Point::new(position[0], position[1])).collect()
-    }
-
-    pub(super) const fn edges(&self) -> Edges {
-        if matches!(self, Self::Line(_)) { Edges::Open } else { Edges::None }
-    }
-
-    pub(super) fn replace(&mut self, points: &[Point]) {
-        let mut positions = points.iter().map(|point| Position::from([point.x, point.y]));
-        match self {
-            Self::Position(position) => **position = positions.next().unwrap_or_else(|| position.clone()),
-            Self::Positions(all) | Self::Line(all) => **all = positions.collect(),
-        }
-    }
-}
-
-fn require_type(node: &Node<'_, '_>, kind: Option<Node<'_, '_>>, name: &str, expected: &str) -> Result<(), Problem> {
-    let kind = kind.ok_or_else(|| node.missing("type", expected))?;
-    let found = kind.string(expected)?;
-    if found == name { Ok(()) } else { Err(kind.unexpected(expected, format_args!("the type {}", crate::problem::words::quote(&found)))) }
-}
-
-fn read_geometry(node: &Node<'_, '_>) -> Result<Geometry, Problem> {
-    if node.text.bytes().filter(|byte| *byte == b'{').count() > MOST_OBJECTS {
-        return Err(node.problem(Code::BadValue, format!("a geometry of more than {MOST_OBJECTS} objects; use several features")));
-    }
-    let bad = |what: &dyn std::fmt::Display| node.problem(Code::BadValue, format!("not a GeoJSON geometry: {what}"));
-    let mut geometry: Geometry = serde_json::from_str(node.text).map_err(|error| {
-        // The parser has no other sign of it.
-        if error.to_string().starts_with("number out of range") {
-            return node.problem(Code::NotFinite, "a number of the geometry exceeds the range of a 64-bit float");
-        }
-        bad(&error)
+/// The coordinates of a Point; an empty array is a point without a position.
+fn single<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let mut is_empty = true;
+    node.items::<Problem>(POSITION, |_, _| {
+        is_empty = false;
+        Ok(())
     })?;
-    match parts(&mut geometry).iter().flat_map(|part| part.positions()).find(|position| position.len() != 2) {
-        Some(position) => Err(bad(&format_args!("expected positions [x, y]; found one of {} numbers", position.len()))),
-        None => Ok(geometry),
+    if is_empty {
+        return Ok(());
     }
+    reader.line(node.text, Edges::None, true, |reader| position(node, reader))
 }
 
-fn parts(geometry: &mut Geometry) -> Vec<Part<'_>> {
-    let mut parts = Vec::new();
-    add_parts(&mut geometry.value, &mut parts);
-    parts
+/// Lists of positions in lists of this depth.
+fn lists<'j>(node: &Node<'j, '_>, depth: usize, edges: Edges, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    if depth > 0 {
+        return node.items("an array of arrays of positions", |_, inner| lists(&inner, depth - 1, edges, reader));
+    }
+    reader.line(node.text, edges, false, |reader| node.items("an array of positions", |_, item| position(&item, reader)))
 }
 
-fn add_parts<'a>(value: &'a mut GeometryValue, parts: &mut Vec<Part<'a>>) {
-    match value {
-        GeometryValue::Point { coordinates } => parts.push(Part::Position(coordinates)),
-        GeometryValue::MultiPoint { coordinates } => parts.push(Part::Positions(coordinates)),
-        GeometryValue::LineString { coordinates } => parts.push(Part::Line(coordinates)),
-        GeometryValue::MultiLineString { coordinates } | GeometryValue::Polygon { coordinates } => {
-            parts.extend(coordinates.iter_mut().map(Part::Line));
+/// A position of two numbers, or more: those after them, such as a height, stay as they are.
+fn position<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let (mut place, mut count, mut end) = ([0.0; 2], 0, 0);
+    node.items::<Problem>(POSITION, |index, item| {
+        if let Some(place) = place.get_mut(index) {
+            *place = number(&item, "a number")?;
+            end = item.text.as_ptr() as usize + item.text.len() - node.text.as_ptr() as usize;
         }
-        GeometryValue::MultiPolygon { coordinates } => parts.extend(coordinates.iter_mut().flatten().map(Part::Line)),
-        GeometryValue::GeometryCollection { geometries } => {
-            geometries.iter_mut().for_each(|geometry| add_parts(&mut geometry.value, parts));
+        count = index + 1;
+        Ok(())
+    })?;
+    match count {
+        0 => Err(node.unexpected(POSITION, "an empty array")),
+        1 => Err(node.unexpected(POSITION, "1 number")),
+        // Without the bracket.
+        _ => {
+            let more = node.text.get(end..node.text.len() - 1).unwrap_or_default().trim_end();
+            reader.place(node, Point::new(place[0], place[1]), more)
         }
-    }
-}
-
-/// Removes the bounding boxes of a geometry and of those in it, which are those of the positions before.
-fn drop_bounds(geometry: &mut Geometry) {
-    geometry.bbox = None;
-    if let GeometryValue::GeometryCollection { geometries } = &mut geometry.value {
-        geometries.iter_mut().for_each(drop_bounds);
-    }
-}
-
-impl Bounds {
-    const EMPTY: Self = Self([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY]);
-
-    fn add(&mut self, geometry: &mut Geometry) {
-        for position in parts(geometry).iter().flat_map(|part| part.positions()) {
-            let (x, y) = (position[0], position[1]);
-            self.merge(Self([x, y, x, y]));
-        }
-    }
-
-    const fn merge(&mut self, Self([left, top, right, bottom]): Self) {
-        let Self(own) = self;
-        *own = [own[0].min(left), own[1].min(top), own[2].max(right), own[3].max(bottom)];
-    }
-
-    /// `null` if it is empty.
-    fn text(&self) -> String {
-        let Self([left, top, right, bottom]) = self;
-        let mut text = String::from("null");
-        if left <= right {
-            text.clear();
-            let _ = write!(text, "[{left},{top},{right},{bottom}]");
-        }
-        text
     }
 }

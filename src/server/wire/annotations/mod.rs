@@ -1,24 +1,28 @@
-//! Annotations: points, polygons, boxes and GeoJSON that are mapped with the picture. [`Annotations::read`] checks them, [`Annotations::map`]
-//! maps them; each kind is returned under its own name, in the order of the request.
+//! Annotations: points, polygons, boxes and GeoJSON that are mapped with the picture. [`Annotations::read`] checks them and keeps their
+//! text; [`Annotations::map_part`] maps them part by part, so that few of their positions are in memory at the same time. Each kind is
+//! returned under its own name, in the order of the request.
 
 mod geojson;
-mod map;
+mod part;
+mod reader;
+mod write;
 
+use std::ops::Range;
+
+use bytes::Bytes;
 use mlswarp::geometry::Point;
+use mlswarp::warp::{Edges, Frame, Seen, Warning};
 
-use super::handles::{PLACE, place, places};
-use super::json::{Node, optional};
+use super::handles::{PLACE, place};
+use super::json::{At, Kind, Node, optional};
 use super::number::number;
-use crate::problem::Problem;
-pub use geojson::FeatureCollection;
-pub use map::MappedAnnotations;
+use crate::problem::{Code, Problem};
+use geojson::{Shape, read_collection, read_object, shape_of};
+pub use part::{Cursor, Reserve};
+use reader::Reader;
 
 const POLYGON: &str = "a polygon: an array of at least 3 positions, [[x, y], [x, y], [x, y], ...]";
 const BOX: &str = "a box: [left, top, right, bottom]";
-/// Bytes of text of an ordinary position, polygon and box.
-const PLACE_TEXT: usize = 12;
-const POLYGON_TEXT: usize = 40;
-const BOX_TEXT: usize = 18;
 
 /// What is to be mapped.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,101 +33,191 @@ pub struct Annotations {
     pub is_inverse: bool,
     /// Vertices are added where the map bends an edge.
     pub is_refined: bool,
+    /// The number of positions.
+    positions: usize,
 }
 
-/// Annotations of one kind, in the client's units.
+/// Annotations of one kind, as the client has written them. `null` in place of an annotation stays.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Annotation {
+pub struct Annotation {
+    kind: AnnotationKind,
+    shape: Shape,
+    text: Bytes,
+    /// Where the annotations are in the text: the inside of the list, or all of it.
+    items: Range<usize>,
+    seen: Seen,
+}
+
+/// Kinds of annotations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AnnotationKind {
     /// Positions.
-    Points(Vec<Point>),
+    Points,
     /// Rings; the last vertex is connected with the first.
-    Polygons(Vec<Vec<Point>>),
-    /// Left top and right bottom.
-    Boxes(Vec<[Point; 2]>),
+    Polygons,
+    /// Left, top, right and bottom sides.
+    Boxes,
     /// Features with their properties.
-    GeoJson(FeatureCollection),
+    GeoJson,
+}
+
+impl AnnotationKind {
+    /// The name of the field.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Points => "points",
+            Self::Polygons => "polygons",
+            Self::Boxes => "boxes",
+            Self::GeoJson => "geojson",
+        }
+    }
+}
+
+/// Whether a file is GeoJSON, not a JSON object with annotations in its fields.
+pub(crate) fn is_geojson(file: &[u8]) -> bool {
+    let text = std::str::from_utf8(file).ok().map(str::trim).unwrap_or_default();
+    geojson::is_geojson(&Node::new(text, At::Root))
+}
+
+/// Upper bound of the memory in which the other fields of a request are read, bytes. Annotations and frames stay text.
+#[must_use]
+pub fn reading_bytes(json: &[u8]) -> u64 {
+    /// A list, while a list of it grows.
+    const LIST: u64 = 48;
+    let lists = |text: &str| LIST * text.bytes().filter(|byte| *byte == b'[').count() as u64;
+    let text = std::str::from_utf8(json).unwrap_or_default();
+    let node = Node::new(text.trim(), At::Root);
+    if node.kind() != Kind::Object {
+        return 0;
+    }
+    let stays = |name: &str| super::fields::ANNOTATIONS.contains(&name.trim_matches('"')) || name == "\"frames\"";
+    node.pairs().filter(|(name, _)| !stays(name)).map(|(_, value)| lists(value)).sum()
+}
+
+impl Annotations {
+    /// Reads the fields in the order of `fields::ANNOTATIONS`, `inverse`, `refine`. `image`: that of the positions, of the inverse or not.
+    pub(super) fn read(
+        body: &Bytes,
+        [points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6],
+        image: impl FnOnce(bool) -> Frame,
+    ) -> Result<Self, Problem> {
+        let is_inverse = optional(inverse, Node::bool)?.unwrap_or(false);
+        let is_refined = optional(refine, Node::bool)?.unwrap_or(true);
+        let fields = [
+            (AnnotationKind::Points, points),
+            (AnnotationKind::Polygons, polygons),
+            (AnnotationKind::Boxes, boxes),
+            (AnnotationKind::GeoJson, geojson),
+        ];
+        let mut given: Vec<_> = fields.into_iter().filter_map(|(kind, node)| Some((kind, node?))).collect();
+        // The position in the text is the order of the request.
+        given.sort_by_key(|(_, node)| node.text.as_ptr());
+        let (mut kinds, mut positions, mut samples, image) = (Vec::new(), 0, 0, image(is_inverse));
+        for (kind, node) in given {
+            let mut reader = Reader::checking(image, is_refined || kind == AnnotationKind::Boxes, samples);
+            let (shape, items) = kind.read_all(&node, &mut reader)?;
+            let start = items.as_ptr() as usize - node.text.as_ptr() as usize;
+            let items = match shape {
+                Shape::Single => 0..node.text.len(),
+                // Without the brackets.
+                Shape::List | Shape::FeatureCollection => start + 1..start + items.len() - 1,
+            };
+            let text = body.slice_ref(node.text.as_bytes());
+            positions += reader.positions;
+            let seen;
+            (seen, samples) = reader.finish(&node)?;
+            kinds.push(Annotation { kind, shape, text, items, seen });
+        }
+        Ok(Self { kinds, is_inverse, is_refined, positions })
+    }
+
+    /// Adds what the annotations of this image cause to the warnings of the handles.
+    pub fn add_warnings(&self, image: &Frame, warnings: &mut Vec<Warning>) {
+        let of_handles = warnings.clone();
+        for kind in &self.kinds {
+            let mut all = of_handles.clone();
+            kind.seen.add_warnings(image, &mut all);
+            warnings.extend(all);
+        }
+        *warnings = Warning::in_order(std::mem::take(warnings));
+    }
 }
 
 impl Annotation {
     /// The name of the field.
     #[must_use]
     pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Points(_) => "points",
-            Self::Polygons(_) => "polygons",
-            Self::Boxes(_) => "boxes",
-            Self::GeoJson(_) => "geojson",
-        }
+        self.kind.name()
     }
 }
 
-/// Upper bound of the memory in which annotations are read from a JSON text, bytes. Positions of GeoJSON take many times their text.
-#[must_use]
-pub fn reading_bytes(json: &[u8]) -> u64 {
-    const NAME: &[u8] = b"geojson";
-    // A name with an escaped letter has a backslash.
-    let may_be_geojson = json.contains(&b'\\') || json.windows(NAME.len()).any(|text| text == NAME);
-    // A list, while a list of it grows; a feature and its geometry; a number of a list.
-    let [list, object, number] = if may_be_geojson { [144, 256, 32] } else { [48, 0, 0] };
-    let bytes = |byte: &u8| match byte {
-        b'[' => list,
-        b'{' => object,
-        b',' => number,
-        _ => 0,
-    };
-    json.iter().map(bytes).sum()
-}
-
-impl Annotations {
-    /// Reads the fields in the order of `fields::ANNOTATIONS`.
-    pub(super) fn read([points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6]) -> Result<Self, Problem> {
-        let mut kinds = Vec::new();
-        let mut add = |node: Option<Node<'_, '_>>, read: fn(&Node<'_, '_>) -> Result<Annotation, Problem>| {
-            if let Some(node) = node {
-                // The position in the text is the order of the request.
-                kinds.push((node.text.as_ptr(), read(&node)?));
-            }
-            Ok::<_, Problem>(())
+impl AnnotationKind {
+    /// Reads a field, whose form and annotations it returns.
+    fn read_all<'j>(self, node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(Shape, &'j str), Problem> {
+        let expected = match self {
+            Self::Points => "an array of positions",
+            Self::Polygons => "an array of polygons",
+            Self::Boxes => "an array of boxes",
+            Self::GeoJson => "an array of GeoJSON features",
         };
-        add(points, |node| places(node).map(Annotation::Points))?;
-        add(polygons, |node| polygon_list(node).map(Annotation::Polygons))?;
-        add(boxes, |node| box_list(node).map(Annotation::Boxes))?;
-        add(geojson, |node| FeatureCollection::read(node).map(Annotation::GeoJson))?;
-        kinds.sort_by_key(|(at, _)| *at);
-        Ok(Self {
-            kinds: kinds.into_iter().map(|(_, kind)| kind).collect(),
-            is_inverse: optional(inverse, Node::bool)?.unwrap_or(false),
-            is_refined: optional(refine, Node::bool)?.unwrap_or(true),
-        })
+        let (shape, text) = if self == Self::GeoJson { shape_of(node)? } else { (Shape::List, node.text) };
+        let features = At::Field(&node.at, "features");
+        let list = match shape {
+            Shape::List => *node,
+            Shape::FeatureCollection => {
+                read_collection(node, reader)?;
+                Node { text, at: features, work: node.work }
+            }
+            Shape::Single => return self.read_item(node, reader).map(|()| (shape, text)),
+        };
+        list.items(expected, |_, item| self.read_item(&item, reader))?;
+        Ok((shape, text))
+    }
+
+    /// Reads one annotation.
+    fn read_item<'j>(self, node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+        match self {
+            Self::GeoJson => read_object(node, reader),
+            _ if node.kind() == Kind::Null => Ok(()),
+            Self::Points => reader.place(node, place(node, PLACE)?, ""),
+            Self::Polygons => read_polygon(node, reader),
+            Self::Boxes => read_box(node, reader),
+        }
     }
 }
 
-fn polygon_list(node: &Node<'_, '_>) -> Result<Vec<Vec<Point>>, Problem> {
-    node.list("an array of polygons", POLYGON_TEXT, |_, polygon| {
-        let ring = polygon.list(POLYGON, PLACE_TEXT, |_, item| place(&item, PLACE))?;
-        if ring.len() < 3 {
-            return Err(polygon.unexpected(POLYGON, format_args!("{} positions", ring.len())).actual(ring.len()));
-        }
-        Ok(ring)
-    })
+fn read_polygon<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let mut count = 0_usize;
+    reader.line(node.text, Edges::Closed, false, |reader| {
+        node.items(POLYGON, |index, vertex| {
+            if vertex.kind() == Kind::Null {
+                let detail = "a vertex of a polygon is null; leave it out, or send null in place of the polygon";
+                return Err(vertex.problem(Code::BadValue, detail));
+            }
+            count = index + 1;
+            reader.place(&vertex, place(&vertex, PLACE)?, "")
+        })
+    })?;
+    if count < 3 { Err(node.unexpected(POLYGON, format_args!("{count} positions")).actual(count)) } else { Ok(()) }
 }
 
-fn box_list(node: &Node<'_, '_>) -> Result<Vec<[Point; 2]>, Problem> {
-    node.list("an array of boxes", BOX_TEXT, |_, item| {
-        let (mut sides, mut count) = ([0.0; 4], 0);
-        item.items::<Problem>(BOX, |index, side| {
-            *sides.get_mut(index).ok_or_else(|| item.unexpected(BOX, "more than 4 numbers"))? = number(&side, "a number")?;
-            count += 1;
-            Ok(())
-        })?;
-        let [left, top, right, bottom] = sides;
-        match count {
-            4 if left <= right && top <= bottom => Ok([Point::new(left, top), Point::new(right, bottom)]),
-            4 => {
-                Err(item
-                    .unexpected(BOX, "a right side before the left one, or a bottom above the top; is this [left, top, width, height]?"))
-            }
-            _ => Err(item.unexpected(BOX, format_args!("{count} numbers"))),
-        }
-    })
+fn read_box<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+    let (mut sides, mut count) = ([0.0; 4], 0);
+    node.items::<Problem>(BOX, |index, side| {
+        *sides.get_mut(index).ok_or_else(|| node.unexpected(BOX, "more than 4 numbers"))? = number(&side, "a number")?;
+        count += 1;
+        Ok(())
+    })?;
+    let [left, top, right, bottom] = sides;
+    if count != 4 {
+        return Err(node.unexpected(BOX, format_args!("{count} numbers")));
+    }
+    if right < left || bottom < top {
+        let found = "a right side before the left one, or a bottom above the top; is this [left, top, width, height]?";
+        return Err(node.unexpected(BOX, found));
+    }
+    let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
+    reader
+        .line(node.text, Edges::Closed, false, |reader| corners.into_iter().try_for_each(|(x, y)| reader.place(node, Point::new(x, y), "")))
 }

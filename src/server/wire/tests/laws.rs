@@ -28,10 +28,10 @@ fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
     let problems = [
         WarpObject::parse(text).err(),
         DragObject::parse(text).err(),
-        PointsObject::parse(text).err(),
+        points(text).err(),
         ReportObject::parse(text).err(),
         DragObject::parse_for_report(text).err(),
-        PointsObject::parse_posed(text).err(),
+        posed_points(text).err(),
         MapObject::parse(text).err(),
         MapObject::parse_posed(text).err(),
     ];

@@ -40,8 +40,7 @@ fn what_post_landmarks_answers_is_a_warp_object() {
     let patch = |json: &str, base: &WarpObject| WarpPatch::parse(json.as_bytes()).unwrap().merge_onto(base.clone()).rest.has_unmatched;
     let base = WarpObject::parse(br#"{"p": [[1, 2]], "unmatched": {"p": ["c"]}}"#).unwrap();
     assert!(patch(r#"{"alpha": 2}"#, &base) && !patch(r#"{"p": [[3, 4]]}"#, &base));
-    for parse in [PointsObject::parse(with_extent(answer).as_bytes()).map(drop), MapObject::parse(with_extent(answer).as_bytes()).map(drop)]
-    {
+    for parse in [points(with_extent(answer).as_bytes()).map(drop), MapObject::parse(with_extent(answer).as_bytes()).map(drop)] {
         parse.unwrap();
     }
     ReportObject::parse(with_extent(answer).as_bytes()).unwrap();

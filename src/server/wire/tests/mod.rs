@@ -34,6 +34,21 @@ fn check<T: std::fmt::Debug>(parse: impl Fn(&[u8]) -> Result<T, Problem>, table:
     }
 }
 
+fn bytes(json: &[u8]) -> Bytes {
+    Bytes::copy_from_slice(json)
+}
+
+/// The object of `/points`.
+fn points(json: &[u8]) -> Result<PointsObject, Problem> {
+    PointsObject::parse(&bytes(json), 1 << 20)
+}
+
+/// The object of `/sessions/{id}/points`.
+fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
+    let extent = Extent::new(400, 300).unwrap();
+    PointsObject::parse_posed(&bytes(json), 1 << 20, (extent, Units::Px), &OutputSpec::default())
+}
+
 fn point(x: f64, y: f64) -> Handle {
     Handle::Point(Point::new(x, y))
 }

@@ -41,16 +41,30 @@ fn maps_have_the_canvas_of_the_output_unless_they_have_their_own() {
 fn points_read_their_fields() {
     let text = b"{\"p\": [[1, 2]], \"q\": [[3, 4]], \"units\": \"normalized\", \"extent\": [640, 480], \"points\": [[0.5, 0.5], [1, 0]],
                   \"inverse\": false}";
-    let points = PointsObject::parse(text).unwrap();
+    let read = points(text).unwrap();
     let rest = RestSpec { p: vec![point(1.0, 2.0)], units: Units::Normalized, ..RestSpec::default() };
     let warp = WarpObject { rest, q: Some(vec![point(3.0, 4.0)]), ..WarpObject::default() };
-    assert_eq!(points.warp, Some((warp, Extent::new(640, 480).unwrap())));
-    let kinds = vec![Annotation::Points(vec![Point::new(0.5, 0.5), Point::new(1.0, 0.0)])];
-    let annotations = Annotations { kinds, is_inverse: false, is_refined: true };
-    assert_eq!((points.q, points.annotations), (vec![], annotations));
-    let posed = PointsObject::parse_posed(b"{\"q\": [[3, 4]], \"points\": []}").unwrap();
-    assert_eq!((posed.warp, posed.q, posed.annotations.kinds), (None, vec![point(3.0, 4.0)], vec![Annotation::Points(vec![])]));
-    assert_eq!(PointsObject::parse(b"{\"extent\": [1, 1]}").unwrap().q, []);
+    assert_eq!(read.warp, Some((warp, Extent::new(640, 480).unwrap())));
+    let names = |annotations: &Annotations| annotations.kinds.iter().map(Annotation::name).collect::<Vec<_>>();
+    assert_eq!((read.q, names(&read.annotations)), (vec![], vec!["points"]));
+    assert!(!read.annotations.is_inverse && read.annotations.is_refined);
+    let text = b"{\"q\": [[3, 4]], \"geojson\": [], \"points\": [], \"output\": {\"width\": 9}}";
+    let posed = posed_points(text).unwrap();
+    assert_eq!((posed.warp, posed.q, posed.output.width), (None, vec![point(3.0, 4.0)], Some(9)));
+    assert_eq!(names(&posed.annotations), ["geojson", "points"]);
+    assert_eq!(points(b"{\"extent\": [1, 1]}").unwrap().q, []);
+}
+
+#[test]
+fn annotations_have_no_part_in_the_limit_of_the_warp_object() {
+    let places = "[1, 2],".repeat(1000) + "[1, 2]";
+    let text = |name: &str| format!("{{\"extent\": [9, 9], \"{name}\": [{places}]}}");
+    let parse = |text: &str| PointsObject::parse(&bytes(text.as_bytes()), 1000);
+    assert_eq!(parse(&text("points")).unwrap().annotations.kinds.len(), 1);
+    let refused = parse(&text("p")).unwrap_err();
+    assert_eq!((refused.code, refused.what), (Code::TooLarge, Some("json_bytes")));
+    let of_points = reading_bytes(text("points").as_bytes());
+    assert!(of_points < 1000 && reading_bytes(text("p").as_bytes()) >= 48 * 1000, "{of_points}");
 }
 
 #[test]
@@ -63,8 +77,15 @@ fn points_refuse() {
         ("{\"q\": [], \"boxes\": [[1, 2, 3]]}", B, Some("/boxes/0"), None),
         ("{\"q\": [], \"boxes\": [[1, 2, 3, 4], [10, 10, 5, 20]]}", B, Some("/boxes/1"), None),
         ("{\"q\": [], \"boxes\": [[1, 2, 3, 4, 5]]}", B, Some("/boxes/0"), None),
-        ("{\"q\": [], \"geojson\": []}", B, Some("/geojson"), None),
-        ("{\"q\": [], \"geojson\": {\"type\": \"Feature\"}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"polygons\": [null, [[1, 2], null, [5, 6]]]}", B, Some("/polygons/1/1"), None),
+        ("{\"q\": [], \"boxes\": [[1, 2, null, 4]]}", B, Some("/boxes/0/2"), None),
+        ("{\"q\": [], \"points\": [null, [1, null]]}", B, Some("/points/1/1"), None),
+        ("{\"q\": [], \"points\": [[5e6, 1]]}", B, Some("/points/0"), None),
+        ("{\"q\": [], \"geojson\": 7}", B, Some("/geojson"), None),
+        ("{\"q\": [], \"geojson\": {}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"Topology\"}}", B, Some("/geojson/type"), None),
+        ("{\"q\": [], \"geojson\": [null]}", B, Some("/geojson/0"), None),
+        ("{\"q\": [], \"geojson\": {\"type\": \"Feature\", \"geometry\": []}}", B, Some("/geojson/geometry"), None),
         ("{\"q\": [], \"geojson\": {\"type\": \"FeatureCollection\"}}", B, Some("/geojson/features"), None),
         ("{\"q\": [], \"refine\": 0}", B, Some("/refine"), None),
         ("{\"q\": [], \"inverse\": 1}", B, Some("/inverse"), None),
@@ -76,14 +97,14 @@ fn points_refuse() {
         ("{\"q\": [], \"points\": [[1, 1e999]]}", N, Some("/points/0/1"), None),
         ("{\"points\": []}", B, Some("/q"), None),
     ];
-    check(PointsObject::parse_posed, posed);
+    check(posed_points, posed);
     let extent = |rest: &str| format!("{{\"extent\": [4, 4], {}", &rest[1..]);
     for (text, code, pointer, handle) in &posed[..posed.len() - 1] {
-        let problem = PointsObject::parse(extent(text).as_bytes()).expect_err(text);
+        let problem = points(extent(text).as_bytes()).expect_err(text);
         assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (*code, *pointer, *handle), "{text}");
     }
     check(
-        PointsObject::parse,
+        points,
         &[
             ("{\"q\": []}", B, Some("/extent"), None),
             ("{\"extent\": [4, 4], \"p\": [[1, 2]]}", B, Some("/q"), None),

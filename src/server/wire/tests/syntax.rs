@@ -32,8 +32,8 @@ fn malformed_is_400_before_any_meaning() {
     ];
     check(WarpObject::parse, table);
     check(DragObject::parse, &table[..16]);
-    check(PointsObject::parse, &table[..16]);
-    check(PointsObject::parse_posed, &table[..16]);
+    check(points, &table[..16]);
+    check(posed_points, &table[..16]);
     assert_eq!(WarpObject::parse(b"{\"p\": \xff}").unwrap_err().code, M);
 }
 
@@ -59,7 +59,7 @@ fn unknown_fields_are_named_with_what_is_known() {
     ];
     check(WarpObject::parse, table);
     check(DragObject::parse, &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
-    check(PointsObject::parse_posed, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
+    check(posed_points, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
     assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known fields: `cell`, `columns`, `rows`, `tolerance`");
 }
 
@@ -93,7 +93,7 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
     assert_eq!(WarpObject::parse(b"{\"grid\": {\"cell\": 2, \"columns\": null, \"rows\": null}}").unwrap().rest.grid, GridSpec::Cell(2.0));
     assert_eq!(WarpObject::parse(b"{\"p\": [[1, 2]], \"q\": null}").unwrap().posed().unwrap_err().pointer.as_deref(), Some("/q"));
     let absent = b"{\"q\": [], \"points\": null, \"polygons\": null, \"boxes\": null, \"inverse\": null, \"refine\": null}";
-    assert_eq!(PointsObject::parse_posed(absent), PointsObject::parse_posed(b"{\"q\": []}"));
+    assert_eq!(posed_points(absent), posed_points(b"{\"q\": []}"));
     assert_eq!(DragObject::parse_posed(b"{\"q\": [], \"seq\": null}"), DragObject::parse_posed(b"{\"q\": []}"));
     check(
         WarpObject::parse,
@@ -106,17 +106,17 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
         ],
     );
     check(
-        PointsObject::parse,
+        points,
         &[
             ("{\"extent\": [4, null]}", B, Some("/extent/1"), None),
-            ("{\"extent\": [4, 4], \"points\": [null]}", B, Some("/points/0"), None),
+            ("{\"extent\": [4, 4], \"points\": [null, [1, null]]}", B, Some("/points/1/1"), None),
         ],
     );
     for (problem, field) in [
         (DragObject::parse(b"{\"q\": null}").unwrap_err(), "`q`"),
         (DragObject::parse_posed(b"{\"q\": null}").unwrap_err(), "`q`"),
-        (PointsObject::parse_posed(b"{\"q\": null}").unwrap_err(), "`q`"),
-        (PointsObject::parse(b"{\"extent\": null}").unwrap_err(), "`extent`"),
+        (posed_points(b"{\"q\": null}").unwrap_err(), "`q`"),
+        (points(b"{\"extent\": null}").unwrap_err(), "`extent`"),
     ] {
         assert!(problem.code == B && problem.detail.starts_with(&format!("{field} is missing")), "{problem}");
     }
