@@ -213,6 +213,7 @@ export const WARNINGS = {
   tolerance_exceeded: "Some details are less precise than usual, because the picture changes too abruptly there.",
   handles_outside_picture: "A handle is far outside the picture.",
   looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
+  annotations_outside_picture: "Annotations are far outside the picture, or in other units than the handles.",
   nothing_visible: "The whole picture is outside the canvas.",
   mirrored: "The picture is mirrored.",
   mirrored_use_affine: "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
