@@ -166,7 +166,6 @@ async fn drags_and_batches_align_each_pose() {
     };
     let whole = want(1.0).await;
     let mut socket = DragClient::open(server.address, &id, "").await;
-    socket.text().await;
     socket.pose(1, &posed()).await;
     assert!(socket.frame().await.1 == whole, "JSON");
     fn flat(handles: &Value, out: &mut Vec<f32>) {
@@ -180,7 +179,6 @@ async fn drags_and_batches_align_each_pose() {
     flat(&posed(), &mut numbers);
     let message: Vec<u8> = 2_u64.to_le_bytes().into_iter().chain(numbers.into_iter().flat_map(f32::to_le_bytes)).collect();
     let mut socket = DragClient::open(server.address, &id, "").await;
-    socket.text().await;
     socket.socket_binary(message).await;
     assert!(socket.frame().await.1 == whole, "binary");
     for (batch, strengths) in [

@@ -68,16 +68,20 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
         ["max-body-bytes", "max-warp-json-bytes", "max-image-pixels", "max-image-side", "max-columns", "max-fit-handles", "max-plan-bytes"];
     assert_eq!(
         shown("warp"),
-        [&["landmarks", "landmarks-q", "extent-p", "extent-q", "align", "canvas", "kind", "region", "out"][..], &limits, &["workers"]]
-            .concat()
+        [
+            &["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "canvas", "kind", "region", "out"][..],
+            &limits,
+            &["workers"]
+        ]
+        .concat()
     );
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "align", "extent", "image", "out"];
-    for subcommand in ["points", "report"] {
-        assert_eq!(shown(subcommand), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
-    }
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "align", "extent", "image", "direction", "out"];
+    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "extent", "image", "out"];
+    assert_eq!(shown("report"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
+    let (before, out) = own.split_at(own.len() - 1);
+    assert_eq!(shown("points"), [before, &["inverse"], out, &limits, &["workers", "memory-bytes"]].concat());
+    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "extent", "image", "direction", "out"];
     assert_eq!(shown("map"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "align", "layer", "region", "quiet", "out"];
+    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "layer", "region", "quiet", "out"];
     assert_eq!(shown("batch"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
     assert_eq!(shown("health"), ["listen", "tls-cert", "tls-key", "metrics-listen"]);
     assert!(shown("serve").len() > 40);

@@ -32,7 +32,7 @@ fn texts(endings: &[&str]) -> Vec<(PathBuf, String)> {
 /// The numbers at the beginning of the headings: `## 2. Points`, `### 2.1 The problem`.
 fn sections(book: &str) -> BTreeSet<String> {
     let headings = book.lines().filter_map(|line| line.strip_prefix("## ").or_else(|| line.strip_prefix("### ")));
-    headings.filter_map(|heading| number(heading)).collect()
+    headings.filter_map(number).collect()
 }
 
 /// A section number in front of a text: `7.1`.

@@ -41,7 +41,7 @@ async fn estimates_refuse_at_once_what_would_never_end() {
     assert_eq!(refused(&server, "/report", &pixel).await["pointer"], "/grid");
     refused(&server, "/map", &pixel).await;
     // Edges of outlines.
-    let ring: Vec<[f64; 2]> = (0..20_000).map(|k| [f64::from(k % 2) * 6999.0, f64::from(k) * 0.3]).collect();
+    let ring: Vec<[f64; 2]> = (0..20_000).map(|k| [f64::from(k % 2) * 600.0, f64::from(k) * 0.3]).collect();
     refused(&server, "/points", &json!({"p": many, "q": many, "extent": extent, "polygons": [ring]})).await;
     // Frames that are posed before the first is sent: nothing moves, so none needs alpha.
     let id = server.session(&photo(640, 400), &json!({"p": many})).await;

@@ -96,8 +96,7 @@ async fn every_answer_agrees_that_a_mirror_image_has_no_folds() {
     let mut shares = vec![0; reader.output_buffer_size().unwrap()];
     reader.next_frame(&mut shares).unwrap();
     assert!(shares.iter().all(|share| *share == 255), "it covers all");
-    let mut socket = crate::support::drag_client::DragClient::open(server.address, &id, "report=true").await;
-    socket.text().await;
+    let mut socket = crate::support::drag_client::DragClient::open(server.address, &id, "?report=true").await;
     socket.pose(1, &json!(q)).await;
     let report = socket.text().await;
     assert_eq!((&report["folds"], &report["warnings"]), (&json!(0), &json!(["mirrored"])), "{report}");

@@ -26,6 +26,7 @@ fn sample(name: &str) -> Value {
         "policy" => json!("mean"),
         "within" => json!(0.5),
         "units" => json!("px"),
+        "align" => json!("similarity"),
         "grid" => json!({"columns": 9, "rows": 7}),
         "cell" => json!(4),
         "columns" => json!(9),

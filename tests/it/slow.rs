@@ -403,7 +403,8 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
         format!("POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n", body.len());
     let held = || server.app.budget().taken_for(mlswarp_server::limits::memory::Purpose::Frame);
     let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
-    for _ in 0..6 {
+    // An answer is mapped and sent in parts, so that each holds a small share of the memory.
+    for _ in 0..40 {
         let socket = TcpSocket::new_v4().unwrap();
         socket.set_recv_buffer_size(4096).unwrap();
         let mut stream = socket.connect(server.address).await.unwrap();

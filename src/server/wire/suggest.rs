@@ -113,7 +113,7 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
 
 fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
     // Of a warp object the type could be anything.
-    let is_format = name == "type" && known.contains(&"format");
+    let is_format = name == "type" && known.contains(&"quality");
     let name = if is_format { "format" } else { in_table(&OTHER_FIELDS, name).unwrap_or(name) };
     let inside = |object: &str, fields: &[&str], name: &str| {
         (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))

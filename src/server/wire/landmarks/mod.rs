@@ -134,7 +134,9 @@ fn read(bytes: &[u8], max_columns: usize, item: Option<Item>, work: &Work<'_>) -
 /// The beginning of the first line that is neither empty nor a comment, among the first ones.
 fn first_line(text: &str) -> &str {
     const LONGEST_HEAD: usize = 1 << 16;
-    let head = &text[..text.floor_char_boundary(LONGEST_HEAD)];
+    let longest = LONGEST_HEAD.min(text.len());
+    let end = (0..=longest).rev().find(|end| text.is_char_boundary(*end)).unwrap_or_default();
+    let head = &text[..end];
     let mut lines = head.split(['\n', '\r']);
     lines.find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
 }
