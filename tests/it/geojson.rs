@@ -288,7 +288,7 @@ async fn a_long_file_is_the_sum_of_its_features() {
         assert_eq!(features.len(), 2500);
         assert!(text.contains(&format!(",\n {one} ,\n ")), "with the text between them");
         assert!(places(&value["points"])[0].is_some() && text.contains(before) && text.contains(after));
-        assert!(features.iter().enumerate().all(|(k, feature)| feature["id"] == k.to_string()));
+        assert!(features.iter().enumerate().all(|(k, feature)| feature["id"].as_str() == Some(k.to_string().as_str())));
         assert_eq!(value["geojson"].get("name").is_some(), after.contains("name"));
     }
     // So are lists of points.

@@ -150,11 +150,11 @@ impl Sums {
             let (a, b) = (a - from, b - to);
             sums.from_spread += w * a.norm2();
             sums.to_spread += w * b.norm2();
-            sums.turned = sums.turned + Vec2::new(a.dot(b), a.cross(b)) * w;
-            sums.mirrored = sums.mirrored + Vec2::new(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x) * w;
+            sums.turned += Vec2::new(a.dot(b), a.cross(b)) * w;
+            sums.mirrored += Vec2::new(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x) * w;
             // (a.x + i a.y)^2 has twice the angle of the longest axis.
-            from_axis = from_axis + Vec2::new(a.x * a.x - a.y * a.y, 2.0 * a.x * a.y) * w;
-            to_axis = to_axis + Vec2::new(b.x * b.x - b.y * b.y, 2.0 * b.x * b.y) * w;
+            from_axis += Vec2::new(a.x * a.x - a.y * a.y, 2.0 * a.x * a.y) * w;
+            to_axis += Vec2::new(b.x * b.x - b.y * b.y, 2.0 * b.x * b.y) * w;
             sums.from_extent = sums.from_extent.max(a.norm());
             sums.to_extent = sums.to_extent.max(b.norm());
         });

@@ -22,6 +22,9 @@ const HALVINGS: usize = 6;
 /// Positions at which the edges that a [`Transform`] maps are examined, beyond one for each edge.
 pub const SAMPLES: usize = 1 << 21;
 
+/// The vertices that are inserted into an edge: the share of the edge at each, and its mapped position.
+type Bend = Vec<(f64, Point)>;
+
 /// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse, positions at which nothing of the picture
 /// is posed have none.
 #[derive(Debug)]
@@ -220,7 +223,7 @@ impl<'a> Transform<'a> {
         mapped: &[Option<Point>],
         tolerance: f64,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Vec<Option<Vec<(f64, Point)>>>, WarpError> {
+    ) -> Result<Vec<Option<Bend>>, WarpError> {
         let task = |edges: &[(usize, usize)]| {
             let bend = |&(a, b): &(usize, usize)| match (mapped[a], mapped[b]) {
                 (Some(fa), Some(fb)) => self.bend([(places[a], fa), (places[b], fb)], tolerance, cancelled),
@@ -396,6 +399,7 @@ mod tests {
         assert_eq!(bare.iter().copied().map(Some).collect::<Vec<_>>(), f.map(&places, NEVER).unwrap());
         for tolerance in [1.0, 0.1, 0.01] {
             let MappedOutline { places: refined, at } = f.map_outlines(&[outline], Some(tolerance), NEVER).unwrap().remove(0).unwrap();
+            #[expect(clippy::cast_possible_truncation, reason = "the index of a corner")]
             let of_edge = |at: f64| places[at as usize].lerp(places[(at as usize + 1) % 4], at.fract());
             let there = f.map(&at.into_iter().map(of_edge).collect::<Vec<_>>(), NEVER).unwrap();
             assert!(there.into_iter().zip(&refined).all(|(there, vertex)| there.unwrap().distance(*vertex) < 1e-9));

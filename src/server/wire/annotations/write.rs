@@ -71,9 +71,9 @@ impl Bounds {
 
     /// The box in place of one with these numbers, of which further dimensions stay.
     fn write_like(self, text: &str, out: &mut Vec<u8>) {
-        let sides: Vec<&str> = if text.starts_with('[') { items(&text[1..]).collect() } else { Vec::new() };
+        let sides: Vec<&str> = text.strip_prefix('[').map_or_else(Vec::new, |inside| items(inside).collect());
         let half = sides.len() / 2;
-        if sides.len() <= SIDES || sides.len() % 2 > 0 || self.0[0] > self.0[2] {
+        if sides.len() <= SIDES || !sides.len().is_multiple_of(2) || self.0[0] > self.0[2] {
             return self.write(out);
         }
         for (k, side) in sides.iter().enumerate() {
