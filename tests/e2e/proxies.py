@@ -46,7 +46,7 @@ def nginx(port, replica, folder):
         ("pid /tmp/nginx.pid;", f"pid {folder}/nginx.pid;", 1),
         ("http {\n", "http {\n" + "".join(f"{kind}_temp_path {folder}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")), 1),
         ("server_name _;\n", f"server_name _;\n{documented('nginx')}", 1),
-        ('"type":"/problems/', f'"type":"{PREFIX}/problems/', 4),
+        ('"type":"/problems/', f'"type":"{PREFIX}/problems/', 5),
     )
     (folder / "nginx.conf").write_text(text)
     return ["nginx", "-e", "stderr", "-c", folder / "nginx.conf", "-g", "daemon off;"], {}

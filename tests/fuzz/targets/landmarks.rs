@@ -33,7 +33,8 @@ pub(super) fn read(bytes: &[u8]) {
     assert!((1..=MAX_COLUMNS).contains(&handles), "{read}");
     assert!([count("q"), count("names")].into_iter().flatten().all(|count| count == handles), "{read}");
     let again = LandmarkFiles { both: part(read.to_string().as_bytes()), ..LandmarkFiles::default() };
-    let mut again = json!(again.read(MAX_COLUMNS, &|| false).expect("what is written is read again"));
+    let again = again.read(MAX_COLUMNS, &|| false).and_then(|landmarks| landmarks.scale(None));
+    let mut again = json!(again.expect("what is written is read again"));
     for varying in ["format", "unmatched"] {
         again[varying] = read.get(varying).cloned().unwrap_or(Value::Null);
     }

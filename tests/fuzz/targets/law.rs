@@ -100,6 +100,7 @@ impl Probes {
             let moved = |handle: &Handle| match handle {
                 Handle::Point(p) => Handle::Point(step(p)),
                 Handle::Polyline(places) => Handle::Polyline(places.iter().map(step).collect()),
+                Handle::Missing => Handle::Missing,
             };
             rest.handles().iter().map(moved).collect()
         };

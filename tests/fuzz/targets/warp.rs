@@ -20,7 +20,8 @@ use serde_json::{Map, Value};
 
 use super::assert_is_problem;
 
-const LIMITS: Limits = Limits { image: ImageLimits { max_pixels: 1 << 14, max_side: 1 << 9 }, columns: 64, plan_bytes: 1 << 20 };
+const LIMITS: Limits =
+    Limits { image: ImageLimits { max_pixels: 1 << 14, max_side: 1 << 9 }, columns: 64, plan_bytes: 1 << 20, work: 1 << 32 };
 
 static DOCUMENT: LazyLock<Value> =
     LazyLock::new(|| serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON"));
@@ -66,7 +67,7 @@ fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8
 }
 
 /// The poses of a batch that the request gives: their number, and each until one is refused.
-type Poses = (u32, Vec<Result<(Vec<Handle>, f64), Problem>>);
+type Poses = (u32, Vec<Result<(Option<Vec<Handle>>, f64), Problem>>);
 
 fn batch(json: &[u8]) -> Result<Poses, Problem> {
     let source = Frame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
@@ -122,7 +123,7 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
         spec.check(extent, &LIMITS)?;
         let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
         let posed = Posed::new(&setup, &setup.plan(), &setup.pose(warp.posed()?)?, warp.folds, &|| false)?;
-        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, extent, &LIMITS, &never)?)?;
+        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, extent, &LIMITS, &|| false)?)?;
         let bytes: u64 = (0..map.bands()).map(|band| map.band(band).len() as u64).sum();
         assert_eq!(bytes, map.file_bytes());
     }
