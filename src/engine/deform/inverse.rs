@@ -104,7 +104,7 @@ impl<'a> Inverse<'a> {
         Some(found)
     }
 
-    /// The number of times that f has been computed for [`LANES`] positions.
+    /// The number of times that f has been computed for a block of positions.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.load(Ordering::Relaxed)

@@ -23,8 +23,8 @@ pub(super) fn decode(bytes: &[u8]) {
     let pixels = header.as_ref().ok().filter(|header| LIMITS.check(header.extent).is_ok()).map_or(0, |header| header.extent.pixels());
     within(256 + 64 * length, |work| drop(codec::open(bytes, &LIMITS, work)));
     let decoded = within(4_096 + 66 * length + 2 * pixels, |work| codec::open(bytes, &LIMITS, work)?.decode());
-    // Labels are read once more as they are stored; the palette of a BMP takes its header again.
-    let labels = within(8_192 + 132 * length + 2 * pixels, |work| codec::open_labels(bytes, &LIMITS, work)?.decode_labels());
+    // The pixels of labels are read once more as they are stored; the palette of a BMP takes its header again.
+    let labels = within(8_192 + 132 * length + 3 * pixels, |work| codec::open_labels(bytes, &LIMITS, work)?.decode_labels());
     assert!(labels.is_err() || labels.is_ok_and(|labels| labels.values.len() as u64 == labels.shape.sample_bytes()));
     let Ok(decoded) = decoded else { return };
     let header = header.expect("what is decoded has a header");
