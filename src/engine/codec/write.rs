@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::jpeg::write::{JpegWriter, Subsampling};
 use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::{Format, Palette, tiff, webp};
+use super::{Format, Palette, gif, tiff, webp};
 use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
@@ -28,6 +28,8 @@ pub enum Encoding {
     WebP,
     /// Lossless, 8 or 16 bit.
     Tiff(Compression),
+    /// A frame of an animation: at most 256 colours, which are transparent or opaque.
+    Gif,
 }
 
 impl Encoding {
@@ -39,6 +41,7 @@ impl Encoding {
             Self::Jpeg { .. } => Format::Jpeg,
             Self::WebP => Format::WebP,
             Self::Tiff(_) => Format::Tiff,
+            Self::Gif => Format::Gif,
         }
     }
 }
@@ -63,6 +66,7 @@ enum Kind {
 enum Coding {
     WebP,
     Tiff(Compression),
+    Gif,
 }
 
 impl Writer {
@@ -75,7 +79,7 @@ impl Writer {
         let grey = match encoding {
             Encoding::Png(_) | Encoding::Tiff(_) => shape.grey,
             Encoding::Jpeg { ground: [r, g, b], .. } => shape.grey && r == g && g == b,
-            Encoding::WebP => false,
+            Encoding::WebP | Encoding::Gif => false,
         };
         let shape = PngShape { grey, ..shape };
         let whole = |coding| Kind::Whole { coding, icc: icc.cloned(), palette: None };
@@ -86,6 +90,7 @@ impl Writer {
             }
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
+            Encoding::Gif => whole(Coding::Gif),
         };
         Self { shape, is_grey_in_colour: grey, kind }
     }
@@ -99,7 +104,7 @@ impl Writer {
         let kind = match encoding {
             Encoding::Png(compression) => Kind::Png(PngWriter::of_labels(shape, compression, palette)),
             Encoding::Tiff(compression) => Kind::Whole { coding: Coding::Tiff(compression), icc: None, palette: palette.cloned() },
-            Encoding::Jpeg { .. } | Encoding::WebP => return None,
+            Encoding::Jpeg { .. } | Encoding::WebP | Encoding::Gif => return None,
         };
         Some(Self { shape, is_grey_in_colour: false, kind })
     }
@@ -154,10 +159,11 @@ impl Writer {
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
             Kind::Jpeg(jpeg) => jpeg.work_bytes(),
-            Kind::Whole { icc, .. } => {
+            Kind::Whole { coding, icc, .. } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
+                let tables = if matches!(coding, Coding::Gif) { gif::write::work_bytes(shape.extent) } else { 0 };
+                tables + samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
             }
         }
     }
@@ -192,6 +198,7 @@ impl Writer {
                 match *coding {
                     Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (icc, palette.as_ref()), out, wanted),
                     Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), icc, out),
+                    Coding::Gif => gif::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), out, wanted),
                 }
                 StripChecksum::default()
             }

@@ -296,6 +296,7 @@ impl OutputSpec {
             }
             Format::WebP => Encoding::WebP,
             Format::Tiff => Encoding::Tiff(self.compression),
+            Format::Gif => Encoding::Gif,
         }
     }
 }

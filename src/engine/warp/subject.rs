@@ -50,7 +50,7 @@ impl Subject<'_> {
     /// Labels in a format that would change them.
     pub const fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
         match (self, output.format) {
-            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP)) => Err(WarpError::LabelFormat { format }),
+            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif)) => Err(WarpError::LabelFormat { format }),
             _ => Ok(()),
         }
     }

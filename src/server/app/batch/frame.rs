@@ -153,7 +153,7 @@ impl BatchJob {
     /// Errors: It is too large.
     pub(crate) fn decide(&mut self, survey: &Survey) -> Result<(), Problem> {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
-        if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
+        if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {
             self.output.canvas = CanvasSpec::Box(canvas);
             self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.

@@ -3,23 +3,23 @@
 
 use gif::DecodeOptions;
 
-use super::alloc::{sample_count, zeros};
-use super::work::{Pieces, StepCounter};
-use super::{CodecError, SourceFormat};
+use crate::codec::alloc::{sample_count, zeros};
+use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format};
 use crate::pixmap::{Channels, Extent, Samples};
 
 /// A GIF whose blocks have been walked.
 #[derive(Debug)]
-pub(super) struct GifFile<'a> {
+pub(in crate::codec) struct GifFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     transparency: bool,
     /// Whether the frame is as large as the screen.
     covered: bool,
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(SourceFormat::Gif.name(), detail)
+    CodecError::bad(Format::Gif.name(), detail)
 }
 
 fn cut_off() -> CodecError {
@@ -44,7 +44,7 @@ fn skip(bytes: &[u8], mut at: usize, work: &StepCounter<'_>) -> Result<usize, Co
 }
 
 impl<'a> GifFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let screen: [u8; 13] = *bytes.first_chunk().ok_or_else(cut_off)?;
         let short = |low: u8, high: u8| u32::from(u16::from_le_bytes([low, high]));
         let (width, height) = (short(screen[6], screen[7]), short(screen[8], screen[9]));
@@ -85,16 +85,16 @@ impl<'a> GifFile<'a> {
         }
     }
 
-    pub(super) const fn channels(&self) -> Channels {
+    pub(in crate::codec) const fn channels(&self) -> Channels {
         if self.transparency || !self.covered { Channels::Rgba } else { Channels::Rgb }
     }
 
     /// Memory beside the picture: the decoder's tables, and rows of indices.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         (512 << 10) + ROWS as u64
     }
 
-    pub(super) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let mut decoder = DecodeOptions::new().read_info(Pieces::new(self.bytes, work)).map_err(bad)?;
         let (width, height) = (usize::from(decoder.width()), usize::from(decoder.height()));
         let frame = decoder.next_frame_info().map_err(bad)?.ok_or_else(|| bad("no frame"))?;
