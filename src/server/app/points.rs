@@ -4,20 +4,23 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
-use mlswarp::warp::{Folds, GridSpec, OutputSpec, Posed, Setup, Warning};
+use mlswarp::deform::Handle;
+use mlswarp::warp::{Folds, GridSpec, OutputSpec, Posed, Warning};
 
 use super::App;
 use super::json_text::json_unless;
-use super::warp::Resolved;
-use crate::client::{Client, Owner};
+use super::reading::{Held, part};
+use super::warp::{HeldSetup, Resolved};
+use crate::cache::CacheEntry;
+use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{PointsObject, method_text, reading_bytes};
+use crate::wire::{PointsObject, Reserved, method_text};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
@@ -30,10 +33,14 @@ impl App {
     /// Errors: Wrong handles, or too little capacity.
     pub async fn points_once(&self, client: Client, json: Bytes) -> Result<(MappedPoints, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let length = json.len();
-        let (mut object, reading) = self.read_points(client, &ticket, json, PointsObject::parse).await?;
-        let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
-        if !object.annotations.is_inverse {
+        let (length, reserve) = (json.len(), self.reserving(Purpose::Upload, client));
+        let read = move |_: &_| Reserved::<PointsObject, _>::parse(&json, reserve);
+        let mut object = self.0.pool.run(&ticket, read).await??;
+        let is_inverse = object.annotations.is_inverse;
+        let warp = part(&mut object, |object| object.warp.take());
+        let warp = warp.try_map(|warp| warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp")))?;
+        let (extent, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
+        if !is_inverse {
             // The exact deformation needs no grid; this one is within all limits.
             warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         }
@@ -41,10 +48,9 @@ impl App {
         warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
-        object.q = warp.posed()?.to_vec();
+        let Resolved { setup, object: warp, q, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let job = PointsJob { owner: client.owner, setup, object, is_long: length > MAX_SEQUENTIAL, reading };
+        let job = PointsJob { client, setup, q, object, is_long: length > MAX_SEQUENTIAL };
         Ok((self.map(&ticket, self.response_quota(client), job).await?, method))
     }
 
@@ -55,42 +61,29 @@ impl App {
         let setup = self.session_setup(client, &session.record).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let is_long = json.len() > MAX_SEQUENTIAL;
-        let record = session.record;
-        let parse = move |json: &[u8]| {
-            let mut object = PointsObject::parse_posed(json)?;
-            object.q = record.rest.posed(object.q, object.strength, record.extent).0;
-            Ok(object)
-        };
-        let (object, reading) = self.read_points(client, &ticket, json, parse).await?;
-        self.map(&ticket, self.response_quota(client), PointsJob { owner: id.owner(), setup, object, is_long, reading }).await
-    }
-
-    /// Reads a request into memory that is reserved before.
-    async fn read_points(
-        &self,
-        client: Client,
-        ticket: &Ticket,
-        json: Bytes,
-        parse: impl FnOnce(&[u8]) -> Result<PointsObject, Problem> + Send + 'static,
-    ) -> Result<(PointsObject, Reservation), Problem> {
-        let (app, quota) = (self.clone(), self.request_quota(client));
+        let (record, reserve) = (session.record, self.reserving(Purpose::Upload, client));
         let read = move |_: &_| {
-            let reading = app.reserve_for(Purpose::Upload, &quota, reading_bytes(&json))?;
-            Ok((parse(&json)?, reading))
+            let mut object = Reserved::<PointsObject, _>::parse_posed(&json, reserve)?;
+            let (strength, extent) = (object.strength, record.extent);
+            let q = part(&mut object, |object| record.rest.posed(std::mem::take(&mut object.q), strength, extent).0);
+            Ok::<_, Problem>((object, q))
         };
-        self.0.pool.run(ticket, read).await?
+        let (object, q) = self.0.pool.run(&ticket, read).await??;
+        self.map(&ticket, self.response_quota(client), PointsJob { client, setup, q, object, is_long }).await
     }
 
     async fn map(&self, ticket: &Ticket, quota: ClientQuota, job: PointsJob) -> Result<MappedPoints, Problem> {
-        let PointsJob { owner, mut setup, object: PointsObject { q, annotations, .. }, is_long, reading } = job;
-        if annotations.is_inverse {
-            setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
+        let PointsJob { client, mut setup, q, object, is_long } = job;
+        let is_inverse = object.annotations.is_inverse;
+        if is_inverse {
+            setup = self.to_invert(ticket, &setup).await?;
         }
         // The posed grid shows where to look for the inverse.
-        let planned = if annotations.is_inverse { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
+        let planned = if is_inverse { Some(self.plan(client, ticket, &setup, Timing::default()).await?) } else { None };
         let app = self.clone();
         let mapped = self.0.pool.run(ticket, move |cancel| {
-            let _reading = reading;
+            // The memory of the annotations.
+            let (PointsObject { annotations, .. }, _held) = object.into_parts();
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
             let posed_bytes = planned.as_ref().map_or(0, |_| setup.posed_bytes());
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, annotations.least_mapped_bytes() + posed_bytes)?;
@@ -117,14 +110,24 @@ impl App {
         });
         mapped.await?
     }
+
+    /// The setup whose grid shows where to look for the inverse.
+    pub(super) async fn to_invert(&self, ticket: &Ticket, setup: &HeldSetup) -> Result<HeldSetup, Problem> {
+        let (app, setup) = (self.clone(), Arc::clone(setup));
+        let resolve = move |_: &_| {
+            // It shares most of its memory with the other one, and may outlive it.
+            let held = app.reserve(Purpose::Plan, setup.bytes())?;
+            Ok(Arc::new(CacheEntry::new(setup.to_invert(&app.0.config.limits())?, held)))
+        };
+        self.0.pool.run(ticket, resolve).await?
+    }
 }
 
 /// Annotations and the deformation by which they are mapped.
 struct PointsJob {
-    owner: Owner,
-    setup: Arc<Setup>,
-    object: PointsObject,
+    client: Client,
+    setup: HeldSetup,
+    q: Held<Vec<Handle>>,
+    object: Held<PointsObject>,
     is_long: bool,
-    /// The memory of the annotations.
-    reading: Reservation,
 }

@@ -1,25 +1,26 @@
 //! `POST /report` and `/sessions/{id}/report`: how good a pose is, without drawing it.
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, CanvasSpec, Folds, OutputSpec, Posed, Quality, Report, Setup};
+use mlswarp::warp::{Alignment, CanvasSpec, Folds, OutputSpec, Posed, Quality, Report};
 
 use super::App;
 use super::draw::Planned;
 use super::json_text::json_unless;
-use super::warp::Resolved;
-use crate::client::{Client, Owner};
+use super::reading::Held;
+use super::warp::{HeldSetup, Resolved};
+use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::wire::{DragObject, ReportAnswer, ReportObject, WarningEntry, method_text};
+use crate::wire::{DragObject, ReportAnswer, ReportObject, Reserved, WarningEntry, method_text};
 
 /// The quality of a pose.
 #[derive(Debug)]
@@ -35,9 +36,9 @@ pub(crate) struct QualityReport {
 
 /// What is measured.
 struct ReportJob {
-    owner: Owner,
-    setup: Arc<Setup>,
-    q: Vec<Handle>,
+    client: Client,
+    setup: HeldSetup,
+    q: Held<Vec<Handle>>,
     /// How q was aligned, if that was requested.
     alignment: Option<Alignment>,
     extent: Extent,
@@ -58,15 +59,17 @@ impl App {
         more: Vec<WarningEntry>,
     ) -> Result<(QualityReport, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let ReportObject { mut warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let object = self.0.pool.run(&ticket, move |_| Reserved::<ReportObject, _>::parse(&json, reserve)).await??;
+        let (extent, mut warp) = (object.extent, object.map(|object| object.warp));
         // Nothing is drawn.
         warp.output = OutputSpec { canvas: warp.output.canvas, ..OutputSpec::default() };
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, object, q, alignment } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
-        let (q, canvas, quota) = (object.posed()?.to_vec(), object.output.canvas, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, alignment, extent, canvas, more, quota };
+        let (canvas, quota) = (object.output.canvas, self.response_quota(client));
+        let job = ReportJob { client, setup, q, alignment, extent, canvas, more, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -78,28 +81,35 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let limits = self.0.config.limits();
         let (extent, quota) = (record.extent, self.response_quota(client));
+        let reserve = self.reserving(Purpose::Upload, client);
         let parse = move |_: &_| {
-            let DragObject { q, strength, output, .. } = DragObject::parse_for_report(&json)?;
-            let canvas = output.merge_onto(&record.output).canvas;
+            let drag = Reserved::<DragObject, _>::parse_for_report(&json, record.rest.p.len(), reserve)?;
+            let canvas = drag.output.merge_onto(&record.output).canvas;
             OutputSpec { canvas, ..OutputSpec::default() }.check(extent, &limits)?;
-            Ok::<_, Problem>((record.rest.posed(q, strength, extent), canvas))
+            let mut alignment = None;
+            let q = drag.map(|drag| {
+                let (q, found) = record.rest.posed(drag.q, drag.strength, extent);
+                alignment = found;
+                q
+            });
+            Ok::<_, Problem>(((q, alignment), canvas))
         };
         let ((q, alignment), canvas) = self.0.pool.run(&ticket, parse).await??;
-        let job = ReportJob { owner: id.owner(), setup, q, alignment, extent, canvas, more: Vec::new(), quota };
+        let job = ReportJob { client, setup, q, alignment, extent, canvas, more: Vec::new(), quota };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, alignment, extent, canvas, more, quota } = job;
+        let ReportJob { client, setup, q, alignment, extent, canvas, more, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
-        let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
+        let Planned { plan, mut timing, is_built, .. } = self.plan(client, ticket, &setup, timing).await?;
         // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
-        let to_invert = Arc::new(setup.to_invert(&self.0.config.limits())?);
+        let to_invert = self.to_invert(ticket, &setup).await?;
         let to_invert = if to_invert.plan_key() == setup.plan_key() {
             None
         } else {
-            Some(self.plan(owner, ticket, &to_invert, Timing::default()).await?)
+            Some(self.plan(client, ticket, &to_invert, Timing::default()).await?)
         };
         let app = self.clone();
         let measure = move |cancel: &Cancel| {

@@ -63,15 +63,16 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         };
         let has_unmatched = landmarks.as_ref().is_some_and(|landmarks| landmarks.has_unmatched());
         let upload = Upload { image: image.into(), warp: warp.into(), region, landmarks };
-        let (session, _, method) = app.create_session(client, upload).await?;
+        let (shown, method) = app.create_session(client, upload).await?;
+        let id = shown.session.record.id;
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
-            app.put_layer(client, session.record.id, &name, kind, file.into()).await.map_err(|mut problem| {
+            app.put_layer(client, id, &name, kind, file.into()).await.map_err(|mut problem| {
                 problem.detail.insert_str(0, &format!("--layer {}: ", name.as_str()));
                 problem
             })?;
         }
-        let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
+        let made = app.batch(client, id, batch.into(), form, |_| u64::MAX).await?;
         Ok((made, method, has_unmatched))
     })?;
     let frames = made.frames;

@@ -15,7 +15,7 @@ use super::failure::Failure;
 use crate::config::{Config, ExtentInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{LandmarkFiles, Landmarks, extent};
-use crate::wire::{AsJson, WarpObject, extent_in, merged, with_field};
+use crate::wire::{AsJson, Reserved, WarpObject, extent_in, merged, with_field};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -78,7 +78,9 @@ impl WarpInput {
     /// Errors: As [`Self::landmark_files`]; landmarks of one side.
     pub(super) fn landmarks(&self, config: &Config) -> Result<Option<Landmarks>, Failure> {
         let Some(files) = self.landmark_files(config)? else { return Ok(None) };
-        let landmarks = files.read(config.limits().columns, &|| false)?;
+        // Nobody shares this machine's memory with other clients.
+        let landmarks = Reserved::of_files(&files, config.limits().columns, &|| false, |_| Ok(()))?;
+        let (landmarks, ()) = landmarks.into_parts();
         landmarks.require_q()?;
         Ok(Some(landmarks))
     }

@@ -13,7 +13,7 @@ use crate::app::drawable::check_extent;
 use crate::config::{Config, WarpArgs, WarpKind};
 use crate::problem::Problem;
 use crate::wire::landmarks::{Landmarks, UNMATCHED};
-use crate::wire::{WarpObject, WarpPatch};
+use crate::wire::{Reserved, WarpObject, WarpPatch};
 use crate::wire::{canvas_from_text, canvas_text, method_text};
 
 /// Warps one image. The result: what a server sends in response headers.
@@ -23,7 +23,7 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     handles.require_one_stdin(&[Some(image), region.as_ref()])?;
     let canvas = canvas.as_deref().map(canvas_from_text).transpose();
     let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
-    let patch = WarpPatch::parse(&handles.json(config)?)?;
+    let (patch, ()) = Reserved::<WarpPatch, _>::parse(&handles.json(config)?, |_| Ok(()))?.into_parts();
     // The file name takes the place of `Accept`.
     let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
     output::require_directory(out)?;

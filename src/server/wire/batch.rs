@@ -12,12 +12,12 @@ use serde::Serialize;
 
 use super::annotations::{Annotations, MappedAnnotations};
 use super::enum_name::enum_name;
-use super::handles::handles;
+use super::handles::{handles, handles_bytes};
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
 use super::rest::strength;
-use super::{AsJson, fields, json, layer};
+use super::{AsJson, Reserved, fields, json, layer, reading_bytes};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -84,6 +84,12 @@ pub enum BatchPoses {
     },
 }
 
+/// Memory of the place of a frame, also while their list grows, bytes.
+const PLACE_BYTES: u64 = 3 * size_of::<Range<usize>>() as u64;
+
+/// The posed handles of a frame, if it has any, and their strength, in their memory.
+type Given<H> = Reserved<(Option<Vec<Handle>>, f64), H>;
+
 /// The objects in `frames`, as the client has written them.
 #[derive(Clone, Debug)]
 pub struct FrameTexts {
@@ -93,14 +99,19 @@ pub struct FrameTexts {
 
 impl FrameTexts {
     /// Reads `q` and `strength` of a frame.
-    fn read(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
-        let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
-        let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
-        let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
-        let node = Node::new(text, At::Item(&frames, index));
-        let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
-        Ok((optional(q, handles)?, optional(strength_, strength)?.unwrap_or(1.0)))
+    fn read<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Given<H>, Problem> {
+        let place = self.places.get(frame as usize);
+        let text = place.and_then(|place| self.body.get(place.clone())).unwrap_or_default();
+        Reserved::read(reading_bytes(text), reserve, || read_frame(frame, text))
     }
+}
+
+fn read_frame(frame: u32, text: &[u8]) -> Result<(Option<Vec<Handle>>, f64), Problem> {
+    let frames = At::Field(&At::Root, "frames");
+    let text = std::str::from_utf8(text).unwrap_or_default();
+    let node = Node::new(text, At::Item(&frames, frame as usize));
+    let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
+    Ok((optional(q, handles)?, optional(strength_, strength)?.unwrap_or(1.0)))
 }
 
 /// The problem of a frame's pose: its pointer begins at the frame.
@@ -112,10 +123,13 @@ pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
 impl BatchPoses {
     /// `q`, if the request gives it, and the strength of a frame.
     /// Errors: A frame with another form.
-    pub fn given(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
+    pub fn given<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Given<H>, Problem> {
         match self {
-            Self::Frames(texts) => texts.read(frame),
-            Self::Steps { q, strength, .. } | Self::Jitter { q, strength, .. } => Ok((q.clone(), *strength)),
+            Self::Frames(texts) => texts.read(frame, reserve),
+            Self::Steps { q, strength, .. } | Self::Jitter { q, strength, .. } => {
+                let bytes = q.as_deref().map_or(0, handles_bytes);
+                Reserved::read(bytes, reserve, || Ok((q.clone(), *strength)))
+            }
         }
     }
 
@@ -129,12 +143,36 @@ impl BatchPoses {
     }
 }
 
-impl BatchObject {
-    /// Reads the object. `most_bytes`: the most bytes of everything but the frames; `most_frame_bytes`: the most of one frame.
-    pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64) -> Result<Self, Problem> {
+/// The fields of the object.
+type BatchFields<'j, 'p> = [Option<Node<'j, 'p>>; fields::BATCH.len()];
+
+impl<H> Reserved<BatchObject, H> {
+    /// Reads the object in memory that `reserve` takes before. `most_bytes`: the most bytes of everything but the frames;
+    /// `most_frame_bytes`: the most of one frame.
+    pub fn parse(
+        body: &Bytes,
+        most_bytes: u64,
+        most_frame_bytes: u64,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [frames, q, strength_, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
-            root.fields(&fields::BATCH)?;
+        let fields = root.fields(&fields::BATCH)?;
+        // Frames are not read before they are drawn.
+        let others = fields.iter().skip(1).flatten().map(|node| reading_bytes(node.text.as_bytes())).sum::<u64>();
+        let places = if fields[0].is_some() { u64::from(MOST_FRAMES) * PLACE_BYTES } else { 0 };
+        Self::read(others + places, reserve, || BatchObject::read(body, &root, fields, most_bytes, most_frame_bytes))
+    }
+}
+
+impl BatchObject {
+    fn read(
+        body: &Bytes,
+        root: &Node<'_, '_>,
+        fields: BatchFields<'_, '_>,
+        most_bytes: u64,
+        most_frame_bytes: u64,
+    ) -> Result<Self, Problem> {
+        let [frames, q, strength_, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] = fields;
         let of_frames = frames.map_or(0, |frames| frames.text.len());
         let rest = (body.len() - of_frames) as u64;
         if rest > most_bytes {
@@ -178,7 +216,7 @@ impl BatchObject {
                 return Err(Problem::new(Code::BadValue, detail).pointer("/steps"));
             }
             _ => {
-                let last = jitter.or(steps).unwrap_or(root);
+                let last = jitter.or(steps).unwrap_or(*root);
                 return Err(last.problem(Code::BadValue, "give one of `frames`, `steps` and `jitter`"));
             }
         };
@@ -345,8 +383,13 @@ pub(crate) struct FrameAnnotations<'a> {
 mod tests {
     use super::*;
 
+    fn free(_: u64) -> Result<(), Problem> {
+        Ok(())
+    }
+
     fn parse(text: &str) -> Result<BatchObject, Problem> {
-        BatchObject::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100)
+        let read = Reserved::<BatchObject, _>::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100, free);
+        read.map(|read| read.into_parts().0)
     }
 
     #[test]
@@ -355,7 +398,7 @@ mod tests {
             parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
                 .unwrap();
         let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
-        assert_eq!((frames.count(), texts.read(0).unwrap().1, texts.read(1).unwrap().1), (2, 1.0, 0.5));
+        assert_eq!((frames.count(), texts.read(0, free).unwrap().1, texts.read(1, free).unwrap().1), (2, 1.0, 0.5));
         assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
         let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
         let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, strength: 2.0, .. } = steps.poses else { panic!() };
@@ -427,9 +470,9 @@ mod tests {
             panic!()
         };
         for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2")] {
-            assert_eq!(texts.read(frame).unwrap_err().pointer.as_deref(), Some(pointer));
+            assert_eq!(texts.read(frame, free).unwrap_err().pointer.as_deref(), Some(pointer));
         }
-        assert_eq!(texts.read(3).unwrap(), (None, 1.0));
+        assert_eq!(*texts.read(3, free).unwrap(), (None, 1.0));
     }
 
     #[test]

@@ -32,7 +32,7 @@ pub struct FitObject {
 
 impl FitObject {
     /// Reads the body of `/fit`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [p, q, align, weights, coincident, units, extent, candidates] = root.fields(&fields::FIT)?;
         let warp = WarpPatch::read([p, q, align, None, weights, None, None, None, None, coincident, units, None, None, None, None])?
@@ -43,7 +43,7 @@ impl FitObject {
     }
 
     /// Reads the body of `/sessions/{id}/fit`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, candidates] = root.fields(&fields::FIT_OF_SESSION)?;
         let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;

@@ -28,7 +28,7 @@ pub struct MapObject {
 
 impl MapObject {
     /// Reads the body of `/map`. `q` may be absent if there is no `p`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
         let warp = WarpPatch::read(warp)?.into_object()?;
@@ -38,7 +38,7 @@ impl MapObject {
     }
 
     /// Reads the body of `/sessions/{id}/map`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength_, spec @ ..] = root.fields(&fields::MAP_OF_SESSION)?;
         let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;

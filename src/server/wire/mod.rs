@@ -20,6 +20,7 @@ mod number;
 mod output;
 mod plan;
 mod report;
+mod reserved;
 mod rest;
 mod session;
 mod shape;
@@ -36,13 +37,15 @@ pub(crate) mod tests;
 use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-pub use annotations::{Annotation, Annotations, MappedAnnotations, reading_bytes};
+use annotations::reading_bytes;
+pub use annotations::{Annotation, Annotations, MappedAnnotations};
 pub(crate) use batch::{BatchFrame, BatchIndex, FrameAnnotations, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
-use handles::handles;
+pub(crate) use handles::handles_bytes;
+use handles::{handles, posed_handles};
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
@@ -55,9 +58,10 @@ use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
 pub use report::{ReportAnswer, ReportObject};
+pub use reserved::Reserved;
 pub(crate) use rest::WarpPatch;
 use rest::strength;
-pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
+pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, session_tail};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use warning::WarningEntry;
@@ -94,7 +98,7 @@ impl Default for WarpObject {
 
 impl WarpObject {
     /// Reads the object. Whether it has what a route needs is not checked.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    fn parse(json: &[u8]) -> Result<Self, Problem> {
         WarpPatch::parse(json).map(|patch| patch.merge_onto(Self::default()))
     }
 
@@ -171,29 +175,29 @@ pub struct DragObject {
 }
 
 impl DragObject {
-    /// Reads the object.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    /// Reads the object. `at_rest`: the number of handles at rest.
+    fn parse(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(&root, root.fields(&["q", "strength", "seq", "layer", "output"])?)
+        Self::read(&root, root.fields(&["q", "strength", "seq", "layer", "output"])?, at_rest)
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
-    pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    fn parse_posed(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
-        Self::read(&root, [q, strength, seq, None, None])
+        Self::read(&root, [q, strength, seq, None, None], at_rest)
     }
 
     /// Reads the body of `/sessions/{id}/report`: `q`, `strength` and `output`.
-    pub fn parse_for_report(json: &[u8]) -> Result<Self, Problem> {
+    fn parse_for_report(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
-        Self::read(&root, [q, strength, None, None, output])
+        Self::read(&root, [q, strength, None, None, output], at_rest)
     }
 
-    fn read(root: &Node<'_, '_>, [q, strength_, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {
+    fn read(root: &Node<'_, '_>, [q, strength_, seq, layer_, output]: [Option<Node<'_, '_>>; 5], at_rest: usize) -> Result<Self, Problem> {
         Ok(Self {
-            q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
+            q: posed_handles(&q.ok_or_else(|| root.missing("q", HANDLES))?, at_rest)?,
             strength: optional(strength_, strength)?.unwrap_or(1.0),
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
             layer: optional(layer_, layer)?,
@@ -230,7 +234,7 @@ pub struct PointsObject {
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
         let warp = WarpPatch::read(warp)?.into_object()?;
@@ -241,7 +245,7 @@ impl PointsObject {
     }
 
     /// Reads the object of `/sessions/{id}/points`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength_, annotations @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
         let annotations = Annotations::read(annotations)?;

@@ -36,7 +36,7 @@ pub(crate) struct WarpPatch {
 }
 
 impl WarpPatch {
-    pub(crate) fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         Self::read(json::root(json)?.fields(&fields::WARP)?)
     }
 

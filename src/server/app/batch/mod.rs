@@ -11,7 +11,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, OutputSpec, RestSpec, Setup, jitter_grid};
+use mlswarp::warp::{CanvasSpec, OutputSpec, RestSpec, jitter_grid};
 
 use super::App;
 use super::draw::Planned;
@@ -20,12 +20,13 @@ use super::session_warp::AdmittedPlan;
 use super::warp::{ATTEMPTS, columns};
 use crate::client::Client;
 use crate::layer::LayerRef;
+use crate::limits::memory::Purpose;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, StoreError};
 use crate::wire::formats::Formats;
-use crate::wire::{BatchObject, BatchPoses};
+use crate::wire::{BatchObject, BatchPoses, Reserved};
 use frame::BatchJob;
 pub use package::BatchForm;
 use package::DELAY;
@@ -61,13 +62,15 @@ impl App {
         let record = self.touch(id, None).await?.record;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (most, most_of_frame) = (self.0.config.max_warp_json_bytes, most_frame_bytes(columns(&record)));
-        let object = self.0.pool.run(&ticket, move |_| BatchObject::parse(&json, most, most_of_frame)).await??;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let parse = move |_: &_| Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, reserve);
+        let mut object = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         check_form(&object, form)?;
-        let frames = object.count();
-        let BatchObject { poses, layers: names, annotations, output, delay, plays, .. } = object;
+        let (frames, names) = (object.count(), std::mem::take(&mut object.layers));
+        let (output, delay, plays) = (object.output, object.delay, object.plays);
         let (record, content, layers, planned) = self.admit_layers(client, record, &names).await?;
-        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &poses).await?;
+        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &object.poses).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
@@ -84,9 +87,8 @@ impl App {
             layers,
             plan,
             rest,
-            poses,
+            object,
             frames,
-            annotations,
             output,
             form,
             force_alpha: false,
@@ -105,7 +107,7 @@ impl App {
             CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
             _ => None,
         };
-        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0))?;
+        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0)).await?;
         let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
         Ok(Batch { frames, canvas, plan_built: planned.is_built, first, rest })
     }
@@ -150,10 +152,10 @@ impl App {
         }
         let spec = RestSpec { p: jitter_grid(record.rest.units, record.extent), ..record.rest.clone() };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (rest, extent, limits) = (spec.clone(), record.extent, self.0.config.limits());
-        let new = move |cancel: &Cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled());
+        let (app, rest, extent) = (self.clone(), spec.clone(), record.extent);
+        let new = move |cancel: &Cancel| app.new_setup(&rest, extent, cancel);
         let setup = Arc::new(self.0.pool.run(&ticket, new).await??);
-        Ok((self.plan(client.owner, &ticket, &setup, planned.timing).await?, Some(spec)))
+        Ok((self.plan(client, &ticket, &setup, planned.timing).await?, Some(spec)))
     }
 
     /// The layers of these names, decoded.
@@ -166,7 +168,7 @@ impl App {
                 problem
             })?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            layers.push((name.clone(), self.decode_content(record.id.owner(), &ticket, sources).await?));
+            layers.push((name.clone(), self.decode_content(client, &ticket, sources).await?));
         }
         Ok(layers)
     }

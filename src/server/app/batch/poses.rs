@@ -3,19 +3,25 @@
 use std::sync::Arc;
 
 use mlswarp::deform::Handle;
-use mlswarp::warp::{RestSpec, Setup, WarpError};
+use mlswarp::warp::{RestSpec, WarpError};
 
+use crate::app::reading::Held;
+use crate::app::warp::HeldSetup;
+use crate::limits::memory::Reservation;
 use crate::problem::{Code, Problem};
 use crate::store::Record;
-use crate::wire::{BatchPoses, FrameJitter, FramePosition, in_frame, missing_q};
+use crate::wire::{BatchPoses, FrameJitter, FramePosition, handles_bytes, in_frame, missing_q};
 
 /// A frame's pose.
 #[derive(Debug)]
 pub(crate) struct FramePose {
     /// Posed handles.
-    pub(crate) q: Vec<Handle>,
+    pub(crate) q: Held<Vec<Handle>>,
     pub(crate) position: FramePosition,
 }
+
+/// Takes memory for posed handles.
+pub(crate) type Reserve<'a> = &'a dyn Fn(u64) -> Result<Reservation, Problem>;
 
 /// What the poses refer to.
 #[derive(Debug)]
@@ -23,7 +29,7 @@ pub(crate) struct Rest {
     pub(crate) record: Arc<Record>,
     /// The handles of a jitter in a session that has none.
     pub(crate) grid: Option<RestSpec>,
-    pub(crate) setup: Arc<Setup>,
+    pub(crate) setup: HeldSetup,
 }
 
 impl Rest {
@@ -33,23 +39,27 @@ impl Rest {
     }
 
     /// The posed handles and the strength that a frame begins with.
-    fn given(&self, poses: &BatchPoses, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
-        let (q, strength) = poses.given(frame)?;
+    fn given(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<Held<(Vec<Handle>, f64)>, Problem> {
         let p = &self.spec().p;
+        // Those at rest may take their place, and a jitter makes a copy.
+        let given = poses.given(frame, |bytes| reserve(2 * bytes.max(handles_bytes(p))))?;
         let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
         let missing = || match poses {
             BatchPoses::Frames(_) => in_frame(frame, missing_q()),
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => missing_q(),
         };
         // The empty `q` of a session without handles.
-        let q = q.filter(|q| self.grid.is_none() || !q.is_empty());
-        Ok((q.or_else(|| is_at_rest.then(|| p.clone())).ok_or_else(missing)?, strength))
+        given.try_map(|(q, strength)| {
+            let q = q.filter(|q| self.grid.is_none() || !q.is_empty());
+            Ok((q.or_else(|| is_at_rest.then(|| p.clone())).ok_or_else(missing)?, strength))
+        })
     }
 
     /// The pose of a frame.
-    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32) -> Result<FramePose, Problem> {
-        let (q, strength) = self.given(poses, frame)?;
-        let posed = |strength| self.spec().posed(q, strength, self.record.extent).0;
+    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<FramePose, Problem> {
+        let given = self.given(poses, frame, reserve)?;
+        let strength = given.1;
+        let posed = |strength| given.map(|(q, _)| self.spec().posed(q, strength, self.record.extent).0);
         let plain = FramePosition { strength, t: None, jitter: None };
         Ok(match *poses {
             BatchPoses::Frames(_) => FramePose { q: posed(strength), position: plain },
@@ -59,23 +69,23 @@ impl Rest {
             }
             BatchPoses::Jitter { jitter, .. } => {
                 let position = FramePosition { jitter: Some(FrameJitter { seed: jitter.seed, frame }), ..plain };
-                FramePose { q: jitter.displace(&self.setup, &self.spec().p, &posed(strength), frame), position }
+                FramePose { q: posed(strength).map(|q| jitter.displace(&self.setup, &self.spec().p, &q, frame)), position }
             }
         })
     }
 
     /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
     /// Errors: The first invalid pose.
-    pub(crate) fn check(&self, poses: &BatchPoses, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
+    pub(crate) fn check(&self, poses: &BatchPoses, reserve: Reserve<'_>, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
         match poses {
             BatchPoses::Frames(_) => {
                 for frame in (0..poses.count()).take_while(|_| !is_cancelled()) {
-                    self.setup.pose(&self.pose_of(poses, frame)?.q).map_err(|error| in_frame(frame, error.into()))?;
+                    self.setup.pose(&self.pose_of(poses, frame, reserve)?.q).map_err(|error| in_frame(frame, error.into()))?;
                 }
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
-                let (q, strength) = self.given(poses, 0)?;
-                let (q, _) = self.spec().posed(q, strength, self.record.extent);
+                let given = self.given(poses, 0, reserve)?;
+                let q = given.map(|(q, strength)| self.spec().posed(q, strength, self.record.extent).0);
                 self.setup.pose(&q)?;
                 if let BatchPoses::Jitter { jitter, .. } = poses {
                     for q in jitter.extremes(&self.setup, &q) {

@@ -12,12 +12,14 @@ use tokio::sync::Semaphore;
 use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
-use crate::app::session_warp::{AdmittedPlan, MOST_POSED_HERE, MeshForm, PosedMesh};
+use crate::app::reading::Held;
+use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, MeshForm, PosedMesh};
 use crate::app::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
 use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -138,7 +140,7 @@ async fn try_draw_frame(
             let format = if let Form::Picture(format) = form { format } else { None };
             let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
-            let q = read_handles(&app, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
+            let q = read_handles(&app, client, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, &request);
             let AdmittedPlan { ticket, planned } = plan;
@@ -155,7 +157,7 @@ async fn try_draw_frame(
             // The lattice is chosen after admission; only JSON has a limit of its own.
             let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
             drop(permit);
-            let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
+            let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
             let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
@@ -183,17 +185,19 @@ pub(super) async fn mesh_shape(
     Ok((MeshShape::compact(&lattice, record.extent), Some(lattice)))
 }
 
-/// Size of text up to which parsing is faster than waking a compute thread, bytes.
-const MAX_PARSED_HERE: usize = 16 << 10;
-
-/// Parses the handles of a pose.
-async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
+/// Parses the handles of a pose: here if they are few, otherwise on a compute thread.
+async fn read_handles(
+    app: &App,
+    client: Client,
+    ticket: &Ticket,
+    q: Arc<UnreadHandles>,
+    record: &Arc<Record>,
+) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
     let is_aligned_here = record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE;
-    if q.len() <= MAX_PARSED_HERE && is_aligned_here {
-        return q.read(&record.rest, record.extent);
-    }
-    let record = Arc::clone(record);
-    app.0.pool.run(ticket, move |_| q.read(&record.rest, record.extent)).await?
+    let (is_short, record) = (q.len() <= MAX_INLINE && is_aligned_here, Arc::clone(record));
+    let reserve = app.reserving(Purpose::Frame, client);
+    let read = move || Held::of_pose(&q, &record.rest, record.extent, reserve).map(Arc::new);
+    if is_short { read() } else { app.0.pool.run(ticket, move |_| read()).await? }
 }
 
 /// All pieces of an image.

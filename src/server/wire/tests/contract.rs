@@ -221,19 +221,19 @@ fn without_nulls(value: Value, known: Option<&Value>) -> Value {
 fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     type Parse = fn(&[u8]) -> bool;
-    let batch = |b: &[u8]| BatchObject::parse(&bytes::Bytes::copy_from_slice(b), 1 << 20, 1 << 16).is_ok();
+    let batch = |b: &[u8]| Reserved::<BatchObject, _>::parse(&bytes::Bytes::copy_from_slice(b), 1 << 20, 1 << 16, |_| Ok(())).is_ok();
     let parsers: [(&str, Parse, &str); 11] = [
         ("Batch", batch, "\"q\": [], \"steps\": 2"),
         ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
-        ("Drag", |b| DragObject::parse(b).is_ok(), "\"q\": []"),
+        ("Drag", |b| DragObject::parse(b, usize::MAX).is_ok(), "\"q\": []"),
         ("Points", |b| PointsObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedPoints", |b| PointsObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), "\"q\": []"),
         ("Report", |b| ReportObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedReport", |b| DragObject::parse_for_report(b).is_ok(), "\"q\": []"),
+        ("PosedReport", |b| DragObject::parse_for_report(b, usize::MAX).is_ok(), "\"q\": []"),
     ];
     let fields = [
         "p: []",

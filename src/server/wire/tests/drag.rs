@@ -4,13 +4,13 @@ use super::*;
 
 #[test]
 fn drag_reads_its_fields() {
-    let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
+    let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}", usize::MAX).unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
     assert_eq!(drag, DragObject { q: vec![point(1.0, 2.0)], strength: 1.0, seq: Some((1 << 53) + 1), layer: None, output });
-    let drag = DragObject::parse(b"{\"q\": []}").unwrap();
+    let drag = DragObject::parse(b"{\"q\": []}", usize::MAX).unwrap();
     assert_eq!(drag, DragObject { q: vec![], strength: 1.0, seq: None, layer: None, output: OutputPatch::default() });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
-        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
+        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes(), usize::MAX).unwrap().seq, Some(seq));
     }
 }
 
@@ -18,7 +18,7 @@ fn drag_reads_its_fields() {
 fn drag_refuses() {
     use Code::{BadValue as B, NotFinite as N};
     check(
-        DragObject::parse,
+        |json| DragObject::parse(json, usize::MAX),
         &[
             ("{}", B, Some("/q"), None),
             ("{\"q\": null}", B, Some("/q"), None),
