@@ -1,12 +1,14 @@
-//! Reads BMP through the `image` crate: 1 to 32 bit, palettes and runs included.
+//! Reads BMP through the `image` crate: 1 to 32 bit, palettes and runs included. The header states resolution and colour (versions 4
+//! and 5: sRGB, a calibrated colour space, or a profile).
 
 use std::borrow::Cow;
 
 use image::codecs::bmp::BmpDecoder;
-use image::error::UnsupportedErrorKind;
 use image::{ColorType, ImageDecoder as _, ImageError};
 
 use super::alloc::{room, sample_count, zeros};
+use super::metadata::{Found, Resolution, Unit};
+use super::profile::{MAX_ICC, keep_profile};
 use super::work::{Pieces, StepCounter};
 use super::{CodecError, Palette, SourceFormat};
 use crate::pixmap::{Channels, Extent, Samples};
@@ -23,11 +25,9 @@ pub(super) struct BmpFile<'a> {
 
 fn refused(error: ImageError) -> CodecError {
     match error {
-        ImageError::Unsupported(error) => match error.kind() {
-            UnsupportedErrorKind::GenericFeature(feature) => CodecError::unsupported(format!("a BMP of another kind: {feature}")),
-            _ => CodecError::unsupported(format!("a BMP of another kind: {error}")),
-        },
-        error => CodecError::bad(SourceFormat::Bmp.name(), error),
+        ImageError::Unsupported(_) => CodecError::unsupported("a BMP of another kind than 1 to 32 bit, with or without runs"),
+        ImageError::IoError(_) => bad("it is cut off before its end"),
+        _ => bad("its header or its pixels are damaged"),
     }
 }
 
@@ -45,16 +45,50 @@ impl<'a> BmpFile<'a> {
         let channels = match decoder.color_type() {
             ColorType::Rgb8 => Channels::Rgb,
             ColorType::Rgba8 => Channels::Rgba,
-            kind => return Err(CodecError::unsupported(format!("a BMP of {kind:?}"))),
+            _ => return Err(CodecError::unsupported("a BMP of other samples than 8 bit RGB or RGBA")),
         };
         Ok(Self { bytes, extent, channels, indexed: None })
     }
 
+    /// The number at a place of the file, 0 behind its end.
+    fn long(&self, at: usize) -> u32 {
+        self.bytes.get(at..at + 4).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes)
+    }
+
+    /// The number that names the colour space of a header of version 4 or 5.
+    fn colour_space(&self) -> Option<[u8; 4]> {
+        (self.long(14) >= 108).then(|| self.long(70).to_be_bytes())
+    }
+
+    pub(super) fn found(&self) -> Found<'a> {
+        let resolution = Resolution::whole(self.long(38), self.long(42), Unit::Metre).filter(|_| self.long(14) >= 40);
+        let colour_dropped = match self.colour_space().as_ref() {
+            // Calibrated, if the end points or the gammas are stated.
+            Some([0, 0, 0, 0]) => (74..122).step_by(4).any(|at| self.long(at) != 0),
+            // A profile in another file.
+            Some(b"LINK") => true,
+            _ => false,
+        };
+        Found { resolution, colour_dropped, ..Found::default() }
+    }
+
+    pub(super) fn has_profile(&self) -> bool {
+        self.colour_space() == Some(*b"MBED") && self.long(14) >= 124
+    }
+
+    pub(super) fn icc(&self) -> Option<Vec<u8>> {
+        if !self.has_profile() {
+            return None;
+        }
+        let (at, length) = (14 + self.long(126) as usize, self.long(130) as usize);
+        let profile = self.bytes.get(at..at.checked_add(length)?).filter(|profile| profile.len() <= MAX_ICC)?;
+        keep_profile(profile.to_vec(), false)
+    }
+
     /// From now on, a palette's indices are read instead of its colours.
     pub(super) fn read_labels(&mut self) {
-        let long = |at: usize| self.bytes.get(at..at + 4).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes);
         // The size of the header, bits per pixel, and colours.
-        let (size, bits, used) = (long(14), long(28) & 0xFFFF, long(46));
+        let (size, bits, used) = (self.long(14), self.long(28) & 0xFFFF, self.long(46));
         if size >= 40 && matches!(bits, 1 | 2 | 4 | 8) && self.channels == Channels::Rgb {
             self.indexed = Some(if used == 0 { 1 << bits } else { used.min(256) as usize });
         }
@@ -65,8 +99,7 @@ impl<'a> BmpFile<'a> {
         let Some(colours) = self.indexed else { return Ok(Cow::Borrowed(self.bytes)) };
         let mut file = room(self.bytes.len() as u64)?;
         file.extend_from_slice(self.bytes);
-        let size = self.bytes.get(14..18).and_then(|size| size.try_into().ok()).map_or(0, u32::from_le_bytes) as usize;
-        let palette = file.get_mut(14 + size..).unwrap_or_default();
+        let palette = file.get_mut(14 + self.long(14) as usize..).unwrap_or_default();
         for (index, colour) in (0..=u8::MAX).zip(palette.as_chunks_mut::<4>().0).take(colours) {
             *colour = [index, index, index, 0];
         }

@@ -6,18 +6,18 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Header, Limits, SourceFormat, StepCounter};
+use super::{CodecError, Header, Limits, Metadata, Repairs, SourceFormat, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
-/// An upright picture and its colour profile.
-#[derive(Debug, Clone)]
+/// An upright picture, and what its file says about it.
+#[derive(Debug)]
 pub struct Decoded {
     /// The upright pixels.
     pub pixmap: Pixmap,
-    /// The file's ICC profile if it describes RGB, to be written back.
-    pub icc: Option<Vec<u8>>,
-    /// Whether the file has a profile that is not kept.
-    pub profile_dropped: bool,
+    /// What is written back.
+    pub metadata: Metadata,
+    /// What of the file was mended.
+    pub repairs: Repairs,
 }
 
 /// A file whose header has passed the limits.
@@ -28,12 +28,19 @@ pub struct Opened<'a> {
     pub(super) work: &'a StepCounter<'a>,
 }
 
-/// Reads the header and checks it against `limits` before anything grows with the sizes that it claims; then reads the rest of what
+/// Reads the header of a picture and checks it against `limits` before anything grows with the sizes that it claims; then reads the rest of what
 /// determines the memory for decoding.
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
 pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
+    let opened = open_any(bytes, limits, work)?;
+    opened.parsed.check_picture()?;
+    Ok(opened)
+}
+
+/// Like [`open`], also for files that can only be read as labels.
+pub(super) fn open_any<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
     limits.check(parsed.header().extent)?;
     if let Parsed::WebP(file) = &mut parsed {
@@ -61,19 +68,19 @@ impl Opened<'_> {
     /// Decodes the picture.
     ///
     /// # Errors
-    /// [`CodecError::Bad`] for a file that is truncated, whose chunks fail their CRC, or that makes a decoder panic. Bytes after the
-    /// file's end are ignored. [`CodecError::Cancelled`].
+    /// [`CodecError::Bad`] for a file that lacks pixels, whose pixels are damaged, or that makes a decoder panic. Bytes after the file's
+    /// end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self { parsed, header, work } = self;
         // A decoder whose input is withheld reports damage.
         let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { error };
-        let samples = contained(header.format, || match parsed {
-            Parsed::Png(file) => file.samples(header.decode_bytes, work),
+        let (samples, repairs) = contained(header.format, || match parsed {
+            Parsed::Png(file) => Ok((file.samples(header.decode_bytes, work)?, file.repairs)),
             Parsed::Jpeg(file) => file.samples(work),
-            Parsed::WebP(file) => file.samples(work),
-            Parsed::Tiff(file) => file.samples(work),
-            Parsed::Gif(file) => file.samples(work),
-            Parsed::Bmp(file) => file.samples(work),
+            Parsed::WebP(file) => Ok((file.samples(work)?, file.repairs)),
+            Parsed::Tiff(file) => Ok((file.samples(work)?, Repairs::default())),
+            Parsed::Gif(file) => Ok((file.samples(work)?, file.repairs())),
+            Parsed::Bmp(file) => Ok((file.samples(work)?, Repairs::default())),
         })
         .map_err(wanted)?;
 
@@ -91,12 +98,13 @@ impl Opened<'_> {
             Parsed::Jpeg(file) => (file.has_profile(), file.icc()),
             Parsed::WebP(file) => (file.has_profile(), file.icc()),
             Parsed::Tiff(file) => (file.has_profile(), file.icc()),
-            Parsed::Gif(_) | Parsed::Bmp(_) => (false, None),
+            Parsed::Gif(file) => (file.has_profile(), file.icc(work)),
+            Parsed::Bmp(file) => (file.has_profile(), file.icc()),
         };
         work.check()?;
-        let profile_dropped = has_profile && icc.is_none();
+        let metadata = Metadata::new(&parsed.found(work), (has_profile, icc.as_deref()), orientation.swaps_sides(), work)?;
         let is_opaque = self.is_opaque(&upright)?;
-        Ok(Decoded { pixmap: Pixmap::of_opacity(header.extent, header.channels, upright, is_opaque), icc, profile_dropped })
+        Ok(Decoded { pixmap: Pixmap::of_opacity(header.extent, header.channels, upright, is_opaque), metadata, repairs })
     }
 
     /// Whether no pixel is transparent.

@@ -94,7 +94,7 @@ impl SourceFormat {
             [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Self::Written(Format::Png),
             [0xFF, 0xD8, 0xFF, ..] => Self::Written(Format::Jpeg),
             [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Self::Written(Format::WebP),
-            [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => Self::Written(Format::Tiff),
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Self::Written(Format::Tiff),
             [b'G', b'I', b'F', b'8', b'7' | b'9', b'a', ..] => Self::Gif,
             [b'B', b'M', ..] => Self::Bmp,
             _ => return Err(CodecError::unsupported(looks_like(bytes))),
@@ -126,7 +126,6 @@ impl SourceFormat {
 fn looks_like(bytes: &[u8]) -> String {
     let known = match bytes {
         [] => "an empty file (0 bytes)",
-        [b'I', b'I', 43, 0, ..] | [b'M', b'M', 0, 43, ..] => "BigTIFF",
         [0, 0, 1 | 2, 0, ..] => "ICO",
         [0xFF, 0x0A, ..] | [0, 0, 0, 12, b'J', b'X', b'L', b' ', ..] => "JPEG XL",
         [0, 0, 0, 12, b'j', b'P', b' ', b' ', ..] => "JPEG 2000",

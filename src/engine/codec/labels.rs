@@ -2,11 +2,15 @@
 //! grey of 1, 2 and 4 bit keeps its numbers in 8 bit, and colours stay whole. Transparency beside the samples (a PNG's tRNS chunk) and
 //! colour profiles are not applied.
 
+use std::sync::Arc;
+
 use super::alloc::room;
-use super::decode::{Decoded, Opened};
+use super::decode::{Decoded, Opened, open_any};
+use super::metadata::METADATA_BYTES;
 use super::png::write::PngShape;
 use super::probe::Parsed;
-use super::{CodecError, Limits, StepCounter};
+use super::profile::PROFILE_BYTES;
+use super::{CodecError, Limits, Metadata, Repairs, StepCounter};
 use crate::pixmap::{Depth, Samples};
 
 /// The colours of the labels of a file.
@@ -27,6 +31,17 @@ pub struct Labels {
     pub palette: Option<Palette>,
     /// The labels as a PNG stores them (16 bit big-endian). Shapes: `[height][width][shape.samples()]`.
     pub values: Vec<u8>,
+    /// What is written back.
+    pub metadata: Arc<Metadata>,
+    /// What of the file was mended.
+    pub repairs: Repairs,
+}
+
+impl Labels {
+    /// Whether a file of them has one sample for the three colours, and no palette.
+    pub(crate) const fn is_grey(&self) -> bool {
+        self.shape.grey && self.palette.is_none()
+    }
 }
 
 /// Reads the header of a label image; as [`super::open`].
@@ -34,7 +49,7 @@ pub struct Labels {
 /// # Errors
 /// Those of [`super::open`].
 pub fn open_labels<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
-    let mut opened = super::open(bytes, limits, work)?;
+    let mut opened = open_any(bytes, limits, work)?;
     opened.parsed.read_labels();
     opened.header = opened.parsed.header();
     Ok(opened)
@@ -65,7 +80,8 @@ impl Opened<'_> {
     /// Upper bound of the memory for decoding labels, bytes.
     #[must_use]
     pub fn label_bytes(&self) -> u64 {
-        self.header.decode_bytes.saturating_add(self.label_shape().sample_bytes())
+        let metadata = PROFILE_BYTES + METADATA_BYTES;
+        self.header.decode_bytes.saturating_add(self.label_shape().sample_bytes()).saturating_add(metadata)
     }
 
     /// The shape of a label image.
@@ -80,7 +96,7 @@ impl Opened<'_> {
     /// Those of [`Opened::decode`].
     pub fn decode_labels(&self) -> Result<Labels, CodecError> {
         let palette = self.parsed.palette(self.work)?;
-        let Decoded { pixmap, .. } = self.decode()?;
+        let Decoded { pixmap, metadata, repairs } = self.decode()?;
         let shape = self.label_shape();
         let mut values = room(shape.sample_bytes())?;
         // The first of three equal colours, and alpha.
@@ -94,7 +110,7 @@ impl Opened<'_> {
             Samples::Eight(samples) => self.keep(samples, kept, &mut values, |sample| [sample])?,
             Samples::Sixteen(samples) => self.keep(samples, kept, &mut values, u16::to_be_bytes)?,
         }
-        Ok(Labels { shape, palette, values })
+        Ok(Labels { shape, palette, values, metadata: Arc::new(metadata), repairs })
     }
 
     /// Appends these samples of each pixel as bytes.

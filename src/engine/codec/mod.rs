@@ -14,11 +14,15 @@ mod error;
 mod format;
 #[forbid(unsafe_code)]
 mod gif;
+#[forbid(unsafe_code)]
+mod ifd;
 mod jpeg;
 #[forbid(unsafe_code)]
 mod labels;
 #[forbid(unsafe_code)]
 mod limits;
+#[forbid(unsafe_code)]
+mod metadata;
 #[forbid(unsafe_code)]
 mod orientation;
 mod png;
@@ -26,6 +30,8 @@ mod png;
 mod probe;
 #[forbid(unsafe_code)]
 mod profile;
+#[forbid(unsafe_code)]
+mod repairs;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
@@ -43,9 +49,11 @@ pub use format::{Format, SourceFormat};
 pub use jpeg::write::{JpegWriter, Subsampling};
 pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;
+pub use metadata::{Carried, Dropped, Kind as DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, Unit};
 pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
+pub use repairs::Repairs;
 pub use tiff::floats::FloatTiff;
 pub use work::StepCounter;
 pub use write::{Encoding, Writer};

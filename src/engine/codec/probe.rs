@@ -1,6 +1,7 @@
 //! Reads the header of a file. The first bytes determine the format, never a name. The file is walked chunk by chunk, nothing proportional
 //! to the picture is allocated, and sizes are computed in u64. Callers reserve `Header::decode_bytes` before decoding.
 
+use super::metadata::Found;
 use super::orientation::Orientation;
 use super::{CodecError, Format, SourceFormat, StepCounter, bmp, gif, jpeg, png, tiff, webp};
 use crate::pixmap::{Channels, Depth, Extent, sample_bytes};
@@ -52,14 +53,31 @@ impl<'a> Parsed<'a> {
     /// Width and height of the stored rows, and how they are turned upright.
     pub(super) fn stored(&self) -> (Extent, Orientation) {
         let (extent, exif) = match self {
-            Self::Png(file) => (file.extent, file.exif),
-            Self::Jpeg(file) => (file.extent, file.exif),
-            Self::WebP(file) => (file.extent, file.exif),
+            Self::Png(file) => (file.extent, file.found.exif),
+            Self::Jpeg(file) => (file.extent, file.found.exif),
+            Self::WebP(file) => (file.extent, file.found.exif),
             Self::Tiff(file) => return (file.extent, file.orientation),
             Self::Gif(file) => (file.extent, None),
             Self::Bmp(file) => (file.extent, None),
         };
         (extent, exif.map_or_else(Orientation::default, Orientation::from_exif))
+    }
+
+    /// What the file says beside its pixels.
+    pub(super) fn found(&self, work: &StepCounter<'_>) -> Found<'a> {
+        match self {
+            Self::Png(file) => file.found(work),
+            Self::Jpeg(file) => file.found.clone(),
+            Self::WebP(file) => file.found.clone(),
+            Self::Tiff(file) => file.found.clone(),
+            Self::Gif(file) => file.found.clone(),
+            Self::Bmp(file) => file.found(),
+        }
+    }
+
+    /// Refuses what can only be read as labels.
+    pub(super) fn check_picture(&self) -> Result<(), CodecError> {
+        if let Self::Tiff(file) = self { file.check_picture() } else { Ok(()) }
     }
 
     pub(super) fn header(&self) -> Header {

@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use super::jpeg::write::{JpegWriter, Subsampling};
-use super::png::write::{Compression, PngShape, PngWriter, Profile, StripChecksum};
-use super::{Format, Palette, tiff, webp};
+use super::png::write::{Compression, PngShape, PngWriter, StripChecksum};
+use super::{Carried, Format, Palette, tiff, webp};
 use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
@@ -41,6 +41,16 @@ impl Encoding {
             Self::Tiff(_) => Format::Tiff,
         }
     }
+
+    /// Whether a grey picture is written in grey: the format has it, and the ground adds no colour.
+    #[must_use]
+    pub const fn is_grey(self) -> bool {
+        match self {
+            Self::Png(_) | Self::Tiff(_) => true,
+            Self::Jpeg { ground: [r, g, b], .. } => r == g && g == b,
+            Self::WebP => false,
+        }
+    }
 }
 
 /// Writes one picture. Cheap to create and to clone.
@@ -56,7 +66,7 @@ pub struct Writer {
 enum Kind {
     Png(PngWriter),
     Jpeg(JpegWriter),
-    Whole { coding: Coding, icc: Option<Profile>, palette: Option<Palette> },
+    Whole { coding: Coding, metadata: Option<Carried>, palette: Option<Palette> },
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -71,19 +81,13 @@ impl Writer {
     /// # Panics
     /// If a row is longer than 1 GiB.
     #[must_use]
-    pub fn new(shape: PngShape, encoding: Encoding, icc: Option<&Profile>) -> Self {
-        let grey = match encoding {
-            Encoding::Png(_) | Encoding::Tiff(_) => shape.grey,
-            Encoding::Jpeg { ground: [r, g, b], .. } => shape.grey && r == g && g == b,
-            Encoding::WebP => false,
-        };
+    pub fn new(shape: PngShape, encoding: Encoding, metadata: Option<&Carried>) -> Self {
+        let grey = shape.grey && encoding.is_grey();
         let shape = PngShape { grey, ..shape };
-        let whole = |coding| Kind::Whole { coding, icc: icc.cloned(), palette: None };
+        let whole = |coding| Kind::Whole { coding, metadata: metadata.cloned(), palette: None };
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Png(PngWriter::new(shape, compression, icc)),
-            Encoding::Jpeg { quality, subsampling, ground } => {
-                Kind::Jpeg(JpegWriter::new(shape, quality, subsampling, ground, icc.map(Profile::icc)))
-            }
+            Encoding::Png(compression) => Kind::Png(PngWriter::new(shape, compression, metadata)),
+            Encoding::Jpeg { quality, subsampling, ground } => Kind::Jpeg(JpegWriter::new(shape, quality, subsampling, ground, metadata)),
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
         };
@@ -95,10 +99,12 @@ impl Writer {
     /// # Panics
     /// Like [`Self::new`].
     #[must_use]
-    pub fn of_labels(shape: PngShape, encoding: Encoding, palette: Option<&Palette>) -> Option<Self> {
+    pub fn of_labels(shape: PngShape, encoding: Encoding, palette: Option<&Palette>, metadata: Option<&Carried>) -> Option<Self> {
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Png(PngWriter::of_labels(shape, compression, palette)),
-            Encoding::Tiff(compression) => Kind::Whole { coding: Coding::Tiff(compression), icc: None, palette: palette.cloned() },
+            Encoding::Png(compression) => Kind::Png(PngWriter::of_labels(shape, compression, palette, metadata)),
+            Encoding::Tiff(compression) => {
+                Kind::Whole { coding: Coding::Tiff(compression), metadata: metadata.cloned(), palette: palette.cloned() }
+            }
             Encoding::Jpeg { .. } | Encoding::WebP => return None,
         };
         Some(Self { shape, is_grey_in_colour: false, kind })
@@ -137,10 +143,10 @@ impl Writer {
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
             Kind::Jpeg(jpeg) => jpeg.max_bytes(),
-            Kind::Whole { icc, .. } => {
+            Kind::Whole { metadata, .. } => {
                 let shape = self.shape;
                 let samples = shape.extent.pixels() * shape.channels.count() as u64;
-                samples * SAMPLE + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64 + FRAME
+                samples * SAMPLE + metadata.as_ref().map_or(0, Carried::most_bytes) + FRAME
             }
         }
     }
@@ -154,10 +160,10 @@ impl Writer {
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
             Kind::Jpeg(jpeg) => jpeg.work_bytes(),
-            Kind::Whole { icc, .. } => {
+            Kind::Whole { metadata, .. } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                samples * COPIES + 2 * icc.as_ref().map_or(0, |icc| icc.icc().len()) as u64
+                samples * COPIES + 2 * metadata.as_ref().map_or(0, Carried::most_bytes)
             }
         }
     }
@@ -186,12 +192,11 @@ impl Writer {
                 jpeg.strip_into(index, &in_eight(samples, self.shape.depth), out, wanted);
                 StripChecksum::default()
             }
-            Kind::Whole { coding, icc, palette } => {
-                let shape = self.shape;
-                let icc = icc.as_ref().map(Profile::icc);
+            Kind::Whole { coding, metadata, palette } => {
+                let (shape, metadata) = (self.shape, metadata.as_ref());
                 match *coding {
-                    Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (icc, palette.as_ref()), out, wanted),
-                    Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), icc, out),
+                    Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (metadata, palette.as_ref()), out, wanted),
+                    Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), metadata, out),
                 }
                 StripChecksum::default()
             }
@@ -251,7 +256,7 @@ mod tests {
     const TIFF: Encoding = Encoding::Tiff(Compression::Fast);
 
     fn written(extent: Extent, channels: Channels, depth: Depth, samples: &[u8], encoding: Encoding, icc: Option<&[u8]>) -> Decoded {
-        let profile = icc.map(Profile::new);
+        let profile = icc.map(Carried::of_icc);
         let writer = Writer::new(PngShape { extent, channels, grey: false, depth }, encoding, profile.as_ref());
         let mut file = writer.head();
         let checksum = writer.strip_into(0, &mut samples.to_vec(), &mut file, &|| true);
@@ -369,7 +374,7 @@ mod tests {
             TIFF,
         ] {
             let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
-            assert!(back.icc.as_deref() == Some(profile.as_slice()), "{encoding:?}");
+            assert!(back.metadata.icc() == Some(profile.as_slice()), "{encoding:?}");
         }
     }
 }

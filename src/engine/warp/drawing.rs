@@ -111,7 +111,7 @@ impl Warp {
     }
 }
 
-fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, force_alpha }: Target) -> Digest {
+fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, force_alpha, is_preview }: Target) -> Digest {
     let encoding = match output.encoding() {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
@@ -134,7 +134,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
         Outside::Reflect => [3, 0, 0, 0, 0],
     };
-    let digest = Collector::new("mlswarp answer 5")
+    let digest = Collector::new("mlswarp answer 6")
         .bytes(&subject.digest().0)
         .bytes(&posed.digest().0)
         .bytes(&encoding)
@@ -143,6 +143,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         .integer(extent.width().into())
         .integer(extent.height().into());
     let digest = if force_alpha { digest.bytes(b"alpha") } else { digest };
+    let digest = if is_preview { digest.bytes(b"preview") } else { digest };
     let digest = match (posed.region(), output.holes) {
         (None, _) => digest,
         (Some(region), Holes::Keep) => digest.integer(0).bytes(&region.digest().0),

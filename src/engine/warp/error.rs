@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use thiserror::Error;
 
-use crate::codec::{CodecError, Format};
+use crate::codec::{CodecError, Dropped, Format, Repairs};
 use crate::deform::{self, DeformError};
 use crate::geometry::Compact;
 
@@ -181,8 +181,12 @@ pub enum Warning {
     /// Annotations are farther from their image than its size, or look as if they had another unit
     /// than the handles; then [`Warning::LooksNormalized`] says so too.
     AnnotationsOutsidePicture,
-    /// The file's colour profile is damaged, too large, or not for RGB, and is not kept.
+    /// The output says less about the meaning of its colours than the file.
     ProfileDropped,
+    /// The output lacks these metadata of the file.
+    MetadataDropped(Dropped),
+    /// The file was mended to be read; its pixels are complete.
+    FileRepaired(Repairs),
 }
 
 /// A figure of a warning.
@@ -196,6 +200,12 @@ pub enum Figure {
     Indices(Vec<usize>),
     /// Names, as of things in a file.
     Names(Vec<String>),
+}
+
+impl Figure {
+    fn names(names: impl Iterator<Item = &'static str>) -> Self {
+        Self::Names(names.map(str::to_owned).collect())
+    }
 }
 
 impl Warning {
@@ -215,6 +225,8 @@ impl Warning {
             Self::ScaledUseSimilarity { .. } => "scaled_use_similarity",
             Self::AnnotationsOutsidePicture => "annotations_outside_picture",
             Self::ProfileDropped => "profile_dropped",
+            Self::MetadataDropped(_) => "metadata_dropped",
+            Self::FileRepaired(_) => "file_repaired",
         }
     }
 
@@ -234,6 +246,8 @@ impl Warning {
             | Self::Mirrored
             | Self::AnnotationsOutsidePicture
             | Self::ProfileDropped => vec![],
+            Self::MetadataDropped(dropped) => vec![("dropped", Figure::names(dropped.names()))],
+            Self::FileRepaired(repairs) => vec![("repaired", Figure::names(repairs.names()))],
         }
     }
 

@@ -3,20 +3,21 @@
 use std::sync::{Arc, OnceLock};
 
 use super::region::occupied_words;
-use super::{Digest, Warning, WarpError};
-use crate::codec::{self, Limits, Opened, Profile, StepCounter};
+use super::{Digest, Target, WarpError};
+use crate::codec::{self, Carried, Limits, Metadata, Opened, Repairs, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::Source;
 
-/// A decoded, upright picture with its derived copies for sampling, and its colour profile for every output.
+/// A decoded, upright picture with its derived copies for sampling, and its metadata for every output.
 #[derive(Debug)]
 pub struct Image {
     digest: Digest,
     pub(super) source: Arc<Source>,
     /// Which pixels have some of a mask, if the picture has been one.
     pub(super) occupied: Arc<OnceLock<Vec<u64>>>,
-    pub(super) icc: Option<Profile>,
-    profile_dropped: bool,
+    metadata: Arc<Metadata>,
+    /// What of the file was mended.
+    pub(super) repairs: Repairs,
     /// Whether the file stores one sample for the three colours.
     pub(super) grey: bool,
 }
@@ -33,7 +34,7 @@ impl Image {
     pub fn peak_bytes(opened: &Opened<'_>) -> u64 {
         let header = opened.header();
         let used = used_bytes(header.extent, header.channels, header.depth);
-        header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES)
+        header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES + codec::METADATA_BYTES)
     }
 
     /// Decodes a file within limits. CPU work; do not call it on async threads.
@@ -50,13 +51,12 @@ impl Image {
     /// See [`codec::CodecError`].
     pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
         let decoded = opened.decode()?;
-        let icc = decoded.icc.as_deref().map(Profile::new);
         Ok(Self {
             digest,
             source: Arc::new(Source::new(decoded.pixmap)),
             occupied: Arc::default(),
-            icc,
-            profile_dropped: decoded.profile_dropped,
+            metadata: Arc::new(decoded.metadata),
+            repairs: decoded.repairs,
             grey: opened.header().grey,
         })
     }
@@ -64,14 +64,13 @@ impl Image {
     /// A picture that no file has. `name`: of its digest.
     #[cfg(test)]
     pub(super) fn of_pixmap(name: &str, pixmap: crate::pixmap::Pixmap, grey: bool) -> Self {
-        let source = Arc::new(Source::new(pixmap));
-        Self { digest: Digest::of(name.as_bytes()), source, occupied: Arc::default(), icc: None, profile_dropped: false, grey }
+        let (digest, metadata, repairs) = (Digest::of(name.as_bytes()), Arc::default(), Repairs::default());
+        Self { digest, source: Arc::new(Source::new(pixmap)), occupied: Arc::default(), metadata, repairs, grey }
     }
 
-    /// The warning for every output drawn from this picture.
-    #[must_use]
-    pub fn warning(&self) -> Option<Warning> {
-        self.profile_dropped.then_some(Warning::ProfileDropped)
+    /// What an output has of the file's metadata.
+    pub(super) fn carried(&self, target: &Target) -> Carried {
+        target.carried(&self.metadata, self.extent())
     }
 
     /// The digest of the file.
@@ -96,8 +95,7 @@ impl Image {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
-        let profile = self.icc.as_ref().map_or(0, Profile::bytes);
-        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + profile as u64
+        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + self.metadata.bytes() as u64
     }
 }
 

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Digest, Limits, WarpError};
-use crate::codec::{self, Labels, Opened, StepCounter};
+use super::{Digest, Limits, Target, WarpError};
+use crate::codec::{self, Carried, Labels, Opened, StepCounter};
 use crate::pixmap::Extent;
 
 /// A decoded, upright label image. Its labels are those of the file: indices of a palette, grey values of up to 16 bit, or whole colours.
@@ -54,9 +54,14 @@ impl LabelImage {
         self.labels.shape.extent
     }
 
+    /// What an output has of the file's metadata.
+    pub(super) fn carried(&self, target: &Target) -> Carried {
+        target.carried(&self.labels.metadata, self.extent())
+    }
+
     /// Memory of the labels, bytes: their weight in a cache.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.labels.shape.sample_bytes()
+        self.labels.shape.sample_bytes() + self.labels.metadata.bytes() as u64
     }
 }

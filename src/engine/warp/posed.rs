@@ -3,7 +3,7 @@
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
 use super::setup::FINE_BYTES;
-use super::{Digest, Folds, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError};
+use super::{Digest, Folds, OutputSpec, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
@@ -180,9 +180,14 @@ impl Posed {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn into_report_on(self, subject: Subject<'_>, target: &Target, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+    pub fn into_report_on(
+        self,
+        subject: Subject<'_>,
+        (target, output): (&Target, &OutputSpec),
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Report, WarpError> {
         let mut report = self.into_report(Some(target.canvas.unwrap_or(Canvas::of(subject.extent()))), cancelled)?;
-        report.warnings.extend(subject.warning());
+        report.warnings.extend(subject.warnings(target, output));
         Ok(report)
     }
 

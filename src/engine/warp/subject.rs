@@ -35,13 +35,23 @@ impl Subject<'_> {
         }
     }
 
-    /// The warning for every output of this subject.
+    /// The warnings about what an output lacks of the file, and about what was mended to read it.
     #[must_use]
-    pub fn warning(self) -> Option<Warning> {
-        match self {
-            Self::Image(image) => image.warning(),
-            Self::Labels(_) | Self::Coverage(_) | Self::Holes(_) => None,
-        }
+    pub fn warnings(self, target: &Target, output: &OutputSpec) -> Vec<Warning> {
+        let (carried, grey, repairs) = match self {
+            Self::Image(image) => {
+                (image.carried(target), image.grey && output.outside.is_grey() && output.encoding().is_grey(), image.repairs)
+            }
+            Self::Labels(labels) => (labels.carried(target), labels.labels.is_grey(), labels.labels.repairs),
+            Self::Coverage(_) | Self::Holes(_) => return Vec::new(),
+        };
+        let (profile, dropped) = carried.losses(output.format, grey);
+        let all = [
+            (profile, Warning::ProfileDropped),
+            (!dropped.is_empty(), Warning::MetadataDropped(dropped)),
+            (!repairs.is_empty(), Warning::FileRepaired(repairs)),
+        ];
+        all.into_iter().filter_map(|(applies, warning)| applies.then_some(warning)).collect()
     }
 
     /// Checks the format of the output.
@@ -105,9 +115,9 @@ impl Subject<'_> {
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
             Some(region) if !matches!(self, Self::Holes(_)) => {
-                Drawer::Region(Box::new(RegionDrawer::new(self, region, posed.mesh(), options, output.holes)))
+                Drawer::Region(Box::new(RegionDrawer::new(self, (&target, region), posed.mesh(), options, output.holes)))
             }
-            _ => Drawer::new(self, posed.mesh(), options),
+            _ => Drawer::new(self, &target, posed.mesh(), options),
         }
     }
 }

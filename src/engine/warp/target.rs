@@ -1,7 +1,10 @@
 //! The target picture: which part of the posed plane it shows, and its size.
 
+use std::sync::Arc;
+
 use super::spec::at_most;
 use super::{Limits, OutputSpec, Posed, WarpError};
+use crate::codec::{Carried, Metadata};
 use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
 use crate::render::{Canvas, RenderOptions, window_count};
@@ -74,9 +77,17 @@ pub struct Target {
     pub extent: Extent,
     /// Whether the picture has alpha even if every pixel is opaque: either all pictures of a batch have alpha, or none has.
     pub force_alpha: bool,
+    /// Whether the picture is a preview, whose file has no more metadata than its colours need.
+    pub is_preview: bool,
 }
 
 impl Target {
+    /// What the picture has of the metadata of a source of this size.
+    pub(super) fn carried(&self, metadata: &Arc<Metadata>, source: Extent) -> Carried {
+        let carried = Carried::new(metadata, self.extent, self.canvas.map_or(source, |canvas| canvas.extent));
+        if self.is_preview { carried.colour_only() } else { carried }
+    }
+
     /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows, and with a
     /// region, picture and mask are drawn posed and at rest.
     #[must_use]
@@ -87,7 +98,7 @@ impl Target {
     }
 
     pub(super) fn options(self, output: &OutputSpec) -> RenderOptions {
-        let Self { canvas, extent, force_alpha } = self;
+        let Self { canvas, extent, force_alpha, .. } = self;
         RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, force_alpha }
     }
 }
@@ -121,7 +132,7 @@ impl OutputSpec {
 
     fn target_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
         let extent = self.extent_of(canvas, source, limits)?;
-        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, force_alpha: false })
+        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, force_alpha: false, is_preview: false })
     }
 
     /// The size of the target on this canvas, whatever the limits.

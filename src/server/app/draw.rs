@@ -98,7 +98,8 @@ impl DrawJob {
             }
             _ => target,
         };
-        Ok((posed, Target { force_alpha: self.force_alpha, ..target }))
+        let is_preview = preview.is_some();
+        Ok((posed, Target { force_alpha: self.force_alpha, is_preview, ..target }))
     }
 }
 
@@ -326,7 +327,7 @@ impl App {
             stage("reduce", began);
         }
         let warp = Warp::onto(target, subject, &posed, &job.output);
-        let report = posed.into_report_on(subject, &target, is_cancelled)?;
+        let report = posed.into_report_on(subject, (&target, &job.output), is_cancelled)?;
         self.reserve_more(&mut reservation, warp.work_bytes())?;
         timing.deform = began.elapsed().saturating_sub(timing.reduce);
         stage("deform", began);

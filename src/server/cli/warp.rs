@@ -88,7 +88,7 @@ fn render(
         written
     })?;
     let target = warp.target();
-    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, &target, &|| false)?;
+    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
     let (width, height) = (target.extent.width(), target.extent.height());
     let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
     let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };

@@ -2,4 +2,8 @@
 
 #[forbid(unsafe_code)]
 pub(super) mod read;
+#[forbid(unsafe_code)]
+mod scans;
+#[forbid(unsafe_code)]
+mod segments;
 pub(super) mod write;

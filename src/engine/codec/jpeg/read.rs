@@ -1,34 +1,35 @@
 //! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header; `zune-jpeg` decodes baseline and progressive
-//! Huffman pictures of 8 bit to RGB. Decoders fill missing data with grey, so completeness is checked here: the marker EOI must be present
-//! outside every segment, and is passed on behind a run of one-bits. No Huffman code consists of ones alone (T.81, annex C), so a
-//! truncated scan meets an invalid code instead of zeros. Cost: one copy of the file.
+//! Huffman pictures of 8 bit to RGB. Decoders fill missing data with grey, so completeness is checked here: behind the data come one-bits
+//! and the marker EOI. No Huffman code consists of ones alone (T.81, annex C), so a truncated scan meets an invalid code instead of zeros.
+//! A file without EOI is read if its scans state every bit of every coefficient, and if the picture is the same whether ones or zeros
+//! follow. Cost: one copy of the file; without EOI, the work of decoding twice.
+
+use std::ops::Range;
 
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
+use super::scans::Precision;
+use super::segments::{APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, find};
 use crate::codec::alloc::{room, sample_count, zeros};
-use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::metadata::Found;
+use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Bytes, StepCounter};
-use crate::codec::{CodecError, Format};
+use crate::codec::{CodecError, Format, Repairs};
 use crate::pixmap::{Channels, Extent, Samples};
 
 /// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still requests, and a whole code of 16 bits.
 const ONES: usize = 8;
+/// The most places with bytes between segments.
+const MOST_GAPS: usize = 64;
 
 const SOF0: u8 = 0xC0;
 const SOF2: u8 = 0xC2;
-const DHT: u8 = 0xC4;
 const JPG: u8 = 0xC8;
 const DAC: u8 = 0xCC;
 const SOF15: u8 = 0xCF;
 const RST0: u8 = 0xD0;
 const RST7: u8 = 0xD7;
-const SOI: u8 = 0xD8;
-const EOI: u8 = 0xD9;
-const SOS: u8 = 0xDA;
-const APP1: u8 = 0xE1;
-const APP2: u8 = 0xE2;
-const TEM: u8 = 0x01;
 
 /// A JPEG whose segments have been walked up to its first scan.
 #[derive(Debug)]
@@ -36,79 +37,64 @@ pub(in crate::codec) struct JpegFile<'a> {
     bytes: &'a [u8],
     pub(in crate::codec) extent: Extent,
     progressive: bool,
-    /// Horizontal and vertical sampling factor of each component.
+    /// The number of each component, and its horizontal and vertical sampling factor.
+    components: Vec<u8>,
     factors: Vec<(u64, u64)>,
-    pub(in crate::codec) exif: Option<&'a [u8]>,
+    pub(in crate::codec) found: Found<'a>,
+    /// Whether there are bytes between the segments of the header.
+    has_gap: bool,
     /// Sequence number, number of parts, part.
     profile: Vec<(u8, u8, &'a [u8])>,
-    /// Start of the first scan's entropy-coded data.
-    scan: usize,
+    /// The header of the first scan, and the start of its entropy-coded data.
+    scan: (&'a [u8], usize),
+    /// Whether the components are the colours, as in some TIFF files.
+    pub(in crate::codec) is_rgb: bool,
 }
 
-struct Segment<'a> {
-    marker: u8,
-    data: &'a [u8],
-    end: usize,
-}
-
-/// The end of the scans.
-struct End {
+/// The scans of a file.
+struct Scans {
     /// End of the first scan's entropy-coded data.
-    first_scan: usize,
-    /// Position of EOI.
-    eoi: usize,
-    scans: u32,
+    first: usize,
+    /// End of the last one's.
+    end: usize,
+    count: u32,
     entropy_bytes: u64,
+    /// Bytes between segments, which are left out.
+    gaps: Vec<Range<usize>>,
+    /// Whether the mark of the end is missing.
+    is_open: bool,
 }
 
-fn bad(detail: impl ToString) -> CodecError {
+pub(super) fn bad(detail: impl ToString) -> CodecError {
     CodecError::bad(Format::Jpeg.name(), detail)
 }
 
-fn cut_off() -> CodecError {
+pub(super) fn cut_off() -> CodecError {
     bad("it is cut off before its end")
 }
 
-/// The segment whose marker is at `at`; fill bytes before the marker are skipped. Markers without a length are empty.
-fn segment_at<'a>(bytes: &'a [u8], mut at: usize, work: &StepCounter<'_>) -> Result<Segment<'a>, CodecError> {
-    if *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
-        return Err(bad("a segment does not begin with a marker"));
-    }
-    work.step(1)?;
-    while *bytes.get(at).ok_or_else(cut_off)? == 0xFF {
-        work.step(1)?;
-        at += 1;
-    }
-    let (marker, at) = (bytes[at], at + 1);
-    if matches!(marker, TEM | RST0..=EOI) {
-        return Ok(Segment { marker, data: &[], end: at });
-    }
-    let length = usize::from(u16::from_be_bytes(*bytes[at..].first_chunk().ok_or_else(cut_off)?));
-    if length < 2 {
-        return Err(bad("a segment shorter than its own length field"));
-    }
-    let data = bytes[at..].get(2..length).ok_or_else(cut_off)?;
-    Ok(Segment { marker, data, end: at + length })
+fn damaged<E>(_: E) -> CodecError {
+    bad("its pixels are damaged or end too early")
 }
 
 impl<'a> JpegFile<'a> {
     pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let mut frame = None;
-        let mut exif = None;
+        let mut found = Found::default();
         let mut profile = Vec::new();
-        let mut profile_bytes = 0;
+        let (mut profile_bytes, mut has_gap) = (0, false);
         let mut at = 2;
         loop {
-            let segment = segment_at(bytes, at, work)?;
+            let segment = Segment::at(bytes, at, work)?;
+            has_gap |= segment.start > at;
             at = segment.end;
             match segment.marker {
                 DHT => {}
                 JPG | DAC => return Err(CodecError::unsupported("a JPEG with arithmetic coding or extensions")),
                 marker @ SOF0..=SOF15 if frame.is_none() => frame = Some(Frame::parse(marker, segment.data)?),
                 SOF0..=SOF15 => return Err(bad("two frames")),
-                APP1 if exif.is_none() && segment.data.starts_with(b"Exif\0\0") => exif = Some(segment.data),
-                APP2 => {
-                    if let Some([number, count, part @ ..]) = segment.data.strip_prefix(b"ICC_PROFILE\0")
+                APP2 if segment.data.starts_with(b"ICC_PROFILE\0") => {
+                    if let Some([number, count, part @ ..]) = segment.data.get(12..)
                         && profile_bytes + part.len() <= MAX_ICC + usize::from(u16::MAX)
                         && profile.len() < usize::from(u8::MAX)
                     {
@@ -118,14 +104,15 @@ impl<'a> JpegFile<'a> {
                 }
                 SOI | EOI => return Err(bad("it ends before its first scan")),
                 SOS => {
-                    let Frame { extent, progressive, factors } = frame.ok_or_else(|| bad("a scan before the frame"))?;
+                    let Frame { extent, progressive, components, factors } = frame.ok_or_else(|| bad("a scan before the frame"))?;
                     // The decoder silently drops the last rows of such a scan if they are truncated.
                     if !progressive && segment.data.first().is_none_or(|&count| usize::from(count) != factors.len()) {
                         return Err(CodecError::unsupported("a baseline JPEG whose components come in separate scans"));
                     }
-                    return Ok(Self { bytes, extent, progressive, factors, exif, profile, scan: at });
+                    let scan = (segment.data, at);
+                    return Ok(Self { bytes, extent, progressive, components, factors, found, has_gap, profile, scan, is_rgb: false });
                 }
-                _ => {}
+                _ => find(&segment, &mut found, work),
             }
         }
     }
@@ -159,80 +146,148 @@ impl<'a> JpegFile<'a> {
     }
 
     /// Walks all scans.
-    fn find_end(&self, work: &StepCounter<'_>) -> Result<End, CodecError> {
-        let mut end = End { first_scan: 0, eoi: 0, scans: 1, entropy_bytes: 0 };
-        let mut at = self.scan;
+    fn scans(&self, work: &StepCounter<'_>) -> Result<Scans, CodecError> {
+        let (header, mut at) = self.scan;
+        let mut scans = Scans { first: 0, end: 0, count: 1, entropy_bytes: 0, gaps: Vec::new(), is_open: false };
+        let mut precision = Precision::new(&self.components);
+        precision.add(header);
         loop {
-            let rest = self.bytes.get(at..).ok_or_else(cut_off)?;
-            let run = rest.iter().position(|&byte| byte == 0xFF).ok_or_else(cut_off)?;
-            work.step(1 + run as u64)?;
-            end.entropy_bytes += run as u64;
-            at += run;
-            match self.bytes.get(at + 1).ok_or_else(cut_off)? {
-                0 => {
-                    end.entropy_bytes += 1;
+            let rest = self.bytes.get(at..).unwrap_or_default();
+            let run = rest.iter().position(|&byte| byte == 0xFF);
+            let length = run.unwrap_or(rest.len());
+            work.step(1 + length as u64)?;
+            scans.entropy_bytes += length as u64;
+            at += length;
+            match self.bytes.get(at + 1) {
+                Some(0) => {
+                    scans.entropy_bytes += 1;
                     at += 2;
+                    continue;
                 }
-                RST0..=RST7 => at += 2,
-                0xFF => at += 1,
-                _ => loop {
-                    if end.first_scan == 0 {
-                        end.first_scan = at;
+                Some(RST0..=RST7) => {
+                    at += 2;
+                    continue;
+                }
+                Some(0xFF) => {
+                    at += 1;
+                    continue;
+                }
+                _ => {}
+            }
+            if scans.first == 0 {
+                scans.first = at;
+            }
+            scans.end = at;
+            loop {
+                let segment = match Segment::at(self.bytes, at, work) {
+                    Ok(segment) => segment,
+                    Err(CodecError::Cancelled) => return Err(CodecError::Cancelled),
+                    // Behind the last scan that a picture needs, nothing is missing but the mark of the end.
+                    Err(error) if self.progressive && !precision.is_full() => return Err(error),
+                    Err(_) => return Ok(Scans { is_open: true, ..scans }),
+                };
+                if segment.start > at {
+                    scans.gaps.push(at..segment.start);
+                    if scans.gaps.len() > MOST_GAPS {
+                        return Err(bad("too many bytes between its segments"));
                     }
-                    let segment = segment_at(self.bytes, at, work)?;
-                    match segment.marker {
-                        EOI => return Ok(End { eoi: at, ..end }),
-                        SOI => return Err(bad("a picture begins inside a picture")),
-                        SOS => {
-                            end.scans += 1;
-                            at = segment.end;
-                            break;
-                        }
-                        _ => at = segment.end,
+                }
+                at = segment.end;
+                match segment.marker {
+                    EOI => return Ok(scans),
+                    SOI => return Err(bad("a picture begins inside a picture")),
+                    SOS => {
+                        scans.count += 1;
+                        precision.add(segment.data);
+                        break;
                     }
-                },
+                    _ => {}
+                }
             }
         }
     }
 
-    /// The stored rows, RGB.
-    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        let end = self.find_end(work)?;
-        if end.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
-            return Err(bad(format!("{} bytes of data cannot hold the picture", end.entropy_bytes)));
+    /// The file as far as the decoder needs it, without its end.
+    fn needed(&self, scans: &Scans, work: &StepCounter<'_>) -> Result<Vec<u8>, CodecError> {
+        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
+        let end = if self.progressive { scans.end } else { scans.first };
+        let mut whole = room::<u8>((end + 2 * ONES + 2) as u64)?;
+        whole.extend_from_slice(&[0xFF, SOI]);
+        let (_, scan) = self.scan;
+        let mut at = 2;
+        while at < scan {
+            let segment = Segment::at(self.bytes, at, work)?;
+            // Of the segments of applications, Adobe's says what the components are.
+            if !matches!(segment.marker, APP0..=APP13 | APP15 | COM) {
+                whole.extend_from_slice(&self.bytes[segment.start..segment.end]);
+            }
+            at = segment.end;
         }
-        if !self.progressive && end.scans > 1 {
+        for gap in scans.gaps.iter().filter(|gap| gap.end <= end) {
+            whole.extend_from_slice(&self.bytes[at..gap.start]);
+            at = gap.end;
+        }
+        whole.extend_from_slice(&self.bytes[at..end]);
+        Ok(whole)
+    }
+
+    /// The stored rows, RGB, and what was mended.
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
+        let scans = self.scans(work)?;
+        if scans.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
+            return Err(bad(format!("{} bytes of data cannot hold the picture", scans.entropy_bytes)));
+        }
+        if !self.progressive && scans.count > 1 {
             return Err(bad("a second scan of components that are complete"));
         }
-        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
-        let data_end = if self.progressive { end.eoi } else { end.first_scan };
-        let mut whole = room::<u8>((data_end + 2 * ONES + 2) as u64)?;
-        whole.extend_from_slice(&self.bytes[..data_end]);
+        let mut whole = self.needed(&scans, work)?;
+        let length = whole.len();
         // The decoder looks for the marker directly behind the first scan of a progressive picture, where ones would hide it.
-        if !(self.progressive && end.scans == 1) {
+        if !(self.progressive && scans.count == 1) {
             whole.extend_from_slice(&[0xFF, 0].repeat(ONES));
         }
         whole.extend_from_slice(&[0xFF, EOI]);
+        let mut out = zeros::<u8>(sample_count(self.extent.pixels(), Channels::Rgb), work)?;
+        self.decode(&whole, &mut out, work)?;
+        if scans.is_open {
+            let with_ones = checksum(&out, work)?;
+            whole.truncate(length);
+            whole.extend_from_slice(&[0; 2 * ONES]);
+            whole.extend_from_slice(&[0xFF, EOI]);
+            let is_same = self.decode(&whole, &mut out, work).is_ok() && checksum(&out, work)? == with_ones;
+            work.check()?;
+            if !is_same {
+                return Err(cut_off());
+            }
+        }
+        let repairs = Repairs { end: scans.is_open, gap: self.has_gap || !scans.gaps.is_empty(), checksum: false };
+        Ok((Samples::Eight(out), repairs))
+    }
 
+    fn decode(&self, whole: &[u8], out: &mut [u8], work: &StepCounter<'_>) -> Result<(), CodecError> {
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         let options = DecoderOptions::default()
             .set_strict_mode(true)
             .set_max_width(width)
             .set_max_height(height)
             .jpeg_set_out_colorspace(ColorSpace::RGB);
-        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Bytes::new(whole.as_slice(), work), options);
-        decoder.decode_headers().map_err(bad)?;
+        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Bytes::new(whole, work), options);
+        decoder.decode_headers().map_err(damaged)?;
+        if let Some(stored) = decoder.input_colorspace().filter(|_| self.is_rgb) {
+            decoder.set_options(options.jpeg_set_out_colorspace(stored));
+        }
         let components = decoder.info().map_or(0, |info| usize::from(info.components));
         if decoder.dimensions() != Some((width, height)) || components != self.factors.len() {
             return Err(bad("two headers that disagree"));
         }
-        let len = sample_count(self.extent.pixels(), Channels::Rgb);
-        let mut out = zeros::<u8>(len, work)?;
         if decoder.output_buffer_size() != Some(out.len()) {
             return Err(bad("another colour space than RGB"));
         }
-        decoder.decode_into(&mut out).map_err(bad)?;
-        Ok(Samples::Eight(out))
+        decoder.decode_into(out).map_err(damaged)
+    }
+
+    pub(in crate::codec) const fn is_progressive(&self) -> bool {
+        self.progressive
     }
 
     pub(in crate::codec) fn is_grey(&self) -> bool {
@@ -245,19 +300,32 @@ impl<'a> JpegFile<'a> {
 
     /// The profile, with its parts in order.
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
-        if self.factors.len() != 3 || self.profile.is_empty() {
+        if !matches!(self.factors.len(), 1 | 3) || self.profile.is_empty() {
             return None;
         }
         let mut parts = self.profile.clone();
         parts.sort_unstable_by_key(|&(number, ..)| number);
         let in_order = (1..).zip(&parts).all(|(n, &(number, count, _))| usize::from(number) == n && usize::from(count) == parts.len());
-        in_order.then(|| parts.iter().flat_map(|(.., part)| part.iter().copied()).collect()).and_then(keep_rgb_profile)
+        let profile = in_order.then(|| parts.iter().flat_map(|(.., part)| part.iter().copied()).collect())?;
+        keep_profile(profile, self.is_grey())
     }
+}
+
+/// Sums samples, to compare two pictures in the memory of one.
+fn checksum(samples: &[u8], work: &StepCounter<'_>) -> Result<u32, CodecError> {
+    const PIECE: usize = 1 << 22;
+    let mut sum = crc32fast::Hasher::new();
+    for piece in samples.chunks(PIECE) {
+        work.check()?;
+        sum.update(piece);
+    }
+    Ok(sum.finalize())
 }
 
 struct Frame {
     extent: Extent,
     progressive: bool,
+    components: Vec<u8>,
     factors: Vec<(u64, u64)>,
 }
 
@@ -284,6 +352,7 @@ impl Frame {
         if factors.iter().any(|&(h, v)| !matches!((h, v), (1..=4, 1..=4))) {
             return Err(bad("a sampling factor outside 1 to 4"));
         }
-        Ok(Self { extent, progressive: marker == SOF2, factors })
+        let components = components.chunks_exact(3).map(|c| c[0]).collect();
+        Ok(Self { extent, progressive: marker == SOF2, components, factors })
     }
 }

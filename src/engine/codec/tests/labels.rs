@@ -160,7 +160,7 @@ fn labels_survive_being_written() {
         let shape = PngShape { extent, channels, grey, depth };
         let values: Vec<u8> = (0..shape.sample_bytes() as u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         for encoding in [Encoding::Png(Compression::Fast), Encoding::Png(Compression::Best), Encoding::Tiff(Compression::Fast)] {
-            let writer = Writer::of_labels(shape, encoding, palette.as_ref()).unwrap();
+            let writer = Writer::of_labels(shape, encoding, palette.as_ref(), None).unwrap();
             let mut file = writer.head();
             let mut checksums = Vec::new();
             for strip in 0..writer.strips() {
@@ -185,7 +185,7 @@ fn labels_survive_being_written() {
             }
         }
         for encoding in [Encoding::WebP, Encoding::Jpeg { quality: 100, subsampling: Subsampling::Half, ground: [0; 3] }] {
-            assert!(Writer::of_labels(shape, encoding, None).is_none());
+            assert!(Writer::of_labels(shape, encoding, None, None).is_none());
         }
     }
 }

@@ -100,7 +100,7 @@ pub(super) fn written((width, height): (u32, u32), rgba: &[u8], icc: Option<&[u8
 
 fn file(shape: PngShape, samples: &[u8], compression: Compression, icc: Option<&[u8]>) -> Vec<u8> {
     let mut out = Vec::new();
-    let profile = icc.map(Profile::new);
+    let profile = icc.map(Carried::of_icc);
     Writer::new(shape, Encoding::Tiff(compression), profile.as_ref()).strip_into(0, &mut samples.to_vec(), &mut out, &|| true);
     out
 }
@@ -187,27 +187,35 @@ fn every_kind_of_pixel_is_expanded() {
     assert_eq!(samples(Tiff::new(3, 2, &[4], 1, &[0x12, 0x30, 0xF0, 0x80])), grey([17, 34, 51, 255, 0, 136]));
     let tiles = samples(palette_in_tiles());
     assert_eq!([&tiles[..3], &tiles[16 * 3..17 * 3], &tiles[16 * 60..][..3]], [[0; 3], [0x11; 3], [0x22; 3]]);
-    // Premultiplied, straight, and a fourth sample that is no alpha.
+    // Premultiplied and straight alpha.
     let rgba = |kind| Tiff::new(2, 1, &[8; 4], 2, &[50, 25, 0, 100, 9, 9, 9, 0]).with(338, &[kind]);
     assert_eq!(samples(rgba(1)), [128, 64, 0, 100, 0, 0, 0, 0]);
     assert_eq!(samples(rgba(2)), [50, 25, 0, 100, 9, 9, 9, 0]);
-    assert_eq!(samples(rgba(0)), [50, 25, 0, 9, 9, 9]);
     assert_eq!(samples(Tiff::new(2, 1, &[8; 2], 1, &[50, 100, 9, 0]).with(338, &[2])), [50, 50, 50, 100, 9, 9, 9, 0]);
 }
 
-/// Infrared beside RGB: alpha is the additional sample that says so.
+/// Infrared beside RGB, masses of spectra: samples that are neither colour nor alpha are never dropped.
 #[test]
-fn alpha_may_follow_other_samples() {
-    let tiff = Tiff::new(2, 1, &[8; 5], 2, &[100, 50, 0, 7, 100, 9, 8, 6, 5, 255]);
-    let picture = |kinds: &[u32]| {
-        decoded(
-            &Tiff { entries: tiff.entries.clone(), parts: tiff.parts.clone(), ..Tiff::new(2, 1, &[8], 1, &[]) }.with(338, kinds).bytes(),
-        )
-    };
-    assert_eq!(eight(&picture(&[0, 2])), [100, 50, 0, 100, 9, 8, 6, 255]);
-    assert_eq!(eight(&picture(&[0, 1])), [255, 128, 0, 100, 9, 8, 6, 255]);
-    assert_eq!(eight(&picture(&[2, 0])), [100, 50, 0, 7, 9, 8, 6, 5]);
-    assert_eq!(eight(&picture(&[0, 0])), [100, 50, 0, 9, 8, 6]);
+fn samples_that_are_no_colours_are_refused_by_their_number() {
+    let grey = |samples: usize| Tiff::new(2, 1, &vec![8; samples], 1, &vec![9; 2 * samples]);
+    let rgb = |samples: usize| Tiff::new(2, 1, &vec![8; samples], 2, &vec![9; 2 * samples]);
+    for (tiff, samples) in [
+        (grey(2), 2),
+        (grey(2).with(338, &[0]), 2),
+        (grey(5).with(338, &[0; 4]), 5),
+        (grey(3).with(338, &[2, 0]), 3),
+        (rgb(4), 4),
+        (rgb(4).with(338, &[0]), 4),
+        (rgb(5).with(338, &[0, 2]), 5),
+        (rgb(5).with(338, &[1, 0]), 5),
+        (rgb(20), 20),
+        (Tiff::new(2, 1, &[8; 2], 3, &[0; 4]).with(320, &[0; 768]).with(338, &[2]), 2),
+    ] {
+        let said = refused(&tiff);
+        assert!(said.contains(&format!("{samples} samples per pixel")) && said.contains("layers"), "{said}");
+        let labels = open_labels(&tiff.bytes(), &Limits::default(), &StepCounter::new(&|| false)).map(|_| ());
+        assert!(matches!(labels, Err(CodecError::Unsupported { .. })), "also as labels");
+    }
 }
 
 #[test]
@@ -252,10 +260,17 @@ fn other_kinds_are_named() {
         (Tiff::new(2, 1, &[32], 1, &[0; 8]).with(339, &[3]), "floating-point"),
         (Tiff::new(2, 1, &[8, 8, 16], 2, &[0; 8]), "differ in their depth"),
         (Tiff::new(2, 1, &[16], 1, &[0; 4]).with(339, &[3]), "floating-point"),
-        (rgb().with(284, &[2]), "separate planes"),
-        (rgb().with(259, &[7]), "JPEG"),
-        (rgb().with(259, &[4]), "CCITT"),
-        (rgb().with(259, &[50_000]), "compression 50000"),
+        (rgb().with(284, &[2]), "too few strips"),
+        (rgb().with(259, &[6]), "JPEG compression of the old kind"),
+        (rgb().with(259, &[7]), "JPEG data"),
+        (rgb().with(259, &[7]).with(284, &[2]), "separate planes"),
+        (rgb().with(259, &[3]), "CCITT group 3"),
+        (rgb().with(259, &[4]), "bits per sample are 8"),
+        (rgb().with(259, &[50_000]), "Zstandard"),
+        (rgb().with(259, &[34_887]), "compression 34887"),
+        (Tiff::new(2, 1, &[32], 1, &[0; 8]), "kind=labels"),
+        (Tiff::new(2, 1, &[16], 1, &[0; 4]).with(339, &[2]), "with a sign"),
+        (Tiff::new(2, 1, &[32], 1, &[0; 8]).with(339, &[3]), "POST /map"),
         (rgb().with(317, &[3]), "predictor 3"),
         (rgb().with(266, &[2]), "reverse order"),
         (Tiff::new(2, 1, &[8; 2], 2, &[0; 4]), "samples per pixel is 2"),

@@ -5,6 +5,7 @@ use std::io::{self, Read};
 use flate2::bufread::ZlibDecoder;
 use weezl::{BitOrder, LzwStatus, decode};
 
+use super::fax::Group4;
 use crate::codec::work::{Pieces, StepCounter};
 
 /// Bytes that the LZW decoder gets at once.
@@ -17,13 +18,17 @@ pub(super) enum Compression {
     Lzw,
     Deflate,
     PackBits,
+    Group4,
+    Jpeg,
 }
 
 impl Compression {
     pub(super) const fn from_number(number: u32) -> Option<Self> {
         Some(match number {
             1 => Self::None,
+            4 => Self::Group4,
             5 => Self::Lzw,
+            7 => Self::Jpeg,
             8 | 32_946 => Self::Deflate,
             32_773 => Self::PackBits,
             _ => return None,
@@ -33,8 +38,11 @@ impl Compression {
     /// The name of a number that is none of these.
     pub(super) fn name_of(number: u32) -> String {
         match number {
-            2..=4 => "CCITT (fax) compression".to_owned(),
-            6 | 7 => "JPEG compression".to_owned(),
+            2 | 3 => "the compression CCITT group 3".to_owned(),
+            6 => "JPEG compression of the old kind".to_owned(),
+            34_712 | 33_003 | 33_005 => "JPEG 2000 compression".to_owned(),
+            50_000 => "Zstandard compression".to_owned(),
+            50_001 => "WebP compression".to_owned(),
             _ => format!("compression {number}"),
         }
     }
@@ -47,17 +55,39 @@ impl Compression {
             Self::Lzw => 4096,
             Self::Deflate => 1032,
             Self::PackBits => 64,
+            // A bit for each line, or for some blocks of 64 samples: the lines and blocks are counted as they are decoded.
+            Self::Group4 | Self::Jpeg => 1 << 16,
         }
     }
 
-    pub(super) fn reader<'a>(self, data: &'a [u8], work: &'a StepCounter<'a>) -> Box<dyn Read + 'a> {
+    /// The data of a part `width` pixels wide; `reversed`: whether its bytes begin with their lowest bit. Not of JPEG.
+    pub(super) fn reader<'a>(
+        self,
+        data: &'a [u8],
+        (width, reversed): (u32, bool),
+        work: &'a StepCounter<'a>,
+    ) -> io::Result<Box<dyn Read + 'a>> {
         let pieces = Pieces::new(data, work);
-        match self {
-            Self::None => Box::new(pieces),
+        Ok(match self {
+            Self::Group4 if reversed => Box::new(Group4::new(Reversed(pieces).bytes(), width)?),
+            Self::Group4 => Box::new(Group4::new(pieces.bytes(), width)?),
+            Self::None if reversed => Box::new(Reversed(pieces)),
+            Self::None | Self::Jpeg => Box::new(pieces),
             Self::Deflate => Box::new(ZlibDecoder::new(pieces)),
             Self::Lzw => Box::new(Lzw { decoder: decode::Decoder::with_tiff_size_switch(BitOrder::Msb, 8), data, work }),
             Self::PackBits => Box::new(PackBits { pieces, literal: 0, repeats: 0, byte: 0 }),
-        }
+        })
+    }
+}
+
+/// Bytes with their bits in reverse order.
+struct Reversed<R>(R);
+
+impl<R: Read> Read for Reversed<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let read = self.0.read(into)?;
+        into[..read].iter_mut().for_each(|byte| *byte = byte.reverse_bits());
+        Ok(read)
     }
 }
 

@@ -1,7 +1,8 @@
 //! Writes TIFF (6.0) of 32-bit floating-point samples, not compressed, piece by piece: a head, rows from the top, and a tail with the
 //! directory, all of whose values are known before the first row.
 
-use super::write::{Directory, SHORT};
+use crate::codec::Carried;
+use crate::codec::ifd::write::{DirectoryWriter, SHORT};
 use crate::pixmap::Extent;
 
 /// Bytes before the first row.
@@ -42,7 +43,7 @@ impl FloatTiff {
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         let directory = self.directory();
-        let at = u32::try_from(HEAD + self.data_bytes() + directory.0).expect("checked");
+        let at = u32::try_from(directory.0).expect("checked");
         [b"MM\0*", at.to_be_bytes().as_slice()].concat()
     }
 
@@ -52,7 +53,7 @@ impl FloatTiff {
         self.directory().1
     }
 
-    /// Where the directory begins in the bytes that follow the rows, and these bytes.
+    /// Where the directory begins, and the bytes that follow the rows.
     fn directory(&self) -> (u64, Vec<u8>) {
         let number = |value: u64| u32::try_from(value).expect("the size was checked");
         let (rows, strip) = (u64::from(self.rows), self.row_bytes() * u64::from(self.rows));
@@ -61,7 +62,7 @@ impl FloatTiff {
         let lengths: Vec<u32> = strips.iter().map(|k| number(strip.min(self.data_bytes() - k * strip))).collect();
         let each = |value: u16| value.to_be_bytes().repeat(self.samples.into());
         let mut out = Vec::new();
-        let mut directory = Directory::after(&mut out, usize::try_from(HEAD + self.data_bytes()).expect("an offset of 32 bits"));
+        let mut directory = DirectoryWriter::after(&mut out, usize::try_from(HEAD + self.data_bytes()).expect("an offset of 32 bits"));
         directory.longs(256, &[self.extent.width()]);
         directory.longs(257, &[self.extent.height()]);
         directory.entry(258, SHORT, self.samples.into(), &each(32));
@@ -76,6 +77,7 @@ impl FloatTiff {
             // Samples beyond the first mean nothing to a viewer.
             directory.entry(338, SHORT, more.into(), &0_u16.to_be_bytes().repeat(more.into()));
         }
+        Carried::put_resolution(None, &mut directory);
         // IEEE numbers.
         directory.entry(339, SHORT, self.samples.into(), &each(3));
         let at = directory.finish();

@@ -1,7 +1,11 @@
-//! TIFF files (TIFF 6.0): the reader and the writer.
+//! TIFF files (TIFF 6.0, `BigTIFF`): the reader and the writer.
 
 mod data;
-mod directory;
+mod fax;
 pub(super) mod floats;
+mod found;
+mod pages;
+mod parts;
 pub(super) mod read;
+mod samples;
 pub(super) mod write;

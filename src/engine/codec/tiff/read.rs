@@ -1,56 +1,67 @@
-//! Reads TIFF (6.0): one page of grey, palette or RGB, with or without alpha, in strips or tiles, not compressed or with LZW, deflate or
-//! PackBits. The directory is read in place; rows are decoded one at a time. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, 16
-//! bit stays 16 bit, and premultiplied alpha is divided out. Memory: the picture and a few rows; work: in proportion to the picture and
-//! the file.
-
-use std::io::Read;
+//! Reads TIFF (6.0; `BigTIFF`): one page of grey, palette or RGB, with or without alpha, in strips or tiles, interleaved or in planes, not
+//! compressed or with LZW, deflate, PackBits, CCITT group 4 or JPEG. The directory is read in place; rows are decoded one at a time (JPEG:
+//! a strip or tile). Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, 16 bit stays 16 bit, and premultiplied alpha is divided out.
+//! A picture has no samples that are neither colour nor alpha: such files are refused, never reduced. Memory: the picture and a few rows;
+//! work: in proportion to the picture and the file.
 
 use super::data::Compression;
-use super::directory::{Directory, File, Values, bad, cut_off, unsupported};
-use crate::codec::alloc::{room, sample_count, zeros};
+use super::found::found;
+use super::pages::{only_page, orientation, uniform, unsupported};
+use super::parts::Parts;
+use crate::codec::ifd::read::{File, Values, bad};
+use crate::codec::metadata::Found;
 use crate::codec::orientation::Orientation;
-use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::{CodecError, Palette, StepCounter};
-use crate::pixmap::{Channels, Depth, Extent, Samples};
+use crate::pixmap::{Channels, Depth, Extent};
 
-/// Samples of a pixel, those that are not read included.
-const MOST_SAMPLES: u32 = 16;
-/// Additional width of a tile beyond twice the picture's.
-const FREE_TILE: u64 = 4096;
+/// The largest JPEG tables, which precede every strip or tile: two of quantisation and four of codes take 600 bytes.
+const MOST_TABLES: usize = 2048;
+/// The widest line of group 4.
+const WIDEST_FAX: u32 = 1 << 20;
 
 /// What the samples of a pixel mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Colour {
-    Grey { white_is_zero: bool },
+pub(super) enum Colour {
+    Grey {
+        white_is_zero: bool,
+    },
     Rgb,
     Palette,
+    /// Brightness and differences of colour; only of JPEG.
+    YCbCr,
 }
 
-/// The sample that is alpha.
+/// The sample behind the colours that is alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Alpha {
-    index: usize,
-    is_premultiplied: bool,
+pub(super) struct Alpha {
+    pub(super) is_premultiplied: bool,
 }
 
 /// A TIFF whose directory has been read.
 #[derive(Debug)]
 pub(in crate::codec) struct TiffFile<'a> {
-    file: File<'a>,
+    pub(super) file: File<'a>,
     pub(in crate::codec) extent: Extent,
     pub(in crate::codec) orientation: Orientation,
-    bits: u32,
+    pub(in crate::codec) found: Found<'a>,
+    pub(super) bits: u32,
+    /// Whether samples may be negative.
+    pub(super) is_signed: bool,
     /// Samples of a pixel.
-    stored: usize,
-    colour: Colour,
-    alpha: Option<Alpha>,
-    palette: Option<Values<'a>>,
-    compression: Compression,
-    differences: bool,
-    /// Size of a strip or tile.
-    part: (u32, u32),
-    offsets: Values<'a>,
-    lengths: Values<'a>,
+    pub(super) stored: usize,
+    pub(super) is_planar: bool,
+    pub(super) colour: Colour,
+    pub(super) alpha: Option<Alpha>,
+    pub(super) palette: Option<Values<'a>>,
+    pub(super) compression: Compression,
+    /// Whether bytes begin with their lowest bit.
+    pub(super) is_reversed: bool,
+    pub(super) differences: bool,
+    /// What the JPEG of every strip or tile begins with.
+    pub(super) tables: &'a [u8],
+    pub(super) parts: Parts<'a>,
+    longest_part: u64,
     profile: Option<&'a [u8]>,
     /// Samples are read as they are stored.
     pub(in crate::codec) labels: bool,
@@ -58,104 +69,132 @@ pub(in crate::codec) struct TiffFile<'a> {
 
 impl<'a> TiffFile<'a> {
     pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
-        let file = File::new(bytes);
-        let page = file.only_page(work)?;
+        let file = File::new(bytes).ok_or_else(|| bad("its header is damaged"))?;
+        let (page, has_mask) = only_page(file, work)?;
         let number = |tag, default| page.number(tag, default, work);
         let (width, height) = (number(256, 0)?, number(257, 0)?);
         let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        let compression = number(259, 1)?;
+        let compression =
+            Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with {}", Compression::name_of(compression))))?;
         let colour = match page.values(262, work)?.and_then(|values| values.get(0)).ok_or_else(|| bad("no photometric interpretation"))? {
             kind @ (0 | 1) => Colour::Grey { white_is_zero: kind == 0 },
             2 => Colour::Rgb,
             3 => Colour::Palette,
+            6 if compression == Compression::Jpeg => Colour::YCbCr,
             5 => return Err(unsupported("of CMYK colours")),
-            6 => return Err(unsupported("of YCbCr colours")),
+            6 => return Err(unsupported("of YCbCr colours without JPEG")),
             8..=10 => return Err(unsupported("of Lab colours")),
             kind => return Err(unsupported(format_args!("of photometric interpretation {kind}"))),
         };
-        if !matches!(page.uniform(339, 1, "format", work)?, 1 | 4) {
-            return Err(unsupported("of signed or floating-point samples"));
-        }
-        let (stored, bits) = (number(277, 1)?, page.uniform(258, 1, "depth", work)?);
-        let colours = if colour == Colour::Rgb { 3 } else { 1 };
-        if !(colours..=MOST_SAMPLES).contains(&stored) {
+        let is_signed = match uniform(&page, 339, 1, "format", work)? {
+            1 | 4 => false,
+            2 => true,
+            3 => {
+                return Err(unsupported(
+                    "of floating-point samples, which are measurements rather than a picture. To warp them, fetch the positions with \
+                     POST /map (offline: mlswarp map) and sample the array there, for example with cv2.remap",
+                ));
+            }
+            _ => return Err(unsupported("of complex samples")),
+        };
+        let (stored, bits) = (number(277, 1)?, uniform(&page, 258, 1, "depth", work)?);
+        let colours = if matches!(colour, Colour::Rgb | Colour::YCbCr) { 3 } else { 1 };
+        if stored < colours {
             return Err(unsupported(format_args!("whose number of samples per pixel is {stored}")));
         }
-        if !matches!((bits, stored, colour), (8, ..) | (16, _, Colour::Grey { .. } | Colour::Rgb) | (1 | 2 | 4, 1, _)) {
+        let alpha = match (stored - colours, page.values(338, work)?.and_then(|kinds| kinds.get(0))) {
+            (0, _) => None,
+            (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Some(Alpha { is_premultiplied: kind == 1 }),
+            (extra, _) => {
+                let colours = if colours == 1 { "1 is the colour" } else { "3 are the colours" };
+                let others = if extra == 1 { "the other is" } else { "the others are" };
+                return Err(unsupported(format_args!(
+                    "of {stored} samples per pixel, of which {colours}; {others} not alpha (ExtraSamples 1 or 2), and would be lost. Save \
+                     each channel as a file of its own, and send them as layers of a session"
+                )));
+            }
+        };
+        if is_signed && (bits < 8 || stored > 1) {
+            return Err(unsupported("of samples with a sign"));
+        }
+        let is_jpeg = compression == Compression::Jpeg;
+        let is_known = match (bits, stored, colour) {
+            (8, ..) => true,
+            (16, _, Colour::Grey { .. } | Colour::Rgb) | (1 | 2 | 4, 1, _) => !is_jpeg,
+            // Labels.
+            (32 | 64, 1, Colour::Grey { .. }) => !is_jpeg,
+            _ => false,
+        };
+        if !is_known || compression == Compression::Group4 && (bits, stored) != (1, 1) || is_jpeg && alpha.is_some() {
             return Err(unsupported(format_args!("whose bits per sample are {bits} and samples per pixel {stored}")));
         }
-        if stored > 1 && number(284, 1)? != 1 {
-            return Err(unsupported("whose channels are in separate planes"));
+        if compression == Compression::Group4 && width > WIDEST_FAX {
+            return Err(unsupported(format_args!("of group 4 with lines of {width} pixels")));
         }
-        if number(266, 1)? != 1 {
+        let is_planar = stored > 1 && number(284, 1)? == 2;
+        if is_planar && is_jpeg {
+            return Err(unsupported("of JPEG whose channels are in separate planes"));
+        }
+        let is_reversed = number(266, 1)? == 2;
+        if is_reversed && (bits != 1 || !matches!(compression, Compression::None | Compression::Group4)) {
             return Err(unsupported("whose bits are in reverse order"));
         }
-        let compression = number(259, 1)?;
-        let compression =
-            Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with {}", Compression::name_of(compression))))?;
         let differences = match number(317, 1)? {
+            _ if is_jpeg || compression == Compression::Group4 => false,
             1 => false,
             2 if bits >= 8 => true,
             kind => return Err(unsupported(format_args!("with predictor {kind} of {bits} bits"))),
         };
-        let extra = (colours as usize)..(stored as usize);
-        let alpha = match page.values(338, work)? {
-            Some(kinds) => extra.clone().zip(0..).find_map(|(index, nth)| match kinds.get(nth)? {
-                1 => Some(Alpha { index, is_premultiplied: true }),
-                2 => Some(Alpha { index, is_premultiplied: false }),
-                _ => None,
-            }),
-            // Without the tag, other readers take the only additional sample for alpha, too.
-            None => (extra.len() == 1).then_some(Alpha { index: extra.start, is_premultiplied: false }),
-        };
-        if colour == Colour::Palette && stored > 1 {
-            return Err(unsupported("of a palette with alpha"));
-        }
         let palette = page.values(320, work)?;
         if colour == Colour::Palette && palette.is_none_or(|palette| palette.len() < 3 << bits) {
             return Err(bad("too few colours in its palette"));
         }
-        let (part, offsets, lengths) = Self::parts(&page, extent, work)?;
-        let profile = page.values(34_675, work)?.map(|values| values.data);
-        let orientation = page.orientation(work)?;
-        let stored = stored as usize;
-        let this = Self {
+        let tables = page.values(347, work)?.filter(|_| is_jpeg).map_or(&[][..], |values| values.data);
+        if tables.len() > MOST_TABLES {
+            return Err(bad(format!("JPEG tables of {} bytes", tables.len())));
+        }
+        let parts = Parts::of(&page, extent, compression, work)?;
+        let longest_part = if is_jpeg { parts.longest(work)?.min(bytes.len() as u64) } else { 0 };
+        Ok(Self {
             file,
             extent,
-            orientation,
+            orientation: orientation(&page, work)?,
+            found: found(page, has_mask, work)?,
             bits,
-            stored,
+            is_signed,
+            stored: stored as usize,
+            is_planar,
             colour,
             alpha,
             palette,
             compression,
+            is_reversed,
             differences,
-            part,
-            offsets,
-            lengths,
-            profile,
+            tables,
+            parts,
+            longest_part,
+            profile: page.values(34_675, work)?.map(|values| values.data),
             labels: false,
-        };
-        Ok(this)
+        })
     }
 
-    /// The size of a strip or tile, and where they are.
-    fn parts(page: &Directory<'a>, extent: Extent, work: &StepCounter<'_>) -> Result<((u32, u32), Values<'a>, Values<'a>), CodecError> {
-        let tiles = page.values(324, work)?;
-        let (part, offsets, lengths) = match tiles {
-            Some(offsets) => {
-                let side = |tag| page.number(tag, 0, work);
-                ((side(322)?, side(323)?), Some(offsets), page.values(325, work)?)
-            }
-            None => {
-                let rows = page.number(278, u32::MAX, work)?.min(extent.height());
-                ((extent.width(), rows), page.values(273, work)?, page.values(279, work)?)
-            }
-        };
-        let (Some(offsets), Some(lengths)) = (offsets, lengths) else { return Err(bad("no strips or tiles")) };
-        if part.0 == 0 || part.1 == 0 || u64::from(part.0) > 2 * u64::from(extent.width()) + FREE_TILE {
-            return Err(bad(format!("strips or tiles of {} x {} pixels", part.0, part.1)));
+    /// Whether samples may be negative, or larger than 16 bits hold.
+    pub(super) const fn is_counted(&self) -> bool {
+        self.bits > 16 || self.is_signed
+    }
+
+    /// Refuses what is read as labels only.
+    pub(in crate::codec) fn check_picture(&self) -> Result<(), CodecError> {
+        if self.is_counted() {
+            let sign = if self.is_signed { " with a sign" } else { "" };
+            return Err(unsupported(format_args!(
+                "of samples of {} bits{sign}. If they are labels, send the file as a layer with `?kind=labels` (offline: `--kind labels`); \
+                 if they are a picture, save it with 16 bits",
+                self.bits
+            )));
         }
-        Ok((part, offsets, lengths))
+        Ok(())
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
@@ -163,131 +202,50 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) const fn depth(&self) -> Depth {
-        if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
+        if self.bits >= 16 { Depth::Sixteen } else { Depth::Eight }
     }
 
     pub(in crate::codec) const fn is_grey(&self) -> bool {
         matches!(self.colour, Colour::Grey { .. }) || self.labels && matches!(self.colour, Colour::Palette)
     }
 
+    /// Planes that are stored one after the other.
+    pub(super) const fn planes(&self) -> usize {
+        if self.is_planar { self.stored } else { 1 }
+    }
+
+    /// Samples of a pixel in a plane.
+    pub(super) const fn interleaved(&self) -> usize {
+        if self.is_planar { 1 } else { self.stored }
+    }
+
     /// Bytes of a row of a strip or tile.
-    fn row_bytes(&self) -> u64 {
-        (u64::from(self.part.0) * self.stored as u64 * u64::from(self.bits)).div_ceil(8)
+    pub(super) fn row_bytes(&self) -> u64 {
+        (u64::from(self.parts.width) * self.interleaved() as u64 * u64::from(self.bits)).div_ceil(8)
     }
 
-    /// Memory beside the picture: the decoders' windows, and a row as stored and as samples of up to two bytes.
+    /// Memory beside the picture: the decoders' windows, and a row as stored and as samples of up to two bytes, or the changes of four
+    /// lines of group 4; of JPEG a strip or tile as RGB, its data three times, and rows of its blocks.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
-        (512 << 10) + self.row_bytes() + 2 * u64::from(self.part.0) * self.stored as u64
-    }
-
-    /// Strips or tiles in a row and in a column.
-    const fn grid(&self) -> (u32, u32) {
-        (self.extent.width().div_ceil(self.part.0), self.extent.height().div_ceil(self.part.1))
-    }
-
-    /// The data of a strip or tile.
-    fn data(&self, index: usize) -> Result<&'a [u8], CodecError> {
-        let range = self.offsets.get(index).zip(self.lengths.get(index)).ok_or_else(|| bad("too few strips or tiles"))?;
-        let (at, length) = (range.0 as usize, range.1 as usize);
-        at.checked_add(length).and_then(|end| self.file.bytes.get(at..end)).ok_or_else(cut_off)
-    }
-
-    /// Checks that the parts are there, that they can hold the picture, and that they are not the same bytes again and again, so that
-    /// the work is in proportion to the file and the picture.
-    fn weigh_data(&self, work: &StepCounter<'_>) -> Result<(), CodecError> {
-        let (across, down) = self.grid();
-        let parts = u64::from(across) * u64::from(down);
-        if parts > self.offsets.len() as u64 {
-            return Err(bad("too few strips or tiles"));
-        }
-        let mut total = 0;
-        for index in 0..self.offsets.len().min(usize::try_from(parts).unwrap_or(usize::MAX)) {
-            work.step(1)?;
-            total += self.data(index)?.len() as u64;
-        }
-        if total > self.file.bytes.len() as u64 {
-            return Err(bad("strips or tiles that overlap"));
-        }
-        let row = (u64::from(self.extent.width()) * self.stored as u64 * u64::from(self.bits)).div_ceil(8);
-        if total.saturating_mul(self.compression.expansion()) < row * u64::from(self.extent.height()) {
-            return Err(bad(format!("{total} bytes of data cannot hold the picture")));
-        }
-        Ok(())
-    }
-
-    /// The stored rows.
-    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        self.weigh_data(work)?;
-        match self.depth() {
-            Depth::Eight => self.rows::<u8>(work).map(Samples::Eight),
-            Depth::Sixteen => self.rows::<u16>(work).map(Samples::Sixteen),
-        }
-    }
-
-    fn rows<T: Sample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
-        let (width, height, count) = (self.extent.width() as usize, self.extent.height() as usize, self.channels().count());
-        let (part_width, part_height) = (self.part.0 as usize, self.part.1 as usize);
-        let (across, down) = self.grid();
-        let mut out = zeros::<T>(sample_count(self.extent.pixels(), self.channels()), work)?;
-        let mut row = zeros::<u8>(self.row_bytes(), work)?;
-        let mut samples = room::<T>(self.part.0 as u64 * self.stored as u64)?;
-        for tile_y in 0..down as usize {
-            for tile_x in 0..across as usize {
-                let mut data = self.compression.reader(self.data(tile_y * across as usize + tile_x)?, work);
-                let left = tile_x * part_width;
-                let columns = part_width.min(width - left);
-                let top = tile_y * part_height;
-                for y in top..(top + part_height).min(height) {
-                    work.check()?;
-                    data.read_exact(&mut row).map_err(bad)?;
-                    samples.clear();
-                    T::unpack(&row, self, &mut samples);
-                    if self.differences {
-                        for index in self.stored..samples.len() {
-                            samples[index] = samples[index].plus(samples[index - self.stored]);
-                        }
-                    }
-                    let into = &mut out[(y * width + left) * count..][..columns * count];
-                    for (into, from) in into.chunks_exact_mut(count).zip(samples.chunks_exact(self.stored)) {
-                        self.pixel(from, into);
-                    }
-                }
-                // The end of the data, with the checksum of deflate.
-                if self.compression == Compression::Deflate {
-                    let _ = data.read(&mut [0]).map_err(bad)?;
-                }
+        let width = u64::from(self.parts.width);
+        let rows = self.row_bytes() + 2 * width * self.interleaved() as u64;
+        let more = match self.compression {
+            Compression::Jpeg => {
+                let pixels = width * u64::from(self.parts.height);
+                3 * pixels + 3 * (self.longest_part + MOST_TABLES as u64) + 1024 * (width + 32)
             }
-        }
-        Ok(out)
-    }
-
-    /// Converts a pixel to RGB or RGBA.
-    fn pixel<T: Sample>(&self, from: &[T], into: &mut [T]) {
-        match self.colour {
-            Colour::Rgb => into[..3].copy_from_slice(&from[..3]),
-            Colour::Grey { .. } | Colour::Palette if self.labels => into[..3].fill(from[0]),
-            Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero { from[0].inverted() } else { from[0] }),
-            Colour::Palette => {
-                let colours = 1 << self.bits;
-                for (c, sample) in into[..3].iter_mut().enumerate() {
-                    let value = self.palette.and_then(|palette| palette.get(c * colours + from[0].index())).unwrap_or(0);
-                    *sample = T::from_short(value);
-                }
-            }
-        }
-        if let ([colours @ .., alpha], Some(Alpha { index, is_premultiplied })) = (into, self.alpha) {
-            *alpha = from[index];
-            if is_premultiplied && !self.labels {
-                colours.iter_mut().for_each(|sample| *sample = sample.divided(*alpha));
-            }
-        }
+            Compression::Group4 => 32 * width,
+            _ => 0,
+        };
+        (512 << 10) + rows + more
     }
 
     /// The palette of a label image: the upper bytes of its 16-bit colours.
     pub(in crate::codec) fn label_palette(&self) -> Option<Palette> {
         let palette = self.palette.filter(|_| self.colour == Colour::Palette && self.bits <= 8)?;
         let colours = 1_usize << self.bits;
-        let sample = |index: usize| u8::from_short(palette.get(index).unwrap_or(0));
+        #[expect(clippy::cast_possible_truncation, reason = "the upper byte of 16 bits")]
+        let sample = |index: usize| (palette.get(index).unwrap_or(0) >> 8) as u8;
         let colours = (0..colours).map(|k| [0, 1, 2].map(|c| sample(c * colours + k))).collect();
         Some(Palette { colours, alpha: Vec::new() })
     }
@@ -297,85 +255,7 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
-        let profile = self.profile.filter(|profile| !self.is_grey() && profile.len() <= MAX_ICC)?;
-        keep_rgb_profile(profile.to_vec())
-    }
-}
-
-/// A sample of 8 or 16 bit.
-trait Sample: Copy + Default {
-    /// Appends the samples of a row.
-    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>);
-    fn plus(self, other: Self) -> Self;
-    fn inverted(self) -> Self;
-    fn index(self) -> usize;
-    fn from_short(value: u32) -> Self;
-    /// Without its factor `alpha`.
-    fn divided(self, alpha: Self) -> Self;
-}
-
-impl Sample for u8 {
-    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
-        if file.bits == 8 {
-            return out.extend_from_slice(row);
-        }
-        let most = (1_u16 << file.bits) - 1;
-        let scale = if file.colour == Colour::Palette || file.labels { 1 } else { 255 / most };
-        let per_byte = 8 / file.bits;
-        for index in 0..file.part.0 {
-            let shift = 8 - file.bits * (index % per_byte + 1);
-            #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
-            out.push(((u16::from(row[(index / per_byte) as usize]) >> shift & most) * scale) as Self);
-        }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        self.wrapping_add(other)
-    }
-
-    fn inverted(self) -> Self {
-        !self
-    }
-
-    fn index(self) -> usize {
-        self.into()
-    }
-
-    #[expect(clippy::cast_possible_truncation, reason = "the upper byte of 16 bits")]
-    fn from_short(value: u32) -> Self {
-        (value >> 8) as Self
-    }
-
-    fn divided(self, alpha: Self) -> Self {
-        let (sample, alpha) = (u32::from(self), u32::from(alpha));
-        (sample * 255 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(255) as Self)
-    }
-}
-
-impl Sample for u16 {
-    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
-        out.extend(row.as_chunks().0.iter().map(|bytes| file.file.short(*bytes)));
-    }
-
-    fn plus(self, other: Self) -> Self {
-        self.wrapping_add(other)
-    }
-
-    fn inverted(self) -> Self {
-        !self
-    }
-
-    fn index(self) -> usize {
-        self.into()
-    }
-
-    #[expect(clippy::cast_possible_truncation, reason = "16 bits")]
-    fn from_short(value: u32) -> Self {
-        value as Self
-    }
-
-    fn divided(self, alpha: Self) -> Self {
-        let (sample, alpha) = (u64::from(self), u64::from(alpha));
-        (sample * 65_535 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(65_535) as Self)
+        let profile = self.profile.filter(|profile| profile.len() <= MAX_ICC)?;
+        keep_profile(profile.to_vec(), matches!(self.colour, Colour::Grey { .. }))
     }
 }

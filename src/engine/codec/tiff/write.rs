@@ -1,107 +1,24 @@
-//! Writes TIFF (6.0), big-endian: strips of deflated differences, or of samples as they are. The directory follows the strips.
+//! Writes TIFF (6.0), big-endian: strips of deflated differences, or of samples as they are. Alpha is an additional sample that is not
+//! premultiplied (ExtraSamples 2). The directory follows the strips.
 
 use std::io::Write as _;
 
 use flate2::write::ZlibEncoder;
 
-use crate::codec::Palette;
+use crate::codec::ifd::write::{DirectoryWriter, SHORT, offset};
 use crate::codec::png::write::{Compression, PngShape};
+use crate::codec::{Carried, Palette};
 use crate::pixmap::{Channels, Depth};
 
 /// Target size of a strip, bytes.
 const STRIP: usize = 256 << 10;
-
-pub(super) const SHORT: u16 = 3;
-const LONG: u16 = 4;
-const UNDEFINED: u16 = 7;
-
-/// The values of a directory's entry that do not fit into it are appended before the directory.
-pub(super) struct Directory<'a> {
-    out: &'a mut Vec<u8>,
-    /// Where the file begins in `out`, or the bytes of it that come before.
-    start: usize,
-    before: usize,
-    entries: Vec<[u8; 12]>,
-}
-
-fn offset(bytes: usize) -> u32 {
-    u32::try_from(bytes).expect("the target was held against the format's largest size")
-}
-
-impl<'a> Directory<'a> {
-    /// A directory behind this number of bytes of the file; `out` is what follows them.
-    pub(super) const fn after(out: &'a mut Vec<u8>, before: usize) -> Self {
-        Self { out, start: 0, before, entries: Vec::new() }
-    }
-
-    /// Bytes of the file so far.
-    const fn length(&self) -> usize {
-        self.before + self.out.len() - self.start
-    }
-
-    pub(super) fn entry(&mut self, tag: u16, kind: u16, count: usize, data: &[u8]) {
-        let mut value = [0; 4];
-        if data.len() <= 4 {
-            value[..data.len()].copy_from_slice(data);
-        } else {
-            self.align();
-            value = offset(self.length()).to_be_bytes();
-            self.out.extend_from_slice(data);
-        }
-        let mut entry = [0; 12];
-        entry[..2].copy_from_slice(&tag.to_be_bytes());
-        entry[2..4].copy_from_slice(&kind.to_be_bytes());
-        entry[4..8].copy_from_slice(&offset(count).to_be_bytes());
-        entry[8..].copy_from_slice(&value);
-        self.entries.push(entry);
-    }
-
-    pub(super) fn short(&mut self, tag: u16, value: u16) {
-        self.entry(tag, SHORT, 1, &value.to_be_bytes());
-    }
-
-    pub(super) fn longs(&mut self, tag: u16, values: &[u32]) {
-        let data: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
-        self.entry(tag, LONG, values.len(), &data);
-    }
-
-    /// Values and directories begin at even offsets.
-    fn align(&mut self) {
-        if !self.length().is_multiple_of(2) {
-            self.out.push(0);
-        }
-    }
-
-    /// Appends the directory, and enters its place at the beginning of the file.
-    fn close(self) {
-        let field = self.start + 4..self.start + 8;
-        let (at, out) = self.append();
-        out[field].copy_from_slice(&offset(at).to_be_bytes());
-    }
-
-    /// Appends the directory; returns where it begins in the bytes that follow those before.
-    pub(super) fn finish(self) -> usize {
-        let before = self.before;
-        self.append().0 - before
-    }
-
-    fn append(mut self) -> (usize, &'a mut Vec<u8>) {
-        self.align();
-        let at = self.length();
-        let count = u16::try_from(self.entries.len()).expect("a few entries");
-        self.out.extend_from_slice(&count.to_be_bytes());
-        self.out.extend_from_slice(self.entries.as_flattened());
-        self.out.extend_from_slice(&[0; 4]);
-        (at, self.out)
-    }
-}
 
 /// Appends the file, or its beginning if it is no longer wanted. `samples: [height][width][PngShape::samples]`, 16-bit ones big-endian.
 pub(in crate::codec) fn write(
     shape: PngShape,
     compression: Compression,
     samples: &[u8],
-    (icc, palette): (Option<&[u8]>, Option<&Palette>),
+    (metadata, palette): (Option<&Carried>, Option<&Palette>),
     out: &mut Vec<u8>,
     wanted: &dyn Fn() -> bool,
 ) {
@@ -135,7 +52,8 @@ pub(in crate::codec) fn write(
         lengths.push(offset(out.len() - at));
     }
 
-    let mut directory = Directory { out, start, before: 0, entries: Vec::new() };
+    let pointers = metadata.map_or_else(Vec::new, |metadata| metadata.put_below_page(out, start));
+    let mut directory = DirectoryWriter::of(out, start, false);
     directory.longs(256, &[shape.extent.width()]);
     directory.longs(257, &[shape.extent.height()]);
     let bits: u16 = match shape.depth {
@@ -159,11 +77,11 @@ pub(in crate::codec) fn write(
         directory.entry(320, SHORT, map.len() / 2, &map);
     }
     if shape.channels == Channels::Rgba {
-        // Straight alpha.
         directory.short(338, 2);
     }
-    if let Some(icc) = icc {
-        directory.entry(34_675, UNDEFINED, icc.len(), icc);
+    Carried::put_resolution(metadata, &mut directory);
+    if let Some(metadata) = metadata {
+        metadata.put_tags(shape.grey && palette.is_none(), &pointers, &mut directory);
     }
     directory.close();
 }

@@ -2,17 +2,21 @@
 //! holds only the frame with validated size, alpha and length, so flags that promise absent chunks do no harm, and a frame larger than its
 //! canvas is refused before memory is allocated. Cost: one copy of the file.
 
+use std::borrow::Cow;
+
 use image::ImageDecoder as _;
 use image::codecs::webp::WebPDecoder;
 
 use super::vp8l;
 use crate::codec::alloc::{room, sample_count, zeros};
-use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::metadata::{Found, Kind};
+use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Pieces, StepCounter};
-use crate::codec::{CodecError, Format};
+use crate::codec::{CodecError, Format, Repairs};
 use crate::pixmap::{Channels, Extent, Samples};
 
 const ANIMATION_FLAG: u8 = 0b0000_0010;
+const EXIF_FLAG: u8 = 0b0000_1000;
 const ALPHA_FLAG: u8 = 0b0001_0000;
 /// The bits of an ALPH chunk's first byte that give its coding, and their value for a lossless stream.
 const ALPHA_CODING: u8 = 0b11;
@@ -36,7 +40,8 @@ type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 pub(in crate::codec) struct WebPFile<'a> {
     pub(in crate::codec) extent: Extent,
     coding: Coding<'a>,
-    pub(in crate::codec) exif: Option<&'a [u8]>,
+    pub(in crate::codec) found: Found<'a>,
+    pub(in crate::codec) repairs: Repairs,
     profile: Option<&'a [u8]>,
     /// Memory for the tables of a lossless stream's prefix codes: an upper bound, and exact once the codes have been read.
     code_bytes: u64,
@@ -44,6 +49,10 @@ pub(in crate::codec) struct WebPFile<'a> {
 
 fn bad(detail: impl ToString) -> CodecError {
     CodecError::bad(Format::WebP.name(), detail)
+}
+
+fn damaged<E>(_: E) -> CodecError {
+    bad("its pixels are damaged or end too early")
 }
 
 /// The chunks of a container, the first of each kind.
@@ -55,8 +64,14 @@ struct Chunks<'a> {
     alpha: Option<&'a [u8]>,
     profile: Option<&'a [u8]>,
     exif: Option<&'a [u8]>,
+    xmp: Option<&'a [u8]>,
     frame: Option<&'a [u8]>,
     frames: u64,
+    /// Content credentials, and chunks of others.
+    has_credentials: bool,
+    has_others: bool,
+    /// Whether the last chunk is cut off.
+    is_open: bool,
 }
 
 impl<'a> Chunks<'a> {
@@ -66,7 +81,12 @@ impl<'a> Chunks<'a> {
             work.step(1)?;
             let size = u32::from_le_bytes([head[4], head[5], head[6], head[7]]);
             let size = usize::try_from(size).map_err(|_| bad("a chunk longer than memory"))?;
-            let data = behind.get(..size).ok_or_else(|| bad("a chunk is cut off"))?;
+            let Some(data) = behind.get(..size) else {
+                // Behind the picture, only what no pixel needs may be cut off.
+                let has_picture = found.vp8.or(found.vp8l).or(found.frame).is_some();
+                found.is_open = has_picture && &head[..4] == b"XMP ";
+                return if found.is_open { Ok(found) } else { Err(bad("a chunk is cut off")) };
+            };
             let place = match &head[..4] {
                 b"VP8X" => &mut found.canvas,
                 b"VP8 " => &mut found.vp8,
@@ -74,11 +94,16 @@ impl<'a> Chunks<'a> {
                 b"ALPH" => &mut found.alpha,
                 b"ICCP" => &mut found.profile,
                 b"EXIF" => &mut found.exif,
+                b"XMP " => &mut found.xmp,
                 b"ANMF" => {
                     found.frames += 1;
                     &mut found.frame
                 }
-                _ => &mut None,
+                kind => {
+                    found.has_credentials |= kind == b"C2PA";
+                    found.has_others |= !matches!(kind, b"C2PA" | b"ANIM");
+                    &mut None
+                }
             };
             place.get_or_insert(data);
             // A last chunk of odd length may lack its padding, because the container's length has been checked.
@@ -92,8 +117,18 @@ impl<'a> WebPFile<'a> {
     pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
         let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
-        let body = bytes.get(12..end).ok_or_else(|| bad("it is cut off before its end"))?;
+        let body = bytes.get(12..end).or(bytes.get(12..)).ok_or_else(|| bad("it is cut off before its end"))?;
         let mut chunks = Chunks::walk(body, work)?;
+        // EXIF has the orientation.
+        let lacks_exif =
+            chunks.exif.is_none() && chunks.canvas.is_some_and(|canvas| canvas.first().is_some_and(|flags| flags & EXIF_FLAG != 0));
+        if lacks_exif && end > bytes.len() {
+            return Err(bad("it is cut off before its end"));
+        }
+        let repairs = Repairs { end: chunks.is_open || end > bytes.len(), ..Repairs::default() };
+        let mut found = Found { exif: chunks.exif, xmp: chunks.xmp.map(Cow::Borrowed), ..Found::default() };
+        found.dropped.add_if(chunks.has_credentials, Kind::Credentials);
+        found.dropped.add_if(chunks.has_others, Kind::Application);
 
         let canvas = chunks.canvas.map(Canvas::parse).transpose()?;
         if chunks.frames > 1 {
@@ -107,6 +142,9 @@ impl<'a> WebPFile<'a> {
                 return Err(bad("its only frame does not cover the canvas"));
             }
             let inner = Chunks::walk(&frame[ANMF_HEAD..], work)?;
+            if inner.is_open {
+                return Err(bad("a chunk is cut off"));
+            }
             chunks = Chunks { vp8: inner.vp8, vp8l: inner.vp8l, alpha: inner.alpha, ..chunks };
         }
 
@@ -122,7 +160,7 @@ impl<'a> WebPFile<'a> {
         if canvas.is_some_and(|canvas| (canvas.width, canvas.height) != (extent.width(), extent.height())) {
             return Err(bad("a picture of another size than its canvas"));
         }
-        let mut file = Self { extent, coding, exif: chunks.exif, profile: chunks.profile, code_bytes: 0 };
+        let mut file = Self { extent, coding, found, repairs, profile: chunks.profile, code_bytes: 0 };
         if file.lossless_stream().is_some() {
             file.code_bytes = vp8l::most_code_bytes(extent.pixels());
         }
@@ -200,13 +238,13 @@ impl<'a> WebPFile<'a> {
 
     /// The stored rows.
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(bad)?;
+        let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(damaged)?;
         let len = sample_count(self.extent.pixels(), self.channels());
         if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
             return Err(bad("two headers that disagree"));
         }
         let mut out = zeros::<u8>(len, work)?;
-        decoder.read_image(&mut out).map_err(bad)?;
+        decoder.read_image(&mut out).map_err(damaged)?;
         Ok(Samples::Eight(out))
     }
 
@@ -215,7 +253,7 @@ impl<'a> WebPFile<'a> {
     }
 
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
-        self.profile.filter(|profile| profile.len() <= MAX_ICC).map(<[u8]>::to_vec).and_then(keep_rgb_profile)
+        self.profile.filter(|profile| profile.len() <= MAX_ICC).map(<[u8]>::to_vec).and_then(|profile| keep_profile(profile, false))
     }
 }
 

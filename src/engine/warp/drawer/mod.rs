@@ -6,8 +6,8 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use self::region::{HolesDrawer, RegionDrawer};
-use super::{Image, LabelImage, Subject};
-use crate::codec::{Encoding, Labels, PngShape, Profile, Writer};
+use super::{Image, LabelImage, Subject, Target};
+use crate::codec::{Carried, Encoding, Labels, PngShape, Writer};
 use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
@@ -20,10 +20,10 @@ pub(super) enum Drawer {
         renderer: Renderer,
         /// Whether the file needs one sample for the three colours.
         grey: bool,
-        icc: Option<Profile>,
+        metadata: Carried,
     },
     /// Labels.
-    Labels { inverse: InverseMap, labels: Arc<Labels> },
+    Labels { inverse: InverseMap, labels: Arc<Labels>, metadata: Carried },
     /// Coverage.
     Coverage(Box<Coverage>),
     /// A picture, labels or coverage, of which only the content of a region moves.
@@ -34,22 +34,23 @@ pub(super) enum Drawer {
 
 impl Drawer {
     /// Draws a subject through a mesh, without a region.
-    pub(super) fn new(subject: Subject<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
+    pub(super) fn new(subject: Subject<'_>, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
         match subject {
-            Subject::Image(image) => Self::image(image, mesh, options),
-            Subject::Labels(labels) => Self::labels(labels, mesh, options),
+            Subject::Image(image) => Self::image(image, target, mesh, options),
+            Subject::Labels(labels) => Self::labels(labels, target, mesh, options),
             Subject::Coverage(_) => Self::Coverage(Box::new(Coverage::new(mesh, options.target, options.canvas))),
             Subject::Holes(region) => Self::Holes(Box::new(HolesDrawer::new(region, mesh, options))),
         }
     }
 
-    fn image(image: &Image, mesh: &Mesh, options: RenderOptions) -> Self {
+    fn image(image: &Image, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
         let renderer = Renderer::new(Arc::clone(&image.source), mesh, options);
-        Self::Image { renderer, grey: image.grey && options.outside.is_grey(), icc: image.icc.clone() }
+        Self::Image { renderer, grey: image.grey && options.outside.is_grey(), metadata: image.carried(target) }
     }
 
-    fn labels(image: &LabelImage, mesh: &Mesh, options: RenderOptions) -> Self {
-        Self::Labels { inverse: InverseMap::new(mesh, options.target, options.canvas), labels: Arc::clone(&image.labels) }
+    fn labels(image: &LabelImage, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
+        let inverse = InverseMap::new(mesh, options.target, options.canvas);
+        Self::Labels { inverse, labels: Arc::clone(&image.labels), metadata: image.carried(target) }
     }
 
     /// Size of the target.
@@ -69,14 +70,14 @@ impl Drawer {
     /// If the format would change labels; see [`super::Subject::check`].
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match self {
-            Self::Image { renderer, grey, icc } => {
+            Self::Image { renderer, grey, metadata } => {
                 let shape = PngShape { extent: self.target(), channels: renderer.channels(), grey: *grey, depth: renderer.depth() };
-                Writer::new(shape, encoding, icc.as_ref())
+                Writer::new(shape, encoding, Some(metadata))
             }
             Self::Region(drawer) => drawer.writer(encoding),
-            Self::Labels { labels, .. } => {
+            Self::Labels { labels, metadata, .. } => {
                 let shape = PngShape { extent: self.target(), ..labels.shape };
-                Writer::of_labels(shape, encoding, labels.palette.as_ref()).expect("the format was checked")
+                Writer::of_labels(shape, encoding, labels.palette.as_ref(), Some(metadata)).expect("the format was checked")
             }
             Self::Coverage(_) | Self::Holes(_) => {
                 let shape = PngShape { extent: self.target(), channels: Channels::Rgb, grey: true, depth: Depth::Eight };
@@ -127,7 +128,7 @@ impl Drawer {
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         match self {
             Self::Image { renderer, .. } => renderer.band(rows, out),
-            Self::Labels { inverse, labels } => draw_labels(inverse, labels, rows, out),
+            Self::Labels { inverse, labels, .. } => draw_labels(inverse, labels, rows, out),
             Self::Coverage(coverage) => {
                 let mut shares = vec![0; out.len() / 3];
                 coverage.rows(rows, &mut shares);

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::super::region::MaskDrawer;
-use super::super::{Holes, Region, Subject};
+use super::super::{Holes, Region, Subject, Target};
 use super::Drawer;
 use crate::codec::{Encoding, PngShape, Writer};
 use crate::geometry::Mesh;
@@ -30,12 +30,22 @@ pub(in super::super) struct RegionDrawer {
 }
 
 impl RegionDrawer {
-    pub(in super::super) fn new(subject: Subject<'_>, region: &Region, mesh: &Mesh, options: RenderOptions, holes: Holes) -> Self {
+    pub(in super::super) fn new(
+        subject: Subject<'_>,
+        (target, region): (&Target, &Region),
+        mesh: &Mesh,
+        options: RenderOptions,
+        holes: Holes,
+    ) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
-        let background = Drawer::new(subject, &at_rest, options);
+        let background = Drawer::new(subject, target, &at_rest, options);
         // What is outside the moved part is not visible: the mask is 0 there.
-        let moved =
-            Drawer::new(subject, mesh, RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), force_alpha: false, ..options });
+        let moved = Drawer::new(
+            subject,
+            target,
+            mesh,
+            RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), force_alpha: false, ..options },
+        );
         let weights = Weights {
             mask: region.drawer(mesh, options),
             mask_at_rest: (holes == Holes::Transparent).then(|| region.drawer(&at_rest, options)),
@@ -60,9 +70,9 @@ impl RegionDrawer {
 
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match &self.background {
-            Drawer::Image { renderer, grey, icc } => {
+            Drawer::Image { renderer, grey, metadata } => {
                 let shape = PngShape { extent: self.target(), channels: self.channels, grey: *grey, depth: renderer.depth() };
-                Writer::new(shape, encoding, icc.as_ref())
+                Writer::new(shape, encoding, Some(metadata))
             }
             other => other.writer(encoding),
         }

@@ -373,7 +373,13 @@ fn labels_are_chosen_and_coverage_is_mixed() {
     let size = extent(SIDE.0, SIDE.1);
     let shape = PngShape { extent: size, channels: Channels::Rgb, grey: true, depth: Depth::Eight };
     let values = (0..size.pixels()).map(|k| 1 + (k * 7919 % 251) as u8).collect();
-    let labels = LabelImage::of(Labels { shape, palette: None, values });
+    let labels = LabelImage::of(Labels {
+        shape,
+        palette: None,
+        values,
+        metadata: std::sync::Arc::default(),
+        repairs: crate::codec::Repairs::default(),
+    });
     let (mut counts, mut partly) = ([0; 3], 0);
     for (n, case) in cases().into_iter().enumerate() {
         let disc = [HARD, SOFT][n % 2];

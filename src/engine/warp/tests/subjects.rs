@@ -22,7 +22,7 @@ fn label(x: u32, y: u32) -> u16 {
 }
 
 fn encoded(shape: PngShape, values: &[u8], palette: Option<&Palette>) -> Vec<u8> {
-    let writer = Writer::of_labels(shape, Encoding::Png(Compression::Fast), palette).unwrap();
+    let writer = Writer::of_labels(shape, Encoding::Png(Compression::Fast), palette, None).unwrap();
     let (mut file, mut checksums) = (writer.head(), Vec::new());
     for strip in 0..writer.strips() {
         let (rows, row) = (writer.rows(strip), values.len() / shape.extent.height() as usize);

@@ -2,6 +2,7 @@
 
 use super::strip::Components;
 use super::tables::{AC, BLOCK, DC, Huffman, ZIGZAG};
+use crate::codec::{Carried, Profile};
 use crate::pixmap::Extent;
 
 /// Most bytes of a profile in one segment (ICC.1, Annex B.4).
@@ -17,10 +18,22 @@ pub(super) fn restart(strip: usize) -> Option<[u8; 2]> {
 }
 
 /// Everything before the first strip. `interval`: macroblocks of a strip if there are several.
-pub(super) fn head(extent: Extent, components: Components, steps: &[[u8; BLOCK]; 2], interval: Option<u16>, icc: Option<&[u8]>) -> Vec<u8> {
+pub(super) fn head(
+    extent: Extent,
+    components: Components,
+    steps: &[[u8; BLOCK]; 2],
+    interval: Option<u16>,
+    metadata: Option<&Carried>,
+) -> Vec<u8> {
     let mut head = vec![0xff, 0xd8];
-    // Square pixels of unknown size, no thumbnail.
-    segment(&mut head, 0xe0, &[b"JFIF\0\x01\x02\0\0\x01\0\x01\0\0"]);
+    // Without a known resolution: square pixels of unknown size. No thumbnail.
+    let (unit, density, says_resolution) = metadata.map_or((0, [1; 2], true), Carried::density);
+    let [across, down] = density.map(u16::to_be_bytes);
+    segment(&mut head, 0xe0, &[b"JFIF\0\x01\x02", &[unit], &across, &down, &[0; 2]]);
+    for (marker, content) in metadata.map_or_else(Vec::new, |metadata| metadata.segments(says_resolution)) {
+        segment(&mut head, marker, &[&content]);
+    }
+    let icc = metadata.and_then(|metadata| metadata.profile(components == Components::Grey)).map(Profile::icc);
     let parts = icc.unwrap_or_default().chunks(PROFILE_BYTES);
     let count = u8::try_from(parts.len()).expect("a profile is smaller than 255 segments hold");
     for (number, part) in (1..=count).zip(parts) {

@@ -23,7 +23,7 @@ use std::sync::{Arc, LazyLock};
 use self::coder::{BLOCK_BYTES, Codes};
 use self::strip::{Components, Job, Quantiser};
 use self::tables::BLOCK;
-use crate::codec::PngShape;
+use crate::codec::{Carried, PngShape};
 use crate::level::Level;
 
 /// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share a picture of 500 x 500 unevenly.
@@ -60,7 +60,7 @@ impl JpegWriter {
     /// # Panics
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
     #[must_use]
-    pub fn new(shape: PngShape, quality: u8, subsampling: Subsampling, background: [u8; 3], icc: Option<&[u8]>) -> Self {
+    pub fn new(shape: PngShape, quality: u8, subsampling: Subsampling, background: [u8; 3], metadata: Option<&Carried>) -> Self {
         let components = match subsampling {
             _ if shape.grey => Components::Grey,
             Subsampling::Full => Components::Full,
@@ -76,7 +76,7 @@ impl JpegWriter {
         let interval = (strip_rows < height).then(|| u16::try_from(interval).expect("a strip is short"));
         let steps = tables::quantisation(quality);
         let quantisers = Arc::new(steps.each_ref().map(Quantiser::new));
-        let head = markers::head(shape.extent, components, &steps, interval, icc).into();
+        let head = markers::head(shape.extent, components, &steps, interval, metadata).into();
         Self { shape, components, background, level: Level::detect(), strip_rows, quantisers, head }
     }
 

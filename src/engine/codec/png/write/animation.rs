@@ -100,11 +100,12 @@ fn next_chunk<'a>(rest: &mut &'a [u8]) -> Option<([u8; 4], &'a [u8], &'a [u8])> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Compression, PngShape, PngWriter, Profile};
+    use super::super::{Compression, PngShape, PngWriter};
     use super::*;
+    use crate::codec::Carried;
     use crate::pixmap::{Channels, Depth, Extent};
 
-    fn file(width: u32, height: u32, value: u8, icc: Option<&Profile>) -> (Vec<u8>, Vec<u8>) {
+    fn file(width: u32, height: u32, value: u8, icc: Option<&Carried>) -> (Vec<u8>, Vec<u8>) {
         let extent = Extent::new(width, height).unwrap();
         let shape = PngShape { extent, channels: Channels::Rgba, grey: false, depth: Depth::Eight };
         let writer = PngWriter::new(shape, Compression::Fast, icc);
@@ -121,7 +122,7 @@ mod tests {
 
     #[test]
     fn the_frames_are_those_files() {
-        let profile = Profile::new(&[7; 500]);
+        let profile = Carried::of_icc(&[7; 500]);
         for (icc, sides) in [(None, (9, 5)), (Some(&profile), (300, 200))] {
             let frames: Vec<_> = [3, 5, 11].map(|value| file(sides.0, sides.1, value, icc)).into();
             let (mut animation, mut out) = (Animation::new(3, 40, 7), Vec::new());

@@ -6,7 +6,7 @@ use std::io::Write;
 use crate::pixmap::{Channels, Depth};
 
 use super::{PngShape, Profile};
-use crate::codec::Palette;
+use crate::codec::{Carried, Palette};
 
 /// The eight bytes every PNG begins with.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
@@ -51,8 +51,8 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
     chunk.close(out);
 }
 
-/// Signature, IHDR, and iCCP, PLTE and tRNS when there is a profile or a palette.
-pub(super) fn head(shape: PngShape, icc: Option<&Profile>, palette: Option<&Palette>) -> Vec<u8> {
+/// Signature, IHDR, the chunks of colour, PLTE and tRNS when there is a palette, and the other metadata.
+pub(super) fn head(shape: PngShape, metadata: Option<&Carried>, palette: Option<&Palette>) -> Vec<u8> {
     let mut out = SIGNATURE.to_vec();
     let mut header = Vec::with_capacity(13);
     header.extend_from_slice(&shape.extent.width().to_be_bytes());
@@ -71,14 +71,21 @@ pub(super) fn head(shape: PngShape, icc: Option<&Profile>, palette: Option<&Pale
     // Deflate, the five filters, no interlacing.
     header.extend_from_slice(&[0, 0, 0]);
     write(&mut out, *b"IHDR", &header);
-    if let Some(Profile { chunk, .. }) = icc {
-        out.extend_from_slice(chunk);
+    if let Some(metadata) = metadata {
+        let (profile, others) = metadata.chunks_of_colour(shape.grey && palette.is_none());
+        if let Some(Profile { chunk, .. }) = profile {
+            out.extend_from_slice(chunk);
+        }
+        others.iter().for_each(|(kind, data)| write(&mut out, *kind, data));
     }
     if let Some(Palette { colours, alpha }) = palette {
         write(&mut out, *b"PLTE", colours.as_flattened());
         if !alpha.is_empty() {
             write(&mut out, *b"tRNS", alpha);
         }
+    }
+    for (kind, data) in metadata.map_or_else(Vec::new, Carried::chunks) {
+        write(&mut out, kind, &data);
     }
     out
 }

@@ -3,7 +3,7 @@
 //! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips can
 //! be encoded in any order and on any thread, and are sent in order. The first strip begins with the zlib header; the tail ends the stream
 //! with the Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
-//! Shapes: samples `[rows][width][1 to 4]`, 16-bit ones big-endian. No sRGB or gAMA chunk is written; a profile becomes iCCP.
+//! Shapes: samples `[rows][width][1 to 4]`, 16-bit ones big-endian.
 
 #[forbid(unsafe_code)]
 mod adler;
@@ -35,7 +35,7 @@ mod tests;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::codec::Palette;
+use crate::codec::{Carried, Palette};
 use crate::level::Level;
 use crate::pixmap::{Channels, Depth, Extent};
 
@@ -105,6 +105,12 @@ impl Profile {
         &self.icc
     }
 
+    /// Whether it is for grey.
+    #[must_use]
+    pub fn is_grey(&self) -> bool {
+        self.icc.get(16..20) == Some(b"GRAY")
+    }
+
     /// Memory held, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
@@ -139,13 +145,13 @@ impl PngWriter {
     /// # Panics
     /// If a row is longer than 1 GiB.
     #[must_use]
-    pub fn new(shape: PngShape, compression: Compression, icc: Option<&Profile>) -> Self {
+    pub fn new(shape: PngShape, compression: Compression, metadata: Option<&Carried>) -> Self {
         Self {
             compression,
             level: Level::detect(),
             bpp: layout::pixel_bytes(shape),
             layout: Layout::new(shape, compression),
-            head: chunk::head(shape, icc, None).into(),
+            head: chunk::head(shape, metadata, None).into(),
         }
     }
 
@@ -154,8 +160,8 @@ impl PngWriter {
     /// # Panics
     /// Like [`Self::new`].
     #[must_use]
-    pub fn of_labels(shape: PngShape, compression: Compression, palette: Option<&Palette>) -> Self {
-        Self { head: chunk::head(shape, None, palette).into(), ..Self::new(shape, compression, None) }
+    pub fn of_labels(shape: PngShape, compression: Compression, palette: Option<&Palette>, metadata: Option<&Carried>) -> Self {
+        Self { head: chunk::head(shape, metadata, palette).into(), ..Self::new(shape, compression, None) }
     }
 
     /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
@@ -186,7 +192,7 @@ impl PngWriter {
         self.head.len() as u64 + self.layout.max_bytes() + TAIL
     }
 
-    /// Signature, IHDR, and the colour profile or the palette.
+    /// Signature, IHDR, metadata, and the palette.
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         self.head.to_vec()

@@ -256,7 +256,7 @@ fn profile_travels_in_the_head_and_nothing_else_does() {
     let profile: Vec<u8> = (0..3000u32).map(|k| (noise(k) >> 28) as u8).collect();
     let shape = shape(5, 4, KINDS[0]);
     let samples = picture(shape, Content::Gradient);
-    let writer = PngWriter::new(shape, Compression::Fast, Some(&Profile::new(&profile)));
+    let writer = PngWriter::new(shape, Compression::Fast, Some(&Carried::of_icc(&profile)));
     let bytes = file(&writer, shape, &samples);
     let kinds: Vec<_> = chunks(&bytes).into_iter().map(|chunk| chunk.0).collect();
     assert_eq!(kinds, [*b"IHDR", *b"iCCP", *b"IDAT", *b"IDAT", *b"IEND"]);

@@ -1,14 +1,19 @@
 //! Reads PNG (W3C, third edition): walks the chunks for the header, then takes rows from the `png` crate one at a time, so memory is
 //! touched only as data arrives. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit stays 16 bit.
-//! Every checksum must match and IEND must be present. Shapes: samples `[height][width][channels]`, rows as stored.
+//! The checksums of chunks that pixels need must match, and so must that of the pixels. Other chunks with a wrong checksum are left out,
+//! and what is missing behind the pixels is added ([`Repairs`]). Shapes: samples `[height][width][channels]`, rows as stored.
+
+mod walk;
 
 use std::borrow::Cow;
 use std::io::Read;
 
+use self::walk::chunk_at;
 use crate::codec::alloc::{room, sample_count, zeros};
-use crate::codec::profile::{MAX_ICC, keep_rgb_profile};
+use crate::codec::metadata::Found;
+use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Pieces, StepCounter};
-use crate::codec::{CodecError, Format, Palette};
+use crate::codec::{CodecError, Format, Palette, Repairs};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 const SIGNATURE: usize = 8;
@@ -28,8 +33,15 @@ const BYTES_PER_CHUNK: u64 = 512;
 /// Additional data chunks for a picture of any size: test suites have small pictures with a chunk for each byte.
 const FREE_CHUNKS: u64 = 4096;
 
-/// Largest size of a deflated profile: stored, with the same reserve as the data of a picture.
-const MAX_DEFLATED_ICC: usize = MAX_ICC + (64 << 10);
+/// Bytes of deflated profiles and texts beyond their inflated size: the same reserve as for the data of a picture.
+const FREE_DEFLATED: usize = 64 << 10;
+/// The largest XMP packet that is inflated.
+const MOST_XMP: usize = 1 << 17;
+
+/// An empty IEND.
+const END: [u8; 12] = *b"\0\0\0\0IEND\xAE\x42\x60\x82";
+/// Bytes of a chunk beside its data.
+const FRAME: u64 = 12;
 
 /// First column, first row, column step, row step of the seven passes.
 const ADAM7: [(usize, usize, usize, usize); 7] =
@@ -44,8 +56,10 @@ pub(in crate::codec) struct PngFile<'a> {
     colour: u8,
     interlaced: bool,
     transparency: bool,
-    animation_chunks: bool,
-    pub(in crate::codec) exif: Option<&'a [u8]>,
+    /// Whether it has chunks that must not reach the decoder, or lacks its end.
+    is_copied: bool,
+    pub(in crate::codec) found: Found<'a>,
+    pub(in crate::codec) repairs: Repairs,
     profile: Option<&'a [u8]>,
     palette: Option<&'a [u8]>,
     alpha: &'a [u8],
@@ -53,33 +67,30 @@ pub(in crate::codec) struct PngFile<'a> {
     pub(in crate::codec) labels: bool,
     idat_bytes: u64,
     idat_chunks: u64,
-    /// End of the file; `None` if it is truncated before IEND.
-    end: Option<usize>,
-}
-
-struct Chunk<'a> {
-    kind: [u8; 4],
-    data: &'a [u8],
+    /// The end of IEND, or of the last whole chunk.
     end: usize,
-}
-
-/// The chunk at `at`, if it is complete.
-fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
-    let head = bytes.get(at..at.checked_add(8)?)?;
-    let length = u32::from_be_bytes(head[..4].try_into().ok()?);
-    let data_end = (at + 8).checked_add(usize::try_from(length).ok()?)?;
-    let end = data_end.checked_add(4)?;
-    let kind = head[4..].try_into().ok()?;
-    bytes.get(..end).map(|whole| Chunk { kind, data: &whole[at + 8..data_end], end })
+    /// The data of a last IDAT that is cut off.
+    rest: &'a [u8],
 }
 
 fn bad(detail: impl ToString) -> CodecError {
     CodecError::bad(Format::Png.name(), detail)
 }
 
+fn cut_off() -> CodecError {
+    bad("it is cut off before its end")
+}
+
+fn wrong_checksum(kind: [u8; 4]) -> CodecError {
+    bad(format!("the chunk {} has a wrong checksum, so it is damaged", kind.escape_ascii()))
+}
+
 impl<'a> PngFile<'a> {
     pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
+        if !ihdr.is_intact(work)? {
+            return Err(wrong_checksum(ihdr.kind));
+        }
         let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
             return Err(bad("a header chunk of the wrong size or with an unknown method"));
         };
@@ -95,55 +106,20 @@ impl<'a> PngFile<'a> {
             colour,
             interlaced: interlace == 1,
             transparency: false,
-            animation_chunks: false,
-            exif: None,
+            is_copied: false,
+            found: Found::default(),
+            repairs: Repairs::default(),
             profile: None,
             palette: None,
             alpha: &[],
             labels: false,
             idat_bytes: 0,
             idat_chunks: 0,
-            end: None,
+            end: ihdr.end,
+            rest: &[],
         };
         file.walk(ihdr.end, work)?;
         Ok(file)
-    }
-
-    fn walk(&mut self, mut at: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
-        let mut before_data = true;
-        while let Some(chunk) = chunk_at(self.bytes, at) {
-            work.step(1)?;
-            at = chunk.end;
-            match &chunk.kind {
-                b"IDAT" => {
-                    before_data = false;
-                    self.idat_bytes += chunk.data.len() as u64;
-                    self.idat_chunks += 1;
-                }
-                b"tRNS" if before_data => {
-                    self.transparency = matches!(self.colour, 0 | 2 | 3);
-                    self.alpha = chunk.data;
-                }
-                b"PLTE" if before_data && self.palette.is_none() => self.palette = Some(chunk.data),
-                b"iCCP" if before_data && self.profile.is_none() => self.profile = Some(chunk.data),
-                // The second edition's extensions allow it behind the data too.
-                b"eXIf" if self.exif.is_none() => self.exif = Some(chunk.data),
-                b"acTL" => {
-                    self.animation_chunks = true;
-                    let frames = chunk.data.first_chunk().map_or(0, |n| u64::from(u32::from_be_bytes(*n)));
-                    if before_data && frames > 1 {
-                        return Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: frames });
-                    }
-                }
-                b"fcTL" | b"fdAT" => self.animation_chunks = true,
-                b"IEND" => {
-                    self.end = Some(at);
-                    break;
-                }
-                _ => {}
-            }
-        }
-        Ok(())
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
@@ -161,8 +137,8 @@ impl<'a> PngFile<'a> {
     /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
-        let exif = 4 * self.exif.map_or(0, |exif| exif.len() as u64);
-        let copy = if self.animation_chunks { self.bytes.len() as u64 } else { 0 };
+        let exif = 4 * self.found.exif.map_or(0, |exif| exif.len() as u64);
+        let copy = if self.is_copied { self.bytes.len() as u64 + 2 * FRAME } else { 0 };
         (512 << 10) + rows + exif + copy
     }
 
@@ -205,50 +181,78 @@ impl<'a> PngFile<'a> {
         Ok(())
     }
 
-    /// The file without the chunks of a one-frame animation, whose frame size must not reach the decoder.
-    fn still(&self, end: usize, work: &StepCounter<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
-        let whole = &self.bytes[..end];
-        if !self.animation_chunks {
+    /// The file with its end, and without chunks that must not reach the decoder: those of a one-frame animation, whose frame size is
+    /// another, and those with a wrong checksum.
+    fn still(&self, work: &StepCounter<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
+        let whole = &self.bytes[..self.end];
+        if !self.is_copied {
             return Ok(Cow::Borrowed(whole));
         }
-        let mut copy = room(end as u64)?;
+        let mut copy = room((self.end + self.rest.len()) as u64 + 2 * FRAME)?;
         copy.extend_from_slice(&whole[..SIGNATURE]);
         let mut at = SIGNATURE;
         while let Some(chunk) = chunk_at(whole, at) {
             work.step(1)?;
-            if !matches!(&chunk.kind, b"acTL" | b"fcTL" | b"fdAT") {
+            let is_read = matches!(&chunk.kind, b"IHDR" | b"PLTE" | b"tRNS") && chunk.is_intact(work)?;
+            if is_read || &chunk.kind == b"IDAT" {
                 copy.extend_from_slice(&whole[at..chunk.end]);
             }
             at = chunk.end;
         }
+        if !self.rest.is_empty() {
+            let start = copy.len() + 4;
+            copy.extend_from_slice(&u32::try_from(self.rest.len()).unwrap_or(u32::MAX).to_be_bytes());
+            copy.extend_from_slice(b"IDAT");
+            copy.extend_from_slice(self.rest);
+            let sum = crc32fast::hash(&copy[start..]);
+            copy.extend_from_slice(&sum.to_be_bytes());
+        }
+        copy.extend_from_slice(&END);
         Ok(Cow::Owned(copy))
     }
 
     /// The stored rows. `budget`: bytes that the decoder itself may allocate.
     pub(in crate::codec) fn samples(&self, budget: u64, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        let end = self.end.ok_or_else(|| bad("it is cut off before its end"))?;
         self.weigh_data()?;
+        let damaged = |error: png::DecodingError| match error {
+            _ if self.repairs.end => cut_off(),
+            png::DecodingError::IoError(_) => bad("its pixels end too early"),
+            _ => self.damaged(work),
+        };
         let mut options = png::DecodeOptions::default();
         options.set_ignore_text_chunk(true);
         options.set_ignore_iccp_chunk(true);
         options.set_skip_ancillary_crc_failures(false);
         options.set_ignore_adler32(false);
-        let mut decoder = png::Decoder::new_with_options(Pieces::new(self.still(end, work)?, work), options);
+        let mut decoder = png::Decoder::new_with_options(Pieces::new(self.still(work)?, work), options);
         decoder.set_limits(png::Limits { bytes: usize::try_from(budget).unwrap_or(usize::MAX) });
         decoder.set_transformations(if self.labels { png::Transformations::IDENTITY } else { png::Transformations::EXPAND });
-        let mut reader = decoder.read_info().map_err(bad)?;
+        let mut reader = decoder.read_info().map_err(damaged)?;
         let samples = match self.depth() {
-            Depth::Eight => self.rows::<u8, _>(&mut reader, work).map(Samples::Eight),
-            Depth::Sixteen => self.rows::<u16, _>(&mut reader, work).map(Samples::Sixteen),
+            Depth::Eight => self.rows::<u8, _>(&mut reader, &damaged, work).map(Samples::Eight),
+            Depth::Sixteen => self.rows::<u16, _>(&mut reader, &damaged, work).map(Samples::Sixteen),
         }?;
         // The rest of the data must be complete too: its end, the checksums, IEND.
-        reader.finish().map_err(bad)?;
+        reader.finish().map_err(damaged)?;
         Ok(samples)
+    }
+
+    /// What is wrong with pixels that cannot be decoded.
+    fn damaged(&self, work: &StepCounter<'_>) -> CodecError {
+        let mut at = SIGNATURE;
+        while let Some(chunk) = chunk_at(&self.bytes[..self.end], at) {
+            if &chunk.kind == b"IDAT" && !chunk.is_intact(work).unwrap_or(true) {
+                return wrong_checksum(chunk.kind);
+            }
+            at = chunk.end;
+        }
+        bad("its pixels are damaged, or no PNG stores them like this")
     }
 
     fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(
         &self,
         reader: &mut png::Reader<R>,
+        damaged: &dyn Fn(png::DecodingError) -> CodecError,
         work: &StepCounter<'_>,
     ) -> Result<Vec<T>, CodecError> {
         let (colour, bits) = reader.output_color_type();
@@ -269,7 +273,7 @@ impl<'a> PngFile<'a> {
             let mut out = room::<T>(len)?;
             for _ in 0..height {
                 work.check()?;
-                reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
+                reader.read_row(&mut row).map_err(damaged)?.ok_or_else(|| bad("too few rows"))?;
                 T::expand(self.unpacked(&row, width, &mut unpacked), colour.samples(), self.channels(), &mut out);
             }
             return Ok(out);
@@ -283,7 +287,7 @@ impl<'a> PngFile<'a> {
             }
             for y in (first_row..height).step_by(row_step) {
                 work.check()?;
-                reader.read_row(&mut row).map_err(bad)?.ok_or_else(|| bad("too few rows"))?;
+                reader.read_row(&mut row).map_err(damaged)?.ok_or_else(|| bad("too few rows"))?;
                 pixels.clear();
                 let row = &self.unpacked(&row, columns, &mut unpacked)[..columns * colour.samples() * T::BYTES];
                 T::expand(row, colour.samples(), self.channels(), &mut pixels);
@@ -324,19 +328,38 @@ impl<'a> PngFile<'a> {
         self.profile.is_some()
     }
 
-    /// The profile, inflated to at most one byte more than the limit.
+    /// The profile.
     pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
-        if !matches!(self.colour, 2 | 3 | 6) {
-            return None;
-        }
         let data = self.profile?;
         let name = data.iter().take(80).position(|&byte| byte == 0)?;
-        let deflated = data.get(name + 1..)?.strip_prefix(&[0]).filter(|deflated| deflated.len() <= MAX_DEFLATED_ICC)?;
-        let mut profile = Vec::new();
-        let inflated = flate2::bufread::ZlibDecoder::new(Pieces::new(deflated, work));
-        inflated.take(MAX_ICC as u64 + 1).read_to_end(&mut profile).ok()?;
-        keep_rgb_profile(profile)
+        let profile = inflated(data.get(name + 1..)?.strip_prefix(&[0])?, MAX_ICC, work)?;
+        keep_profile(profile, matches!(self.colour, 0 | 4))
     }
+
+    /// What was found, with XMP as text.
+    pub(in crate::codec) fn found(&self, work: &StepCounter<'_>) -> Found<'a> {
+        let mut found = self.found.clone();
+        if let Some(Cow::Borrowed([flag, method, rest @ ..])) = found.xmp {
+            // Behind the language and the translated keyword.
+            let text = rest.splitn(3, |byte| *byte == 0).nth(2).unwrap_or_default();
+            found.xmp = match (flag, method) {
+                (0, _) => Some(Cow::Borrowed(text)),
+                (1, 0) => Some(Cow::Owned(inflated(text, MOST_XMP, work).unwrap_or_default())),
+                _ => Some(Cow::Borrowed(&[])),
+            };
+        }
+        found
+    }
+}
+
+/// Inflates to at most one byte more than `most`; `None` if the data are damaged.
+fn inflated(deflated: &[u8], most: usize, work: &StepCounter<'_>) -> Option<Vec<u8>> {
+    if deflated.len() > most + FREE_DEFLATED {
+        return None;
+    }
+    let mut out = Vec::new();
+    flate2::bufread::ZlibDecoder::new(Pieces::new(deflated, work)).take(most as u64 + 1).read_to_end(&mut out).ok()?;
+    Some(out)
 }
 
 /// A sample in PNG's format.

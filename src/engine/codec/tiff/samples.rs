@@ -1,0 +1,274 @@
+//! The samples of a TIFF: decodes its strips and tiles, and converts them to RGB or RGBA. Shapes: `[height][width][channels]`.
+
+use std::io::Read as _;
+
+use super::data::Compression;
+use super::read::{Alpha, Colour, TiffFile};
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::ifd::read::{bad, cut_off};
+use crate::codec::jpeg::read::JpegFile;
+use crate::codec::{CodecError, StepCounter};
+use crate::pixmap::{Depth, Samples};
+
+/// The largest label.
+const MOST_LABEL: u64 = u16::MAX as u64;
+
+fn damaged<E>(_: E) -> CodecError {
+    bad("its pixels are damaged or end too early")
+}
+
+impl TiffFile<'_> {
+    /// The stored rows.
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
+        self.weigh_data(work)?;
+        match self.depth() {
+            Depth::Eight if self.compression == Compression::Jpeg => self.jpeg(work).map(Samples::Eight),
+            Depth::Eight => self.rows::<u8>(work).map(Samples::Eight),
+            Depth::Sixteen => self.rows::<u16>(work).map(Samples::Sixteen),
+        }
+    }
+
+    fn rows<T: Sample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
+        let (width, height, count) = (self.extent.width() as usize, self.extent.height() as usize, self.channels().count());
+        let (part_width, part_height) = (self.parts.width as usize, self.parts.height as usize);
+        let (across, down) = self.grid();
+        let interleaved = self.interleaved();
+        let mut out = zeros::<T>(sample_count(self.extent.pixels(), self.channels()), work)?;
+        let mut row = zeros::<u8>(self.row_bytes(), work)?;
+        let mut samples = room::<T>(self.parts.width as u64 * interleaved as u64)?;
+        let mut index = 0;
+        for plane in 0..self.planes() {
+            for tile in 0..across as usize * down as usize {
+                let (tile_x, tile_y) = (tile % across as usize, tile / across as usize);
+                let form = (self.parts.width, self.is_reversed);
+                let mut data = self.compression.reader(self.data(index)?, form, work).map_err(damaged)?;
+                index += 1;
+                let left = tile_x * part_width;
+                let columns = part_width.min(width - left);
+                let top = tile_y * part_height;
+                for y in top..(top + part_height).min(height) {
+                    work.check()?;
+                    data.read_exact(&mut row).map_err(damaged)?;
+                    samples.clear();
+                    if self.is_counted() {
+                        self.count(&row, &mut samples)?;
+                    } else {
+                        T::unpack(&row, self, &mut samples);
+                    }
+                    if self.differences && !self.is_counted() {
+                        for index in interleaved..samples.len() {
+                            samples[index] = samples[index].plus(samples[index - interleaved]);
+                        }
+                    }
+                    let into = &mut out[(y * width + left) * count..][..columns * count];
+                    for (into, from) in into.chunks_exact_mut(count).zip(samples.chunks_exact(interleaved)) {
+                        if self.is_planar { self.sample(plane, from[0], into) } else { self.pixel(from, into) }
+                    }
+                }
+                // The end of the data, with the checksum of deflate.
+                if self.compression == Compression::Deflate {
+                    let _ = data.read(&mut [0]).map_err(damaged)?;
+                }
+            }
+        }
+        if self.is_planar {
+            for row in out.chunks_exact_mut(width * count) {
+                work.check()?;
+                row.chunks_exact_mut(count).for_each(|pixel| self.divide(pixel));
+            }
+        }
+        Ok(out)
+    }
+
+    /// The stored rows of JPEG, in strips or tiles that are files without their common tables.
+    fn jpeg(&self, work: &StepCounter<'_>) -> Result<Vec<u8>, CodecError> {
+        let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
+        let (across, down) = self.grid();
+        let mut out = zeros::<u8>(3 * self.extent.pixels(), work)?;
+        let is_white_zero = self.colour == Colour::Grey { white_is_zero: true } && !self.labels;
+        for tile in 0..across as usize * down as usize {
+            let (left, top) = (tile % across as usize * self.parts.width as usize, tile / across as usize * self.parts.height as usize);
+            let (columns, rows) = ((self.parts.width as usize).min(width - left), (self.parts.height as usize).min(height - top));
+            let data = self.data(tile)?;
+            // Tables end with a mark of their own, and the data begin with one.
+            let tables = self.tables.strip_suffix(&[0xFF, 0xD9]).unwrap_or(self.tables);
+            let data = if tables.is_empty() { data } else { data.strip_prefix(&[0xFF, 0xD8]).unwrap_or(data) };
+            work.step((tables.len() + data.len()) as u64)?;
+            let whole = [tables, data].concat();
+            let mut file = JpegFile::parse(&whole, work).map_err(|error| self.of_tiff(error))?;
+            file.is_rgb = self.colour == Colour::Rgb;
+            let (part_width, part_height) = (file.extent.width() as usize, file.extent.height() as usize);
+            let is_whole = part_width >= columns && part_height >= rows && part_width <= self.parts.width as usize;
+            if !is_whole || part_height > self.parts.height as usize || file.is_grey() != (self.stored == 1) || file.is_progressive() {
+                return Err(bad("JPEG data of another size or kind than the file says"));
+            }
+            let (Samples::Eight(samples), _) = file.samples(work).map_err(|error| self.of_tiff(error))? else { return Err(cut_off()) };
+            for (y, row) in samples.chunks_exact(3 * part_width).take(rows).enumerate() {
+                let into = &mut out[3 * ((top + y) * width + left)..][..3 * columns];
+                into.copy_from_slice(&row[..3 * columns]);
+                if is_white_zero {
+                    into.iter_mut().for_each(|sample| *sample = !*sample);
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// An error of a strip or tile, as one of the file.
+    fn of_tiff(&self, error: CodecError) -> CodecError {
+        match error {
+            CodecError::Bad { detail, .. } => bad(format!("in its JPEG data: {detail}")),
+            other => other,
+        }
+    }
+
+    /// Converts a pixel to RGB or RGBA.
+    fn pixel<T: Sample>(&self, from: &[T], into: &mut [T]) {
+        match self.colour {
+            Colour::Rgb | Colour::YCbCr => into[..3].copy_from_slice(&from[..3]),
+            Colour::Grey { .. } | Colour::Palette if self.labels => into[..3].fill(from[0]),
+            Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero { from[0].inverted() } else { from[0] }),
+            Colour::Palette => {
+                let colours = 1 << self.bits;
+                for (c, sample) in into[..3].iter_mut().enumerate() {
+                    let value = self.palette.and_then(|palette| palette.get(c * colours + from[0].index())).unwrap_or(0);
+                    *sample = T::from_short(value);
+                }
+            }
+        }
+        if let (Some(alpha), Some(_)) = (into.get_mut(3), self.alpha) {
+            *alpha = from[from.len() - 1];
+            self.divide(into);
+        }
+    }
+
+    /// Converts a sample of a plane.
+    fn sample<T: Sample>(&self, plane: usize, from: T, into: &mut [T]) {
+        match self.colour {
+            Colour::Grey { white_is_zero } if plane == 0 => {
+                into[..3].fill(if white_is_zero && !self.labels { from.inverted() } else { from });
+            }
+            Colour::Grey { .. } => into[3] = from,
+            _ => into[plane] = from,
+        }
+    }
+
+    /// Divides premultiplied alpha out.
+    fn divide<T: Sample>(&self, pixel: &mut [T]) {
+        if let ([colours @ .., alpha], Some(Alpha { is_premultiplied: true })) = (pixel, self.alpha)
+            && !self.labels
+        {
+            colours.iter_mut().for_each(|sample| *sample = sample.divided(*alpha));
+        }
+    }
+
+    /// Appends the labels of a row that may be negative, or larger than 16 bits hold, if none of them is.
+    fn count<T: Sample>(&self, row: &[u8], out: &mut Vec<T>) -> Result<(), CodecError> {
+        let most = u64::MAX >> (64 - self.bits);
+        let mut label = 0;
+        for number in row.chunks_exact(self.bits as usize / 8) {
+            let number = self.file.number(number);
+            label = if self.differences { number.wrapping_add(label) & most } else { number };
+            if self.is_signed && label > most >> 1 {
+                return Err(CodecError::unsupported("a TIFF with negative labels; labels are numbers from 0 to 65535"));
+            }
+            if label > MOST_LABEL {
+                return Err(CodecError::unsupported(format!(
+                    "a TIFF with the label {label}; labels are numbers from 0 to 65535. Number them anew, for example with \
+                     skimage.segmentation.relabel_sequential"
+                )));
+            }
+            out.push(T::from_label(label));
+        }
+        Ok(())
+    }
+}
+
+/// A sample of 8 or 16 bit.
+trait Sample: Copy + Default {
+    /// Appends the samples of a row.
+    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>);
+    fn plus(self, other: Self) -> Self;
+    fn inverted(self) -> Self;
+    fn index(self) -> usize;
+    fn from_short(value: u64) -> Self;
+    fn from_label(label: u64) -> Self;
+    /// Without its factor `alpha`.
+    fn divided(self, alpha: Self) -> Self;
+}
+
+impl Sample for u8 {
+    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
+        if file.bits == 8 {
+            return out.extend_from_slice(row);
+        }
+        let most = (1_u16 << file.bits) - 1;
+        let scale = if file.colour == Colour::Palette || file.labels { 1 } else { 255 / most };
+        let per_byte = 8 / file.bits;
+        for index in 0..file.parts.width {
+            let shift = 8 - file.bits * (index % per_byte + 1);
+            #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
+            out.push(((u16::from(row[(index / per_byte) as usize]) >> shift & most) * scale) as Self);
+        }
+    }
+
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+
+    fn inverted(self) -> Self {
+        !self
+    }
+
+    fn index(self) -> usize {
+        self.into()
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "the upper byte of 16 bits")]
+    fn from_short(value: u64) -> Self {
+        (value >> 8) as Self
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a sample of 8 bits")]
+    fn from_label(label: u64) -> Self {
+        label as Self
+    }
+
+    fn divided(self, alpha: Self) -> Self {
+        let (sample, alpha) = (u32::from(self), u32::from(alpha));
+        (sample * 255 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(255) as Self)
+    }
+}
+
+impl Sample for u16 {
+    fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
+        out.extend(row.as_chunks().0.iter().map(|bytes| file.file.short(*bytes)));
+    }
+
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+
+    fn inverted(self) -> Self {
+        !self
+    }
+
+    fn index(self) -> usize {
+        self.into()
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "16 bits")]
+    fn from_short(value: u64) -> Self {
+        value as Self
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "16 bits")]
+    fn from_label(label: u64) -> Self {
+        label as Self
+    }
+
+    fn divided(self, alpha: Self) -> Self {
+        let (sample, alpha) = (u64::from(self), u64::from(alpha));
+        (sample * 65_535 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(65_535) as Self)
+    }
+}
