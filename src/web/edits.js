@@ -176,8 +176,11 @@ export function keepingFocus(before, after) {
   return after.handles.some((h) => before.handles.includes(h) && isPosed(h)) ? { ...after, alpha: alphaOf(before) } : after;
 }
 
-/** The content outside the warped picture: `transparent`, `edge`, `reflect` or `#rrggbbaa`. Documents of older pages lack it. */
+/** The content outside the warped picture: `transparent`, `edge`, `reflect`, `#rrggbbaa` or a value of the picture's depth, `{ value }`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
+
+/** The kind of content outside: a name, `colour` or `value`. */
+export const kindOfOutside = (outside) => (typeof outside === "object" ? "value" : outside.startsWith("#") ? "colour" : outside);
 
 /** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
 export const filterOf = ({ filter }) => filter ?? "bilinear";

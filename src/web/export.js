@@ -3,7 +3,7 @@
 
 import { AnimationExport } from "./animationexport.js";
 import * as api from "./api.js";
-import { outsideOf } from "./edits.js";
+import { kindOfOutside, outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
 import { animationName, batchLine, warpedPicture, copy, curlLine, pictureName, save, saveRegion } from "./share.js";
 import { ANIMATION, EXPORT, REGION, bytes, problemWords } from "./words.js";
@@ -163,7 +163,7 @@ export class ExportDialog {
     find("background").hidden = !this.#hasBackground;
     find("background").value = background;
     const outside = outsideOf(this.store.state.document);
-    text("background-note", EXPORT.backgrounds[outside.startsWith("#") ? "colour" : outside]);
+    text("background-note", EXPORT.backgrounds[kindOfOutside(outside)]);
     text("save", `Download ${EXPORT.names[format]}`);
     this.animation.draw(this.#isAnimation);
     const hasFrames = !this.#isAnimation || find("frames").checkValidity();

@@ -140,7 +140,7 @@ function documentFrom(warp) {
   const cell = grid === "auto" || isTolerance ? grid : grid?.cell;
   demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
   const outside = outsideFrom(given.output?.outside ?? "transparent");
-  demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect" or a colour "#rrggbbaa"');
+  demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect", a colour "#rrggbbaa" or {"value": number or [r, g, b]}');
   const filter = given.output?.filter ?? "bilinear";
   demand(FILTERS.includes(filter), "/output/filter", '"nearest", "bilinear" or "bicubic"');
   const holes = given.output?.holes ?? "keep";
@@ -164,9 +164,19 @@ function isCanvas(canvas) {
   return [x, y, width, height].every(Number.isInteger) && Math.max(Math.abs(x), Math.abs(y)) <= 1_000_000 && width >= 1 && height >= 1;
 }
 
-/** The server's form of a colour, or null. */
+/** The server's form of what is outside, or null. */
 function outsideFrom(told) {
+  if (typeof told === "object" && told !== null) return valueFrom(told);
   if (told === "transparent" || told === "edge" || told === "reflect") return told;
   const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
   return colour ? colour + alpha : null;
+}
+
+/** A value in units of the picture's depth: one number if its colours are equal; or null. */
+function valueFrom({ value, ...others }) {
+  const samples = [value].flat();
+  const isOne = samples.length === 1 && !Array.isArray(value);
+  const isSample = (sample) => Number.isInteger(sample) && sample >= 0 && sample <= 65535;
+  if (Object.keys(others).length || (!isOne && samples.length !== 3) || !samples.every(isSample)) return null;
+  return { value: samples.every((sample) => sample === samples[0]) ? samples[0] : samples };
 }

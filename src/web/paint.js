@@ -17,8 +17,13 @@ void main() { gl_FragColor = texture2D(source, at); }`;
 const FINE = 8;
 const MOST_VERTICES = 300_000;
 
-/** `transparent`, or a colour `#rrggbbaa`, with premultiplied alpha. */
+/** `transparent`, a colour `#rrggbbaa`, or a value, with premultiplied alpha. The browser does not tell the picture's depth: a value above 255 has 16 bits. */
 function premultiplied(outside) {
+  if (typeof outside === "object") {
+    const samples = [outside.value, outside.value, outside.value].flat().slice(0, 3);
+    const largest = samples.some((sample) => sample > 255) ? 65535 : 255;
+    return [...samples.map((sample) => sample / largest), 1];
+  }
   if (!outside.startsWith("#")) return [0, 0, 0, 0];
   const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
   return [r * a, g * a, b * a, a];

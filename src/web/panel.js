@@ -1,7 +1,7 @@
 // The controls around the picture: they show the state and change it.
 
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
-import { alphaOf, filterOf, hasPinsOnly, kindName, outsideOf, takesPinsOnly, toolName } from "./edits.js";
+import { alphaOf, filterOf, hasPinsOnly, kindName, kindOfOutside, outsideOf, takesPinsOnly, toolName } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { steps } from "./state.js";
@@ -181,14 +181,24 @@ export class Panel {
     if (![...select.options].some((option) => option.value === value)) select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
     select.value = value;
     const outside = outsideOf(document);
-    const colour = outside.startsWith("#");
-    find("outside").value = colour ? "colour" : outside;
-    find("outside-colour").hidden = !colour;
-    if (colour) find("outside-colour").value = outside.slice(0, 7);
-    text("outside-note", OUTSIDE[find("outside").value]);
+    const kind = kindOfOutside(outside);
+    this.#offerValue(kind === "value" ? outside : null);
+    find("outside").value = kind;
+    find("outside-colour").hidden = kind !== "colour";
+    if (kind === "colour") find("outside-colour").value = outside.slice(0, 7);
+    text("outside-note", OUTSIDE[kind]);
     find("filter").value = filterOf(document);
     text("filter-note", FILTER[filterOf(document)]);
     this.#drawCanvas(document);
+  }
+
+  /** A value outside comes from a file of handles; the list has it as long as it is set. */
+  #offerValue(outside) {
+    const select = find("outside");
+    const option = [...select.options].find(({ value }) => value === "value");
+    if (!outside) option?.remove();
+    else if (option) option.text = `Value ${outside.value}`;
+    else select.add(new Option(`Value ${outside.value}`, "value"));
   }
 
   #drawCanvas(document) {

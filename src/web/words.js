@@ -136,6 +136,7 @@ export const OUTSIDE = {
   edge: "Extends the edge pixels outside the warped picture.",
   reflect: "Mirrors the picture at its warped border. During a drag, the edge pixels are extended instead.",
   colour: "Fills the outside of the warped picture with this colour.",
+  value: "Fills the outside of the warped picture with this value of the file's own depth.",
 };
 
 export const FILTER = {
@@ -190,6 +191,7 @@ export const EXPORT = {
     edge: "JPEG has no transparency: transparent pixels become white.",
     reflect: "JPEG has no transparency: transparent pixels become white.",
     colour: "JPEG has no transparency: transparent pixels get the colour chosen for the outside.",
+    value: "JPEG has no transparency: transparent pixels get the value chosen for the outside.",
   },
 };
 
@@ -220,7 +222,9 @@ export const WARNINGS = {
   scaled_use_similarity: "The handles change the size of the picture, which Rigid cannot. Choose Similarity.",
   handles_missing: "Handles without a position are left out.",
   landmarks_unmatched: "Landmarks that only one file has are left out.",
-  profile_dropped: "The colour profile of the picture cannot be used: colours may look different.",
+  profile_dropped: "The result says less about its colours than the picture: they may look different.",
+  metadata_dropped: "The result lacks some of the picture's metadata.",
+  file_repaired: "The picture's file is damaged where no pixel is: the picture is complete.",
 };
 
 export const STAGES = { queue: "Queue", decode: "Decoding", plan: "Plan", reduce: "Scaled copies", deform: "Deformation", render: "Rendering", encode: "PNG encoding" };

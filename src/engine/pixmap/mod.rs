@@ -80,6 +80,15 @@ impl Depth {
             Self::Sixteen => 2,
         }
     }
+
+    /// The largest sample.
+    #[must_use]
+    pub const fn largest(self) -> u16 {
+        match self {
+            Self::Eight => u8::MAX as u16,
+            Self::Sixteen => u16::MAX,
+        }
+    }
 }
 
 /// The samples, `[height][width][channels]`.

@@ -94,6 +94,8 @@ pub enum Outside {
     Reflect,
     /// One colour, straight 8-bit RGBA.
     Colour([u8; 4]),
+    /// One opaque colour in units of the source's depth, at most its largest sample.
+    Value([u16; 3]),
 }
 
 impl Outside {
@@ -103,6 +105,7 @@ impl Outside {
         match self {
             Self::Transparent | Self::Edge | Self::Reflect => true,
             Self::Colour([r, g, b, _]) => r == g && g == b,
+            Self::Value([r, g, b]) => r == g && g == b,
         }
     }
 }
@@ -217,7 +220,7 @@ impl Renderer {
         let clear = match options.outside {
             Outside::Transparent => uncovered,
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
-            Outside::Edge | Outside::Reflect => false,
+            Outside::Edge | Outside::Reflect | Outside::Value(_) => false,
         };
         let channels = if clear || options.force_alpha { Channels::Rgba } else { pixmap.channels() };
         Self { source, options, channels, level: kernel.level(), work }

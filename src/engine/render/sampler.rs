@@ -133,6 +133,7 @@ pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     let colour = match outside {
         Outside::Transparent => [0; 4],
         Outside::Colour(colour) => colour,
+        Outside::Value(value) => return Some(value_pixel(value, depth)),
         Outside::Edge | Outside::Reflect => return None,
     };
     let mut bytes = [0; 8];
@@ -142,6 +143,20 @@ pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
         Depth::Sixteen => bytes = [colour[0], colour[0], colour[1], colour[1], colour[2], colour[2], colour[3], colour[3]],
     }
     Some(bytes)
+}
+
+/// The bytes of an opaque pixel.
+fn value_pixel([r, g, b]: [u16; 3], depth: Depth) -> [u8; 8] {
+    match depth {
+        Depth::Eight => {
+            let [r, g, b] = [r, g, b].map(|sample| u8::try_from(sample).unwrap_or(u8::MAX));
+            [r, g, b, u8::MAX, 0, 0, 0, 0]
+        }
+        Depth::Sixteen => {
+            let [[r0, r1], [g0, g1], [b0, b1]] = [r, g, b].map(u16::to_be_bytes);
+            [r0, r1, g0, g1, b0, b1, u8::MAX, u8::MAX]
+        }
+    }
 }
 
 /// Fills pixels with one colour.

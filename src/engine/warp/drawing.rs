@@ -38,7 +38,7 @@ impl Warp {
     #[must_use]
     pub fn onto(target: Target, subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Self {
         let drawer = subject.drawer(target, posed, output);
-        let writer = drawer.writer(output.encoding());
+        let writer = drawer.writer(output.encoding(subject.depth()));
         Self { drawer, writer, format: output.format, etag: etag(subject, posed, output, target), target }
     }
 
@@ -112,7 +112,7 @@ impl Warp {
 }
 
 fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, force_alpha, is_preview }: Target) -> Digest {
-    let encoding = match output.encoding() {
+    let encoding = match output.encoding(subject.depth()) {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
         Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
@@ -129,10 +129,11 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Filter::Bicubic => 2,
     };
     let outside = match output.outside {
-        Outside::Transparent => [0; 5],
-        Outside::Edge => [1, 0, 0, 0, 0],
-        Outside::Colour([r, g, b, a]) => [2, r, g, b, a],
-        Outside::Reflect => [3, 0, 0, 0, 0],
+        Outside::Transparent => vec![0; 5],
+        Outside::Edge => vec![1, 0, 0, 0, 0],
+        Outside::Colour([r, g, b, a]) => vec![2, r, g, b, a],
+        Outside::Reflect => vec![3, 0, 0, 0, 0],
+        Outside::Value(value) => value.iter().flat_map(|sample| sample.to_be_bytes()).collect(),
     };
     let digest = Collector::new("mlswarp answer 6")
         .bytes(&subject.digest().0)

@@ -87,6 +87,17 @@ pub enum WarpError {
         /// The format.
         format: Format,
     },
+    /// A value outside that the samples of the picture cannot have.
+    #[error("the value {value} of `outside` exceeds {most}, the largest of an image of {} bits", if *most > 255 { 16 } else { 8 })]
+    OutsideBeyondDepth {
+        /// The value.
+        value: u16,
+        /// The largest.
+        most: u16,
+    },
+    /// A value outside of labels.
+    #[error("outside, labels are 0: `outside` with a value does not apply to them")]
+    OutsideOfLabels,
     /// `folds: reject` and the posed grid folds.
     #[error("the warp folds over itself in {cells} {} of the grid", if *cells == 1 { "cell" } else { "cells" })]
     Folded {

@@ -73,9 +73,7 @@ impl Quality {
     /// Memory for measuring a pose beside that of its grid, bytes.
     #[must_use]
     pub fn bytes(posed: &Posed, canvas: Option<Canvas>) -> u64 {
-        canvas.map_or(0, |canvas| {
-            Target { canvas: Some(canvas), extent: counted(canvas), force_alpha: false, is_preview: false }.window_bytes(posed)
-        })
+        canvas.map_or(0, |canvas| Target::of(Some(canvas), counted(canvas)).window_bytes(posed))
     }
 
     /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of [`Setup::to_invert`], in which the

@@ -5,6 +5,7 @@ use std::ops::RangeInclusive;
 use super::{CanvasSpec, Warning, WarpError};
 use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits, Subsampling};
 use crate::deform::{self, Coincident, Handle};
+use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
 
 /// Limits of a warp; each is a flag of the service.
@@ -277,14 +278,15 @@ impl Default for OutputSpec {
 }
 
 impl OutputSpec {
-    /// The encoding. The background of a JPEG is the colour outside, or white.
+    /// The encoding of a picture from a source of this depth. The background of a JPEG is the colour outside, or white.
     #[must_use]
-    pub const fn encoding(&self) -> Encoding {
+    pub fn encoding(&self, depth: Depth) -> Encoding {
         match self.format {
             Format::Png => Encoding::Png(self.compression),
             Format::Jpeg => {
                 let ground = match self.outside {
                     Outside::Colour([r, g, b, _]) => [r, g, b],
+                    Outside::Value(value) => value.map(|sample| in_eight(sample, depth)),
                     Outside::Transparent | Outside::Edge | Outside::Reflect => [255; 3],
                 };
                 let subsampling = match self.subsampling {
@@ -298,6 +300,12 @@ impl OutputSpec {
             Format::Tiff => Encoding::Tiff(self.compression),
         }
     }
+}
+
+/// A sample in 8 bit: of 16, the nearest.
+fn in_eight(sample: u16, depth: Depth) -> u8 {
+    let largest = u32::from(depth.largest());
+    u8::try_from((u32::from(sample) * 255 + largest / 2) / largest).unwrap_or(u8::MAX)
 }
 
 /// Returns an error if a number exceeds a limit.

@@ -6,8 +6,8 @@ use super::drawer::region::RegionDrawer;
 use super::{Digest, Image, LabelImage, OutputSpec, Posed, Region, Target, Warning, WarpError};
 use crate::codec::Format;
 use crate::deform::IsCancelled;
-use crate::pixmap::Extent;
-use crate::render::{Coverage, Source};
+use crate::pixmap::{Depth, Extent};
+use crate::render::{Coverage, Outside, Source};
 
 /// What a warp draws.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +40,7 @@ impl Subject<'_> {
     pub fn warnings(self, target: &Target, output: &OutputSpec) -> Vec<Warning> {
         let (carried, grey, repairs) = match self {
             Self::Image(image) => {
-                (image.carried(target), image.grey && output.outside.is_grey() && output.encoding().is_grey(), image.repairs)
+                (image.carried(target), image.grey && output.outside.is_grey() && output.encoding(self.depth()).is_grey(), image.repairs)
             }
             Self::Labels(labels) => (labels.carried(target), labels.labels.is_grey(), labels.labels.repairs),
             Self::Coverage(_) | Self::Holes(_) => return Vec::new(),
@@ -54,13 +54,28 @@ impl Subject<'_> {
         all.into_iter().filter_map(|(applies, warning)| applies.then_some(warning)).collect()
     }
 
-    /// Checks the format of the output.
+    /// The depth of its samples.
+    #[must_use]
+    pub fn depth(self) -> Depth {
+        match self {
+            Self::Image(image) => image.source.pixmap().depth(),
+            Self::Labels(labels) => labels.labels.shape.depth,
+            Self::Coverage(_) | Self::Holes(_) => Depth::Eight,
+        }
+    }
+
+    /// Checks the format of the output, and a value outside.
     ///
     /// # Errors
-    /// Labels in a format that would change them.
-    pub const fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
-        match (self, output.format) {
-            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP)) => Err(WarpError::LabelFormat { format }),
+    /// Labels in a format that would change them, or with a value outside; a value that the picture's samples cannot have.
+    pub fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
+        match (self, output.format, output.outside) {
+            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP), _) => Err(WarpError::LabelFormat { format }),
+            (Self::Labels(_), _, Outside::Value(_)) => Err(WarpError::OutsideOfLabels),
+            (Self::Image(_), _, Outside::Value(value)) => {
+                let (largest, most) = (value.into_iter().max().unwrap_or(0), self.depth().largest());
+                if largest > most { Err(WarpError::OutsideBeyondDepth { value: largest, most }) } else { Ok(()) }
+            }
             _ => Ok(()),
         }
     }

@@ -82,6 +82,12 @@ pub struct Target {
 }
 
 impl Target {
+    /// A picture of this size of a part of the posed plane, or of the box of the source.
+    #[must_use]
+    pub const fn of(canvas: Option<Canvas>, extent: Extent) -> Self {
+        Self { canvas, extent, force_alpha: false, is_preview: false }
+    }
+
     /// What the picture has of the metadata of a source of this size.
     pub(super) fn carried(&self, metadata: &Arc<Metadata>, source: Extent) -> Carried {
         let carried = Carried::new(metadata, self.extent, self.canvas.map_or(source, |canvas| canvas.extent));
@@ -132,7 +138,7 @@ impl OutputSpec {
 
     fn target_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
         let extent = self.extent_of(canvas, source, limits)?;
-        Ok(Target { canvas: (self.canvas != CanvasSpec::Same).then_some(canvas), extent, force_alpha: false, is_preview: false })
+        Ok(Target::of((self.canvas != CanvasSpec::Same).then_some(canvas), extent))
     }
 
     /// The size of the target on this canvas, whatever the limits.

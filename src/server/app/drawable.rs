@@ -8,7 +8,8 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format, StepCounter};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CanvasSpec, Digest, Image, LabelImage, Region, Subject, WarpError};
+use mlswarp::render::Outside;
+use mlswarp::warp::{CanvasSpec, Digest, Image, LabelImage, OutputSpec, Region, Subject, WarpError};
 
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
@@ -78,12 +79,15 @@ impl Content {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
-    /// The format where only the format of pictures is known. JPEG and WebP would change labels and coverage: then it is PNG.
-    pub(crate) fn format_beside(&self, pictures: Format) -> Format {
-        match (&self.drawable, pictures) {
-            (Drawable::Image(_), _) | (_, Format::Tiff) => pictures,
-            _ => Format::Png,
+    /// The output where only that of pictures is known. JPEG and WebP would change labels and coverage: then it is PNG. A value outside is
+    /// one of pictures.
+    pub(crate) fn output_beside(&self, pictures: OutputSpec) -> OutputSpec {
+        if matches!(self.drawable, Drawable::Image(_)) {
+            return pictures;
         }
+        let format = if pictures.format == Format::Tiff { Format::Tiff } else { Format::Png };
+        let outside = if matches!(pictures.outside, Outside::Value(_)) { Outside::Transparent } else { pictures.outside };
+        OutputSpec { format, outside, ..pictures }
     }
 
     /// Whether alpha is added where nothing is drawn.
@@ -214,7 +218,9 @@ impl App {
         let open = move |cancel: &Cancel| {
             let is_cancelled = || cancel.is_cancelled();
             let steps = StepCounter::new(&is_cancelled);
-            check_extent(codec::open(&file, &limits, &steps).map_err(WarpError::from)?.header().extent, expected)?;
+            let extent = codec::probe(&file, &steps).map_err(WarpError::from)?.extent;
+            limits.check(extent).map_err(WarpError::from)?;
+            check_extent(extent, expected)?;
             Ok::<_, Problem>(Digest::of(&file))
         };
         self.0.pool.run(ticket, open).await?

@@ -5,12 +5,13 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Setup, Units};
+use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Setup, Target, Units};
 
 use super::App;
 use super::draw::Planned;
 use super::drawable::Content;
 use super::json_text::json_unless;
+use super::session_warp::AdmittedPlan;
 use super::warp::Resolved;
 use crate::client::{Client, Owner};
 use crate::limits::client_quota::ClientQuota;
@@ -43,6 +44,8 @@ struct ReportJob {
     output: OutputSpec,
     /// Has the region that moves, if the canvas depends on it.
     region: Option<Content>,
+    /// What would be drawn, if the request is about a picture.
+    drawn: Option<Content>,
     quota: ClientQuota,
 }
 
@@ -57,7 +60,7 @@ impl App {
         let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (q, output, quota) = (object.posed()?.to_vec(), object.output, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, alignment, output, region: None, quota };
+        let job = ReportJob { owner: client.owner, setup, q, alignment, output, region: None, drawn: None, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -65,7 +68,11 @@ impl App {
     /// Errors: Unknown session, wrong handles, or too little capacity.
     pub(crate) async fn report_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<QualityReport, Problem> {
         let record = self.touch(id, None).await?.record;
-        let setup = self.session_setup(client, &record).await?;
+        // Before the plan is built.
+        self.session_setup(client, &record).await?.check_quality()?;
+        // What is lost of the file depends on the file.
+        let (record, content, AdmittedPlan { planned, .. }) = self.admit_newest(client, record, None).await?;
+        let setup = planned.setup;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let limits = self.0.config.limits();
         let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
@@ -79,12 +86,12 @@ impl App {
         drop(ticket);
         let region = self.region_of(client, &record, output.canvas).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let job = ReportJob { owner: id.owner(), setup, q, alignment, output, region, quota };
+        let job = ReportJob { owner: id.owner(), setup, q, alignment, output, region, drawn: Some(content), quota };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, alignment, output, region, quota } = job;
+        let ReportJob { owner, setup, q, alignment, output, region, drawn, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
         let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
@@ -111,7 +118,11 @@ impl App {
                 let inverse = to_invert.as_ref().map(coarse).transpose()?;
                 Quality::of(&setup, &q, &pose, &posed, inverse.as_ref().unwrap_or(&posed), canvas, &is_cancelled)
             })?;
-            let report = posed.into_report(canvas, &is_cancelled)?;
+            let mut report = posed.into_report(canvas, &is_cancelled)?;
+            if let Some(content) = drawn {
+                let shown = canvas.map_or(setup.source(), |canvas| canvas.extent);
+                report.warnings.extend(content.subject().warnings(&Target::of(canvas, shown), &output));
+            }
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::warp::{Digest, Setup};
+use mlswarp::warp::{Digest, Setup, Subject};
 
 use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, revision_key, setup_weight};
 use super::{App, build_aborted};
@@ -88,6 +88,10 @@ impl App {
             let (app, json, extent) = (self.clone(), json.clone(), old.extent);
             let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.without_files()?.merge_onto(base), extent, cancel);
             let Resolved { object, setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
+            // A picture that is not in memory is looked at when it is drawn.
+            if let Some(image) = self.0.images.peek(Key::new(id.owner(), old.image)) {
+                Subject::Image(&image).check(&object.output)?;
+            }
             self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
             // The ticket is not held while the store works.
             drop(ticket);

@@ -109,8 +109,9 @@ impl App {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.admit_newest(client, Arc::clone(&request.record), drag.layer.as_ref());
         let (record, content, plan) = self.unless_superseded(&request, plan).await?;
-        let format = formats.choose(drag.output.format, content.format_beside(record.output.format))?;
-        let output = OutputSpec { format, ..drag.output.merge_onto(&record.output) };
+        let base = content.output_beside(record.output);
+        let format = formats.choose(drag.output.format, base.format)?;
+        let output = OutputSpec { format, ..drag.output.merge_onto(&base) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
         let q = self.posed(&ticket, &record, drag.q, drag.strength).await?;

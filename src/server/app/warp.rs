@@ -7,7 +7,7 @@ use std::time::{Instant, SystemTime};
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, Setup};
+use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, Setup, Subject};
 
 use super::draw::{DrawJob, Drawn, Planned};
 use super::drawable::{Content, check_extent};
@@ -200,6 +200,7 @@ impl App {
         };
         timing.decode = began.elapsed();
         stage("decode", began);
+        Subject::Image(&image).check(&object.output)?;
         let (app, extent) = (self.clone(), image.extent());
         let resolve = move |cancel: &Cancel| {
             let mut object = object;

@@ -109,8 +109,9 @@ impl ExtentInput {
 /// The size of an image file, from its header.
 /// Errors: Not an image, or one over the limits.
 pub(super) fn extent_of(config: &Config, file: &[u8]) -> Result<Extent, WarpError> {
-    let steps = StepCounter::new(&|| false);
-    Ok(codec::open(file, &config.limits().image, &steps)?.header().extent)
+    let extent = codec::probe(file, &StepCounter::new(&|| false))?.extent;
+    config.limits().image.check(extent)?;
+    Ok(extent)
 }
 
 /// The body of a request with a whole warp object and the size of its image; `more`: the text of another object with fields of the

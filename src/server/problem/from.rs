@@ -47,6 +47,10 @@ impl From<WarpError> for Problem {
             WarpError::NoTable => Self::new(Code::NoTable, detail),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::LabelFormat { .. } => Self::new(Code::BadValue, detail).pointer("/output/format"),
+            WarpError::OutsideBeyondDepth { value, most } => {
+                Self::new(Code::BadValue, detail).pointer("/output/outside/value").limit("outside_value", most, value)
+            }
+            WarpError::OutsideOfLabels => Self::new(Code::BadValue, detail).pointer("/output/outside"),
             WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
             WarpError::NothingVisible => Self::new(Code::NothingVisible, detail).pointer("/output/canvas"),
         }

@@ -89,6 +89,9 @@ pub(crate) const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 /// The fields of `output`, in the order of `OutputPatch::read`.
 pub(crate) const OUTPUT: [&str; 9] = ["format", "quality", "subsampling", "compression", "width", "filter", "outside", "canvas", "holes"];
 
+/// The fields of `outside` as a value.
+pub(crate) const OUTSIDE: [&str; 1] = ["value"];
+
 /// The fields of a box as `canvas`.
 pub(crate) const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
 

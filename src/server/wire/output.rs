@@ -9,7 +9,7 @@ use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, Holes, OutputSpec};
 use super::enum_name::{enum_name, unknown_name};
 use super::fields;
 use super::json::{Kind, Node, optional};
-use super::number::{count, integer};
+use super::number::{count, integer, whole};
 use super::suggest;
 use crate::problem::words::{did_you_mean, quote};
 use crate::problem::{Code, Problem};
@@ -17,7 +17,8 @@ use crate::problem::{Code, Problem};
 const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
 /// The longest side of a canvas: from one farthest edge to the other.
 const LONGEST: u32 = 2 * FARTHEST.unsigned_abs();
-const OUTSIDE: &str = "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`";
+const OUTSIDE: &str = "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`, {\"value\": number or [r, g, b]}";
+const VALUE: &str = "a whole number of 0 to 65535, in units of the image's depth, or three of them: [r, g, b]";
 
 /// The fields that a request gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -129,6 +130,10 @@ fn quality(node: &Node<'_, '_>) -> Result<u8, Problem> {
 }
 
 fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
+    if node.kind() == Kind::Object {
+        let [given] = node.fields(&fields::OUTSIDE)?;
+        return value(&given.ok_or_else(|| node.missing("value", VALUE))?).map(Outside::Value);
+    }
     let text = node.string(&format!("one of {OUTSIDE}"))?;
     match text.as_str() {
         "transparent" => Ok(Outside::Transparent),
@@ -143,6 +148,24 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
             }
         },
     }
+}
+
+/// One sample for all colours, or one for each.
+fn value(node: &Node<'_, '_>) -> Result<[u16; 3], Problem> {
+    let sample = |node: &Node<'_, '_>| {
+        let value = whole(node, VALUE)?;
+        u16::try_from(value).map_err(|_| node.unexpected(VALUE, value).actual(value))
+    };
+    if node.kind() != Kind::Array {
+        return sample(node).map(|value| [value; 3]);
+    }
+    let (mut value, mut count) = ([0; 3], 0);
+    node.items::<Problem>(VALUE, |index, item| {
+        *value.get_mut(index).ok_or_else(|| node.unexpected(VALUE, "more than 3 numbers"))? = sample(&item)?;
+        count += 1;
+        Ok(())
+    })?;
+    if count == value.len() { Ok(value) } else { Err(node.unexpected(VALUE, format_args!("{count} of 3 numbers"))) }
 }
 
 /// Straight RGBA of 6 or 8 hexadecimal digits; opaque with 6.

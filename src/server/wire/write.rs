@@ -93,6 +93,8 @@ impl Serialize for AsJson<Outside> {
             Outside::Edge => s.serialize_str("edge"),
             Outside::Reflect => s.serialize_str("reflect"),
             Outside::Colour([r, g, b, a]) => s.collect_str(&format_args!("#{r:02x}{g:02x}{b:02x}{a:02x}")),
+            Outside::Value([r, g, b]) if r == g && g == b => s.collect_map([("value", r)]),
+            Outside::Value(value) => s.collect_map([("value", value)]),
         }
     }
 }

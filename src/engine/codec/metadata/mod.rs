@@ -104,9 +104,9 @@ impl Metadata {
         let of_page = found.page.as_ref().and_then(|page| Exif::of_page(page, &mut dropped, work));
         let xmp = found.xmp.as_deref().and_then(xmp::kept);
         dropped.add_if(found.xmp.is_some() && xmp.is_none(), Kind::Xmp);
-        // A format's own resolution without a unit is the shape of a pixel; EXIF may have more.
-        let own = found.resolution;
-        let resolution = own.filter(|own| own.unit != Unit::Unknown).or(of_exif).or(own);
+        // A format's own resolution without a unit is the shape of a pixel, and one of whole numbers may be rounded; EXIF may have more.
+        let own = found.resolution.filter(|own| own.unit != Unit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif)));
+        let resolution = own.or(of_exif).or(found.resolution);
         work.check()?;
         Ok(Self {
             resolution: resolution.map(|stored| if swaps { stored.swapped() } else { stored }),

@@ -138,6 +138,13 @@ impl Resolution {
         Some(([x, y], x_is_near && y_is_near))
     }
 
+    /// Whether these whole numbers are those of an exact resolution.
+    #[must_use]
+    pub fn is_rounded(self, exact: Self) -> bool {
+        let rounded = exact.in_unit(self.unit).and_then(|exact| exact.rounded(u32::MAX));
+        rounded.is_some_and(|([x, y], _)| Self::whole(x, y, self.unit) == Some(self))
+    }
+
     /// Pixels per millimetre along both axes; those per unit if that is unknown.
     #[must_use]
     pub fn per_millimetre(self) -> [f64; 2] {

@@ -209,6 +209,52 @@ impl Jpeg {
     }
 }
 
+/// A tag: its number, type, number of values, and their bytes in the order of the file.
+pub(super) type Tag<'a> = (u16, u16, u32, &'a [u8]);
+
+/// A block of EXIF: the tags of the main directory, of the EXIF directory (from 0x8769 on), and of GPS (from 0x8825 on), then a thumbnail.
+pub(super) fn exif_block(little: bool, main: &[Tag<'_>], below: &[(u16, Vec<Tag<'_>>)], thumbnail: &[u8]) -> Vec<u8> {
+    let two = |n: u16| if little { n.to_le_bytes() } else { n.to_be_bytes() };
+    let four = |n: u32| if little { n.to_le_bytes() } else { n.to_be_bytes() };
+    let mut out = if little { b"II*\0".to_vec() } else { b"MM\0*".to_vec() };
+    out.extend([0; 4]);
+    let put = |tags: &[Tag<'_>], next: u32, out: &mut Vec<u8>| {
+        let mut tags = tags.to_vec();
+        tags.sort_by_key(|tag| tag.0);
+        let mut directory = two(tags.len() as u16).to_vec();
+        for (tag, kind, count, data) in tags {
+            let mut value = [0; 4];
+            if data.len() <= 4 {
+                value[..data.len()].copy_from_slice(data);
+            } else {
+                value = four(out.len() as u32);
+                out.extend(data);
+            }
+            directory.extend([&two(tag)[..], &two(kind), &four(count), &value].concat());
+        }
+        directory.extend(four(next));
+        let at = out.len() as u32;
+        out.extend(directory);
+        at
+    };
+    let mut pointers = Vec::new();
+    for (pointer, tags) in below {
+        pointers.push((*pointer, four(put(tags, 0, &mut out))));
+    }
+    let mut main = main.to_vec();
+    main.extend(pointers.iter().map(|(pointer, at)| (*pointer, 4, 1, at.as_slice())));
+    let next = if thumbnail.is_empty() {
+        0
+    } else {
+        let at = four(out.len() as u32);
+        out.extend(thumbnail);
+        put(&[(0x0201, 4, 1, &at), (0x0202, 4, 1, &four(thumbnail.len() as u32))], 0, &mut out)
+    };
+    let at = put(&main, next, &mut out);
+    out[4..8].copy_from_slice(&four(at));
+    out
+}
+
 /// The encoder writes the simplest container: a VP8L chunk.
 pub(super) fn webp_lossless(width: u32, height: u32, channels: Channels, samples: &[u8]) -> Vec<u8> {
     let colour = if channels == Channels::Rgba { image::ExtendedColorType::Rgba8 } else { image::ExtendedColorType::Rgb8 };

@@ -10,6 +10,7 @@ mod hostile;
 mod jpeg;
 mod labels;
 mod made;
+mod metadata;
 mod png;
 mod tiff;
 mod webp;

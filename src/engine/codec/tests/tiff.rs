@@ -12,6 +12,8 @@ pub(super) struct Tiff {
     pub(super) tiled: bool,
     /// Directories that follow, each with this `NewSubfileType`.
     pub(super) more: Vec<u32>,
+    /// Tags of any type: number, type, number of values, bytes.
+    pub(super) others: Vec<(u16, u16, u32, Vec<u8>)>,
 }
 
 const SHORT: u16 = 3;
@@ -19,7 +21,7 @@ const LONG: u16 = 4;
 
 impl Tiff {
     /// Strips of not compressed samples.
-    fn new(width: u32, height: u32, bits: &[u32], photometric: u32, data: &[u8]) -> Self {
+    pub(super) fn new(width: u32, height: u32, bits: &[u32], photometric: u32, data: &[u8]) -> Self {
         let entries = vec![
             (256, LONG, vec![width]),
             (257, LONG, vec![height]),
@@ -27,10 +29,15 @@ impl Tiff {
             (262, SHORT, vec![photometric]),
             (277, SHORT, vec![bits.len() as u32]),
         ];
-        Self { entries, parts: vec![data.to_vec()], tiled: false, more: Vec::new() }
+        Self { entries, parts: vec![data.to_vec()], tiled: false, more: Vec::new(), others: Vec::new() }
     }
 
-    fn with(mut self, tag: u16, values: &[u32]) -> Self {
+    pub(super) fn with_tag(mut self, tag: u16, kind: u16, count: usize, data: &[u8]) -> Self {
+        self.others.push((tag, kind, count as u32, data.to_vec()));
+        self
+    }
+
+    pub(super) fn with(mut self, tag: u16, values: &[u32]) -> Self {
         self.entries.retain(|entry| entry.0 != tag);
         self.entries.push((tag, SHORT, values.to_vec()));
         self
@@ -48,18 +55,24 @@ impl Tiff {
         let (offset_tag, length_tag) = if self.tiled { (324, 325) } else { (273, 279) };
         entries.push((offset_tag, LONG, offsets));
         entries.push((length_tag, LONG, lengths));
-        entries.sort_by_key(|entry| entry.0);
+        let others = self.others.iter().map(|(tag, kind, count, data)| (*tag, *kind, *count, data.clone()));
+        let mut others: Vec<_> = others.collect();
         let mut link = 4;
         for entries in [entries].into_iter().chain(self.more.iter().map(|kind| vec![(254, LONG, vec![*kind])])) {
-            let mut directory = (entries.len() as u16).to_le_bytes().to_vec();
-            for (tag, kind, values) in &entries {
+            let numbers = entries.iter().map(|(tag, kind, values)| {
                 let data: Vec<u8> = match *kind {
                     SHORT => values.iter().flat_map(|value| (*value as u16).to_le_bytes()).collect(),
                     _ => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
                 };
+                (*tag, *kind, values.len() as u32, data)
+            });
+            let mut tags: Vec<_> = numbers.chain(std::mem::take(&mut others)).collect();
+            tags.sort_by_key(|tag| tag.0);
+            let mut directory = (tags.len() as u16).to_le_bytes().to_vec();
+            for (tag, kind, count, data) in tags {
                 directory.extend(tag.to_le_bytes());
                 directory.extend(kind.to_le_bytes());
-                directory.extend((values.len() as u32).to_le_bytes());
+                directory.extend(count.to_le_bytes());
                 let mut field = [0; 4];
                 if data.len() <= 4 {
                     field[..data.len()].copy_from_slice(&data);

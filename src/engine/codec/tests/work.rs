@@ -21,6 +21,7 @@ fn corpus() -> Vec<(String, Vec<u8>)> {
     let tables = files.iter().find(|(name, _)| name.ends_with("webp-code-tables")).unwrap().1.clone();
     files.extend(bombs::all(&tables).into_iter().map(|(name, bytes, _)| (name.to_owned(), bytes)));
     files.extend(hostile::claims().into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
+    files.extend(metadata::hostile().into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
     files.extend(zoo().into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
     files
 }

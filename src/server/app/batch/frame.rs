@@ -94,7 +94,7 @@ impl BatchJob {
     fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.rest.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
-        let output = OutputSpec { format: content.format_beside(self.output.format), ..self.output };
+        let output = content.output_beside(self.output);
         DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
     }
 
@@ -172,7 +172,7 @@ impl BatchJob {
         let is_opaque = match self.output.outside {
             Outside::Transparent => false,
             Outside::Colour([.., alpha]) => alpha == u8::MAX,
-            Outside::Edge | Outside::Reflect => true,
+            Outside::Edge | Outside::Reflect | Outside::Value(_) => true,
         };
         let has_holes = self.output.holes == Holes::Transparent;
         (!is_opaque || has_holes) && self.contents().any(Content::may_gain_alpha) && self.output.format != Format::Jpeg

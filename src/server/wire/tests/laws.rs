@@ -69,8 +69,14 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         (0.05..=4.0).prop_map(GridSpec::Tolerance),
         (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
     ];
-    let outside =
-        prop_oneof![Just(Outside::Transparent), Just(Outside::Edge), Just(Outside::Reflect), any::<[u8; 4]>().prop_map(Outside::Colour)];
+    let outside = prop_oneof![
+        Just(Outside::Transparent),
+        Just(Outside::Edge),
+        Just(Outside::Reflect),
+        any::<[u8; 4]>().prop_map(Outside::Colour),
+        any::<u16>().prop_map(|value| Outside::Value([value; 3])),
+        any::<[u16; 3]>().prop_map(Outside::Value)
+    ];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
     let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });

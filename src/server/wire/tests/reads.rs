@@ -67,6 +67,8 @@ fn warp_reads_every_form_of_grid_and_outside() {
     let outside = |text: &str| WarpObject::parse(format!("{{\"output\": {{\"outside\": {text}}}}}").as_bytes()).map(|w| w.output.outside);
     assert_eq!(outside("\"edge\""), Ok(Outside::Edge));
     assert_eq!(outside("\"reflect\""), Ok(Outside::Reflect));
+    assert_eq!(outside("{\"value\": 300}"), Ok(Outside::Value([300; 3])));
+    assert_eq!(outside("{\"value\": [0, 256.0, 65535]}"), Ok(Outside::Value([0, 256, 65_535])));
     assert_eq!(outside("\"#0a141e\""), Ok(Outside::Colour([10, 20, 30, 255])));
     assert_eq!(outside("\"\\u0065dge\""), Ok(Outside::Edge));
 }
