@@ -38,6 +38,7 @@ mod layers;
 mod leaving;
 mod links;
 mod maps;
+mod metadata;
 mod metrics;
 mod mirrors;
 mod missing;

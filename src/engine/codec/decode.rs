@@ -78,7 +78,7 @@ impl Opened<'_> {
             Parsed::Png(file) => Ok((file.samples(header.decode_bytes, work)?, file.repairs)),
             Parsed::Jpeg(file) => file.samples(work),
             Parsed::WebP(file) => Ok((file.samples(work)?, file.repairs)),
-            Parsed::Tiff(file) => Ok((file.samples(work)?, Repairs::default())),
+            Parsed::Tiff(file) => file.samples(work),
             Parsed::Gif(file) => Ok((file.samples(work)?, file.repairs())),
             Parsed::Bmp(file) => Ok((file.samples(work)?, Repairs::default())),
         })

@@ -5,6 +5,7 @@
 
 #[path = "../../../../tests/it/support/bombs.rs"]
 pub(super) mod bombs;
+mod carriers;
 mod few_formats;
 mod hostile;
 mod jpeg;
@@ -13,6 +14,7 @@ mod made;
 mod metadata;
 mod png;
 mod tiff;
+mod tiff_kinds;
 mod webp;
 mod work;
 

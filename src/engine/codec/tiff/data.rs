@@ -69,8 +69,8 @@ impl Compression {
     ) -> io::Result<Box<dyn Read + 'a>> {
         let pieces = Pieces::new(data, work);
         Ok(match self {
-            Self::Group4 if reversed => Box::new(Group4::new(Reversed(pieces).bytes(), width)?),
-            Self::Group4 => Box::new(Group4::new(pieces.bytes(), width)?),
+            Self::Group4 if reversed => Box::new(Group4::new(padded(Reversed(pieces)), width)?),
+            Self::Group4 => Box::new(Group4::new(padded(pieces), width)?),
             Self::None if reversed => Box::new(Reversed(pieces)),
             Self::None | Self::Jpeg => Box::new(pieces),
             Self::Deflate => Box::new(ZlibDecoder::new(pieces)),
@@ -78,6 +78,12 @@ impl Compression {
             Self::PackBits => Box::new(PackBits { pieces, literal: 0, repeats: 0, byte: 0 }),
         })
     }
+}
+
+/// The code tables look at more bits than a last code has; behind the data they see zeros, which begin no code.
+fn padded(data: impl Read) -> impl Iterator<Item = io::Result<u8>> {
+    const ZEROS: usize = 4;
+    data.bytes().chain(std::iter::repeat_with(|| Ok(0)).take(ZEROS))
 }
 
 /// Bytes with their bits in reverse order.

@@ -7,7 +7,7 @@ use super::read::{Alpha, Colour, TiffFile};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::ifd::read::{bad, cut_off};
 use crate::codec::jpeg::read::JpegFile;
-use crate::codec::{CodecError, StepCounter};
+use crate::codec::{CodecError, Repairs, StepCounter};
 use crate::pixmap::{Depth, Samples};
 
 /// The largest label.
@@ -17,15 +17,24 @@ fn damaged<E>(_: E) -> CodecError {
     bad("its pixels are damaged or end too early")
 }
 
+/// An error of a strip or tile, as one of the file.
+fn of_tiff(error: CodecError) -> CodecError {
+    match error {
+        CodecError::Bad { detail, .. } => bad(format!("in its JPEG data: {detail}")),
+        other => other,
+    }
+}
+
 impl TiffFile<'_> {
     /// The stored rows.
-    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
         self.weigh_data(work)?;
-        match self.depth() {
-            Depth::Eight if self.compression == Compression::Jpeg => self.jpeg(work).map(Samples::Eight),
-            Depth::Eight => self.rows::<u8>(work).map(Samples::Eight),
-            Depth::Sixteen => self.rows::<u16>(work).map(Samples::Sixteen),
-        }
+        let samples = match self.depth() {
+            Depth::Eight if self.compression == Compression::Jpeg => return self.jpeg(work),
+            Depth::Eight => Samples::Eight(self.rows(work)?),
+            Depth::Sixteen => Samples::Sixteen(self.rows(work)?),
+        };
+        Ok((samples, Repairs::default()))
     }
 
     fn rows<T: Sample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
@@ -81,10 +90,11 @@ impl TiffFile<'_> {
     }
 
     /// The stored rows of JPEG, in strips or tiles that are files without their common tables.
-    fn jpeg(&self, work: &StepCounter<'_>) -> Result<Vec<u8>, CodecError> {
+    fn jpeg(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         let (across, down) = self.grid();
         let mut out = zeros::<u8>(3 * self.extent.pixels(), work)?;
+        let mut repairs = Repairs::default();
         let is_white_zero = self.colour == Colour::Grey { white_is_zero: true } && !self.labels;
         for tile in 0..across as usize * down as usize {
             let (left, top) = (tile % across as usize * self.parts.width as usize, tile / across as usize * self.parts.height as usize);
@@ -95,14 +105,16 @@ impl TiffFile<'_> {
             let data = if tables.is_empty() { data } else { data.strip_prefix(&[0xFF, 0xD8]).unwrap_or(data) };
             work.step((tables.len() + data.len()) as u64)?;
             let whole = [tables, data].concat();
-            let mut file = JpegFile::parse(&whole, work).map_err(|error| self.of_tiff(error))?;
+            let mut file = JpegFile::parse(&whole, work).map_err(of_tiff)?;
             file.is_rgb = self.colour == Colour::Rgb;
             let (part_width, part_height) = (file.extent.width() as usize, file.extent.height() as usize);
             let is_whole = part_width >= columns && part_height >= rows && part_width <= self.parts.width as usize;
             if !is_whole || part_height > self.parts.height as usize || file.is_grey() != (self.stored == 1) || file.is_progressive() {
                 return Err(bad("JPEG data of another size or kind than the file says"));
             }
-            let (Samples::Eight(samples), _) = file.samples(work).map_err(|error| self.of_tiff(error))? else { return Err(cut_off()) };
+            let (samples, mended) = file.samples(work).map_err(of_tiff)?;
+            let Samples::Eight(samples) = samples else { return Err(cut_off()) };
+            repairs = Repairs { end: repairs.end || mended.end, gap: repairs.gap || mended.gap, ..repairs };
             for (y, row) in samples.chunks_exact(3 * part_width).take(rows).enumerate() {
                 let into = &mut out[3 * ((top + y) * width + left)..][..3 * columns];
                 into.copy_from_slice(&row[..3 * columns]);
@@ -111,15 +123,7 @@ impl TiffFile<'_> {
                 }
             }
         }
-        Ok(out)
-    }
-
-    /// An error of a strip or tile, as one of the file.
-    fn of_tiff(&self, error: CodecError) -> CodecError {
-        match error {
-            CodecError::Bad { detail, .. } => bad(format!("in its JPEG data: {detail}")),
-            other => other,
-        }
+        Ok((Samples::Eight(out), repairs))
     }
 
     /// Converts a pixel to RGB or RGBA.
