@@ -10,12 +10,12 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::scans::Precision;
-use super::segments::{APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, find};
+use super::segments::{APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, bad, cut_off, find};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::metadata::Found;
 use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Bytes, StepCounter};
-use crate::codec::{CodecError, Format, Repairs};
+use crate::codec::{CodecError, Repairs};
 use crate::pixmap::{Channels, Extent, Samples};
 
 /// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still requests, and a whole code of 16 bits.
@@ -63,14 +63,6 @@ struct Scans {
     gaps: Vec<Range<usize>>,
     /// Whether the mark of the end is missing.
     is_open: bool,
-}
-
-pub(super) fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(Format::Jpeg.name(), detail)
-}
-
-pub(super) fn cut_off() -> CodecError {
-    bad("it is cut off before its end")
 }
 
 fn damaged<E>(_: E) -> CodecError {

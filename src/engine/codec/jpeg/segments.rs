@@ -2,9 +2,8 @@
 
 use std::borrow::Cow;
 
-use super::read::{bad, cut_off};
 use crate::codec::metadata::{Found, Kind, Resolution, Unit, photoshop};
-use crate::codec::{CodecError, StepCounter};
+use crate::codec::{CodecError, Format, StepCounter};
 
 const TEM: u8 = 0x01;
 pub(super) const DHT: u8 = 0xC4;
@@ -21,6 +20,14 @@ pub(super) const APP13: u8 = 0xED;
 const APP14: u8 = 0xEE;
 pub(super) const APP15: u8 = 0xEF;
 pub(super) const COM: u8 = 0xFE;
+
+pub(super) fn bad(detail: impl ToString) -> CodecError {
+    CodecError::bad(Format::Jpeg.name(), detail)
+}
+
+pub(super) fn cut_off() -> CodecError {
+    bad("it is cut off before its end")
+}
 
 /// A segment, from the byte before its marker to its end.
 pub(super) struct Segment<'a> {

@@ -1,8 +1,7 @@
-//! The strips and tiles of a TIFF: their size, where they are, and whether the file can hold them.
+//! The strips and tiles of a TIFF: their size, and where they are.
 
 use super::data::Compression;
-use super::read::TiffFile;
-use crate::codec::ifd::read::{Directory, Values, bad, cut_off};
+use crate::codec::ifd::read::{Directory, Values, bad};
 use crate::codec::{CodecError, StepCounter};
 use crate::pixmap::Extent;
 
@@ -14,8 +13,8 @@ const FREE_TILE: u64 = 4096;
 pub(super) struct Parts<'a> {
     pub(super) width: u32,
     pub(super) height: u32,
-    offsets: Values<'a>,
-    lengths: Values<'a>,
+    pub(super) offsets: Values<'a>,
+    pub(super) lengths: Values<'a>,
 }
 
 impl<'a> Parts<'a> {
@@ -44,48 +43,5 @@ impl<'a> Parts<'a> {
     pub(super) fn longest(&self, work: &StepCounter<'_>) -> Result<u64, CodecError> {
         work.step(self.lengths.len() as u64)?;
         Ok((0..self.lengths.len()).filter_map(|index| self.lengths.get(index)).max().unwrap_or(0))
-    }
-}
-
-impl<'a> TiffFile<'a> {
-    /// Strips or tiles in a row and in a column.
-    pub(super) const fn grid(&self) -> (u32, u32) {
-        (self.extent.width().div_ceil(self.parts.width), self.extent.height().div_ceil(self.parts.height))
-    }
-
-    /// Strips or tiles of a plane.
-    pub(super) fn parts_of_plane(&self) -> u64 {
-        let (across, down) = self.grid();
-        u64::from(across) * u64::from(down)
-    }
-
-    /// The data of a strip or tile.
-    pub(super) fn data(&self, index: usize) -> Result<&'a [u8], CodecError> {
-        let range = self.parts.offsets.get(index).zip(self.parts.lengths.get(index)).ok_or_else(|| bad("too few strips or tiles"))?;
-        let (at, length) = (usize::try_from(range.0).ok(), usize::try_from(range.1).ok());
-        let range = at.zip(length).and_then(|(at, length)| Some(at..at.checked_add(length)?));
-        range.and_then(|range| self.file.bytes.get(range)).ok_or_else(cut_off)
-    }
-
-    /// Checks that the parts are there, that they can hold the picture, and that they are not the same bytes again and again, so that
-    /// the work is in proportion to the file and the picture.
-    pub(super) fn weigh_data(&self, work: &StepCounter<'_>) -> Result<(), CodecError> {
-        let parts = self.parts_of_plane() * self.planes() as u64;
-        if parts > self.parts.offsets.len() as u64 {
-            return Err(bad("too few strips or tiles"));
-        }
-        let mut total = 0;
-        for index in 0..usize::try_from(parts).unwrap_or(usize::MAX) {
-            work.step(1)?;
-            total += self.data(index)?.len() as u64;
-        }
-        if total > self.file.bytes.len() as u64 {
-            return Err(bad("strips or tiles that overlap"));
-        }
-        let row = (u64::from(self.extent.width()) * self.stored as u64 * u64::from(self.bits)).div_ceil(8);
-        if total.saturating_mul(self.compression.expansion()) < row * u64::from(self.extent.height()) {
-            return Err(bad(format!("{total} bytes of data cannot hold the picture")));
-        }
-        Ok(())
     }
 }

@@ -8,7 +8,7 @@ use super::data::Compression;
 use super::found::found;
 use super::pages::{only_page, orientation, uniform, unsupported};
 use super::parts::Parts;
-use crate::codec::ifd::read::{File, Values, bad};
+use crate::codec::ifd::read::{Directory, File, Values, bad};
 use crate::codec::metadata::Found;
 use crate::codec::orientation::Orientation;
 use crate::codec::profile::{MAX_ICC, keep_profile};
@@ -77,44 +77,14 @@ impl<'a> TiffFile<'a> {
         let compression = number(259, 1)?;
         let compression =
             Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with {}", Compression::name_of(compression))))?;
-        let colour = match page.values(262, work)?.and_then(|values| values.get(0)).ok_or_else(|| bad("no photometric interpretation"))? {
-            kind @ (0 | 1) => Colour::Grey { white_is_zero: kind == 0 },
-            2 => Colour::Rgb,
-            3 => Colour::Palette,
-            6 if compression == Compression::Jpeg => Colour::YCbCr,
-            5 => return Err(unsupported("of CMYK colours")),
-            6 => return Err(unsupported("of YCbCr colours without JPEG")),
-            8..=10 => return Err(unsupported("of Lab colours")),
-            kind => return Err(unsupported(format_args!("of photometric interpretation {kind}"))),
-        };
-        let is_signed = match uniform(&page, 339, 1, "format", work)? {
-            1 | 4 => false,
-            2 => true,
-            3 => {
-                return Err(unsupported(
-                    "of floating-point samples, which are measurements rather than a picture. To warp them, fetch the positions with \
-                     POST /map (offline: mlswarp map) and sample the array there, for example with cv2.remap",
-                ));
-            }
-            _ => return Err(unsupported("of complex samples")),
-        };
+        let colour = colour_of(&page, compression, work)?;
+        let is_signed = is_signed(&page, work)?;
         let (stored, bits) = (number(277, 1)?, uniform(&page, 258, 1, "depth", work)?);
         let colours = if matches!(colour, Colour::Rgb | Colour::YCbCr) { 3 } else { 1 };
         if stored < colours {
             return Err(unsupported(format_args!("whose number of samples per pixel is {stored}")));
         }
-        let alpha = match (stored - colours, page.values(338, work)?.and_then(|kinds| kinds.get(0))) {
-            (0, _) => None,
-            (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Some(Alpha { is_premultiplied: kind == 1 }),
-            (extra, _) => {
-                let colours = if colours == 1 { "1 is the colour" } else { "3 are the colours" };
-                let others = if extra == 1 { "the other is" } else { "the others are" };
-                return Err(unsupported(format_args!(
-                    "of {stored} samples per pixel, of which {colours}; {others} not alpha (ExtraSamples 1 or 2), and would be lost. Save \
-                     each channel as a file of its own, and send them as layers of a session"
-                )));
-            }
-        };
+        let alpha = alpha_of(&page, colour, (stored, colours), work)?;
         if is_signed && (bits < 8 || stored > 1) {
             return Err(unsupported("of samples with a sign"));
         }
@@ -257,5 +227,53 @@ impl<'a> TiffFile<'a> {
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         let profile = self.profile.filter(|profile| profile.len() <= MAX_ICC)?;
         keep_profile(profile.to_vec(), matches!(self.colour, Colour::Grey { .. }))
+    }
+}
+
+fn colour_of(page: &Directory<'_>, compression: Compression, work: &StepCounter<'_>) -> Result<Colour, CodecError> {
+    let kind = page.values(262, work)?.and_then(|values| values.get(0)).ok_or_else(|| bad("no photometric interpretation"))?;
+    Err(match kind {
+        0 | 1 => return Ok(Colour::Grey { white_is_zero: kind == 0 }),
+        2 => return Ok(Colour::Rgb),
+        3 => return Ok(Colour::Palette),
+        6 if compression == Compression::Jpeg => return Ok(Colour::YCbCr),
+        5 => unsupported("of CMYK colours"),
+        6 => unsupported("of YCbCr colours without JPEG"),
+        8..=10 => unsupported("of Lab colours"),
+        kind => unsupported(format_args!("of photometric interpretation {kind}")),
+    })
+}
+
+/// Whether samples may be negative.
+fn is_signed(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<bool, CodecError> {
+    match uniform(page, 339, 1, "format", work)? {
+        1 | 4 => Ok(false),
+        2 => Ok(true),
+        3 => Err(unsupported(
+            "of floating-point samples, which are measurements rather than a picture. To warp them, fetch the positions with POST /map \
+             (offline: mlswarp map) and sample the array there, for example with cv2.remap",
+        )),
+        _ => Err(unsupported("of complex samples")),
+    }
+}
+
+/// The alpha of pixels of so many samples, of which so many are colours. Other samples have no place in a picture.
+fn alpha_of(
+    page: &Directory<'_>,
+    colour: Colour,
+    (stored, colours): (u32, u32),
+    work: &StepCounter<'_>,
+) -> Result<Option<Alpha>, CodecError> {
+    match (stored - colours, page.values(338, work)?.and_then(|kinds| kinds.get(0))) {
+        (0, _) => Ok(None),
+        (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Ok(Some(Alpha { is_premultiplied: kind == 1 })),
+        (extra, _) => {
+            let colours = if colours == 1 { "1 is the colour" } else { "3 are the colours" };
+            let others = if extra == 1 { "the other is" } else { "the others are" };
+            Err(unsupported(format_args!(
+                "of {stored} samples per pixel, of which {colours}; {others} not alpha (ExtraSamples 1 or 2), and would be lost. Save each \
+                 channel as a file of its own, and send them as layers of a session"
+            )))
+        }
     }
 }

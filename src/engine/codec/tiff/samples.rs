@@ -25,7 +25,48 @@ fn of_tiff(error: CodecError) -> CodecError {
     }
 }
 
-impl TiffFile<'_> {
+impl<'a> TiffFile<'a> {
+    /// Strips or tiles in a row and in a column.
+    pub(super) const fn grid(&self) -> (u32, u32) {
+        (self.extent.width().div_ceil(self.parts.width), self.extent.height().div_ceil(self.parts.height))
+    }
+
+    /// Strips or tiles of a plane.
+    pub(super) fn parts_of_plane(&self) -> u64 {
+        let (across, down) = self.grid();
+        u64::from(across) * u64::from(down)
+    }
+
+    /// The data of a strip or tile.
+    pub(super) fn data(&self, index: usize) -> Result<&'a [u8], CodecError> {
+        let range = self.parts.offsets.get(index).zip(self.parts.lengths.get(index)).ok_or_else(|| bad("too few strips or tiles"))?;
+        let (at, length) = (usize::try_from(range.0).ok(), usize::try_from(range.1).ok());
+        let range = at.zip(length).and_then(|(at, length)| Some(at..at.checked_add(length)?));
+        range.and_then(|range| self.file.bytes.get(range)).ok_or_else(cut_off)
+    }
+
+    /// Checks that the parts are there, that they can hold the picture, and that they are not the same bytes again and again, so that
+    /// the work is in proportion to the file and the picture.
+    pub(super) fn weigh_data(&self, work: &StepCounter<'_>) -> Result<(), CodecError> {
+        let parts = self.parts_of_plane() * self.planes() as u64;
+        if parts > self.parts.offsets.len() as u64 {
+            return Err(bad("too few strips or tiles"));
+        }
+        let mut total = 0;
+        for index in 0..usize::try_from(parts).unwrap_or(usize::MAX) {
+            work.step(1)?;
+            total += self.data(index)?.len() as u64;
+        }
+        if total > self.file.bytes.len() as u64 {
+            return Err(bad("strips or tiles that overlap"));
+        }
+        let row = (u64::from(self.extent.width()) * self.stored as u64 * u64::from(self.bits)).div_ceil(8);
+        if total.saturating_mul(self.compression.expansion()) < row * u64::from(self.extent.height()) {
+            return Err(bad(format!("{total} bytes of data cannot hold the picture")));
+        }
+        Ok(())
+    }
+
     /// The stored rows.
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
         self.weigh_data(work)?;
