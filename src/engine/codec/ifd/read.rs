@@ -149,20 +149,20 @@ impl<'a> Directory<'a> {
 
     /// The resolution, unless it says nothing.
     pub(in crate::codec) fn resolution(&self, work: &StepCounter<'_>) -> Result<Option<Resolution>, CodecError> {
-        let ratio = |tag| {
-            let entry = self.entry(tag, work)?.filter(|entry| entry.kind == 5 && entry.count == 1);
-            let long = |entry: &Entry<'_>, at: usize| self.file.number(&entry.data[at..at + 4]) as u32;
-            Ok::<_, CodecError>(entry.and_then(|entry| Ratio::new(long(&entry, 0), long(&entry, 4))))
-        };
-        let (x, y) = (ratio(282)?, ratio(283)?);
-        let unit = match self.number(296, 2, work)? {
-            1 => Unit::Unknown,
-            3 => Unit::Centimetre,
-            _ => Unit::Inch,
-        };
-        let one = Ratio { numerator: 1, denominator: 1 };
+        work.step(1 + (self.entries.len() / self.file.entry_bytes()) as u64)?;
+        let (mut x, mut y, mut unit) = (None, None, Unit::Inch);
+        let long = |bytes: &[u8]| u32::try_from(self.file.number(bytes)).unwrap_or(0);
+        for Entry { tag, kind, count, data, .. } in self.entries() {
+            match (tag, kind, count) {
+                (282, 5, 1) => x = Ratio::new(long(&data[..4]), long(&data[4..])),
+                (283, 5, 1) => y = Ratio::new(long(&data[..4]), long(&data[4..])),
+                (296, 3, 1) if self.file.number(data) == 1 => unit = Unit::Unknown,
+                (296, 3, 1) if self.file.number(data) == 3 => unit = Unit::Centimetre,
+                _ => {}
+            }
+        }
         let resolution = x.or(y).zip(y.or(x)).map(|(x, y)| Resolution { x, y, unit });
-        Ok(resolution.filter(|resolution| unit != Unit::Unknown || (resolution.x, resolution.y) != (one, one)))
+        Ok(resolution.filter(|resolution| *resolution != Resolution::SQUARE))
     }
 }
 

@@ -10,11 +10,12 @@ use crate::codec::{CodecError, StepCounter};
 /// Tags from here on are registered to programs.
 const PRIVATE: u16 = 32_768;
 
-/// Collects what is kept, and names what is not. `has_mask`: whether another page masks the picture.
-pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<'_>) -> Result<Found<'a>, CodecError> {
+/// Collects what is kept, and names what is not; the second result is the colour profile. `has_mask`: whether another page masks the
+/// picture.
+pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<'_>) -> Result<(Found<'a>, Option<&'a [u8]>), CodecError> {
     let resolution = page.resolution(work).unwrap_or_default();
     let mut found = Found { page: Some(page), resolution, ..Found::default() };
-    let (mut has_profile, mut has_colour) = (false, false);
+    let (mut profile, mut has_colour) = (None, false);
     let dropped = &mut found.dropped;
     dropped.add_if(has_mask, Kind::Mask);
     for entry in page.entries() {
@@ -28,7 +29,7 @@ pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<
             33_550 | 33_922 | 34_264 | 34_735..=34_737 | 42_112 | 42_113 => dropped.add(Kind::Georeference),
             33_723 => dropped.add(Kind::Iptc),
             34_377 => photoshop::resources(entry.data, dropped, work),
-            34_675 => has_profile = true,
+            34_675 => profile = Some(entry.data),
             37_724 => dropped.add(Kind::Layers),
             50_838 | 50_839 => dropped.add(Kind::ImageJ),
             // Copyright, EXIF, GPS and the tags of Windows are kept; the others describe the stored pixels.
@@ -37,6 +38,6 @@ pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<
             _ => {}
         }
     }
-    found.colour_dropped = has_colour && !has_profile;
-    Ok(found)
+    found.colour_dropped = has_colour && profile.is_none();
+    Ok((found, profile))
 }

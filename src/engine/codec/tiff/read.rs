@@ -126,11 +126,12 @@ impl<'a> TiffFile<'a> {
         }
         let parts = Parts::of(&page, extent, compression, work)?;
         let longest_part = if is_jpeg { parts.longest(work)?.min(bytes.len() as u64) } else { 0 };
+        let (found, profile) = found(page, has_mask, work)?;
         Ok(Self {
             file,
             extent,
             orientation: orientation(&page, work)?,
-            found: found(page, has_mask, work)?,
+            found,
             bits,
             is_signed,
             stored: stored as usize,
@@ -144,7 +145,7 @@ impl<'a> TiffFile<'a> {
             tables,
             parts,
             longest_part,
-            profile: page.values(34_675, work)?.map(|values| values.data),
+            profile,
             labels: false,
         })
     }
