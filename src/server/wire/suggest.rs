@@ -122,7 +122,8 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
     let is_output = known.contains(&"compression");
     let outside = || {
         let object = if is_output { "output" } else { "grid" };
-        ((is_output || known == GRID) && WARP.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
+        let is_inner = is_output || known == GRID;
+        (is_inner && WARP.contains(&name) && !known.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
     };
     let of_others = || {
         let (_, place) = OF_OTHERS.iter().find(|(names, _)| names.contains(&name))?;
