@@ -5,6 +5,7 @@ pub(crate) mod serve;
 pub(crate) mod signals;
 pub(crate) mod stream_stall;
 pub(crate) mod transport;
+pub(crate) mod turns;
 
 use std::future::Future;
 use std::io;
@@ -150,7 +151,13 @@ async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connection
             Ok((socket, peer)) => match connections.admit(peer.ip()) {
                 Some(permit) => {
                     let connections = Arc::clone(connections);
-                    tasks.spawn(async move { connections.serve(socket, peer, permit).await });
+                    let turns = connections.turns(peer.ip());
+                    let take = turns.clone();
+                    let serving = async move { connections.serve(socket, peer, permit, turns).await };
+                    match take {
+                        Some(turns) => tasks.spawn(turns.take(serving)),
+                        None => tasks.spawn(serving),
+                    };
                 }
                 None => tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed"),
             },

@@ -26,6 +26,7 @@ use tokio::time::{sleep, timeout};
 
 use super::stream_stall::{Streams, with_stall_timeout};
 use super::transport::{Transport, WriteTimeoutStream};
+use super::turns::{AddressTurns, RequestTurns, Turns};
 use super::unless;
 use crate::app::App;
 use crate::auth::tls::{ServerConfig, accept};
@@ -73,6 +74,7 @@ pub(crate) struct Connections {
     tls_required: Router,
     tls: Option<watch::Receiver<Arc<ServerConfig>>>,
     limiter: ConnectionLimiter,
+    turns: Turns,
     /// The ops listener serves until the process ends.
     is_ops: bool,
 }
@@ -86,6 +88,7 @@ impl Connections {
             tls_required: tls_required_router(app),
             tls,
             limiter: app.access().connections().clone(),
+            turns: Turns::default(),
             is_ops: false,
         }
     }
@@ -93,12 +96,29 @@ impl Connections {
     /// Connections of the listener for metrics and health.
     pub(crate) fn ops(app: &App) -> Self {
         let limiter = ConnectionLimiter::new(OPS_CONNECTIONS.0, OPS_CONNECTIONS.1);
-        Self { app: app.clone(), router: ops_router(app), tls_required: Router::new(), tls: None, limiter, is_ops: true }
+        Self {
+            app: app.clone(),
+            router: ops_router(app),
+            tls_required: Router::new(),
+            tls: None,
+            limiter,
+            turns: Turns::default(),
+            is_ops: true,
+        }
     }
 
     /// Admits another connection, if the limits allow it.
     pub(crate) fn admit(&self, peer: IpAddr) -> Option<ConnectionPermit> {
-        self.limiter.acquire(peer, self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer)))
+        self.limiter.acquire(peer, self.is_proxy(peer))
+    }
+
+    fn is_proxy(&self, peer: IpAddr) -> bool {
+        self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer))
+    }
+
+    /// The turns of a peer's connections; none of a proxy, whose requests are those of many clients.
+    pub(crate) fn turns(&self, peer: IpAddr) -> Option<AddressTurns> {
+        (!self.is_proxy(peer)).then(|| self.turns.of(peer))
     }
 
     fn timeouts(&self) -> Timeouts {
@@ -106,7 +126,7 @@ impl Connections {
     }
 
     /// Serves a connection until it ends.
-    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, permit: ConnectionPermit) {
+    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, permit: ConnectionPermit, turns: Option<AddressTurns>) {
         let opening = async {
             let stream = WriteTimeoutStream::new(socket, self.timeouts().write, permit)?;
             let opened = unless(self.first_head_grace(), timeout(self.timeouts().header, self.open(stream))).await;
@@ -115,7 +135,7 @@ impl Connections {
         match opening.await {
             Ok((transport, Protocol::Http1)) => self.http1(transport, peer, &self.router, true).await,
             Ok((transport, Protocol::NotTls)) => self.http1(transport, peer, &self.tls_required, false).await,
-            Ok((transport, Protocol::Http2)) => self.http2(transport, peer).await,
+            Ok((transport, Protocol::Http2)) => self.http2(transport, peer, turns).await,
             Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
         }
     }
@@ -145,13 +165,13 @@ impl Connections {
         let mut builder = http1::Builder::new();
         builder.timer(TokioTimer::new()).header_read_timeout(self.timeouts().header).max_buf_size(HTTP1_HEAD).keep_alive(keep_alive);
         let has_request = Arc::default();
-        let connection = builder.serve_connection(TokioIo::new(transport), service(router, peer, &has_request)).with_upgrades();
+        let connection = builder.serve_connection(TokioIo::new(transport), self.service(router, peer, &has_request)).with_upgrades();
         self.drive(pin!(connection), http1::UpgradeableConnection::graceful_shutdown, &has_request, pending()).await;
     }
 
-    async fn http2(&self, transport: Transport, peer: SocketAddr) {
+    async fn http2(&self, transport: Transport, peer: SocketAddr, turns: Option<AddressTurns>) {
         let timeouts = self.timeouts();
-        let streams = Streams::new(timeouts.write);
+        let streams = Streams::new(timeouts.write, turns);
         let mut builder = http2::Builder::new(streams.clone());
         builder
             .timer(TokioTimer::new())
@@ -165,7 +185,7 @@ impl Connections {
             .keep_alive_interval(timeouts.header)
             .keep_alive_timeout(timeouts.header);
         let has_request = Arc::default();
-        let connection = builder.serve_connection(TokioIo::new(transport), service(&self.router, peer, &has_request));
+        let connection = builder.serve_connection(TokioIo::new(transport), self.service(&self.router, peer, &has_request));
         self.drive(pin!(connection), http2::Connection::graceful_shutdown, &has_request, streams.idle(timeouts.header)).await;
     }
 
@@ -204,6 +224,24 @@ impl Connections {
         }
     }
 
+    /// Answers the requests of a connection, and records that there was one.
+    fn service(
+        &self,
+        router: &Router,
+        peer: SocketAddr,
+        has_request: &Arc<AtomicBool>,
+    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
+        let (router, has_request) = (TowerToHyperService::new(router.clone()), Arc::clone(has_request));
+        let turns = RequestTurns { turns: self.turns.clone(), is_of_proxy: self.is_proxy(peer.ip()) };
+        service_fn(move |mut request: Request<Incoming>| {
+            has_request.store(true, Ordering::Relaxed);
+            request.extensions_mut().insert(ConnectInfo(peer));
+            request.extensions_mut().insert(turns.clone());
+            let response = router.call(request);
+            async move { Ok(response.await?.map(with_stall_timeout)) }
+        })
+    }
+
     /// Completes when the service stops. The ops listener goes on.
     async fn stopping(&self) {
         if self.is_ops {
@@ -217,21 +255,6 @@ impl Connections {
         self.stopping().await;
         sleep(FIRST_HEAD_GRACE).await;
     }
-}
-
-/// Answers the requests of a connection, and records that there was one.
-fn service(
-    router: &Router,
-    peer: SocketAddr,
-    has_request: &Arc<AtomicBool>,
-) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
-    let (router, has_request) = (TowerToHyperService::new(router.clone()), Arc::clone(has_request));
-    service_fn(move |mut request: Request<Incoming>| {
-        has_request.store(true, Ordering::Relaxed);
-        request.extensions_mut().insert(ConnectInfo(peer));
-        let response = router.call(request);
-        async move { Ok(response.await?.map(with_stall_timeout)) }
-    })
 }
 
 /// Tells HTTP/2 from HTTP/1 without reading: hyper's header timeout begins only afterwards. `P` may begin `POST` or the preface.

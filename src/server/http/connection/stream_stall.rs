@@ -14,6 +14,8 @@ use hyper::rt::Executor;
 use tokio::sync::watch;
 use tokio::time::{Sleep, sleep};
 
+use super::turns::AddressTurns;
+
 /// Maximum size of a piece: a DATA frame of the size that every client accepts.
 const PIECE: usize = 16 << 10;
 
@@ -34,11 +36,13 @@ fn lock(progress: &Progress) -> MutexGuard<'_, Option<Instant>> {
 pub(crate) struct Streams {
     open: watch::Sender<usize>,
     timeout: Duration,
+    /// Those of the client's address, unless it is a proxy's.
+    turns: Option<AddressTurns>,
 }
 
 impl Streams {
-    pub(crate) fn new(timeout: Duration) -> Self {
-        Self { open: watch::Sender::new(0), timeout }
+    pub(crate) fn new(timeout: Duration, turns: Option<AddressTurns>) -> Self {
+        Self { open: watch::Sender::new(0), timeout, turns }
     }
 
     /// Completes when no stream has been open for this time.
@@ -61,7 +65,11 @@ impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
         let progress = Arc::<Progress>::default();
         let (open, timeout) = (self.open.clone(), self.timeout);
         let stream = StreamStallTimeout { stream: Box::pin(stream), progress: Arc::clone(&progress), deadline: None, timeout, open };
-        tokio::spawn(CURRENT.scope(progress, stream));
+        let stream = CURRENT.scope(progress, stream);
+        match &self.turns {
+            Some(turns) => tokio::spawn(turns.take(stream)),
+            None => tokio::spawn(stream),
+        };
     }
 }
 

@@ -2,12 +2,13 @@
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
 
 use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
+use tokio::task::coop;
 use tokio::time::{Sleep, sleep};
 use tokio_util::either::Either;
 
@@ -16,6 +17,10 @@ use crate::limits::connections::ConnectionPermit;
 
 /// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100 Mbit/s over 40 ms.
 const SEND_BUFFER: usize = 512 << 10;
+/// Maximum size of a write.
+const PIECE: usize = 64 << 10;
+/// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at most.
+const UNIT: usize = 1 << 10;
 /// How often a blocked write is tried again within the write timeout.
 const RETRIES: u32 = 8;
 
@@ -87,8 +92,34 @@ impl WriteTimeoutStream {
 
 impl AsyncRead for WriteTimeoutStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_read(cx, into)
+        let before = into.filled().len();
+        let read = Pin::new(&mut self.socket).poll_read(cx, into);
+        charge(cx, into.filled().len() - before);
+        read
     }
+}
+
+/// Takes the moved bytes from the budget of this poll. When it is used up, the socket is not ready before the next one.
+fn charge(cx: &mut Context<'_>, bytes: usize) {
+    for _ in 0..bytes / UNIT {
+        if !coop::has_budget_remaining() {
+            return;
+        }
+        if let Poll::Ready(unit) = coop::poll_proceed(cx) {
+            unit.made_progress();
+        }
+    }
+}
+
+/// As many of the slices as have [`PIECE`] bytes together; the first one that is not empty in any case.
+fn piece<'s, 'b>(slices: &'s [IoSlice<'b>]) -> &'s [IoSlice<'b>] {
+    let slices = &slices[slices.iter().take_while(|slice| slice.is_empty()).count()..];
+    let mut bytes = 0;
+    let fits = |slice: &&IoSlice<'_>| {
+        bytes += slice.len();
+        bytes <= PIECE
+    };
+    &slices[..slices.iter().take_while(fits).count().max(1).min(slices.len())]
 }
 
 impl AsyncWrite for WriteTimeoutStream {
@@ -97,10 +128,21 @@ impl AsyncWrite for WriteTimeoutStream {
     }
 
     fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, slices: &[IoSlice<'_>]) -> Poll<io::Result<usize>> {
-        match (Pin::new(&mut self.socket).poll_write_vectored(cx, slices), slices.iter().find(|slice| !slice.is_empty())) {
+        // The turn is over, which says nothing of the client.
+        drop(ready!(coop::poll_proceed(cx)));
+        let slices = piece(slices);
+        let first = slices.first().map(|first| &first[..first.len().min(PIECE)]);
+        let written = match (slices, first) {
+            ([_], Some(first)) => Pin::new(&mut self.socket).poll_write(cx, first),
+            _ => Pin::new(&mut self.socket).poll_write_vectored(cx, slices),
+        };
+        match (written, first) {
             (Poll::Pending, Some(first)) => self.poll_blocked(cx, first),
             (written, _) => {
                 self.blocked = None;
+                if let Poll::Ready(Ok(bytes)) = written {
+                    charge(cx, bytes);
+                }
                 written
             }
         }

@@ -24,6 +24,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 use uuid::Uuid;
 
 use super::body::{LimitedBody, too_large};
+use super::connection::turns::RequestTurns;
 use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
@@ -87,6 +88,7 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
     let (method, version) = (request.method().clone(), request.version());
     let policy = cross_origin::resource_policy(request.headers(), &app.config().auth.cors_origin);
     let client = client(&app, &request);
+    let turns = request.extensions().get::<RequestTurns>().cloned();
     request.extensions_mut().insert(client);
     let answered = async {
         let response = match host {
@@ -122,7 +124,11 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
         tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
         response
     };
-    scope.wrap(answered).await
+    // A proxy's connection has the requests of many clients.
+    match turns.filter(|turns| turns.is_of_proxy) {
+        Some(RequestTurns { turns, .. }) => turns.of(client.address).take(scope.wrap(answered)).await,
+        None => scope.wrap(answered).await,
+    }
 }
 
 /// Tells browsers how a response may be used.

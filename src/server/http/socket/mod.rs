@@ -15,6 +15,7 @@ use hyper_util::rt::TokioIo;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
 
 use super::connection::transport::{Transport, without_write_timeout};
+use super::connection::turns::RequestTurns;
 use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
@@ -38,9 +39,10 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
     let id = session_id(client, &id).map_err(Problem::into_response)?;
     let drag = app.open_drag(client, id, options).await.map_err(Problem::into_response)?;
     let credential = request.extensions().get::<Credential>().copied().unwrap_or(Credential::ANYBODY);
+    let turns = request.extensions().get::<RequestTurns>().map(|turns| turns.turns.of(client.address)).unwrap_or_default();
     let upgrade = hyper::upgrade::on(&mut request);
     // Log lines of the socket have the id of the handshake.
-    tokio::spawn(Scope::current().answered().wrap(async move {
+    tokio::spawn(turns.take(Scope::current().answered().wrap(async move {
         // If the client has left already, the drag ends here.
         let Ok(upgraded) = upgrade.await else { return };
         match upgraded.downcast::<TokioIo<Transport>>() {
@@ -51,7 +53,7 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
             }
             Err(_) => tracing::error!("an upgraded connection has an unknown type"),
         }
-    }));
+    })));
     Ok(response)
 }
 
