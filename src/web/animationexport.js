@@ -6,8 +6,12 @@ import { wire } from "./edits.js";
 import { posesOf } from "./strength.js";
 import { ANIMATION, bytes } from "./words.js";
 
-/** Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, or the header of a zip entry. */
-const FILES = { apng: { media: "image/apng", mark: "fcTL" }, zip: { media: "application/zip", mark: "PK\x03\x04" } };
+/** Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, a graphic control, or the header of a zip entry. */
+const FILES = {
+  apng: { media: "image/apng", mark: "fcTL" },
+  gif: { media: "image/gif", mark: "!\xf9\x04" },
+  zip: { media: "application/zip", mark: "PK\x03\x04" },
+};
 /** The shortest display of a frame that browsers observe, ms. */
 const LEAST_DELAY = 20;
 
@@ -16,15 +20,14 @@ const find = (id) => document.getElementById(`export-${id}`);
 /** The body of the request. `frames` counts those from rest to the pose; the way back repeats neither of the two. */
 function batchOf(document, { frames, easing, back, file }, output) {
   const { at } = posesOf(document);
-  const delay = file === "apng" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};
+  const delay = file !== "zip" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};
   const more = { ...delay, ...(Object.keys(output).length && { output }) };
   const q = wire(at(1), "q");
   const isTwisted = document.handles.some((handle) => handle.twist);
-  if (!back && !isTwisted) return { q, steps: frames, easing, ...more };
+  if (!isTwisted) return { q, steps: frames, easing, ...(back && { and_back: true }), ...more };
   const there = Array.from({ length: frames }, (_, k) => EASINGS[easing](k / (frames - 1)));
-  const shares = back ? [...there, ...there.slice(1, -1).reverse()] : there;
   // A twisted pin turns by a share of its angle; to the server it is a segment, whose ends would move along straight lines.
-  return { frames: shares.map((t) => (isTwisted ? { q: wire(at(t), "q") } : { strength: t, q })), ...more };
+  return { frames: there.map((t) => ({ q: wire(at(t), "q") })), ...(back && { and_back: true }), ...more };
 }
 
 /** Counts a mark in the parts of a stream. */

@@ -28,7 +28,7 @@ function storedSettings() {
     easing: (v) => v in EASINGS,
     back: (v) => typeof v === "boolean",
     frames: (v) => Number.isInteger(v) && v >= 2 && v <= MOST_FRAMES,
-    file: (v) => v === "apng" || v === "zip",
+    file: (v) => ["apng", "gif", "zip"].includes(v),
   };
   let stored = {};
   try {

@@ -199,6 +199,7 @@ export const EXPORT = {
 export const ANIMATION = {
   notes: {
     apng: (back) => `${back ? "The frames of the way back are added. " : ""}Browsers show an animated PNG like a picture.`,
+    gif: (back) => `${back ? "The frames of the way back are added. " : ""}At most 256 colours per frame, and shown everywhere.`,
     zip: (back) => `${back ? "The frames of the way back are added. " : ""}Each frame is a PNG.`,
   },
   session: (seconds) => `It works until ${seconds < 60 ? count(seconds, "second") : count(Math.round(seconds / 60), "minute")} after the last request`,

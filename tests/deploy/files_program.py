@@ -16,8 +16,8 @@ WAIT_SECONDS = 20.0
 
 
 def declared():
-    """Every variable in `mlswarp --help`, with its default."""
-    said = subprocess.run([PROGRAM, "--help"], check=True, capture_output=True, text=True, env=clean()).stdout
+    """Every variable in `mlswarp serve --help`, with its default."""
+    said = subprocess.run([PROGRAM, "serve", "--help"], check=True, capture_output=True, text=True, env=clean()).stdout
     variables = {}
     for option in re.split(r"\n(?= {2,}(?:-\w, )?--)", said):
         if name := re.search(r"\[env:\s+(MLSWARP_\w+)", option):

@@ -220,7 +220,7 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
     shown = {t: at_strength(visit, t) for t in there}
     # The first frame is the picture, one is the pose, and the others lie between them.
     assert shown[0] == Image.open(picture).convert("RGBA").tobytes() and shown[1] == pixels(visit.saved("download")[1])
-    for file, back in (("apng", False), ("zip", True), ("apng", True), ("zip", False)):
+    for file, back in (("apng", False), ("zip", True), ("apng", True), ("gif", True), ("zip", False)):
         shares = there + between if back else there
         choose(visit, file=file, frames=4, easing="ease-in-out", back=back)
         assert visit.text("export-result") == f"{len(shares)} frames, 400 × 300 px"
@@ -231,6 +231,14 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
             animation = Image.open(io.BytesIO(exported))
             assert animation.n_frames == len(shares)
             frames = [frame.convert("RGBA").tobytes() for frame in ImageSequence.Iterator(animation)]
+        elif file == "gif":
+            assert name == "discs-warped.gif"
+            animation = Image.open(io.BytesIO(exported))
+            assert animation.n_frames == len(shares)
+            # At most 256 colours: each frame is nearest to its own pose.
+            drawn = [frame.convert("RGBA").tobytes() for frame in ImageSequence.Iterator(animation)]
+            off = lambda a, b: sum(abs(m - n) for m, n in zip(a, b)) / len(a)
+            frames = [min(shown.values(), key=lambda pose: off(frame, pose)) for frame in drawn]
         else:
             assert name == "discs-frames.zip"
             archive = zipfile.ZipFile(io.BytesIO(exported))
@@ -250,14 +258,17 @@ def test_a_command_is_not_longer_than_a_shell_takes(visits, picture, tmp_path):
     """Linux limits an argument to 128 KiB."""
     visit = bend(visits(), picture)
     visit.page.click("#pin-border")
-    choose(visit, file="zip", frames=700, back=True)
+    visit.page.fill("#twist-2", "90")
+    visit.page.keyboard.press("Enter")
+    visit.ready()
+    choose(visit, file="zip", frames=1400, back=False)
     visit.page.fill("#export-width", "1")
     visit.page.click("#export-curl")
     visit.page.wait_for_selector("#export-said:text-matches('after the last request')")
     line = visit.page.evaluate("navigator.clipboard.readText()")
     assert len(line) > 128 << 10
     run(line, tmp_path)
-    assert len(zipfile.ZipFile(tmp_path / "discs-frames.zip").namelist()) == 1399
+    assert len(zipfile.ZipFile(tmp_path / "discs-frames.zip").namelist()) == 1401
     # A failure says what to do: nothing is repeated by itself.
     visit.expects("ERR_FAILED")
     visit.page.route("**/batch", lambda route: route.abort())

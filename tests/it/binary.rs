@@ -40,49 +40,48 @@ fn a_flag_wins_over_its_variable() {
 
 #[test]
 fn help_names_every_default_and_variable() {
-    let output = mlswarp(&["--help"]).output().unwrap();
+    let output = mlswarp(&["serve", "--help"]).output().unwrap();
     assert_eq!(output.status.code(), Some(0));
     let help = String::from_utf8(output.stdout).unwrap();
-    for word in
-        ["MLSWARP_LISTEN", "127.0.0.1:8080", "MLSWARP_MAX_BODY_BYTES", "32MiB", "MLSWARP_SESSION_IDLE", "15m", "health", "serve", "warp"]
-    {
+    for word in ["MLSWARP_LISTEN", "127.0.0.1:8080", "MLSWARP_MAX_BODY_BYTES", "32MiB", "MLSWARP_SESSION_IDLE", "15m"] {
         assert!(help.contains(word), "{word} in {help}");
     }
     let version = mlswarp(&["--version"]).output().unwrap();
     assert_eq!(String::from_utf8(version.stdout).unwrap().trim(), concat!("mlswarp ", env!("CARGO_PKG_VERSION")));
 }
 
-/// What the options of a subcommand are, as its help shows them.
+/// What the options of a subcommand are, as its help shows them: its own, then its limits.
 fn shown(subcommand: &str) -> Vec<String> {
-    let output = mlswarp(&[subcommand, "--help"]).output().unwrap();
+    let limits = if ["serve", "health"].contains(&subcommand) { vec![] } else { listed(subcommand, "--help-limits") };
+    [listed(subcommand, "--help"), limits].concat()
+}
+
+fn listed(subcommand: &str, help: &str) -> Vec<String> {
+    let output = mlswarp(&[subcommand, help]).output().unwrap();
     let help = String::from_utf8(output.stdout).unwrap();
     // Continued texts are indented further.
     let flags =
         help.lines().filter(|line| line.starts_with("  -") || line.starts_with("      --")).map(|line| line.split_once("--").unwrap().1);
-    flags.map(|flag| flag.split([' ', '[']).next().unwrap().to_owned()).filter(|flag| flag != "help").collect()
+    let flags = flags.map(|flag| flag.split([' ', '[']).next().unwrap().to_owned());
+    flags.filter(|flag| !["help", "help-limits"].contains(&&**flag)).collect()
 }
 
 #[test]
 fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected() {
     let limits =
         ["max-body-bytes", "max-warp-json-bytes", "max-image-pixels", "max-image-side", "max-columns", "max-fit-handles", "max-plan-bytes"];
+    let handles = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match"];
+    let (pose, frame) = (["align", "alpha", "method", "strength"], ["canvas", "width"]);
     assert_eq!(
         shown("warp"),
-        [
-            &["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "canvas", "kind", "region", "out"][..],
-            &limits,
-            &["workers"]
-        ]
-        .concat()
+        [&handles[..], &["kind", "region"], &pose, &frame, &["format", "quality", "out"], &limits, &["workers"]].concat()
     );
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "extent", "image", "out"];
-    assert_eq!(shown("report"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
-    let (before, out) = own.split_at(own.len() - 1);
-    assert_eq!(shown("points"), [before, &["inverse"], out, &limits, &["workers", "memory-bytes"]].concat());
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "extent", "image", "direction", "out"];
-    assert_eq!(shown("map"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
-    let own = ["landmarks", "landmarks-q", "extent-p", "extent-q", "item", "match", "align", "layer", "region", "quiet", "out"];
-    assert_eq!(shown("batch"), [&own[..], &limits, &["workers", "memory-bytes"]].concat());
+    let rest = [&["out"][..], &limits, &["workers", "memory-bytes"]].concat();
+    assert_eq!(shown("points"), [&handles[..], &["extent", "image", "inverse"], &pose, &frame, &rest].concat());
+    assert_eq!(shown("report"), [&handles[..], &["extent", "image"], &pose, &["canvas"], &rest].concat());
+    assert_eq!(shown("map"), [&handles[..], &["direction", "extent", "image"], &pose, &frame, &rest].concat());
+    let own = ["and-back", "delay", "easing", "layer", "loop", "region", "steps"];
+    assert_eq!(shown("batch"), [&handles[..], &own, &pose, &frame, &["format", "quality", "quiet"], &rest].concat());
     assert_eq!(shown("health"), ["listen", "tls-cert", "tls-key", "metrics-listen"]);
     assert!(shown("serve").len() > 40);
     for args in

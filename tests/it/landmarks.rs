@@ -207,9 +207,9 @@ fn the_offline_tool_reads_the_same_files() {
     for (arguments, word) in [
         (vec![&*image, &*by_json, "--landmarks", &*both, "-o", &*two], "leave `p` out"),
         (vec![&*image, "--landmarks", &*p, "-o", &*two], "no posed positions"),
-        (vec![&*image, "--landmarks", &*p, "--landmarks-q", &*image, "-o", &*two], "bad_landmarks: landmarks_q, line 1, column 1"),
+        (vec![&*image, "--landmarks", &*p, "--landmarks-q", &*image, "-o", &*two], "photo.png: line 1, column 1"),
         (vec![&*image, &*by_json, "--landmarks-q", &*q, "-o", &*two], "--landmarks <FILE>"),
-        (vec![&*image, "-o", &*two], "<WARP"),
+        (vec![&*image, "-o", &*two], "the handles are missing"),
         (vec!["-", "--landmarks", "-", "-o", &*two], "standard input"),
     ] {
         let (done, text) = warp(&arguments);

@@ -47,6 +47,8 @@ mod mistakes;
 mod mutation;
 mod nulls;
 mod offline;
+mod offline_folders;
+mod offline_options;
 mod offline_tools;
 mod openapi;
 mod openapi_examples;

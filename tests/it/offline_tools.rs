@@ -244,7 +244,7 @@ async fn batches_are_the_files_that_the_server_answers() {
         ("mask", "error: --layer \"mask\": expected NAME=FILE"),
         ("a/b=mask.png", "error: cannot read the layer "),
         ("@coverage=-", "error: standard input can be one of the input files only"),
-        ("@holes", "error: --layer @holes needs a --region"),
+        ("@holes", "error: the layer @holes needs a --region"),
         (&*format!("mask={wide}"), "bad_value: --layer mask: the file has 81x60 px"),
     ] {
         let said = failed(&["batch", &image, &handles, "-", "-o", "-", "--layer", layer], r#"{"steps": 2}"#);
@@ -252,8 +252,8 @@ async fn batches_are_the_files_that_the_server_answers() {
     }
     for (stdin, out, sentence) in [
         (r#"{"steps": 0}"#, "out.zip", "bad_value: "),
-        (r#"{"steps": 4, "stps": 2}"#, "out.zip", "unknown_field: "),
-        (r#"{"steps": 4, "p": [[1, 1]]}"#, "out.zip", "malformed_request: the field `p` is given twice (/p)"),
+        (r#"{"steps": 4, "stps": 2}"#, "out.zip", "unknown_field: standard input: "),
+        (r#"{"steps": 4, "q": [[1, 1]]}"#, "out.zip", "standard input replaces `q` of "),
         (r#"{"steps": 4}"#, "out.tif", "unsupported_format: cannot write "),
         (r#"{"steps": 4}"#, "missing/out.zip", "error: cannot write "),
         ("{}", "out.zip", "bad_value: the poses are missing"),
@@ -331,12 +331,23 @@ fn points_name_what_is_wrong() {
     let extent = ["--extent", "40,30"];
     for (args, stdin, sentence) in [
         (&["-"][..], "{}", "error: the size of the image is missing; give --extent"),
-        (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]], "q": [[2, 2]], "point": []}"#, "unknown_field: unknown field: `point`"),
-        (&["-", &annotations, extent[0], extent[1]], r#"{"points": []}"#, "malformed_request: the field `points` is given twice (/points)"),
-        (&["-", extent[0], extent[1]], r#"{"extent": [4, 3]}"#, "malformed_request: the field `extent` is given twice (/extent)"),
+        (
+            &["-", extent[0], extent[1]],
+            r#"{"p": [[1, 1]], "q": [[2, 2]], "point": []}"#,
+            "unknown_field: standard input: unknown field: `point`",
+        ),
+        (
+            &["-", extent[0], extent[1]],
+            r#"{"points": [], "points": []}"#,
+            "malformed_request: standard input: the field `points` is given twice",
+        ),
         (&["-", extent[0], extent[1]], r#"{"points": [[1, 2], [3]]}"#, "bad_value: "),
         (&["-", extent[0], extent[1]], r#"{"p": [[1, 1]]}"#, "bad_value: `q` is missing"),
-        (&["-", "--landmarks", &landmarks, extent[0], extent[1]], r#"{"p": [[1, 1]]}"#, "malformed_request: the field `p` is given twice"),
+        (
+            &["-", "--landmarks", &landmarks, extent[0], extent[1]],
+            r#"{"p": [[1, 1]]}"#,
+            "bad_value: standard input: both `p` and landmark files",
+        ),
         (&["-", "--extent", "40"], "{}", "bad_value: `--extent` must be the width and height"),
         (&["-", "--image", &annotations], "{}", "unsupported_format: "),
         (&["-", "-", extent[0], extent[1]], "{}", "error: standard input can be one of the input files only"),
@@ -347,12 +358,12 @@ fn points_name_what_is_wrong() {
         (
             &["-", extent[0], extent[1], "--max-warp-json-bytes", "1"],
             "{}",
-            "too_large: the warp object is larger than 1 bytes; --max-warp-json-bytes raises the limit",
+            "too_large: standard input: the warp object is larger than 1 bytes; --max-warp-json-bytes raises the limit",
         ),
         (
             &["-", &annotations, extent[0], extent[1], "--max-body-bytes", "1"],
             "{}",
-            "too_large: the annotations are larger than 1 bytes; --max-body-bytes raises the limit",
+            &*format!("too_large: {annotations}: the annotations are larger than 1 bytes; --max-body-bytes raises the limit"),
         ),
     ] {
         let said = failed(&[&["points"], args].concat(), stdin);

@@ -39,7 +39,7 @@ fn a_store_that_is_none_is_told_and_no_password_is() {
             assert!(said.contains("--store (MLSWARP_STORE)") && said.contains(says) && !said.contains("s3cret"), "{said}");
         }
     }
-    let help = mlswarp(&["--help"]).env("MLSWARP_STORE", "redis://me:s3cret@here").output().unwrap();
+    let help = mlswarp(&["serve", "--help"]).env("MLSWARP_STORE", "redis://me:s3cret@here").output().unwrap();
     let help = String::from_utf8_lossy(&help.stdout).into_owned();
     assert!(help.contains("MLSWARP_STORE") && !help.contains("s3cret") && !help.contains("me:"), "{help}");
 }

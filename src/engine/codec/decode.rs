@@ -140,7 +140,7 @@ mod tests {
     fn a_decoder_that_panics_has_met_a_damaged_file() {
         let given_up = contained::<()>(SourceFormat::Written(Format::WebP), || panic!("on purpose")).unwrap_err();
         assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
-        assert_eq!(contained(SourceFormat::Gif, || Ok(7)), Ok(7));
+        assert_eq!(contained(SourceFormat::Written(Format::Gif), || Ok(7)), Ok(7));
     }
 
     /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.

@@ -1,4 +1,5 @@
-//! The file formats: names, media types, recognition by the first bytes, and the largest sides. GIF and BMP are only read.
+//! The file formats: names, media types, recognition by the first bytes, and the largest sides. Of GIF, single pictures are read, and
+//! animations are written; BMP is only read.
 
 use super::CodecError;
 
@@ -14,6 +15,8 @@ pub enum Format {
     WebP,
     /// TIFF.
     Tiff,
+    /// GIF: the frames of an animation alone.
+    Gif,
 }
 
 /// A file format that is read.
@@ -21,14 +24,12 @@ pub enum Format {
 pub enum SourceFormat {
     /// A format that is written too.
     Written(Format),
-    /// GIF.
-    Gif,
     /// BMP.
     Bmp,
 }
 
 impl Format {
-    /// All formats, the default first.
+    /// The formats of pictures, the default first.
     pub const ALL: [Self; 4] = [Self::Png, Self::Jpeg, Self::WebP, Self::Tiff];
 
     /// The name in messages.
@@ -39,6 +40,7 @@ impl Format {
             Self::Jpeg => "JPEG",
             Self::WebP => "WebP",
             Self::Tiff => "TIFF",
+            Self::Gif => "GIF",
         }
     }
 
@@ -50,6 +52,7 @@ impl Format {
             Self::Jpeg => "image/jpeg",
             Self::WebP => "image/webp",
             Self::Tiff => "image/tiff",
+            Self::Gif => "image/gif",
         }
     }
 
@@ -61,6 +64,7 @@ impl Format {
             Self::Jpeg => "jpg",
             Self::WebP => "webp",
             Self::Tiff => "tif",
+            Self::Gif => "gif",
         }
     }
 
@@ -69,7 +73,7 @@ impl Format {
     pub const fn max_side(self) -> u32 {
         match self {
             Self::Png | Self::Tiff => u32::MAX >> 1,
-            Self::Jpeg => u16::MAX as u32,
+            Self::Jpeg | Self::Gif => u16::MAX as u32,
             Self::WebP => 1 << 14,
         }
     }
@@ -79,7 +83,7 @@ impl Format {
     pub const fn max_pixels(self) -> u64 {
         match self {
             Self::Tiff => u32::MAX as u64 / 9,
-            Self::Png | Self::Jpeg | Self::WebP => u64::MAX,
+            Self::Png | Self::Jpeg | Self::WebP | Self::Gif => u64::MAX,
         }
     }
 }
@@ -95,7 +99,7 @@ impl SourceFormat {
             [0xFF, 0xD8, 0xFF, ..] => Self::Written(Format::Jpeg),
             [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Self::Written(Format::WebP),
             [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Self::Written(Format::Tiff),
-            [b'G', b'I', b'F', b'8', b'7' | b'9', b'a', ..] => Self::Gif,
+            [b'G', b'I', b'F', b'8', b'7' | b'9', b'a', ..] => Self::Written(Format::Gif),
             [b'B', b'M', ..] => Self::Bmp,
             _ => return Err(CodecError::unsupported(looks_like(bytes))),
         })
@@ -106,7 +110,6 @@ impl SourceFormat {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Written(format) => format.name(),
-            Self::Gif => "GIF",
             Self::Bmp => "BMP",
         }
     }
@@ -116,7 +119,6 @@ impl SourceFormat {
     pub const fn media_type(self) -> &'static str {
         match self {
             Self::Written(format) => format.media_type(),
-            Self::Gif => "image/gif",
             Self::Bmp => "image/bmp",
         }
     }

@@ -46,6 +46,7 @@ mod write;
 pub use decode::{Decoded, Opened, decode, open};
 pub use error::CodecError;
 pub use format::{Format, SourceFormat};
+pub use gif::write::GifAnimation;
 pub use jpeg::write::{JpegWriter, Subsampling};
 pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;

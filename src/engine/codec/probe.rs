@@ -34,7 +34,7 @@ pub(super) enum Parsed<'a> {
     Jpeg(jpeg::read::JpegFile<'a>),
     WebP(webp::read::WebPFile<'a>),
     Tiff(tiff::read::TiffFile<'a>),
-    Gif(gif::GifFile<'a>),
+    Gif(gif::read::GifFile<'a>),
     Bmp(bmp::BmpFile<'a>),
 }
 
@@ -45,7 +45,7 @@ impl<'a> Parsed<'a> {
             SourceFormat::Written(Format::Jpeg) => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
             SourceFormat::Written(Format::WebP) => Self::WebP(webp::read::WebPFile::parse(bytes, work)?),
             SourceFormat::Written(Format::Tiff) => Self::Tiff(tiff::read::TiffFile::parse(bytes, work)?),
-            SourceFormat::Gif => Self::Gif(gif::GifFile::parse(bytes, work)?),
+            SourceFormat::Written(Format::Gif) => Self::Gif(gif::read::GifFile::parse(bytes, work)?),
             SourceFormat::Bmp => Self::Bmp(bmp::BmpFile::parse(bytes, work)?),
         })
     }
@@ -86,7 +86,7 @@ impl<'a> Parsed<'a> {
             Self::Jpeg(f) => (SourceFormat::Written(Format::Jpeg), Channels::Rgb, Depth::Eight, f.decoder_bytes(), f.is_grey()),
             Self::WebP(f) => (SourceFormat::Written(Format::WebP), f.channels(), Depth::Eight, f.decoder_bytes(), false),
             Self::Tiff(f) => (SourceFormat::Written(Format::Tiff), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
-            Self::Gif(f) => (SourceFormat::Gif, f.channels(), Depth::Eight, f.decoder_bytes(), false),
+            Self::Gif(f) => (SourceFormat::Written(Format::Gif), f.channels(), Depth::Eight, f.decoder_bytes(), false),
             Self::Bmp(f) => (SourceFormat::Bmp, f.channels(), Depth::Eight, f.decoder_bytes(), f.is_indexed()),
         };
         let (stored, orientation) = self.stored();

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::jpeg::write::{JpegWriter, Subsampling};
 use super::png::write::{Compression, PngShape, PngWriter, StripChecksum};
-use super::{Carried, Format, Palette, tiff, webp};
+use super::{Carried, Format, Palette, gif, tiff, webp};
 use crate::pixmap::{Channels, Depth, sample_bytes};
 
 /// The encoding of a picture.
@@ -28,6 +28,8 @@ pub enum Encoding {
     WebP,
     /// Lossless, 8 or 16 bit.
     Tiff(Compression),
+    /// A frame of an animation: at most 256 colours, which are transparent or opaque.
+    Gif,
 }
 
 impl Encoding {
@@ -39,6 +41,7 @@ impl Encoding {
             Self::Jpeg { .. } => Format::Jpeg,
             Self::WebP => Format::WebP,
             Self::Tiff(_) => Format::Tiff,
+            Self::Gif => Format::Gif,
         }
     }
 
@@ -48,7 +51,7 @@ impl Encoding {
         match self {
             Self::Png(_) | Self::Tiff(_) => true,
             Self::Jpeg { ground: [r, g, b], .. } => r == g && g == b,
-            Self::WebP => false,
+            Self::WebP | Self::Gif => false,
         }
     }
 }
@@ -73,6 +76,7 @@ enum Kind {
 enum Coding {
     WebP,
     Tiff(Compression),
+    Gif,
 }
 
 impl Writer {
@@ -90,6 +94,7 @@ impl Writer {
             Encoding::Jpeg { quality, subsampling, ground } => Kind::Jpeg(JpegWriter::new(shape, quality, subsampling, ground, metadata)),
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
+            Encoding::Gif => whole(Coding::Gif),
         };
         Self { shape, is_grey_in_colour: grey, kind }
     }
@@ -105,7 +110,7 @@ impl Writer {
             Encoding::Tiff(compression) => {
                 Kind::Whole { coding: Coding::Tiff(compression), metadata: metadata.cloned(), palette: palette.cloned() }
             }
-            Encoding::Jpeg { .. } | Encoding::WebP => return None,
+            Encoding::Jpeg { .. } | Encoding::WebP | Encoding::Gif => return None,
         };
         Some(Self { shape, is_grey_in_colour: false, kind })
     }
@@ -160,10 +165,11 @@ impl Writer {
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
             Kind::Jpeg(jpeg) => jpeg.work_bytes(),
-            Kind::Whole { metadata, .. } => {
+            Kind::Whole { coding, metadata, .. } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                samples * COPIES + 2 * metadata.as_ref().map_or(0, Carried::most_bytes)
+                let tables = if matches!(coding, Coding::Gif) { gif::write::work_bytes(shape.extent) } else { 0 };
+                tables + samples * COPIES + 2 * metadata.as_ref().map_or(0, Carried::most_bytes)
             }
         }
     }
@@ -197,6 +203,7 @@ impl Writer {
                 match *coding {
                     Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (metadata, palette.as_ref()), out, wanted),
                     Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), metadata, out),
+                    Coding::Gif => gif::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), out, wanted),
                 }
                 StripChecksum::default()
             }

@@ -119,6 +119,7 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Encoding::Jpeg { quality, subsampling: Subsampling::Half, ground: [r, g, b] } => [3, quality, r, g, b],
         Encoding::Jpeg { quality, subsampling: Subsampling::Full, ground: [r, g, b] } => [8, quality, r, g, b],
         Encoding::WebP => [4, 0, 0, 0, 0],
+        Encoding::Gif => [9, 0, 0, 0, 0],
         Encoding::Tiff(Compression::None) => [5, 0, 0, 0, 0],
         Encoding::Tiff(Compression::Fast) => [6, 0, 0, 0, 0],
         Encoding::Tiff(Compression::Best) => [7, 0, 0, 0, 0],

@@ -220,6 +220,12 @@ impl Figure {
 }
 
 impl Warning {
+    /// Whether it is about the file of the picture, whatever the pose.
+    #[must_use]
+    pub const fn is_of_file(&self) -> bool {
+        matches!(self, Self::ProfileDropped | Self::MetadataDropped(_) | Self::FileRepaired(_))
+    }
+
     /// The stable code in responses.
     #[must_use]
     pub const fn code(&self) -> &'static str {

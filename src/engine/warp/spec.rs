@@ -298,6 +298,7 @@ impl OutputSpec {
             }
             Format::WebP => Encoding::WebP,
             Format::Tiff => Encoding::Tiff(self.compression),
+            Format::Gif => Encoding::Gif,
         }
     }
 }

@@ -70,7 +70,7 @@ impl Subject<'_> {
     /// Labels in a format that would change them, or with a value outside; a value that the picture's samples cannot have.
     pub fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
         match (self, output.format, output.outside) {
-            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP), _) => Err(WarpError::LabelFormat { format }),
+            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif), _) => Err(WarpError::LabelFormat { format }),
             (Self::Labels(_), _, Outside::Value(_)) => Err(WarpError::OutsideOfLabels),
             (Self::Image(_), _, Outside::Value(value)) => {
                 let (largest, most) = (value.into_iter().max().unwrap_or(0), self.depth().largest());

@@ -1,15 +1,14 @@
 //! `mlswarp batch IMAGE WARP.json [BATCH.json] -o OUT`: a session and `POST /sessions/{id}/batch` without a server.
 
-use std::fs;
 use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
-use std::path::{Path, PathBuf, is_separator};
+use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use serde_json::json;
 use zip::read::read_zipfile_from_stream;
 
-use super::failure::Failure;
-use super::input::is_stdio;
+use super::failure::{Failure, name_of};
+use super::input::{Limit, is_stdio};
 use super::service::{Service, summary};
 use super::{input, output};
 use crate::app::batch::{Batch, BatchForm};
@@ -17,8 +16,9 @@ use crate::app::layers::bad_name;
 use crate::app::warp::Upload;
 use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
-use crate::problem::Problem;
-use crate::wire::{merged, split_batch};
+use crate::problem::words::quote;
+use crate::problem::{Code, Problem};
+use crate::wire::{Merged, Source, split_batch};
 
 /// Characters of the progress bar.
 const BAR: usize = 40;
@@ -34,35 +34,43 @@ enum Out {
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
-    let BatchArgs { image, input: handles, batch, region, layers, out, quiet } = args;
-    let layers = layers.iter().map(|text| Layer::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let BatchArgs { image, input: handles, batch, region, out, quiet, .. } = args;
+    let layers = args.layers.iter().map(|text| Layer::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let of_layers = layers.iter().filter_map(|layer| layer.file.clone());
     let others = [Some(image), batch.as_ref(), region.as_ref()];
-    handles.require_one_stdin(&others.into_iter().chain(layers.iter().map(|layer| layer.file.as_ref())).collect::<Vec<_>>())?;
-    let has = |name: &str| layers.iter().any(|layer| layer.name == name);
-    if has("@holes") && region.is_none() && !has("region") {
-        return Err(Failure::Local("--layer @holes needs a --region".to_owned()));
-    }
+    let read: Vec<PathBuf> = handles.files().into_iter().chain(others).flatten().cloned().chain(of_layers).collect();
+    input::require_one_stdin(read.iter().map(Some))?;
     let kind = kind_of(out)?;
     output::require_directory(out)?;
-    let warp = handles.json(config)?;
-    let batch = batch.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| input::read("batch", path, config.max_body_bytes))?;
-    let [warp, batch] = split_batch(&merged(&[&warp, &batch, &drawn(&layers)])?)?;
-    let files = handles.landmark_files(config)?;
-    let image = input::read("image", image, config.max_body_bytes)?;
-    let region = region.as_deref().map(|path| input::read("region", path, config.max_body_bytes).map(Bytes::from)).transpose()?;
+    output::require_other(out, &read)?;
+    let merged = input::merge(&sources(config, args)?)?;
+    if !["steps", "frames", "jitter"].iter().any(|poses| merged.has(poses)) {
+        let detail = "the poses are missing: give --steps N, or `steps`, `frames` or `jitter` in the JSON";
+        return Err(Problem::new(Code::BadValue, detail).into());
+    }
+    let located = |problem| input::located(&merged, problem);
+    let (layers, drawn) = selected(layers, &merged, region.is_some(), kind == Out::Directory)?;
+    let [warp, batch] = split_batch(&merged.with("layers", drawn))?;
+    let files = handles.landmarks.read_files(config)?;
+    let file = input::read("image", image, Limit::body(config))?;
+    let mask = region.as_deref().map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from)).transpose()?;
     let layers = layers.into_iter().filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
-    let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, config.max_body_bytes)?)));
+    let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, Limit::body(config))?)));
     let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
     let (service, warp) = (Service::start(config)?, Bytes::from(warp));
     let (app, client) = (&service.app, service.client);
     let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
-    let (made, method, warnings) = service.wait(async {
-        let landmarks = match files {
-            Some(files) => Some(app.read_landmarks(client, files, warp.clone()).await?),
-            None => None,
-        };
-        let upload = Upload { image: image.into(), warp, region, landmarks };
-        let (session, setup, method) = app.create_session(client, upload).await?;
+    let landmarks = match files {
+        Some(files) => {
+            let read = service.run(app.read_landmarks(client, files, warp.clone()));
+            Some(read.map_err(|problem| handles.landmarks.blame(problem))?)
+        }
+        None => None,
+    };
+    let upload = Upload { image: file.into(), warp, region: mask, landmarks };
+    let session = service.run(app.create_session(client, upload));
+    let (session, setup, method) = session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
+    let made = service.run(async {
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
             app.put_layer(client, session.record.id, &name, kind, file.into()).await.map_err(|mut problem| {
@@ -70,21 +78,76 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
                 problem
             })?;
         }
-        let made = app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await?;
-        Ok((made, method, setup.rest_warnings().to_vec()))
-    })?;
+        app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await
+    });
+    let made = made.map_err(located)?;
     let frames = made.frames;
     let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
     match kind {
         Out::File(_) => output::write(out, |sink| each(&service, made, &progress, |bytes| sink.put(&bytes)))?,
         Out::Directory => {
-            fs::create_dir_all(out).map_err(|e| Failure::Local(format!("cannot write {out:?}: {e}")))?;
-            each(&service, made, &progress, |bytes| extract(out, &bytes))?;
+            output::create_directory(out)?;
+            each(&service, made, &progress, |bytes| extract(out, &bytes, &read))?;
         }
     }
     let what = if frames == 1 { "frame" } else { "frames" };
-    let more = summary(method, &warnings).map_or_else(String::new, |more| format!(", {more}"));
+    let more = summary(method, setup.rest_warnings()).map_or_else(String::new, |more| format!(", {more}"));
     Ok(Some(format!("{frames} {what}{more}")))
+}
+
+/// The files and options with fields of the request.
+/// Errors: A file that cannot be read; no poses.
+fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
+    let BatchArgs { input: handles, batch, frames, pose, frame, file, .. } = args;
+    let batch = batch.as_deref().map(|path| input::source("batch", path, Limit::body(config))).transpose()?;
+    let mut sources: Vec<Source> = handles.source(config)?.into_iter().chain(batch).collect();
+    sources.extend(frames.sources());
+    sources.extend(pose.sources());
+    sources.extend(frame.sources()?);
+    sources.extend(file.sources());
+    Ok(sources)
+}
+
+/// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the options, among which the JSON selects.
+/// Errors: A layer without a file; names that a folder does not tell apart.
+fn selected(layers: Vec<Layer>, merged: &Merged, has_region: bool, is_directory: bool) -> Result<(Vec<Layer>, Option<String>), Failure> {
+    let has = |name: &str| layers.iter().any(|layer| layer.name == name);
+    let named: Option<Vec<String>> = merged.value("layers").and_then(|text| serde_json::from_str(text).ok());
+    let drawn: Vec<&str> =
+        named.as_ref().map_or_else(|| layers.iter().map(|l| &*l.name).collect(), |names| names.iter().map(|n| &**n).collect());
+    if let Some(name) = drawn.iter().find(|name| !name.starts_with('@') && !has(name)) {
+        let detail = format!("{} has no file: give it as --layer {name}=FILE", quote(name));
+        return Err(input::located(merged, Problem::new(Code::NoSuchLayer, detail).pointer("/layers")));
+    }
+    if drawn.contains(&"@holes") && !has_region && !has("region") {
+        return Err(Failure::Local("the layer @holes needs a --region".to_owned()));
+    }
+    let is_same = |a: &&str, b: &&str| a != b && a.to_lowercase() == b.to_lowercase();
+    let pair = drawn.iter().find_map(|name| Some((name, drawn.iter().find(|other| is_same(name, other))?)));
+    if let Some((one, other)) = pair.filter(|_| is_directory) {
+        let detail = format!("the layers {one} and {other} would be one file where upper and lower case are not told apart; rename one");
+        return Err(Failure::Local(detail));
+    }
+    let field = (named.is_none() && !drawn.is_empty()).then(|| json!(drawn).to_string());
+    let is_used = |layer: &Layer| layer.name == "region" || drawn.contains(&&*layer.name);
+    for layer in layers.iter().filter(|layer| !is_used(layer)) {
+        eprintln!("the layer {} is not drawn: `layers` in {} does not name it", layer.name, merged.place("/layers").unwrap_or_default());
+    }
+    let used = layers.iter().map(is_used).collect::<Vec<_>>();
+    Ok((layers.into_iter().zip(used).filter_map(|(layer, is_used)| is_used.then_some(layer)).collect(), field))
+}
+
+/// A problem with a file of the session, with its name.
+fn blame(failure: Failure, image: &Path, region: Option<&Path>) -> Failure {
+    let Failure::Problem(mut problem, None) = failure else { return failure };
+    if let (Some(rest), Some(region)) = (problem.detail.strip_prefix("the part `region`: "), region) {
+        problem.detail = rest.to_owned();
+        return Failure::Problem(problem, Some(name_of(region)));
+    }
+    let is_image =
+        matches!(problem.code, Code::UnsupportedFormat | Code::BadImage) || problem.what.is_some_and(|what| what.starts_with("image_"));
+    let name = is_image.then(|| name_of(image));
+    Failure::Problem(problem, name)
 }
 
 /// `NAME=FILE`, `NAME=FILE:labels`, or the name of a built-in layer.
@@ -107,14 +170,6 @@ impl Layer {
     }
 }
 
-/// The field of a batch that draws them.
-fn drawn(layers: &[Layer]) -> Vec<u8> {
-    if layers.is_empty() {
-        return b"{}".to_vec();
-    }
-    json!({"layers": layers.iter().map(|layer| &layer.name).collect::<Vec<_>>()}).to_string().into_bytes()
-}
-
 /// Hands over the bytes of the file, frame by frame.
 fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMut(Bytes) -> Result<(), Failure>) -> Result<(), Failure> {
     let Batch { first, mut rest, .. } = made;
@@ -129,20 +184,22 @@ fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMu
 }
 
 /// Writes the files in a part of an archive, which has whole entries.
-fn extract(directory: &Path, part: &[u8]) -> Result<(), Failure> {
+fn extract(directory: &Path, part: &[u8], inputs: &[PathBuf]) -> Result<(), Failure> {
     let broken = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot read the batch: {e}"));
     let mut part = Cursor::new(part);
     while part.position() < part.get_ref().len() as u64 {
         let Some(mut entry) = read_zipfile_from_stream(&mut part).map_err(|e| broken(&e))? else { return Ok(()) };
         let (name, mut bytes) = (entry.name().map_err(|e| broken(&e))?.into_owned(), Vec::new());
         entry.read_to_end(&mut bytes).map_err(|e| broken(&e))?;
-        output::write(&directory.join(name), |sink| sink.put(&bytes))?;
+        let file = directory.join(name);
+        output::require_other(&file, inputs)?;
+        output::replace(&file, |sink| sink.put(&bytes))?;
     }
     Ok(())
 }
 
 fn kind_of(out: &Path) -> Result<Out, Problem> {
-    let is_directory = out.is_dir() || out.to_string_lossy().ends_with(is_separator);
+    let is_directory = output::is_directory(out);
     // A device or a pipe has no extension.
     if is_stdio(out) || out.exists() && !out.is_file() && !is_directory {
         return Ok(Out::File(BatchForm::Zip));
@@ -150,8 +207,8 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
     if is_directory {
         return Ok(Out::Directory);
     }
-    let known = [("zip", BatchForm::Zip), ("png", BatchForm::Apng), ("apng", BatchForm::Apng)];
-    Ok(output::by_extension(out, &known, ", or a directory")?.map_or(Out::Directory, Out::File))
+    let known = [("zip", BatchForm::Zip), ("png", BatchForm::Apng), ("apng", BatchForm::Apng), ("gif", BatchForm::Gif)];
+    Ok(output::by_extension(out, &known, ", or a folder")?.map_or(Out::Directory, Out::File))
 }
 
 /// A bar on the terminal.

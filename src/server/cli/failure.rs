@@ -1,29 +1,55 @@
 //! Why a subcommand failed, as the program prints it.
 
 use std::fmt;
+use std::path::Path;
 
 use mlswarp::warp::WarpError;
 
 use crate::problem::Problem;
+use crate::problem::words::is_unseen;
 
 /// Why a subcommand failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// A problem that a server would respond with; printed as `code: detail (pointer)`.
-    Problem(Problem),
+    /// A problem that a server would respond with, and the file or option that it is about, if that is known; printed as
+    /// `code: FILE: detail (pointer)`.
+    Problem(Problem, Option<String>),
     /// A problem with files or threads of this machine; printed as `error: ...`.
     Local(String),
+}
+
+impl Failure {
+    /// A problem with a file or option, unless it names another one.
+    pub(super) fn about(self, name: impl Into<String>) -> Self {
+        match self {
+            Self::Problem(problem, None) => Self::Problem(problem, Some(name.into())),
+            other => other,
+        }
+    }
+}
+
+/// What messages call a file.
+pub(super) fn name_of(path: &Path) -> String {
+    if path == Path::new("-") {
+        return "standard input".to_owned();
+    }
+    let name = path.to_string_lossy();
+    if name.contains(is_unseen) { format!("{path:?}") } else { name.into_owned() }
 }
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Problem(Problem { code, detail, pointer, what, .. }) => {
-                write!(f, "{}: {detail}", code.as_str())?;
+            Self::Problem(Problem { code, detail, pointer, what, .. }, name) => {
+                write!(f, "{}: ", code.as_str())?;
+                name.as_ref().map_or(Ok(()), |name| write!(f, "{name}: "))?;
+                write!(f, "{detail}")?;
                 if let Some(flag) = what.and_then(flag) {
                     write!(f, "; see {flag}")?;
                 }
-                pointer.as_ref().map_or(Ok(()), |pointer| write!(f, " ({pointer})"))
+                // An option is its own place.
+                let is_option = name.as_ref().is_some_and(|name| name.starts_with("--"));
+                pointer.as_ref().filter(|_| !is_option).map_or(Ok(()), |pointer| write!(f, " ({pointer})"))
             }
             Self::Local(sentence) => write!(f, "error: {sentence}"),
         }
@@ -47,12 +73,12 @@ fn flag(what: &str) -> Option<&'static str> {
 
 impl From<Problem> for Failure {
     fn from(problem: Problem) -> Self {
-        Self::Problem(problem)
+        Self::Problem(problem, None)
     }
 }
 
 impl From<WarpError> for Failure {
     fn from(error: WarpError) -> Self {
-        Self::Problem(error.into())
+        Problem::from(error).into()
     }
 }

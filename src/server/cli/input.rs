@@ -11,61 +11,85 @@ use mlswarp::warp::{Setup, WarpError, choose};
 use rayon::ThreadPool;
 use serde_json::json;
 
-use super::failure::Failure;
-use crate::config::{Config, ExtentInput, WarpInput};
+use super::failure::{Failure, name_of};
+use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, extent};
-use crate::wire::{WarpObject, extent_in, merged, with_field, without};
-
-/// What a file with a warp object is called; it has a limit of its own.
-const WARP: &str = "warp object";
+use crate::wire::{Merged, Source, WarpObject, extent_in, without};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
     path == Path::new("-")
 }
 
+/// The most bytes of a file, and the option that sets them.
+#[derive(Clone, Copy)]
+pub(super) struct Limit(u64, &'static str);
+
+impl Limit {
+    pub(super) const fn body(config: &Config) -> Self {
+        Self(config.max_body_bytes, "--max-body-bytes")
+    }
+
+    pub(super) const fn json(config: &Config) -> Self {
+        Self(config.max_warp_json_bytes, "--max-warp-json-bytes")
+    }
+}
+
 /// Reads a file or standard input.
-/// Errors: It cannot be read, or has more bytes than `limit`.
-pub(super) fn read(what: &str, path: &Path, limit: u64) -> Result<Vec<u8>, Failure> {
+/// Errors: It cannot be read, or has more bytes than the limit.
+pub(super) fn read(what: &str, path: &Path, Limit(limit, flag): Limit) -> Result<Vec<u8>, Failure> {
     let cannot = |e: io::Error| Failure::Local(format!("cannot read the {what} {path:?}: {e}"));
     let source: Box<dyn Read> = if is_stdio(path) { Box::new(io::stdin().lock()) } else { Box::new(File::open(path).map_err(cannot)?) };
     let mut bytes = Vec::new();
     source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        let flag = if what == WARP { "--max-warp-json-bytes" } else { "--max-body-bytes" };
         let is = if what.ends_with('s') { "are" } else { "is" };
-        let detail = format!("the {what} {is} larger than {limit} bytes; {flag} raises the limit");
-        return Err(Problem::new(Code::TooLarge, detail).into());
+        let problem = Problem::new(Code::TooLarge, format!("the {what} {is} larger than {limit} bytes; {flag} raises the limit"));
+        return Err(Failure::from(problem).about(name_of(path)));
     }
     Ok(bytes)
 }
 
-impl WarpInput {
-    /// Errors: Standard input is more than one of these files and `others`.
-    pub(super) fn require_one_stdin(&self, others: &[Option<&PathBuf>]) -> Result<(), Failure> {
-        let files = [self.warp.as_ref(), self.landmarks.as_ref(), self.landmarks_q.as_ref()];
-        if files.iter().chain(others).flatten().filter(|path| is_stdio(path)).count() < 2 {
-            return Ok(());
-        }
-        Err(Failure::Local("standard input can be one of the input files only".to_owned()))
-    }
+/// A JSON file as a source of fields.
+/// Errors: As [`read`].
+pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Failure> {
+    Ok(Source { name: name_of(path), json: read(what, path, limit)?, is_option: false })
+}
 
-    /// The text of the warp object with what options replace; an empty object if there is none.
-    /// Errors: As [`read`]; not a JSON object.
-    pub(super) fn json(&self, config: &Config) -> Result<Vec<u8>, Failure> {
-        let warp = self.warp.as_deref().map_or_else(|| Ok(b"{}".to_vec()), |path| read(WARP, path, config.max_warp_json_bytes))?;
-        match &self.align {
-            Some(class) => Ok(with_field(&warp, "align", &json!(class).to_string())?),
-            None => Ok(warp),
-        }
+/// The fields of all sources; says on standard error which of them do not count.
+/// Errors: A text that is not a JSON object.
+pub(super) fn merge(sources: &[Source]) -> Result<Merged, Failure> {
+    let merged = Merged::of(sources).map_err(|(index, problem)| Failure::from(problem).about(&*sources[index].name))?;
+    merged.replaced.iter().for_each(|sentence| eprintln!("{sentence}"));
+    Ok(merged)
+}
+
+/// A problem with a field, with the file or option that gives it.
+pub(super) fn located(merged: &Merged, problem: Problem) -> Failure {
+    let place = problem.pointer.as_deref().and_then(|pointer| merged.place(pointer)).map(str::to_owned);
+    Failure::Problem(problem, place)
+}
+
+/// Errors: Standard input is more than one of the files.
+pub(super) fn require_one_stdin<'a>(files: impl IntoIterator<Item = Option<&'a PathBuf>>) -> Result<(), Failure> {
+    if files.into_iter().flatten().filter(|path| is_stdio(path)).count() < 2 {
+        return Ok(());
+    }
+    Err(Failure::Local("standard input can be one of the input files only".to_owned()))
+}
+
+impl LandmarkInput {
+    /// Its files.
+    pub(super) fn files(&self) -> [Option<&PathBuf>; 2] {
+        [self.landmarks.as_ref(), self.landmarks_q.as_ref()]
     }
 
     /// The landmark files, if there are any.
     /// Errors: A file that cannot be read.
-    pub(super) fn landmark_files(&self, config: &Config) -> Result<Option<LandmarkFiles>, Failure> {
+    pub(super) fn read_files(&self, config: &Config) -> Result<Option<LandmarkFiles>, Failure> {
         let Some(path) = &self.landmarks else { return Ok(None) };
-        let file = |path: &Path| read("landmark file", path, config.max_body_bytes).map(Bytes::from);
+        let file = |path: &Path| read("landmark file", path, Limit::body(config)).map(Bytes::from);
         let extent = |name: &str, text: &Option<String>| text.as_ref().map(|text| extent(name, text)).transpose();
         let mut choice = Choice::default();
         for (name, text) in [("match", &self.matching), ("item", &self.item)] {
@@ -84,13 +108,39 @@ impl WarpInput {
     }
 
     /// Landmarks of both sides, if there are landmark files. `warp`: the text of the warp object, which may choose what is read of them.
-    /// Errors: As [`Self::landmark_files`]; landmarks of one side.
-    pub(super) fn landmarks(&self, config: &Config, warp: &[u8]) -> Result<Option<Landmarks>, Failure> {
-        let Some(mut files) = self.landmark_files(config)? else { return Ok(None) };
-        files.choice.add(Choice::of_warp(warp)?)?;
-        let landmarks = files.read(config.limits().columns, &|| false)?;
+    /// Errors: As [`Self::read_files`]; landmarks of one side.
+    pub(super) fn read(&self, config: &Config, warp: &[u8]) -> Result<Option<Landmarks>, Failure> {
+        let Some(mut files) = self.read_files(config)? else { return Ok(None) };
+        let Choice { matching, item } = Choice::of_warp(warp)?;
+        files.choice.matching = files.choice.matching.or(matching);
+        files.choice.item = files.choice.item.or(item);
+        let landmarks = files.read(config.limits().columns, &|| false).map_err(|problem| self.blame(problem))?;
         landmarks.require_q()?;
         Ok(Some(landmarks))
+    }
+
+    /// A problem with a landmark file, with its name in place of that of the part.
+    pub(super) fn blame(&self, mut problem: Problem) -> Failure {
+        for (part, path) in [("landmarks", &self.landmarks), ("landmarks_p", &self.landmarks), ("landmarks_q", &self.landmarks_q)] {
+            let Some(rest) = problem.detail.strip_prefix(part).filter(|rest| rest.starts_with([',', ':'])) else { continue };
+            problem.detail = rest[1..].trim_start().to_owned();
+            return Failure::Problem(problem, path.as_deref().map(name_of));
+        }
+        problem.into()
+    }
+}
+
+impl WarpInput {
+    /// Its files.
+    pub(super) fn files(&self) -> [Option<&PathBuf>; 3] {
+        let [p, q] = self.landmarks.files();
+        [self.warp.as_ref(), p, q]
+    }
+
+    /// The warp object, if there is one.
+    /// Errors: As [`read`].
+    pub(super) fn source(&self, config: &Config) -> Result<Option<Source>, Failure> {
+        self.warp.as_deref().map(|path| source("warp object", path, Limit::json(config))).transpose()
     }
 }
 
@@ -102,7 +152,8 @@ impl ExtentInput {
             return Ok(Some(extent("--extent", text)?));
         }
         let Some(path) = &self.image else { return Ok(None) };
-        Ok(Some(extent_of(config, &read("image", path, config.max_body_bytes)?)?))
+        let size = extent_of(config, &read("image", path, Limit::body(config))?);
+        Ok(Some(size.map_err(|error| Failure::from(error).about(name_of(path)))?))
     }
 }
 
@@ -114,23 +165,36 @@ pub(super) fn extent_of(config: &Config, file: &[u8]) -> Result<Extent, WarpErro
     Ok(extent)
 }
 
-/// The body of a request with a whole warp object and the size of its image; `more`: the text of another object with fields of the
-/// request.
-/// Errors: A file that cannot be read, or no size.
-pub(super) fn body(config: &Config, input: &WarpInput, size: &ExtentInput, more: Option<&[u8]>) -> Result<Bytes, Failure> {
-    let mut json = input.json(config)?;
-    let given = size.read(config)?;
-    let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
-    let extent = given.or(extent_in(&json)?).ok_or_else(|| Failure::Local(missing.to_owned()))?;
-    let handles = match input.landmarks(config, &json)? {
-        Some(landmarks) => {
-            json = without(&json, &["match", "item"])?;
-            json!(landmarks.scale(Some(extent))?).to_string()
+/// The body of a request with a whole warp object and the size of its image.
+pub(super) struct Body {
+    /// The JSON.
+    pub(super) json: Bytes,
+    /// Where its fields are from; without their text.
+    pub(super) merged: Merged,
+}
+
+impl Body {
+    /// Reads all of it; `more`: further objects with fields of the request.
+    /// Errors: A file that cannot be read, or no size.
+    pub(super) fn read(config: &Config, input: &WarpInput, size: &ExtentInput, more: Vec<Source>) -> Result<Self, Failure> {
+        let mut sources: Vec<Source> = input.source(config)?.into_iter().chain(more).collect();
+        let of = |name: &str, json: String| Source { name: name.to_owned(), json: json.into_bytes(), is_option: true };
+        let given = size.read(config)?;
+        sources.extend(given.map(|size| of("the size", json!({"extent": [size.width(), size.height()]}).to_string())));
+        let mut merged = merge(&sources)?;
+        let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
+        let extent = extent_in(&merged.json).map_err(|problem| located(&merged, problem))?;
+        let extent = extent.ok_or_else(|| Failure::Local(missing.to_owned()))?;
+        let mut json = std::mem::take(&mut merged.json);
+        if let Some(landmarks) = input.landmarks.read(config, &json)? {
+            merged.require_no_handles().map_err(|problem| located(&merged, problem))?;
+            let chosen =
+                Source { name: String::new(), json: without(&json, &["match", "item", "names", "format", "unmatched"])?, is_option: false };
+            let handles = of("the landmarks", json!(landmarks.scale(Some(extent))?).to_string());
+            json = Merged::of(&[chosen, handles]).map_err(|(_, problem)| problem)?.json;
         }
-        None => "{}".to_owned(),
-    };
-    let size = given.map_or_else(|| "{}".to_owned(), |size| json!({"extent": [size.width(), size.height()]}).to_string());
-    Ok(merged(&[&json, handles.as_bytes(), size.as_bytes(), more.unwrap_or(b"{}")])?.into())
+        Ok(Self { json: json.into(), merged })
+    }
 }
 
 /// Resolves a warp object as the server does: places the handles of landmark files, applies the strength and chooses the method.

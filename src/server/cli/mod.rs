@@ -3,8 +3,10 @@
 pub mod batch;
 mod failure;
 pub mod health;
+mod images;
 mod input;
 pub mod map;
+mod options;
 mod output;
 pub mod points;
 pub mod report;

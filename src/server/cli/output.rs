@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal as _, Write};
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, is_separator};
 use std::sync::{Mutex, Once, PoisonError};
 
 use super::failure::Failure;
@@ -23,6 +23,27 @@ pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
             Err(Failure::Local(format!("cannot write {out:?}: there is no directory {directory:?}")))
         }
         _ => Ok(()),
+    }
+}
+
+/// Whether a path names a folder: one that exists, or any name that ends with a slash.
+pub(super) fn is_directory(out: &Path) -> bool {
+    out.is_dir() || out.to_string_lossy().ends_with(is_separator)
+}
+
+/// Creates a folder unless it exists.
+/// Errors: It cannot be created.
+pub(super) fn create_directory(out: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(out).map_err(|e| cannot_write(out, &e))
+}
+
+/// Errors: The output is the same file as an input, which it would replace.
+pub(super) fn require_other<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Failure> {
+    let file = |path: &Path| fs::canonicalize(path).ok().filter(|path| path.is_file());
+    let Some(written) = file(out) else { return Ok(()) };
+    match inputs.into_iter().find(|input| file(input).as_ref() == Some(&written)) {
+        Some(_) => Err(Failure::Local(format!("{out:?} is an input and would be replaced: give another output"))),
+        None => Ok(()),
     }
 }
 
@@ -76,19 +97,27 @@ pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
 /// Writes a file or standard output by `content`.
 /// Errors: It cannot be written, or those of `content`.
 pub(super) fn write(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
-    let fill = |file: Box<dyn Write + Send>| {
-        let mut sink = Sink { out, file: BufWriter::new(file) };
-        content(&mut sink)?;
-        sink.file.flush().map_err(|e| cannot_write(out, &e))
-    };
     if is_stdio(out) {
-        return fill(Box::new(io::stdout()));
+        return fill(out, Box::new(io::stdout()), content);
     }
     if out.exists() && !out.is_file() || out.is_symlink() {
-        // A device, a pipe or a link is not replaced.
+        // A device, a pipe or a link that is named is meant, and not replaced.
         let file = File::options().write(true).create(true).truncate(true).open(out);
-        return fill(Box::new(file.map_err(|e| cannot_write(out, &e))?));
+        return fill(out, Box::new(file.map_err(|e| cannot_write(out, &e))?), content);
     }
+    replace(out, content)
+}
+
+fn fill(out: &Path, file: Box<dyn Write + Send>, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
+    let mut sink = Sink { out, file: BufWriter::new(file) };
+    content(&mut sink)?;
+    sink.file.flush().map_err(|e| cannot_write(out, &e))
+}
+
+/// Writes a file of a folder by `content`. What has its name is replaced, and never written through: who else may write the folder could
+/// have put a link there.
+/// Errors: It cannot be written, or those of `content`.
+pub(super) fn replace(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
     // A file beside it is renamed when it is complete.
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -98,9 +127,11 @@ pub(super) fn write(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<()
     let created = {
         let mut part = part();
         *part = Some(path.clone());
-        File::create(&path)
+        // One that an earlier process with this number has left; a link that is put there in between is not followed.
+        let _ = fs::remove_file(&path);
+        File::create_new(&path)
     };
-    let written = created.map_err(|e| cannot_write(out, &e)).and_then(|file| fill(Box::new(file)));
+    let written = created.map_err(|e| cannot_write(out, &e)).and_then(|file| fill(out, Box::new(file), content));
     let mut part = part();
     *part = None;
     let renamed = written.and_then(|()| fs::rename(&path, out).map_err(|e| cannot_write(out, &e)));

@@ -1,33 +1,39 @@
 //! `mlswarp points WARP.json [ANNOTATIONS.json] --extent WIDTH,HEIGHT`: `POST /points` without a server.
 
+use serde_json::json;
+
 use super::failure::Failure;
-use super::input;
+use super::input::{self, Body, Limit};
+use super::options;
 use super::output;
 use super::service::{Service, summary};
 use crate::app::points::MappedFile;
 use crate::config::{Config, PointsArgs};
-use crate::wire::{Cursor, is_geojson, merged};
+use crate::wire::{Cursor, Source, is_geojson};
 
 /// Maps annotations. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure> {
-    let PointsArgs { input, annotations, inverse, extent, out } = args;
-    input.require_one_stdin(&[annotations.as_ref(), extent.image.as_ref()])?;
+    let PointsArgs { input, annotations, inverse, extent, pose, frame, out } = args;
+    let files = || input.files().into_iter().chain([annotations.as_ref(), extent.image.as_ref()]);
+    input::require_one_stdin(files())?;
     output::require_directory(out)?;
-    let read = |path| input::read("annotations", path, config.max_body_bytes);
-    let annotations = annotations.as_deref().map(read).transpose()?.unwrap_or_else(|| b"{}".to_vec());
+    output::require_other(out, files().flatten())?;
+    let annotations = annotations.as_deref().map(|path| input::source("annotations", path, Limit::body(config))).transpose()?;
     // A GeoJSON file is mapped into a GeoJSON file.
-    let (annotations, cursor) = if is_geojson(&annotations) {
-        ([b"{\"geojson\":", &annotations[..], b"}"].concat(), Cursor::bare())
-    } else {
-        (annotations, Cursor::default())
-    };
-    let more = if *inverse { merged(&[&annotations, b"{\"inverse\":true}"])? } else { annotations };
-    let body = input::body(config, input, extent, Some(&more))?;
-    drop(more);
+    let is_geojson = annotations.as_ref().is_some_and(|source| is_geojson(&source.json));
+    let cursor = if is_geojson { Cursor::bare() } else { Cursor::default() };
+    let annotations = annotations.map(|source| match is_geojson {
+        true => Source { json: [b"{\"geojson\":", &source.json[..], b"}"].concat(), ..source },
+        false => source,
+    });
+    let mut more: Vec<Source> = annotations.into_iter().chain(pose.sources()).collect();
+    more.extend(frame.sources()?);
+    more.extend(options::source("--inverse", "inverse", inverse.then_some(json!(true))));
+    let Body { json, merged } = Body::read(config, input, extent, more)?;
     let service = Service::start(config)?;
-    let mapped = service.wait(service.app.points_once(service.client, body, cursor))?;
-    let MappedFile { warnings, method, first, mut rest, .. } = mapped;
+    let mapped = service.run(service.app.points_once(service.client, json, cursor));
+    let MappedFile { warnings, method, first, mut rest, .. } = mapped.map_err(|problem| input::located(&merged, problem))?;
     output::write(out, |sink| {
         sink.put(&first)?;
         while let Some(rest) = &mut rest {

@@ -1,7 +1,8 @@
 //! `mlswarp report WARP.json --extent WIDTH,HEIGHT`: `POST /report` without a server.
 
 use super::failure::Failure;
-use super::input;
+use super::input::{self, Body, require_one_stdin};
+use super::options::of_report;
 use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, ReportArgs};
@@ -9,12 +10,17 @@ use crate::config::{Config, ReportArgs};
 /// Measures a pose. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &ReportArgs) -> Result<Option<String>, Failure> {
-    let ReportArgs { input, extent, out } = args;
-    input.require_one_stdin(&[extent.image.as_ref()])?;
+    let ReportArgs { input, extent, pose, canvas, out } = args;
+    let files = || input.files().into_iter().chain([extent.image.as_ref()]);
+    require_one_stdin(files())?;
     output::require_directory(out)?;
-    let body = input::body(config, input, extent, None)?;
+    output::require_other(out, files().flatten())?;
+    let mut more = pose.sources();
+    more.extend(of_report(canvas.as_ref())?);
+    let Body { json, merged } = Body::read(config, input, extent, more)?;
     let service = Service::start(config)?;
-    let (report, method) = service.wait(service.app.report_once(service.client, body))?;
+    let measured = service.run(service.app.report_once(service.client, json));
+    let (report, method) = measured.map_err(|problem| input::located(&merged, problem))?;
     output::write_text(out, &report.body)?;
     Ok(summary(method, &report.report.warnings))
 }

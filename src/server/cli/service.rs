@@ -29,8 +29,8 @@ impl Service {
 
     /// Waits for a use case.
     /// Errors: Those of the use case.
-    pub(super) fn wait<T>(&self, use_case: impl Future<Output = Result<T, Problem>>) -> Result<T, Failure> {
-        Ok(self.runtime.block_on(use_case)?)
+    pub(super) fn run<T>(&self, use_case: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+        self.runtime.block_on(use_case)
     }
 
     /// Waits for the next part of a file; `None` at its end.

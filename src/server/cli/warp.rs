@@ -1,105 +1,249 @@
-//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`: `POST /warp` without a server, with the same parser
-//! and the same bytes.
+//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`, `mlswarp warp IMAGE... WARP.json -o FOLDER`:
+//! `POST /warp` without a server, with the same parser and the same bytes.
 
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use mlswarp::codec::Format;
-use mlswarp::warp::{Image, LabelImage, Posed, Region, Report, Subject, Warp};
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{Image, LabelImage, Plan, Posed, Region, Report, Setup, Subject, Warp};
 
-use super::failure::Failure;
+use super::failure::{Failure, name_of};
+use super::images::{InputFile, Inputs, Outputs, companion};
+use super::input::Limit;
 use super::{input, output};
 use crate::app::drawable::check_extent;
-use crate::config::{Config, WarpArgs, WarpKind};
-use crate::problem::Problem;
+use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
+use crate::problem::{Code, Problem};
 use crate::wire::landmarks::Landmarks;
-use crate::wire::{WarpObject, WarpPatch};
-use crate::wire::{canvas_from_text, canvas_text, method_text};
+use crate::wire::{Merged, Source, WarpObject, WarpPatch};
+use crate::wire::{canvas_text, method_text};
 
-/// Warps one image. The result: what a server sends in response headers.
-/// Errors: See [`Failure`].
+/// Warps images. The result: what a server sends in response headers; of several images their number.
+/// Errors: See [`Failure`]; an image of several that failed, after the others.
 pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
-    let WarpArgs { image, input: handles, region, kind, canvas, out } = args;
-    handles.require_one_stdin(&[Some(image), region.as_ref()])?;
-    let canvas = canvas.as_deref().map(canvas_from_text).transpose();
-    let canvas = canvas.map_err(|expected| Failure::Local(format!("--canvas: {expected}")))?;
-    let json = handles.json(config)?;
-    let mut patch = WarpPatch::parse(&json)?;
-    // The file name takes the place of `Accept`.
-    let format = patch.output.format.map_or_else(|| format_of(out), Ok)?;
-    output::require_directory(out)?;
-    let landmarks = handles.landmarks(config, &json)?;
-    if landmarks.is_some() {
-        patch.require_no_handles()?;
+    let config = &config.offline();
+    let WarpArgs { files, landmarks, region, out, .. } = args;
+    input::require_one_stdin(files.iter().map(Some).chain(landmarks.files()).chain([region.as_ref()]))?;
+    let inputs = Inputs::of(files, Limit::body(config))?;
+    let merged = input::merge(&sources(config, args, &inputs)?)?;
+    let located = |problem| input::located(&merged, problem);
+    let mut patch = WarpPatch::parse(&merged.json).map_err(located)?;
+    if args.kind == WarpKind::Holes && region.is_none() {
+        return Err(no_region());
     }
-    let file = input::read("image", image, config.max_body_bytes)?;
-    let mut object = patch.into_object()?;
-    object.output.format = format;
-    object.output.canvas = canvas.unwrap_or(object.output.canvas);
-    let mask = region.as_deref().map(|path| input::read("region", path, config.max_body_bytes)).transpose()?;
-    input::threads(config)?.install(|| {
-        let image_limits = &config.limits().image;
-        let region = mask.map(|mask| Image::decode(&mask, image_limits).map(|mask| Region::new(&mask))).transpose()?;
+    let outputs = Outputs::of(out, &inputs, patch.output.format)?;
+    refuse_quality(args, outputs.format())?;
+    if landmarks.landmarks.is_some() {
+        patch.require_no_handles().map_err(located)?;
+    }
+    let mut object = patch.into_object().map_err(located)?;
+    object.output.format = outputs.format();
+    let others: Vec<&PathBuf> = landmarks.files().into_iter().chain([region.as_ref()]).flatten().collect();
+    let files = outputs.files(&inputs, &others)?;
+    let (shared_landmarks, shared_region) = shared(config, args, &merged.json)?;
+    let mut job = Job { config, args, merged: &merged, object, shared_landmarks, shared_region, prepared: None };
+    let threads = input::threads(config)?;
+    let Outputs::Folder(folder, _) = outputs else {
+        return threads.install(|| job.draw(&inputs.images[0], |file| output::write(out, |sink| file(sink))));
+    };
+    output::create_directory(&folder)?;
+    let mut failed = 0;
+    for (image, file) in inputs.images.iter().zip(&files) {
+        match threads.install(|| job.draw(image, |content| output::replace(file, |sink| content(sink)))) {
+            Ok(summary) => eprintln!("{}: {summary}", name_of(file)),
+            Err(failure) => {
+                failed += 1;
+                eprintln!("{}", failure.about(name_of(&image.path)));
+            }
+        }
+    }
+    let (count, folder) = (files.len(), name_of(&folder));
+    match failed {
+        0 => Ok(format!("{count} images in {folder}")),
+        _ => Err(Failure::Local(format!("{failed} of {count} images failed; {} are in {folder}", count - failed))),
+    }
+}
+
+/// The landmarks and the region of all images, unless each has its own in a folder.
+fn shared(config: &Config, args: &WarpArgs, warp: &[u8]) -> Result<(Option<Landmarks>, Option<Region>), Failure> {
+    let landmarks = if has_own_landmarks(args) { None } else { args.landmarks.read(config, warp)? };
+    let region = args.region.as_deref().filter(|path| !path.is_dir()).map(|path| region(config, path)).transpose()?;
+    Ok((landmarks, region))
+}
+
+fn has_own_landmarks(args: &WarpArgs) -> bool {
+    args.landmarks.files().into_iter().flatten().any(|path| path.is_dir())
+}
+
+fn region(config: &Config, path: &Path) -> Result<Region, Failure> {
+    let mask = input::read("region", path, Limit::body(config))?;
+    let mask = Image::decode(&mask, &config.limits().image).map_err(|error| Failure::from(error).about(name_of(path)))?;
+    Ok(Region::new(&mask))
+}
+
+/// The warp object and the options.
+fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Source>, Failure> {
+    let WarpArgs { landmarks, pose, frame, file, .. } = args;
+    let mut sources = Vec::new();
+    match &inputs.warp {
+        Some(warp) => {
+            let json = warp.read("warp object", Limit::json(config))?;
+            sources.push(Source { name: name_of(&warp.path), json, is_option: false });
+        }
+        None if landmarks.landmarks.is_none() => {
+            let missing = "the handles are missing: give a warp object, a file that ends in .json or begins with `{`, or --landmarks FILE";
+            return Err(Failure::Local(missing.to_owned()));
+        }
+        None => {}
+    }
+    sources.extend(pose.sources());
+    sources.extend(frame.sources()?);
+    sources.extend(file.sources());
+    Ok(sources)
+}
+
+fn no_region() -> Failure {
+    Failure::Local("--kind holes needs a --region".to_owned())
+}
+
+/// Errors: A quality that has no effect.
+fn refuse_quality(args: &WarpArgs, format: Format) -> Result<(), Failure> {
+    if args.file.quality.is_none() || format == Format::Jpeg {
+        return Ok(());
+    }
+    let detail = format!("it applies to JPEG; the output is {}: give --format jpeg, or a file that ends in .jpg", format.name());
+    Err(Failure::from(Problem::new(Code::BadValue, detail)).about("--quality"))
+}
+
+/// What all images have in common.
+struct Job<'a> {
+    config: &'a Config,
+    args: &'a WarpArgs,
+    merged: &'a Merged,
+    /// Without the handles of landmark files.
+    object: WarpObject,
+    shared_landmarks: Option<Landmarks>,
+    shared_region: Option<Region>,
+    /// The handles on the last image: images of one size share them.
+    prepared: Option<Prepared>,
+}
+
+/// Handles on an image of one size.
+struct Prepared {
+    extent: Extent,
+    object: WarpObject,
+    setup: Setup,
+    plan: Plan,
+}
+
+/// Writes a file by its content.
+type Content<'a> = &'a mut dyn FnMut(&mut output::Sink<'_>) -> Result<(), Failure>;
+
+impl Job<'_> {
+    /// Draws one image. `write`: to its output file. The result: what a server sends in response headers.
+    fn draw(&mut self, image: &InputFile, write: impl FnOnce(Content<'_>) -> Result<(), Failure>) -> Result<String, Failure> {
+        let (config, args) = (self.config, self.args);
+        let about = |failure: Failure| failure.about(name_of(&image.path));
+        let landmarks = self.landmarks_of(&image.path)?;
+        let file = image.read("image", Limit::body(config))?;
+        let limits = &config.limits().image;
+        let decode = |file: &[u8]| Image::decode(file, limits).map_err(Failure::from);
+        let region = self.region_of(&image.path)?;
+        if let Some((region, name)) = &region {
+            let extent = input::extent_of(config, &file).map_err(|error| about(error.into()))?;
+            check_extent(region.extent(), extent).map_err(|problem| Failure::from(problem).about(&**name))?;
+        }
+        let region = region.map(|(region, _)| region);
         let (picture, labels);
-        let subject = match (kind, &region) {
+        let subject = match (args.kind, &region) {
             (WarpKind::Image, _) => {
-                picture = Image::decode(&file, image_limits)?;
+                picture = decode(&file).map_err(about)?;
                 Subject::Image(&picture)
             }
             (WarpKind::Labels, _) => {
-                labels = LabelImage::decode(&file, &config.limits())?;
+                labels = LabelImage::decode(&file, &config.limits()).map_err(|error| about(error.into()))?;
                 Subject::Labels(&labels)
             }
-            (WarpKind::Coverage, _) => Subject::Coverage(input::extent_of(config, &file)?),
+            (WarpKind::Coverage, _) => Subject::Coverage(input::extent_of(config, &file).map_err(|error| about(error.into()))?),
             (WarpKind::Holes, Some(region)) => Subject::Holes(region),
-            (WarpKind::Holes, None) => return Err(Failure::Local("--kind holes needs a --region".to_owned())),
+            (WarpKind::Holes, None) => return Err(no_region()),
         };
-        if let Some(region) = &region {
-            check_extent(region.extent(), input::extent_of(config, &file)?)?;
+        self.prepare(subject.extent(), landmarks)?;
+        self.render(subject, region.as_ref(), write)
+    }
+
+    /// The landmarks of an image, if they are in files.
+    fn landmarks_of(&self, image: &Path) -> Result<Option<Landmarks>, Failure> {
+        if !has_own_landmarks(self.args) {
+            return Ok(self.shared_landmarks.clone());
         }
-        render(config, subject, region.as_ref(), object, landmarks, out)
-    })
-}
+        let own = |path: Option<&PathBuf>| path.map(|path| companion("landmark file", path, image, false)).transpose();
+        let [p, q] = self.args.landmarks.files();
+        LandmarkInput { landmarks: own(p)?, landmarks_q: own(q)?, ..self.args.landmarks.clone() }.read(self.config, &self.merged.json)
+    }
 
-fn render(
-    config: &Config,
-    subject: Subject<'_>,
-    region: Option<&Region>,
-    mut object: WarpObject,
-    landmarks: Option<Landmarks>,
-    out: &Path,
-) -> Result<String, Failure> {
-    let setup = input::resolve(config, &mut object, landmarks, subject.extent())?;
-    let pose = setup.pose(object.posed()?)?;
-    subject.check(&object.output)?;
-    object.output.check(subject.extent(), &config.limits())?;
-    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
-    let posed = match region {
-        Some(region) => posed.within(region.clone()),
-        None => posed,
-    };
-    let warp = Warp::new(subject, &posed, &object.output, &config.limits())?;
-    output::write(out, |sink| {
-        let mut written = Ok(());
-        let _ = warp.write(config.work.workers.saturating_sub(1), &(), &mut |bytes| {
-            written = sink.put(&bytes);
-            if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-        });
-        written
-    })?;
-    let target = warp.target();
-    let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
-    let (width, height) = (target.extent.width(), target.extent.height());
-    let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
-    let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
-    let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
-    let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
-    let warnings = warnings.iter().map(|warning| warning.code());
-    Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
-}
+    /// The region of an image, and the name of its file.
+    fn region_of(&self, image: &Path) -> Result<Option<(Region, String)>, Failure> {
+        let Some(path) = &self.args.region else { return Ok(None) };
+        if let Some(shared) = &self.shared_region {
+            return Ok(Some((shared.clone(), name_of(path))));
+        }
+        let path = companion("mask", path, image, true)?;
+        Ok(Some((region(self.config, &path)?, name_of(&path))))
+    }
 
-fn format_of(out: &Path) -> Result<Format, Problem> {
-    let (jpeg, tiff) = (Format::Jpeg, Format::Tiff);
-    let known = [("png", Format::Png), ("jpg", jpeg), ("jpeg", jpeg), ("webp", Format::WebP), ("tif", tiff), ("tiff", tiff)];
-    Ok(output::by_extension(out, &known, "")?.unwrap_or_default())
+    /// Resolves the handles on an image of this size, unless they are those of the last one.
+    fn prepare(&mut self, extent: Extent, landmarks: Option<Landmarks>) -> Result<(), Failure> {
+        if !has_own_landmarks(self.args) && self.prepared.as_ref().is_some_and(|prepared| prepared.extent == extent) {
+            return Ok(());
+        }
+        let located = |failure: Failure| match failure {
+            Failure::Problem(problem, None) => input::located(self.merged, problem),
+            other => other,
+        };
+        let mut object = self.object.clone();
+        let setup = input::resolve(self.config, &mut object, landmarks, extent).map_err(located)?;
+        object.posed().map_err(|problem| located(problem.into()))?;
+        let plan = setup.plan();
+        self.prepared = Some(Prepared { extent, object, setup, plan });
+        Ok(())
+    }
+
+    fn render(
+        &self,
+        subject: Subject<'_>,
+        region: Option<&Region>,
+        write: impl FnOnce(Content<'_>) -> Result<(), Failure>,
+    ) -> Result<String, Failure> {
+        let limits = self.config.limits();
+        let located = |problem| input::located(self.merged, problem);
+        let Some(Prepared { object, setup, plan, .. }) = &self.prepared else { return Ok(String::new()) };
+        let pose = setup.pose(object.posed()?).map_err(|error| located(error.into()))?;
+        subject.check(&object.output).map_err(|error| located(error.into()))?;
+        object.output.check(subject.extent(), &limits).map_err(|error| located(error.into()))?;
+        let posed = Posed::new(setup, plan, &pose, object.folds, &|| false)?;
+        let posed = match region {
+            Some(region) => posed.within(region.clone()),
+            None => posed,
+        };
+        let warp = Warp::new(subject, &posed, &object.output, &limits)?;
+        write(&mut |sink| {
+            let mut written = Ok(());
+            let _ = warp.write(self.config.work.workers.saturating_sub(1), &(), &mut |bytes| {
+                written = sink.put(&bytes);
+                if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+            });
+            written
+        })?;
+        let target = warp.target();
+        let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
+        let (width, height) = (target.extent.width(), target.extent.height());
+        let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
+        let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
+        let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
+        let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
+        let warnings = warnings.iter().map(|warning| warning.code());
+        Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
+    }
 }

@@ -4,6 +4,7 @@ mod auth;
 pub(crate) mod available_memory;
 mod clients;
 mod command;
+mod help;
 mod option;
 mod store;
 mod telemetry;
@@ -14,17 +15,19 @@ use std::ffi::OsString;
 use std::net::SocketAddr;
 
 use clap::error::ErrorKind;
-use clap::parser::ValueSource;
-use clap::{Arg, ArgMatches, Args, CommandFactory as _, FromArgMatches as _, Parser};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser};
 use mlswarp::warp::{ImageLimits, Limits};
 
-use option::{Checked, clear_mistakes, keep_final, report, size, take_mistakes, variable, whole};
+use option::{Checked, clear_mistakes, keep_final, size, take_mistakes, whole};
 
 pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
-pub use command::{BatchArgs, Command, ExtentInput, MapArgs, PointsArgs, ReportArgs, WarpArgs, WarpInput, WarpKind};
-use command::{EFFECTIVE, help_of};
+pub use command::{
+    BatchArgs, Command, ExtentInput, FileOptions, FrameOptions, FramesOptions, LandmarkInput, MapArgs, PointsArgs, PoseOptions, ReportArgs,
+    WarpArgs, WarpInput, WarpKind,
+};
+pub use help::command;
 pub use store::StoreConfig;
 pub use telemetry::TelemetryConfig;
 use unknown::suggest_effective;
@@ -35,9 +38,6 @@ pub use work::WorkConfig;
 #[derive(Debug, Parser)]
 #[command(name = "mlswarp", version, args_override_self = true)]
 #[command(about = "Warps images with control points, lines and polylines (moving least squares): as an HTTP service, or offline.")]
-#[command(
-    after_help = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names."
-)]
 pub struct Cli {
     /// The command; without one the server starts.
     #[command(subcommand)]
@@ -104,54 +104,24 @@ pub struct Config {
     pub telemetry: TelemetryConfig,
 }
 
-/// The command with all options; each has a variable and may stand before or after the subcommand. The help of a subcommand shows those that
-/// have an effect on it.
-pub fn command() -> clap::Command {
-    let command = Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
-        Some(variable) => arg.env(variable).global(true),
-        None => arg,
-    });
-    let options: Vec<Arg> = command.get_arguments().cloned().collect();
-    EFFECTIVE.iter().fold(command, |command, (name, effective)| {
-        let own = options.iter().cloned().map(|option| match help_of(effective, &option) {
-            None => option.hide(true),
-            Some("") => option.help_heading(None),
-            Some(help) => option.help_heading(None).help(help),
-        });
-        command.mut_subcommand(name, |subcommand| subcommand.args(own))
-    })
-}
-
-/// Notes the options of the command line that have no effect on the subcommand. A variable may be meant for another command.
-fn report_without_effect(matches: &ArgMatches, command: &clap::Command) {
-    let Some((name, given)) = matches.subcommand() else { return };
-    let Some((_, effective)) = EFFECTIVE.iter().find(|(subcommand, _)| *subcommand == name) else { return };
-    for option in command.get_arguments().filter(|option| help_of(effective, option).is_none()) {
-        if given.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine) {
-            report::<()>(option.get_long().unwrap_or_default(), Err(format!("has no effect on `mlswarp {name}`; leave it out")));
-        }
-    }
-}
-
 impl Cli {
     /// Reads a command line and the environment.
     /// Errors: All mistakes at once, one per line. Without `--allow-anonymous`, a server that others can reach without keys is one.
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
-        Self::read_with(command(), args)
+        let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
+        match help::limits_help(&args) {
+            Some(limits) => Err(limits),
+            None => Self::read_with(command(), args),
+        }
     }
 
-    fn read_with<I: IntoIterator<Item: Into<OsString> + Clone>>(command: clap::Command, args: I) -> Result<Self, clap::Error> {
+    fn read_with(command: clap::Command, args: Vec<OsString>) -> Result<Self, clap::Error> {
         clear_mistakes();
-        let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
-        let matches = command.clone().try_get_matches_from(&args).map_err(|error| {
-            // `serve` has the options of the program.
-            let is_named = |(name, _): &&(&str, _)| args.iter().skip(1).any(|arg| arg == name);
-            let named = EFFECTIVE.iter().find(is_named).and_then(|(name, _)| command.find_subcommand(name));
-            suggest_effective(error, named.unwrap_or(&command))
-        })?;
+        let matches = command.clone().try_get_matches_from(&args);
+        let matches = matches.map_err(|error| suggest_effective(error, &help::effective_flags(&args)))?;
         let mut cli = Self::from_arg_matches(&matches)?;
         keep_final(&matches, &command);
-        report_without_effect(&matches, &command);
+        help::report_without_effect(&matches, &command);
         cli.config.auth.load();
         cli.config.telemetry.check_listen(cli.config.listen);
         if matches!(cli.command, None | Some(Command::Serve)) {
@@ -161,7 +131,7 @@ impl Cli {
         if mistakes.is_empty() {
             return Ok(cli);
         }
-        let text = format!("{}\nmlswarp --help lists the options with their defaults\n", mistakes.join("\nerror: "));
+        let text = format!("{}\nmlswarp serve --help lists the options with their defaults\n", mistakes.join("\nerror: "));
         Err(clap::Error::raw(ErrorKind::ValueValidation, text))
     }
 }
@@ -206,7 +176,7 @@ impl Config {
 impl Default for Config {
     /// The defaults of all options, without the environment.
     fn default() -> Self {
-        Cli::read_with(Cli::command(), ["mlswarp"]).expect("a test reads the defaults").config
+        Cli::read_with(Cli::command(), vec!["mlswarp".into()]).expect("a test reads the defaults").config
     }
 }
 

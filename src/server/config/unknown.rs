@@ -34,15 +34,14 @@ fn unknown_of(names: &[String], command: &Command) -> Vec<String> {
     unknown.map(sentence).collect()
 }
 
-/// Replaces the suggestion of clap, which also knows the options that have no effect on the subcommand and hides them from its help.
-pub(super) fn suggest_effective(mut error: Error, command: &Command) -> Error {
+/// Replaces the suggestion of clap, which also knows the options that have no effect on the subcommand. `flags`: those that have one.
+pub(super) fn suggest_effective(mut error: Error, flags: &[String]) -> Error {
     let Some(ContextValue::String(given)) = error.get(ContextKind::InvalidArg).filter(|_| error.kind() == ErrorKind::UnknownArgument)
     else {
         return error;
     };
     let name = given.trim_start_matches('-').split('=').next().unwrap_or_default().to_owned();
-    let flags = command.get_arguments().filter(|arg| !arg.is_hide_set()).filter_map(Arg::get_long);
-    let meant = nearest(&name, flags).map(|flag| ContextValue::String(format!("--{flag}")));
+    let meant = nearest(&name, flags.iter().map(String::as_str)).map(|flag| ContextValue::String(format!("--{flag}")));
     // How to pass a word that begins with `--` as a value: nobody means that.
     error.remove(ContextKind::Suggested);
     error.remove(ContextKind::SuggestedArg);
@@ -82,7 +81,9 @@ mod tests {
     #[test]
     fn only_options_with_an_effect_are_suggested() {
         for (line, meant) in [
-            (&["mlswarp", "map", "a", "--canvsa", "fit"][..], None),
+            (&["mlswarp", "map", "a", "--canvsa", "fit"][..], Some("--canvas")),
+            (&["mlswarp", "warp", "a", "--strenth", "2"], Some("--strength")),
+            (&["mlswarp", "report", "a", "--wdith", "2"], None),
             (&["mlswarp", "points", "a", "--stor", "x"], None),
             (&["mlswarp", "points", "a", "--extnt", "4,3"], Some("--extent")),
             (&["mlswarp", "points", "a", "--max-colums=9"], Some("--max-columns")),

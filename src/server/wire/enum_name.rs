@@ -129,4 +129,25 @@ enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", Map
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
 enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
-enum_names!(Format, unsupported [], Format::Png = "png", Format::Jpeg = "jpeg", Format::WebP = "webp", Format::Tiff = "tiff");
+
+/// Without the format of animations, which is requested by `Accept`.
+impl EnumName for Format {
+    const ALL: &'static [Self] = &Self::ALL;
+    const UNSUPPORTED: &'static [&'static str] = &[];
+
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg => "jpeg",
+            Self::WebP => "webp",
+            Self::Tiff => "tiff",
+            Self::Gif => "gif",
+        }
+    }
+}
+
+impl Serialize for AsJson<Format> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(self.0.as_str())
+    }
+}

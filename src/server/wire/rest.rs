@@ -98,13 +98,7 @@ impl WarpPatch {
     pub(crate) fn require_no_handles(&mut self) -> Result<(), Problem> {
         self.choice = Choice::default();
         let given = [("p", self.p.is_some()), ("q", self.q.is_some()), ("units", self.units.is_some())];
-        match given.into_iter().find(|(_, is_given)| *is_given) {
-            Some((name, _)) => {
-                let detail = format!("both `{name}` and landmark files are given: the files say it already; leave `{name}` out");
-                Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
-            }
-            None => Ok(()),
-        }
+        require_no_handles(|name| given.contains(&(name, true)))
     }
 
     /// Errors: `bad_value` at a field that belongs to landmark files, of which there are none.
@@ -155,6 +149,18 @@ impl WarpPatch {
             output: self.output.merge_onto(&base.output),
             is_auto,
         }
+    }
+}
+
+/// For a request whose handles are in landmark files.
+/// Errors: `bad_value` at the first given field that says the same.
+pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), Problem> {
+    match ["p", "q", "units"].into_iter().find(|name| is_given(name)) {
+        Some(name) => {
+            let detail = format!("both `{name}` and landmark files are given: the files say it already; leave `{name}` out");
+            Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
+        }
+        None => Ok(()),
     }
 }
 

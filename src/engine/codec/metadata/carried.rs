@@ -55,22 +55,26 @@ impl Carried {
     #[must_use]
     pub fn losses(&self, format: Format, grey: bool) -> (bool, Dropped) {
         let Self { source, resolution, colour_only } = self;
-        let lost_profile = source.profile.is_some() && self.profile(grey).is_none();
+        let is_gif = format == Format::Gif;
+        let lost_profile = source.profile.is_some() && (is_gif || self.profile(grey).is_none());
         let lost_colour = source.profile_dropped || lost_profile || source.needs_chunks && format != Format::Png;
         if *colour_only {
             return (lost_colour, Dropped::default());
         }
         let mut dropped = source.dropped;
-        dropped.add_if(source.resolution.is_some() && resolution.is_none(), Kind::Resolution);
+        dropped.add_if(source.resolution.is_some() && (is_gif || resolution.is_none()), Kind::Resolution);
+        // The frames of an animation have pixels alone.
+        dropped.add_if(is_gif && source.exif.is_some(), Kind::Exif);
+        dropped.add_if(is_gif && source.xmp.is_some(), Kind::Xmp);
         let has_maker_note = source.exif.as_ref().is_some_and(Exif::has_maker_note);
         dropped.add_if(has_maker_note && format == Format::Tiff, Kind::MakerNote);
         let is_lost = |text: &Chunk<Box<[u8]>>| match format {
             Format::Png => false,
             Format::Jpeg => comment_of(text).is_none(),
-            Format::WebP | Format::Tiff => true,
+            Format::WebP | Format::Tiff | Format::Gif => true,
         };
         dropped.add_if(source.texts.iter().any(is_lost), Kind::Text);
-        dropped.add_if(!source.comments.is_empty() && matches!(format, Format::WebP | Format::Tiff), Kind::Comment);
+        dropped.add_if(!source.comments.is_empty() && matches!(format, Format::WebP | Format::Tiff | Format::Gif), Kind::Comment);
         (lost_colour, dropped)
     }
 

@@ -213,7 +213,7 @@ pub(super) fn other_carriers() -> Vec<Carrier> {
     let with = |flags: u8, after: &[(&[u8; 4], &[u8])]| webp(flags, &[], after);
     let packet = [xmp("").as_slice(), &[1], &(0..=255).rev().collect::<Vec<u8>>(), &[0]].concat();
     let mut gif_xmp = few_formats::gif(&[(3, 2)], None);
-    gif_xmp.splice(25..25, [b"\x21\xFF\x0BXMP DataXMP".as_slice(), &packet, &[0]].concat());
+    gif_xmp.splice(25..25, [b"\x21\xFF\x0BXMP DataXMP".as_slice(), &packet].concat());
     let icc = profile(400);
     let (first, second) = icc.split_at(255);
     let sized = {

@@ -79,6 +79,21 @@ fn every_carrier_is_kept_or_named_in_every_format() {
     }
 }
 
+/// The frames of an animation have pixels alone.
+#[test]
+fn what_a_gif_does_not_carry_is_named() {
+    for (name, file, _, want, _) in [png_carriers(), jpeg_carriers(), tiff_carriers(), other_carriers()].concat() {
+        let (out, (profile, dropped), _) = written(&file, Encoding::Gif, Format::Gif, (1, 1));
+        assert!(!token_in(&out), "{name}");
+        assert_eq!(
+            profile || !dropped.is_empty(),
+            want.contains(['k', 'p', 'd']),
+            "{name}: {profile} {:?}",
+            dropped.names().collect::<Vec<_>>()
+        );
+    }
+}
+
 #[test]
 fn what_describes_the_stored_pixels_is_left_out_of_exif() {
     for (name, file) in [

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, Frame as PictureFrame, Holes, OutputSpec, Plan};
+use mlswarp::warp::{CanvasSpec, Folds, Frame as PictureFrame, Holes, OutputSpec, Plan, Warning};
 use serde_json::json;
 
 use super::package::{BatchForm, PackedFrame};
@@ -71,6 +71,8 @@ pub(crate) struct Survey {
 pub(crate) struct Frame {
     pub(crate) packed: PackedFrame,
     pub(crate) entry: BatchFrame,
+    /// Those of its warnings that are about the file, and so about all frames.
+    pub(crate) of_file: Vec<Warning>,
     pub(crate) held: Reservation,
 }
 
@@ -153,7 +155,7 @@ impl BatchJob {
     /// Errors: It is too large.
     pub(crate) fn decide(&mut self, survey: &Survey) -> Result<(), Problem> {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
-        if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form == BatchForm::Apng) {
+        if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {
             self.output.canvas = CanvasSpec::Box(canvas);
             self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
@@ -219,7 +221,8 @@ impl BatchJob {
         // The packed copy of each file, and then the bytes that are sent.
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
         let held = self.app.reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
-        Ok(Frame { packed: self.form.pack(files)?, entry, held })
+        let of_file = warnings.into_iter().filter(Warning::is_of_file).collect();
+        Ok(Frame { packed: self.form.pack(files)?, entry, of_file, held })
     }
 
     /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture; with jitter, also the handles.

@@ -40,7 +40,7 @@ pub(crate) struct Batch {
     pub(crate) canvas: Option<Canvas>,
     /// Whether the plan was built for this request.
     pub(crate) plan_built: bool,
-    /// Those of the annotations; the index has those of each frame.
+    /// Those of the annotations and of the file; the index has those of each frame.
     pub(crate) warnings: Vec<Warning>,
     /// The first bytes of the file.
     pub(crate) first: Bytes,
@@ -75,6 +75,7 @@ impl App {
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
+            BatchForm::Gif => Format::Gif,
         };
         let output = OutputSpec { format, ..output.merge_onto(&record.output) };
         let (plan, quota) = (planned.plan, self.response_quota(client));
@@ -106,13 +107,14 @@ impl App {
         }
         job.decide(&survey)?;
         let canvas = match job.output.canvas {
-            CanvasSpec::Box(canvas) if form == BatchForm::Apng => Some(canvas),
+            CanvasSpec::Box(canvas) if form.is_animation() => Some(canvas),
             _ => None,
         };
         let mut warnings = Vec::new();
         job.annotations.add_warnings(&source, &mut warnings);
         let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0))?;
         let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
+        warnings.extend(rest.of_file.iter().cloned());
         Ok(Batch { frames, canvas, plan_built: planned.is_built, warnings, first, rest })
     }
 }
@@ -183,21 +185,23 @@ fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
     let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {
         BatchForm::Zip if object.plays.is_some() => refused("/loop", "`loop` does not apply to an archive, only to an animation"),
-        BatchForm::Zip if object.delay.is_some() => {
-            refused("/delay", "`delay` does not apply to an archive, only to an animation (image/apng)")
-        }
-        BatchForm::Apng if !object.layers.is_empty() => {
+        BatchForm::Zip if object.delay.is_some() => refused("/delay", "`delay` does not apply to an archive, only to an animation"),
+        BatchForm::Apng | BatchForm::Gif if !object.layers.is_empty() => {
             refused("/layers", "`layers` does not apply to an animation, which has pictures only, but to an archive (application/zip)")
         }
-        BatchForm::Apng if !object.annotations.kinds.is_empty() => {
+        BatchForm::Apng | BatchForm::Gif if !object.annotations.kinds.is_empty() => {
             let name = object.annotations.kinds[0].name();
             let why = format!("`{name}` does not apply to an animation, which has pictures only, but to an archive (application/zip)");
             refused(&format!("/{name}"), &why)
         }
         BatchForm::Apng if object.output.format.is_some_and(|format| format != Format::Png) => {
-            let why = "`output.format` must be `png`: the frames of an animation are PNG";
+            let why = "`output.format` must be `png`: the frames of an animated PNG are PNG";
             Err(Problem::new(Code::NotAcceptable, why).pointer("/output/format"))
         }
-        BatchForm::Zip | BatchForm::Apng => Ok(()),
+        BatchForm::Gif if object.output.format.is_some() => {
+            let why = "`output.format` does not apply to an animated GIF: leave it out";
+            Err(Problem::new(Code::NotAcceptable, why).pointer("/output/format"))
+        }
+        BatchForm::Zip | BatchForm::Apng | BatchForm::Gif => Ok(()),
     }
 }

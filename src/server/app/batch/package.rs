@@ -1,10 +1,10 @@
-//! The file of a batch: a zip archive or an animated PNG, written frame by frame into memory.
+//! The file of a batch: a zip archive or an animation, written frame by frame into memory.
 
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bytes::Bytes;
-use mlswarp::codec::Animation;
+use mlswarp::codec::{Animation, CodecError, GifAnimation};
 use zip::result::ZipError;
 use zip::write::{PreparedZipFile, SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, System, ZipWriter};
@@ -25,11 +25,13 @@ pub enum BatchForm {
     Zip,
     /// Pictures of one size.
     Apng,
+    /// Pictures of one size and few colours.
+    Gif,
 }
 
 impl BatchForm {
     /// All kinds, the default first.
-    pub const ALL: [Self; 2] = [Self::Zip, Self::Apng];
+    pub const ALL: [Self; 3] = [Self::Zip, Self::Apng, Self::Gif];
 
     /// The media type.
     #[must_use]
@@ -37,14 +39,20 @@ impl BatchForm {
         match self {
             Self::Zip => "application/zip",
             Self::Apng => "image/apng",
+            Self::Gif => "image/gif",
         }
+    }
+
+    /// Whether it is an animation: its pictures have one size, and nothing else is in the file.
+    pub(crate) const fn is_animation(self) -> bool {
+        matches!(self, Self::Apng | Self::Gif)
     }
 
     /// Upper bound of the memory for the directory and the index of a file, bytes.
     pub(crate) const fn directory_bytes(self, frames: u32, files_per_frame: u32) -> u64 {
         match self {
             Self::Zip => (frames as u64 * (files_per_frame as u64 + 1) + 1) * ENTRY_BYTES,
-            Self::Apng => 0,
+            Self::Apng | Self::Gif => 0,
         }
     }
 
@@ -55,7 +63,9 @@ impl BatchForm {
                 let entries = files.into_iter().map(|(name, bytes)| entry(&name, &bytes));
                 Ok(PackedFrame(Packed::Entries(entries.collect::<Result<_, _>>()?)))
             }
-            Self::Apng => Ok(PackedFrame(Packed::Picture(files.into_iter().next().map(|(_, bytes)| bytes).unwrap_or_default()))),
+            Self::Apng | Self::Gif => {
+                Ok(PackedFrame(Packed::Picture(files.into_iter().next().map(|(_, bytes)| bytes).unwrap_or_default())))
+            }
         }
     }
 }
@@ -74,6 +84,7 @@ pub(crate) struct Package(Writer);
 enum Writer {
     Zip { writer: Box<ZipWriter<StreamWriter<Written>>>, written: Written },
     Apng(Animation),
+    Gif(GifAnimation),
 }
 
 impl Package {
@@ -87,11 +98,14 @@ impl Package {
                 Self(Writer::Zip { writer, written })
             }
             BatchForm::Apng => Self(Writer::Apng(Animation::new(frames, delay, plays))),
+            BatchForm::Gif => Self(Writer::Gif(GifAnimation::new(delay, plays))),
         }
     }
 
     /// Appends a frame; returns the bytes that it adds to the file.
     pub(crate) fn push(&mut self, frame: PackedFrame) -> Result<Vec<u8>, Problem> {
+        let mut out = Vec::new();
+        let pushed = |pushed: Result<(), CodecError>| pushed.map_err(|error| Problem::new(Code::Internal, error.to_string()));
         match (&mut self.0, frame.0) {
             (Writer::Zip { writer, written }, Packed::Entries(entries)) => {
                 for entry in entries {
@@ -99,11 +113,8 @@ impl Package {
                 }
                 Ok(written.take())
             }
-            (Writer::Apng(animation), Packed::Picture(file)) => {
-                let mut out = Vec::new();
-                animation.push(&file, &mut out).map_err(|error| Problem::new(Code::Internal, error.to_string()))?;
-                Ok(out)
-            }
+            (Writer::Apng(animation), Packed::Picture(file)) => pushed(animation.push(&file, &mut out)).map(|()| out),
+            (Writer::Gif(animation), Packed::Picture(file)) => pushed(animation.push(&file, &mut out)).map(|()| out),
             _ => Err(Problem::new(Code::Internal, "a frame of another kind of file")),
         }
     }
@@ -116,6 +127,7 @@ impl Package {
                 Ok(written.take())
             }
             Writer::Apng(_) => Ok(Animation::tail()),
+            Writer::Gif(_) => Ok(GifAnimation::tail()),
         }
     }
 }

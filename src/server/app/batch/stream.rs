@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use mlswarp::warp::Warning;
 use tokio::task::JoinHandle;
 
 use super::frame::{BatchJob, Frame};
@@ -36,6 +37,8 @@ pub(crate) struct BatchStream {
     /// The number of frames that have been begun.
     begun: u32,
     entries: Vec<BatchFrame>,
+    /// See [`Frame::of_file`].
+    pub(crate) of_file: Vec<Warning>,
     /// `None` after the end.
     package: Option<Package>,
     /// The memory of the package's directory and of the index.
@@ -58,7 +61,7 @@ impl BatchStream {
         let held = Some(job.app.reserve_for(Purpose::Frame, &job.quota, directory)?);
         let package = Some(Package::new(job.form, job.frames, delay, plays));
         let width = most_ahead(&job);
-        Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, entries: Vec::new(), package, held })
+        Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, entries: Vec::new(), of_file: Vec::new(), package, held })
     }
 
     /// The next bytes; `None` at the end, also after an error.
@@ -81,11 +84,12 @@ impl BatchStream {
     }
 
     async fn next_frame(&mut self) -> Result<Bytes, Problem> {
-        let Frame { packed, entry, mut held } = self.made().await?;
+        let Frame { packed, entry, of_file, mut held } = self.made().await?;
         let package = self.package.as_mut().ok_or_else(|| Problem::new(Code::Internal, "the batch has ended"))?;
         let bytes = package.push(packed)?;
         held.shrink_to(bytes.len() as u64);
         self.entries.push(entry);
+        self.of_file = of_file;
         self.job.app.metrics().batch_frames.inc();
         Ok(held.attach(bytes))
     }

@@ -6,22 +6,22 @@ use std::ops::Range;
 
 use gif::DecodeOptions;
 
-use super::alloc::{room, sample_count, zeros};
-use super::metadata::{Found, Kind, METADATA_BYTES, Ratio, Resolution, Unit};
-use super::profile::{MAX_ICC, keep_profile};
-use super::work::{Pieces, StepCounter};
-use super::{CodecError, Repairs, SourceFormat};
+use crate::codec::alloc::{room, sample_count, zeros};
+use crate::codec::metadata::{Found, Kind, METADATA_BYTES, Ratio, Resolution, Unit};
+use crate::codec::profile::{MAX_ICC, keep_profile};
+use crate::codec::work::{Pieces, StepCounter};
+use crate::codec::{CodecError, Format, Repairs};
 use crate::pixmap::{Channels, Extent, Samples};
 
 /// A GIF whose blocks have been walked.
 #[derive(Debug)]
-pub(super) struct GifFile<'a> {
+pub(in crate::codec) struct GifFile<'a> {
     bytes: &'a [u8],
-    pub(super) extent: Extent,
+    pub(in crate::codec) extent: Extent,
     transparency: bool,
     /// Whether the frame is as large as the screen.
     covered: bool,
-    pub(super) found: Found<'a>,
+    pub(in crate::codec) found: Found<'a>,
     /// The sub-blocks of a colour profile.
     profile: Option<Range<usize>>,
     /// Of a file that ends before its trailer.
@@ -40,7 +40,7 @@ struct Open {
 }
 
 fn bad(detail: impl ToString) -> CodecError {
-    CodecError::bad(SourceFormat::Gif.name(), detail)
+    CodecError::bad(Format::Gif.name(), detail)
 }
 
 fn cut_off() -> CodecError {
@@ -84,7 +84,7 @@ fn joined(mut blocks: &[u8], most: usize, work: &StepCounter<'_>) -> Option<Vec<
 }
 
 impl<'a> GifFile<'a> {
-    pub(super) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         let screen: [u8; 13] = *bytes.first_chunk().ok_or_else(cut_off)?;
         let short = |low: u8, high: u8| u32::from(u16::from_le_bytes([low, high]));
         let (width, height) = (short(screen[6], screen[7]), short(screen[8], screen[9]));
@@ -153,12 +153,12 @@ impl<'a> GifFile<'a> {
         }
     }
 
-    pub(super) const fn channels(&self) -> Channels {
+    pub(in crate::codec) const fn channels(&self) -> Channels {
         if self.transparency || !self.covered { Channels::Rgba } else { Channels::Rgb }
     }
 
     /// Memory beside the picture: the decoder's tables, and rows of indices.
-    pub(super) fn decoder_bytes(&self) -> u64 {
+    pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let copy = if self.open.is_some() { self.bytes.len() as u64 + 2 } else { 0 };
         (512 << 10) + ROWS as u64 + copy
     }
@@ -180,11 +180,11 @@ impl<'a> GifFile<'a> {
     }
 
     /// What was mended.
-    pub(super) const fn repairs(&self) -> Repairs {
+    pub(in crate::codec) const fn repairs(&self) -> Repairs {
         Repairs { end: self.open.is_some(), checksum: false, gap: self.has_gap }
     }
 
-    pub(super) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let damaged = |_| if self.open.is_some() { cut_off() } else { bad("its pixels are damaged or end too early") };
         let mut decoder = DecodeOptions::new().read_info(Pieces::new(self.whole()?, work)).map_err(damaged)?;
         let (width, height) = (usize::from(decoder.width()), usize::from(decoder.height()));
@@ -216,11 +216,11 @@ impl<'a> GifFile<'a> {
         Ok(Samples::Eight(out))
     }
 
-    pub(super) const fn has_profile(&self) -> bool {
+    pub(in crate::codec) const fn has_profile(&self) -> bool {
         self.profile.is_some()
     }
 
-    pub(super) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
+    pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
         keep_profile(joined(&self.bytes[self.profile.clone()?], MAX_ICC, work)?, false)
     }
 }
@@ -250,8 +250,10 @@ fn find<'a>(
             None => found.dropped.add(Kind::Comment),
         },
         (0xFF, b"XMP DataXMP") => {
-            // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to their end.
+            // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to their end: 1, and then 255 to 0, among
+            // which is that of `>`.
             let packet = &data[12..];
+            let packet = &packet[..packet.windows(2).rposition(|bytes| bytes == [1, 255]).unwrap_or(packet.len())];
             let end = packet.iter().rposition(|byte| *byte == b'>').map_or(0, |at| at + 1);
             found.xmp = Some(Cow::Borrowed(&packet[..end]));
         }

@@ -1,0 +1,91 @@
+//! The options of a subcommand as JSON: each is an object with one field, so that the same parser reads both and a message names the option.
+
+use serde_json::{Value, json};
+
+use super::failure::Failure;
+use crate::config::{FileOptions, FrameOptions, FramesOptions, PoseOptions};
+use crate::wire::{AsJson, Source, canvas_from_text};
+
+/// The object of an option that was given.
+pub(super) fn source(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
+    let json = json!({field: value?}).to_string().into_bytes();
+    Some(Source { name: flag.to_owned(), json, is_option: true })
+}
+
+/// The same for a field of `output`.
+fn of_output(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
+    source(flag, "output", value.map(|value| json!({field: value})))
+}
+
+/// A number as it is, and other text as a string, which the parser refuses with what it expects.
+fn number(text: Option<&String>) -> Option<Value> {
+    let text = text?;
+    let whole = text.parse::<i64>().map(Value::from).ok();
+    Some(whole.or_else(|| text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::from)).unwrap_or_else(|| json!(text)))
+}
+
+fn name(text: Option<&String>) -> Option<Value> {
+    text.map(|text| json!(text))
+}
+
+/// `--canvas`, as the value of a field.
+pub(super) fn canvas(text: Option<&String>) -> Result<Option<Value>, Failure> {
+    let canvas = text.map(|text| canvas_from_text(text).map(|canvas| json!(AsJson(canvas))));
+    canvas.transpose().map_err(|expected| Failure::Local(format!("--canvas: {expected}")))
+}
+
+impl PoseOptions {
+    pub(super) fn sources(&self) -> Vec<Source> {
+        let Self { method, alpha, strength, align } = self;
+        let sources = [
+            source("--method", "method", name(method.as_ref())),
+            source("--alpha", "alpha", number(alpha.as_ref())),
+            source("--strength", "strength", number(strength.as_ref())),
+            source("--align", "align", name(align.as_ref())),
+        ];
+        sources.into_iter().flatten().collect()
+    }
+}
+
+impl FrameOptions {
+    /// As fields of `output`.
+    /// Errors: A canvas in another form.
+    pub(super) fn sources(&self) -> Result<Vec<Source>, Failure> {
+        let canvas = of_output("--canvas", "canvas", canvas(self.canvas.as_ref())?);
+        Ok([canvas, of_output("--width", "width", number(self.width.as_ref()))].into_iter().flatten().collect())
+    }
+
+    /// As fields of a map.
+    /// Errors: A canvas in another form.
+    pub(super) fn of_map(&self) -> Result<Vec<Source>, Failure> {
+        let canvas = source("--canvas", "canvas", canvas(self.canvas.as_ref())?);
+        Ok([canvas, source("--width", "width", number(self.width.as_ref()))].into_iter().flatten().collect())
+    }
+}
+
+impl FileOptions {
+    pub(super) fn sources(&self) -> Vec<Source> {
+        let format = of_output("--format", "format", name(self.format.as_ref()));
+        [format, of_output("--quality", "quality", number(self.quality.as_ref()))].into_iter().flatten().collect()
+    }
+}
+
+impl FramesOptions {
+    pub(super) fn sources(&self) -> Vec<Source> {
+        let Self { steps, easing, and_back, plays, delay } = self;
+        let sources = [
+            source("--steps", "steps", number(steps.as_ref())),
+            source("--easing", "easing", name(easing.as_ref())),
+            source("--and-back", "and_back", and_back.then_some(json!(true))),
+            source("--loop", "loop", number(plays.as_ref())),
+            source("--delay", "delay", number(delay.as_ref())),
+        ];
+        sources.into_iter().flatten().collect()
+    }
+}
+
+/// `--canvas` of a report.
+/// Errors: A canvas in another form.
+pub(super) fn of_report(text: Option<&String>) -> Result<Vec<Source>, Failure> {
+    Ok(of_output("--canvas", "canvas", canvas(text)?).into_iter().collect())
+}
