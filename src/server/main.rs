@@ -7,7 +7,7 @@ mod malloc_trim;
 
 use std::process::ExitCode;
 
-use mlswarp_server::cli::{batch, health, map, points, report, warp};
+use mlswarp_server::cli::{batch, fit, health, map, points, report, warp};
 use mlswarp_server::config::{Cli, Command, unknown_variables};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
@@ -38,6 +38,7 @@ fn main() -> ExitCode {
         Command::Batch(args) => batch::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Map(args) => map::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Report(args) => report::run(&config, &args).map_err(|e| e.to_string()).map(print),
+        Command::Fit(args) => fit::run(&config, &args).map_err(|e| e.to_string()).map(print),
         Command::Points(args) => points::run(&config, &args).map_err(|e| e.to_string()).map(print),
     };
     match done {

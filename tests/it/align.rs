@@ -284,7 +284,7 @@ async fn the_offline_tool_aligns_like_the_server() {
     assert!(std::fs::read(path("same.png")).unwrap() == still);
     let refused = mlswarp(&["warp", &path("a.png"), &path("warp.json"), "--align", "mirror", "-o", &path("no.png")]).output().unwrap();
     let said = String::from_utf8(refused.stderr).unwrap();
-    assert!(!refused.status.success() && said.contains("/align") && said.contains("similarity"), "{said}");
+    assert!(!refused.status.success() && said.contains("--align: expected") && said.contains("similarity"), "{said}");
 }
 
 /// Positions that cannot be posed are refused as they were sent.

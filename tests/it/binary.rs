@@ -80,8 +80,10 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
     assert_eq!(shown("points"), [&handles[..], &["extent", "image", "inverse"], &pose, &frame, &rest].concat());
     assert_eq!(shown("report"), [&handles[..], &["extent", "image"], &pose, &["canvas"], &rest].concat());
     assert_eq!(shown("map"), [&handles[..], &["direction", "extent", "image"], &pose, &frame, &rest].concat());
+    assert_eq!(shown("fit"), [&handles[..], &["extent", "image", "align"], &rest].concat());
     let own = ["and-back", "delay", "easing", "layer", "loop", "region", "steps"];
-    assert_eq!(shown("batch"), [&handles[..], &own, &pose, &frame, &["format", "quality", "quiet"], &rest].concat());
+    let files = ["format", "quality", "out", "quiet"];
+    assert_eq!(shown("batch"), [&handles[..], &own, &pose, &frame, &files, &limits, &["workers", "memory-bytes"]].concat());
     assert_eq!(shown("health"), ["listen", "tls-cert", "tls-key", "metrics-listen"]);
     assert!(shown("serve").len() > 40);
     for args in

@@ -48,6 +48,7 @@ mod mutation;
 mod nulls;
 mod offline;
 mod offline_folders;
+mod offline_landmarks;
 mod offline_options;
 mod offline_tools;
 mod openapi;

@@ -110,6 +110,15 @@ async fn what_is_dropped_or_mended_is_named() {
         assert_eq!(of(warnings, "file_repaired").unwrap()["repaired"], json!(["no end of the file"]));
         assert_eq!(of(warnings, "profile_dropped").is_some(), format == "jpeg");
     }
+    for (kind, codes) in [
+        ("application/zip", "metadata_dropped, file_repaired"),
+        ("image/apng", "metadata_dropped, file_repaired"),
+        ("image/gif", "profile_dropped, metadata_dropped, file_repaired"),
+    ] {
+        let batch = server.post(&format!("/sessions/{id}/batch")).header("accept", kind).json(&json!({"q": [[3, 2]], "steps": 2}));
+        let batch = batch.send().await.unwrap();
+        assert_eq!(warning(&batch), Some(codes), "{kind}");
+    }
     let plain = server.upload("/warp", &photo(24, 16), &warp).await;
     assert_eq!(warning(&plain), Some("translation_only"));
 }

@@ -81,7 +81,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await
     });
     let made = made.map_err(located)?;
-    let frames = made.frames;
+    let (frames, warnings) = (made.frames, [setup.rest_warnings(), &made.warnings].concat());
     let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
     match kind {
         Out::File(_) => output::write(out, |sink| each(&service, made, &progress, |bytes| sink.put(&bytes)))?,
@@ -91,7 +91,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         }
     }
     let what = if frames == 1 { "frame" } else { "frames" };
-    let more = summary(method, setup.rest_warnings()).map_or_else(String::new, |more| format!(", {more}"));
+    let more = summary(method, &warnings).map_or_else(String::new, |more| format!(", {more}"));
     Ok(Some(format!("{frames} {what}{more}")))
 }
 

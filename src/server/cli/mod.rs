@@ -2,6 +2,7 @@
 
 pub mod batch;
 mod failure;
+pub mod fit;
 pub mod health;
 mod images;
 mod input;

@@ -34,6 +34,10 @@ pub(super) fn canvas(text: Option<&String>) -> Result<Option<Value>, Failure> {
     canvas.transpose().map_err(|expected| Failure::Local(format!("--canvas: {expected}")))
 }
 
+pub(super) fn align(text: Option<&String>) -> Option<Source> {
+    source("--align", "align", name(text))
+}
+
 impl PoseOptions {
     pub(super) fn sources(&self) -> Vec<Source> {
         let Self { method, alpha, strength, align } = self;
@@ -41,7 +45,7 @@ impl PoseOptions {
             source("--method", "method", name(method.as_ref())),
             source("--alpha", "alpha", number(alpha.as_ref())),
             source("--strength", "strength", number(strength.as_ref())),
-            source("--align", "align", name(align.as_ref())),
+            self::align(align.as_ref()),
         ];
         sources.into_iter().flatten().collect()
     }

@@ -19,6 +19,8 @@ pub enum Command {
     Batch(BatchArgs),
     /// Measure a pose without a server (residuals, folds, distortion, tolerance): the JSON of POST /report.
     Report(ReportArgs),
+    /// Compare methods without a server: how well each predicts every landmark from the others, as POST /fit does.
+    Fit(FitArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
 }
@@ -243,6 +245,23 @@ pub struct ReportArgs {
     /// Output file (JSON); `-` writes standard output.
     #[arg(short, long, value_name = "FILE", default_value = "-", display_order = 8)]
     pub out: PathBuf,
+}
+
+/// The arguments of `mlswarp fit`.
+#[derive(Args, Clone, Debug)]
+pub struct FitArgs {
+    /// The handles. `candidates` in the JSON names the methods that are compared.
+    #[command(flatten)]
+    pub input: WarpInput,
+    /// The size of the image.
+    #[command(flatten)]
+    pub extent: ExtentInput,
+    /// Bring q to the frame of p first, by the best map of this class: rigid, similarity or affine.
+    #[arg(long, value_name = "CLASS", display_order = 5)]
+    pub align: Option<String>,
+    /// Write the JSON of POST /fit to this file, `-` for standard output. Default: a table on standard output, the best method first.
+    #[arg(short, long, value_name = "FILE", display_order = 8)]
+    pub out: Option<PathBuf>,
 }
 
 /// The arguments of `mlswarp batch`.

@@ -44,6 +44,12 @@ const REPORT: &str = r#"Examples:
   mlswarp report warp.json --image cat.png
   mlswarp report --landmarks face.pts --landmarks-q average.pts --image face.jpg -o report.json"#;
 
+const FIT: &str = r#"Examples:
+  mlswarp fit --landmarks landmarks.csv --image moving.tif     # a table, the best method first
+  mlswarp fit warp.json --extent 451,300 -o fit.json           # the JSON of POST /fit
+  echo '{"candidates": [{"method": "tps", "smoothing": 0.1}, {"method": "affine"}]}' |
+    mlswarp fit - --landmarks landmarks.csv --image moving.tif"#;
+
 const BATCH: &str = r#"Examples:
   echo '{"p": [[168, 112], [316, 136]], "q": [[150, 104], [338, 126]]}' > warp.json
   mlswarp batch cat.png warp.json --steps 24 --easing ease-in-out --and-back -o cat.gif
@@ -92,12 +98,13 @@ struct Subcommand {
     has_limits: bool,
 }
 
-const SUBCOMMANDS: [Subcommand; 6] = [
+const SUBCOMMANDS: [Subcommand; 7] = [
     Subcommand { name: "warp", examples: WARP, effective: &LIMITS, has_limits: true },
     Subcommand { name: "points", examples: POINTS, effective: &SERVICE, has_limits: true },
     Subcommand { name: "map", examples: MAP, effective: &SERVICE, has_limits: true },
     Subcommand { name: "batch", examples: BATCH, effective: &SERVICE, has_limits: true },
     Subcommand { name: "report", examples: REPORT, effective: &SERVICE, has_limits: true },
+    Subcommand { name: "fit", examples: FIT, effective: &SERVICE, has_limits: true },
     Subcommand { name: "health", examples: "", effective: &HEALTH, has_limits: false },
 ];
 

@@ -24,8 +24,8 @@ pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use command::{
-    BatchArgs, Command, ExtentInput, FileOptions, FrameOptions, FramesOptions, LandmarkInput, MapArgs, PointsArgs, PoseOptions, ReportArgs,
-    WarpArgs, WarpInput, WarpKind,
+    BatchArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions, LandmarkInput, MapArgs, PointsArgs, PoseOptions,
+    ReportArgs, WarpArgs, WarpInput, WarpKind,
 };
 pub use help::command;
 pub use store::StoreConfig;

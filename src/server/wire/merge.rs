@@ -140,6 +140,13 @@ pub(crate) fn without(object: &[u8], names: &[&str]) -> Result<Vec<u8>, Problem>
     Ok(format!("{{{}}}", fields.join(",")).into_bytes())
 }
 
+/// A warp object as the body of `/fit`: without what says how it is drawn.
+/// Errors: A text that is not a JSON object.
+pub(crate) fn of_fit(object: &[u8]) -> Result<Vec<u8>, Problem> {
+    let others: Vec<&str> = fields::WARP.into_iter().filter(|name| !fields::FIT.contains(name)).collect();
+    without(object, &others)
+}
+
 /// Splits an object with the fields of both into the warp object of a session and the body of a batch. `q` and `strength` go into both.
 /// Errors: Not a JSON object.
 pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
@@ -187,6 +194,8 @@ mod tests {
         assert_eq!(extent_in(b"{\"extent\": null, \"p\": []}").unwrap(), None);
         assert!(extent_in(b"{\"extent\": [4]}").is_err());
         assert_eq!(without(br#"{"p": [1], "item": 2}"#, &["item", "q"]).unwrap(), br#"{"p":[1]}"#);
+        let fit = of_fit(br#"{"p": [], "method": "tps", "candidates": [], "output": {}, "align": "rigid", "more": 1}"#).unwrap();
+        assert_eq!(fit, br#"{"p":[],"candidates":[],"align":"rigid","more":1}"#);
         let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
         let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
         assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);

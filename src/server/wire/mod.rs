@@ -49,7 +49,7 @@ use handles::handles;
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
-pub(crate) use merge::{Merged, Source, extent_in, split_batch, without};
+pub(crate) use merge::{Merged, Source, extent_in, of_fit, split_batch, without};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;

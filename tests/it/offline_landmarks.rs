@@ -1,0 +1,94 @@
+//! Landmark files where handles are, without a server: `mlswarp fit`, and batches.
+
+use std::fs;
+use std::io::Write as _;
+use std::process::{Output, Stdio};
+
+use serde_json::{Value, json};
+
+use crate::support::program::mlswarp;
+use crate::support::{Scratch, Server, photo};
+
+fn run(args: &[&str], stdin: &str) -> Output {
+    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // A command that fails at once closes the pipe.
+    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
+    child.wait_with_output().unwrap()
+}
+
+fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
+    let output = run(args, stdin);
+    assert!(output.status.success(), "{args:?}: {output:?}");
+    (output.stdout, String::from_utf8(output.stderr).unwrap())
+}
+
+fn failed(args: &[&str], stdin: &str) -> String {
+    let output = run(args, stdin);
+    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+const P: [[f64; 2]; 6] = [[5.0, 5.0], [50.0, 6.0], [8.0, 33.0], [52.0, 30.0], [30.0, 20.0], [40.0, 12.0]];
+const Q: [[f64; 2]; 6] = [[7.0, 6.0], [51.0, 9.0], [8.5, 35.0], [51.0, 34.0], [31.0, 23.0], [52.0, 2.0]];
+
+/// The landmarks of both sides with names; the last one is wrong.
+fn csv() -> String {
+    let rows = P.iter().zip(Q).enumerate().map(|(k, (p, q))| format!("mark {k},{},{},{},{}\n", p[0], p[1], q[0], q[1]));
+    format!("name,px,py,qx,qy\n{}", rows.collect::<String>())
+}
+
+#[tokio::test]
+async fn fit_compares_methods_as_the_server_does() {
+    let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
+    let (landmarks, warp, image, out) =
+        (scratch.path("landmarks.csv"), scratch.path("warp.json"), scratch.path("image.png"), scratch.path("fit.json"));
+    fs::write(&landmarks, csv()).unwrap();
+    // A file for `mlswarp warp` serves both.
+    let object = json!({"p": P, "q": Q, "method": "affine", "strength": 0.5, "output": {"width": 20}, "folds": "reject"});
+    fs::write(&warp, object.to_string()).unwrap();
+    fs::write(&image, photo(60, 40)).unwrap();
+    let two = json!([{"method": "tps", "smoothing": 0.1}, {"method": "affine"}]);
+    for (args, stdin, more) in [
+        (&[&*warp, "--extent", "60,40"][..], json!({}), json!({})),
+        (&[&*warp, "--image", &*image, "--align", "similarity"], json!({}), json!({"align": "similarity"})),
+        (&["--landmarks", &*landmarks, "--image", &*image], json!({}), json!({})),
+        (&["-", "--landmarks", &*landmarks, "--image", &*image], json!({"candidates": two}), json!({"candidates": two})),
+    ] {
+        let mut body = json!({"p": P, "q": Q, "extent": [60, 40]});
+        body.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        let response = server.post("/fit").json(&body).send().await.unwrap();
+        let expected = response.error_for_status().unwrap().bytes().await.unwrap();
+        let (found, said) = done(&[&["fit"], args, &["-o", "-"]].concat(), &stdin.to_string());
+        assert!(found == expected && said.is_empty(), "{args:?}: {said}");
+        assert!(done(&[&["fit"], args, &["-o", &*out]].concat(), &stdin.to_string()).0.is_empty());
+        assert!(fs::read(&out).unwrap() == expected, "{args:?}");
+        let table = String::from_utf8(done(&[&["fit"], args].concat(), &stdin.to_string()).0).unwrap();
+        let answer: Value = serde_json::from_slice(&expected).unwrap();
+        let mut lines = table.lines();
+        assert!(lines.next().unwrap().starts_with("method "), "{table}");
+        let best = answer["best"]["method"].as_str().unwrap();
+        assert!(lines.next().unwrap().split_whitespace().next() == Some(best), "{best}: {table}");
+        assert_eq!(lines.count() + 1, answer["candidates"].as_array().unwrap().len(), "{table}");
+        let is_named = args.contains(&"--landmarks");
+        assert_eq!(table.contains("5 (mark 5)"), is_named && answer.to_string().contains("\"outliers\":[5]"), "{table}");
+    }
+}
+
+#[test]
+fn fit_names_what_is_wrong() {
+    let scratch = Scratch::new();
+    let landmarks = scratch.path("landmarks.csv");
+    fs::write(&landmarks, csv()).unwrap();
+    for (args, stdin, sentence) in [
+        (&["--landmarks", &*landmarks][..], "", "error: the size of the image is missing; give --extent WIDTH,HEIGHT, "),
+        (&["-", "--extent", "60,40"], r#"{"p": [[1, 2]]}"#, "bad_value: "),
+        (&["-", "--extent", "60,40"], r#"{"p": [[1, 2]], "q": [[1, 2]], "stepz": 1}"#, "unknown_field: standard input: "),
+        (&["-", "--landmarks", &*landmarks, "--extent", "60,40"], r#"{"p": [[1, 2]]}"#, "bad_value: standard input: "),
+        (&["-", "--extent", "60,40", "--align", "tps"], r#"{"p": [[1, 2]], "q": [[1, 2]]}"#, "bad_value: --align: "),
+        (&["--landmarks", &*landmarks, "--extent", "60,40", "-o", &*landmarks], "", "error: "),
+    ] {
+        let said = failed(&[&["fit"], args].concat(), stdin);
+        assert!(said.starts_with(sentence), "{args:?}: {said}");
+    }
+    assert_eq!(fs::read_to_string(&landmarks).unwrap(), csv());
+}
