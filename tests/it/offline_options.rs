@@ -120,6 +120,8 @@ fn a_wrong_option_is_named_and_so_is_the_file_of_a_wrong_field() {
         (&["warp", &image, &handles, "-o", &out, "--width", "0"], "", "bad_value: --width: expected a width"),
         (&["warp", &image, &handles, "-o", &out, "--quality", "80"], "", "bad_value: --quality: it applies to JPEG; the output is PNG"),
         (&["warp", &image, &handles, "-o", &out, "--alpha", "99"], "", "alpha_out_of_range: --alpha: "),
+        (&["batch", &image, &handles, "-o", &out, "--steps", "2", "--quality", "80"], "", "bad_value: --quality: it applies to JPEG; "),
+        (&["batch", &image, &handles, "-o", "-", "--steps", "2", "--quality", "80"], "", "bad_value: --quality: it applies to JPEG; "),
         (&["batch", &image, &handles, "-o", &out, "--steps", "1"], "", "bad_value: --steps: expected a whole number of frames, at least 2"),
         (&["batch", &image, &handles, "-o", &out, "--steps", "2", "--loop", "-1"], "", "bad_value: --loop: expected how often"),
         (&["batch", &image, &handles, "-o", &out], "", "bad_value: the poses are missing: give --steps N, "),

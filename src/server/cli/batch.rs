@@ -4,11 +4,13 @@ use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
-use serde_json::json;
+use mlswarp::codec::Format;
+use serde_json::{Value, json};
 use zip::read::read_zipfile_from_stream;
 
 use super::failure::{Failure, name_of};
 use super::input::{Limit, is_stdio};
+use super::options::require_quality_of_jpeg;
 use super::service::{Service, summary};
 use super::{input, output};
 use crate::app::batch::{Batch, BatchForm};
@@ -18,7 +20,7 @@ use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-use crate::wire::{Merged, Source, split_batch};
+use crate::wire::{EnumName as _, Merged, Source, split_batch};
 
 /// Characters of the progress bar.
 const BAR: usize = 40;
@@ -49,6 +51,8 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         return Err(Problem::new(Code::BadValue, detail).into());
     }
     let located = |problem| input::located(&merged, problem);
+    let (format, cure) = format_of(kind, &merged);
+    require_quality_of_jpeg(&args.file, format, cure)?;
     let (layers, drawn) = selected(layers, &merged, region.is_some(), kind == Out::Directory)?;
     let [warp, batch] = split_batch(&merged.with("layers", drawn))?;
     let files = handles.landmarks.read_files(config)?;
@@ -106,6 +110,18 @@ fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
     sources.extend(frame.sources()?);
     sources.extend(file.sources());
     Ok(sources)
+}
+
+/// The format of the pictures, and how they become JPEG. A wrong name is left to its parser.
+fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
+    let output: Value = merged.value("output").and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
+    let of_name = |name| Format::ALL.into_iter().find(|format| format.as_str() == name).unwrap_or(Format::Jpeg);
+    let named = output["format"].as_str().map_or(Format::Png, of_name);
+    match kind {
+        Out::File(BatchForm::Gif) => (Format::Gif, "leave it out, or give a .zip or a folder and --format jpeg"),
+        Out::File(BatchForm::Apng) => (Format::Png, "leave it out, or give a .zip or a folder and --format jpeg"),
+        Out::File(BatchForm::Zip) | Out::Directory => (named, "give --format jpeg"),
+    }
 }
 
 /// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the options, among which the JSON selects.

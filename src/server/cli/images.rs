@@ -9,7 +9,7 @@ use mlswarp::codec::{Format, SourceFormat};
 
 use super::failure::{Failure, name_of};
 use super::input::{Limit, is_stdio, read};
-use super::output::{by_extension, is_directory, require_directory, require_other};
+use super::output::{by_extension, is_directory, require_directory, require_others};
 
 /// Extensions of the files of a folder that are images.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "gif", "bmp"];
@@ -108,7 +108,7 @@ pub(super) fn companion(what: &str, path: &Path, image: &Path, is_image: bool) -
     let mut found = Vec::new();
     for entry in fs::read_dir(path).map_err(cannot)? {
         let path = entry.map_err(cannot)?.path();
-        if path.is_file() && path.file_stem() == image.file_stem() && path != image && is_image_file(&path) == is_image {
+        if path.file_stem() == image.file_stem() && path != image && path.is_file() && is_image_file(&path) == is_image {
             found.push(path);
         }
     }
@@ -191,10 +191,7 @@ impl Outputs {
             }
             files.push(file);
         }
-        let written = files.iter().filter(|file| file.exists());
-        for file in written {
-            require_other(file, read.iter().copied())?;
-        }
+        require_others(files.iter().map(PathBuf::as_path), read)?;
         Ok(files)
     }
 }

@@ -1,9 +1,11 @@
 //! The options of a subcommand as JSON: each is an object with one field, so that the same parser reads both and a message names the option.
 
+use mlswarp::codec::Format;
 use serde_json::{Value, json};
 
 use super::failure::Failure;
 use crate::config::{FileOptions, FrameOptions, FramesOptions, PoseOptions};
+use crate::problem::{Code, Problem};
 use crate::wire::{AsJson, Source, canvas_from_text};
 
 /// The object of an option that was given.
@@ -86,6 +88,15 @@ impl FramesOptions {
         ];
         sources.into_iter().flatten().collect()
     }
+}
+
+/// Errors: `--quality` without effect. `cure`: what gives it one.
+pub(super) fn require_quality_of_jpeg(options: &FileOptions, format: Format, cure: &str) -> Result<(), Failure> {
+    if options.quality.is_none() || format == Format::Jpeg {
+        return Ok(());
+    }
+    let detail = format!("it applies to JPEG; the output is {}: {cure}", format.name());
+    Err(Failure::from(Problem::new(Code::BadValue, detail)).about("--quality"))
 }
 
 /// `--canvas` of a report.

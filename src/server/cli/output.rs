@@ -1,5 +1,6 @@
 //! The output files of the subcommands. A file appears under its name only when it is complete; an interrupted program leaves none.
 
+use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal as _, Write};
 use std::path::{Path, PathBuf, is_separator};
@@ -39,10 +40,23 @@ pub(super) fn create_directory(out: &Path) -> Result<(), Failure> {
 
 /// Errors: The output is the same file as an input, which it would replace.
 pub(super) fn require_other<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Failure> {
+    require_others([out], inputs)
+}
+
+/// The same for many outputs and many inputs.
+/// Errors: As [`require_other`].
+pub(super) fn require_others<'a, 'b>(
+    outs: impl IntoIterator<Item = &'a Path>,
+    inputs: impl IntoIterator<Item = &'b PathBuf>,
+) -> Result<(), Failure> {
     let file = |path: &Path| fs::canonicalize(path).ok().filter(|path| path.is_file());
-    let Some(written) = file(out) else { return Ok(()) };
-    match inputs.into_iter().find(|input| file(input).as_ref() == Some(&written)) {
-        Some(_) => Err(Failure::Local(format!("{out:?} is an input and would be replaced: give another output"))),
+    let mut written = outs.into_iter().filter_map(|out| Some((out, file(out)?))).peekable();
+    if written.peek().is_none() {
+        return Ok(());
+    }
+    let read: HashSet<PathBuf> = inputs.into_iter().filter_map(|input| file(input)).collect();
+    match written.find(|(_, file)| read.contains(file)) {
+        Some((out, _)) => Err(Failure::Local(format!("{out:?} is an input and would be replaced: give another output"))),
         None => Ok(()),
     }
 }

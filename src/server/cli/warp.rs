@@ -11,6 +11,7 @@ use mlswarp::warp::{Image, LabelImage, Plan, Posed, Region, Report, Setup, Subje
 use super::failure::{Failure, name_of};
 use super::images::{InputFile, Inputs, Outputs, companion};
 use super::input::Limit;
+use super::options::require_quality_of_jpeg;
 use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
@@ -33,7 +34,7 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
         return Err(no_region());
     }
     let outputs = Outputs::of(out, &inputs, patch.output.format)?;
-    refuse_quality(args, outputs.format())?;
+    require_quality_of_jpeg(&args.file, outputs.format(), "give --format jpeg, or a file that ends in .jpg")?;
     if landmarks.landmarks.is_some() {
         patch.require_no_handles().map_err(located)?;
     }
@@ -105,15 +106,6 @@ fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Sour
 
 fn no_region() -> Failure {
     Failure::Local("--kind holes needs a --region".to_owned())
-}
-
-/// Errors: A quality that has no effect.
-fn refuse_quality(args: &WarpArgs, format: Format) -> Result<(), Failure> {
-    if args.file.quality.is_none() || format == Format::Jpeg {
-        return Ok(());
-    }
-    let detail = format!("it applies to JPEG; the output is {}: give --format jpeg, or a file that ends in .jpg", format.name());
-    Err(Failure::from(Problem::new(Code::BadValue, detail)).about("--quality"))
 }
 
 /// What all images have in common.

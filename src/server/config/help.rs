@@ -15,7 +15,7 @@ const TEMPLATE: &str = "{about-with-newline}\n{before-help}{usage-heading} {usag
 
 const ROOT: &str = r"Examples:
   mlswarp                                            # the server, at http://127.0.0.1:8080
-  mlswarp serve --help                               # its options, which also follow `mlswarp` alone
+  mlswarp serve --help                               # all options of the server
   mlswarp warp cat.png warp.json -o warped.png       # without a server
   mlswarp batch cat.png warp.json --steps 24 -o cat.gif";
 
