@@ -1,5 +1,6 @@
 // The user actions on handles, shared by pointer, keyboard and buttons.
 
+import { aligned } from "./align.js";
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
 import { brushSizeOf, isRegionTool, partOf, regionOf, withPart, withoutRegion } from "./region.js";
@@ -62,12 +63,20 @@ export class Actions {
     const part = partOf(state, places, Math.min(1, 0.5 / this.view.zoom));
     this.store.do("draft", { places: [] });
     if (!part) return this.say("The lasso encloses nothing");
-    this.edit(withPart(state.document, part));
+    this.edit(this.#withPart(part));
     this.say(part.removes ? "Removed from the region" : "Added to the region");
   }
 
+  /** With the first part of a region: a cut-out leaves nothing where it was, unless the user has chosen otherwise. */
+  #withPart(part) {
+    const { document, picture } = this.state;
+    const next = withPart(document, part);
+    const isFirst = !regionOf(document).parts.length && (document.holes ?? null) === null;
+    return isFirst && picture.isCutout ? { ...next, holes: "transparent" } : next;
+  }
+
   invertRegion() {
-    this.edit(withPart(this.state.document, { kind: "invert" }));
+    this.edit(this.#withPart({ kind: "invert" }));
     this.say("Region inverted");
   }
 
@@ -170,6 +179,28 @@ export class Actions {
   putBack(selection = this.state.selection) {
     this.edit(edits.putBack(this.state.document, selection));
     this.say("Put back");
+  }
+
+  /** Exchanges rest and pose of all handles. */
+  async swap() {
+    const { document } = this.state;
+    const { align } = document;
+    this.edit(edits.swapped(document), { select: [] });
+    this.say("Rest and pose are exchanged");
+    if (align) await this.align(align.by);
+  }
+
+  /** Aligns the posed handles by the best map of a class (align.js). */
+  async align(by) {
+    const { document, picture } = this.state;
+    try {
+      const next = await aligned(document, by, picture);
+      if (this.state.document !== document) return;
+      this.edit(next);
+      this.say(by === "none" ? "The pose is not aligned" : "The pose is aligned");
+    } catch (problem) {
+      this.store.do("problem", { problem });
+    }
   }
 
   selectAll() {

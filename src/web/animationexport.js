@@ -15,6 +15,9 @@ const FILES = {
 /** The shortest display of a frame that browsers observe, ms. */
 const LEAST_DELAY = 20;
 
+/** Frames of the file by which the size is estimated. */
+const FEW = 3;
+
 const find = (id) => document.getElementById(`export-${id}`);
 
 /** The body of the request. `frames` counts those from rest to the pose; the way back repeats neither of the two. */
@@ -44,6 +47,8 @@ function counter(mark) {
 }
 
 export class AnimationExport {
+  #measured = null; // { key, size } of a file with FEW frames
+
   /** `changed`: called after a change of a row; `cancel`: stops the download. */
   constructor(store, sync, changed, cancel) {
     Object.assign(this, { store, sync });
@@ -86,6 +91,21 @@ export class AnimationExport {
     if (document.activeElement !== find("frames")) find("frames").value = frames;
     find("frames").setAttribute("aria-invalid", !find("frames").checkValidity());
     find("frames-note").textContent = ANIMATION.notes[file](back);
+  }
+
+  /** The size of the file, bytes, by that of a small one. */
+  async estimate(output, signal) {
+    const { document, revision } = this.store.state;
+    const { file } = this;
+    const key = JSON.stringify([revision, file, output]);
+    if (this.#measured?.key !== key) {
+      const body = batchOf(document, { file, frames: FEW, easing: "linear", back: false }, output);
+      const response = await this.sync.ask((id) => api.batch(id, body, this.media, signal));
+      let size = 0;
+      for await (const part of api.stream(response)) size += part.length;
+      this.#measured = { key, size };
+    }
+    return (this.#measured.size / FEW) * this.count;
   }
 
   body(output) {

@@ -129,8 +129,22 @@ export async function* stream(response) {
 /** How well methods predict the handles: { best, candidates }. */
 export const fit = async (id, body) => read(await ask("POST", `${session(id)}/fit`, { json: body }), "json");
 
+/** Annotations in the frame of the session's picture: { geojson }. */
+export const points = async (id, body, signal) => read(await ask("POST", `${session(id)}/points`, { json: body, signal }), "json");
+
 /** The handles in a landmark file: { p, q (if the file has both sides), units }. */
 export const readLandmarks = async (file) => read(await ask("POST", "landmarks", { file }), "json");
+
+/** The handles of two landmark files, one for each side: { p, q, units }. */
+export async function readSides(rest, pose) {
+  const form = new FormData();
+  form.append("landmarks_p", rest);
+  form.append("landmarks_q", pose);
+  return read(await ask("POST", "landmarks", { file: form }), "json");
+}
+
+/** The map that aligns q of a warp object: { class, matrix }. */
+export const alignment = async (warp, extent) => (await read(await ask("POST", "report", { json: { ...warp, extent } }), "json")).align;
 
 /** The posed grid: f32, x and y of each vertex, row by row. */
 export async function mesh(id, body, signal) {

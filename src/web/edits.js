@@ -209,7 +209,19 @@ export function restOf(document) {
 /** The defaults of `output`, which an exported warp object leaves out. */
 const USUAL = { outside: "transparent", filter: "bilinear", canvas: "same", holes: "keep" };
 
-/** The complete warp object, for export. */
+/** Handles whose rest and posed positions are exchanged. */
+export function swapped({ full: _, strength: __, align, ...document }) {
+  const handles = (align?.handles ?? document.handles).map(({ p, q, twist, ...handle }) => ({
+    ...handle,
+    p: q,
+    q: p,
+    ...(twist && { twist: { length: twist.length, angle: -twist.angle + 0, scale: 1 / twist.scale } }),
+  }));
+  const sides = document.sides && { sides: document.sides.toReversed() };
+  return { ...document, handles, ...sides };
+}
+
+/** The complete warp object, for export. Aligned handles are told as they were, with the alignment. */
 export function warpOf(document) {
   const { alpha, output, point_mass, smoothing, coincident, ...rest } = restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
@@ -218,7 +230,8 @@ export function warpOf(document) {
   const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(document.coincident && { coincident }) };
   const told = Object.entries(output).filter(([name, value]) => value !== USUAL[name]);
   if (told.length) chosen.output = Object.fromEntries(told);
-  return { ...rest, ...chosen, q: wire(document, "q") };
+  const { align } = document.full ? {} : document;
+  return { ...rest, ...chosen, ...(align && { align: align.by }), q: wire(align ?? document, "q") };
 }
 
 /** Whether a session has the same rest handles and parameters as a document. */
@@ -228,5 +241,7 @@ export function sameRest(object, document) {
   const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.coincident_policy ?? MEAN, coincident], [object.grid.requested, grid], ...Object.keys(output).map((name) => [object.output[name], output[name]])];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
-  return object.units === "px" && sameMass && pairs.every(([a, b]) => same(a, b));
+  // Its handles would be aligned once more.
+  const isPlain = (object.align ?? "none") === "none";
+  return object.units === "px" && isPlain && sameMass && pairs.every(([a, b]) => same(a, b));
 }

@@ -126,8 +126,8 @@ export class ExportDialog {
   #changed(typed = null) {
     this.#stop();
     this.#draw(typed);
-    if (!find("width").checkValidity() || this.#isAnimation) return;
-    this.#timer = setTimeout(() => this.#attempt(() => this.#prepare()), REST);
+    if (!find("width").checkValidity() || (this.#isAnimation && !find("frames").checkValidity())) return;
+    this.#timer = setTimeout(() => this.#attempt(() => (this.#isAnimation ? this.#estimate() : this.#prepare())), REST);
   }
 
   get #isAnimation() {
@@ -170,8 +170,7 @@ export class ExportDialog {
     find("problem").hidden = valid && hasFrames;
     if (!hasFrames) text("problem", `Enter 2 to ${this.animation.most} frames.`);
     if (!valid) text("problem", `Enter a width of 1 to ${widest} px.`);
-    const frames = `${this.animation.count} frames, ${this.#width} × ${heightOf(this.#width, this.#size)} px`;
-    text("result", !valid || !hasFrames ? "" : this.#isAnimation ? frames : "Preparing the file");
+    text("result", !valid || !hasFrames ? "" : this.#isAnimation ? this.#frames : "Preparing the file");
     text("said", "");
   }
 
@@ -189,6 +188,18 @@ export class ExportDialog {
     }
     text("result", `${this.#width} × ${heightOf(this.#width, this.#size)} px, ${bytes(this.#prepared.blob.size)}`);
     return this.#prepared.blob;
+  }
+
+  get #frames() {
+    return `${this.animation.count} frames, ${this.#width} × ${heightOf(this.#width, this.#size)} px`;
+  }
+
+  async #estimate() {
+    this.#stop();
+    const cancel = new AbortController();
+    this.#cancel = cancel;
+    const size = await this.animation.estimate(this.#output, cancel.signal);
+    if (!cancel.signal.aborted) text("result", `${this.#frames}, about ${bytes(size)}`);
   }
 
   /** The animation, unless it is cancelled. */

@@ -1,7 +1,8 @@
 // Files with handles: the warp object as JSON, read here, and landmark files of other programs, which the server reads. A file that cannot be
 // used is rejected with its name, the position and what is expected.
 
-import { Problem, readLandmarks } from "./api.js";
+import { CLASSES } from "./align.js";
+import { Problem, readLandmarks, readSides } from "./api.js";
 import { massOf, near, takesPinsOnly } from "./edits.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
 import { decodeParts } from "./region.js";
@@ -11,9 +12,6 @@ import { pinOf } from "./twist.js";
 const LARGEST = 16 << 20;
 const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
 const FILTERS = ["nearest", "bilinear", "bicubic"];
-
-export const isHandles = (file) =>
-  ["application/json", "text/csv", "text/plain"].includes(file.type) || /\.(json|csv|pts|tem|points|txt)$/i.test(file.name);
 
 /**
  * The handles of a file: { name, document, warp, missing: how many have no position }. The positions of a normalised file are shares of the picture's size; `warp` then makes
@@ -49,7 +47,35 @@ export async function readHandles(file) {
   }
 }
 
-const isTable = (file) => file.type === "text/csv" || /\.(csv|pts|tem|points|txt)$/i.test(file.name);
+const isTable = (file) => file.type === "text/csv" || /\.(csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i.test(file.name);
+
+/** The handles of two landmark files: rest and pose. */
+export async function readBoth(files) {
+  const names = files.map(({ name }) => name);
+  try {
+    const { p, q, units } = await readSides(...(await Promise.all(files.map(sideOf))));
+    const isNormalized = units === "normalized";
+    const document = { ...documentFrom({ p, q }), sides: names };
+    return { name: names.join(" and "), document, warp: isNormalized ? { p, q, units, sides: names } : null, missing: p.length - document.handles.length };
+  } catch (error) {
+    if (error instanceof Problem) {
+      const named = (text, k) => text.replace(new RegExp(`^landmarks_${"pq"[k]}, `), `In ${names[k]}, `).replaceAll(new RegExp(`\`?landmarks_${"pq"[k]}\`?`, "g"), names[k]);
+      error.detail = named(named(error.detail, 0), 1);
+    }
+    throw error;
+  }
+}
+
+/** A file as one side: of a warp object without q, the handles alone. */
+async function sideOf(file) {
+  if (isTable(file) || file.size > LARGEST) return file;
+  try {
+    const { p, names, units } = JSON.parse(await file.text());
+    return p === undefined ? file : new Blob([JSON.stringify({ p, names, units })]);
+  } catch {
+    return file;
+  }
+}
 
 /** A landmark file as a warp object. */
 async function landmarks(file) {
@@ -63,24 +89,24 @@ async function landmarks(file) {
 }
 
 /** The document of a normalised warp object for a picture. */
-export function scaled({ p, q, ...others }, { width, height }) {
+export function scaled({ p, q, sides, ...others }, { width, height }) {
   const place = ([x, y]) => [x * width, y * height];
   const px = (handles) => handles.map((handle) => (isPlace(handle) ? place(handle) : (handle?.map(place) ?? null)));
-  return documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" });
+  return { ...documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" }), ...(sides && { sides }) };
 }
 
 /** A pointer as in the API's messages: `p[3]`. */
-const named = (pointer) => pointer.slice(1).replace(/\/(\d+)/g, "[$1]").replaceAll("/", ".");
+export const named = (pointer) => pointer.slice(1).replace(/\/(\d+)/g, "[$1]").replaceAll("/", ".");
 
 /** A warp object that this page does not support: the first value at fault. */
-class Unsupported extends Error {
+export class Unsupported extends Error {
   constructor(pointer, expected) {
     super(`${pointer}: ${expected}`);
     Object.assign(this, { pointer, expected });
   }
 }
 
-const demand = (holds, pointer, expected) => {
+export const demand = (holds, pointer, expected) => {
   if (!holds) throw new Unsupported(pointer, expected);
 };
 
@@ -94,7 +120,7 @@ export function documentOf(warp) {
   }
 }
 
-const isPlace = (value) => Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
+export const isPlace = (value) => Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
 
 /** The positions of a handle: [x, y] is a point, a list of positions is a line or a path. */
 function placesOf(handle, pointer) {
@@ -105,7 +131,7 @@ function placesOf(handle, pointer) {
   return handle;
 }
 
-function documentFrom(warp) {
+export function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
   demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
   const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
@@ -126,8 +152,7 @@ function documentFrom(warp) {
   });
   // Weights of 1 are only the companions of those of twisted pins.
   if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
-  // Handles are drawn where their file has them.
-  demand((given.align ?? "none") === "none", "/align", '"none", because this page does not align handles,');
+  demand(CLASSES.includes(given.align ?? "none"), "/align", '"none", "rigid", "similarity" or "affine"');
   demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine", "tps" or "global_affine"');
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
   demand(line < 0, `/p/${present[line]}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
@@ -143,15 +168,17 @@ function documentFrom(warp) {
   demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect", a colour "#rrggbbaa" or {"value": number or [r, g, b]}');
   const filter = given.output?.filter ?? "bilinear";
   demand(FILTERS.includes(filter), "/output/filter", '"nearest", "bilinear" or "bicubic"');
-  const holes = given.output?.holes ?? "keep";
-  demand(holes === "keep" || holes === "transparent", "/output/holes", '"keep" or "transparent"');
+  const holes = given.output?.holes ?? null;
+  demand(holes === null || holes === "keep" || holes === "transparent", "/output/holes", '"keep" or "transparent"');
   const canvas = given.output?.canvas ?? "same";
   demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
   const mask = given.region;
   demand(mask === undefined || (typeof mask === "string" && /^[A-Za-z0-9+/]+={0,2}$/.test(mask)), "/region", "the mask of a region, a PNG in base64,");
   // What is in the mask is feathered already.
-  const region = mask === undefined ? {} : { region: [{ kind: "mask", png: mask }], feather: 0 };
-  const read = { ...region, handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas, holes };
+  const region = mask === undefined ? {} : { region: [{ kind: "mask", png: mask }], feather: 0, holes: holes ?? "keep" };
+  // Until it is aligned (align.js), its handles are where the file has them.
+  const align = (given.align ?? "none") === "none" ? {} : { align: { by: given.align, handles } };
+  const read = { holes, ...region, ...align, handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
   const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);

@@ -56,7 +56,7 @@ export class Keeper {
     const open = this.current();
     const text = (steps) => {
       const lastly = (past) => (steps ? past?.slice(-steps) : []);
-      const short = (picture) => ({ ...picture, past: lastly(picture.past), future: picture.future?.slice(0, steps), source: undefined });
+      const short = (picture) => ({ ...picture, past: lastly(picture.past), future: picture.future?.slice(0, steps), source: undefined, annotations: undefined });
       return JSON.stringify({ ...short(open), earlier: earlier.map(short), later: later.map(short) });
     };
     this.kept = keepText(sessionStorage, text) && phase === "open" && open.file !== null;

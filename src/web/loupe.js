@@ -14,7 +14,7 @@ export class Loupe {
   constructor(canvas, view, wanted) {
     Object.assign(this, { canvas, view, wanted });
     this.context = canvas.getContext("2d");
-    view.drawn = () => this.#draw();
+    view.afterDraw(() => this.#draw());
   }
 
   /** Shows the surroundings of a posed position, while the finger is at a position of the stage. */

@@ -1,29 +1,35 @@
 // The entry point: creates the store, the views and the inputs, and publishes the observable state (README.md).
 
+import * as api from "./api.js";
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
+import { alignOf } from "./align.js";
 import { Actions } from "./actions.js";
 import { Player } from "./player.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
 import { filterOf, outsideOf, takesPinsOnly } from "./edits.js";
+import { Annotations } from "./annotations.js";
 import { ExportDialog } from "./export.js";
+import { ANNOTATIONS, HANDLES, PICTURES } from "./files.js";
 import { chooseMethod } from "./fit.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
+import { Notices } from "./notices.js";
 import { Opener } from "./open.js";
 import { Loupe } from "./loupe.js";
 import { Panel } from "./panel.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { RegionTool } from "./regiontool.js";
 import { Pointer } from "./pointer.js";
-import { warpedPicture, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, readLink, save, saveRegion } from "./share.js";
+import { projectText } from "./project.js";
+import { warpedPicture, annotationsName, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, projectName, readLink, save, saveRegion } from "./share.js";
 import { Store, steps } from "./state.js";
 import { shownStrength } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
-import { BEHIND, PINS_ONLY, REGION, limitWords } from "./words.js";
+import { BEHIND, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
@@ -58,8 +64,6 @@ function toast(words) {
 const KEYS = new Set(["unauthorized", "forbidden"]);
 const RETRIES = new Set(["network", "overloaded", "unavailable", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
 
-const PICTURES = "image/png,image/jpeg,image/webp,image/gif,image/bmp,.png,.jpg,.jpeg,.webp,.gif,.bmp,";
-const HANDLES = "application/json,.json";
 /** Opens the browser's file chooser. */
 function choose(accept) {
   Object.assign(find("file"), { accept }).click();
@@ -67,7 +71,7 @@ function choose(accept) {
 
 /** Actions shared by buttons and keys. */
 const does = {
-  pick: () => choose(PICTURES + HANDLES),
+  pick: () => choose([PICTURES, HANDLES, ANNOTATIONS].join()),
   pickHandles: () => choose(HANDLES),
   close: () => opener.close(),
   export: () => exporting.show(),
@@ -110,6 +114,8 @@ new Panel(store, sync, view, actions, does);
 new CanvasRuler(store, view, sync);
 new StrengthSlider(find("strength"), find("strength-value"), store, actions);
 new Table(find("handle-table"), store, actions);
+const annotations = new Annotations(store, view, sync, () => observe());
+new Notices(store, actions);
 new Keys(stage, store, view, handles, pointer, actions, does, () => find("keys").checked);
 const player = new Player(store, sync, view);
 const keeper = new Keeper(store, () => opener.current, observe);
@@ -146,6 +152,8 @@ function observe() {
     draft: state.draft.length,
     arm: state.arm,
     strength: shownStrength(state),
+    align: alignOf(state.document),
+    annotations: annotations.shown,
     playing: typeof state.playing === "number" || (state.playing ?? false),
     ...steps(state),
     folds: shown.folds,
@@ -234,11 +242,22 @@ const copying = (words, what) =>
     const mask = words === curlLine ? await saveRegion(store.state) : null;
     toast(`${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`);
   });
+const json = (text) => new Blob([text], { type: "application/json" });
 find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
-find("save-handles").addEventListener("click", taking(async (state) => save(new Blob([await handlesText(state)], { type: "application/json" }), handlesName(state.picture.name))));
+find("save-handles").addEventListener("click", taking(async (state) => save(json(await handlesText(state)), handlesName(state.picture.name))));
 find("save-landmarks").addEventListener("click", taking((state) => save(new Blob([landmarksText(state.document)], { type: "text/csv" }), landmarksName(state.picture.name))));
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
-find("copy-link").addEventListener("click", copying(linkTo, "Link"));
+const copyLink = copying(linkTo, "Link");
+find("copy-link").addEventListener("click", async () => {
+  await copyLink();
+  await taking(async () => {
+    const words = linkWords(await api.readSession(sync.session.id));
+    find("link-note").textContent = words;
+    if (find("copied").hidden) toast(`Link copied. ${words}`);
+  })();
+});
+find("save-project").addEventListener("click", taking(async (state) => save(json(await projectText(state, sync.file)), projectName(state.picture.name))));
+find("annotations-save").addEventListener("click", taking(async ({ annotations: { name } }) => save(new Blob([JSON.stringify(await annotations.mapped())], { type: "application/geo+json" }), annotationsName(name))));
 
 // Theme, help, panel
 
@@ -306,6 +325,7 @@ find("panel-toggle").addEventListener("click", ({ currentTarget }) => {
 
 // Restore the last state, or open the link in the address.
 
+find("file").accept = [PICTURES, HANDLES, ANNOTATIONS].join();
 find("limits").textContent = limitWords(limits);
 function begin() {
   const before = kept();

@@ -1,15 +1,20 @@
 // Opens a picture: a file (dropped, pasted, picked), a sample, a link, or a kept one (undo, reload). Closes it.
 
+import { aligned } from "./align.js";
+import { readAnnotations } from "./annotations.js";
 import * as api from "./api.js";
 import { alphaOf, restOf, sameRest } from "./edits.js";
-import { documentOf, isHandles, readHandles, scaled } from "./handlesfile.js";
+import { sorted } from "./files.js";
+import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
 import { filesOf, replaced, stepped, without } from "./pictures.js";
+import { readProject } from "./project.js";
 import { maskPart, regionOf, sizeOfMask } from "./region.js";
 import { SAMPLES } from "./samples.js";
 import { readLink } from "./share.js";
 import { emptyDocument } from "./state.js";
-import { bytes, count } from "./words.js";
+import { atStrength } from "./strength.js";
+import { bytes, count, deadLinkWords } from "./words.js";
 
 const LOST = new Set(["no_such_session", "session_expired"]);
 
@@ -32,41 +37,50 @@ export class Opener {
 
   /** The open picture with everything that is needed to show it again. */
   get current() {
-    const { picture, document, before, past, future } = this.store.state;
+    const { picture, document, before, past, future, annotations } = this.store.state;
     const { session, file } = this.sync;
     if (!picture) return { picture: null };
-    const kept = { file: this.fileKey, source: file, link: this.link };
+    const kept = { file: this.fileKey, source: file, link: this.link, annotations };
     return { picture, document: before ?? document, past, future, session: session.id, borrowed: session.borrowed, ...kept };
   }
 
-  /** Opens dropped, pasted or picked files: a picture, handles, or both. */
+  /** Opens dropped, pasted or picked files: a picture, handles, annotations, or all of them; or a project. */
   async files(list) {
-    const files = [...list];
-    const isPicture = (f) => f.type.startsWith("image/") || /\.(png|jpe?g|webp|gif|bmp)$/i.test(f.name);
-    const picture = files.find(isPicture);
-    const handles = files.find(isHandles);
-    if (handles && !(await this.#takeHandles(handles, Boolean(picture)))) return;
-    if (picture) await this.file(picture, picture.name || "pasted.png");
-    else if (files.length && !handles) this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
-  }
-
-  /** Uses handles of a file: now if a picture is open, otherwise (or if one comes with them) on the next picture. */
-  async #takeHandles(file, waits) {
-    let handles;
-    try {
-      handles = await readHandles(file);
-    } catch (problem) {
-      this.#refuse(problem);
-      return false;
+    if (!list.length) return;
+    const { project, picture, handles, annotations, unused } = await sorted(list, 2 * this.limits.body);
+    if (project) await this.#project(project);
+    else {
+      try {
+        if (handles.length) await this.#take("handles", await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0])), Boolean(picture));
+        if (annotations) await this.#take("annotations", await readAnnotations(annotations, this.limits.body), Boolean(picture));
+      } catch (problem) {
+        return this.#refuse(problem);
+      }
+      if (picture) await this.file(picture, picture.name || "pasted.png");
+      else if (!handles.length && !annotations) return this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
     }
-    if (this.store.state.phase === "open" && !waits) this.#useHandles(handles);
-    else this.store.do("waiting", { handles });
-    return true;
+    if (!this.store.state.problem) this.store.do("unused", { names: unused });
   }
 
-  #useHandles({ name, document, warp, missing }) {
-    const { picture, document: before } = this.store.state;
-    const own = warp ? scaled(warp, picture) : document;
+  /** Uses what a file has: now if a picture is open, otherwise (or if one comes with it) on the next picture. */
+  async #take(what, content, waits) {
+    if (this.store.state.phase === "open" && !waits) await this.#useWaiting({ [what]: content });
+    else this.store.do("waiting", { [what]: content });
+  }
+
+  /** Uses what was read for the picture that is open now. */
+  async #useWaiting({ handles, annotations }) {
+    if (annotations) this.store.do("annotations", { annotations });
+    if (handles) await this.#useHandles(handles);
+    else this.toast(`${annotations.name} follows the warp`);
+  }
+
+  async #useHandles({ name, document, warp, missing }) {
+    const { picture } = this.store.state;
+    const placed = warp ? scaled(warp, picture) : document;
+    const own = placed.align ? await aligned(placed, placed.align.by, picture) : placed;
+    const { picture: now, document: before } = this.store.state;
+    if (now !== picture) return;
     const [mask] = own.region ?? [];
     const size = mask && sizeOfMask(mask);
     if (mask && (size[0] !== picture.width || size[1] !== picture.height)) {
@@ -74,10 +88,11 @@ export class Opener {
       return this.#refuse(new api.Problem({ code: "bad_handles_file", detail }, 0));
     }
     // A file without a region keeps the region of the picture.
-    const fitted = mask ? own : { ...own, region: before.region, feather: before.feather };
+    const fitted = mask ? own : { ...own, region: before.region, feather: before.feather, holes: own.holes ?? before.holes };
     this.actions.edit(fitted, { select: [] });
     const without = missing ? `; ${count(missing, "handle")} without a position left out` : "";
     this.toast(`${count(fitted.handles.length, "handle")} from ${name}${without}`);
+    this.store.do("show", { what: { sidesClosed: false } });
   }
 
   file(file, name) {
@@ -90,6 +105,24 @@ export class Opener {
     });
   }
 
+  #project(file) {
+    return this.#attempt(file.name, async (signal) => {
+      const { name, blob, document, strength, annotations, animation } = await readProject(file, 2 * this.limits.body);
+      signal.throwIfAborted();
+      await this.#fresh(blob, name, document, null, signal, async ({ width, height }) => {
+        const mask = (document.region ?? []).find(({ kind }) => kind === "mask");
+        const size = mask && sizeOfMask(mask);
+        if (mask && (size[0] !== width || size[1] !== height)) {
+          const detail = `In ${file.name}, the mask of the region has ${size.join(" × ")} px, and the picture ${width} × ${height} px.`;
+          throw new api.Problem({ code: "bad_project", detail }, 0);
+        }
+        const placed = document.align ? await aligned(document, document.align.by, { width, height }) : document;
+        return { document: atStrength(placed, strength), annotations };
+      });
+      this.store.do("animation", { change: animation });
+    });
+  }
+
   sample(which) {
     const { file, name, warp } = SAMPLES[which];
     return this.#attempt(name, async (signal) => {
@@ -99,11 +132,13 @@ export class Opener {
     });
   }
 
-  async #fresh(blob, name, document, sample, signal) {
+  /** `complete`: makes what is opened with the picture from its size: { document, annotations }. */
+  async #fresh(blob, name, document, sample, signal, complete = () => ({ document })) {
     const object = await this.#upload(blob, name, document, signal);
+    const opened = await complete(object.image);
     const { waiting } = this.store.state;
-    const left = await this.#use(object, document, { blob, name }, { picture: { name, sample } }, signal);
-    if (waiting) this.#useHandles(waiting);
+    const left = await this.#use(object, opened.document, { blob, name }, { picture: { name, sample }, annotations: opened.annotations }, signal);
+    if (waiting) await this.#useWaiting(waiting);
     else if (left.document?.handles.length) this.toast(`${name} opened. Undo brings back ${left.picture.name}`);
   }
 
@@ -145,21 +180,22 @@ export class Opener {
    * Shows a session and its document; returns the picture that was open. If `file` is null, the texture comes from the session. `history`
    * makes the history of pictures from the state and the picture that was open.
    */
-  async #use(object, document, file, { picture, past, future, borrowed = false, fileKey, link = null, history = replaced }, signal) {
+  async #use(object, document, file, { picture, past, future, annotations = null, borrowed = false, fileKey, link = null, history = replaced }, signal) {
     const { width, height } = object.image;
     const source = file ?? { blob: await this.#identity(object, signal), name: picture.name };
+    let isCutout;
     try {
-      await this.view.setPicture(source.blob, width, height, signal);
+      isCutout = await this.view.setPicture(source.blob, width, height, signal);
     } catch (error) {
       if (error?.name !== "EncodingError") throw error;
       // The browser cannot decode the file, but the server can: show the server's PNG.
-      await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
+      isCutout = await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
     }
     const left = this.current;
     // A session of another user keeps its region. Otherwise the session without one is known, and one with a mask is given it again.
     const region = borrowed || !object.layers?.region ? regionOf(borrowed ? document : {}) : null;
     this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, region, borrowed);
-    this.store.do("opened", { picture: { ...picture, width, height }, document, past, future, ...history(this.store.state, left) });
+    this.store.do("opened", { picture: { ...picture, width, height, isCutout }, document, annotations, past, future, ...history(this.store.state, left) });
     this.view.resized(); // only now the stage is visible and has a size
     this.#leaveLink(link);
     this.fileKey = fileKey ?? null;
@@ -186,13 +222,24 @@ export class Opener {
     const { session, warp, name } = readLink(hash);
     return this.#attempt(name, async (signal) => {
       if (warp === null) throw new api.Problem({ code: "bad_link" }, 0);
-      const object = await api.readSession(session);
+      const object = await api.readSession(session).catch((problem) => {
+        if (LOST.has(problem.code)) this.#deadLink(name, warp);
+        throw problem;
+      });
       signal.throwIfAborted();
-      const document = documentOf(warp ?? warpOfSession(object));
-      if (!document) throw new api.Problem({ code: "bad_link" }, 0);
+      const told = documentOf(warp ?? warpOfSession(object));
+      if (!told) throw new api.Problem({ code: "bad_link" }, 0);
+      const document = told.align ? await aligned(told, told.align.by, object.image) : told;
       if (object.layers?.region) document.region = [await maskPart(await api.readRegion(session, signal))];
       await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true, link: hash }, signal);
     });
+  }
+
+  /** A link whose session has ended still has the handles: they wait for the picture. */
+  #deadLink(name, warp) {
+    const document = warp && documentOf(warp);
+    if (document?.handles.length) this.store.do("waiting", { handles: { name: "The link", document, warp: null, missing: 0 } });
+    throw new api.Problem({ code: "dead_link", detail: deadLinkWords(name, this.limits.idle) }, 0);
   }
 
   /** Closes the picture; undo brings it back. */

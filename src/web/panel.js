@@ -1,12 +1,13 @@
 // The controls around the picture: they show the state and change it.
 
+import { alignOf } from "./align.js";
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
 import { alphaOf, filterOf, hasPinsOnly, kindName, kindOfOutside, outsideOf, takesPinsOnly, toolName } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { CANVAS, FILTER, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
+import { ALIGN, CANVAS, FILTER, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -42,7 +43,7 @@ export class Panel {
     click("open-handles", does.pickHandles);
     click("waiting-drop", () => {
       find("pick").focus({ preventScroll: true }); // this button disappears
-      store.do("waiting", { handles: null });
+      store.do("waiting", { handles: null, annotations: null });
     });
     click("fit", does.fit);
     find("fit-arrows").addEventListener("change", ({ target }) => store.do("show", { what: { fitShown: target.checked } }));
@@ -68,6 +69,8 @@ export class Panel {
     click("select-all", () => actions.selectAll());
     click("put-back-all", () => actions.putBack(actions.all));
     click("clear", () => actions.clear());
+    click("swap", () => actions.swap());
+    find("align").addEventListener("change", ({ target }) => actions.align(target.value));
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
     for (const input of document.querySelectorAll("input[name=tool]")) input.addEventListener("change", () => does.tool(input.value));
@@ -142,7 +145,9 @@ export class Panel {
     if (state.waiting) text("waiting-text", waitingWords(state.waiting));
     const none = !state.document.handles.length;
     find("handles-none").hidden = !none;
-    for (const id of ["select-all", "put-back-all", "clear"]) find(id).disabled = none;
+    for (const id of ["select-all", "put-back-all", "clear", "swap", "align"]) find(id).disabled = none;
+    find("align").value = alignOf(state.document);
+    text("align-note", ALIGN[alignOf(state.document)]);
     this.#drawPicture();
   }
 

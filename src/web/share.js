@@ -8,6 +8,8 @@ import { maskFile, maskPart, regionOf } from "./region.js";
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
 export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
 export const animationName = (name, file) => (file === "zip" ? `${stem(name)}-frames.zip` : pictureName(name, file));
+export const projectName = (name) => `${stem(name)}-project.json`;
+export const annotationsName = (name) => `${stem(name)}-warped.geojson`;
 export const handlesName = (name) => `${stem(name)}-handles.json`;
 
 const regionName = (name) => `${stem(name)}-region.png`;

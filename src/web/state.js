@@ -9,7 +9,7 @@ const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same", region: [], feather: 0, holes: "keep" });
+export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same", region: [], feather: 0, holes: null });
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open
@@ -28,7 +28,11 @@ const initialState = () => ({
   future: [],
   earlier: [], // pictures that undo brings back, oldest first (pictures.js)
   later: [], // pictures that redo brings back, next one first
-  waiting: null, // handles of a file that wait for their picture: { name, document, warp } (handlesfile.js)
+  waiting: null, // what waits for its picture: { handles: { name, document, warp } (handlesfile.js), annotations }
+  annotations: null, // GeoJSON over the picture: { name, geojson }
+  unused: [], // names of the files that were opened with others, and not used
+  sidesClosed: false, // whether the user has closed what is told about rest and pose
+  holesClosed: false, // and about holes
   tag: "",
   tagged: 0,
   problem: null,
@@ -75,11 +79,12 @@ const reducers = {
   uploadEnded: (state) => ({ ...state, phase: state.picture ? "open" : "empty" }),
 
   /** Opens another picture, with its handles and history; `picture` null closes the open one. */
-  opened: (state, { picture, document = emptyDocument(), past = [], future = [], earlier, later }) => ({
+  opened: (state, { picture, document = emptyDocument(), annotations = null, past = [], future = [], earlier, later }) => ({
     ...initialState(),
     phase: picture ? "open" : "empty",
     picture,
     document,
+    annotations,
     past,
     future,
     earlier,
@@ -90,7 +95,13 @@ const reducers = {
     animation: state.animation,
   }),
   history: (state, { earlier, later }) => ({ ...state, earlier, later }),
-  waiting: (state, { handles }) => ({ ...state, waiting: handles, problem: null }),
+  waiting: (state, { handles = state.waiting?.handles, annotations = state.waiting?.annotations }) => ({
+    ...state,
+    waiting: handles || annotations ? { handles, annotations } : null,
+    problem: null,
+  }),
+  annotations: (state, { annotations }) => ({ ...state, annotations, problem: null }),
+  unused: (state, { names }) => ({ ...state, unused: names }),
 
   /** One undo step. Quick successive steps with one tag are merged. */
   edit: (state, { document, select, tag = "", now = 0 }) => {

@@ -1,7 +1,9 @@
 // The strength of the pose: 0 is the rest pose, 1 the full one, and values beyond exaggerate it. A document at another strength than 1
 // shows the pose of that strength in `handles` and has the full one in `full`. An edit of a handle makes the shown pose the full one.
 
+/** Handles that the page has posed by itself: not edited. */
 const posed = new WeakSet();
+export const keepPosed = (handles) => (posed.add(handles), handles);
 
 export const strengthOf = (document) => document.strength ?? 1;
 
@@ -46,6 +48,9 @@ export function atStrength(document, t) {
   return { ...document, handles, full, strength: t };
 }
 
-/** The document after an edit: if its handles were edited, the shown pose is the full one. */
-export const settled = (document, before) =>
-  document.full && document.handles !== before.handles && !posed.has(document.handles) ? without(document) : document;
+/** The document after an edit: if its handles were edited, the shown pose is the full one, and the aligned pose the pose. */
+export function settled(document, before) {
+  if (document.handles === before.handles || posed.has(document.handles)) return document;
+  const { align: _, ...edited } = without(document);
+  return edited;
+}

@@ -9,6 +9,8 @@ const LEAST_ZOOM = 0.02;
 const MOST_ZOOM = 32;
 /** Zoom from which pixels are shown as squares. */
 const CRISP = 6;
+/** Sides of the small copy that tells whether a picture is a cut-out, px. */
+const SAMPLE = 64;
 /** Margins for the tools, CSS px, that Fit and Tab keep free; small on a narrow stage. */
 const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
@@ -20,9 +22,6 @@ export class View {
   source = "none"; // source of the shown layer
   mesh = null;
   folds = 0;
-
-  /** Called after each frame, while the canvas has its content. */
-  drawn = () => {};
 
   #outside = "transparent";
   #holes = "keep";
@@ -40,6 +39,7 @@ export class View {
   #afterPaint = [];
   #due = false;
   #views = new Set();
+  #drawnViews = new Set();
   #show = { lines: false, compare: false, at: 50, peek: false };
 
   constructor(stage, allowWebgl) {
@@ -58,10 +58,19 @@ export class View {
     this.#views.add(view);
   }
 
+  /** Called after each frame, while the canvas has its content. */
+  afterDraw(view) {
+    this.#drawnViews.add(view);
+  }
+
   get scale() {
     return devicePixelRatio || 1;
   }
 
+  /** The posed grid of what is shown. */
+  get shownMesh() {
+    return this.#played ?? this.mesh;
+  }
 
   /** The box that is shown: of the server's picture, or of the canvas around the mesh. */
   get box() {
@@ -77,7 +86,7 @@ export class View {
     return [(x - this.pan[0]) / this.zoom, (y - this.pan[1]) / this.zoom];
   }
 
-  /** Sets the picture: its file is the texture and the original of the comparison. */
+  /** Sets the picture: its file is the texture and the original of the comparison. Whether it is a cut-out: partly transparent. */
   async setPicture(blob, width, height, signal) {
     const original = await this.#load("original", blob, "Original picture");
     const picture = await this.#load("picture", blob, "Picture");
@@ -102,6 +111,7 @@ export class View {
     this.#drawn = null;
     this.source = "source";
     this.#fitted = true;
+    return isCutout(original);
   }
 
   /** Shows no picture. */
@@ -371,7 +381,7 @@ export class View {
   #draw() {
     const { scale } = this;
     resize(this.lines.canvas, ...this.stageSize.map((side) => Math.max(1, Math.round(side * scale))));
-    const mesh = this.#played ?? this.mesh;
+    const mesh = this.shownMesh;
     const following = this.#played !== null || this.source === "mesh" || this.source === "frame";
     const crisp = this.zoom >= CRISP || this.#filter === "nearest";
     const inLive = following && this.#placeLive();
@@ -384,7 +394,7 @@ export class View {
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     if (drawn) drawGrid(this.lines, mesh, folded, place, scale, this.#show.lines, following);
     this.lines.canvas.style.visibility = drawn ? "visible" : "hidden";
-    this.drawn();
+    for (const view of this.#drawnViews) view();
     const done = this.#afterPaint;
     this.#afterPaint = [];
     for (const tell of done) tell();
@@ -409,6 +419,16 @@ export class View {
     const [left, top, wide, high] = this.box;
     if (this.#frame) context.drawImage(this.#frame, x + zoom * left, y + zoom * top, zoom * wide, zoom * high);
   }
+}
+
+/** Whether a part of a picture is transparent: more than the rounded corners of a screenshot. */
+function isCutout(image) {
+  const context = Object.assign(document.createElement("canvas"), { width: SAMPLE, height: SAMPLE }).getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0, SAMPLE, SAMPLE);
+  const { data } = context.getImageData(0, 0, SAMPLE, SAMPLE);
+  let clear = 0;
+  for (let k = 3; k < data.length; k += 4) clear += data[k] < 128;
+  return clear > 0.02 * SAMPLE * SAMPLE;
 }
 
 function resize(canvas, width, height) {

@@ -28,7 +28,7 @@ const PROBLEMS = {
   session_expired: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
   no_such_layer: ["The region of the session was removed", "Open the link again: another user has changed the session."],
   too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
-  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG, WebP, GIF or BMP and open that file."],
+  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG, WebP, GIF, BMP or TIFF and open that file."],
   bad_landmarks: ["The landmark file cannot be read", "Correct the file at the place that the message names."],
   nothing_visible: ["Nothing of the picture is left", "The handles make it a line or a point: undo the last step, or choose another canvas."],
   bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
@@ -43,8 +43,11 @@ const PROBLEMS = {
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
   unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["No picture found", "Open a PNG, JPEG, WebP, GIF or BMP file, or a file with handles or landmarks."],
+  not_a_picture: ["No picture found", "Open a PNG, JPEG, WebP, GIF, BMP or TIFF file, a file with handles, landmarks or annotations, or a project."],
   bad_handles_file: ["The handles cannot be opened", "Correct the file, or save the handles again."],
+  bad_annotations: ["The annotations cannot be used", "Correct the file, or save it again as GeoJSON in pixels of this picture."],
+  bad_project: ["The project cannot be opened", "Ask for the file again, or save the project again."],
+  dead_link: ["This link no longer works", "Ask for a new link or the project file. If you have the picture, open it here: the handles of the link are placed on it."],
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
@@ -202,7 +205,7 @@ export const ANIMATION = {
     gif: (back) => `${back ? "The frames of the way back are added. " : ""}At most 256 colours per frame, and shown everywhere.`,
     zip: (back) => `${back ? "The frames of the way back are added. " : ""}Each frame is a PNG.`,
   },
-  session: (seconds) => `It works until ${seconds < 60 ? count(seconds, "second") : count(Math.round(seconds / 60), "minute")} after the last request`,
+  session: (seconds) => `It works until ${spanOf(seconds)} after the last request`,
 };
 
 export const WARNINGS = {
@@ -241,11 +244,39 @@ export const HINTS = {
   move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
 
-export const waitingWords = ({ name, document: { handles } }) =>
-  `${name} has ${count(handles.length, "handle")}. Choose the picture or sample that ${handles.length === 1 ? "it belongs" : "they belong"} to.`;
+export function waitingWords({ handles, annotations }) {
+  const parts = [handles && `${handles.name} has ${count(handles.document.handles.length, "handle")}.`, annotations && `${annotations.name} has annotations.`];
+  const isOne = !annotations && handles.document.handles.length === 1;
+  return `${parts.filter(Boolean).join(" ")} Choose the picture or sample that ${isOne ? "it belongs" : "they belong"} to.`;
+}
+
+export const annotationWords = (name, n) => `${name}: ${count(n, "annotation")}, moved with the picture.`;
+
+/** About the files that were opened with others, and not used. */
+export const unusedWords = (names) => `Not used: ${series(names)}. One picture, two landmark files and one GeoJSON file are opened at a time.`;
+
+export const ALIGN = {
+  none: "The pose is where its file or you have put it.",
+  rigid: "The pose is moved and turned to fit the rest positions best. Editing a handle applies this.",
+  similarity: "The pose is moved, turned and scaled to fit the rest positions best. Editing a handle applies this.",
+  affine: "The pose is moved, turned, stretched and sheared to fit the rest positions best. Editing a handle applies this.",
+};
+
+const spanOf = (seconds) => (seconds < 60 ? count(Math.round(seconds), "second") : count(Math.round(seconds / 60), "minute"));
+
+/** Until when a link to a session works. */
+export function linkWords({ expires }) {
+  const [end, now] = [new Date(expires), new Date()];
+  const day = end.toDateString() === now.toDateString() ? "" : `${end.toLocaleDateString("en", { day: "numeric", month: "long" })}, `;
+  const time = end.toLocaleTimeString("en", { hour: "2-digit", minute: "2-digit", hour12: false });
+  return `It works until ${day}${time}, and for ${spanOf((end - now) / 1000)} after each use.`;
+}
+
+/** A link to a session that has ended. */
+export const deadLinkWords = (name, idle) => `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
 
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");
-  return `PNG, JPEG, WebP, GIF or BMP, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
+  return `PNG, JPEG, WebP, GIF, BMP or TIFF, up to ${bytes(body)} and ${number.format(pixels / 1e6)} megapixels. The server keeps it${memory ? " in memory only" : ""} and deletes it after ${time}.`;
 }

@@ -1,16 +1,22 @@
 """Accessibility: no serious findings of axe in any state, large enough targets, announcements for screen readers."""
 
+import json
+import re
 from pathlib import Path
 
 import axe_playwright_python
 import pytest
 
-from support import GREEN, RED, Fingers, crossed
+from support import GREEN, RED, Fingers, crossed, tell
 
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js").read_text()
 NARROW = {"viewport": {"width": 360, "height": 740}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
 THEMES = ["light", "dark"]
-RULES = {"resultTypes": ["violations", "incomplete"]}
+# The rule about visible labels is experimental, and off unless it is named.
+RULES = {"resultTypes": ["violations", "incomplete"], "rules": {"label-content-name-mismatch": {"enabled": True}}}
+
+
+PROBLEMS = re.findall(r"^## (\w+)$", (Path(__file__).parents[2] / "api" / "problems.md").read_text(), re.MULTILINE)
 
 
 def faults(visit):
@@ -107,12 +113,27 @@ def waiting(visit):
     visit.body("[data-problem=bad_handles_file]")
 
 
+def told(visit):
+    """Landmark files, a file that is not used, annotations and what is offered for holes."""
+    visit.sample("rocket")
+    places = ["1,2\n200,100\n", "5,6\n260,120\n"]
+    square = {"type": "Polygon", "coordinates": [[[100, 100], [200, 100], [200, 200], [100, 100]]]}
+    files = [("a.csv", "text/csv", places[0].encode()), ("b.csv", "text/csv", places[1].encode()), ("c.csv", "text/csv", b"1,2\n"), ("d.geojson", "", json.dumps(square).encode())]
+    tell(visit, ["dragover", "drop"], *files)
+    visit.body("[data-annotations=exact]")
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((100, 60), (200, 60), (200, 200), (100, 200))
+    visit.page.click("label:has(#tool-point)")
+    visit.page.wait_for_selector("#holes-hint")
+    visit.ready()
+
+
 def help(visit):
     visit.sample("rocket")
     visit.page.click("#help-open")
 
 
-STATES = [empty, ready, selected, folding, refused, comparing, drawing, outlining, exporting, animating, waiting, help]
+STATES = [empty, ready, selected, folding, refused, comparing, drawing, outlining, exporting, animating, waiting, told, help]
 
 
 @pytest.mark.parametrize("state, theme", crossed(STATES, THEMES))
@@ -123,7 +144,7 @@ def test_axe_finds_nothing_serious(visits, state, theme):
     assert not faults(visit)
 
 
-@pytest.mark.parametrize("state, theme", crossed([empty, ready, outlining, exporting, animating, waiting], THEMES))
+@pytest.mark.parametrize("state, theme", crossed([empty, ready, outlining, exporting, animating, waiting, told], THEMES))
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
     state(visit)
@@ -134,6 +155,28 @@ def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
         visit.page.wait_for_selector("#method-rigid", state="attached")
         visit.keep(f"axe-narrow-panel-{theme}")
         assert not faults(visit)
+
+
+@pytest.mark.parametrize("options", [{}, NARROW])
+@pytest.mark.parametrize("state", [empty, ready])
+def test_a_page_has_one_heading_of_the_first_level(visits, state, options):
+    visit = visits(**options)
+    state(visit)
+    headings = visit.page.get_by_role("heading", level=1)
+    assert headings.count() == 1 and "mlswarp" in headings.first.aria_snapshot()
+
+
+@pytest.mark.parametrize("options", [{}, NARROW])
+def test_the_pages_of_problems_are_accessible(visits, options):
+    """Every page of a problem: code that is scrolled can be reached by keys."""
+    visit = visits(**options)
+    codes = [name for name in PROBLEMS if options or name in PROBLEMS[:3]]
+    for code in codes:
+        visit.page.goto(f"{visit.server.address}/problems/{code}")
+        assert visit.page.locator("pre:not([tabindex='0'])").count() == 0, code
+        visit.page.evaluate(AXE)
+        found = visit.page.evaluate("(options) => axe.run(document, options)", RULES)["violations"]
+        assert [fault["id"] for fault in found] == [], code
 
 
 def test_the_switch_chooses_the_other_theme(visits):
@@ -158,7 +201,7 @@ SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=fil
   .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
 
 
-@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting])
+@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting, told])
 def test_targets_are_large_enough_for_a_mouse(visit, state):
     state(visit)
     assert visit.page.evaluate(SMALL, 24) == []
@@ -180,7 +223,7 @@ def test_targets_are_large_enough_for_a_finger(visits):
 
 
 @pytest.mark.parametrize("width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})])
-@pytest.mark.parametrize("state", [empty, ready, outlining, exporting, animating, waiting])
+@pytest.mark.parametrize("state", [empty, ready, outlining, exporting, animating, waiting, told])
 def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     visit = visits(viewport={"width": width, "height": 700}, **more)
     state(visit)

@@ -223,7 +223,7 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
     for file, back in (("apng", False), ("zip", True), ("apng", True), ("gif", True), ("zip", False)):
         shares = there + between if back else there
         choose(visit, file=file, frames=4, easing="ease-in-out", back=back)
-        assert visit.text("export-result") == f"{len(shares)} frames, 400 × 300 px"
+        assert visit.text("export-result").startswith(f"{len(shares)} frames, 400 × 300 px")
         name, exported = visit.saved("export-save")
         assert not visit.page.locator("#export").is_visible()
         if file == "apng":
@@ -246,12 +246,22 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
         assert frames == [shown[t] for t in shares], (file, back)
         # The command gives the same bytes; the choices are remembered.
         visit.page.click("#export-open")
-        assert visit.text("export-result") == f"{len(shares)} frames, 400 × 300 px"
+        assert visit.text("export-result").startswith(f"{len(shares)} frames, 400 × 300 px")
         visit.page.click("#export-curl")
         visit.page.wait_for_selector("#export-said:text-matches('after the last request')")
         run(visit.page.evaluate("navigator.clipboard.readText()"), tmp_path)
         assert (tmp_path / name).read_bytes() == exported
         visit.keys("Escape")
+
+
+def test_the_size_is_estimated_before_the_export(visits, picture):
+    visit = bend(visits(), picture)
+    for file in ("apng", "zip"):
+        choose(visit, file=file, frames=10, back=True)
+        visit.page.wait_for_selector("#export-result:text-matches('18 frames, 400 × 300 px, about .*B$')")
+        number, unit = visit.text("export-result").rsplit("about ", 1)[1].split()
+        told = float(number) * {"MiB": 1 << 20, "KiB": 1 << 10, "bytes": 1}[unit]
+        assert 0.6 < told / len(visit.saved("export-save")[1]) < 1.7, file
 
 
 def test_a_command_is_not_longer_than_a_shell_takes(visits, picture, tmp_path):

@@ -273,3 +273,62 @@ def test_the_overlay_can_be_seen_with_every_tool(bent):
     covered = bent.look()
     assert covered.colour(250, 40) != plain.colour(250, 40)
     assert near(covered.colour(100, 70), plain.colour(100, 70), 1), "the region itself is clear"
+
+
+def cutout(path):
+    """A disc on nothing."""
+    image = Image.new("RGBA", (400, 300), (0, 0, 0, 0))
+    ImageDraw.Draw(image).ellipse((60, 60, 140, 140), fill=(230, 20, 20, 255))
+    image.save(path)
+    return path
+
+
+def surrounded(visit):
+    """The red disc moves in a region of its own."""
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((40, 40), (160, 40), (160, 160), (40, 160))
+    visit.page.click("label:has(#tool-point)")
+    visit.click(*RED)
+    visit.ready()
+    return visit
+
+
+def seen_at(visit, x, y):
+    return Image.open(io.BytesIO(visit.saved("download")[1])).convert("RGBA").getpixel((x, y))[3]
+
+
+def test_a_cut_out_leaves_nothing_where_it_was(visit, tmp_path):
+    visit.open(cutout(tmp_path / "disc.png"))
+    surrounded(visit)
+    assert visit.page.input_value("#holes") == "transparent"
+    visit.drag(RED, (250, 200))
+    visit.ready()
+    assert seen_at(visit, 250, 200) == 255 and seen_at(visit, *RED) == 0
+    assert not visit.page.locator("#holes-hint").is_visible()
+    # The choice of the user stays, whatever the region.
+    visit.page.select_option("#holes", "keep")
+    visit.ready()
+    assert seen_at(visit, *RED) == 255 and visit.page.locator("#holes-hint").is_visible()
+    visit.page.click("#region-clear")
+    visit.page.click("label:has(#tool-lasso)")
+    visit.drag((40, 40), (160, 40), (160, 160), (40, 160))
+    visit.ready()
+    assert visit.page.input_value("#holes") == "keep"
+
+
+def test_the_old_place_is_offered_to_be_transparent(opened):
+    surrounded(opened)
+    hint = opened.page.locator("#holes-hint")
+    assert opened.page.input_value("#holes") == "keep" and not hint.is_visible(), "nothing has moved"
+    opened.press(RED, (250, 200))
+    assert not hint.is_visible(), "not under a pointer"
+    opened.page.mouse.up()
+    opened.ready()
+    assert hint.is_visible() and seen_at(opened, *RED) == 255
+    opened.page.click("#holes-clear")
+    opened.ready()
+    assert not hint.is_visible() and seen_at(opened, *RED) == 0
+    opened.page.click("#undo")
+    opened.ready()
+    opened.page.click("#holes-close")
+    assert not hint.is_visible() and opened.page.input_value("#holes") == "keep"

@@ -62,7 +62,7 @@ fn html(section: &str) -> String {
     for block in blocks(section) {
         // Writing to a string does not fail.
         let _ = match code_of(block) {
-            Some(code) => writeln!(html, "<pre><code>{}</code></pre>", escaped(code)),
+            Some(code) => writeln!(html, "<pre tabindex=\"0\"><code>{}</code></pre>", escaped(code)),
             None => writeln!(html, "<p>{}</p>", paragraph(block)),
         };
     }
@@ -114,7 +114,7 @@ mod tests {
             let (_, main) = page.split_once("<main class=\"problem\">").unwrap();
             assert!(main.contains(&format!("<h1>{}</h1>", code.title())) && main.contains("<strong>What to do.</strong>"), "{page}");
             assert!(main.contains(&format!("\"code\": \"{}\"", code.as_str())), "{page}");
-            let text: String = main.split("<pre>").filter_map(|piece| piece.split("</pre>").last()).collect();
+            let text: String = main.split("<pre tabindex=\"0\">").filter_map(|piece| piece.split("</pre>").last()).collect();
             for mark in ["`", "**", "](", "\n- ", "\n* ", "\n1. ", "\n|", "\n#", "\n>", "{section}", "{title}", "{code}"] {
                 assert!(!text.contains(mark), "{mark:?} in {page}");
             }
@@ -136,6 +136,6 @@ mod tests {
     #[test]
     fn text_is_escaped_before_it_is_marked() {
         assert_eq!(paragraph("**Do.** `a<b> & c`, `**`"), "<strong>Do.</strong> <code>a&lt;b&gt; &amp; c</code>, <code>**</code>");
-        assert_eq!(html("One.\n\n```json\n{\"a\": \"<b>\"}\n```"), "<p>One.</p>\n<pre><code>{\"a\": \"&lt;b&gt;\"}\n</code></pre>\n");
+        assert_eq!(html("One.\n\n```json\n{\"a\": \"<b>\"}\n```"), "<p>One.</p>\n<pre tabindex=\"0\"><code>{\"a\": \"&lt;b&gt;\"}\n</code></pre>\n");
     }
 }

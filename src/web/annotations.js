@@ -1,0 +1,224 @@
+// Annotations (GeoJSON) over the picture, which follow the warp: during a drag by the posed grid of the page, at rest by the server, which
+// maps them exactly (`POST /sessions/{id}/points`).
+
+import * as api from "./api.js";
+import { wire } from "./edits.js";
+import { named } from "./handlesfile.js";
+import { Broken, lineAndColumn, parse } from "./json.js";
+import { isRegionTool } from "./region.js";
+import { annotationWords } from "./words.js";
+
+const GEOMETRIES = ["Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon", "GeometryCollection"];
+const KINDS = new Set(["FeatureCollection", "Feature", ...GEOMETRIES]);
+/** Vertices that are drawn in a frame of a motion; of more, every second or third one is. */
+const MOST_MOVING = 40_000;
+/** Places of a path that are farther apart than this, px, get some between them, up to so many parts. */
+const FAR = 8;
+const MOST_PARTS = 64;
+/** Smaller outlines are drawn as a dot, CSS px. */
+const DOT = 2;
+
+const find = (id) => document.getElementById(id);
+
+export const isAnnotations = (value) =>
+  Array.isArray(value) ? value.length > 0 && value.every((feature) => feature?.type === "Feature") : KINDS.has(value?.type);
+
+/** The annotations of a file: { name, geojson }. Throws a Problem. */
+export async function readAnnotations(file, most) {
+  const problem = (detail) => new api.Problem({ code: "bad_annotations", detail }, 0);
+  if (file.size > most) throw problem(`The file ${file.name} is too large for this server.`);
+  const text = await file.text().catch(() => null);
+  if (text === null) throw problem(`The file ${file.name} cannot be read.`);
+  let geojson;
+  try {
+    geojson = JSON.parse(text);
+  } catch {
+    geojson = whereBroken(text, file.name, problem);
+  }
+  if (!isAnnotations(geojson)) throw problem(`In ${file.name}, a FeatureCollection, a Feature, a list of Features or a geometry is expected.`);
+  return { name: file.name, geojson };
+}
+
+function whereBroken(text, name, problem) {
+  try {
+    return parse(text).value;
+  } catch (error) {
+    if (!(error instanceof Broken)) throw error;
+    const { line, column } = lineAndColumn(text, error.at);
+    throw problem(`In ${name}, line ${line}, column ${column}: ${error.expected} is expected.`);
+  }
+}
+
+/** Points and outlines of GeoJSON: lists of positions. What is not drawable is left out. */
+export function pathsOf(geojson) {
+  const paths = [];
+  const isPlace = (value) => Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]);
+  const add = (coordinates) => {
+    if (isPlace(coordinates)) paths.push([coordinates]);
+    else if (Array.isArray(coordinates) && coordinates.some(isPlace)) paths.push(coordinates.filter(isPlace));
+    else if (Array.isArray(coordinates)) coordinates.forEach(add);
+  };
+  const visit = (value) => {
+    if (Array.isArray(value)) return value.forEach(visit);
+    if (value === null || typeof value !== "object") return;
+    if (value.type === "FeatureCollection") return visit(value.features);
+    if (value.type === "GeometryCollection") return visit(value.geometries);
+    if (value.type === "MultiPoint") return (value.coordinates ?? []).forEach(add);
+    if (GEOMETRIES.includes(value.type)) return add(value.coordinates);
+    // Every member of a feature that is a geometry, such as the nucleus of a cell.
+    if (value.type === "Feature") for (const member of Object.values(value)) if (GEOMETRIES.includes(member?.type)) visit(member);
+  };
+  visit(geojson);
+  return paths;
+}
+
+/** A path with places between those that are far apart, because the warp bends what is between them. */
+function refined(path) {
+  return path.flatMap(([x, y], k) => {
+    if (!k) return [[x, y]];
+    const [a, b] = path[k - 1];
+    const parts = Math.min(MOST_PARTS, Math.ceil(Math.hypot(x - a, y - b) / FAR)) || 1;
+    return Array.from({ length: parts }, (_, n) => [a + ((x - a) * (n + 1)) / parts, b + ((y - b) * (n + 1)) / parts]);
+  });
+}
+
+export const countOf = (geojson) => (Array.isArray(geojson) ? geojson : (geojson.features ?? geojson.geometries ?? [geojson])).length;
+
+export class Annotations {
+  #of = null; // the annotations of the state
+  #paths = []; // at rest
+  #mapped = null; // by the server: { revision, geojson, paths }
+  #asking = null;
+  #drawn = [];
+
+  /** `told`: called when the server has mapped them. */
+  constructor(store, view, sync, told) {
+    Object.assign(this, { store, view, sync, told, context: find("annotations").getContext("2d", { willReadFrequently: true }) });
+    find("annotations-shown").addEventListener("change", () => this.#draw());
+    find("annotations-remove").addEventListener("click", () => store.do("annotations", { annotations: null }));
+    store.subscribe((state) => this.#follow(state));
+    sync.subscribe(() => this.#ask());
+    view.subscribe(() => this.#draw());
+    view.afterDraw(() => this.#draw());
+  }
+
+  #follow({ annotations }) {
+    find("annotations-panel").hidden = !annotations;
+    if (annotations !== this.#of) {
+      this.#of = annotations;
+      this.#paths = annotations ? pathsOf(annotations.geojson).map(refined) : [];
+      this.#mapped = null;
+      if (annotations) find("annotations-note").textContent = annotationWords(annotations.name, countOf(annotations.geojson));
+    }
+    this.#ask();
+    this.#draw();
+  }
+
+  /** Has the annotations of the shown picture mapped, once it is the server's. */
+  #ask() {
+    const { revision, document } = this.store.state;
+    const { shown, session } = this.sync;
+    const settled = this.sync.condition === "ready" && shown.revision === revision;
+    if (this.#asking?.revision !== revision || !settled || !this.#of) {
+      this.#asking?.cancel.abort();
+      this.#asking = null;
+    }
+    if (!this.#of || !settled || this.#asking || this.#mapped?.revision === revision) return;
+    this.#asking = { revision, cancel: new AbortController() };
+    this.#map(session.id, document, this.#asking, shown.report?.canvas ?? [0, 0]);
+  }
+
+  async #map(id, document, asking, [x, y]) {
+    const { name, geojson } = this.#of;
+    try {
+      const mapped = (await api.points(id, { q: wire(document, "q"), geojson }, asking.cancel.signal)).geojson;
+      if (this.#asking !== asking) return;
+      // Positions are those of the server's picture, whose canvas may begin elsewhere.
+      const paths = pathsOf(mapped).map((path) => path.map(([a, b]) => [a + x, b + y]));
+      this.#mapped = { revision: asking.revision, geojson: mapped, paths };
+      this.#draw();
+      this.told();
+    } catch (error) {
+      if (api.wasAborted(error) || this.#asking !== asking) return;
+      if (!(error instanceof api.Problem)) throw error;
+      // They cannot be used: as after a file that cannot be read.
+      this.store.do("annotations", { annotations: null });
+      const where = error.pointer?.startsWith("/geojson") ? ` at ${named(error.pointer.replace("/geojson", "")) || "the start"}` : "";
+      const detail = `In ${name},${where || " as a whole"}: ${error.detail}`;
+      this.store.do("problem", { problem: Object.assign(new api.Problem({ code: "bad_annotations", detail }, 0), { opening: true }) });
+    } finally {
+      if (this.#asking === asking) this.#asking = null;
+    }
+  }
+
+  /** What is drawn: `exact` the server's positions of the shown pose, `mesh` those by the posed grid, or an empty text. */
+  get shown() {
+    if (!this.#of) return "";
+    return this.#mapped?.revision === this.store.state.revision ? "exact" : "mesh";
+  }
+
+  /** The annotations in the frame of "Download PNG". */
+  async mapped() {
+    await this.sync.settled();
+    const { document, revision } = this.store.state;
+    if (this.#mapped?.revision === revision) return this.#mapped.geojson;
+    const { geojson } = this.#of;
+    return (await this.sync.ask((id) => api.points(id, { q: wire(document, "q"), geojson }))).geojson;
+  }
+
+  #draw() {
+    const { state } = this.store;
+    const { view, context } = this;
+    const seen = this.#of && view.size && state.phase === "open" && !state.compare && find("annotations-shown").checked;
+    const { canvas } = context;
+    if (!seen) {
+      canvas.hidden = true;
+      this.#drawn = [];
+      return;
+    }
+    const atRest = state.peek || isRegionTool(state.tool);
+    const isExact = !atRest && view.source === "png" && state.playing === null && this.#mapped?.revision === this.sync.shown.revision;
+    const mesh = atRest || isExact ? null : view.shownMesh;
+    const paths = isExact ? this.#mapped.paths : this.#paths;
+    const { zoom, pan, stageSize, scale } = view;
+    const now = [paths, mesh, zoom, ...pan, ...stageSize, scale];
+    if (!canvas.hidden && now.every((part, k) => part === this.#drawn[k])) return;
+    this.#drawn = now;
+    canvas.hidden = false;
+    Object.assign(canvas, { width: Math.max(1, Math.round(stageSize[0] * scale)), height: Math.max(1, Math.round(stageSize[1] * scale)) });
+    const moving = state.before !== null || state.playing !== null;
+    this.#stroke(paths, mesh, moving);
+  }
+
+  #stroke(paths, mesh, moving) {
+    const { context, view } = this;
+    const [wide, high] = view.stageSize;
+    const all = paths.reduce((sum, path) => sum + path.length, 0);
+    const step = moving ? Math.max(1, Math.ceil(all / MOST_MOVING)) : 1;
+    context.scale(view.scale, view.scale);
+    context.beginPath();
+    for (const path of paths) {
+      const isOne = path.length === 1;
+      let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
+      const posed = [];
+      const last = path.length - 1;
+      for (let k = 0; k <= last; k = k === last ? k + 1 : Math.min(last, k + step)) {
+        const place = mesh ? mesh.forward(path[k][0], path[k][1]) : path[k];
+        if (!place) continue;
+        const [x, y] = view.toStage(place);
+        posed.push(x, y);
+        [left, top, right, bottom] = [Math.min(left, x), Math.min(top, y), Math.max(right, x), Math.max(bottom, y)];
+      }
+      if (!posed.length || right < 0 || bottom < 0 || left > wide || top > high) continue;
+      if (isOne) {
+        context.moveTo(posed[0] + 3, posed[1]);
+        context.arc(posed[0], posed[1], 3, 0, 2 * Math.PI);
+      } else if (right - left < DOT && bottom - top < DOT) context.rect(left, top, 1, 1);
+      else for (let k = 0; k < posed.length; k += 2) k ? context.lineTo(posed[k], posed[k + 1]) : context.moveTo(posed[0], posed[1]);
+    }
+    for (const [colour, width] of [["rgb(0 0 0 / .6)", 3.5], ["#ffe14d", 1.5]]) {
+      Object.assign(context, { strokeStyle: colour, lineWidth: width, lineJoin: "round" });
+      context.stroke();
+    }
+  }
+}

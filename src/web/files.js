@@ -1,0 +1,52 @@
+// Files that a user opens together: what each of them is, and which are used. The others are named.
+
+import { isAnnotations } from "./annotations.js";
+import { beginsAsProject } from "./project.js";
+
+const PICTURE = /\.(png|jpe?g|webp|gif|bmp|tiff?)$/i;
+const TEXT = /\.(json|geojson|csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i;
+const MEDIA = /^(text\/(plain|csv|xml|tab-separated-values)|application\/(json|geo\+json|xml))$/;
+
+/** For file choosers: media types, and names, because browsers do not know them all. */
+export const PICTURES = "image/png,image/jpeg,image/webp,image/gif,image/bmp,image/tiff,.png,.jpg,.jpeg,.webp,.gif,.bmp,.tif,.tiff";
+export const HANDLES = "application/json,.json,text/csv,.csv,.tsv,.pts,.tem,.tps,.points,.txt,.xml,.fcsv";
+export const ANNOTATIONS = "application/geo+json,.geojson";
+
+const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
+
+/** The JSON value of a file; undefined if it is none or too large. */
+async function valueOf(file, most) {
+  if (file.size > most) return undefined;
+  try {
+    return JSON.parse(await file.text());
+  } catch {
+    return undefined;
+  }
+}
+
+/** `picture`, `project`, `annotations`, `handles` (complete, with both sides), `landmarks` or `other`. */
+async function kindOf(file, most) {
+  if (file.type.startsWith("image/") || PICTURE.test(file.name)) return "picture";
+  if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
+  const value = /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
+  // A damaged one is told by its start.
+  if (value?.mlswarp_project !== undefined || beginsAsProject(await file.slice(0, 100).text())) return "project";
+  if (isAnnotations(value) || /\.geojson$/i.test(file.name)) return "annotations";
+  return value?.p && value.q ? "handles" : "landmarks";
+}
+
+/**
+ * What is used of some files, in the order of their names: { project, picture, handles, annotations, unused }. A project is used alone. Two
+ * landmark files are rest and pose; a file with both sides is used alone. `most`: bytes up to which JSON is looked into.
+ */
+export async function sorted(list, most) {
+  const files = [...list].toSorted(byName);
+  const kinds = await Promise.all(files.map((file) => kindOf(file, most)));
+  const of = (kind) => files.filter((_, k) => kinds[k] === kind);
+  const [[project], [picture], [annotations]] = ["project", "picture", "annotations"].map(of);
+  const complete = of("handles");
+  const handles = complete.length ? complete.slice(0, 1) : of("landmarks").slice(0, 2);
+  const chosen = project ? { project, handles: [] } : { picture, handles, annotations };
+  const used = new Set([...Object.values(chosen).flat()]);
+  return { ...chosen, unused: files.filter((file) => !used.has(file)).map(({ name }) => name) };
+}

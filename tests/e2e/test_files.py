@@ -1,0 +1,222 @@
+"""Files that are opened together: which landmark file is rest and which pose, what is not used, annotations, TIFF."""
+
+import io
+import json
+
+import pytest
+from PIL import Image
+
+from support import BLUE, GREEN, RED, near, tell
+
+REST, POSE = [RED, GREEN, BLUE], [(120, 110), (330, 100), (190, 250)]
+SQUARE = [[80, 80], [120, 80], [120, 120], [80, 120], [80, 80]]
+CELL = {"type": "Feature", "id": 7, "geometry": {"type": "Polygon", "coordinates": [SQUARE]}, "properties": {"name": "red"}}
+CELLS = {"type": "FeatureCollection", "features": [CELL, {"type": "Feature", "geometry": {"type": "Point", "coordinates": [320, 90]}, "properties": {}}]}
+
+
+def pts(places):
+    """An ibug file, whose pixels have their centres at whole numbers."""
+    rows = "\n".join(f"{x + 0.5} {y + 0.5}" for x, y in places)
+    return f"version: 1\nn_points: {len(places)}\n{{\n{rows}\n}}\n".encode()
+
+
+def drop(visit, *files):
+    tell(visit, ["dragover", "drop"], *((name, media, value if isinstance(value, bytes) else json.dumps(value).encode()) for name, media, value in files))
+
+
+def sides(visit):
+    warp = visit.warp()
+    return [tuple(place) for place in warp["p"]], [tuple(place) for place in warp["q"]]
+
+
+def test_two_landmark_files_are_rest_and_pose_in_the_order_of_their_names(visit, picture):
+    drop(visit, ("face10.pts", "", pts(POSE)), ("discs.png", "image/png", picture.read_bytes()), ("face9.pts", "", pts(REST)))
+    visit.body("[data-handles='3']").ready()
+    assert sides(visit) == (REST, POSE)
+    assert (visit.text("sides-rest"), visit.text("sides-pose")) == ("face9.pts", "face10.pts")
+    assert near(visit.look().centre("red"), POSE[0], 2)
+    # One button exchanges them, as one step.
+    visit.page.click("#sides-swap")
+    visit.ready()
+    assert sides(visit) == (POSE, REST)
+    assert (visit.text("sides-rest"), visit.text("sides-pose")) == ("face10.pts", "face9.pts")
+    visit.page.click("#undo")
+    visit.ready()
+    assert sides(visit) == (REST, POSE) and visit.text("sides-rest") == "face9.pts"
+    visit.page.reload()
+    visit.body("[data-handles='3']").ready()
+    assert visit.text("sides-rest") == "face9.pts"
+    visit.page.click("#sides-close")
+    assert not visit.page.locator("#sides").is_visible()
+    # Without the notice the panel has the same button.
+    visit.page.click("#swap")
+    visit.ready()
+    assert sides(visit) == (POSE, REST)
+
+
+@pytest.mark.parametrize("media", ["", "text/plain"])
+def test_further_files_are_named(opened, media):
+    more = ("c.csv", "text/csv", b"x,y\n1,2\n"), ("notes.docx", "", b"no")
+    drop(opened, ("b.pts", media, pts(POSE)), ("a.pts", media, pts(REST)), *more)
+    opened.body("[data-handles='3']").ready()
+    assert opened.text("unused-text").startswith("Not used: c.csv and notes.docx.")
+    opened.page.click("#unused-close")
+    assert not opened.page.locator("#unused").is_visible()
+    assert sides(opened) == (REST, POSE)
+
+
+def test_a_file_with_both_sides_is_used_alone(opened):
+    drop(opened, ("z.json", "application/json", {"p": [[100, 100]], "q": [[120, 110]]}), ("a.pts", "", pts(REST)))
+    opened.body("[data-handles='1']").ready()
+    assert opened.text("unused-text").startswith("Not used: a.pts.")
+    assert not opened.page.locator("#sides").is_visible()
+
+
+def test_two_files_that_do_not_match_are_refused_by_their_names(opened):
+    opened.expects("422")
+    drop(opened, ("a.pts", "", pts(REST)), ("b.pts", "", pts(POSE[:2])))
+    opened.body("[data-problem=bad_landmarks]")
+    detail = opened.text("problem-detail")
+    assert detail.startswith("In a.pts, line") and "landmarks_" not in detail
+    assert opened["handles"] == "0"
+
+
+def test_a_json_file_of_one_side_is_a_landmark_file_too(opened):
+    drop(opened, ("b.json", "application/json", {"p": POSE}), ("a.json", "application/json", {"p": REST, "method": "affine"}))
+    opened.body("[data-handles='3']").ready()
+    assert sides(opened) == (REST, POSE)
+
+
+def test_a_swap_turns_a_twist_back(opened):
+    for place in (RED, GREEN, BLUE):
+        opened.click(*place)
+    opened.page.fill("#twist-0", "30")
+    opened.keys("Enter")
+    opened.ready()
+    bent = opened.warp()
+    opened.page.click("#swap")
+    opened.ready()
+    assert float(opened.page.input_value("#twist-0")) == -30
+    opened.page.click("#swap")
+    opened.ready()
+    assert len(bent["q"][0]) == 2 and all(near(a, b, 0.05) for a, b in zip(opened.warp()["q"][0], bent["q"][0]))
+
+
+def test_a_tiff_is_opened_and_drawn(visit, picture):
+    with visit.page.expect_file_chooser() as chooser:
+        visit.page.click("#pick")
+    assert ".tif" in visit.page.get_attribute("#file", "accept") and "TIFF" in visit.text("limits")
+    file = io.BytesIO()
+    Image.open(picture).save(file, "TIFF", compression="tiff_lzw")
+    chooser.value.set_files([{"name": "discs.tif", "mimeType": "image/tiff", "buffer": file.getvalue()}])
+    visit.body("[data-state=ready]")
+    look = visit.look()
+    for name, place in (("red", RED), ("green", GREEN), ("blue", BLUE)):
+        assert near(look.centre(name), place, 1), name
+    visit.click(*RED)
+    visit.drag(RED, (140, 130))
+    visit.ready()
+    assert near(visit.look().centre("red"), (140, 130), 2)
+    # Browsers do not always know its media type.
+    drop(visit, ("second.TIFF", "", file.getvalue()))
+    visit.body("[data-handles='0'][data-state=ready]")
+    assert visit.page.title().startswith("second.TIFF")
+
+
+# The bounding box of what is drawn in the colour of annotations, px of the picture.
+DRAWN = """([zoom, x, y]) => {
+  const canvas = document.querySelector("#annotations");
+  if (canvas.hidden) return null;
+  const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const box = [Infinity, Infinity, -Infinity, -Infinity];
+  for (let k = 0; k < width * height; k++) {
+    if (data[4 * k] < 200 || data[4 * k + 1] < 180 || data[4 * k + 3] < 200) continue;
+    const [u, v] = [k % width, Math.floor(k / width)];
+    [box[0], box[1], box[2], box[3]] = [Math.min(box[0], u), Math.min(box[1], v), Math.max(box[2], u), Math.max(box[3], v)];
+  }
+  return [(box[0] - x) / zoom, (box[1] - y) / zoom, (box[2] + 1 - x) / zoom, (box[3] + 1 - y) / zoom];
+}"""
+
+
+def drawn(visit):
+    data = visit.data
+    return visit.page.evaluate(DRAWN, [float(data["zoom"]), *map(float, data["pan"].split(","))])
+
+
+@pytest.mark.parametrize("value", [CELL, [CELL], CELL["geometry"], {"type": "FeatureCollection", "features": [CELL]}])
+def test_annotations_follow_the_warp(opened, value):
+    for place in (RED, GREEN, BLUE):
+        opened.click(*place)
+    opened.ready()
+    drop(opened, ("cells.geojson", "", value))
+    opened.body("[data-annotations=exact]")
+    assert near(drawn(opened), (80, 80, 120, 120), 2)
+    # In the hand by the page's grid, at rest by the server.
+    with opened.without_pictures():
+        opened.press(RED, (150, 130))
+        opened.body(f"[data-moving=true][data-source=mesh][data-shown='{opened['revision']}']")
+        assert opened["annotations"] == "mesh"
+        followed = drawn(opened)
+        opened.page.mouse.up()
+    opened.body("[data-annotations=exact]").ready()
+    left, top, right, bottom = exact = drawn(opened)
+    assert near(((left + right) / 2, (top + bottom) / 2), (150, 130), 4)
+    assert near(followed, exact, 1.5)
+    # The original has them where they were.
+    opened.page.focus("#stage")
+    opened.page.keyboard.down("b")
+    assert near(drawn(opened), (80, 80, 120, 120), 2)
+    opened.page.keyboard.up("b")
+    name, saved = opened.saved("annotations-save")
+    assert name == "cells-warped.geojson"
+    warp = opened.warp()
+    answer = opened.server.ask("POST", f"/sessions/{opened['session']}/points", {"q": warp["q"], "geojson": value})
+    assert json.loads(saved) == json.loads(answer.body)["geojson"]
+    opened.page.click("#annotations-remove")
+    assert opened["annotations"] == "" and drawn(opened) is None
+
+
+def test_annotations_are_in_the_frame_of_another_canvas(opened):
+    drop(opened, ("cells.geojson", "application/geo+json", CELLS))
+    opened.body("[data-annotations=exact]")
+    opened.page.select_option("#canvas", "box")
+    for name, number in (("x", 50), ("y", 40), ("width", 300), ("height", 200)):
+        opened.page.fill(f"#canvas-{name}", str(number))
+        opened.keys("Enter")
+    opened.body("[data-canvas='50,40,300,200'][data-annotations=exact]").ready()
+    # Where they are in the picture, and in the file the place in the result.
+    left, top, right, _ = drawn(opened)
+    assert near((left, top, right), (80, 80, 323), 3)
+    features = json.loads(opened.saved("annotations-save")[1])["features"]
+    assert features[1]["geometry"]["coordinates"] == [270, 50]
+
+
+def test_annotations_wait_for_their_picture_and_survive_undo(visit, picture):
+    drop(visit, ("cells.geojson", "", CELLS))
+    visit.page.wait_for_selector("#waiting")
+    assert visit.text("waiting-text").startswith("cells.geojson has annotations.")
+    visit.open(picture)
+    visit.body("[data-annotations=exact]")
+    assert visit.text("annotations-note") == "cells.geojson: 2 annotations, moved with the picture."
+    visit.page.click("#close")
+    visit.body("[data-state=empty]")
+    visit.page.click("#undo")
+    visit.body("[data-annotations=exact]")
+
+
+@pytest.mark.parametrize("broken, words", [
+    (b'{"type": "FeatureCollection", "features": [}', "In cells.geojson, line 1, column 44: a value is expected."),
+    (b'{"kind": "cells"}', "In cells.geojson, a FeatureCollection, a Feature, a list of Features or a geometry is expected."),
+])
+def test_broken_annotations_say_what_is_wrong(opened, broken, words):
+    drop(opened, ("cells.geojson", "application/geo+json", broken))
+    opened.body("[data-problem=bad_annotations]")
+    assert opened.text("problem-detail") == words
+
+
+def test_annotations_that_the_server_refuses_are_removed(opened):
+    opened.expects("422")
+    broken = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [[["a", 1]]]}, "properties": {}}
+    drop(opened, ("cells.geojson", "", broken))
+    opened.body("[data-problem=bad_annotations]")
+    assert opened["annotations"] == "" and opened.text("problem-detail") == "In cells.geojson, at geometry.coordinates[0][0][0]: expected a number; found a string."
