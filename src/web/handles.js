@@ -145,7 +145,7 @@ export class Handles {
     if (single) this.#updatePlace(nodes.whole, posed[0], handle.q[0], index + 1);
     else for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
-      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressedAt[k], "aria-label": `${name}, point ${k + 1} at ${placesWords([handle.q[k]])}` });
+      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressedAt[k], "aria-label": `${name}.${k + 1} at ${placesWords([handle.q[k]])}` });
       this.#updatePlace(node, posed[k], handle.q[k], `${index + 1}.${k + 1}`);
     });
     nodes.ghosts.forEach((ghost, k) => {

@@ -35,7 +35,7 @@ export class Notices {
     // Not in a drag: it would appear under the pointer.
     const isDrawnTwice = regionOf(document).parts.length > 0 && holesOf(document) === "keep" && handles.some(isPosed);
     if (!before) find("holes-hint").hidden = quiet || holesClosed || !isDrawnTwice;
-    find("unused").hidden = !unused.length;
+    find("unused").hidden = quiet || !unused.length;
     if (unused.length) text("unused-text", unusedWords(unused));
   }
 }

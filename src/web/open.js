@@ -223,8 +223,7 @@ export class Opener {
     return this.#attempt(name, async (signal) => {
       if (warp === null) throw new api.Problem({ code: "bad_link" }, 0);
       const object = await api.readSession(session).catch((problem) => {
-        if (LOST.has(problem.code)) this.#deadLink(name, warp);
-        throw problem;
+        throw LOST.has(problem.code) ? this.#deadLink(name, warp, problem) : problem;
       });
       signal.throwIfAborted();
       const told = documentOf(warp ?? warpOfSession(object));
@@ -236,10 +235,10 @@ export class Opener {
   }
 
   /** A link whose session has ended still has the handles: they wait for the picture. */
-  #deadLink(name, warp) {
+  #deadLink(name, warp, { code, status }) {
     const document = warp && documentOf(warp);
     if (document?.handles.length) this.store.do("waiting", { handles: { name: "The link", document, warp: null, missing: 0 } });
-    throw new api.Problem({ code: "dead_link", detail: deadLinkWords(name, this.limits.idle) }, 0);
+    return new api.Problem({ code, detail: deadLinkWords(name, this.limits.idle), link: true }, status);
   }
 
   /** Closes the picture; undo brings it back. */

@@ -45,7 +45,7 @@ export class Table {
     choose.type = "button";
     const single = handle.p.length === 1;
     choose.textContent = single ? `${index + 1}` : `${index + 1}.${vertex + 1}`;
-    choose.setAttribute("aria-label", `Select ${kindName(handle).toLowerCase()} ${index + 1}${single ? "" : `, point ${vertex + 1}`}`);
+    choose.setAttribute("aria-label", `Select ${kindName(handle).toLowerCase()} ${index + 1}${single ? "" : `.${vertex + 1}`}`);
     choose.addEventListener("click", (event) => this.actions.choose({ handle: this.store.state.document.handles[index], vertex: single ? null : vertex }, event.shiftKey));
     head.append(choose);
     row.append(head);

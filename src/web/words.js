@@ -65,10 +65,10 @@ const plain = (detail) =>
     .replace(/\b(handles?) (\d+(?:(?:, | and )\d+\b(?! more))*)/gi, (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`)
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
-export function problemWords({ code, title, detail: told, handle, coincident, status, opening, request_id: id }) {
+export function problemWords({ code, title, detail: told, handle, coincident, status, opening, link, request_id: id }) {
   // The detail of `unauthorized` describes a request header, which does not help here. Status 0: the page's own words.
   const detail = code === "unauthorized" ? "" : status === 0 ? (told ?? "") : plain(told ?? "");
-  const [said, usual] = PROBLEMS[code] ?? [title || "Request rejected", "Undo the last step, or try again."];
+  const [said, usual] = PROBLEMS[link ? "dead_link" : code] ?? [title || "Request rejected", "Undo the last step, or try again."];
   // Only requests for the open picture are repeated automatically.
   const advice = opening ? usual.replace(/(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./, "Try again.") : usual;
   const more = code === "internal" && id ? ` Request ${id}.` : "";

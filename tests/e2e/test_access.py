@@ -124,7 +124,7 @@ def told(visit):
     visit.page.click("label:has(#tool-lasso)")
     visit.drag((100, 60), (200, 60), (200, 200), (100, 200))
     visit.page.click("label:has(#tool-point)")
-    visit.page.wait_for_selector("#holes-hint")
+    visit.page.wait_for_selector("#holes-hint:not([hidden])", state="attached")
     visit.ready()
 
 

@@ -4,7 +4,7 @@ import io
 import shutil
 
 import pytest
-from PIL import Image, ImageChops
+from PIL import Image, ImageChops, ImageDraw
 
 from support import BLUE, GREEN, RED, SOCKET, Fingers, Server, near
 from test_output import run
