@@ -12,9 +12,9 @@ const FILES = {
   gif: { media: "image/gif", mark: "!\xf9\x04" },
   zip: { media: "application/zip", mark: "PK\x03\x04" },
 };
+export const FORMATS = Object.keys(FILES);
 /** The shortest display of a frame that browsers observe, ms. */
 const LEAST_DELAY = 20;
-
 /** Frames of the file by which the size is estimated. */
 const FEW = 3;
 

@@ -1,6 +1,7 @@
 // A project: one JSON file with the picture, its handles, the region, annotations and settings, as the page has them. Every part is checked
 // when it is opened, and what is wrong is named.
 
+import { FORMATS } from "./animationexport.js";
 import { Problem } from "./api.js";
 import { isAnnotations } from "./annotations.js";
 import { warpOf } from "./edits.js";
@@ -110,6 +111,6 @@ function animationFrom({ easing, back, frames, file }) {
   demand(easing in EASINGS, "/animation/easing", Object.keys(EASINGS).map((name) => `"${name}"`).join(" or "));
   demand(typeof back === "boolean", "/animation/back", "true or false");
   demand(Number.isInteger(frames) && frames >= 2 && frames <= MOST_FRAMES, "/animation/frames", `a number of frames, 2 to ${MOST_FRAMES},`);
-  demand(typeof file === "string", "/animation/file", "a format");
+  demand(FORMATS.includes(file), "/animation/file", FORMATS.map((name) => `"${name}"`).join(" or "));
   return { easing, back, frames, file };
 }

@@ -256,7 +256,7 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
 
 def test_the_size_is_estimated_before_the_export(visits, picture):
     visit = bend(visits(), picture)
-    for file in ("apng", "zip"):
+    for file in ("apng", "gif", "zip"):
         choose(visit, file=file, frames=10, back=True)
         visit.page.wait_for_selector("#export-result:text-matches('18 frames, 400 × 300 px, about .*B$')")
         number, unit = visit.text("export-result").rsplit("about ", 1)[1].split()

@@ -129,6 +129,7 @@ BROKEN = [
     (with_value(-1, "region", "parts", 1, "size"), "a size in px, above 0, is expected for region.parts[1].size."),
     (with_value({"kind": "mask", "png": "AAAA"}, "region", "parts", 0), "masks that are PNG in base64 is expected for region.parts."),
     (with_value({}, "annotations", "geojson"), "GeoJSON is expected for annotations.geojson."),
+    (with_value("avi", "animation", "file"), '"apng" or "gif" or "zip" is expected for animation.file.'),
     (with_value(1, "animation", "frames"), "a number of frames, 2 to"),
 ]
 

@@ -136,6 +136,9 @@ mod tests {
     #[test]
     fn text_is_escaped_before_it_is_marked() {
         assert_eq!(paragraph("**Do.** `a<b> & c`, `**`"), "<strong>Do.</strong> <code>a&lt;b&gt; &amp; c</code>, <code>**</code>");
-        assert_eq!(html("One.\n\n```json\n{\"a\": \"<b>\"}\n```"), "<p>One.</p>\n<pre tabindex=\"0\"><code>{\"a\": \"&lt;b&gt;\"}\n</code></pre>\n");
+        assert_eq!(
+            html("One.\n\n```json\n{\"a\": \"<b>\"}\n```"),
+            "<p>One.</p>\n<pre tabindex=\"0\"><code>{\"a\": \"&lt;b&gt;\"}\n</code></pre>\n"
+        );
     }
 }
