@@ -234,9 +234,9 @@ async fn batches_are_the_files_that_the_server_answers() {
     }
     let animation = json!({"steps": 4, "delay": 100});
     std::fs::write(&file, animation.to_string()).unwrap();
-    for name in ["out.png", "out.APNG"] {
+    for (name, media_type) in [("out.png", "image/apng"), ("out.APNG", "image/apng"), ("out.gif", "image/gif")] {
         done(&["batch", &image, &handles, &file, "-Q", "-o", &path(name)], "");
-        assert!(std::fs::read(path(name)).unwrap() == expected(&animation, "image/apng").await, "{name}");
+        assert!(std::fs::read(path(name)).unwrap() == expected(&animation, media_type).await, "{name}");
     }
     let wide = path("wide.png");
     std::fs::write(&wide, photo(81, 60)).unwrap();

@@ -4,7 +4,6 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use mlswarp::codec::Format;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Image, LabelImage, Plan, Posed, Region, Report, Setup, Subject, Warp};
 
@@ -15,7 +14,6 @@ use super::options::require_quality_of_jpeg;
 use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
-use crate::problem::{Code, Problem};
 use crate::wire::landmarks::Landmarks;
 use crate::wire::{Merged, Source, WarpObject, WarpPatch};
 use crate::wire::{canvas_text, method_text};

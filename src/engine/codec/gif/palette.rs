@@ -272,8 +272,8 @@ mod tests {
     }
 
     fn ramp() -> Vec<Colour> {
-        let value = |x: usize, by: f64| u8::try_from(60 + (x as f64 * by) as usize).unwrap();
-        (0..128 * 128).map(|k| [value(k % 128, 1.1), value(k / 128, 0.7), value((k % 128 + k / 128) / 2, 0.5)]).collect()
+        let value = |x: usize, tenths: usize| u8::try_from(60 + x * tenths / 10).unwrap();
+        (0..128 * 128).map(|k| [value(k % 128, 11), value(k / 128, 7), value((k % 128 + k / 128) / 2, 5)]).collect()
     }
 
     #[test]

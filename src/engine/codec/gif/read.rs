@@ -69,13 +69,13 @@ fn skip(bytes: &[u8], mut at: usize, work: &StepCounter<'_>) -> Result<(usize, b
 }
 
 /// The data of a run of sub-blocks, at most `most` bytes.
-fn joined(mut blocks: &[u8], most: usize, work: &StepCounter<'_>) -> Option<Vec<u8>> {
+fn joined(mut blocks: &[u8], most: u64, work: &StepCounter<'_>) -> Option<Vec<u8>> {
     let mut data = Vec::new();
     while let Some((&length @ 1.., rest)) = blocks.split_first() {
         work.step(1).ok()?;
         let (block, rest) = rest.split_at_checked(length.into())?;
         data.extend_from_slice(block);
-        if data.len() > most {
+        if data.len() as u64 > most {
             return None;
         }
         blocks = rest;
@@ -221,7 +221,7 @@ impl<'a> GifFile<'a> {
     }
 
     pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
-        keep_profile(joined(&self.bytes[self.profile.clone()?], MAX_ICC, work)?, false)
+        keep_profile(joined(&self.bytes[self.profile.clone()?], MAX_ICC as u64, work)?, false)
     }
 }
 
@@ -245,7 +245,7 @@ fn find<'a>(
     let name = data.get(1..12).unwrap_or_default();
     match (label, name) {
         (0xF9, _) | (0xFF, b"NETSCAPE2.0" | b"ANIMEXTS1.0") => {}
-        (0xFE, _) => match joined(data, METADATA_BYTES as usize, work) {
+        (0xFE, _) => match joined(data, METADATA_BYTES, work) {
             Some(comment) => found.add_comment(Cow::Owned(comment)),
             None => found.dropped.add(Kind::Comment),
         },
