@@ -18,6 +18,7 @@ mod decoders;
 mod decoding;
 mod doors;
 mod drag;
+mod effects;
 mod environment;
 mod estimates;
 mod fairness;

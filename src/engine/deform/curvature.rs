@@ -7,14 +7,17 @@ use crate::geometry::Mesh;
 const NARROW: f64 = 0.25;
 
 /// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a patch is at most an eighth of the second
-/// differences of both axes together; of each vertex. On a grid of fewer than four lines along an axis: all cells.
+/// differences of both axes together; of each vertex. A grid of fewer than four lines along an axis has no differences there.
 pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
     let cells = columns - 1;
     let index = |i: usize, j: usize| u32::try_from(j * cells + i).expect("fewer cells than vertices");
     if columns < 4 || rows < 4 {
-        return (0..rows - 1).flat_map(|j| (0..cells).map(move |i| (i, j))).map(|(i, j)| index(i, j)).collect();
+        let is_tall = rows >= columns;
+        let bent = bent_along(mesh, if is_tall { Axis::Y } else { Axis::X }, limit);
+        let all = (0..rows - 1).flat_map(|j| (0..cells).map(move |i| (i, j)));
+        return all.filter(|&(i, j)| bent[if is_tall { j } else { i }]).map(|(i, j)| index(i, j)).collect();
     }
     let line = |j: usize| mesh.displacement()[j * columns..][..columns].as_flattened();
     let share = |x: fn(&crate::geometry::Grid, u32) -> f64, last: u32| (x(grid, last) - x(grid, last - 1)) / (x(grid, 1) - x(grid, 0));
@@ -63,6 +66,39 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     bent
 }
 
+#[derive(Clone, Copy)]
+enum Axis {
+    X,
+    Y,
+}
+
+/// Whether the cells between two lines of a long axis may be bent, for each pair of lines. f is assumed to bend as much across a narrow
+/// grid as along it; a picture of a few rows is also compared with this share of the limit, because f may bend across it alone.
+fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
+    const NARROW_LIMIT: f64 = 0.25;
+    let grid = mesh.grid();
+    let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
+    let (lines, across) = if matches!(axis, Axis::Y) { (rows, columns) } else { (columns, rows) };
+    if lines < 4 {
+        return vec![true; lines - 1];
+    }
+    let at = |line: usize, k: usize| {
+        let [x, y] = mesh.displacement()[if matches!(axis, Axis::Y) { line * columns + k } else { k * columns + line }];
+        [f64::from(x), f64::from(y)]
+    };
+    let (width, height) = (grid.cell().0.min(grid.width()), grid.cell().1.min(grid.height()));
+    let aspect = if matches!(axis, Axis::Y) { width / height } else { height / width };
+    let bend = |line: usize| {
+        // The last line may be nearer than the others.
+        let middle = line.clamp(1, lines - 3);
+        let second = |k: usize, c: usize| at(middle - 1, k)[c] - 2.0 * at(middle, k)[c] + at(middle + 1, k)[c];
+        let largest = (0..across).map(|k| second(k, 0).hypot(second(k, 1))).fold(0.0, f64::max);
+        largest * (1.0 + aspect * aspect) > 8.0 * limit * NARROW_LIMIT
+    };
+    let high: Vec<bool> = (0..lines).map(bend).collect();
+    high.windows(2).map(|ab| ab[0] | ab[1]).collect()
+}
+
 /// The last line of a grid, which may be nearer than the others.
 #[derive(Clone, Copy)]
 struct Last {
@@ -90,5 +126,30 @@ impl Last {
     fn second(self, a: f32, b: f32, c: f32) -> f32 {
         let share = self.share as f32;
         ((c - b) / share - (b - a)) * 2.0 / (1.0 + share)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Grid;
+
+    /// A grid of cells of 16 px whose displacement grows with the square of the distance from the 100th line, but no farther than 10 lines.
+    fn bent_near_a_line(width: f64, height: f64) -> Mesh {
+        let grid = Grid::with_cell(width, height, 16.0);
+        let line = |j: u32| (f64::from(j) - 100.0).clamp(-10.0, 10.0) as f32;
+        let lines = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| i.max(j)));
+        Mesh::new(grid, lines.map(|k| [0.0, line(k) * line(k)]).collect())
+    }
+
+    #[test]
+    fn of_a_narrow_grid_only_what_bends_along_it_is_measured() {
+        for (width, height) in [(1.0, 1e6), (1e6, 1.0), (20.0, 1e6), (1e6, 33.0)] {
+            let mesh = bent_near_a_line(width, height);
+            let cells = mesh.grid().columns().max(mesh.grid().rows()) - 1;
+            let bent = bent_cells(&mesh, 0.1);
+            assert!((20..100).contains(&bent.len()), "{width} x {height}: {} of {cells}", bent.len());
+        }
+        assert_eq!(bent_cells(&bent_near_a_line(20.0, 30.0), 0.1).len(), 4);
     }
 }

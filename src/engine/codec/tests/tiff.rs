@@ -217,7 +217,6 @@ fn samples_that_are_no_colours_are_refused_by_their_number() {
         (grey(2).with(338, &[0]), 2),
         (grey(5).with(338, &[0; 4]), 5),
         (grey(3).with(338, &[2, 0]), 3),
-        (rgb(4), 4),
         (rgb(4).with(338, &[0]), 4),
         (rgb(5).with(338, &[0, 2]), 5),
         (rgb(5).with(338, &[1, 0]), 5),
@@ -229,6 +228,12 @@ fn samples_that_are_no_colours_are_refused_by_their_number() {
         let labels = open_labels(&tiff.bytes(), &Limits::default(), &StepCounter::new(&|| false)).map(|_| ());
         assert!(matches!(labels, Err(CodecError::Unsupported { .. })), "also as labels");
     }
+}
+
+#[test]
+fn a_fourth_sample_without_a_tag_is_alpha_beside_three_colours() {
+    let picture = decoded(&Tiff::new(2, 1, &[8; 4], 2, &[10, 20, 30, 255, 40, 50, 60, 0]).bytes());
+    assert_eq!((picture.channels(), eight(&picture)), (Channels::Rgba, &[10, 20, 30, 255, 40, 50, 60, 0][..]));
 }
 
 #[test]

@@ -267,6 +267,8 @@ fn alpha_of(
 ) -> Result<Option<Alpha>, CodecError> {
     match (stored - colours, page.values(338, work)?.and_then(|kinds| kinds.get(0))) {
         (0, _) => Ok(None),
+        // Writers that leave the tag out mean a picture with alpha; two samples without it are as often two channels of a microscope.
+        (1, None) if matches!(colour, Colour::Rgb) => Ok(Some(Alpha { is_premultiplied: false })),
         (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Ok(Some(Alpha { is_premultiplied: kind == 1 })),
         (extra, _) => {
             let colours = if colours == 1 { "1 is the colour" } else { "3 are the colours" };
