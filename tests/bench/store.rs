@@ -34,6 +34,7 @@ fn made(k: usize) -> (Arc<Record>, Bytes) {
         made_with_region: None,
         extent: Extent::new(500, 500).unwrap(),
         rest: RestSpec { p, ..RestSpec::default() },
+        pose: None,
         folds: Folds::default(),
         output: OutputSpec::default(),
         created: SystemTime::now(),

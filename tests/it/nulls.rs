@@ -98,7 +98,8 @@ impl Body {
                 if !content.is_object() {
                     continue;
                 }
-                let upload = &content["multipart/form-data"]["schema"];
+                let is_form = content["application/json"].is_null();
+                let upload = if is_form { &content["multipart/form-data"]["schema"] } else { &Value::Null };
                 let schema = if upload.is_object() {
                     &resolve(document, upload)["properties"]["warp"]
                 } else {

@@ -120,7 +120,8 @@ fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> Request
     match media_type {
         "multipart/form-data" => {
             let is_upload = body.get("image").is_some();
-            let base = if is_upload { form(PICTURE, body["warp"].to_string()) } else { Form::new() };
+            let json = |form: Form, warp: &Value| if warp.is_null() { form } else { form.text("warp", warp.to_string()) };
+            let base = if is_upload { form(PICTURE, body["warp"].to_string()) } else { json(Form::new(), &body["warp"]) };
             let texts = body.as_object().unwrap().iter().filter(|(name, _)| !["image", "warp"].contains(&name.as_str()));
             request.multipart(texts.fold(base, |form, (name, text)| form.text(name.clone(), text.as_str().unwrap().to_owned())))
         }

@@ -277,6 +277,7 @@ mod tests {
             made_with_region: None,
             extent: Extent::new(8, 8).unwrap(),
             rest: RestSpec::default(),
+            pose: None,
             folds: Folds::default(),
             output: OutputSpec::default(),
             created: SystemTime::UNIX_EPOCH,

@@ -50,7 +50,8 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let mut object = self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await??;
         let (rest, extent) = object.rest.take().ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))?;
-        self.fit(&ticket, self.response_quota(client), rest, extent, object).await
+        let pose = object.pose.onto(None)?;
+        self.fit(&ticket, self.response_quota(client), (rest, pose.q), extent, object.candidates).await
     }
 
     /// Compares methods on the points of a session.
@@ -59,20 +60,20 @@ impl App {
         let record = self.touch(id, None).await?.record;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let object = self.0.pool.run(&ticket, move |_| FitObject::parse_posed(&json)).await??;
-        self.fit(&ticket, self.response_quota(client), record.rest.clone(), record.extent, object).await
+        let pose = object.pose.onto(record.pose.as_ref())?;
+        self.fit(&ticket, self.response_quota(client), (record.rest.clone(), pose.q), record.extent, object.candidates).await
     }
 
     async fn fit(
         &self,
         ticket: &Ticket,
         quota: ClientQuota,
-        rest: RestSpec,
+        (rest, q): (RestSpec, Vec<Handle>),
         extent: Extent,
-        object: FitObject,
+        candidates: Vec<Candidate>,
     ) -> Result<ComparedFit, Problem> {
         let (app, warnings) = (self.clone(), rest.left_out().collect());
         let work = move |cancel: &Cancel| {
-            let FitObject { q, candidates, .. } = object;
             let (q, _) = rest.posed(q, 1.0, extent);
             let text =
                 candidates.len() * (CANDIDATE_TEXT + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.0.config.max_fit_handles));

@@ -10,7 +10,7 @@ use crate::limits::memory::{Purpose, Reservation};
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::wire::WarpObject;
-use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks};
+use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
 
 /// Longest text of a number with its punctuation, bytes, and that of the response without numbers and names.
 const NUMBER_TEXT: usize = 30;
@@ -52,6 +52,27 @@ impl App {
         };
         let landmarks = self.0.pool.run(&ticket, read).await??;
         Ok(HeldLandmarks { landmarks, held })
+    }
+
+    /// The JSON of a request with the handles of its landmark files as fields.
+    /// Errors: As [`App::read_landmarks`]; a field that the files give, too.
+    pub async fn with_landmarks(&self, client: Client, mut files: LandmarkFiles, json: Bytes, target: Target) -> Result<Bytes, Problem> {
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let (app, quota, columns) = (self.clone(), self.request_quota(client), self.0.config.limits().columns);
+        let held = self.reserve_for(Purpose::Upload, &quota, files.reading_bytes(columns))?;
+        let write = move |cancel: &Cancel| {
+            let _held = held;
+            files.choice.add(Choice::of_warp(&json)?)?;
+            let landmarks = files.read_for(target, columns, &|| cancel.is_cancelled())?;
+            // The handles alone, and among the other fields.
+            let length = json.len() + EMPTY_TEXT + 4 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
+            let mut reservation = app.reserve_for(Purpose::Upload, &quota, length as u64)?;
+            let mut body = landmarks.into_fields(&json, target)?;
+            body.shrink_to_fit();
+            reservation.shrink_to(body.len() as u64);
+            Ok::<_, Problem>(reservation.attach(body))
+        };
+        self.0.pool.run(&ticket, write).await?
     }
 
     /// Reads landmark files; returns the JSON of the response.

@@ -134,7 +134,7 @@ impl App {
         spec.check(record.extent, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let planned = self.plan(id.owner(), &ticket, &setup, timing).await?;
-        let q = self.posed(&ticket, &record, object.q, object.strength).await?;
+        let q = self.posed(&ticket, &record, object.pose).await?;
         let (folds, source, quota) = (record.folds, record.extent, self.response_quota(client));
         self.map_file(&ticket, MapJob { planned, q, folds, spec, source, key, quota }).await
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp::deform::Pose;
+use mlswarp::deform::{self, Handle};
 use mlswarp::render::Canvas;
 use mlswarp::warp::{CanvasSpec, Folds, Frame, GridSpec, Posed, Setup, Target, Warning};
 
@@ -22,7 +22,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{Annotations, Cursor, PointsObject, method_text, reading_bytes};
+use crate::wire::{Annotations, Cursor, PointsObject, Pose, method_text, reading_bytes};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
@@ -85,7 +85,7 @@ impl MappedParts {
 #[derive(Debug)]
 struct MappingJob {
     setup: Arc<Setup>,
-    pose: Pose,
+    pose: deform::Pose,
     /// The posed grid, which shows where to look for the inverse, and its memory.
     posed: Option<(Posed, Reservation)>,
     picture: Frame,
@@ -123,6 +123,8 @@ impl MappingJob {
 struct PointsJob {
     owner: Owner,
     setup: Arc<Setup>,
+    /// Posed handles.
+    q: Vec<Handle>,
     object: PointsObject,
     folds: Folds,
     /// Has the region that moves, if the canvas depends on it.
@@ -147,8 +149,8 @@ impl App {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
-        let parse = move |json: &Bytes| PointsObject::parse(json, most_bytes);
-        let (mut object, _reading) = self.read_points(client, &ticket, json, parse).await?;
+        let parse = move |json: &Bytes| Ok((PointsObject::parse(json, most_bytes)?, ()));
+        let ((mut object, _), _reading) = self.read_points(client, &ticket, json, parse).await?;
         let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
         if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
             // The exact deformation needs no grid; this one is within all limits.
@@ -157,10 +159,10 @@ impl App {
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
         let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
-        object.q = warp.posed()?.to_vec();
+        let q = warp.posed()?.to_vec();
         let method = warp.is_auto.then(|| method_text(&warp.rest));
         let (owner, quota) = (client.owner, self.response_quota(client));
-        let job = PointsJob { owner, setup, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
+        let job = PointsJob { owner, setup, q, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
         Ok(MappedFile { method, ..self.map_points(&ticket, job).await? })
     }
 
@@ -176,26 +178,26 @@ impl App {
         let parse = move |json: &Bytes| {
             let (rest, size) = (&of_session.rest, of_session.extent);
             let mut object = PointsObject::parse_posed(json, most_bytes, (size, rest.units), &of_session.output)?;
-            object.q = rest.posed(object.q, object.strength, size).0;
-            Ok(object)
+            let Pose { q, strength } = std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+            Ok((object, rest.posed(q, strength, size).0))
         };
-        let (object, _reading) = self.read_points(client, &ticket, json, parse).await?;
+        let ((object, q), _reading) = self.read_points(client, &ticket, json, parse).await?;
         drop(ticket);
         let region = self.region_of(client, &record, object.output.canvas).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (owner, quota, folds) = (id.owner(), self.response_quota(client), record.folds);
-        let job = PointsJob { owner, setup, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
+        let job = PointsJob { owner, setup, q, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
         self.map_points(&ticket, job).await
     }
 
     /// Reads a request into memory that is reserved before.
-    async fn read_points(
+    async fn read_points<T: Send + 'static>(
         &self,
         client: Client,
         ticket: &Ticket,
         json: Bytes,
-        parse: impl FnOnce(&Bytes) -> Result<PointsObject, Problem> + Send + 'static,
-    ) -> Result<(PointsObject, Reservation), Problem> {
+        parse: impl FnOnce(&Bytes) -> Result<(PointsObject, T), Problem> + Send + 'static,
+    ) -> Result<((PointsObject, T), Reservation), Problem> {
         let (app, quota) = (self.clone(), self.request_quota(client));
         let read = move |_: &_| {
             let reading = app.reserve_for(Purpose::Upload, &quota, reading_bytes(&json))?;
@@ -206,7 +208,7 @@ impl App {
 
     /// Finds the picture, and maps the first part.
     async fn map_points(&self, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
-        let PointsJob { owner, setup, object, folds, region, cursor, is_long, key, quota } = job;
+        let PointsJob { owner, setup, q, object, folds, region, cursor, is_long, key, quota } = job;
         let drawn =
             if PointsJob::needs_grid(&object, folds) { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
         let to_invert = if object.annotations.is_inverse {
@@ -217,7 +219,7 @@ impl App {
         };
         let app = self.clone();
         let prepare = move |cancel: &Cancel| {
-            let PointsObject { q, output, annotations, .. } = object;
+            let PointsObject { output, annotations, .. } = object;
             let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
             let target = match drawn {
                 Some(drawn) => {

@@ -20,7 +20,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::wire::{DragObject, ReportAnswer, ReportObject, WarningEntry, method_text};
+use crate::wire::{DragObject, Pose, ReportAnswer, ReportObject, WarningEntry, method_text};
 
 /// The quality of a pose.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ impl App {
         let ReportObject { warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object, alignment } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, held: _held, object, alignment, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (q, output, quota) = (object.posed()?.to_vec(), object.output, self.response_quota(client));
         let job = ReportJob { owner: client.owner, setup, q, alignment, output, region: None, drawn: None, quota };
@@ -77,7 +77,8 @@ impl App {
         let limits = self.0.config.limits();
         let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
         let parse = move |_: &_| {
-            let DragObject { q, strength, output, .. } = DragObject::parse_for_report(&json)?;
+            let DragObject { pose, output, .. } = DragObject::parse_for_report(&json)?;
+            let Pose { q, strength } = pose.onto(of_session.pose.as_ref())?;
             let output = output.merge_onto(&of_session.output);
             output.check(of_session.extent, &limits)?;
             Ok::<_, Problem>((of_session.rest.posed(q, strength, of_session.extent), output))

@@ -84,10 +84,11 @@ impl App {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-            let base = WarpObject { rest: old.rest.clone(), q: None, folds: old.folds, output: old.output, strength: 1.0, is_auto: false };
+            let (q, strength) = old.pose.clone().map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
+            let base = WarpObject { rest: old.rest.clone(), q, folds: old.folds, output: old.output, strength, is_auto: false };
             let (app, json, extent) = (self.clone(), json.clone(), old.extent);
             let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.without_files()?.merge_onto(base), extent, cancel);
-            let Resolved { object, setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
+            let Resolved { object, pose, setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
             // A picture that is not in memory is looked at when it is drawn.
             if let Some(image) = self.0.images.peek(Key::new(id.owner(), old.image)) {
                 Subject::Image(&image).check(&object.output)?;
@@ -97,7 +98,7 @@ impl App {
             drop(ticket);
             let method = object.is_auto.then(|| method_text(&object.rest));
             let WarpObject { rest, folds, output, .. } = object;
-            let new = Record { revision: Revision::random(), rest, folds, output, ..(*old).clone() };
+            let new = Record { revision: Revision::random(), rest, pose, folds, output, ..(*old).clone() };
             let claim = self.0.client_sessions.claim_revision(&new, None)?;
             let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new), None)).await;
             match revised {

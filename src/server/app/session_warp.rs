@@ -27,7 +27,7 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, Session, StoreError};
 use crate::wire::formats::Formats;
-use crate::wire::{AsJson, DragObject, MeshObject, MeshShape};
+use crate::wire::{AsJson, DragObject, MeshObject, MeshShape, Pose, PosePatch};
 
 /// Maximum number of vertices of a mesh as JSON, which takes some 40 bytes per vertex.
 const MAX_JSON_VERTICES: u64 = 1 << 20;
@@ -114,7 +114,7 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&base) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        let q = self.posed(&ticket, &record, drag.q, drag.strength).await?;
+        let q = self.posed(&ticket, &record, drag.pose).await?;
         self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
     }
 
@@ -123,12 +123,14 @@ impl App {
     pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
-        let q = self.posed(&plan.ticket, &request.record, drag.q, drag.strength).await?;
+        let q = self.posed(&plan.ticket, &request.record, drag.pose).await?;
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
     /// The handles that a request means (see [`RestSpec::posed`](mlswarp::warp::RestSpec::posed)).
-    pub(crate) async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, q: Vec<Handle>, strength: f64) -> Result<Vec<Handle>, Problem> {
+    /// Errors: `bad_value` at `/q` if neither the request nor the session has one.
+    pub(crate) async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, pose: PosePatch) -> Result<Vec<Handle>, Problem> {
+        let Pose { q, strength } = pose.onto(record.pose.as_ref())?;
         let is_as_given = record.rest.align == Align::None && strength.to_bits() == 1.0_f64.to_bits();
         if is_as_given || columns(record) <= MOST_POSED_HERE {
             return Ok(record.rest.posed(q, strength, record.extent).0);

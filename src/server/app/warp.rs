@@ -24,7 +24,7 @@ use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record, StoredLayer};
 use crate::wire::formats::Formats;
-use crate::wire::{WarpObject, WarpPatch, method_text};
+use crate::wire::{Pose, WarpObject, WarpPatch, method_text};
 
 /// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
@@ -55,6 +55,8 @@ pub struct PreparedWarp {
     file: Bytes,
     pub(crate) digest: Digest,
     object: WarpObject,
+    /// The pose as it was sent.
+    pose: Option<Pose>,
     /// The format of this response; a session keeps the requested one.
     format: Format,
     image: Arc<CacheEntry<Image>>,
@@ -77,7 +79,7 @@ impl PreparedWarp {
 
     /// The record, files and setup of a session, and the memory of the setup.
     pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Vec<NamedFile>, Arc<Setup>, Option<Reservation>) {
-        let Self { file, digest, object, image, region, setup, held, .. } = self;
+        let Self { file, digest, object, pose, image, region, setup, held, .. } = self;
         let region = region.map(|(file, _)| file);
         let made_with_region = region.as_ref().map(|file| file.digest);
         let layer = |digest| (LayerName::region(), StoredLayer { kind: LayerKind::Image, digest });
@@ -89,6 +91,7 @@ impl PreparedWarp {
             made_with_region,
             extent: image.extent(),
             rest: object.rest,
+            pose,
             folds: object.folds,
             output: object.output,
             created: SystemTime::now(),
@@ -103,13 +106,16 @@ impl App {
     /// Errors: Wrong handles, or too little memory.
     pub(crate) fn resolve(&self, mut object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
         object.output.check(extent, &self.0.config.limits())?;
+        object.leave_out_missing();
+        let q = object.q.clone().filter(|_| !object.rest.p.is_empty());
+        let pose = q.map(|q| Pose { q, strength: object.strength });
         let alignment = object.settle_pose(extent)?;
         self.choose_method(&mut object, extent, cancel)?;
         let bytes = object.rest.field_bytes();
         let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
         let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
         object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
-        Ok(Resolved { object, alignment, setup: Arc::new(setup), held })
+        Ok(Resolved { object, pose, alignment, setup: Arc::new(setup), held })
     }
 
     /// Draws an image from a file and a warp object with `q`.
@@ -209,9 +215,9 @@ impl App {
             }
             app.resolve(object, extent, cancel)
         };
-        let Resolved { object, setup, held, .. } = self.0.pool.run(ticket, resolve).await??;
+        let Resolved { object, pose, setup, held, .. } = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(owner, ticket, &setup, timing).await?;
-        Ok((PreparedWarp { file, digest, object, format, image, region, setup, held }, planned))
+        Ok((PreparedWarp { file, digest, object, pose, format, image, region, setup, held }, planned))
     }
 
     /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
@@ -251,6 +257,8 @@ fn in_part_region(mut problem: Problem) -> Problem {
 #[derive(Debug)]
 pub(crate) struct Resolved {
     pub(crate) object: WarpObject,
+    /// The pose as it was sent, if there are handles.
+    pub(crate) pose: Option<Pose>,
     /// How q was aligned, if that was requested.
     pub(crate) alignment: Option<Alignment>,
     pub(crate) setup: Arc<Setup>,

@@ -14,8 +14,8 @@ use serde_json::json;
 use super::failure::{Failure, name_of};
 use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
-use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, extent};
-use crate::wire::{Merged, Source, WarpObject, extent_in, without};
+use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target, extent};
+use crate::wire::{Merged, Source, WarpObject, extent_in};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -184,14 +184,11 @@ impl Body {
         let mut merged = merge(&sources)?;
         let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
         let extent = extent_in(&merged.json).map_err(|problem| located(&merged, problem))?;
-        let extent = extent.ok_or_else(|| Failure::Local(missing.to_owned()))?;
+        extent.ok_or_else(|| Failure::Local(missing.to_owned()))?;
         let mut json = std::mem::take(&mut merged.json);
         if let Some(landmarks) = input.landmarks.read(config, &json)? {
             merged.require_no_handles().map_err(|problem| located(&merged, problem))?;
-            let chosen =
-                Source { name: String::new(), json: without(&json, &["match", "item", "names", "format", "unmatched"])?, is_option: false };
-            let handles = of("the landmarks", json!(landmarks.scale(Some(extent))?).to_string());
-            json = Merged::of(&[chosen, handles]).map_err(|(_, problem)| problem)?.json;
+            json = landmarks.into_fields(&json, Target::Request)?;
         }
         Ok(Self { json: json.into(), merged })
     }

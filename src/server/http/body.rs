@@ -178,19 +178,12 @@ pub(crate) fn sent(headers: &HeaderMap) -> String {
 /// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads from blocking the bodies of drags.
 pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
     if media_type(request.headers()).as_deref() != Some("application/json") {
-        return Err(Problem::new(Code::UnsupportedMediaType, format!("the body must be `application/json`; {}", sent(request.headers()))));
+        return Err(Problem::new(
+            Code::UnsupportedMediaType,
+            format!("the body must be `application/json`, or `multipart/form-data` with landmark files; {}", sent(request.headers())),
+        ));
     }
     raw(caller, request, purpose, what, limit).await
-}
-
-/// Reads the JSON body of a request without an image that has the size of a warp object.
-pub(crate) async fn warp_json(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "json_bytes", caller.app.config().max_warp_json_bytes).await
-}
-
-/// Reads a JSON body with annotations or frames, which may be as large as any body.
-pub(crate) async fn large_json(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
-    json(caller, request, Purpose::Upload, "body_bytes", caller.app.config().max_body_bytes).await
 }
 
 /// Reads a body of any type, of at most `limit` bytes.

@@ -11,15 +11,16 @@ use bytes::Bytes;
 use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
-use super::body::{BodyBuffer, read_problem, sent};
+use super::body::{self, BodyBuffer, read_problem, sent};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::app::warp::Upload;
 use crate::limits::memory::Purpose;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
+use crate::store::Record;
 use crate::wire::fields;
-use crate::wire::landmarks::{Choice, LandmarkFiles, extent};
+use crate::wire::landmarks::{Choice, LandmarkFiles, Target, extent};
 
 /// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
 const MAX_OVERHEAD: u64 = 16 << 10;
@@ -30,6 +31,13 @@ const PARSER_BYTES: u64 = 128 << 10;
 const UPLOAD: [&str; 10] = ["image", "warp", "region", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q", "match", "item"];
 const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p`, `extent_q`, `match` and `item`";
 const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
+/// The parts of a request without an image: the other fields, and landmark files; of a session, those of its pose.
+const FORM: [&str; 8] = ["warp", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q", "match", "item"];
+const FORM_ADVICE: &str = "the parts are `warp`, the JSON without handles; `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
+const POSE: [&str; 4] = ["warp", "landmarks_q", "extent_q", "item"];
+const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `landmarks_q`, the file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
+/// Parts that only the limit of the whole body applies to.
+const NO_LIMIT: &str = "body_bytes";
 /// Longest text of an extent, and of the name of an item, bytes.
 const EXTENT_BYTES: u64 = 64;
 const ITEM_BYTES: u64 = 1024;
@@ -37,9 +45,9 @@ const ITEM_BYTES: u64 = 1024;
 const NO_BOUNDARY: &str =
     "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
 /// Extensions of the files that people send.
-const EXTENSIONS: [&str; 20] = [
-    "json", "txt", "csv", "pts", "tem", "points", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg",
-    "psd", "pdf",
+const EXTENSIONS: [&str; 23] = [
+    "json", "txt", "csv", "pts", "tem", "points", "tps", "xml", "fcsv", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic",
+    "heif", "avif", "svg", "psd", "pdf",
 ];
 
 /// Reads an upload. The limit of the whole body is checked before; `warp` has a limit of its own.
@@ -52,7 +60,8 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
         let detail = format!("{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
-    let [image, warp, region, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE).await?;
+    let limit = ("warp_json_bytes", caller.app.config().max_warp_json_bytes);
+    let [image, warp, region, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE, limit).await?;
     let files = landmark_files(files)?;
     files.require_files()?;
     // Every field of a warp object has a default, except for the handles.
@@ -76,8 +85,46 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
 
 /// Reads the parts of landmark files alone.
 pub(crate) async fn read_landmark_parts(caller: &Caller, request: Request) -> Result<LandmarkFiles, Problem> {
-    let [_, _, _, files @ ..] = read_parts(caller, request, &UPLOAD[3..], LANDMARKS_ADVICE).await?;
+    let [_, _, _, files @ ..] = read_parts(caller, request, &UPLOAD[3..], LANDMARKS_ADVICE, (NO_LIMIT, u64::MAX)).await?;
     landmark_files(files)
+}
+
+/// Reads the JSON of a request whose handles may be in landmark files: then it is the part `warp` of a form. `limit`: its name, and the
+/// most bytes of JSON.
+pub(crate) async fn json_or_form(
+    caller: &Caller,
+    request: Request,
+    purpose: Purpose,
+    (what, limit): (&'static str, u64),
+    target: Target,
+) -> Result<Bytes, Problem> {
+    if !is_multipart(&request) {
+        return body::json(caller, request, purpose, what, limit).await;
+    }
+    let (names, advice) = if let Target::Pose(..) = target { (&POSE[..], POSE_ADVICE) } else { (&FORM[..], FORM_ADVICE) };
+    let [_, json, _, files @ ..] = read_parts(caller, request, names, advice, (what, limit)).await?;
+    let files = landmark_files(files)?;
+    files.require_files()?;
+    let json = json.unwrap_or(Bytes::from_static(b"{}"));
+    require_contents(&[("warp", Code::MalformedRequest, Some(&json))])?;
+    if files.is_empty() { Ok(json) } else { caller.app.with_landmarks(caller.client, files, json, target).await }
+}
+
+/// As [`json_or_form`], of the size of a warp object.
+pub(crate) async fn warp_json_or_form(caller: &Caller, request: Request, target: Target) -> Result<Bytes, Problem> {
+    let limit = caller.app.config().max_warp_json_bytes;
+    json_or_form(caller, request, Purpose::Upload, ("json_bytes", limit), target).await
+}
+
+/// As [`json_or_form`], with annotations or frames, which may be as large as any body.
+pub(crate) async fn large_json_or_form(caller: &Caller, request: Request, target: Target) -> Result<Bytes, Problem> {
+    let limit = caller.app.config().max_body_bytes;
+    json_or_form(caller, request, Purpose::Upload, ("body_bytes", limit), target).await
+}
+
+/// What landmark files mean in a request about a session.
+pub(crate) fn pose_of(record: &Record) -> Target {
+    Target::Pose(record.extent, record.rest.units)
 }
 
 fn landmark_files([both, p, q, extent_p, extent_q, matching, item]: [Option<Bytes>; 7]) -> Result<LandmarkFiles, Problem> {
@@ -101,6 +148,7 @@ async fn read_parts(
     mut request: Request,
     names: &[&'static str],
     advice: &str,
+    of_warp: (&'static str, u64),
 ) -> Result<[Option<Bytes>; UPLOAD.len()], Problem> {
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
@@ -125,10 +173,10 @@ async fn read_parts(
             return Err(malformed(format!("the part `{name}` occurs twice")));
         }
         let (what, limit) = match name.as_str() {
-            "warp" => ("warp_json_bytes", app.config().max_warp_json_bytes),
+            "warp" => of_warp,
             "extent_p" | "extent_q" => ("extent_bytes", EXTENT_BYTES),
             "match" | "item" => ("item_bytes", ITEM_BYTES),
-            _ => ("body_bytes", u64::MAX),
+            _ => (NO_LIMIT, u64::MAX),
         };
         read[index] = Some(read_part(caller, part, what, limit, &buffered).await?);
     }

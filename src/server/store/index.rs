@@ -383,7 +383,8 @@ impl Index {
 
 /// The bytes that a record counts for, beside its files.
 pub fn record_bytes(record: &Record) -> u64 {
-    let places: usize = record.rest.p.iter().map(|h| 1 + h.places().len()).sum();
+    let posed = record.pose.iter().flat_map(|pose| &pose.q);
+    let places: usize = record.rest.p.iter().chain(posed).map(|h| 1 + h.places().len()).sum();
     512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64 + 256 * record.layers.len() as u64
 }
 

@@ -50,6 +50,7 @@ use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::period;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
+use crate::wire::Pose;
 
 /// The answer of a store.
 pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
@@ -78,6 +79,8 @@ pub struct Record {
     pub extent: Extent,
     /// Handles at rest and the parameters of the deformation, as the client gave them.
     pub rest: RestSpec,
+    /// Where the handles are in requests without `q`.
+    pub pose: Option<Pose>,
     /// How folds are handled.
     pub folds: Folds,
     /// How pictures are made unless a drag says otherwise.
@@ -99,7 +102,7 @@ impl Record {
     /// Whether both were made from the same files and the same handles. Layers that were added or removed since do not count.
     pub fn is_made_like(&self, other: &Self) -> bool {
         let made = |record: &Self| (record.image, record.made_with_region, record.folds, record.output);
-        made(self) == made(other) && self.rest == other.rest
+        made(self) == made(other) && self.rest == other.rest && self.pose == other.pose
     }
 
     /// The digests of the files that it names: the picture's first, then those of the layers. Two may be the same.

@@ -30,7 +30,7 @@ use serde_json::value::RawValue;
 use super::{Record, StoredLayer};
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::session::{Revision, SessionId};
-use crate::wire::{AsJson, EnumName as _, WarpObject, WarpPatch};
+use crate::wire::{AsJson, EnumName as _, Pose, WarpObject, WarpPatch};
 
 /// The version of the form. It changes when older programs would misunderstand a record.
 const VERSION: u32 = 1;
@@ -134,6 +134,12 @@ impl Serialize for Warp<'_> {
         // Later fields (rule 2).
         Defaults::LeftOut.field(&mut object, "coincident", *coincident, &base.rest.coincident)?;
         Defaults::LeftOut.field(&mut object, "align", *align, &base.rest.align)?;
+        if let Some(Pose { q, strength }) = &record.pose {
+            object.serialize_entry("q", &AsJson(q.as_slice()))?;
+            if strength.to_bits() != base.strength.to_bits() {
+                object.serialize_entry("strength", strength)?;
+            }
+        }
         object.end()
     }
 }
@@ -253,8 +259,8 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     }
     let read: Document<&RawValue> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.merge_onto(base());
-    if warp.q.is_some() || warp.strength.to_bits() != base().strength.to_bits() {
-        return Err(other("it has posed handles"));
+    if warp.q.is_none() && warp.strength.to_bits() != base().strength.to_bits() {
+        return Err(other("it has a strength without posed handles"));
     }
     if warp.is_auto {
         return Err(other("its method is not chosen"));
@@ -271,6 +277,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
         made_with_region: region.transpose()?,
         extent: Extent::new(read.width, read.height).ok_or_else(|| other("its picture has no size"))?,
         rest: RestSpec { has_unmatched: read.has_unmatched, ..warp.rest },
+        pose: warp.q.map(|q| Pose { q, strength: warp.strength }),
         folds: warp.folds,
         output: warp.output,
         created: SystemTime::UNIX_EPOCH + Duration::from_nanos(read.created),
@@ -467,7 +474,7 @@ mod tests {
             with_warp(&record, r#"{"method":"arap"}"#),
             with_warp(&record, r#"{"method":"auto"}"#),
             with_warp(&record, r#"{"output":{"filter":"lanczos"}}"#),
-            with_warp(&record, r#"{"q":[]}"#),
+            with_warp(&record, r#"{"strength":2}"#),
             sealed(b"{\"version\":3}"),
             sealed(b"\x82\xa7version\x04"),
         ];

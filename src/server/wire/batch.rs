@@ -5,19 +5,16 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use bytes::Bytes;
-use mlswarp::deform::Handle;
 use mlswarp::render::Canvas;
 use mlswarp::warp::{Easing, Frame, Jitter};
 use serde::Serialize;
 
 use super::annotations::Annotations;
 use super::enum_name::enum_name;
-use super::handles::handles;
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
-use super::rest::strength;
-use super::{AsJson, fields, json, layer, require_length, text_bytes};
+use super::{AsJson, PosePatch, fields, json, layer, require_length, text_bytes};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -62,10 +59,8 @@ pub enum BatchPoses {
     Frames(FrameTexts),
     /// From rest to `q`.
     Steps {
-        /// The last pose, if the request gives it.
-        q: Option<Vec<Handle>>,
-        /// How much of the way from p to q the handles are moved in the last frame.
-        strength: f64,
+        /// The last pose.
+        pose: PosePatch,
         /// The number of frames.
         steps: u32,
         /// How they follow one another.
@@ -73,10 +68,8 @@ pub enum BatchPoses {
     },
     /// Around `q`.
     Jitter {
-        /// The pose that is displaced, if the request gives it.
-        q: Option<Vec<Handle>>,
-        /// How much of the way from p to q the handles are moved before.
-        strength: f64,
+        /// The pose that is displaced.
+        pose: PosePatch,
         /// The displacements.
         jitter: Jitter,
         /// The number of frames.
@@ -93,13 +86,12 @@ pub struct FrameTexts {
 
 impl FrameTexts {
     /// Reads `q` and `strength` of a frame.
-    fn read(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
+    fn read(&self, frame: u32) -> Result<PosePatch, Problem> {
         let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
         let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
         let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
         let node = Node::new(text, At::Item(&frames, index));
-        let [q, strength_] = node.fields(&fields::BATCH_FRAME)?;
-        Ok((optional(q, handles)?, optional(strength_, strength)?.unwrap_or(1.0)))
+        PosePatch::read(node.fields(&fields::BATCH_FRAME)?)
     }
 }
 
@@ -110,12 +102,12 @@ pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
 }
 
 impl BatchPoses {
-    /// `q`, if the request gives it, and the strength of a frame.
+    /// What the request gives of the pose of a frame.
     /// Errors: A frame with another form.
-    pub fn given(&self, frame: u32) -> Result<(Option<Vec<Handle>>, f64), Problem> {
+    pub fn given(&self, frame: u32) -> Result<PosePatch, Problem> {
         match self {
             Self::Frames(texts) => texts.read(frame),
-            Self::Steps { q, strength, .. } | Self::Jitter { q, strength, .. } => Ok((q.clone(), *strength)),
+            Self::Steps { pose, .. } | Self::Jitter { pose, .. } => Ok(pose.clone()),
         }
     }
 
@@ -134,7 +126,7 @@ impl BatchObject {
     /// `source`: the image of annotations.
     pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64, source: Frame) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [frames, q, strength_, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
+        let [frames, q, strength, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
             root.fields(&fields::BATCH)?;
         let [points, polygons, boxes, geojson, refine] = annotations;
         let rest = body.len() - text_bytes([frames, points, polygons, boxes, geojson]);
@@ -145,13 +137,12 @@ impl BatchObject {
                 return Err(frames.unexpected(FRAMES, format_args!("a number; did you mean `steps`{meant}?")));
             }
             (Some(frames), None, None) => {
-                let others = [("q", q), ("strength", strength_), ("easing", easing)];
+                let others = [("q", q), ("strength", strength), ("easing", easing)];
                 refuse_beside("frames", "each frame has its own", &others)?;
                 BatchPoses::Frames(frame_texts(body, &frames, most_frame_bytes)?)
             }
             (None, Some(steps), None) => BatchPoses::Steps {
-                q: optional(q, handles)?,
-                strength: optional(strength_, strength)?.unwrap_or(1.0),
+                pose: PosePatch::read([q, strength])?,
                 steps: frame_count(&steps, 2, STEPS)?,
                 easing: optional(easing, enum_name)?.unwrap_or_default(),
             },
@@ -162,8 +153,7 @@ impl BatchObject {
                 let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
                 let (seed_of, sigma_of) = ("a whole number between 0 and 18446744073709551615", "a number of pixels between 0 and 10000");
                 BatchPoses::Jitter {
-                    q: optional(q, handles)?,
-                    strength: optional(strength_, strength)?.unwrap_or(1.0),
+                    pose: PosePatch::read([q, strength])?,
                     count: frame_count(&required(count, "count", COUNT)?, 1, COUNT)?,
                     jitter: Jitter {
                         seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
@@ -347,13 +337,19 @@ mod tests {
             parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
                 .unwrap();
         let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
-        assert_eq!((frames.count(), texts.read(0).unwrap().1, texts.read(1).unwrap().1), (2, 1.0, 0.5));
+        assert_eq!((frames.count(), texts.read(0).unwrap().strength, texts.read(1).unwrap().strength), (2, None, Some(0.5)));
         assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
         let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
-        let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, strength: 2.0, .. } = steps.poses else { panic!() };
+        let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, pose: PosePatch { strength: Some(2.0), .. } } = steps.poses else {
+            panic!()
+        };
         assert_eq!(steps.delay, Some(20));
         let jitter = parse(r#"{"jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#).unwrap();
-        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, q: None, .. } = jitter.poses else { panic!() };
+        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, pose: PosePatch { q: None, .. } } =
+            jitter.poses
+        else {
+            panic!()
+        };
     }
 
     #[test]
@@ -421,7 +417,7 @@ mod tests {
         for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2")] {
             assert_eq!(texts.read(frame).unwrap_err().pointer.as_deref(), Some(pointer));
         }
-        assert_eq!(texts.read(3).unwrap(), (None, 1.0));
+        assert_eq!(texts.read(3).unwrap(), PosePatch { q: None, strength: Some(1.0) });
     }
 
     #[test]

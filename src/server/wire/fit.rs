@@ -1,16 +1,14 @@
 //! `/fit`: the request, the response, and `method: auto`, which applies the best candidate to a warp object.
 
-use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Method, Prediction, RestSpec};
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
 use super::enum_name::{EnumName as _, enum_name};
-use super::handles::handles;
 use super::json::{Node, optional};
 use super::number::number;
 use super::rest::WarpPatch;
-use super::{AsJson, EXTENT, HANDLES, fields, json, size};
+use super::{AsJson, EXTENT, PosePatch, fields, json, size};
 use crate::problem::{Code, Problem};
 
 /// The most candidates of a request.
@@ -25,7 +23,7 @@ pub struct FitObject {
     /// With `/fit` only: points at rest with their weights, and the extent `[W, H]`.
     pub rest: Option<(RestSpec, Extent)>,
     /// Posed points.
-    pub q: Vec<Handle>,
+    pub pose: PosePatch,
     /// The methods that are compared.
     pub candidates: Vec<Candidate>,
 }
@@ -42,16 +40,15 @@ impl FitObject {
         let mut warp = WarpPatch::read(of_warp)?.into_object()?;
         warp.leave_out_missing();
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
-        let q = warp.posed()?.to_vec();
-        Ok(Self { rest: Some((warp.rest, extent)), q, candidates: read_candidates(candidates)? })
+        let pose = PosePatch { q: Some(warp.posed()?.to_vec()), strength: None };
+        Ok(Self { rest: Some((warp.rest, extent)), pose, candidates: read_candidates(candidates)? })
     }
 
     /// Reads the body of `/sessions/{id}/fit`.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, candidates] = root.fields(&fields::FIT_OF_SESSION)?;
-        let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;
-        Ok(Self { rest: None, q, candidates: read_candidates(candidates)? })
+        Ok(Self { rest: None, pose: PosePatch::read([q, None])?, candidates: read_candidates(candidates)? })
     }
 }
 

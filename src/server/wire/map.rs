@@ -1,15 +1,13 @@
 //! The body of `/map` and `/sessions/{id}/map`.
 
-use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{MapDirection, MapFormat, MapSpec, OutputSpec};
 
 use super::enum_name::enum_name;
-use super::handles::handles;
 use super::json::{Node, optional};
 use super::output::{canvas, width};
-use super::rest::{WarpPatch, strength};
-use super::{EXTENT, HANDLES, WarpObject, fields, json, size};
+use super::rest::WarpPatch;
+use super::{EXTENT, PosePatch, WarpObject, fields, json, size};
 use crate::problem::Problem;
 
 /// A request for a map. The canvas and the width are those of `output` if they are absent.
@@ -17,10 +15,8 @@ use crate::problem::Problem;
 pub struct MapObject {
     /// With `/map` only: the warp object and the extent `[W, H]`.
     pub warp: Option<(WarpObject, Extent)>,
-    /// Posed handles of a session.
-    pub q: Vec<Handle>,
-    /// How much of the way from p to q the handles are moved.
-    pub strength: f64,
+    /// With a session only.
+    pub pose: PosePatch,
     direction: MapDirection,
     canvas: Option<mlswarp::warp::CanvasSpec>,
     width: Option<u32>,
@@ -34,25 +30,23 @@ impl MapObject {
         let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
-        Self::read(Some((warp, extent)), Vec::new(), 1.0, [direction, canvas, width])
+        Self::read(Some((warp, extent)), PosePatch::default(), [direction, canvas, width])
     }
 
     /// Reads the body of `/sessions/{id}/map`.
     pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [q, strength_, spec @ ..] = root.fields(&fields::MAP_OF_SESSION)?;
-        let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;
-        Self::read(None, q, optional(strength_, strength)?.unwrap_or(1.0), spec)
+        let [q, strength, spec @ ..] = root.fields(&fields::MAP_OF_SESSION)?;
+        Self::read(None, PosePatch::read([q, strength])?, spec)
     }
 
     fn read(
         warp: Option<(WarpObject, Extent)>,
-        q: Vec<Handle>,
-        strength: f64,
+        pose: PosePatch,
         [direction, canvas_, width_]: [Option<Node<'_, '_>>; 3],
     ) -> Result<Self, Problem> {
         let direction = optional(direction, enum_name)?.unwrap_or_default();
-        Ok(Self { warp, q, strength, direction, canvas: optional(canvas_, canvas)?, width: optional(width_, width)? })
+        Ok(Self { warp, pose, direction, canvas: optional(canvas_, canvas)?, width: optional(width_, width)? })
     }
 
     /// The parameters of the map; the canvas and the width of `output` where the request has none.

@@ -133,11 +133,24 @@ fn fields_of<'j>(root: &Node<'j, '_>, source: usize) -> Vec<Field<'j>> {
 
 /// An object without some of its fields.
 /// Errors: A text that is not a JSON object.
-pub(crate) fn without(object: &[u8], names: &[&str]) -> Result<Vec<u8>, Problem> {
-    let root = json::root(object)?;
-    let kept = root.pairs().filter(|(name, _)| !names.contains(&name.trim_matches('"')));
-    let fields: Vec<String> = kept.map(|(name, value)| format!("{name}:{value}")).collect();
-    Ok(format!("{{{}}}", fields.join(",")).into_bytes())
+fn without(object: &[u8], names: &[&str]) -> Result<Vec<u8>, Problem> {
+    spliced(object, names, b"{}")
+}
+
+/// An object without some of its fields, and with those of another object, which come first.
+/// Errors: A text that is not a JSON object.
+pub(crate) fn spliced(object: &[u8], without: &[&str], more: &[u8]) -> Result<Vec<u8>, Problem> {
+    let (root, more) = (json::root(object)?, json::root(more)?.text);
+    let mut text = Vec::with_capacity(object.len() + more.len() + 1);
+    text.extend_from_slice(more[..more.len() - 1].trim_end().as_bytes());
+    for (name, value) in root.pairs().filter(|(name, _)| !without.contains(&name.trim_matches('"'))) {
+        text.extend_from_slice(if text == b"{" { b"" } else { b"," });
+        for part in [name, ":", value] {
+            text.extend_from_slice(part.as_bytes());
+        }
+    }
+    text.push(b'}');
+    Ok(text)
 }
 
 /// A warp object as the body of `/fit`: without what says how it is drawn.
@@ -196,6 +209,12 @@ mod tests {
         assert_eq!(without(br#"{"p": [1], "item": 2}"#, &["item", "q"]).unwrap(), br#"{"p":[1]}"#);
         let fit = of_fit(br#"{"p": [], "method": "tps", "candidates": [], "output": {}, "align": "rigid", "more": 1}"#).unwrap();
         assert_eq!(fit, br#"{"p":[],"candidates":[],"align":"rigid","more":1}"#);
+        let spliced =
+            |object: &str, more: &str| String::from_utf8(spliced(object.as_bytes(), &["item"], more.as_bytes()).unwrap()).unwrap();
+        assert_eq!(spliced("{}", "{}"), "{}");
+        assert_eq!(spliced(r#" {"item": 3} "#, r#"{"p": {} }"#), r#"{"p": {}}"#);
+        assert_eq!(spliced(r#"{"a" : 1e0, "item": [3], "b": "}"}"#, " { } "), r#"{"a":1e0,"b":"}"}"#);
+        assert_eq!(spliced(r#"{"a": 1}"#, r#"{"p": []}"#), r#"{"p": [],"a":1}"#);
         let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
         let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
         assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);

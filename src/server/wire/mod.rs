@@ -19,6 +19,7 @@ mod mesh;
 mod number;
 mod output;
 mod plan;
+mod pose;
 mod report;
 mod rest;
 mod session;
@@ -45,11 +46,10 @@ pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
-use handles::handles;
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
-pub(crate) use merge::{Merged, Source, extent_in, of_fit, split_batch, without};
+pub(crate) use merge::{Merged, Source, extent_in, of_fit, split_batch};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
@@ -57,9 +57,9 @@ use mlswarp::warp::{Alignment, Candidate, Folds, Frame, OutputSpec, RestSpec, Un
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
+pub use pose::{Pose, PosePatch};
 pub use report::{ReportAnswer, ReportObject};
 pub(crate) use rest::WarpPatch;
-use rest::strength;
 pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
@@ -133,7 +133,7 @@ impl WarpObject {
     pub fn settle_pose(&mut self, extent: Extent) -> Result<Option<Alignment>, Problem> {
         #[expect(clippy::float_cmp, reason = "the default")]
         if self.q.is_none() && !self.rest.p.is_empty() && self.strength != 1.0 {
-            let detail = "`strength` applies to `q`, which is missing; a session keeps no strength: send it with each `q`";
+            let detail = "`strength` applies to `q`, which is missing: send both";
             return Err(Problem::new(Code::BadValue, detail).pointer("/strength"));
         }
         self.leave_out_missing();
@@ -167,11 +167,10 @@ pub(crate) fn missing_q() -> Problem {
     Node::new("{}", At::Root).missing("q", HANDLES)
 }
 
-/// One step of a drag: `{"q", "strength"?, "seq"?, "layer"?, "output"?}`.
+/// One step of a drag: `{"q"?, "strength"?, "seq"?, "layer"?, "output"?}`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DragObject {
-    pub(crate) q: Vec<Handle>,
-    pub(crate) strength: f64,
+    pub(crate) pose: PosePatch,
     pub(crate) seq: Option<u64>,
     /// What is drawn instead of the picture.
     pub(crate) layer: Option<LayerRef>,
@@ -183,27 +182,26 @@ impl DragObject {
     /// Reads the object.
     pub fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(&root, root.fields(&["q", "strength", "seq", "layer", "output"])?)
+        Self::read(root.fields(&["q", "strength", "seq", "layer", "output"])?)
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
     pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
-        Self::read(&root, [q, strength, seq, None, None])
+        Self::read([q, strength, seq, None, None])
     }
 
     /// Reads the body of `/sessions/{id}/report`: `q`, `strength` and `output`.
     pub fn parse_for_report(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
-        Self::read(&root, [q, strength, None, None, output])
+        Self::read([q, strength, None, None, output])
     }
 
-    fn read(root: &Node<'_, '_>, [q, strength_, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {
+    fn read([q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {
         Ok(Self {
-            q: handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?,
-            strength: optional(strength_, strength)?.unwrap_or(1.0),
+            pose: PosePatch::read([q, strength])?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
             layer: optional(layer_, layer)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
@@ -229,10 +227,8 @@ fn layer(node: &Node<'_, '_>) -> Result<LayerRef, Problem> {
 pub struct PointsObject {
     /// With `/points` only: the warp object and the extent `[W, H]`.
     pub warp: Option<(WarpObject, Extent)>,
-    /// Posed handles of a session.
-    pub q: Vec<Handle>,
-    /// How much of the way from p to q the handles are moved.
-    pub strength: f64,
+    /// With a session only.
+    pub pose: PosePatch,
     /// The picture that posed positions belong to.
     pub output: OutputSpec,
     /// What is mapped.
@@ -250,19 +246,17 @@ impl PointsObject {
         let (output, units) = (warp.output, warp.rest.units);
         let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
         warp.posed()?;
-        Ok(Self { warp: Some((warp, extent)), q: Vec::new(), strength: 1.0, output, annotations })
+        Ok(Self { warp: Some((warp, extent)), pose: PosePatch::default(), output, annotations })
     }
 
     /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the session.
     pub fn parse_posed(body: &Bytes, most_bytes: u64, (extent, units): (Extent, Units), output: &OutputSpec) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [q, strength_, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
+        let [q, strength, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
         require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
         let output = optional(output_, OutputPatch::read)?.unwrap_or_default().merge_onto(output);
         let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
-        let strength = optional(strength_, strength)?.unwrap_or(1.0);
-        let q = handles(&q.ok_or_else(|| root.missing("q", HANDLES))?)?;
-        Ok(Self { warp: None, q, strength, output, annotations })
+        Ok(Self { warp: None, pose: PosePatch::read([q, strength])?, output, annotations })
     }
 }
 

@@ -121,7 +121,7 @@ impl WarpPatch {
         }
     }
 
-    /// `base` with the given fields replaced. Weights belong to their handles: new `p` without weights have none. Parameters belong to their
+    /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p` without them have none. Parameters belong to their
     /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
@@ -129,6 +129,9 @@ impl WarpPatch {
         let is_auto = self.method == Some(RequestedMethod::Auto);
         let method = self.method.and_then(RequestedMethod::method).unwrap_or(if is_auto { Method::default() } else { base.rest.method });
         let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && method.is_like(base.rest.method));
+        // A pose belongs to its handles, and a strength to its pose.
+        let is_posed_so = self.p.as_ref().is_none_or(|p| *p == base.rest.p);
+        let kept_strength = if self.q.is_none() && is_posed_so { base.strength } else { 1.0 };
         WarpObject {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
@@ -143,8 +146,8 @@ impl WarpPatch {
                 align: self.align.unwrap_or(base.rest.align),
                 has_unmatched,
             },
-            q: self.q,
-            strength: self.strength.unwrap_or(1.0),
+            q: self.q.or(base.q.filter(|_| is_posed_so)),
+            strength: self.strength.unwrap_or(kept_strength),
             folds: self.folds.unwrap_or(base.folds),
             output: self.output.merge_onto(&base.output),
             is_auto,

@@ -15,6 +15,12 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) image: SessionImage,
     /// Handles at rest, in the session's units.
     pub(crate) p: AsJson<&'a [Handle]>,
+    /// Posed handles in requests without `q`, if the client gave them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) q: Option<AsJson<&'a [Handle]>>,
+    /// How much of the way from p to q they are moved; absent if it is all of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) strength: Option<f64>,
     /// One per handle, if the client gave them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) weights: Option<&'a [f64]>,

@@ -24,7 +24,7 @@ const KINDS: [(&[&str], &str); 5] = [
     (&["id", "image", "p", "seq"], "the object of a session: a warp object has its `p`, `method`, `alpha`, `units` and `output`, and `q`"),
     (
         &["images", "annotations", "categories"],
-        "a COCO file: send its keypoints as `points` and its boxes as `boxes`, [left, top, right, bottom], to POST /points",
+        "a COCO file: send it as landmarks (the part `landmarks`, or --landmarks FILE), or its boxes as `boxes`, [left, top, right, bottom], to POST /points",
     ),
     (&["shapes", "imagePath"], "a labelme file: send it as landmarks (the part `landmarks`, or --landmarks FILE)"),
     (&["type", "Landmarks"], "a BigWarp file: send it as landmarks (the part `landmarks`, or --landmarks FILE)"),

@@ -12,7 +12,7 @@ use super::json;
 use super::json::{At, Node, optional};
 use super::number::whole;
 use super::rest::strength;
-use super::{AsJson, HANDLES};
+use super::{AsJson, Pose, PosePatch};
 use crate::problem::{Code, Problem};
 
 const NUMBER: &str = "a whole number, at least 0";
@@ -39,6 +39,11 @@ pub enum UnreadHandles {
         /// See [`RestSpec::posed`].
         strength: f64,
     },
+    /// Those of the session.
+    OfSession {
+        /// In place of the session's.
+        strength: Option<f64>,
+    },
     /// The numbers of all handles, as little-endian f32.
     Binary(Box<[u8]>),
 }
@@ -54,25 +59,29 @@ impl UnreadHandles {
     pub(crate) const fn len(&self) -> usize {
         match self {
             Self::Json { text, .. } => text.len(),
+            Self::OfSession { .. } => 0,
             Self::Binary(bytes) => bytes.len(),
         }
     }
 
-    /// How much of the way from p to q the handles are moved.
-    pub(crate) const fn strength(&self) -> f64 {
+    /// How much of the way from p to q the handles are moved. `session`: the pose of the session, if it has one.
+    pub(crate) fn strength(&self, session: Option<&Pose>) -> f64 {
         match self {
             Self::Json { strength, .. } => *strength,
+            Self::OfSession { strength } => strength.or(session.map(|pose| pose.strength)).unwrap_or(1.0),
             Self::Binary(_) => 1.0,
         }
     }
 
-    /// `rest`: the handles at rest on a picture of this extent. Alignment and strength need their positions, and numbers their shapes.
-    pub(crate) fn read(&self, rest: &RestSpec, extent: Extent) -> Result<Vec<Handle>, Problem> {
+    /// `rest`: the handles at rest on a picture of this extent, of a session with this pose. Alignment and strength need their positions,
+    /// and numbers their shapes.
+    pub(crate) fn read(&self, rest: &RestSpec, session: Option<&Pose>, extent: Extent) -> Result<Vec<Handle>, Problem> {
         let q = match self {
             Self::Json { text, .. } => handles(&Node::new(text, At::Field(&At::Root, "q")))?,
+            Self::OfSession { .. } => PosePatch::default().onto(session)?.q,
             Self::Binary(bytes) => read_binary(bytes, &rest.p)?,
         };
-        Ok(rest.posed(q, self.strength(), extent).0)
+        Ok(rest.posed(q, self.strength(session), extent).0)
     }
 }
 
@@ -141,8 +150,8 @@ impl DragMessage {
             (None, Some(seq), Some(q)) => {
                 Ok(Self::Pose { seq, q: UnreadHandles::Json { text: q.text.into(), strength: strength.unwrap_or(1.0) } })
             }
+            (None, Some(seq), None) => Ok(Self::Pose { seq, q: UnreadHandles::OfSession { strength } }),
             (None, None, _) => Err(root.missing("seq", NUMBER)),
-            (None, _, None) => Err(root.missing("q", HANDLES)),
         }
     }
 }
@@ -207,10 +216,10 @@ mod tests {
     fn messages_are_poses_and_acknowledgements() {
         let read = |text: &str| DragMessage::parse(text.as_bytes());
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
-        assert_eq!(q.read(&RestSpec::default(), extent()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
+        assert_eq!(q.read(&RestSpec::default(), None, extent()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]], "strength": -0.5}"#) else { panic!() };
         let rest = RestSpec { p: vec![Handle::Point(Point::new(3.0, 8.0))], ..RestSpec::default() };
-        assert_eq!(q.read(&rest, extent()), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
+        assert_eq!(q.read(&rest, None, extent()), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"ack": 7, "seq": null, "q": null}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"seq": 7, "q": [], "ack": null}"#), read(r#"{"seq": 7, "q": []}"#));
@@ -219,8 +228,6 @@ mod tests {
             ("[]", None, Code::MalformedRequest, None),
             ("{}", None, Code::BadValue, Some("/seq")),
             (r#"{"q": []}"#, None, Code::BadValue, Some("/seq")),
-            (r#"{"seq": 3}"#, Some(3), Code::BadValue, Some("/q")),
-            (r#"{"seq": 3, "q": null, "ack": null}"#, Some(3), Code::BadValue, Some("/q")),
             (r#"{"seq": null, "q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": -1, "q": []}"#, None, Code::BadValue, Some("/seq")),
             (r#"{"seq": 3, "q": [], "output": {}}"#, None, Code::UnknownField, Some("/output")),
@@ -232,12 +239,19 @@ mod tests {
             let bad = read(text).unwrap_err();
             assert_eq!((bad.seq, bad.problem.code, bad.problem.pointer.as_deref()), (seq, code, pointer), "{text}");
         }
+        // Without `q` that of the session is meant.
+        let pose = Pose { q: vec![Handle::Point(Point::new(5.0, 8.0))], strength: 2.0 };
+        for (text, x) in [(r#"{"seq": 7, "q": null, "ack": null}"#, 7.0), (r#"{"seq": 7, "strength": 0.5}"#, 4.0)] {
+            let Ok(DragMessage::Pose { seq: 7, q }) = read(text) else { panic!() };
+            assert_eq!(q.read(&rest, Some(&pose), extent()), Ok(vec![Handle::Point(Point::new(x, 8.0))]));
+            assert_eq!(q.read(&rest, None, extent()).unwrap_err().pointer.as_deref(), Some("/q"));
+        }
         // Handles are read when something is made of them.
         for (q, code, pointer) in
             [("7", Code::BadValue, "/q"), ("[[1]]", Code::BadValue, "/q/0"), ("[[1, 1e999]]", Code::NotFinite, "/q/0/1")]
         {
             let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
-            let bad = q.read(&RestSpec::default(), extent()).unwrap_err();
+            let bad = q.read(&RestSpec::default(), None, extent()).unwrap_err();
             assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
         }
     }
@@ -252,7 +266,7 @@ mod tests {
             seq.to_le_bytes().into_iter().chain(numbers).collect::<Vec<_>>()
         };
         let read = |numbers: &[f32]| match DragMessage::parse_binary(&message(9, numbers)) {
-            Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest, extent()),
+            Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest, None, extent()),
             other => panic!("{other:?}"),
         };
         let numbers = [0.1, -2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 1e6];

@@ -152,7 +152,7 @@ impl App {
         planned: Planned,
         poses: &BatchPoses,
     ) -> Result<(Planned, Option<RestSpec>), Problem> {
-        let is_empty = matches!(poses, BatchPoses::Jitter { q, .. } if q.as_ref().is_none_or(Vec::is_empty));
+        let is_empty = matches!(poses, BatchPoses::Jitter { pose, .. } if pose.q.as_ref().is_none_or(Vec::is_empty));
         if !record.rest.p.is_empty() || !is_empty {
             return Ok((planned, None));
         }

@@ -7,7 +7,7 @@ use mlswarp::warp::{RestSpec, Setup, WarpError};
 
 use crate::problem::{Code, Problem};
 use crate::store::Record;
-use crate::wire::{BatchPoses, FrameJitter, FramePosition, in_frame, missing_q};
+use crate::wire::{BatchPoses, FrameJitter, FramePosition, Pose, in_frame};
 
 /// A frame's pose.
 #[derive(Debug)]
@@ -32,23 +32,25 @@ impl Rest {
         self.grid.as_ref().unwrap_or(&self.record.rest)
     }
 
-    /// The posed handles and the strength that a frame begins with.
-    fn given(&self, poses: &BatchPoses, frame: u32) -> Result<(Vec<Handle>, f64), Problem> {
-        let (q, strength) = poses.given(frame)?;
+    /// The pose that a frame begins with.
+    fn given(&self, poses: &BatchPoses, frame: u32) -> Result<Pose, Problem> {
+        let mut given = poses.given(frame)?;
         let p = &self.spec().p;
         let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
-        let missing = || match poses {
-            BatchPoses::Frames(_) => in_frame(frame, missing_q()),
-            BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => missing_q(),
-        };
         // The empty `q` of a session without handles.
-        let q = q.filter(|q| self.grid.is_none() || !q.is_empty());
-        Ok((q.or_else(|| is_at_rest.then(|| p.clone())).ok_or_else(missing)?, strength))
+        given.q = given.q.filter(|q| self.grid.is_none() || !q.is_empty());
+        if given.q.is_none() && self.record.pose.is_none() {
+            given.q = is_at_rest.then(|| p.clone());
+        }
+        given.onto(self.record.pose.as_ref()).map_err(|problem| match poses {
+            BatchPoses::Frames(_) => in_frame(frame, problem),
+            BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => problem,
+        })
     }
 
     /// The pose of a frame.
     pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32) -> Result<FramePose, Problem> {
-        let (q, strength) = self.given(poses, frame)?;
+        let Pose { q, strength } = self.given(poses, frame)?;
         let posed = |strength| self.spec().posed(q, strength, self.record.extent).0;
         let plain = FramePosition { strength, t: None, jitter: None };
         Ok(match *poses {
@@ -74,7 +76,7 @@ impl Rest {
                 }
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
-                let (q, strength) = self.given(poses, 0)?;
+                let Pose { q, strength } = self.given(poses, 0)?;
                 let (q, _) = self.spec().posed(q, strength, self.record.extent);
                 self.setup.pose(&q)?;
                 if let BatchPoses::Jitter { jitter, .. } = poses {

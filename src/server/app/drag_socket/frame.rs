@@ -132,12 +132,13 @@ async fn try_draw_frame(
     let quota = app.response_quota(client);
     // Once per frame, not once per pose: the store knows whether the session still exists and has changed.
     let record = app.touch(id, None).await?.record;
-    let (seq, strength) = (request.pose.seq, request.pose.q.strength());
+    let seq = request.pose.seq;
     match form {
         Form::Picture(_) | Form::Auto => {
             let format = if let Form::Picture(format) = form { format } else { None };
             let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
+            let strength = request.pose.q.strength(record.pose.as_ref());
             let q = read_handles(&app, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, &request);
@@ -157,6 +158,7 @@ async fn try_draw_frame(
             // The lattice is chosen after admission; only JSON has a limit of its own.
             let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
             drop(permit);
+            let strength = request.pose.q.strength(record.pose.as_ref());
             let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
@@ -193,10 +195,10 @@ const MAX_PARSED_HERE: usize = 16 << 10;
 async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
     let is_aligned_here = record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE;
     if q.len() <= MAX_PARSED_HERE && is_aligned_here {
-        return q.read(&record.rest, record.extent);
+        return q.read(&record.rest, record.pose.as_ref(), record.extent);
     }
     let record = Arc::clone(record);
-    app.0.pool.run(ticket, move |_| q.read(&record.rest, record.extent)).await?
+    app.0.pool.run(ticket, move |_| q.read(&record.rest, record.pose.as_ref(), record.extent)).await?
 }
 
 /// All pieces of an image.

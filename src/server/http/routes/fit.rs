@@ -4,21 +4,22 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 
 use super::sessions::session_id;
-use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{json_text, with_warnings};
+use crate::http::upload::{pose_of, warp_json_or_form};
 use crate::problem::Problem;
+use crate::wire::landmarks::Target;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = warp_json(&caller, request).await?;
+    let body = warp_json_or_form(&caller, request, Target::Request).await?;
     let (json, warnings) = caller.app.fit_once(caller.client, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
-    caller.app.peek_session(id).await?;
-    let body = warp_json(&caller, request).await?;
+    let session = caller.app.peek_session(id).await?;
+    let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
     let (json, warnings) = caller.app.fit_session(caller.client, id, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
 }

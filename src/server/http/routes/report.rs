@@ -5,21 +5,22 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use crate::app::report::QualityReport;
-use crate::http::body::warp_json;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{self, with_method};
+use crate::http::upload::{pose_of, warp_json_or_form};
 use crate::problem::Problem;
+use crate::wire::landmarks::Target;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
-    let body = warp_json(&caller, request).await?;
+    let body = warp_json_or_form(&caller, request, Target::Request).await?;
     let (report, method) = caller.app.report_once(caller.client, body).await?;
     Ok(with_method(answer(report), method))
 }
 
 pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
-    caller.app.peek_session(id).await?;
-    let body = warp_json(&caller, request).await?;
+    let session = caller.app.peek_session(id).await?;
+    let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
     Ok(answer(caller.app.report_session(caller.client, id, body).await?))
 }
 

@@ -15,13 +15,14 @@ use crate::app::warp::Upload;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{json_text, with_method, with_warnings};
-use crate::http::{body, upload};
+use crate::http::upload;
 use crate::layer::MAX_LAYERS;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Put, Session};
+use crate::wire::landmarks::Target;
 use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision};
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
@@ -55,8 +56,9 @@ pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request
 pub(crate) async fn handles(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
-    app.peek_session(id).await?;
-    let body = body::json(&caller, request, Purpose::Upload, "warp_json_bytes", app.config().max_warp_json_bytes).await?;
+    let target = Target::Session(app.peek_session(id).await?.record.extent);
+    let limit = ("warp_json_bytes", app.config().max_warp_json_bytes);
+    let body = upload::json_or_form(&caller, request, Purpose::Upload, limit, target).await?;
     let (session, setup, method) = app.replace_handles(*client, id, body).await?;
     Ok(with_method(reserved_object(&caller, &session, &setup)?, method))
 }
@@ -107,8 +109,8 @@ pub(super) fn reserved_object(caller: &Caller, session: &Session, setup: &Setup)
 fn reserve_object(caller: &Caller, upload: &Upload) -> Result<Reservation, Problem> {
     let Caller { app, client } = caller;
     let landmarks = upload.landmarks.as_ref().map_or(0, |landmarks| landmarks.text_length() as u64);
-    // Two coordinates, and an index in a group of coincident points.
-    let length = landmarks + landmarks / 2 + max_object_length(&upload.warp, app.config().limits().columns);
+    // Two coordinates on either side, and an index in a group of coincident points.
+    let length = 2 * landmarks + landmarks / 2 + max_object_length(&upload.warp, app.config().limits().columns);
     app.reserve_for(Purpose::Frame, &app.response_quota(*client), length)
 }
 
@@ -119,11 +121,11 @@ fn object(mut held: Reservation, session: &Session, setup: &Setup) -> Response {
 }
 
 /// Maximum length of the session object for a warp object. Strings are returned unchanged or not at all, and a bracket or a comma precedes
-/// every number of a list. A column has at most 4 numbers: 2 coordinates, a
-/// weight, and an index in a group of coincident points.
+/// every number of a list. A column has at most 6 numbers: 2 coordinates on
+/// either side, a weight, and an index in a group of coincident points.
 fn max_object_length(warp: &[u8], columns: usize) -> u64 {
     let numbers = warp.iter().filter(|byte| matches!(byte, b'[' | b',')).count();
-    (FIXED_PART + warp.len() + NUMBER * numbers.min(columns.saturating_mul(4))) as u64
+    (FIXED_PART + warp.len() + NUMBER * numbers.min(columns.saturating_mul(6))) as u64
 }
 
 fn text(session: &Session, setup: &Setup) -> Vec<u8> {
@@ -133,6 +135,8 @@ fn text(session: &Session, setup: &Setup) -> Vec<u8> {
         id: &record.id.to_string(),
         image: SessionImage { width: record.extent.width(), height: record.extent.height(), digest: AsJson(record.image) },
         p: AsJson(&record.rest.p),
+        q: record.pose.as_ref().map(|pose| AsJson(pose.q.as_slice())),
+        strength: record.pose.as_ref().map(|pose| pose.strength).filter(|strength| strength.to_bits() != 1.0_f64.to_bits()),
         weights: record.rest.weights.as_deref(),
         method: AsJson(record.rest.method),
         alpha: setup.alpha(),

@@ -7,14 +7,15 @@ use axum::response::Response;
 
 use super::sessions::{location, session_id};
 use crate::app::warp::columns;
-use crate::http::body::json;
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{picture, takes_trailers, with_method};
+use crate::http::upload::{json_or_form, pose_of};
 use crate::http::{accept, upload};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::problem::Problem;
 use crate::session::SessionId;
+use crate::store::record_bytes;
 use crate::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
@@ -57,9 +58,12 @@ pub(super) async fn read_drag(
     request: Request,
     parse: impl Fn(&[u8]) -> Result<DragObject, Problem>,
 ) -> Result<(DragObject, Reservation), Problem> {
-    let limit = drag_limit(columns(&caller.app.peek_session(id).await?.record));
-    let body = json(caller, request, Purpose::Frame, "drag_json_bytes", limit).await?;
-    let parsed = caller.app.reserve_for(Purpose::Frame, &caller.app.request_quota(caller.client), PARSED * body.len() as u64)?;
+    let record = caller.app.peek_session(id).await?.record;
+    let limit = drag_limit(columns(&record));
+    let body = json_or_form(caller, request, Purpose::Frame, ("drag_json_bytes", limit), pose_of(&record)).await?;
+    // Without `q`, the pose of the session is copied.
+    let bytes = PARSED * body.len() as u64 + record.pose.as_ref().map_or(0, |_| record_bytes(&record));
+    let parsed = caller.app.reserve_for(Purpose::Frame, &caller.app.request_quota(caller.client), bytes)?;
     Ok((parse(&body)?, parsed))
 }
 

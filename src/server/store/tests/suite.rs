@@ -45,6 +45,7 @@ pub(crate) fn record(picture: u8) -> Arc<Record> {
         made_with_region: None,
         extent: Extent::new(4, 3).unwrap(),
         rest: RestSpec::default(),
+        pose: None,
         folds: Folds::default(),
         output: OutputSpec::default(),
         created: SystemTime::now(),

@@ -91,20 +91,20 @@ impl Choice {
 }
 
 /// The parts with one side each.
-const SIDES: [&str; 2] = ["landmarks_p", "landmarks_q"];
+pub(super) const SIDES: [&str; 2] = ["landmarks_p", "landmarks_q"];
 /// The longest side of an image that normalised coordinates belong to, px: the largest ones (4) stay within the range of coordinates.
 const LONGEST_SIDE: u32 = 250_000;
 
 /// Handles that were read, each side in the coordinates of its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Landmarks {
-    p: Vec<Handle>,
-    q: Option<Vec<Handle>>,
+    pub(super) p: Vec<Handle>,
+    pub(super) q: Option<Vec<Handle>>,
     names: Option<Vec<String>>,
     frames: [Frame; 2],
     extents: [Option<Extent>; 2],
     format: String,
-    unmatched: Unmatched,
+    pub(super) unmatched: Unmatched,
 }
 
 impl LandmarkFiles {
@@ -151,13 +151,7 @@ impl LandmarkFiles {
 
     /// As [`Self::read`]; the work is counted.
     pub(super) fn read_counted(&self, max_columns: usize, work: &Work<'_>) -> Result<Landmarks, Problem> {
-        let file = |name: &str, bytes: &Bytes| {
-            let file = read(bytes, max_columns, self.choice.item.clone(), work);
-            if work.is_stopped() {
-                return Err(WarpError::Cancelled.into());
-            }
-            file.map_err(|bad| bad.problem(name, bytes))
-        };
+        let file = |name: &str, bytes: &Bytes| self.file(name, bytes, max_columns, work);
         let rest = |name: &str, bytes: &Bytes| {
             let file = file(name, bytes)?;
             require_lines(&file).map_err(|bad| bad.problem(name, bytes))?;
@@ -186,6 +180,15 @@ impl LandmarkFiles {
         }
     }
 
+    /// Reads one file.
+    pub(super) fn file(&self, name: &str, bytes: &Bytes, max_columns: usize, work: &Work<'_>) -> Result<File, Problem> {
+        let file = read(bytes, max_columns, self.choice.item.clone(), work);
+        if work.is_stopped() {
+            return Err(WarpError::Cancelled.into());
+        }
+        file.map_err(|bad| bad.problem(name, bytes))
+    }
+
     /// Errors: `bad_value` at what belongs to two files, or to the side that is not there.
     fn one(&self, file: File) -> Result<Landmarks, Problem> {
         if self.choice.matching.is_some() {
@@ -194,9 +197,7 @@ impl LandmarkFiles {
         if self.extent_q.is_some() && file.q.is_none() {
             return Err(Problem::new(Code::BadValue, "`extent_q` belongs to posed positions, which the file does not have"));
         }
-        let File { p, q, names, frame, format, unmatched, .. } = file;
-        let (frames, extents) = ([frame; 2], [self.extent_p, self.extent_q]);
-        Ok(Landmarks { p, q, names: names.map(texts), frames, extents, format: format.to_owned(), unmatched })
+        Ok(Landmarks::of_file(file, [self.extent_p, self.extent_q]))
     }
 }
 
@@ -222,7 +223,7 @@ pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
     extent.ok_or_else(bad)
 }
 
-fn mismatched(detail: &str) -> Problem {
+pub(super) fn mismatched(detail: &str) -> Problem {
     Problem::new(Code::BadLandmarks, detail)
 }
 
@@ -254,6 +255,11 @@ fn require_lines(file: &File) -> Result<(), Bad> {
 }
 
 impl Landmarks {
+    pub(super) fn of_file(file: File, extents: [Option<Extent>; 2]) -> Self {
+        let File { p, q, names, frame, format, unmatched, .. } = file;
+        Self { p, q, names: names.map(texts), frames: [frame; 2], extents, format: format.to_owned(), unmatched }
+    }
+
     /// An upper limit of the numbers of one side.
     pub fn numbers(&self) -> usize {
         self.p.iter().map(|handle| 2 * handle.places().len().max(1)).sum()
@@ -350,7 +356,7 @@ fn place(
     }
 }
 
-fn each(handles: &mut [Handle], moved: impl Fn(Point) -> Point) {
+pub(super) fn each(handles: &mut [Handle], moved: impl Fn(Point) -> Point) {
     for handle in handles {
         match handle {
             Handle::Point(place) => *place = moved(*place),
@@ -363,8 +369,8 @@ fn each(handles: &mut [Handle], moved: impl Fn(Point) -> Point) {
 /// Landmarks in the coordinates of the contract.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Placed {
-    landmarks: Landmarks,
-    units: Units,
+    pub(super) landmarks: Landmarks,
+    pub(super) units: Units,
 }
 
 impl Serialize for Placed {

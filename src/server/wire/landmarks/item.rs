@@ -129,3 +129,21 @@ impl Items {
         }
     }
 }
+
+/// What an item is called in a file of several images: by the file of its image, with its folders and without, and by that and what tells
+/// it from the others of the image.
+#[derive(Debug)]
+pub(super) struct ItemNames([String; 3]);
+
+impl ItemNames {
+    /// `part`: empty if the image has one item.
+    pub(super) fn new(file: &str, part: &str) -> Self {
+        let short = file.rsplit(['/', '\\']).next().unwrap_or_default();
+        let whole = if part.is_empty() { String::new() } else { format!("{short}/{part}") };
+        Self([file.to_owned(), if short == file { String::new() } else { short.to_owned() }, whole])
+    }
+
+    pub(super) fn list(&self) -> [&str; 3] {
+        self.0.each_ref().map(String::as_str)
+    }
+}

@@ -8,11 +8,16 @@
 mod bad;
 mod bigwarp;
 mod bigwarp_json;
+mod coco;
 mod collect;
 mod csv;
+mod cvat;
 mod deeplabcut;
+mod dlib;
 mod elastix;
+mod fields;
 mod files;
+mod iiif;
 mod item;
 mod json;
 mod labelme;
@@ -23,16 +28,19 @@ mod own;
 mod pairs;
 mod pts;
 mod qgis;
+mod slicer;
 mod table;
 mod tem;
 mod tps;
 mod words;
+mod xml;
 
 #[cfg(test)]
 mod tests;
 
 use bad::{Bad, BadJson};
 use collect::{Collector, File};
+pub use fields::Target;
 pub(crate) use files::without_files;
 pub use files::{Choice, LandmarkFiles, Landmarks, Placed, extent};
 pub use item::Item;
@@ -58,6 +66,8 @@ struct Format {
 
 /// What a format is written in. The first function: whether a file is of this format, by its beginning. The second one reads it.
 enum Form {
+    /// A text, by its beginning.
+    Head(fn(&str) -> bool, fn(Source<'_>, &mut Collector) -> Result<usize, Bad>),
     /// Lines, by the first that is neither empty nor a comment.
     Lines(fn(&str) -> bool, fn(Source<'_>, &mut Collector) -> Result<usize, Bad>),
     /// Rows of fields, by the first.
@@ -67,12 +77,18 @@ enum Form {
 }
 
 /// The formats, in the order in which they are asked; CSV is what no other table is.
-const FORMATS: [Format; 15] = [
+const FORMATS: [Format; 21] = [
     labelme::FORMAT,
     own::FORMAT,
+    coco::FORMAT,
+    slicer::JSON,
+    iiif::FORMAT,
     bigwarp_json::FORMAT,
     normalized::ARKIT,
     normalized::MEDIAPIPE,
+    dlib::FORMAT,
+    cvat::FORMAT,
+    slicer::FCSV,
     pts::FORMAT,
     tem::FORMAT,
     tps::FORMAT,
@@ -126,19 +142,22 @@ fn read(bytes: &[u8], max_columns: usize, item: Option<Item>, work: &Work<'_>) -
     let (format, end) = match content.as_bytes().first() {
         None => return Err(Bad::new(start, "expected landmarks; the file is empty")),
         Some(b'{' | b'[') => read_json(source, text.len() - content.len(), &mut out)?,
-        Some(_) => read_text(source, first_line(content), &mut out)?,
+        Some(_) => read_text(source, content, &mut out)?,
     };
     out.finish(format, end)
 }
 
 /// The beginning of the first line that is neither empty nor a comment, among the first ones.
 fn first_line(text: &str) -> &str {
-    const LONGEST_HEAD: usize = 1 << 16;
-    let longest = LONGEST_HEAD.min(text.len());
-    let end = (0..=longest).rev().find(|end| text.is_char_boundary(*end)).unwrap_or_default();
-    let head = &text[..end];
-    let mut lines = head.split(['\n', '\r']);
+    let mut lines = head(text).split(['\n', '\r']);
     lines.find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
+}
+
+/// The beginning of a text.
+fn head(text: &str) -> &str {
+    const LONGEST: usize = 1 << 16;
+    let end = (0..=LONGEST.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or_default();
+    &text[..end]
 }
 
 /// What a reader returns: its format, and where a missing landmark would be.
@@ -158,13 +177,18 @@ fn read_json(source: Source<'_>, start: usize, out: &mut Collector) -> Result<Re
     Err(fields.unknown(start))
 }
 
-fn read_text(source: Source<'_>, first: &str, out: &mut Collector) -> Result<Reading, Bad> {
+fn read_text(source: Source<'_>, content: &str, out: &mut Collector) -> Result<Reading, Bad> {
+    let (head, first) = (head(content), first_line(content));
     for format in &FORMATS {
-        if let Form::Lines(is, read) = format.form
-            && is(first)
-        {
-            return Ok((format, read(source, out)?));
+        match format.form {
+            Form::Head(is, read) if is(head) => return Ok((format, read(source, out)?)),
+            Form::Lines(is, read) if is(first) => return Ok((format, read(source, out)?)),
+            _ => {}
         }
+    }
+    if let Some(root) = xml::root(head) {
+        let detail = format!("expected a landmark file ({}); found XML with the element {}", titles(), quote(root));
+        return Err(Bad::new(source.text.len() - content.len(), detail));
     }
     let table = Table::new(source)?;
     if let [only] = &table.first.fields[..] {

@@ -86,8 +86,9 @@ fn every_operation_has_a_name_and_one_tag() {
         let tags = operation["tags"].as_array().expect(&route);
         assert!(tags.len() == 1 && listed.contains(&&tags[0]), "{route}: {tags:?}");
         assert!(names.insert(operation["operationId"].as_str().expect(&route)), "{route}: its name is not its own");
-        let types = operation["requestBody"]["content"].as_object().map_or(1, serde_json::Map::len);
-        assert_eq!(types, 1, "{route}: one media type");
+        // Generators take the first one: JSON, beside which a form may have its handles in landmark files.
+        let types: Vec<&String> = operation["requestBody"]["content"].as_object().into_iter().flat_map(serde_json::Map::keys).collect();
+        assert!(types.len() < 2 || types == ["application/json", "multipart/form-data"], "{route}: {types:?}");
     }
 }
 
@@ -228,15 +229,15 @@ fn schemas_and_parsers_agree_on_a_table() {
     let parsers: [(&str, Parse, &str); 11] = [
         ("Batch", batch, "\"q\": [], \"steps\": 2"),
         ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), "\"q\": []"),
+        ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), ""),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
-        ("Drag", |b| DragObject::parse(b).is_ok(), "\"q\": []"),
+        ("Drag", |b| DragObject::parse(b).is_ok(), ""),
         ("Points", |b| super::points(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedPoints", |b| super::posed_points(b).is_ok(), "\"q\": []"),
+        ("PosedPoints", |b| super::posed_points(b).is_ok(), ""),
         ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), "\"q\": []"),
+        ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), ""),
         ("Report", |b| ReportObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedReport", |b| DragObject::parse_for_report(b).is_ok(), "\"q\": []"),
+        ("PosedReport", |b| DragObject::parse_for_report(b).is_ok(), ""),
     ];
     let fields = [
         "p: []",

@@ -10,6 +10,8 @@ fn session_object_is_written_in_wire_form() {
         id: "0f8fad5b-d9cb-469f-a165-70867728950e",
         image: SessionImage { width: 640, height: 480, digest: AsJson(Digest([0xab; 32])) },
         p: AsJson(&p),
+        q: None,
+        strength: None,
         weights: None,
         method: AsJson(Method::Rigid),
         alpha: Some(2.0),

@@ -113,9 +113,9 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
         ],
     );
     for (problem, field) in [
-        (DragObject::parse(b"{\"q\": null}").unwrap_err(), "`q`"),
-        (DragObject::parse_posed(b"{\"q\": null}").unwrap_err(), "`q`"),
-        (posed_points(b"{\"q\": null}").unwrap_err(), "`q`"),
+        (DragObject::parse(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
+        (DragObject::parse_posed(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
+        (posed_points(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
         (points(b"{\"extent\": null}").unwrap_err(), "`extent`"),
     ] {
         assert!(problem.code == B && problem.detail.starts_with(&format!("{field} is missing")), "{problem}");

@@ -32,6 +32,18 @@ const CENTRES: &[(&str, &str)] = &[
         "fixedPoints": [[3, 3], [5, 5]], "active": [true, true], "names": ["a", "b"]}}}"#,
     ),
     ("deeplabcut", "scorer,me,me,me,me\nbodyparts,a,a,b,b\ncoords,x,y,x,y\nvideo/img1.png,0,0,9,4\n"),
+    ("coco", r#"{"images": [], "annotations": [{"keypoints": [0, 0, 2, 9, 4, 1]}]}"#),
+    (
+        "dlib",
+        "<dataset><images><image file='a'><box><part name='0' x='0' y='0'/><part name='1' x='9' y='4'/></box></image></images></dataset>",
+    ),
+    ("cvat", "<annotations><image name='a'><points label='a' points='0.5,0.5;9.5,4.5'/></image></annotations>"),
+    (
+        "iiif",
+        r#"{"type": "Annotation", "target": "x", "body": {"features": [
+            {"properties": {"resourceCoords": [0.5, 0.5]}}, {"properties": {"resourceCoords": [9.5, 4.5]}}]}}"#,
+    ),
+    ("slicer", "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = id,x,y,z\n0,0,0,0\n1,9,4,0\n"),
     ("qgis", "mapX,mapY,pixelX,pixelY,enable\n13.4,52.5,0.5,-0.5,1\n13.5,52.6,9.5,-4.5,1\n"),
 ];
 

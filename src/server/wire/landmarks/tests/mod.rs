@@ -1,5 +1,6 @@
 //! Files in the form in which programs write them, good ones and bad ones.
 
+mod annotations;
 mod good;
 mod hostile;
 mod pairs;

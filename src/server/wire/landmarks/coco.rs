@@ -1,0 +1,127 @@
+//! COCO keypoints, JSON: `{"images", "annotations": [{"image_id", "category_id", "keypoints": [x, y, v, ...]}], "categories"}`, and lists of
+//! results, which are annotations alone. An annotation with a keypoint that is labelled is an item, named by the file of its image; the
+//! names of the keypoints are those of its category. Where v is 0, a keypoint is missing.
+//!
+//! Sources: COCO, "Data format" ("each keypoint has a 0-indexed location x,y and a visibility flag v"); detectron2,
+//! `detectron2/data/datasets/coco.py`, which takes them for indices of pixels, too. 1/2 is added.
+
+use std::collections::HashMap;
+
+use super::bad::{Bad, BadJson};
+use super::collect::{Collector, Located};
+use super::item::ItemNames;
+use super::json::Fields;
+use super::own::read_names;
+use super::{Form, Format, offset};
+use crate::problem::Problem;
+use crate::wire::json::{Kind, Node};
+use crate::wire::number::number;
+
+pub(super) const FORMAT: Format = Format { name: "coco", title: "COCO keypoints", items: "annotations", form: Form::Json(is_coco, read) };
+const CENTRE: f64 = 0.5;
+const ANNOTATIONS: &str = "an array of annotations";
+const KEYPOINTS: &str = "an array of numbers, x, y and v of each keypoint";
+/// The most images: their names are in memory together.
+const MOST_IMAGES: usize = 1 << 17;
+
+fn is_coco(fields: &Fields<'_>) -> bool {
+    if fields.is_list { fields.has("keypoints") } else { fields.has("annotations") && (fields.has("images") || fields.has("categories")) }
+}
+
+fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
+    if root.kind() == Kind::Array {
+        return people(text, root, [None, None], out);
+    }
+    let [images, annotations, categories] = root.find(&["images", "annotations", "categories"])?;
+    people(text, &annotations.ok_or_else(|| root.missing("annotations", ANNOTATIONS))?, [images, categories], out)
+}
+
+fn people(text: &str, list: &Node<'_, '_>, [images, categories]: [Option<Node<'_, '_>>; 2], out: &mut Collector) -> Result<usize, BadJson> {
+    let files = images.map(|images| files(text, &images)).transpose()?.unwrap_or_default();
+    list.items::<BadJson>(ANNOTATIONS, |_, person| {
+        let at = offset(text, &person);
+        let [keypoints, image, id, category] = person.find(&["keypoints", "image_id", "id", "category_id"])?;
+        // Others are boxes and outlines.
+        let Some(keypoints) = keypoints else { return Ok(()) };
+        let (count, labelled) = count(text, &keypoints)?;
+        if labelled == 0 {
+            return Ok(());
+        }
+        let file = image.map(|image| files.get(image.text).map_or_else(|| plain(&image), plain)).transpose()?.unwrap_or_default();
+        let part = id.map(|id| plain(&id)).transpose()?.unwrap_or_default();
+        if !out.item(at, &ItemNames::new(&file, &part).list())? {
+            return Ok(());
+        }
+        out.require_below(offset(text, &keypoints), count)?;
+        let labels = match (categories, category) {
+            (Some(categories), Some(category)) => labels(text, &categories, category.text, count)?,
+            _ => Vec::new(),
+        };
+        let (mut values, mut k) = ([0.0; 3], 0);
+        keypoints.items::<BadJson>(KEYPOINTS, |index, value| {
+            values[index % 3] = number(&value, "a number")?;
+            if index % 3 == 2 {
+                let [x, y, v] = values;
+                let name = labels.get(k).map(|(at, name)| Located { at: *at, text: name });
+                out.point(offset(text, &value), (v > 0.0).then_some([x + CENTRE, y + CENTRE]), name)?;
+                k += 1;
+            }
+            Ok(())
+        })
+    })?;
+    Ok(offset(text, list))
+}
+
+/// The number of keypoints, and of those that are labelled.
+fn count(text: &str, keypoints: &Node<'_, '_>) -> Result<(usize, usize), BadJson> {
+    let (mut numbers, mut labelled) = (0, 0);
+    keypoints.items::<Problem>(KEYPOINTS, |index, value| {
+        numbers += 1;
+        labelled += usize::from(index % 3 == 2 && number(&value, "a number")? > 0.0);
+        Ok(())
+    })?;
+    if numbers % 3 != 0 {
+        return Err(Bad::new(offset(text, keypoints), format!("expected {KEYPOINTS}; found {numbers} numbers")).into());
+    }
+    Ok((numbers / 3, labelled))
+}
+
+/// The names of files by the ids of images, both as they are written.
+fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, Node<'j, 'static>>, BadJson> {
+    let mut files = HashMap::new();
+    images.items::<BadJson>("an array of images", |index, image| {
+        if index == MOST_IMAGES {
+            let detail = format!("expected at most {MOST_IMAGES} images; found more: send the part of the file with the wanted ones");
+            return Err(Bad::new(offset(text, &image), detail).into());
+        }
+        if let [Some(id), Some(file)] = image.find(&["id", "file_name"])? {
+            files.insert(id.text, Node::new(file.text, crate::wire::json::At::Root));
+        }
+        Ok(())
+    })?;
+    Ok(files)
+}
+
+/// The names of the keypoints of a category.
+fn labels(text: &str, categories: &Node<'_, '_>, wanted: &str, count: usize) -> Result<Vec<(usize, String)>, BadJson> {
+    let mut labels = Vec::new();
+    categories.items::<BadJson>("an array of categories", |_, category| {
+        let [id, keypoints] = category.find(&["id", "keypoints"])?;
+        if let (Some(id), Some(keypoints)) = (id, keypoints)
+            && id.text == wanted
+        {
+            labels = read_names(text, &keypoints, count)?;
+        }
+        Ok(())
+    })?;
+    Ok(labels)
+}
+
+/// A text or a number as text.
+fn plain(node: &Node<'_, '_>) -> Result<String, Problem> {
+    match node.kind() {
+        Kind::String => node.string("a name"),
+        Kind::Number => Ok(node.text.to_owned()),
+        _ => Err(node.wrong_kind("a number or a name")),
+    }
+}
