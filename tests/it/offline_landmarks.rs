@@ -92,3 +92,40 @@ fn fit_names_what_is_wrong() {
     }
     assert_eq!(fs::read_to_string(&landmarks).unwrap(), csv());
 }
+
+/// Every command with handles takes landmark files, of one side each or of both, and writes what it writes with the handles in JSON.
+#[test]
+fn every_command_takes_landmark_files() {
+    let scratch = Scratch::new();
+    let [image, both, p, q, out] = ["image.png", "both.csv", "p.pts", "q.xml", "out"].map(|name| scratch.path(name));
+    fs::write(&image, photo(60, 40)).unwrap();
+    fs::write(&both, csv()).unwrap();
+    // In the conventions of ibug, from 1, and of dlib, from 0.
+    let rows: String = P.iter().map(|[x, y]| format!("{} {}\n", x + 0.5, y + 0.5)).collect();
+    fs::write(&p, format!("version: 1\nn_points: 6\n{{\n{rows}}}\n")).unwrap();
+    let parts = Q.iter().enumerate().map(|(k, [x, y])| format!("<part name='{k}' x='{}' y='{}'/>", x - 0.5, y - 0.5));
+    fs::write(&q, format!("<dataset><images><image file='a'><box>{}</box></image></images></dataset>", parts.collect::<String>())).unwrap();
+    let extent = ["--extent", "60,40"];
+    for (args, name, fields) in [
+        (&["points", "-", extent[0], extent[1]][..], "a.json", json!({"points": [[3, 4]]})),
+        (&["map", "-", extent[0], extent[1]], "a.npy", json!({"direction": "forward"})),
+        (&["report", "-", extent[0], extent[1]], "a.json", json!({"method": "tps"})),
+        (&["fit", "-", extent[0], extent[1]], "b.json", json!({})),
+        (&["warp", &*image, "-"], "a.png", json!({"strength": 0.5, "align": "rigid"})),
+        (&["batch", &*image, "-"], "a.zip", json!({"steps": 3, "strength": 0.5})),
+        (&["batch", &*image, "-"], "b.zip", json!({"jitter": {"seed": 7, "count": 2, "sigma": 1}})),
+        (&["batch", &*image, "-"], "c.zip", json!({"frames": [{}, {"strength": 0}]})),
+    ] {
+        let out = format!("{out}-{name}");
+        let written = |handles: &[&str], fields: &Value| {
+            done(&[args, handles, &["-o", &*out]].concat(), &fields.to_string());
+            fs::read(&out).unwrap()
+        };
+        let mut with_handles = json!({"p": P, "q": Q});
+        with_handles.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+        let expected = written(&[], &with_handles);
+        for handles in [&["--landmarks", &*both][..], &["--landmarks", &*p, "--landmarks-q", &*q]] {
+            assert!(written(handles, &fields) == expected, "{args:?} {handles:?}");
+        }
+    }
+}

@@ -160,18 +160,17 @@ pub(crate) fn of_fit(object: &[u8]) -> Result<Vec<u8>, Problem> {
     without(object, &others)
 }
 
-/// Splits an object with the fields of both into the warp object of a session and the body of a batch. `q` and `strength` go into both.
+/// Splits an object with the fields of both into the warp object of a session, which keeps the pose, and the body of a batch.
 /// Errors: Not a JSON object.
 pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
     let root = json::root(object)?;
-    let name = |pair: &(&str, &str)| pair.0.trim_matches('"').to_owned();
-    let is_posed = |name: &str| ["q", "strength"].contains(&name);
     let is_of_session = |name: &str| fields::WARP.contains(&name) && name != "output";
-    let text = |belongs: &dyn Fn(&str) -> bool| {
-        let fields: Vec<String> = root.pairs().filter(|pair| belongs(&name(pair))).map(|(name, value)| format!("{name}:{value}")).collect();
+    let text = |is_session: bool| {
+        let fields = root.pairs().filter(|(name, _)| is_of_session(name.trim_matches('"')) == is_session);
+        let fields: Vec<String> = fields.map(|(name, value)| format!("{name}:{value}")).collect();
         format!("{{{}}}", fields.join(",")).into_bytes()
     };
-    Ok([text(&is_of_session), text(&|name| !is_of_session(name) || is_posed(name))])
+    Ok([text(true), text(false)])
 }
 
 /// The field `extent` of an object.
@@ -218,7 +217,7 @@ mod tests {
         let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
         let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
         assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);
-        assert_eq!(batch, r#"{"steps":2,"q":[[3, 4]],"output":{},"other":"}"}"#);
+        assert_eq!(batch, r#"{"steps":2,"output":{},"other":"}"}"#);
     }
 
     #[test]
