@@ -132,6 +132,16 @@ fn a_wrong_option_is_named_and_so_is_the_file_of_a_wrong_field() {
         let said = failed(args, stdin);
         assert!(said.starts_with(sentence) && !said.contains("(/"), "{args:?}: {said}");
     }
+    let folder = std::path::Path::new(&image).parent().unwrap().to_str().unwrap();
+    for (args, sentence) in [
+        (&["batch", &*image, &*image, "--steps", "2", "-o", &*out][..], format!("error: {image} is an image; the warp object is JSON")),
+        (&["fit", &image, "--extent", "60,40"], format!("error: {image} is an image; the warp object is JSON")),
+        (&["batch", folder, &handles, "--steps", "2", "-o", &out], format!("error: {folder:?} is a folder; the image is one file")),
+        (&["map", &handles, "--image", folder, "-o", &out], format!("error: {folder:?} is a folder; the image is one file")),
+    ] {
+        let said = failed(args, "");
+        assert!(said.starts_with(&sentence), "{args:?}: {said}");
+    }
     // A field of a file has its pointer too.
     for (text, sentence) in [
         (r#"{"steps": "many"}"#, "bad_value: FILE: expected a whole number of frames"),

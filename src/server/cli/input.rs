@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
-use mlswarp::codec::{self, StepCounter};
+use mlswarp::codec::{self, SourceFormat, StepCounter};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Setup, WarpError, choose};
 use rayon::ThreadPool;
@@ -40,21 +40,31 @@ impl Limit {
 /// Errors: It cannot be read, or has more bytes than the limit.
 pub(super) fn read(what: &str, path: &Path, Limit(limit, flag): Limit) -> Result<Vec<u8>, Failure> {
     let cannot = |e: io::Error| Failure::Local(format!("cannot read the {what} {path:?}: {e}"));
+    if path.is_dir() {
+        return Err(Failure::Local(format!("{path:?} is a folder; the {what} {} one file", is(what))));
+    }
     let source: Box<dyn Read> = if is_stdio(path) { Box::new(io::stdin().lock()) } else { Box::new(File::open(path).map_err(cannot)?) };
     let mut bytes = Vec::new();
     source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        let is = if what.ends_with('s') { "are" } else { "is" };
-        let problem = Problem::new(Code::TooLarge, format!("the {what} {is} larger than {limit} bytes; {flag} raises the limit"));
+        let problem = Problem::new(Code::TooLarge, format!("the {what} {} larger than {limit} bytes; {flag} raises the limit", is(what)));
         return Err(Failure::from(problem).about(name_of(path)));
     }
     Ok(bytes)
 }
 
+fn is(what: &str) -> &'static str {
+    if what.ends_with('s') { "are" } else { "is" }
+}
+
 /// A JSON file as a source of fields.
 /// Errors: As [`read`].
 pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Failure> {
-    Ok(Source { name: name_of(path), json: read(what, path, limit)?, is_option: false })
+    let (name, json) = (name_of(path), read(what, path, limit)?);
+    if SourceFormat::of(&json).is_ok() {
+        return Err(Failure::Local(format!("{name} is an image; the {what} {} JSON, and there is one image", is(what))));
+    }
+    Ok(Source { name, json, is_option: false })
 }
 
 /// The fields of all sources; says on standard error which of them do not count.
