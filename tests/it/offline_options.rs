@@ -137,7 +137,7 @@ fn a_wrong_option_is_named_and_so_is_the_file_of_a_wrong_field() {
         (&["batch", &*image, &*image, "--steps", "2", "-o", &*out][..], format!("error: {image} is an image; the warp object is JSON")),
         (&["fit", &image, "--extent", "60,40"], format!("error: {image} is an image; the warp object is JSON")),
         (&["batch", folder, &handles, "--steps", "2", "-o", &out], format!("error: {folder:?} is a folder; the image is one file")),
-        (&["map", &handles, "--image", folder, "-o", &out], format!("error: {folder:?} is a folder; the image is one file")),
+        (&["map", &handles, "--image", folder, "-o", "-"], format!("error: {folder:?} is a folder; the image is one file")),
     ] {
         let said = failed(args, "");
         assert!(said.starts_with(&sentence), "{args:?}: {said}");
