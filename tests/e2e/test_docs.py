@@ -119,7 +119,7 @@ def test_every_run_button_shows_a_result(docs, server):
         page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
         text = example.locator(".results").inner_text()
         assert '"error": "' not in text, f"{name}: {text}"
-        pictures = {"lines": 1, "methods": 3, "output": 1, "session": 3, "drag": 1, "warp": 1, "caricature": 2, "landmarks": 1, "layers": 3}.get(name, 0)
+        pictures = {"batch": 1, "lines": 1, "methods": 3, "output": 1, "session": 3, "drag": 1, "warp": 1, "caricature": 2, "landmarks": 1, "layers": 3}.get(name, 0)
         assert example.locator("figure img").count() == pictures, f"{name}: {text}"
         if name == "errors":
             assert "unknown_field" in text, text

@@ -36,9 +36,10 @@ static REFERENCE: LazyLock<Asset> =
     LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
 static FILES: LazyLock<[(&str, Asset); 4]> =
     LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
-static EXAMPLES: LazyLock<[(&str, Asset); 36]> = LazyLock::new(|| {
+static EXAMPLES: LazyLock<[(&str, Asset); 39]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
+        "examples/batch.sh" TEXT, "examples/batch.py" TEXT, "examples/batch.js" JS,
         "examples/caricature.py" TEXT, "examples/caricature.js" JS,
         "examples/errors.sh" TEXT, "examples/errors.py" TEXT, "examples/errors.js" JS,
         "examples/landmarks.sh" TEXT, "examples/landmarks.py" TEXT, "examples/landmarks.js" JS,
