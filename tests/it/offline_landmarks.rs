@@ -79,8 +79,11 @@ fn fit_names_what_is_wrong() {
     let scratch = Scratch::new();
     let landmarks = scratch.path("landmarks.csv");
     fs::write(&landmarks, csv()).unwrap();
+    let one = scratch.path("one.csv");
+    fs::write(&one, "x,y\n1,2\n3,4\n").unwrap();
     for (args, stdin, sentence) in [
         (&["--landmarks", &*landmarks][..], "", "error: the size of the image is missing; give --extent WIDTH,HEIGHT, "),
+        (&["--landmarks", &*one, "--extent", "60,40"], "", &*format!("bad_value: {one}: it has no posed positions: ")),
         (&["-", "--extent", "60,40"], r#"{"p": [[1, 2]]}"#, "bad_value: "),
         (&["-", "--extent", "60,40"], r#"{"p": [[1, 2]], "q": [[1, 2]], "stepz": 1}"#, "unknown_field: standard input: "),
         (&["-", "--landmarks", &*landmarks, "--extent", "60,40"], r#"{"p": [[1, 2]]}"#, "bad_value: standard input: "),

@@ -125,7 +125,10 @@ impl LandmarkInput {
         files.choice.matching = files.choice.matching.or(matching);
         files.choice.item = files.choice.item.or(item);
         let landmarks = files.read(config.limits().columns, &|| false).map_err(|problem| self.blame(problem))?;
-        landmarks.require_q()?;
+        landmarks.require_q().map_err(|mut problem| {
+            "it has no posed positions: give a file with both sides, or --landmarks-q FILE".clone_into(&mut problem.detail);
+            Failure::from(problem).about(self.landmarks.as_deref().map(name_of).unwrap_or_default())
+        })?;
         Ok(Some(landmarks))
     }
 
