@@ -191,17 +191,12 @@ impl Asker {
         id
     }
 
-    /// Asks a route; for those that change a session, draws what it has become.
+    /// Asks a route; for those that make or change a session, draws its pose.
     async fn ask(&self, route: &Route, object: &Map<String, Value>, field: &str) -> (u16, Vec<(String, String)>, Vec<u8>) {
-        let posed = object.get("q").cloned().unwrap_or_else(q);
         let url = |id: &str| self.server.url(&route.path.replace("{id}", id));
         match route.by {
             By::Upload => {
-                let mut sent = object.clone();
-                if route.path == "/sessions" {
-                    sent.remove("q");
-                }
-                let mut parts = form(&self.image, Value::Object(sent).to_string());
+                let mut parts = form(&self.image, Value::Object(object.clone()).to_string());
                 if field == "output.holes" {
                     parts = parts.part("region", Part::bytes(mask()).file_name("mask"));
                 }
@@ -210,7 +205,7 @@ impl Asker {
                     return answer(response).await;
                 }
                 let id = response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
-                answer(self.server.drag(&id, &json!({"q": posed})).await).await
+                answer(self.server.drag(&id, &json!({})).await).await
             }
             By::Whole if route.method == "PUT" => {
                 let id = self.session(field).await;
@@ -218,7 +213,7 @@ impl Asker {
                 if !response.status().is_success() {
                     return answer(response).await;
                 }
-                answer(self.server.drag(&id, &json!({"q": posed})).await).await
+                answer(self.server.drag(&id, &json!({})).await).await
             }
             By::Whole => answer(self.server.post(route.path).json(object).send().await.unwrap()).await,
             By::Posed => {
@@ -239,9 +234,9 @@ fn mask() -> Vec<u8> {
     png_of(160, 120, png::ColorType::Grayscale, png::BitDepth::Eight, &samples)
 }
 
-/// A report counts the folds for which the other routes refuse; a session keeps no strength.
+/// A report counts the folds for which the other routes refuse.
 fn is_counted(route: &Route, field: &str) -> bool {
-    field == "folds" && route.path == "/report" || field == "strength" && ["/sessions", "/sessions/{id}/handles"].contains(&route.path)
+    field == "folds" && route.path == "/report"
 }
 
 /// The fields of a route's object, those of `output` by their path.
