@@ -22,7 +22,7 @@ fn texts(endings: &[&str]) -> Vec<(PathBuf, String)> {
     for folder in ["src", "tests", "api", "deploy"] {
         add(&Path::new(ROOT).join(folder), endings, &mut found);
     }
-    for name in ["README.md", "CHANGELOG.md"] {
+    for name in ["README.md", "CHANGELOG.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"] {
         let path = Path::new(ROOT).join(name);
         found.push((path.clone(), std::fs::read_to_string(path).unwrap()));
     }
