@@ -43,7 +43,7 @@ pub struct Client {
 const V6_HOST_BITS: u32 = 64;
 
 /// The unit that limits and fair queues count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Tenant {
     /// The name of a key, from any address.
     Key(Owner),

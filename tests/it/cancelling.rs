@@ -8,10 +8,10 @@ use crate::layers::sources;
 /// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their `Cancel` contain one of these.
 const BOUNDED: [(&str, &str); 6] = [
     ("::parse", "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has the time for the largest"),
-    ("let reading", "the same, with its reservation"),
-    ("WarpPatch::parse", "the same"),
-    ("q.read(", "the handles of one drag"),
-    ("rest.posed(", "a few operations for each of at most `--max-columns` positions"),
+    ("| parse(", "a drag or a message of a socket, no longer than the session's handles"),
+    ("| read()", "the handles of one drag"),
+    ("| posed()", "a few operations for each of at most `--max-columns` positions"),
+    ("to_invert(", "the same"),
     ("map_band", "2^16 positions"),
 ];
 /// Functions of the library that have a twin with an argument for cancellation. The offline tool may call them.

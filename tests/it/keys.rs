@@ -16,7 +16,7 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 use crate::support::counters::Counted as _;
 use crate::support::program::{Program, mlswarp};
 use crate::support::server::{form, header, problem};
-use crate::support::{Scratch, Server, photo};
+use crate::support::{Scratch, Server, eventually, photo};
 
 const ANN: &str = "ann-s-key-0123456789";
 const BOB: &str = "bob-s-key-9876543210";
@@ -317,11 +317,15 @@ async fn caches_tell_one_owner_nothing_of_another() {
     let memory = || (budget.taken_for(Purpose::Image), budget.taken_for(Purpose::Plan));
     let (built, etag) = ask(ANN).await;
     assert_eq!((built.as_str(), seen()), ("built", (1, 1)));
+    // The setup of a request goes with it.
+    let ended = || eventually("the request has ended", || server.app.pool().running() == 0);
+    ended().await;
     let (images, plans) = memory();
     assert_eq!((ask(ANN).await, seen()), (("hit".to_owned(), etag.clone()), (1, 1)));
     // An `ETag` says what was asked and not who asked.
     assert_eq!((ask(BOB).await, seen()), (("built".to_owned(), etag.clone()), (2, 2)));
     assert_eq!((ask(BOB).await.0.as_str(), ask(ANN).await.0.as_str(), seen()), ("hit", "hit", (2, 2)));
+    ended().await;
     assert_eq!(memory(), (2 * images, 2 * plans), "what two have is counted twice");
 
     // The same by sessions; and the end of one owner's leaves the other's warm.

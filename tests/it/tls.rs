@@ -98,8 +98,8 @@ async fn http_1_and_2_and_the_drag_socket_go_through_it() {
     stream.read_exact(&mut frame).await.unwrap();
     assert_eq!(frame[3], 4, "SETTINGS");
 
-    let (session, ..) = server.app.create_session(Client::default(), Upload::new(photo(16, 12), r#"{"p": [[2, 2]]}"#)).await.unwrap();
-    let url = format!("wss://{}/sessions/{}/drag", server.address, session.record.id);
+    let (shown, _) = server.app.create_session(Client::default(), Upload::new(photo(16, 12), r#"{"p": [[2, 2]]}"#)).await.unwrap();
+    let url = format!("wss://{}/sessions/{}/drag", server.address, shown.session.record.id);
     let stream = folder.connect(server.address, &[b"http/1.1"]).await.unwrap();
     let (mut socket, _) = client_async(url, stream).await.unwrap();
     assert!(matches!(socket.next().await, Some(Ok(Message::Text(_)))));

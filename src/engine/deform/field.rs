@@ -148,6 +148,27 @@ impl Field {
         smoothing: f64,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
+        Self::spline_of(handles, coincident, smoothing, true, cancelled)
+    }
+
+    /// The handles and parameters of [`Field::spline`] without its system, which takes nearly all of
+    /// the time: it is described by this, and cannot be evaluated.
+    pub(crate) fn spline_without_system(
+        handles: Handles,
+        coincident: Coincident,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        Self::spline_of(handles, coincident, smoothing, false, cancelled)
+    }
+
+    fn spline_of(
+        handles: Handles,
+        coincident: Coincident,
+        smoothing: f64,
+        is_solved: bool,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
         if let Some(handle) = handles.handles().iter().position(|handle| matches!(handle, Handle::Polyline(_))) {
             return Err(DeformError::LineInSpline { handle });
         }
@@ -164,6 +185,7 @@ impl Field {
             Rank::Collinear => (Method::Similarity, vec![Warning::TpsDegenerateUsedSimilarity]),
         };
         let spline = match rank {
+            _ if !is_solved => None,
             Rank::Empty | Rank::OnePlace => None,
             Rank::Collinear | Rank::Full => {
                 let spline = Spline::new(sites, rank == Rank::Collinear, smoothing, cancelled);

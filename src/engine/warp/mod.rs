@@ -25,6 +25,7 @@ mod setup;
 mod spec;
 mod strip_scheduler;
 mod subject;
+mod summary;
 mod table;
 mod target;
 #[cfg(test)]
@@ -51,6 +52,7 @@ pub use self::setup::{Plan, Setup};
 pub use self::spec::{Align, Folds, GridSpec, Holes, Limits, Method, OutputSpec, RestSpec, Units};
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::subject::Subject;
+pub use self::summary::RestSummary;
 pub use self::table::Table;
 pub use self::target::{CanvasSpec, FARTHEST as FARTHEST_CANVAS, Target};
 pub use self::transform::{Edges, MappedOutline, Outline, SAMPLES, Transform, samples_of};

@@ -89,6 +89,17 @@ impl Setup {
     /// # Errors
     /// Those of [`Setup::new`]; cancelled.
     pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+        Self::resolve(rest, extent, limits, true, cancelled)
+    }
+
+    /// `is_solved`: whether the system of a spline is computed, without which nothing can be posed.
+    pub(super) fn resolve(
+        rest: &RestSpec,
+        extent: Extent,
+        limits: &Limits,
+        is_solved: bool,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         check_parameters(rest)?;
@@ -96,10 +107,17 @@ impl Setup {
         let grid = resolve_grid(rest.grid, width, height, limits)?;
         let handles = Handles::new(to_px(&rest.p, unit(rest.units, &grid)), rest.weights.clone()).map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
-        if rest.method == Method::ThinPlateSpline {
+        if rest.method == Method::ThinPlateSpline && is_solved {
             work::at_most(Task::Spline, limits.work, work::of_spline(rest.p.len() as u64))?;
         }
-        let field = field(handles, rest, cancelled).map_err(|error| match error {
+        let field = match rest.method {
+            Method::ThinPlateSpline if !is_solved => {
+                let smoothing = rest.smoothing.unwrap_or_default();
+                Field::spline_without_system(handles, rest.coincident, smoothing, cancelled)
+            }
+            _ => field(handles, rest, cancelled),
+        };
+        let field = field.map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;

@@ -18,6 +18,7 @@ use tokio::sync::oneshot;
 
 use super::App;
 use super::drawable::Content;
+use super::reading::Held;
 use crate::cache::CacheEntry;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
@@ -53,10 +54,13 @@ pub struct Piece {
     pub end: Option<Cost>,
 }
 
+/// A setup and its memory, as it is cached.
+pub(crate) type HeldSetup = Arc<CacheEntry<Setup>>;
+
 /// A plan, and its cost so far.
 #[derive(Debug)]
 pub(crate) struct Planned {
-    pub(crate) setup: Arc<Setup>,
+    pub(crate) setup: HeldSetup,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) timing: Timing,
     /// Whether the plan was built for this request.
@@ -68,7 +72,7 @@ pub(crate) struct Planned {
 pub(crate) struct DrawJob {
     pub(crate) content: Content,
     pub(crate) planned: Planned,
-    pub(crate) q: Vec<Handle>,
+    pub(crate) q: Arc<Held<Vec<Handle>>>,
     pub(crate) folds: Folds,
     pub(crate) output: OutputSpec,
     /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its tolerance.

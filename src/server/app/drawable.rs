@@ -13,7 +13,7 @@ use mlswarp::warp::{CanvasSpec, Digest, Image, LabelImage, OutputSpec, Region, S
 
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
-use crate::client::{Client, Owner};
+use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, LayerRef};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
@@ -157,7 +157,7 @@ impl App {
         }
         let sources = self.fetch_sources(client, record, Some(&LayerRef::Holes)).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
-        self.decode_content(record.id.owner(), &ticket, sources).await.map(Some)
+        self.decode_content(client, &ticket, sources).await.map(Some)
     }
 
     /// A file of a session in decoded form, if that is cached, or its bytes.
@@ -179,36 +179,37 @@ impl App {
         let fetch = async move {
             let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
             let bytes = in_stage("store", app.0.store.file_bytes(id, digest)).await?;
-            let mut reservation = app.reserve(Purpose::Image, bytes.max(MIN_WEIGHT))?;
+            let bytes = bytes.max(MIN_WEIGHT);
+            let mut reservation = app.reserve_aside(|budget| budget.take(Purpose::Image, bytes)).await?;
             let file = in_stage("store", app.0.store.file(id, digest)).await?;
             reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
             Ok(CacheEntry::new(file, reservation))
         };
         let key = Key::new(id.owner(), Digest::of(&[&id.to_bytes()[..], &digest.0].concat()));
-        Ok(self.0.files.get(key, fetch, build_aborted).await?.value)
+        Ok(self.0.files.get(key, client.tenant(), fetch, build_aborted).await?.value)
     }
 
     /// Decodes what is not decoded yet.
-    pub(crate) async fn decode_content(&self, owner: Owner, ticket: &Ticket, sources: ContentSources) -> Result<Content, Problem> {
+    pub(crate) async fn decode_content(&self, client: Client, ticket: &Ticket, sources: ContentSources) -> Result<Content, Problem> {
         let mask = match sources.region {
-            Some(source) => match self.decode_source(owner, ticket, source).await? {
+            Some(source) => match self.decode_source(client, ticket, source).await? {
                 Drawable::Image(image) => Some(Mask::new(image)),
                 _ => None,
             },
             None => None,
         };
         let drawable = match (sources.drawn, &mask) {
-            (Some(source), _) => self.decode_source(owner, ticket, source).await?,
+            (Some(source), _) => self.decode_source(client, ticket, source).await?,
             (None, Some(mask)) => Drawable::Holes(mask.clone()),
             (None, None) => return Err(Problem::new(Code::Internal, "holes without a region")),
         };
         Ok(Content { drawable, mask })
     }
 
-    async fn decode_source(&self, owner: Owner, ticket: &Ticket, source: DrawableSource) -> Result<Drawable, Problem> {
+    async fn decode_source(&self, client: Client, ticket: &Ticket, source: DrawableSource) -> Result<Drawable, Problem> {
         match source {
             DrawableSource::Decoded(drawable) => Ok(drawable),
-            DrawableSource::File { kind, digest, file } => self.decode_file(owner, ticket, kind, digest, CachedFile(file)).await,
+            DrawableSource::File { kind, digest, file } => self.decode_file(client, ticket, kind, digest, CachedFile(file)).await,
         }
     }
 
@@ -229,14 +230,14 @@ impl App {
     /// The file of a picture or layer in decoded form, from the cache or decoded now.
     pub(super) async fn decode_file(
         &self,
-        owner: Owner,
+        client: Client,
         ticket: &Ticket,
         kind: LayerKind,
         digest: Digest,
         file: impl AsRef<[u8]> + Send + 'static,
     ) -> Result<Drawable, Problem> {
         match kind {
-            LayerKind::Image => Ok(Drawable::Image(self.decode_image(owner, ticket, digest, file).await?.value)),
+            LayerKind::Image => Ok(Drawable::Image(self.decode_image(client, ticket, digest, file).await?.value)),
             LayerKind::Labels => {
                 let limits = self.0.config.limits().image;
                 let decode = move |app: &Self, cancel: &Cancel| {
@@ -249,7 +250,8 @@ impl App {
                     Ok(CacheEntry::new(labels, reservation))
                 };
                 let build = self.decoding(ticket, decode);
-                Ok(Drawable::Labels(self.0.labels.get(Key::new(owner, digest), build, build_aborted).await?.value))
+                let key = Key::new(client.owner, digest);
+                Ok(Drawable::Labels(self.0.labels.get(key, client.tenant(), build, build_aborted).await?.value))
             }
         }
     }
@@ -257,7 +259,7 @@ impl App {
     /// The image of a file, from the cache or decoded now.
     pub(super) async fn decode_image(
         &self,
-        owner: Owner,
+        client: Client,
         ticket: &Ticket,
         digest: Digest,
         file: impl AsRef<[u8]> + Send + 'static,
@@ -272,7 +274,8 @@ impl App {
             reservation.shrink_to(image.bytes());
             Ok(CacheEntry::new(image, reservation))
         };
-        self.0.images.get(Key::new(owner, digest), self.decoding(ticket, decode), build_aborted).await
+        let (key, build) = (Key::new(client.owner, digest), self.decoding(ticket, decode));
+        self.0.images.get(key, client.tenant(), build, build_aborted).await
     }
 
     /// Runs a decoder on the pool.

@@ -1,5 +1,7 @@
 //! `POST /fit` and `/sessions/{id}/fit`: how well methods predict points that they do not know; and the choice of `method: auto`.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::geometry::Vec2;
@@ -8,13 +10,15 @@ use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, Warning, WarpError, ch
 
 use super::App;
 use super::json_text::json_unless;
+use super::reading::{Held, part};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{FitAnswer, FitObject, WarpObject, in_candidate};
+use crate::store::Record;
+use crate::wire::{FitAnswer, FitObject, Pose, Reserved, WarpObject, in_candidate};
 
 /// Compares candidates on at most `most` handles. CPU work, in parallel on the current rayon pool.
 /// Errors: Wrong points or candidates, cancelled.
@@ -43,15 +47,32 @@ const OUTLIER_TEXT: usize = 5;
 /// The JSON of the response, and the warnings of the points.
 type ComparedFit = (Bytes, Vec<Warning>);
 
+/// The points at rest, and the size of their picture.
+enum FitRest {
+    Request(Held<(RestSpec, Extent)>),
+    Session(Arc<Record>),
+}
+
+impl FitRest {
+    /// With the pose of the session.
+    fn parts(&self) -> (&RestSpec, Extent, Option<&Pose>) {
+        match self {
+            Self::Request(rest) => (&rest.0, rest.1, None),
+            Self::Session(record) => (&record.rest, record.extent, record.pose.as_ref()),
+        }
+    }
+}
+
 impl App {
     /// Compares methods on the points of the body.
     /// Errors: Wrong points or candidates, or too little capacity.
     pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<ComparedFit, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let mut object = self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await??;
-        let (rest, extent) = object.rest.take().ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))?;
-        let pose = object.pose.onto(None)?;
-        self.fit(&ticket, self.response_quota(client), (rest, pose.q), extent, object.candidates).await
+        let reserve = self.reserving(Purpose::Upload, client);
+        let mut object = self.0.pool.run(&ticket, move |_| Reserved::<FitObject, _>::parse(&json, reserve)).await??;
+        let rest = part(&mut object, |object| object.rest.take());
+        let rest = rest.try_map(|rest| rest.ok_or_else(|| Problem::new(Code::Internal, "a fit without points")))?;
+        self.fit(&ticket, self.response_quota(client), FitRest::Request(rest), object).await
     }
 
     /// Compares methods on the points of a session.
@@ -59,26 +80,21 @@ impl App {
     pub async fn fit_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<ComparedFit, Problem> {
         let record = self.touch(id, None).await?.record;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let object = self.0.pool.run(&ticket, move |_| FitObject::parse_posed(&json)).await??;
-        let pose = object.pose.onto(record.pose.as_ref())?;
-        self.fit(&ticket, self.response_quota(client), (record.rest.clone(), pose.q), record.extent, object.candidates).await
+        let reserve = self.reserving_pose(Purpose::Upload, client, &record);
+        let object = self.0.pool.run(&ticket, move |_| Reserved::<FitObject, _>::parse_posed(&json, reserve)).await??;
+        self.fit(&ticket, self.response_quota(client), FitRest::Session(record), object).await
     }
 
-    async fn fit(
-        &self,
-        ticket: &Ticket,
-        quota: ClientQuota,
-        (rest, q): (RestSpec, Vec<Handle>),
-        extent: Extent,
-        candidates: Vec<Candidate>,
-    ) -> Result<ComparedFit, Problem> {
-        let (app, warnings) = (self.clone(), rest.left_out().collect());
+    async fn fit(&self, ticket: &Ticket, quota: ClientQuota, rest: FitRest, object: Held<FitObject>) -> Result<ComparedFit, Problem> {
+        let (app, warnings) = (self.clone(), rest.parts().0.left_out().collect());
         let work = move |cancel: &Cancel| {
-            let (q, _) = rest.posed(q, 1.0, extent);
+            let (rest, extent, session) = rest.parts();
+            let FitObject { pose, candidates, .. } = &*object;
+            let (q, _) = rest.posed(pose.clone().onto(session)?.q, 1.0, extent);
             let text =
                 candidates.len() * (CANDIDATE_TEXT + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.0.config.max_fit_handles));
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, text as u64)?;
-            let predictions = app.predict(&rest, &q, extent, &candidates, cancel)?;
+            let predictions = app.predict(rest, &q, extent, candidates, cancel)?;
             let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
             // The client may read it slowly.
             body.shrink_to_fit();

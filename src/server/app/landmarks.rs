@@ -1,57 +1,33 @@
 //! `POST /landmarks`, and the landmark files of uploads: they are read on the pool, in memory that counts for the client.
 
 use bytes::Bytes;
-use mlswarp::pixmap::Extent;
 
 use super::App;
 use super::json_text::json_unless;
+use super::reading::Held;
 use crate::client::Client;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::Purpose;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
-use crate::wire::WarpObject;
+use crate::wire::Reserved;
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
 
 /// Longest text of a number with its punctuation, bytes, and that of the response without numbers and names.
 const NUMBER_TEXT: usize = 30;
 const EMPTY_TEXT: usize = 256;
 
-/// Landmarks that were read, and their memory.
-#[derive(Debug)]
-pub struct HeldLandmarks {
-    landmarks: Landmarks,
-    held: Reservation,
-}
-
-impl HeldLandmarks {
-    /// The longest text of the handles of one side, bytes.
-    pub(crate) fn text_length(&self) -> usize {
-        NUMBER_TEXT * self.landmarks.numbers()
-    }
-
-    /// Errors: As [`Landmarks::require_q`].
-    pub(crate) fn require_q(&self) -> Result<(), Problem> {
-        self.landmarks.require_q()
-    }
-
-    pub(crate) fn place_in(self, object: &mut WarpObject, image: Extent) -> Result<(), Problem> {
-        self.landmarks.place_in(object, image)
-    }
-}
-
 impl App {
     /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read of them.
     /// Errors: A file that cannot be read, or too little capacity.
-    pub async fn read_landmarks(&self, client: Client, mut files: LandmarkFiles, warp: Bytes) -> Result<HeldLandmarks, Problem> {
+    pub(crate) async fn read_landmarks(&self, client: Client, mut files: LandmarkFiles, warp: Bytes) -> Result<Held<Landmarks>, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let columns = self.0.config.limits().columns;
-        let held = self.reserve_for(Purpose::Upload, &self.request_quota(client), files.reading_bytes(columns))?;
+        let reserve = self.reserving(Purpose::Upload, client);
         let read = move |cancel: &Cancel| {
             files.choice.add(Choice::of_warp(&warp)?)?;
-            files.read(columns, &|| cancel.is_cancelled())
+            Reserved::of_files(&files, columns, &|| cancel.is_cancelled(), reserve)
         };
-        let landmarks = self.0.pool.run(&ticket, read).await??;
-        Ok(HeldLandmarks { landmarks, held })
+        self.0.pool.run(&ticket, read).await?
     }
 
     /// The JSON of a request with the handles of its landmark files as fields.
@@ -59,14 +35,14 @@ impl App {
     pub async fn with_landmarks(&self, client: Client, mut files: LandmarkFiles, json: Bytes, target: Target) -> Result<Bytes, Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (app, quota, columns) = (self.clone(), self.request_quota(client), self.0.config.limits().columns);
-        let held = self.reserve_for(Purpose::Upload, &quota, files.reading_bytes(columns))?;
+        let reserve = self.reserving(Purpose::Upload, client);
         let write = move |cancel: &Cancel| {
-            let _held = held;
             files.choice.add(Choice::of_warp(&json)?)?;
-            let landmarks = files.read_for(target, columns, &|| cancel.is_cancelled())?;
+            let landmarks = Reserved::of_files_for(&files, target, columns, &|| cancel.is_cancelled(), reserve)?;
             // The handles alone, and among the other fields.
             let length = json.len() + EMPTY_TEXT + 4 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
             let mut reservation = app.reserve_for(Purpose::Upload, &quota, length as u64)?;
+            let (landmarks, _held) = landmarks.into_parts();
             let mut body = landmarks.into_fields(&json, target)?;
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);
@@ -78,15 +54,14 @@ impl App {
     /// Reads landmark files; returns the JSON of the response.
     /// Errors: As [`App::read_landmarks`].
     pub async fn convert_landmarks(&self, client: Client, files: LandmarkFiles) -> Result<Bytes, Problem> {
-        let HeldLandmarks { landmarks, held } = self.read_landmarks(client, files, Bytes::from_static(b"{}")).await?;
+        let landmarks = self.read_landmarks(client, files, Bytes::from_static(b"{}")).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (app, quota) = (self.clone(), self.response_quota(client));
         let write = self.0.pool.run(&ticket, move |cancel| {
-            let _held = held;
             let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
-            let landmarks = landmarks.scale(None)?;
+            let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, length as u64)?;
-            let mut body = json_unless(cancel, &landmarks, length)?;
+            let mut body = json_unless(cancel, &*landmarks, length)?;
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);
             Ok::<_, Problem>(reservation.attach(body))

@@ -4,28 +4,27 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::warp::{Digest, Setup};
+use mlswarp::warp::Digest;
 
 use super::drawable::{check_extent, find_layer};
-use super::warp::{ATTEMPTS, revision_key};
+use super::session_object::ShownSession;
+use super::warp::ATTEMPTS;
 use super::{App, MIN_WEIGHT};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
-use crate::pool::{QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
-use crate::store::{NamedFile, Record, Session, StoreError, StoredLayer};
+use crate::store::{NamedFile, Record, StoreError, StoredLayer};
 
 /// A session whose layer was stored.
 #[derive(Debug)]
 pub struct LayerPut {
     /// The session as it is now.
-    pub session: Session,
-    /// Its setup.
-    pub setup: Arc<Setup>,
+    pub session: ShownSession,
     /// Whether there was no layer of that name.
     pub is_new: bool,
 }
@@ -46,10 +45,9 @@ impl App {
             let old = Arc::clone(&session.record);
             check_count(&old, name)?;
             check_twin(&old, name)?;
-            let setup = self.session_setup(client, &old).await?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
             let digest = self.check_layer(&ticket, file.clone(), old.extent).await?;
-            let drawable = self.decode_file(id.owner(), &ticket, kind, digest, file.clone()).await?;
+            let drawable = self.decode_file(client, &ticket, kind, digest, file.clone()).await?;
             check_extent(drawable.subject().extent(), old.extent)?;
             // The ticket is not held while the store works.
             drop(ticket);
@@ -57,11 +55,11 @@ impl App {
             let before = layers.insert(name.clone(), StoredLayer { kind, digest });
             let is_new = before.is_none();
             if layers == old.layers {
-                return Ok(LayerPut { session, setup, is_new });
+                return Ok(LayerPut { session: self.read_session(client, session).await?, is_new });
             }
             let file = NamedFile { digest, bytes: file.clone() };
-            if let Some(session) = self.revise_layers(client, &old, layers, Some(file), &setup).await? {
-                return Ok(LayerPut { session, setup, is_new });
+            if let Some(session) = self.revise_layers(client, &old, layers, Some(file)).await? {
+                return Ok(LayerPut { session, is_new });
             }
         }
         Err(StoreError::Contended.into())
@@ -75,8 +73,7 @@ impl App {
             let (name, _) = find_layer(&old, name)?;
             let mut layers = old.layers.clone();
             layers.remove(&name);
-            let setup = self.session_setup(client, &old).await?;
-            if self.revise_layers(client, &old, layers, None, &setup).await?.is_some() {
+            if self.revise_layers(client, &old, layers, None).await?.is_some() {
                 return Ok(());
             }
         }
@@ -100,7 +97,8 @@ impl App {
     async fn read_layer(&self, client: Client, id: SessionId, digest: Digest) -> Result<Bytes, Problem> {
         let _ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
         let bytes = in_stage("store", self.0.store.file_bytes(id, digest)).await?;
-        let mut reservation = self.reserve_for(Purpose::Frame, &self.response_quota(client), bytes.max(MIN_WEIGHT))?;
+        let (quota, bytes) = (self.response_quota(client), bytes.max(MIN_WEIGHT));
+        let mut reservation = self.reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes)).await?;
         let file = in_stage("store", self.0.store.file(id, digest)).await?;
         reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
         Ok(reservation.attach(file))
@@ -113,26 +111,36 @@ impl App {
         old: &Arc<Record>,
         layers: BTreeMap<LayerName, StoredLayer>,
         file: Option<NamedFile>,
-        setup: &Arc<Setup>,
-    ) -> Result<Option<Session>, Problem> {
-        let new = Record { revision: Revision::random(), layers, ..(**old).clone() };
+    ) -> Result<Option<ShownSession>, Problem> {
+        // Before the change, after which nothing may fail.
+        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, old.id)).await?;
+        let (app, before) = (self.clone(), Arc::clone(old));
+        let write = move |cancel: &Cancel| {
+            let new = Arc::new(Record { revision: Revision::random(), layers, ..(*before).clone() });
+            let text = app.write_text(&new, None, cancel)?;
+            Ok::<_, Problem>((new, app.shown(client, Arc::new(text))?))
+        };
+        let (new, shown) = self.0.pool.run(&ticket, write).await??;
+        drop(ticket);
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, old.id)).await?;
         let claim = self.0.client_sessions.claim_revision(&new, file.as_ref())?;
         // If this future is dropped while the store works, the layer may have been stored: it stays counted.
-        let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new), file)).await;
+        let revised = in_stage("store", self.0.store.revise(old.revision, Arc::clone(&new), file)).await;
         drop(ticket);
         match &revised {
             Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
             _ => self.0.client_sessions.undo(claim),
         }
         let Some(session) = revised? else { return Ok(None) };
-        self.cache_setup(&session.record, setup).await;
-        self.0.setups.remove(revision_key(old));
+        // Layers do not change what is posed.
+        if let Some(setup) = self.forget_revision(old) {
+            self.cache_setup(client, &new, &setup);
+        }
         for layer in old.layers.values().filter(|layer| !session.record.layers.values().any(|kept| kept == *layer)) {
             self.evict_file(old.id.owner(), layer.digest);
         }
-        Ok(Some(session))
+        Ok(Some(self.show_new(client, &new, shown, session)))
     }
 }
 

@@ -12,6 +12,7 @@ use mlswarp::warp::{CoordinateMap, Digest, Folds, MapFormat, MapSpec, OutputSpec
 
 use super::App;
 use super::draw::Planned;
+use super::reading::{Held, part};
 use super::warp::Resolved;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
@@ -21,7 +22,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{MapObject, in_map, method_text};
+use crate::wire::{MapObject, Pose, Reserved, in_map, method_text};
 
 /// Attempts to admit a band of a map that has begun, and the pause between them.
 const ATTEMPTS: usize = 100;
@@ -92,7 +93,7 @@ impl MapBands {
 /// Everything that a map is made from.
 struct MapJob {
     planned: Planned,
-    q: Vec<Handle>,
+    q: Arc<Held<Vec<Handle>>>,
     folds: Folds,
     spec: MapSpec,
     source: Extent,
@@ -106,19 +107,23 @@ impl App {
     pub async fn map_once(&self, client: Client, json: Bytes, format: MapFormat) -> Result<(MapFile, Option<String>), Problem> {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let mut object = self.0.pool.run(&ticket, move |_| MapObject::parse(&json)).await??;
-        let (mut warp, source) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "a map without a warp"))?;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let mut object = self.0.pool.run(&ticket, move |_| Reserved::<MapObject, _>::parse(&json, reserve)).await??;
+        let warp = part(&mut object, |object| object.warp.take());
+        let warp = warp.try_map(|warp| warp.ok_or_else(|| Problem::new(Code::Internal, "a map without a warp")))?;
+        let (source, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
         let spec = object.spec(&warp.output, format);
         spec.check(source, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
         // Nothing is drawn.
         warp.output = OutputSpec::default();
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, source, cancel);
-        let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, object: warp, q, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let planned = self.plan(client.owner, &ticket, &setup, timing).await?;
-        let job = MapJob { planned, q: warp.posed()?.to_vec(), folds: warp.folds, spec, source, key, quota: self.response_quota(client) };
+        let planned = self.plan(client, &ticket, &setup, timing).await?;
+        let q = Arc::new(q);
+        let job = MapJob { planned, q, folds: warp.folds, spec, source, key, quota: self.response_quota(client) };
         Ok((self.map_file(&ticket, job).await?, method))
     }
 
@@ -129,12 +134,19 @@ impl App {
         let setup = self.session_setup(client, &record).await?;
         let key = QueueKey::session(client, id);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let object = self.0.pool.run(&ticket, move |_| MapObject::parse_posed(&json)).await??;
+        let (reserve, of_session) = (self.reserving_pose(Purpose::Upload, client, &record), Arc::clone(&record));
+        let parse = move |_: &_| {
+            let mut object = Reserved::<MapObject, _>::parse_posed(&json, reserve)?;
+            let Pose { q, strength } = std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+            let q = part(&mut object, |_| of_session.rest.posed(q, strength, of_session.extent).0);
+            Ok::<_, Problem>((object, q))
+        };
+        let (object, q) = self.0.pool.run(&ticket, parse).await??;
         let spec = object.spec(&record.output, format);
         spec.check(record.extent, &self.0.config.limits()).map_err(|error| in_map(error.into()))?;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let planned = self.plan(id.owner(), &ticket, &setup, timing).await?;
-        let q = self.posed(&ticket, &record, object.pose).await?;
+        let planned = self.plan(client, &ticket, &setup, timing).await?;
+        let q = Arc::new(q);
         let (folds, source, quota) = (record.folds, record.extent, self.response_quota(client));
         self.map_file(&ticket, MapJob { planned, q, folds, spec, source, key, quota }).await
     }

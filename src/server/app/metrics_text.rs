@@ -74,6 +74,7 @@ impl App {
             ("labels", self.0.labels.usage()),
             ("plans", self.0.plans.usage()),
             ("setups", self.0.setups.usage()),
+            ("texts", self.0.texts.usage()),
         ];
         let each = |value: fn(&CacheStats) -> u64| caches.each_ref().map(|(name, usage)| ([("cache", *name)], value(usage)));
         registry.register_with_unit("cache_size", "Size of the cached values", Unit::Bytes, gauges(each(|usage| usage.bytes)));

@@ -15,9 +15,11 @@ pub mod map;
 mod metrics_text;
 pub(crate) mod plan;
 pub(crate) mod points;
+pub(crate) mod reading;
 pub(crate) mod report;
 pub mod sequence;
 pub(crate) mod session;
+pub(crate) mod session_object;
 pub mod session_warp;
 pub mod warp;
 
@@ -40,16 +42,19 @@ use crate::limits::memory::{Budget, BudgetExceeded, Purpose, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
 use crate::observe::tracer::Tracer;
-use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass};
+use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass, aside};
 use crate::problem::{Code, Problem};
 use crate::store::{NotOpened, Store};
 use client_sessions::ClientSessions;
 use lifecycle::Lifecycle;
+use session_object::RevisionText;
 
 /// The cache of label images has the memory of the cache of images divided by this.
 const LABEL_DIVISOR: u64 = 8;
 /// The cache of setups has the memory of the cache of plans divided by this.
 const SETUP_DIVISOR: u64 = 8;
+/// The cache of the texts of session objects has the memory of the cache of plans divided by this.
+const TEXT_DIVISOR: u64 = 16;
 /// Memory for a small image, bytes; a server with less free memory is not ready.
 const MIN_FREE: u64 = 1 << 20;
 /// The unread responses of one client may use the memory divided by this.
@@ -75,7 +80,8 @@ pub(crate) struct AppState {
     pub(crate) images: Cache<Image>,
     pub(crate) labels: Cache<LabelImage>,
     pub(crate) plans: Cache<Plan>,
-    pub(crate) setups: Cache<Arc<Setup>>,
+    pub(crate) setups: Cache<Setup>,
+    pub(crate) texts: Cache<RevisionText>,
     /// Caches nothing; simultaneous requests for one session's file share one read of the store.
     pub(crate) files: Cache<Bytes>,
     pub(crate) store: Arc<dyn Store>,
@@ -137,6 +143,7 @@ impl App {
             labels: Cache::new(work.image_cache_bytes / LABEL_DIVISOR),
             plans: Cache::new(work.plan_cache_bytes),
             setups: Cache::new(work.plan_cache_bytes / SETUP_DIVISOR),
+            texts: Cache::new(work.plan_cache_bytes / TEXT_DIVISOR),
             files: Cache::new(0),
             store,
             sequencer: Sequencer::default(),
@@ -202,28 +209,51 @@ impl App {
         loop {
             match take() {
                 Ok(taken) => return Ok(taken),
-                Err(error) if !error.is_forever() && error.quota.is_none() && self.evict_idle() => {}
-                Err(error) => {
-                    self.0.budget.count_refusal();
-                    return Err(error.into());
+                Err(error) if error.may_be_evicted_for() && self.evict_idle() => {}
+                Err(error) => return Err(self.refused(error)),
+            }
+        }
+    }
+
+    fn refused(&self, error: BudgetExceeded) -> Problem {
+        self.0.budget.count_refusal();
+        error.into()
+    }
+
+    /// As [`App::reserve`] and the others, for the runtime's thread: what is evicted is freed elsewhere, before memory is taken again.
+    pub(crate) async fn reserve_aside<T>(&self, mut take: impl FnMut(&Budget) -> Result<T, BudgetExceeded>) -> Result<T, Problem> {
+        loop {
+            match take(&self.0.budget) {
+                Ok(taken) => return Ok(taken),
+                Err(error) if error.may_be_evicted_for() => {
+                    let app = self.clone();
+                    if !aside(true, move || app.evict_idle()).await {
+                        return Err(self.refused(error));
+                    }
                 }
+                Err(error) => return Err(self.refused(error)),
             }
         }
     }
 
     /// Whether there is an idle cache entry.
     fn has_idle_entry(&self) -> bool {
-        self.0.images.is_any_idle() || self.0.labels.is_any_idle() || self.0.plans.is_any_idle() || self.0.setups.is_any_idle()
+        self.0.images.is_any_idle()
+            || self.0.labels.is_any_idle()
+            || self.0.plans.is_any_idle()
+            || self.0.setups.is_any_idle()
+            || self.0.texts.is_any_idle()
     }
 
     /// Evicts an idle entry of the largest cache that has one. False if there is none.
     fn evict_idle(&self) -> bool {
-        let AppState { images, labels, plans, setups, .. } = &*self.0;
-        let mut caches: [(u64, &dyn Fn() -> bool); 4] = [
+        let AppState { images, labels, plans, setups, texts, .. } = &*self.0;
+        let mut caches: [(u64, &dyn Fn() -> bool); 5] = [
             (labels.usage().bytes, &|| labels.evict_idle()),
             (images.usage().bytes, &|| images.evict_idle()),
             (plans.usage().bytes, &|| plans.evict_idle()),
             (setups.usage().bytes, &|| setups.evict_idle()),
+            (texts.usage().bytes, &|| texts.evict_idle()),
         ];
         caches.sort_by_key(|(bytes, _)| std::cmp::Reverse(*bytes));
         caches.iter().any(|(_, evict)| evict())
@@ -239,12 +269,13 @@ impl App {
         self.0.tracer.as_ref()
     }
 
-    /// Evicts all images, label images, plans and setups. Sessions stay.
+    /// Evicts all images, label images, plans, setups and texts. Sessions stay.
     pub fn clear_caches(&self) {
         self.0.images.clear();
         self.0.labels.clear();
         self.0.plans.clear();
         self.0.setups.clear();
+        self.0.texts.clear();
     }
 
     /// Whether a new client would be served, and whether the store is available; answers within about a second. A service that loses its

@@ -8,13 +8,15 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use mlswarp::deform::{self, Handle};
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, Folds, Frame, GridSpec, Posed, Setup, Target, Warning};
+use mlswarp::warp::{CanvasSpec, Folds, Frame, GridSpec, Posed, Target, Warning};
 
 use super::App;
-use super::draw::Planned;
+use super::draw::{HeldSetup, Planned};
 use super::drawable::Content;
+use super::reading::{Held, part};
 use super::warp::Resolved;
-use crate::client::{Client, Owner};
+use crate::cache::CacheEntry;
+use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{Purpose, Reservation};
 use crate::observe::scope::stage;
@@ -22,7 +24,7 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::wire::{Annotations, Cursor, PointsObject, Pose, method_text, reading_bytes};
+use crate::wire::{Annotations, Cursor, PointsObject, Pose, Reserved, method_text};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
@@ -84,11 +86,12 @@ impl MappedParts {
 /// Annotations and the deformation by which they are mapped.
 #[derive(Debug)]
 struct MappingJob {
-    setup: Arc<Setup>,
+    setup: HeldSetup,
     pose: deform::Pose,
     /// The posed grid, which shows where to look for the inverse, and its memory.
     posed: Option<(Posed, Reservation)>,
     picture: Frame,
+    /// Text of the body.
     annotations: Annotations,
     is_long: bool,
     key: QueueKey,
@@ -121,11 +124,10 @@ impl MappingJob {
 
 /// What is mapped, before it is known where the picture lies.
 struct PointsJob {
-    owner: Owner,
-    setup: Arc<Setup>,
-    /// Posed handles.
-    q: Vec<Handle>,
-    object: PointsObject,
+    client: Client,
+    setup: HeldSetup,
+    q: Held<Vec<Handle>>,
+    object: Held<PointsObject>,
     folds: Folds,
     /// Has the region that moves, if the canvas depends on it.
     region: Option<Content>,
@@ -149,20 +151,22 @@ impl App {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
-        let parse = move |json: &Bytes| Ok((PointsObject::parse(json, most_bytes)?, ()));
-        let ((mut object, _), _reading) = self.read_points(client, &ticket, json, parse).await?;
-        let (mut warp, extent) = object.warp.take().ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))?;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
+        let mut object = self.0.pool.run(&ticket, parse).await??;
+        let warp = part(&mut object, |object| object.warp.take());
+        let warp = warp.try_map(|warp| warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp")))?;
+        let (extent, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
         if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
             // The exact deformation needs no grid; this one is within all limits.
             warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
         }
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object: warp, .. } = self.0.pool.run(&ticket, resolve).await??;
-        let q = warp.posed()?.to_vec();
+        let Resolved { setup, object: warp, q, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let (owner, quota) = (client.owner, self.response_quota(client));
-        let job = PointsJob { owner, setup, q, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
+        let quota = self.response_quota(client);
+        let job = PointsJob { client, setup, q, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
         Ok(MappedFile { method, ..self.map_points(&ticket, job).await? })
     }
 
@@ -174,52 +178,49 @@ impl App {
         let key = QueueKey::session(client, id);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
-        let of_session = Arc::clone(&record);
-        let parse = move |json: &Bytes| {
+        let (of_session, reserve) = (Arc::clone(&record), self.reserving_pose(Purpose::Upload, client, &record));
+        let parse = move |_: &_| {
             let (rest, size) = (&of_session.rest, of_session.extent);
-            let mut object = PointsObject::parse_posed(json, most_bytes, (size, rest.units), &of_session.output)?;
+            let source = (size, rest.units);
+            let mut object = Reserved::<PointsObject, _>::parse_posed(&json, most_bytes, source, &of_session.output, reserve)?;
             let Pose { q, strength } = std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
-            Ok((object, rest.posed(q, strength, size).0))
+            let q = part(&mut object, |_| rest.posed(q, strength, size).0);
+            Ok::<_, Problem>((object, q))
         };
-        let ((object, q), _reading) = self.read_points(client, &ticket, json, parse).await?;
+        let (object, q) = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         let region = self.region_of(client, &record, object.output.canvas).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (owner, quota, folds) = (id.owner(), self.response_quota(client), record.folds);
-        let job = PointsJob { owner, setup, q, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
+        let (quota, folds) = (self.response_quota(client), record.folds);
+        let job = PointsJob { client, setup, q, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
         self.map_points(&ticket, job).await
     }
 
-    /// Reads a request into memory that is reserved before.
-    async fn read_points<T: Send + 'static>(
-        &self,
-        client: Client,
-        ticket: &Ticket,
-        json: Bytes,
-        parse: impl FnOnce(&Bytes) -> Result<(PointsObject, T), Problem> + Send + 'static,
-    ) -> Result<((PointsObject, T), Reservation), Problem> {
-        let (app, quota) = (self.clone(), self.request_quota(client));
-        let read = move |_: &_| {
-            let reading = app.reserve_for(Purpose::Upload, &quota, reading_bytes(&json))?;
-            Ok((parse(&json)?, reading))
+    /// The setup whose grid shows where to look for the inverse.
+    pub(super) async fn to_invert(&self, ticket: &Ticket, setup: &HeldSetup) -> Result<HeldSetup, Problem> {
+        let (app, setup) = (self.clone(), Arc::clone(setup));
+        let resolve = move |_: &_| {
+            // It shares most of its memory with the other one, and may outlive it.
+            let held = app.reserve(Purpose::Plan, setup.bytes())?;
+            Ok(Arc::new(CacheEntry::new(setup.to_invert(&app.0.config.limits())?, held)))
         };
-        self.0.pool.run(ticket, read).await?
+        self.0.pool.run(ticket, resolve).await?
     }
 
     /// Finds the picture, and maps the first part.
     async fn map_points(&self, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
-        let PointsJob { owner, setup, q, object, folds, region, cursor, is_long, key, quota } = job;
+        let PointsJob { client, setup, q, object, folds, region, cursor, is_long, key, quota } = job;
         let drawn =
-            if PointsJob::needs_grid(&object, folds) { Some(self.plan(owner, ticket, &setup, Timing::default()).await?) } else { None };
+            if PointsJob::needs_grid(&object, folds) { Some(self.plan(client, ticket, &setup, Timing::default()).await?) } else { None };
         let to_invert = if object.annotations.is_inverse {
-            let setup = Arc::new(setup.to_invert(&self.0.config.limits())?);
-            Some(self.plan(owner, ticket, &setup, Timing::default()).await?)
+            let setup = self.to_invert(ticket, &setup).await?;
+            Some(self.plan(client, ticket, &setup, Timing::default()).await?)
         } else {
             None
         };
         let app = self.clone();
         let prepare = move |cancel: &Cancel| {
-            let PointsObject { output, annotations, .. } = object;
+            let (PointsObject { output, annotations, .. }, _held) = object.into_parts();
             let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
             let target = match drawn {
                 Some(drawn) => {

@@ -5,22 +5,24 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Setup, Target, Units};
+use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Target, Units};
 
 use super::App;
-use super::draw::Planned;
+use super::draw::{HeldSetup, Planned};
 use super::drawable::Content;
 use super::json_text::json_unless;
+use super::reading::Held;
 use super::session_warp::AdmittedPlan;
 use super::warp::Resolved;
-use crate::client::{Client, Owner};
+use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::wire::{DragObject, Pose, ReportAnswer, ReportObject, WarningEntry, method_text};
+use crate::wire::{DragObject, Pose, ReportAnswer, ReportObject, Reserved, WarningEntry, method_text};
 
 /// The quality of a pose.
 #[derive(Debug)]
@@ -36,9 +38,9 @@ pub(crate) struct QualityReport {
 
 /// What is measured.
 struct ReportJob {
-    owner: Owner,
-    setup: Arc<Setup>,
-    q: Vec<Handle>,
+    client: Client,
+    setup: HeldSetup,
+    q: Held<Vec<Handle>>,
     /// How q was aligned, if that was requested.
     alignment: Option<Alignment>,
     output: OutputSpec,
@@ -54,13 +56,15 @@ impl App {
     /// Errors: Wrong handles, or too little capacity.
     pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let ReportObject { warp, extent } = self.0.pool.run(&ticket, move |_| ReportObject::parse(&json)).await??;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let object = self.0.pool.run(&ticket, move |_| Reserved::<ReportObject, _>::parse(&json, reserve)).await??;
+        let (extent, warp) = (object.extent, object.map(|object| object.warp));
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, held: _held, object, alignment, .. } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved { setup, object, q, alignment, .. } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
-        let (q, output, quota) = (object.posed()?.to_vec(), object.output, self.response_quota(client));
-        let job = ReportJob { owner: client.owner, setup, q, alignment, output, region: None, drawn: None, quota };
+        let (output, quota) = (object.output, self.response_quota(client));
+        let job = ReportJob { client, setup, q, alignment, output, region: None, drawn: None, quota };
         Ok((self.report(&ticket, job).await?, method))
     }
 
@@ -76,32 +80,34 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
         let limits = self.0.config.limits();
         let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
+        let reserve = self.reserving_pose(Purpose::Upload, client, &record);
         let parse = move |_: &_| {
-            let DragObject { pose, output, .. } = DragObject::parse_for_report(&json)?;
-            let Pose { q, strength } = pose.onto(of_session.pose.as_ref())?;
-            let output = output.merge_onto(&of_session.output);
+            let mut drag = Reserved::<DragObject, _>::parse_for_report(&json, of_session.rest.p.len(), reserve)?;
+            let Pose { q, strength } = std::mem::take(&mut drag.pose).onto(of_session.pose.as_ref())?;
+            let output = drag.output.merge_onto(&of_session.output);
             output.check(of_session.extent, &limits)?;
-            Ok::<_, Problem>((of_session.rest.posed(q, strength, of_session.extent), output))
+            let (q, alignment) = of_session.rest.posed(q, strength, of_session.extent);
+            Ok::<_, Problem>((drag.map(|_| q), alignment, output))
         };
-        let ((q, alignment), output) = self.0.pool.run(&ticket, parse).await??;
+        let (q, alignment, output) = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         let region = self.region_of(client, &record, output.canvas).await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let job = ReportJob { owner: id.owner(), setup, q, alignment, output, region, drawn: Some(content), quota };
+        let job = ReportJob { client, setup, q, alignment, output, region, drawn: Some(content), quota };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { owner, setup, q, alignment, output, region, drawn, quota } = job;
+        let ReportJob { client, setup, q, alignment, output, region, drawn, quota } = job;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
         setup.check_quality()?;
-        let Planned { plan, mut timing, is_built, .. } = self.plan(owner, ticket, &setup, timing).await?;
+        let Planned { plan, mut timing, is_built, .. } = self.plan(client, ticket, &setup, timing).await?;
         // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
-        let to_invert = Arc::new(setup.to_invert(&self.0.config.limits())?);
+        let to_invert = self.to_invert(ticket, &setup).await?;
         let to_invert = if to_invert.plan_key() == setup.plan_key() {
             None
         } else {
-            Some(self.plan(owner, ticket, &to_invert, Timing::default()).await?)
+            Some(self.plan(client, ticket, &to_invert, Timing::default()).await?)
         };
         let app = self.clone();
         let measure = move |cancel: &Cancel| {

@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::warp::{Digest, Setup, Subject};
+use mlswarp::warp::{Digest, RestSummary, Subject};
 
-use super::warp::{ATTEMPTS, PreparedWarp, Resolved, Upload, revision_key, setup_weight};
-use super::{App, build_aborted};
-use crate::cache::{CacheEntry, Key};
+use super::App;
+use super::draw::HeldSetup;
+use super::session_object::{Shown, ShownSession};
+use super::warp::{ATTEMPTS, NewSession, PreparedWarp, Resolved, Upload, revision_key};
+use crate::cache::Key;
 use crate::client::{Client, Owner};
 use crate::limits::memory::Purpose;
 use crate::observe::scope::in_stage;
@@ -16,48 +18,70 @@ use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, StoreError};
-use crate::wire::{WarpObject, WarpPatch, method_text};
+use crate::wire::{Reserved, WarpObject, WarpPatch, method_text};
 
-/// A session with its setup, and the method that was chosen for it if that was requested, as a header shows it.
-pub(crate) type Resulting<T> = (T, Arc<Setup>, Option<String>);
+/// A session with its object, and the method that was chosen for it if that was requested, as a header shows it.
+pub(crate) type Resulting = (ShownSession, Option<String>);
 
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<Resulting<Session>, Problem> {
-        let prepared = self.prepare_session(client, upload).await?;
-        self.create_session_from(client, prepared).await
+    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<Resulting, Problem> {
+        let (_, shown, method) = self.put_upload(client, SessionId::random(client.owner), upload).await?;
+        Ok((shown, method))
+    }
+
+    /// Opens or replaces a session with an id that the client has chosen. The first result: whether there was none.
+    /// Errors: A wrong file or object, or too little capacity.
+    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<(bool, Resulting), Problem> {
+        let (is_new, shown, method) = self.put_upload(client, id, upload).await?;
+        Ok((is_new, (shown, method)))
     }
 
     /// Opens a session from an upload that was already prepared.
     /// Errors: Too little capacity.
-    pub async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<Resulting<Session>, Problem> {
+    pub(crate) async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<SessionId, Problem> {
         // Undoes the demotion of an image that is warped once.
         for digest in prepared.files() {
             let _ = self.0.images.touch(Key::new(client.owner, digest));
         }
-        let (put, setup, method) = self.put_prepared(client, SessionId::random(client.owner), prepared).await?;
-        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = put;
-        Ok((session, setup, method))
+        let new = prepared.into_session(SessionId::random(client.owner));
+        let id = new.record.id;
+        self.store_session(client, new).await?;
+        Ok(id)
     }
 
-    /// Opens or replaces a session with an id that the client has chosen.
-    /// Errors: A wrong file or object, or too little capacity.
-    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<Resulting<Put>, Problem> {
-        let prepared = self.prepare_session(client, upload).await?;
-        self.put_prepared(client, id, prepared).await
-    }
-
-    /// Builds image and plan; the ticket is returned before the store is used.
-    async fn prepare_session(&self, client: Client, upload: Upload) -> Result<PreparedWarp, Problem> {
+    /// Builds image and plan, and stores the session. What shows it is made before: afterwards nothing may fail.
+    async fn put_upload(&self, client: Client, id: SessionId, upload: Upload) -> Result<(bool, ShownSession, Option<String>), Problem> {
+        // The ticket is not held while the store works.
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        Ok(self.prepare(client.owner, &ticket, upload, None).await?.0)
+        let (prepared, _planned) = self.prepare(client, &ticket, upload, None).await?;
+        let method = prepared.chosen_method();
+        let app = self.clone();
+        let write = move |cancel: &Cancel| {
+            let new = prepared.into_session(id);
+            let text = app.write_text(&new.record, Some(RestSummary::of(&new.setup)), cancel)?;
+            Ok::<_, Problem>((new, app.shown(client, Arc::new(text))?))
+        };
+        let (new, shown) = self.0.pool.run(&ticket, write).await??;
+        drop(ticket);
+        let record = Arc::clone(&new.record);
+        Ok(match self.store_session(client, new).await? {
+            Put::Same(session) => (false, self.read_session(client, session).await?, method),
+            Put::Created(session) => (true, self.show_new(client, &record, shown, session), method),
+            Put::Replaced(session, _) => (false, self.show_new(client, &record, shown, session), method),
+        })
     }
 
-    /// Stores a session, counted for its client.
-    async fn put_prepared(&self, client: Client, id: SessionId, prepared: PreparedWarp) -> Result<Resulting<Put>, Problem> {
-        let method = prepared.chosen_method();
-        let (record, files, setup, _held) = prepared.into_session(id);
+    /// The object of a session that was stored with a new revision; its text is kept.
+    pub(super) fn show_new(&self, client: Client, record: &Record, shown: Shown, session: Session) -> ShownSession {
+        self.0.texts.put(revision_key(record), client.tenant(), shown.text());
+        shown.of(session)
+    }
+
+    /// Stores a session, counted for its client, and keeps its setup.
+    async fn store_session(&self, client: Client, new: NewSession) -> Result<Put, Problem> {
+        let NewSession { record, files, setup } = new;
         // Limits the simultaneous transfers, fairly between clients.
         let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
         let claim = self.0.client_sessions.claim(client.tenant(), &record, &files)?;
@@ -71,45 +95,56 @@ impl App {
         }
         let put = put?;
         let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) = &put;
-        self.cache_setup(&session.record, &setup).await;
+        self.cache_setup(client, &session.record, &setup);
         if let Put::Replaced(_, old) = &put {
             self.evict_session(old);
         }
-        Ok((put, setup, method))
+        Ok(put)
     }
 
     /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<Resulting<Session>, Problem> {
+    pub(crate) async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<Resulting, Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-            let (q, strength) = old.pose.clone().map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
-            let base = WarpObject { rest: old.rest.clone(), q, folds: old.folds, output: old.output, strength, is_auto: false };
-            let (app, json, extent) = (self.clone(), json.clone(), old.extent);
-            let resolve = move |cancel: &Cancel| app.resolve(WarpPatch::parse(&json)?.without_files()?.merge_onto(base), extent, cancel);
-            let Resolved { object, pose, setup, held: _held, .. } = self.0.pool.run(&ticket, resolve).await??;
+            let reserve = self.reserving_pose(Purpose::Upload, client, &old);
+            let (app, json, before) = (self.clone(), json.clone(), Arc::clone(&old));
+            let resolve = move |cancel: &Cancel| {
+                let patch = Reserved::<WarpPatch, _>::parse(&json, reserve)?.try_map(WarpPatch::without_files)?;
+                let (q, strength) = before.pose.clone().map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
+                let (rest, folds, output) = (before.rest.clone(), before.folds, before.output);
+                let base = WarpObject { rest, q, folds, output, strength, is_auto: false };
+                app.resolve(patch.map(|patch| patch.merge_onto(base)), before.extent, cancel)
+            };
+            let Resolved { object, pose, setup, .. } = self.0.pool.run(&ticket, resolve).await??;
             // A picture that is not in memory is looked at when it is drawn.
             if let Some(image) = self.0.images.peek(Key::new(id.owner(), old.image)) {
                 Subject::Image(&image).check(&object.output)?;
             }
-            self.plan(id.owner(), &ticket, &setup, Timing::default()).await?;
+            self.plan(client, &ticket, &setup, Timing::default()).await?;
+            let (app, before, summarized) = (self.clone(), Arc::clone(&old), Arc::clone(&setup));
+            let write = move |cancel: &Cancel| {
+                let method = object.is_auto.then(|| method_text(&object.rest));
+                let (WarpObject { rest, folds, output, .. }, _held) = object.into_parts();
+                let new = Arc::new(Record { revision: Revision::random(), rest, pose, folds, output, ..(*before).clone() });
+                let text = app.write_text(&new, Some(RestSummary::of(&summarized)), cancel)?;
+                Ok::<_, Problem>((new, app.shown(client, Arc::new(text))?, method))
+            };
+            let (new, shown, method) = self.0.pool.run(&ticket, write).await??;
             // The ticket is not held while the store works.
             drop(ticket);
-            let method = object.is_auto.then(|| method_text(&object.rest));
-            let WarpObject { rest, folds, output, .. } = object;
-            let new = Record { revision: Revision::random(), rest, pose, folds, output, ..(*old).clone() };
             let claim = self.0.client_sessions.claim_revision(&new, None)?;
-            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::new(new), None)).await;
+            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::clone(&new), None)).await;
             match revised {
                 Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
                 _ => self.0.client_sessions.undo(claim),
             }
             // Without a session, another request has changed fields that this one may not have named: the next attempt keeps them.
             if let Some(session) = revised? {
-                self.cache_setup(&session.record, &setup).await;
-                self.0.setups.remove(revision_key(&old));
-                return Ok((session, setup, method));
+                self.cache_setup(client, &session.record, &setup);
+                self.forget_revision(&old);
+                return Ok((self.show_new(client, &new, shown, session), method));
             }
         }
         Err(StoreError::Contended.into())
@@ -129,24 +164,27 @@ impl App {
         touched
     }
 
-    /// Caches the setup of a record, if there is memory for it.
-    pub(super) async fn cache_setup(&self, record: &Record, setup: &Arc<Setup>) {
-        if let Ok(reservation) = self.reserve(Purpose::Plan, setup_weight(record)) {
-            let entry = CacheEntry::new(Arc::clone(setup), reservation);
-            let _ = self.0.setups.get(revision_key(record), async { Ok(entry) }, build_aborted).await;
-        }
+    /// Keeps the setup of a record for the next drag.
+    pub(super) fn cache_setup(&self, client: Client, record: &Record, setup: &HeldSetup) {
+        self.0.setups.put(revision_key(record), client.tenant(), setup);
+    }
+
+    /// Evicts what was cached for a revision that no session has any more; returns its setup.
+    pub(super) fn forget_revision(&self, record: &Record) -> Option<HeldSetup> {
+        self.0.texts.drop_value(revision_key(record));
+        self.0.setups.remove(revision_key(record))
     }
 
     /// Evicts what was cached for a record that no session has any more.
     fn evict_session(&self, record: &Record) {
-        let setup = self.0.setups.remove(revision_key(record));
+        let setup = self.forget_revision(record);
         // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same
         // extent and handles builds the plan again.
         let owner = record.id.owner();
         if self.evict_file(owner, record.image)
             && let Some(setup) = setup
         {
-            self.0.plans.remove(Key::new(owner, setup.plan_key()));
+            self.0.plans.drop_value(Key::new(owner, setup.plan_key()));
         }
         for layer in record.layers.values() {
             self.evict_file(owner, layer.digest);
@@ -157,8 +195,8 @@ impl App {
     pub(super) fn evict_file(&self, owner: Owner, digest: Digest) -> bool {
         let is_unused = !self.0.store.names(owner, digest);
         if is_unused {
-            self.0.images.remove(Key::new(owner, digest));
-            self.0.labels.remove(Key::new(owner, digest));
+            self.0.images.drop_value(Key::new(owner, digest));
+            self.0.labels.drop_value(Key::new(owner, digest));
         }
         is_unused
     }
@@ -242,8 +280,8 @@ mod tests {
         let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
-        let (session, ..) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
-        let refused = app.replace_handles(client, session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
+        let (shown, _) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
+        let refused = app.replace_handles(client, shown.session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
         assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
         // The last computation gives its turn back by itself.
@@ -253,7 +291,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_session_that_was_made_is_answered_also_where_there_is_no_room_to_remember_its_setup() {
+    async fn a_session_for_whose_answer_there_is_no_memory_is_not_made() {
         let mut config = Config::default();
         config.work.memory_bytes = 64 << 20;
         let app = App::new(config).unwrap();
@@ -262,21 +300,28 @@ mod tests {
         image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
         let file = Bytes::from(file.into_inner());
         let open = || app.create_session(client, Upload::new(file.clone(), r#"{"p": [[5, 5]]}"#));
-        let (session, setup, _) = open().await.unwrap();
+        let (shown, _) = open().await.unwrap();
+        let record = &shown.session.record;
         // Somebody draws from them, and everything else is taken.
-        let _used = (
-            app.0.images.peek(Key::new(client.owner, session.record.image)).unwrap(),
-            app.0.plans.peek(Key::new(client.owner, setup.plan_key())).unwrap(),
-        );
+        let setup = app.session_setup(client, record).await.unwrap();
+        let _used =
+            (app.0.images.peek(Key::new(client.owner, record.image)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())));
         let budget = app.budget();
-        let mut rest = vec![budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap()];
-        // The first session's setup gives way.
-        while let Ok(held) = app.reserve(Purpose::Plan, 1) {
-            drop(held);
-            rest.push(budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap());
+        let mut rest = budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap();
+        while app.evict_idle() {}
+        rest.grow(budget.total() - budget.taken()).unwrap();
+        let sessions = || app.0.store.figures().sessions;
+        // With more memory the work gets further, until all of it is done.
+        let mut refused = 0;
+        loop {
+            match open().await {
+                Ok(_) => break,
+                Err(problem) => assert_eq!((problem.code, sessions()), (Code::Overloaded, 1)),
+            }
+            refused += 1;
+            rest.shrink_to(rest.bytes() - 256);
         }
-        let (other, ..) = open().await.unwrap();
-        assert_eq!(app.peek_session(other.record.id).await.unwrap().record, other.record);
+        assert!(refused > 3 && sessions() == 2, "{refused}");
     }
 
     #[tokio::test]
@@ -292,18 +337,18 @@ mod tests {
             let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
             app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
         };
-        let (session, ..) = open(3).await.unwrap();
+        let (shown, _) = open(3).await.unwrap();
         // The picture stays decoded.
-        let _used = app.0.images.peek(Key::new(client.owner, session.record.image)).unwrap();
+        let _used = app.0.images.peek(Key::new(client.owner, shown.session.record.image)).unwrap();
         let budget = app.budget();
         let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
-        // 600 points have a system of 1.4 MB, 100 one of 40 kB.
-        while app.reserve(Purpose::Plan, 500_000).is_ok() {
+        // An upload has room, and a plan 8 MiB more: 1,500 points have a system of 9 MB, 100 one of 40 kB.
+        while app.reserve(Purpose::Upload, 1_000_000).is_ok() {
             taken.grow(100_000).unwrap();
         }
         open(100).await.unwrap();
-        assert_eq!(open(600).await.unwrap_err().code, Code::Overloaded);
+        assert_eq!(open(1500).await.unwrap_err().code, Code::Overloaded);
         drop(taken);
-        open(600).await.unwrap();
+        open(1500).await.unwrap();
     }
 }

@@ -14,12 +14,14 @@ use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
 use super::drawable::Content;
 use super::json_text::json_unless;
+use super::reading::Held;
 use super::sequence::SequencePosition;
 use super::warp::{ATTEMPTS, columns};
 use crate::cache::Key;
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -27,13 +29,22 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, Session, StoreError};
 use crate::wire::formats::Formats;
-use crate::wire::{AsJson, DragObject, MeshObject, MeshShape, Pose, PosePatch};
+use crate::wire::{AsJson, DragObject, MeshObject, MeshShape, Pose, Reserved};
 
 /// Maximum number of vertices of a mesh as JSON, which takes some 40 bytes per vertex.
 const MAX_JSON_VERTICES: u64 = 1 << 20;
 
 /// Columns up to which aligning handles is faster than waking a compute thread.
 pub(crate) const MOST_POSED_HERE: u64 = 64;
+/// Size of a text up to which parsing it is faster than waking a compute thread, bytes.
+pub(crate) const MAX_INLINE: usize = 4 << 10;
+
+/// What a drag is for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum DragRoute {
+    Picture,
+    Mesh,
+}
 
 /// A request for a session, with its position among the numbered ones.
 struct SequencedRequest {
@@ -103,9 +114,38 @@ pub struct PosedMesh {
 }
 
 impl App {
+    /// Reads the body of a drag: here if it is short, otherwise on a compute thread. `record`: that of the session, whose number of handles
+    /// is not exceeded.
+    /// Errors: A wrong object, or too little capacity.
+    pub(crate) async fn read_drag(
+        &self,
+        client: Client,
+        record: &Record,
+        json: Bytes,
+        route: DragRoute,
+    ) -> Result<Held<DragObject>, Problem> {
+        let (at_rest, reserve) = (record.rest.p.len(), self.reserving_pose(Purpose::Frame, client, record));
+        let is_short = json.len() <= MAX_INLINE;
+        let parse = move || match route {
+            DragRoute::Picture => Reserved::<DragObject, _>::parse(&json, at_rest, reserve),
+            DragRoute::Mesh => Reserved::<DragObject, _>::parse_posed(&json, at_rest, reserve),
+        };
+        if is_short {
+            return parse();
+        }
+        let ticket = self.0.pool.admit(WorkClass::Drag, QueueKey::session(client, record.id)).await?;
+        self.0.pool.run(&ticket, move |_| parse()).await?
+    }
+
     /// Draws one step of a drag.
     /// Errors: Unknown session, superseded, wrong `q`, or too little capacity.
-    pub async fn warp_session(&self, client: Client, id: SessionId, drag: DragObject, formats: Formats) -> Result<Drawn, Problem> {
+    pub(crate) async fn warp_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        drag: Held<DragObject>,
+        formats: Formats,
+    ) -> Result<Drawn, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.admit_newest(client, Arc::clone(&request.record), drag.layer.as_ref());
         let (record, content, plan) = self.unless_superseded(&request, plan).await?;
@@ -114,29 +154,37 @@ impl App {
         let output = OutputSpec { format, ..drag.output.merge_onto(&base) };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
-        let q = self.posed(&ticket, &record, drag.pose).await?;
+        let q = self.posed(&ticket, &record, drag).await?;
         self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
     /// Errors: Unknown session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
-    pub async fn mesh_session(&self, client: Client, id: SessionId, drag: DragObject, form: MeshForm) -> Result<PosedMesh, Problem> {
+    pub(crate) async fn mesh_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        drag: Held<DragObject>,
+        form: MeshForm,
+    ) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
-        let q = self.posed(&plan.ticket, &request.record, drag.pose).await?;
+        let q = self.posed(&plan.ticket, &request.record, drag).await?;
         self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
     }
 
-    /// The handles that a request means (see [`RestSpec::posed`](mlswarp::warp::RestSpec::posed)).
+    /// The handles that a drag means (see [`RestSpec::posed`](mlswarp::warp::RestSpec::posed)).
     /// Errors: `bad_value` at `/q` if neither the request nor the session has one.
-    pub(crate) async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, pose: PosePatch) -> Result<Vec<Handle>, Problem> {
-        let Pose { q, strength } = pose.onto(record.pose.as_ref())?;
-        let is_as_given = record.rest.align == Align::None && strength.to_bits() == 1.0_f64.to_bits();
-        if is_as_given || columns(record) <= MOST_POSED_HERE {
-            return Ok(record.rest.posed(q, strength, record.extent).0);
-        }
+    async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, drag: Held<DragObject>) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
+        let strength = drag.pose.strength.unwrap_or(1.0);
+        let is_as_given = drag.pose.q.is_some() && record.rest.align == Align::None && strength.to_bits() == 1.0_f64.to_bits();
+        let is_here = is_as_given || columns(record) <= MOST_POSED_HERE;
         let record = Arc::clone(record);
-        Ok(self.0.pool.run(ticket, move |_| record.rest.posed(q, strength, record.extent).0).await?)
+        let posed = move || {
+            let pose = drag.try_map(|drag| drag.pose.onto(record.pose.as_ref()))?;
+            Ok(Arc::new(pose.map(|Pose { q, strength }| record.rest.posed(q, strength, record.extent).0)))
+        };
+        if is_here { posed() } else { self.0.pool.run(ticket, move |_| posed()).await? }
     }
 
     /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the
@@ -178,10 +226,10 @@ impl App {
         let ticket = self.admit_step(client, record, &setup, sources.is_decoded()).await?;
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let content = self.decode_content(record.id.owner(), &ticket, sources).await?;
+        let content = self.decode_content(client, &ticket, sources).await?;
         timing.decode = began.elapsed();
         stage("decode", began);
-        let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
+        let planned = self.plan(client, &ticket, &setup, timing).await?;
         Ok((content, AdmittedPlan { ticket, planned }))
     }
 
@@ -191,7 +239,7 @@ impl App {
         form.check_size(setup.grid())?;
         let ticket = self.admit_step(client, record, &setup, true).await?;
         let timing = Timing { queue: ticket.waited(), ..Timing::default() };
-        let planned = self.plan(record.id.owner(), &ticket, &setup, timing).await?;
+        let planned = self.plan(client, &ticket, &setup, timing).await?;
         Ok(AdmittedPlan { ticket, planned })
     }
 
@@ -206,7 +254,7 @@ impl App {
     pub(crate) async fn pose_mesh(
         &self,
         plan: AdmittedPlan,
-        q: Vec<Handle>,
+        q: Arc<Held<Vec<Handle>>>,
         record: &Record,
         form: MeshForm,
         quota: ClientQuota,

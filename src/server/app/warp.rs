@@ -6,17 +6,18 @@ use std::time::{Instant, SystemTime};
 
 use bytes::Bytes;
 use mlswarp::codec::Format;
+use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, Setup, Subject};
+use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, RestSpec, Setup, Subject};
 
-use super::draw::{DrawJob, Drawn, Planned};
+use super::draw::{DrawJob, Drawn, HeldSetup, Planned};
 use super::drawable::{Content, check_extent};
-use super::landmarks::HeldLandmarks;
+use super::reading::{Held, part};
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
-use crate::client::{Client, Owner};
+use crate::client::Client;
 use crate::layer::{LayerKind, LayerName};
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::Purpose;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -24,7 +25,8 @@ use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Record, StoredLayer};
 use crate::wire::formats::Formats;
-use crate::wire::{Pose, WarpObject, WarpPatch, method_text};
+use crate::wire::landmarks::Landmarks;
+use crate::wire::{Pose, Reserved, WarpObject, WarpPatch, method_text};
 
 /// Attempts of a request at a session that other requests change at the same time.
 pub(crate) const ATTEMPTS: usize = 8;
@@ -39,7 +41,7 @@ pub struct Upload {
     /// The mask of what moves, if it is not the whole picture.
     pub(crate) region: Option<Bytes>,
     /// The handles, if they are in landmark files.
-    pub(crate) landmarks: Option<HeldLandmarks>,
+    pub(crate) landmarks: Option<Held<Landmarks>>,
 }
 
 impl Upload {
@@ -54,16 +56,22 @@ impl Upload {
 pub struct PreparedWarp {
     file: Bytes,
     pub(crate) digest: Digest,
-    object: WarpObject,
-    /// The pose as it was sent.
+    object: Held<WarpObject>,
+    /// The pose as it was sent, in the memory of the object.
     pose: Option<Pose>,
+    q: Arc<Held<Vec<Handle>>>,
     /// The format of this response; a session keeps the requested one.
     format: Format,
     image: Arc<CacheEntry<Image>>,
     region: Option<(NamedFile, Arc<CacheEntry<Image>>)>,
-    setup: Arc<Setup>,
-    /// The memory of the setup.
-    held: Option<Reservation>,
+    setup: HeldSetup,
+}
+
+/// What is stored of a new session, and its setup.
+pub(crate) struct NewSession {
+    pub(crate) record: Arc<Record>,
+    pub(crate) files: Vec<NamedFile>,
+    pub(crate) setup: HeldSetup,
 }
 
 impl PreparedWarp {
@@ -77,9 +85,10 @@ impl PreparedWarp {
         self.object.is_auto.then(|| method_text(&self.object.rest))
     }
 
-    /// The record, files and setup of a session, and the memory of the setup.
-    pub(crate) fn into_session(self, id: SessionId) -> (Arc<Record>, Vec<NamedFile>, Arc<Setup>, Option<Reservation>) {
-        let Self { file, digest, object, pose, image, region, setup, held, .. } = self;
+    /// The record, files and setup of a session.
+    pub(crate) fn into_session(self, id: SessionId) -> NewSession {
+        let Self { file, digest, object, pose, image, region, setup, .. } = self;
+        let (object, _held) = object.into_parts();
         let region = region.map(|(file, _)| file);
         let made_with_region = region.as_ref().map(|file| file.digest);
         let layer = |digest| (LayerName::region(), StoredLayer { kind: LayerKind::Image, digest });
@@ -96,7 +105,8 @@ impl PreparedWarp {
             output: object.output,
             created: SystemTime::now(),
         };
-        (Arc::new(record), std::iter::once(NamedFile { digest, bytes: file }).chain(region).collect(), setup, held)
+        let files = std::iter::once(NamedFile { digest, bytes: file }).chain(region).collect();
+        NewSession { record: Arc::new(record), files, setup }
     }
 }
 
@@ -104,26 +114,33 @@ impl App {
     /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
     /// pool.
     /// Errors: Wrong handles, or too little memory.
-    pub(crate) fn resolve(&self, mut object: WarpObject, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
+    pub(crate) fn resolve(&self, mut object: Held<WarpObject>, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
         object.output.check(extent, &self.0.config.limits())?;
         object.leave_out_missing();
         let q = object.q.clone().filter(|_| !object.rest.p.is_empty());
         let pose = q.map(|q| Pose { q, strength: object.strength });
         let alignment = object.settle_pose(extent)?;
         self.choose_method(&mut object, extent, cancel)?;
-        let bytes = object.rest.field_bytes();
-        let held = (bytes > 0).then(|| self.reserve(Purpose::Plan, bytes)).transpose()?;
-        let setup = Setup::new_unless(&object.rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
+        let setup = self.new_setup(&object.rest, extent, cancel)?;
         object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
-        Ok(Resolved { object, pose, alignment, setup: Arc::new(setup), held })
+        let q = part(&mut object, |object| object.q.take().unwrap_or_default());
+        Ok(Resolved { object, pose, q, alignment, setup: Arc::new(setup) })
+    }
+
+    /// Resolves rest handles in memory that is reserved before. Runs on the pool.
+    /// Errors: Wrong handles, or too little memory.
+    pub(crate) fn new_setup(&self, rest: &RestSpec, extent: Extent, cancel: &Cancel) -> Result<CacheEntry<Setup>, Problem> {
+        let held = self.reserve(Purpose::Plan, setup_weight(rest))?;
+        let setup = Setup::new_unless(rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
+        Ok(CacheEntry::new(setup, held))
     }
 
     /// Draws an image from a file and a warp object with `q`.
     /// Errors: A wrong file or object, or too little capacity.
     pub async fn warp_once(&self, client: Client, upload: Upload, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (prepared, planned) = self.prepare(client.owner, &ticket, upload, Some(formats)).await?;
-        let q = prepared.object.posed()?.to_vec();
+        let (prepared, planned) = self.prepare(client, &ticket, upload, Some(formats)).await?;
+        let q = Arc::clone(&prepared.q);
         let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
         let job = DrawJob {
             content: Content::image(&prepared.image, prepared.region.as_ref().map(|(_, mask)| mask)),
@@ -140,26 +157,23 @@ impl App {
 
     /// The resolved setup of a session.
     /// Errors: Too little capacity.
-    pub async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<Arc<Setup>, Problem> {
+    pub(crate) async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<HeldSetup, Problem> {
         let (app, build_record) = (self.clone(), Arc::clone(record));
         let build = async move {
             let record = build_record;
             let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
-            let reservation = app.reserve(Purpose::Plan, setup_weight(&record))?;
-            let limits = app.0.config.limits();
-            let new = move |cancel: &Cancel| Setup::new_unless(&record.rest, record.extent, &limits, &|| cancel.is_cancelled());
-            let setup = app.0.pool.run(&ticket, new).await??;
-            Ok(CacheEntry::new(Arc::new(setup), reservation))
+            let pool = app.0.pool.clone();
+            pool.run(&ticket, move |cancel| app.new_setup(&record.rest, record.extent, cancel)).await?
         };
-        let setup = self.0.setups.get(revision_key(record), build, build_aborted).await?;
-        Ok(Arc::clone(&setup.value))
+        let setup = self.0.setups.get(revision_key(record), client.tenant(), build, build_aborted).await?;
+        Ok(setup.value)
     }
 
     /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan. `formats`: the formats that the client
     /// accepts, if an image is drawn, for which `q` is required.
     pub(crate) async fn prepare(
         &self,
-        owner: Owner,
+        client: Client,
         ticket: &Ticket,
         upload: Upload,
         formats: Option<Formats>,
@@ -168,37 +182,37 @@ impl App {
         let has_landmarks = landmarks.is_some();
         let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
         let began = Instant::now();
-        let hashed_file = file.clone();
+        let (hashed_file, reserve) = (file.clone(), self.reserving(Purpose::Upload, client));
         let parse = move |_: &_| {
-            let mut patch = WarpPatch::parse(&json).map_err(in_part_warp)?;
+            let mut patch = Reserved::<WarpPatch, _>::parse(&json, reserve).map_err(in_part_warp)?;
             if has_landmarks {
                 patch.require_no_handles()?;
             }
             let requested = patch.output.format;
-            let object = patch.into_object()?;
+            let object = patch.try_map(WarpPatch::into_object)?;
             let format = formats.unwrap_or(Formats::ANY).choose(requested, object.output.format)?;
             Ok::<_, Problem>((object, format, Image::digest_of(&hashed_file)))
         };
         let (object, format, digest) = self.0.pool.run(ticket, parse).await??;
         if formats.is_some() {
             match &landmarks {
-                Some(held) => held.require_q()?,
+                Some(landmarks) => landmarks.require_q()?,
                 None => drop(object.posed()?),
             }
         }
-        let Fetched { value: image, built } = self.decode_image(owner, ticket, digest, file.clone()).await?;
+        let Fetched { value: image, built } = self.decode_image(client, ticket, digest, file.clone()).await?;
         if formats.is_some() && built {
             // An image that is warped once, and its mask, are evicted before those of sessions.
-            self.0.images.demote(Key::new(owner, digest));
+            self.0.images.demote(Key::new(client.owner, digest));
         }
         let region = match region {
             Some(bytes) => {
                 let digest = self.check_layer(ticket, bytes.clone(), image.extent()).await.map_err(in_part_region)?;
                 let Fetched { value: mask, built } =
-                    self.decode_image(owner, ticket, digest, bytes.clone()).await.map_err(in_part_region)?;
+                    self.decode_image(client, ticket, digest, bytes.clone()).await.map_err(in_part_region)?;
                 check_extent(mask.extent(), image.extent()).map_err(in_part_region)?;
                 if formats.is_some() && built {
-                    self.0.images.demote(Key::new(owner, digest));
+                    self.0.images.demote(Key::new(client.owner, digest));
                 }
                 Some((NamedFile { digest, bytes }, mask))
             }
@@ -210,29 +224,32 @@ impl App {
         let (app, extent) = (self.clone(), image.extent());
         let resolve = move |cancel: &Cancel| {
             let mut object = object;
-            if let Some(held) = landmarks {
-                held.place_in(&mut object, extent)?;
+            if let Some(landmarks) = landmarks {
+                object = place_in(landmarks, object, extent)?;
             }
             app.resolve(object, extent, cancel)
         };
-        let Resolved { object, pose, setup, held, .. } = self.0.pool.run(ticket, resolve).await??;
-        let planned = self.plan(owner, ticket, &setup, timing).await?;
-        Ok((PreparedWarp { file, digest, object, pose, format, image, region, setup, held }, planned))
+        let Resolved { object, pose, q, setup, .. } = self.0.pool.run(ticket, resolve).await??;
+        let planned = self.plan(client, ticket, &setup, timing).await?;
+        let q = Arc::new(q);
+        Ok((PreparedWarp { file, digest, object, pose, q, format, image, region, setup }, planned))
     }
 
     /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
-    pub(crate) async fn plan(&self, owner: Owner, ticket: &Ticket, setup: &Arc<Setup>, mut timing: Timing) -> Result<Planned, Problem> {
+    pub(crate) async fn plan(&self, client: Client, ticket: &Ticket, setup: &HeldSetup, mut timing: Timing) -> Result<Planned, Problem> {
         let began = Instant::now();
         let (app, ticket, build_setup) = (self.clone(), ticket.clone(), Arc::clone(setup));
         let build = async move {
-            let reservation = app.reserve(Purpose::Plan, build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT))?;
+            let bytes = build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT);
+            let reservation = app.reserve_aside(|budget| budget.take(Purpose::Plan, bytes)).await?;
             let threads = app.0.pool.clone();
             let fill = move |cancel: &Cancel| threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()));
             let plan = app.0.pool.run(&ticket, fill).await??;
             tracing::debug!("a plan was built");
             Ok(CacheEntry::new(plan, reservation))
         };
-        let Fetched { value: plan, built } = self.0.plans.get(Key::new(owner, setup.plan_key()), build, build_aborted).await?;
+        let key = Key::new(client.owner, setup.plan_key());
+        let Fetched { value: plan, built } = self.0.plans.get(key, client.tenant(), build, build_aborted).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
         Ok(Planned { setup: Arc::clone(setup), plan, timing, is_built: built })
@@ -253,16 +270,23 @@ fn in_part_region(mut problem: Problem) -> Problem {
     problem
 }
 
-/// A resolved warp object, and the memory of its setup until that is cached or no longer needed.
+/// Puts landmarks into a warp object; their memory follows them.
+fn place_in(landmarks: Held<Landmarks>, object: Held<WarpObject>, extent: Extent) -> Result<Held<WarpObject>, Problem> {
+    // The text had no handles.
+    let (mut object, _) = object.into_parts();
+    landmarks.try_map(|landmarks| landmarks.place_in(&mut object, extent).map(|()| object))
+}
+
+/// A resolved warp object without its posed handles, and those; none of them if there were none.
 #[derive(Debug)]
 pub(crate) struct Resolved {
-    pub(crate) object: WarpObject,
-    /// The pose as it was sent, if there are handles.
+    pub(crate) object: Held<WarpObject>,
+    /// The pose as it was sent, if there are handles, in the memory of the object.
     pub(crate) pose: Option<Pose>,
+    pub(crate) q: Held<Vec<Handle>>,
     /// How q was aligned, if that was requested.
     pub(crate) alignment: Option<Alignment>,
-    pub(crate) setup: Arc<Setup>,
-    pub(crate) held: Option<Reservation>,
+    pub(crate) setup: HeldSetup,
 }
 
 /// The cache key of what belongs to one revision of a session: its setup. Records never change.
@@ -272,10 +296,14 @@ pub(crate) fn revision_key(record: &Record) -> Key {
 
 /// The number of columns of a session's plan, which limits the size of its drags.
 pub fn columns(record: &Record) -> u64 {
-    record.rest.p.iter().map(|h| h.columns() as u64).sum()
+    columns_of(&record.rest)
+}
+
+fn columns_of(rest: &RestSpec) -> u64 {
+    rest.p.iter().map(|h| h.columns() as u64).sum()
 }
 
 /// The approximate size of a setup: a few copies of each column's position and weight, and the system of a spline.
-pub(crate) fn setup_weight(record: &Record) -> u64 {
-    1024 + 256 * columns(record) + record.rest.field_bytes()
+pub(crate) fn setup_weight(rest: &RestSpec) -> u64 {
+    1024 + 256 * columns_of(rest) + rest.field_bytes()
 }

@@ -1,20 +1,24 @@
-//! Byte-weighted LRU caches in which concurrent requests for one value share its build.
+//! Byte-weighted caches in which concurrent requests for one value share its build. `holdings.rs` says which value makes room.
 //!
 //! A value holds its reservation of memory as long as anyone uses it, also after it was evicted. A value larger than its cache is used but
 //! not cached. Each build is a task. It goes on while at least one request waits for it, and is dropped when the last one has left: that
 //! takes it out of the workers' queue, or cancels its computation (`Pool::run`). A later request then begins a new build.
+
+mod holdings;
 
 use std::collections::HashMap;
 use std::convert::Infallible;
 use std::future::Future;
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Instant;
 
-use lru::LruCache;
+use holdings::Holdings;
 use mlswarp::warp::Digest;
 use tokio::sync::{oneshot, watch};
 
-use crate::client::Owner;
+use crate::client::{Owner, Tenant};
+use crate::limits::free::free;
 use crate::limits::memory::Reservation;
 use crate::observe::Scope;
 use crate::problem::Problem;
@@ -45,6 +49,11 @@ impl<V> CacheEntry<V> {
     pub const fn new(value: V, memory: Reservation) -> Self {
         Self { value, memory }
     }
+
+    /// Bytes of its memory.
+    pub const fn bytes(&self) -> u64 {
+        self.memory.bytes()
+    }
 }
 
 impl<V> Deref for CacheEntry<V> {
@@ -53,6 +62,12 @@ impl<V> Deref for CacheEntry<V> {
     fn deref(&self) -> &V {
         &self.value
     }
+}
+
+/// Frees a value that has left a cache, unless somebody uses it.
+fn free_entry<V: Send + Sync + 'static>(entry: Arc<CacheEntry<V>>) {
+    let bytes = entry.bytes();
+    free(entry, bytes);
 }
 
 /// The result of [`Cache::get`].
@@ -119,9 +134,9 @@ struct CacheState<V> {
 
 #[derive(Debug)]
 struct Entries<V> {
-    values: LruCache<Key, Arc<CacheEntry<V>>>,
+    values: Holdings<Arc<CacheEntry<V>>>,
     builds: HashMap<Key, Build<V>>,
-    /// All but the number of values.
+    /// All but the number of values and their bytes.
     stats: CacheStats,
 }
 
@@ -137,6 +152,7 @@ struct Build<V> {
 struct BuildTask<V> {
     cache: Cache<V>,
     key: Key,
+    holder: Tenant,
     outcome: watch::Sender<Outcome<V>>,
     interest: Weak<oneshot::Sender<Infallible>>,
     /// Resolves when the last request has left.
@@ -151,22 +167,23 @@ impl<V> Clone for Cache<V> {
 
 impl<V> Entries<V> {
     fn get(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
-        let value = self.values.get(&key).cloned();
+        let value = self.values.get(key, Instant::now()).cloned();
         self.stats.hits += u64::from(value.is_some());
         value
     }
 
-    fn remove(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
-        let value = self.values.pop(&key)?;
-        self.stats.bytes -= value.memory.bytes();
-        Some(value)
+    /// Removes the value that makes room, of those that `may_go`.
+    fn evict(&mut self, may_go: impl Fn(Key, &Arc<CacheEntry<V>>) -> bool) -> Option<Arc<CacheEntry<V>>> {
+        let evicted = self.values.next_to_go(Instant::now(), may_go).and_then(|key| self.values.remove(key));
+        self.stats.evicted += u64::from(evicted.is_some());
+        evicted
     }
 }
 
 impl<V> Cache<V> {
     /// A cache of `capacity` bytes.
     pub fn new(capacity: u64) -> Self {
-        let entries = Entries { values: LruCache::unbounded(), builds: HashMap::new(), stats: CacheStats::default() };
+        let entries = Entries { values: Holdings::default(), builds: HashMap::new(), stats: CacheStats::default() };
         Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries) }))
     }
 
@@ -178,17 +195,17 @@ impl<V> Cache<V> {
     /// What it has done and what it holds.
     pub fn usage(&self) -> CacheStats {
         let entries = self.lock();
-        CacheStats { values: entries.values.len() as u64, ..entries.stats }
+        CacheStats { values: entries.values.len() as u64, bytes: entries.values.bytes(), ..entries.stats }
     }
 
     /// Whether the value is cached. It counts as used, not as found.
     pub fn touch(&self, key: Key) -> bool {
-        self.lock().values.get(&key).is_some()
+        self.lock().values.get(key, Instant::now()).is_some()
     }
 
     /// Makes the value the next one to be evicted, unless it is used before.
     pub fn demote(&self, key: Key) {
-        self.lock().values.demote(&key);
+        self.lock().values.demote(key);
     }
 
     /// The value, if it is cached.
@@ -198,60 +215,57 @@ impl<V> Cache<V> {
 
     /// Removes the value.
     pub fn remove(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
-        self.lock().remove(key)
+        self.lock().values.remove(key)
     }
 
     /// Removes all values.
     pub fn clear(&self) {
-        let mut entries = self.lock();
-        entries.stats.bytes = 0;
-        let values = std::mem::replace(&mut entries.values, LruCache::unbounded());
         // The values are dropped without the lock.
-        drop(entries);
+        let values = std::mem::take(&mut self.lock().values);
         drop(values);
     }
 
     /// Whether [`Cache::evict_idle`] would find a value.
     pub fn is_any_idle(&self) -> bool {
-        self.lock().values.iter().any(|(_, value)| Arc::strong_count(value) == 1)
-    }
-
-    /// Evicts the least recently used value that nobody uses now. `false`: there is none.
-    pub fn evict_idle(&self) -> bool {
-        let mut entries = self.lock();
-        let idle = entries.values.iter().rev().find(|(_, value)| Arc::strong_count(value) == 1).map(|(key, _)| *key);
-        let evicted = idle.and_then(|key| entries.remove(key));
-        entries.stats.evicted += u64::from(evicted.is_some());
-        drop(entries);
-        evicted.is_some()
-    }
-
-    /// Caches a value that was built.
-    fn put(&self, key: Key, value: Arc<CacheEntry<V>>) {
-        let bytes = value.memory.bytes();
-        // Dropped after the lock.
-        let mut removed = Vec::new();
-        let mut entries = self.lock();
-        entries.stats.built += 1;
-        if bytes > self.0.capacity {
-            return;
-        }
-        removed.extend(entries.remove(key));
-        while entries.stats.bytes + bytes > self.0.capacity {
-            let Some((_, value)) = entries.values.pop_lru() else { break };
-            entries.stats.bytes -= value.memory.bytes();
-            entries.stats.evicted += 1;
-            removed.push(value);
-        }
-        entries.stats.bytes += bytes;
-        entries.values.put(key, value);
+        self.lock().values.iter().any(|value| Arc::strong_count(value) == 1)
     }
 }
 
 impl<V: Send + Sync + 'static> Cache<V> {
-    /// The value of `key`. `build` runs if the value is neither cached nor being built.
+    /// Evicts a value that nobody uses now. `false`: there is none.
+    pub fn evict_idle(&self) -> bool {
+        // Dropped without the lock.
+        let evicted = self.lock().evict(|_, value| Arc::strong_count(value) == 1);
+        let is_evicted = evicted.is_some();
+        evicted.into_iter().for_each(free_entry);
+        is_evicted
+    }
+
+    /// Removes the value, and frees it when nobody uses it any more.
+    pub fn drop_value(&self, key: Key) {
+        self.remove(key).into_iter().for_each(free_entry);
+    }
+
+    /// Caches a value for the client that holds it.
+    pub fn put(&self, key: Key, holder: Tenant, value: &Arc<CacheEntry<V>>) {
+        let bytes = value.memory.bytes();
+        if bytes > self.0.capacity {
+            return;
+        }
+        let mut entries = self.lock();
+        // Dropped after the lock.
+        let mut removed = Vec::from_iter(entries.values.insert(key, holder, (Arc::clone(value), bytes), Instant::now()));
+        while entries.values.bytes() > self.0.capacity {
+            let Some(evicted) = entries.evict(|other, _| other != key) else { break };
+            removed.push(evicted);
+        }
+        drop(entries);
+        removed.into_iter().for_each(free_entry);
+    }
+
+    /// The value of `key`. `build` runs if the value is neither cached nor being built; then `holder` holds the value.
     /// Errors: Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
-    pub async fn get<B>(&self, key: Key, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
+    pub async fn get<B>(&self, key: Key, holder: Tenant, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,
     {
@@ -269,7 +283,7 @@ impl<V: Send + Sync + 'static> Cache<V> {
                     let interest = Arc::new(interest);
                     let weak = Arc::downgrade(&interest);
                     entries.builds.insert(key, Build { outcome: outcome.clone(), interest: weak.clone() });
-                    let task = BuildTask { cache: self.clone(), key, outcome: sender, interest: weak, abandoned };
+                    let task = BuildTask { cache: self.clone(), key, holder, outcome: sender, interest: weak, abandoned };
                     (outcome, interest, Some(task))
                 }
             }
@@ -288,7 +302,7 @@ impl<V: Send + Sync + 'static> Cache<V> {
     }
 }
 
-impl<V> BuildTask<V> {
+impl<V: Send + Sync + 'static> BuildTask<V> {
     async fn run(mut self, build: impl Future<Output = Result<CacheEntry<V>, Problem>>) {
         let outcome = tokio::select! {
             biased;
@@ -296,7 +310,8 @@ impl<V> BuildTask<V> {
             _ = &mut self.abandoned => return,
         };
         if let Ok(value) = &outcome {
-            self.cache.put(self.key, Arc::clone(value));
+            self.cache.lock().stats.built += 1;
+            self.cache.put(self.key, self.holder, value);
         }
         self.outcome.send_replace(Some(outcome));
     }

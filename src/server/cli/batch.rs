@@ -73,19 +73,20 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     };
     let upload = Upload { image: file.into(), warp, region: mask, landmarks };
     let session = service.run(app.create_session(client, upload));
-    let (session, setup, method) = session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
+    let (shown, method) = session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
+    let id = shown.session.record.id;
     let made = service.run(async {
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
-            app.put_layer(client, session.record.id, &name, kind, file.into()).await.map_err(|mut problem| {
+            app.put_layer(client, id, &name, kind, file.into()).await.map_err(|mut problem| {
                 problem.detail.insert_str(0, &format!("--layer {}: ", name.as_str()));
                 problem
             })?;
         }
-        app.batch(client, session.record.id, batch.into(), form, |_| u64::MAX).await
+        app.batch(client, id, batch.into(), form, |_| u64::MAX).await
     });
     let made = made.map_err(located)?;
-    let (frames, warnings) = (made.frames, [setup.rest_warnings(), &made.warnings].concat());
+    let (frames, warnings) = (made.frames, [shown.warnings(), &made.warnings].concat());
     let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
     match kind {
         Out::File(_) => output::write(out, |sink| each(&service, made, &progress, |bytes| sink.put(&bytes)))?,

@@ -15,7 +15,7 @@ use super::failure::{Failure, name_of};
 use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target, extent};
-use crate::wire::{Merged, Source, WarpObject, extent_in};
+use crate::wire::{Merged, Reserved, Source, WarpObject, extent_in};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -124,7 +124,9 @@ impl LandmarkInput {
         let Choice { matching, item } = Choice::of_warp(warp)?;
         files.choice.matching = files.choice.matching.or(matching);
         files.choice.item = files.choice.item.or(item);
-        let landmarks = files.read(config.limits().columns, &|| false).map_err(|problem| self.blame(problem))?;
+        // Nobody shares this machine's memory with other clients.
+        let landmarks = Reserved::of_files(&files, config.limits().columns, &|| false, |_| Ok(()));
+        let (landmarks, ()) = landmarks.map_err(|problem| self.blame(problem))?.into_parts();
         landmarks.require_q().map_err(|mut problem| {
             "it has no posed positions: give a file with both sides, or --landmarks-q FILE".clone_into(&mut problem.detail);
             Failure::from(problem).about(self.landmarks.as_deref().map(name_of).unwrap_or_default())

@@ -15,7 +15,7 @@ use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
 use crate::wire::landmarks::Landmarks;
-use crate::wire::{Merged, Source, WarpObject, WarpPatch};
+use crate::wire::{Merged, Reserved, Source, WarpObject, WarpPatch};
 use crate::wire::{canvas_text, method_text};
 
 /// Warps images. The result: what a server sends in response headers; of several images their number.
@@ -27,7 +27,8 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let inputs = Inputs::of(files, Limit::body(config))?;
     let merged = input::merge(&sources(config, args, &inputs)?)?;
     let located = |problem| input::located(&merged, problem);
-    let mut patch = WarpPatch::parse(&merged.json).map_err(located)?;
+    let patch = Reserved::<WarpPatch, _>::parse(&merged.json, |_| Ok(())).map_err(located)?;
+    let (mut patch, ()) = patch.into_parts();
     if args.kind == WarpKind::Holes && region.is_none() {
         return Err(no_region());
     }

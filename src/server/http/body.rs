@@ -19,7 +19,9 @@ use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
 use crate::app::App;
 use crate::client::Client;
+use crate::limits::free::free;
 use crate::limits::memory::{Purpose, Reservation};
+use crate::pool::aside;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
@@ -125,6 +127,8 @@ impl Drop for LimitedBody {
     }
 }
 
+/// Buffers of more bytes are moved on a blocking thread.
+const MAX_COPIED_HERE: usize = 128 << 10;
 /// Memory of a request beside its body: its head, its task, its stream.
 const REQUEST_BYTES: u64 = 16 << 10;
 
@@ -136,12 +140,14 @@ pub(crate) struct BodyBuffer<'a> {
 }
 
 impl<'a> BodyBuffer<'a> {
-    pub(crate) fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
-        Ok(Self { app, bytes: Vec::new(), held: app.reserve_for(purpose, &app.request_quota(client), REQUEST_BYTES)? })
+    pub(crate) async fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
+        let quota = app.request_quota(client);
+        let held = app.reserve_aside(|budget| budget.take_for(purpose, &quota, REQUEST_BYTES)).await?;
+        Ok(Self { app, bytes: Vec::new(), held })
     }
 
     /// Appends data. The buffer may have at most `limit` bytes; `what` names the limit.
-    pub(crate) fn push(&mut self, data: &[u8], what: &'static str, limit: u64) -> Result<(), Problem> {
+    pub(crate) async fn push(&mut self, data: &[u8], what: &'static str, limit: u64) -> Result<(), Problem> {
         let needed = self.bytes.len() + data.len();
         if needed as u64 > limit {
             return Err(too_large(what, limit, needed as u64));
@@ -149,8 +155,13 @@ impl<'a> BodyBuffer<'a> {
         if needed > self.bytes.capacity() {
             let capacity = needed.max(2 * self.bytes.capacity());
             // While the bytes are moved, both allocations exist.
-            self.app.reserve_more(&mut self.held, capacity as u64)?;
-            self.bytes.reserve_exact(capacity - self.bytes.len());
+            self.app.reserve_aside(|_| self.held.grow(capacity as u64)).await?;
+            let mut bytes = std::mem::take(&mut self.bytes);
+            let grow = move || {
+                bytes.reserve_exact(capacity - bytes.len());
+                bytes
+            };
+            self.bytes = aside(capacity > MAX_COPIED_HERE, grow).await;
             self.held.shrink_to(REQUEST_BYTES + self.bytes.capacity() as u64);
         }
         self.bytes.extend_from_slice(data);
@@ -159,14 +170,28 @@ impl<'a> BodyBuffer<'a> {
 
     /// The bytes in the buffer as it is, which may be twice as large.
     pub(crate) fn finish(mut self) -> Bytes {
-        self.held.shrink_to(self.bytes.capacity() as u64);
-        self.held.attach(self.bytes)
+        let (bytes, mut held) = (std::mem::take(&mut self.bytes), self.held.split(u64::MAX));
+        held.shrink_to(bytes.capacity() as u64);
+        held.attach(bytes)
     }
 
     /// The bytes in a buffer of their size, for a session to keep.
-    pub(crate) fn finish_exact(mut self) -> Bytes {
-        self.bytes.shrink_to_fit();
+    pub(crate) async fn finish_exact(mut self) -> Bytes {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        let shrink = move || {
+            bytes.shrink_to_fit();
+            bytes
+        };
+        self.bytes = aside(self.held.bytes() > MAX_COPIED_HERE as u64, shrink).await;
         self.finish()
+    }
+}
+
+impl Drop for BodyBuffer<'_> {
+    fn drop(&mut self) {
+        let bytes = std::mem::take(&mut self.bytes);
+        let capacity = bytes.capacity() as u64;
+        free(bytes, capacity);
     }
 }
 
@@ -194,7 +219,7 @@ pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, wha
 /// Reads a file for a session to keep.
 pub(crate) async fn file(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
     let limit = caller.app.config().max_body_bytes;
-    Ok(buffered(caller, request, Purpose::Upload, "body_bytes", limit).await?.finish_exact())
+    Ok(buffered(caller, request, Purpose::Upload, "body_bytes", limit).await?.finish_exact().await)
 }
 
 async fn buffered<'a>(
@@ -208,10 +233,10 @@ async fn buffered<'a>(
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose)?;
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose).await?;
     while let Some(frame) = body.frame().await {
         if let Ok(data) = frame.map_err(|error| read_problem(&error, "the body could not be read"))?.into_data() {
-            buffer.push(&data, what, limit)?;
+            buffer.push(&data, what, limit).await?;
         }
     }
     Ok(buffer)

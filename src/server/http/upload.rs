@@ -153,7 +153,8 @@ async fn read_parts(
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
-    let _parser = app.reserve_for(Purpose::Upload, &app.request_quota(*client), PARSER_BYTES)?;
+    let quota = app.request_quota(*client);
+    let _parser = app.reserve_aside(|budget| budget.take_for(Purpose::Upload, &quota, PARSER_BYTES)).await?;
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
     let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
@@ -224,12 +225,12 @@ fn unreadable(error: axum::extract::multipart::MultipartError) -> Problem {
 }
 
 async fn read_part(caller: &Caller, mut part: Field<'_>, what: &'static str, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
-    let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload)?;
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload).await?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
-        buffer.push(&chunk, what, limit)?;
+        buffer.push(&chunk, what, limit).await?;
     }
-    Ok(buffer.finish_exact())
+    Ok(buffer.finish_exact().await)
 }
 
 /// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot

@@ -11,6 +11,7 @@ use bytes::Bytes;
 use thiserror::Error;
 
 use super::client_quota::{ClientQuota, QuotaKind};
+use super::free::free;
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry.
@@ -73,6 +74,13 @@ impl BudgetExceeded {
     /// The reservation would not fit even if nothing else were in use. A response that is its client's only one may exceed the quota.
     pub(crate) fn is_forever(&self) -> bool {
         self.quota != Some(QuotaKind::Responses) && self.asked > self.limit
+    }
+}
+
+impl BudgetExceeded {
+    /// Whether the reservation may succeed when cached values have been evicted.
+    pub(crate) fn may_be_evicted_for(&self) -> bool {
+        !self.is_forever() && self.quota.is_none()
     }
 }
 
@@ -214,16 +222,19 @@ impl Reservation {
 
     /// Bytes that hold the reservation until the last reference is dropped.
     pub fn attach<T: AsRef<[u8]> + Send + 'static>(self, bytes: T) -> Bytes {
-        struct HeldBytes<T> {
-            bytes: T,
-            _reservation: Reservation,
-        }
-        impl<T: AsRef<[u8]>> AsRef<[u8]> for HeldBytes<T> {
+        struct HeldBytes<T: AsRef<[u8]> + Send + 'static>(Option<(T, Reservation)>);
+        impl<T: AsRef<[u8]> + Send + 'static> AsRef<[u8]> for HeldBytes<T> {
             fn as_ref(&self) -> &[u8] {
-                self.bytes.as_ref()
+                self.0.as_ref().map_or(&[], |(bytes, _)| bytes.as_ref())
             }
         }
-        Bytes::from_owner(HeldBytes { bytes, _reservation: self })
+        impl<T: AsRef<[u8]> + Send + 'static> Drop for HeldBytes<T> {
+            fn drop(&mut self) {
+                let bytes = self.as_ref().len() as u64;
+                free(self.0.take(), bytes);
+            }
+        }
+        Bytes::from_owner(HeldBytes(Some((bytes, self))))
     }
 }
 

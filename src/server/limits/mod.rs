@@ -25,6 +25,7 @@ pub mod client_limit;
 pub mod client_quota;
 pub mod connections;
 mod counts;
+pub mod free;
 pub mod memory;
 pub mod networks;
 pub mod rate_limit;

@@ -276,6 +276,21 @@ fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce(
     })
 }
 
+/// Does long work that needs no permit, such as a copy, on a blocking thread; short work here. A panic is propagated.
+pub(crate) async fn aside<T: Send + 'static>(is_long: bool, work: impl FnOnce() -> T + Send + 'static) -> T {
+    if !is_long {
+        return work();
+    }
+    match tokio::task::spawn_blocking(work).await {
+        Ok(done) => done,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            // Tasks are not aborted before the runtime stops, which drops this one too.
+            Err(_) => std::future::pending().await,
+        },
+    }
+}
+
 /// The message of a panic.
 pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
     panic

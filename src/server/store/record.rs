@@ -30,7 +30,7 @@ use serde_json::value::RawValue;
 use super::{Record, StoredLayer};
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::session::{Revision, SessionId};
-use crate::wire::{AsJson, EnumName as _, Pose, WarpObject, WarpPatch};
+use crate::wire::{AsJson, EnumName as _, Pose, Reserved, WarpObject, WarpPatch};
 
 /// The version of the form. It changes when older programs would misunderstand a record.
 const VERSION: u32 = 1;
@@ -258,7 +258,10 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
         return Err(Unreadable::OtherVersion(format!("its form is version {version}; this program knows {VERSION}")));
     }
     let read: Document<&RawValue> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
-    let warp = WarpPatch::parse(read.warp.get().as_bytes()).map_err(|problem| Unreadable::OtherVersion(problem.detail))?.merge_onto(base());
+    // The store counts records by itself.
+    let patch = Reserved::<WarpPatch, _>::parse(read.warp.get().as_bytes(), |_| Ok(()));
+    let (patch, ()) = patch.map_err(|problem| Unreadable::OtherVersion(problem.detail))?.into_parts();
+    let warp = patch.merge_onto(base());
     if warp.q.is_none() && warp.strength.to_bits() != base().strength.to_bits() {
         return Err(other("it has a strength without posed handles"));
     }

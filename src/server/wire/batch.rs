@@ -11,10 +11,11 @@ use serde::Serialize;
 
 use super::annotations::Annotations;
 use super::enum_name::enum_name;
+use super::handles::handles_bytes;
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
-use super::{AsJson, PosePatch, fields, json, layer, require_length, text_bytes};
+use super::{AsJson, PosePatch, Reserved, fields, json, layer, reading_bytes, require_length, text_bytes};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -77,6 +78,9 @@ pub enum BatchPoses {
     },
 }
 
+/// Memory of the place of a frame, also while their list grows, bytes.
+const PLACE_BYTES: u64 = 3 * size_of::<Range<usize>>() as u64;
+
 /// The objects in `frames`, as the client has written them.
 #[derive(Clone, Debug)]
 pub struct FrameTexts {
@@ -86,13 +90,18 @@ pub struct FrameTexts {
 
 impl FrameTexts {
     /// Reads `q` and `strength` of a frame.
-    fn read(&self, frame: u32) -> Result<PosePatch, Problem> {
-        let (frames, index) = (At::Field(&At::Root, "frames"), frame as usize);
-        let text = self.places.get(index).and_then(|place| self.body.get(place.clone()));
-        let text = text.and_then(|text| std::str::from_utf8(text).ok()).unwrap_or_default();
-        let node = Node::new(text, At::Item(&frames, index));
-        PosePatch::read(node.fields(&fields::BATCH_FRAME)?)
+    fn read<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Reserved<PosePatch, H>, Problem> {
+        let place = self.places.get(frame as usize);
+        let text = place.and_then(|place| self.body.get(place.clone())).unwrap_or_default();
+        Reserved::read(reading_bytes(text), reserve, || read_frame(frame, text))
     }
+}
+
+fn read_frame(frame: u32, text: &[u8]) -> Result<PosePatch, Problem> {
+    let frames = At::Field(&At::Root, "frames");
+    let text = std::str::from_utf8(text).unwrap_or_default();
+    let node = Node::new(text, At::Item(&frames, frame as usize));
+    PosePatch::read(node.fields(&fields::BATCH_FRAME)?, usize::MAX)
 }
 
 /// The problem of a frame's pose: its pointer begins at the frame.
@@ -104,10 +113,12 @@ pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
 impl BatchPoses {
     /// What the request gives of the pose of a frame.
     /// Errors: A frame with another form.
-    pub fn given(&self, frame: u32) -> Result<PosePatch, Problem> {
+    pub fn given<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Reserved<PosePatch, H>, Problem> {
         match self {
-            Self::Frames(texts) => texts.read(frame),
-            Self::Steps { pose, .. } | Self::Jitter { pose, .. } => Ok(pose.clone()),
+            Self::Frames(texts) => texts.read(frame, reserve),
+            Self::Steps { pose, .. } | Self::Jitter { pose, .. } => {
+                Reserved::read(pose.q.as_deref().map_or(0, handles_bytes), reserve, || Ok(pose.clone()))
+            }
         }
     }
 
@@ -121,16 +132,34 @@ impl BatchPoses {
     }
 }
 
-impl BatchObject {
-    /// Reads the object. `most_bytes`: the most bytes of everything but frames and annotations; `most_frame_bytes`: the most of one frame;
-    /// `source`: the image of annotations.
-    pub fn parse(body: &Bytes, most_bytes: u64, most_frame_bytes: u64, source: Frame) -> Result<Self, Problem> {
+/// The fields of the object.
+type BatchFields<'j, 'p> = [Option<Node<'j, 'p>>; fields::BATCH.len()];
+
+impl<H> Reserved<BatchObject, H> {
+    /// Reads the object in memory that `reserve` takes before. `most_bytes`: the most bytes of everything but frames and annotations;
+    /// `most_frame_bytes`: the most of one frame; `source`: the image of annotations.
+    pub fn parse(
+        body: &Bytes,
+        most_bytes: u64,
+        most_frame_bytes: u64,
+        source: Frame,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [frames, q, strength, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] =
-            root.fields(&fields::BATCH)?;
-        let [points, polygons, boxes, geojson, refine] = annotations;
+        let fields = root.fields(&fields::BATCH)?;
+        let [frames, .., points, polygons, boxes, geojson, _] = fields;
         let rest = body.len() - text_bytes([frames, points, polygons, boxes, geojson]);
         require_length(rest, most_bytes, "its frames and annotations")?;
+        // Frames are not read before they are drawn.
+        let places = if frames.is_some() { u64::from(MOST_FRAMES) * PLACE_BYTES } else { 0 };
+        Self::read(reading_bytes(body) + places, reserve, || BatchObject::read(body, &root, fields, most_frame_bytes, source))
+    }
+}
+
+impl BatchObject {
+    fn read(body: &Bytes, root: &Node<'_, '_>, fields: BatchFields<'_, '_>, most_frame_bytes: u64, source: Frame) -> Result<Self, Problem> {
+        let [frames, q, strength, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] = fields;
+        let [points, polygons, boxes, geojson, refine] = annotations;
         let poses = match (frames, steps, jitter) {
             (Some(frames), ..) if frames.kind() == Kind::Number => {
                 let meant = frames.text.parse::<u32>().map_or_else(|_| String::new(), |n| format!(": {n}"));
@@ -142,7 +171,7 @@ impl BatchObject {
                 BatchPoses::Frames(frame_texts(body, &frames, most_frame_bytes)?)
             }
             (None, Some(steps), None) => BatchPoses::Steps {
-                pose: PosePatch::read([q, strength])?,
+                pose: PosePatch::read([q, strength], usize::MAX)?,
                 steps: frame_count(&steps, 2, STEPS)?,
                 easing: optional(easing, enum_name)?.unwrap_or_default(),
             },
@@ -153,7 +182,7 @@ impl BatchObject {
                 let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
                 let (seed_of, sigma_of) = ("a whole number between 0 and 18446744073709551615", "a number of pixels between 0 and 10000");
                 BatchPoses::Jitter {
-                    pose: PosePatch::read([q, strength])?,
+                    pose: PosePatch::read([q, strength], usize::MAX)?,
                     count: frame_count(&required(count, "count", COUNT)?, 1, COUNT)?,
                     jitter: Jitter {
                         seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
@@ -166,7 +195,7 @@ impl BatchObject {
                 return Err(Problem::new(Code::BadValue, detail).pointer("/steps"));
             }
             _ => {
-                let last = jitter.or(steps).unwrap_or(root);
+                let last = jitter.or(steps).unwrap_or(*root);
                 return Err(last.problem(Code::BadValue, "give one of `frames`, `steps` and `jitter`"));
             }
         };
@@ -326,9 +355,14 @@ mod tests {
 
     use super::*;
 
+    fn free(_: u64) -> Result<(), Problem> {
+        Ok(())
+    }
+
     fn parse(text: &str) -> Result<BatchObject, Problem> {
         let source = Frame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
-        BatchObject::parse(&Bytes::copy_from_slice(text.as_bytes()), 1000, 100, source)
+        let body = Bytes::copy_from_slice(text.as_bytes());
+        Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, free).map(|read| read.into_parts().0)
     }
 
     #[test]
@@ -337,7 +371,8 @@ mod tests {
             parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
                 .unwrap();
         let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
-        assert_eq!((frames.count(), texts.read(0).unwrap().strength, texts.read(1).unwrap().strength), (2, None, Some(0.5)));
+        let strength = |frame| texts.read(frame, free).unwrap().strength;
+        assert_eq!((frames.count(), strength(0), strength(1)), (2, None, Some(0.5)));
         assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
         let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
         let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, pose: PosePatch { strength: Some(2.0), .. } } = steps.poses else {
@@ -415,9 +450,9 @@ mod tests {
             panic!()
         };
         for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2")] {
-            assert_eq!(texts.read(frame).unwrap_err().pointer.as_deref(), Some(pointer));
+            assert_eq!(texts.read(frame, free).unwrap_err().pointer.as_deref(), Some(pointer));
         }
-        assert_eq!(texts.read(3).unwrap(), PosePatch { q: None, strength: Some(1.0) });
+        assert_eq!(*texts.read(3, free).unwrap(), PosePatch { q: None, strength: Some(1.0) });
     }
 
     #[test]

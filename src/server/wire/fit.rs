@@ -30,7 +30,7 @@ pub struct FitObject {
 
 impl FitObject {
     /// Reads the body of `/fit`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [p, q, align, weights, coincident, units, extent, candidates, names, format, unmatched] = root.fields(&fields::FIT)?;
         let given = [("p", p), ("q", q), ("align", align), ("weights", weights), ("coincident", coincident), ("units", units)];
@@ -45,10 +45,10 @@ impl FitObject {
     }
 
     /// Reads the body of `/sessions/{id}/fit`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, candidates] = root.fields(&fields::FIT_OF_SESSION)?;
-        Ok(Self { rest: None, pose: PosePatch::read([q, None])?, candidates: read_candidates(candidates)? })
+        Ok(Self { rest: None, pose: PosePatch::read([q, None], usize::MAX)?, candidates: read_candidates(candidates)? })
     }
 }
 

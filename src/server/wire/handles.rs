@@ -20,6 +20,24 @@ pub(crate) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
     node.list("an array of handles", PLACE_TEXT, |index, item| handle(&item).map_err(|problem| problem.handle(index)))
 }
 
+/// Handles that are as many as those at rest; a list with more is refused before the rest of it is read.
+pub(crate) fn posed_handles(node: &Node<'_, '_>, at_rest: usize) -> Result<Vec<Handle>, Problem> {
+    node.list("an array of handles", PLACE_TEXT, |index, item| {
+        if index >= at_rest {
+            let detail = format!("`q` has more handles than `p`, which has {at_rest}");
+            return Err(node.problem(Code::ShapeMismatch, detail));
+        }
+        handle(&item).map_err(|problem| problem.handle(index))
+    })
+}
+
+/// Memory of handles, bytes.
+pub(crate) fn handles_bytes(handles: &[Handle]) -> u64 {
+    let lines = handles.iter().filter(|handle| matches!(handle, Handle::Polyline(_)));
+    let places: usize = lines.map(|line| line.places().len() + 1).sum();
+    (size_of_val(handles) + places * size_of::<Point>()) as u64
+}
+
 pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
     node.list("an array of numbers", WEIGHT_TEXT, |index, item| number(&item, "a positive number").map_err(|problem| problem.handle(index)))
 }

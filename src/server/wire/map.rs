@@ -24,7 +24,7 @@ pub struct MapObject {
 
 impl MapObject {
     /// Reads the body of `/map`. `q` may be absent if there is no `p`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
         let warp = WarpPatch::read(warp)?.into_object()?;
@@ -34,10 +34,10 @@ impl MapObject {
     }
 
     /// Reads the body of `/sessions/{id}/map`.
-    pub fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, spec @ ..] = root.fields(&fields::MAP_OF_SESSION)?;
-        Self::read(None, PosePatch::read([q, strength])?, spec)
+        Self::read(None, PosePatch::read([q, strength], usize::MAX)?, spec)
     }
 
     fn read(

@@ -21,6 +21,7 @@ mod output;
 mod plan;
 mod pose;
 mod report;
+mod reserved;
 mod rest;
 mod session;
 mod shape;
@@ -40,12 +41,13 @@ use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 pub(crate) use annotations::is_geojson;
-pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, Reserve, reading_bytes};
+pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, Reserve};
 pub(crate) use batch::{BatchFrame, BatchIndex, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
 pub use fit::FitObject;
 pub(crate) use fit::{FitAnswer, in_candidate, method_text};
+pub(crate) use handles::handles_bytes;
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
@@ -59,8 +61,10 @@ pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
 pub use pose::{Pose, PosePatch};
 pub use report::{ReportAnswer, ReportObject};
+pub use reserved::Reserved;
+use reserved::reading_bytes;
 pub(crate) use rest::WarpPatch;
-pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject};
+pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, session_tail};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use warning::WarningEntry;
@@ -97,7 +101,7 @@ impl Default for WarpObject {
 
 impl WarpObject {
     /// Reads the object. Whether it has what a route needs is not checked.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    fn parse(json: &[u8]) -> Result<Self, Problem> {
         Ok(WarpPatch::parse(json)?.without_files()?.merge_onto(Self::default()))
     }
 
@@ -179,29 +183,29 @@ pub struct DragObject {
 }
 
 impl DragObject {
-    /// Reads the object.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    /// Reads the object. `at_rest`: the number of handles at rest.
+    fn parse(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(root.fields(&["q", "strength", "seq", "layer", "output"])?)
+        Self::read(root.fields(&["q", "strength", "seq", "layer", "output"])?, at_rest)
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
-    pub(crate) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
+    fn parse_posed(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
-        Self::read([q, strength, seq, None, None])
+        Self::read([q, strength, seq, None, None], at_rest)
     }
 
     /// Reads the body of `/sessions/{id}/report`: `q`, `strength` and `output`.
-    pub fn parse_for_report(json: &[u8]) -> Result<Self, Problem> {
+    fn parse_for_report(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
-        Self::read([q, strength, None, None, output])
+        Self::read([q, strength, None, None, output], at_rest)
     }
 
-    fn read([q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5]) -> Result<Self, Problem> {
+    fn read([q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5], at_rest: usize) -> Result<Self, Problem> {
         Ok(Self {
-            pose: PosePatch::read([q, strength])?,
+            pose: PosePatch::read([q, strength], at_rest)?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
             layer: optional(layer_, layer)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
@@ -237,7 +241,7 @@ pub struct PointsObject {
 
 impl PointsObject {
     /// Reads the object of `/points`. `q` may be absent if there is no `p`. `most_bytes`: the most bytes of everything but annotations.
-    pub fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
+    fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
         require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
@@ -250,13 +254,13 @@ impl PointsObject {
     }
 
     /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the session.
-    pub fn parse_posed(body: &Bytes, most_bytes: u64, (extent, units): (Extent, Units), output: &OutputSpec) -> Result<Self, Problem> {
+    fn parse_posed(body: &Bytes, most_bytes: u64, (extent, units): (Extent, Units), output: &OutputSpec) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [q, strength, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
         require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
         let output = optional(output_, OutputPatch::read)?.unwrap_or_default().merge_onto(output);
         let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
-        Ok(Self { warp: None, pose: PosePatch::read([q, strength])?, output, annotations })
+        Ok(Self { warp: None, pose: PosePatch::read([q, strength], usize::MAX)?, output, annotations })
     }
 }
 

@@ -2,7 +2,7 @@
 
 use mlswarp::deform::Handle;
 
-use super::handles::handles;
+use super::handles::posed_handles;
 use super::json::{Node, optional};
 use super::missing_q;
 use super::rest::strength;
@@ -25,8 +25,9 @@ pub struct PosePatch {
 }
 
 impl PosePatch {
-    pub(crate) fn read([q, strength_]: [Option<Node<'_, '_>>; 2]) -> Result<Self, Problem> {
-        Ok(Self { q: optional(q, handles)?, strength: optional(strength_, strength)? })
+    /// `most`: the number of handles, of which one more is refused before the rest is read.
+    pub(crate) fn read([q, strength_]: [Option<Node<'_, '_>>; 2], most: usize) -> Result<Self, Problem> {
+        Ok(Self { q: optional(q, |q| posed_handles(q, most))?, strength: optional(strength_, strength)? })
     }
 
     /// The pose that is meant. A strength belongs to its `q`: that of the session does not apply to another one.

@@ -25,7 +25,7 @@ pub struct ReportObject {
 
 impl ReportObject {
     /// Reads the object. `q` may be absent if there is no `p`.
-    pub fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
         let warp = WarpPatch::read(warp)?.into_object()?;

@@ -42,7 +42,7 @@ pub(crate) struct WarpPatch {
 }
 
 impl WarpPatch {
-    pub(crate) fn parse(json: &[u8]) -> Result<Self, Problem> {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         Self::read(json::root(json)?.fields(&fields::WARP)?)
     }
 
@@ -171,8 +171,11 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
 /// landmarks are `unmatched`.
 pub(crate) fn of_landmarks([names, format, unmatched]: [Option<Node<'_, '_>>; 3], p: Option<&[Handle]>) -> Result<bool, Problem> {
     const NAMES: &str = "an array of names, one for each handle";
-    const LENGTH: usize = 8;
-    let count = |node: &Node<'_, '_>| node.list(NAMES, LENGTH, |_, item| item.string("a name")).map(|names| names.len());
+    // None of them is kept.
+    let count = |node: &Node<'_, '_>| {
+        let mut count = 0;
+        node.items(NAMES, |_, item| item.string("a name").map(|_| count += 1)).map(|()| count)
+    };
     if let Some(node) = names {
         let (found, handles) = (count(&node)?, p.map(<[_]>::len));
         if handles.is_some_and(|handles| handles != found) {

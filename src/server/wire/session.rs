@@ -1,4 +1,4 @@
-//! The session object: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
+//! The session object in two parts, what stays the same within a revision and what does not: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
 
 use std::collections::BTreeMap;
 
@@ -9,6 +9,7 @@ use serde::{Serialize, Serializer};
 use super::AsJson;
 use crate::layer::LayerKind;
 
+/// The members that stay the same within a revision.
 #[derive(Debug, Serialize)]
 pub(crate) struct SessionObject<'a> {
     pub(crate) id: &'a str,
@@ -54,9 +55,12 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) layers: BTreeMap<&'a str, SessionLayer>,
     /// RFC 3339, UTC.
     pub(crate) created: &'a str,
-    pub(crate) expires: &'a str,
-    /// The highest sequence number seen; `null` before the first.
-    pub(crate) seq: Option<u64>,
+}
+
+/// What follows the text of a [`SessionObject`] without its brace. `seq`: the highest sequence number seen; `null` before the first.
+pub(crate) fn session_tail(expires: &str, seq: Option<u64>) -> String {
+    let seq = seq.map_or_else(|| "null".to_owned(), |seq| seq.to_string());
+    format!(",\"expires\":\"{expires}\",\"seq\":{seq}}}")
 }
 
 /// A group of coincident points.

@@ -1,5 +1,6 @@
 //! The messages of the drag socket: poses, as `{"seq", "q"}` or binary, and `{"ack"}` from the client; the report that precedes a frame.
 
+use bytes::Bytes;
 use mlswarp::deform::{Contradiction, Handle};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
@@ -7,17 +8,19 @@ use mlswarp::render::Canvas;
 use mlswarp::warp::RestSpec;
 use serde::Serialize;
 
-use super::handles::handles;
+use super::handles::{handles_bytes, posed_handles};
 use super::json;
 use super::json::{At, Node, optional};
 use super::number::whole;
 use super::rest::strength;
-use super::{AsJson, Pose, PosePatch};
+use super::{AsJson, Pose, PosePatch, Reserved, reading_bytes};
 use crate::problem::{Code, Problem};
 
 const NUMBER: &str = "a whole number, at least 0";
 /// Bytes of a number of a binary pose.
 const NUMBER_BYTES: usize = 4;
+/// Memory of a handle for each byte of its numbers: a line of two positions has a list of its own.
+const HANDLE_BYTES: u64 = 8;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum DragMessage {
@@ -45,12 +48,43 @@ pub enum UnreadHandles {
         strength: Option<f64>,
     },
     /// The numbers of all handles, as little-endian f32.
-    Binary(Box<[u8]>),
+    Binary(Bytes),
 }
 
 impl Default for UnreadHandles {
     fn default() -> Self {
-        Self::Binary(Box::default())
+        Self::Binary(Bytes::new())
+    }
+}
+
+impl<H> Reserved<Vec<Handle>, H> {
+    /// Reads the handles of a pose in memory that `reserve` takes before. `rest`: the handles at rest on a picture of this extent;
+    /// `session`: the pose of the session, if it has one.
+    pub(crate) fn of_pose(
+        q: &UnreadHandles,
+        rest: &RestSpec,
+        session: Option<&Pose>,
+        extent: Extent,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
+        let most = match q {
+            UnreadHandles::Json { text, .. } => reading_bytes(text.as_bytes()),
+            UnreadHandles::OfSession { .. } => session.map_or(0, |pose| handles_bytes(&pose.q)),
+            UnreadHandles::Binary(bytes) => HANDLE_BYTES * bytes.len() as u64,
+        };
+        Self::read(most, reserve, || q.read(rest, session, extent))
+    }
+}
+
+impl<H> Reserved<DragMessage, H> {
+    /// Reads a text message. The text of its handles stays as it is.
+    pub(crate) fn parse(text: &[u8], reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Self, BadMessage> {
+        Self::read(text.len() as u64, reserve, || DragMessage::parse(text))
+    }
+
+    /// Reads a binary message, of which the value is a part.
+    pub(crate) fn of_bytes(bytes: &Bytes, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Self, BadMessage> {
+        Self::read(bytes.len() as u64, reserve, || DragMessage::parse_binary(bytes))
     }
 }
 
@@ -64,6 +98,11 @@ impl UnreadHandles {
         }
     }
 
+    /// Whether the message has them.
+    pub(crate) const fn is_given(&self) -> bool {
+        !matches!(self, Self::OfSession { .. })
+    }
+
     /// How much of the way from p to q the handles are moved. `session`: the pose of the session, if it has one.
     pub(crate) fn strength(&self, session: Option<&Pose>) -> f64 {
         match self {
@@ -75,9 +114,9 @@ impl UnreadHandles {
 
     /// `rest`: the handles at rest on a picture of this extent, of a session with this pose. Alignment and strength need their positions,
     /// and numbers their shapes.
-    pub(crate) fn read(&self, rest: &RestSpec, session: Option<&Pose>, extent: Extent) -> Result<Vec<Handle>, Problem> {
+    fn read(&self, rest: &RestSpec, session: Option<&Pose>, extent: Extent) -> Result<Vec<Handle>, Problem> {
         let q = match self {
-            Self::Json { text, .. } => handles(&Node::new(text, At::Field(&At::Root, "q")))?,
+            Self::Json { text, .. } => posed_handles(&Node::new(text, At::Field(&At::Root, "q")), rest.p.len())?,
             Self::OfSession { .. } => PosePatch::default().onto(session)?.q,
             Self::Binary(bytes) => read_binary(bytes, &rest.p)?,
         };
@@ -117,15 +156,20 @@ pub(crate) struct BadMessage {
     pub(crate) problem: Box<Problem>,
 }
 
+impl From<Problem> for BadMessage {
+    fn from(problem: Problem) -> Self {
+        Self { seq: None, problem: Box::new(problem) }
+    }
+}
+
 impl DragMessage {
     /// Reads a binary pose: `seq` (u64), then the numbers of `q` (f32), little-endian.
-    pub(crate) fn parse_binary(bytes: &[u8]) -> Result<Self, BadMessage> {
-        let (seq, q) = match bytes.split_first_chunk() {
-            Some((seq, q)) => (Some(u64::from_le_bytes(*seq)), q),
-            None => (None, bytes),
-        };
+    fn parse_binary(bytes: &Bytes) -> Result<Self, BadMessage> {
+        let seq = bytes.first_chunk().map(|seq| u64::from_le_bytes(*seq));
         match seq {
-            Some(seq) if q.len().is_multiple_of(NUMBER_BYTES) => Ok(Self::Pose { seq, q: UnreadHandles::Binary(q.into()) }),
+            Some(seq) if bytes.len().is_multiple_of(NUMBER_BYTES) => {
+                Ok(Self::Pose { seq, q: UnreadHandles::Binary(bytes.slice(size_of_val(&seq)..)) })
+            }
             _ => {
                 let detail = "a binary message is a pose: `seq` (8 bytes), then the numbers of `q` (4 bytes each); found";
                 let problem = Problem::new(Code::MalformedRequest, format!("{detail} {} bytes", bytes.len()));
@@ -134,7 +178,7 @@ impl DragMessage {
         }
     }
 
-    pub(crate) fn parse(json: &[u8]) -> Result<Self, BadMessage> {
+    fn parse(json: &[u8]) -> Result<Self, BadMessage> {
         let mut seq = None;
         Self::read(json, &mut seq).map_err(|problem| BadMessage { seq, problem: Box::new(problem) })
     }
@@ -216,9 +260,9 @@ mod tests {
     fn messages_are_poses_and_acknowledgements() {
         let read = |text: &str| DragMessage::parse(text.as_bytes());
         let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]]}"#) else { panic!() };
-        assert_eq!(q.read(&RestSpec::default(), None, extent()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
-        let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]], "strength": -0.5}"#) else { panic!() };
         let rest = RestSpec { p: vec![Handle::Point(Point::new(3.0, 8.0))], ..RestSpec::default() };
+        assert_eq!(q.read(&rest, None, extent()), Ok(vec![Handle::Point(Point::new(1.0, 2.0))]));
+        let Ok(DragMessage::Pose { seq: 7, q }) = read(r#"{"seq": 7, "q": [[1, 2]], "strength": -0.5}"#) else { panic!() };
         assert_eq!(q.read(&rest, None, extent()), Ok(vec![Handle::Point(Point::new(4.0, 11.0))]));
         assert_eq!(read(r#"{"ack": 7}"#), Ok(DragMessage::Ack(7)));
         assert_eq!(read(r#"{"ack": 7, "seq": null, "q": null}"#), Ok(DragMessage::Ack(7)));
@@ -247,11 +291,15 @@ mod tests {
             assert_eq!(q.read(&rest, None, extent()).unwrap_err().pointer.as_deref(), Some("/q"));
         }
         // Handles are read when something is made of them.
-        for (q, code, pointer) in
-            [("7", Code::BadValue, "/q"), ("[[1]]", Code::BadValue, "/q/0"), ("[[1, 1e999]]", Code::NotFinite, "/q/0/1")]
-        {
+        for (q, code, pointer) in [
+            ("7", Code::BadValue, "/q"),
+            ("[[1]]", Code::BadValue, "/q/0"),
+            ("[[1, 1e999]]", Code::NotFinite, "/q/0/1"),
+            // What follows is not read.
+            ("[[1, 1], [1, 1], 7]", Code::ShapeMismatch, "/q"),
+        ] {
             let Ok(DragMessage::Pose { seq: 3, q }) = read(&format!(r#"{{"seq": 3, "q": {q}}}"#)) else { panic!() };
-            let bad = q.read(&RestSpec::default(), None, extent()).unwrap_err();
+            let bad = q.read(&rest, None, extent()).unwrap_err();
             assert_eq!((bad.code, bad.pointer.as_deref()), (code, Some(pointer)));
         }
     }
@@ -265,7 +313,7 @@ mod tests {
             let numbers = numbers.iter().flat_map(|number| number.to_le_bytes());
             seq.to_le_bytes().into_iter().chain(numbers).collect::<Vec<_>>()
         };
-        let read = |numbers: &[f32]| match DragMessage::parse_binary(&message(9, numbers)) {
+        let read = |numbers: &[f32]| match DragMessage::parse_binary(&message(9, numbers).into()) {
             Ok(DragMessage::Pose { seq: 9, q }) => q.read(&rest, None, extent()),
             other => panic!("{other:?}"),
         };
@@ -283,7 +331,7 @@ mod tests {
             assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (code, Some(pointer), handle), "{numbers:?}");
         }
         for (bytes, seq) in [(vec![], None), (vec![7; 7], None), (message(9, &[1.0])[..11].to_vec(), Some(9))] {
-            let bad = DragMessage::parse_binary(&bytes).unwrap_err();
+            let bad = DragMessage::parse_binary(&bytes.into()).unwrap_err();
             assert_eq!((bad.seq, bad.problem.code), (seq, Code::MalformedRequest));
         }
     }

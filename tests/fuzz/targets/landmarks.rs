@@ -3,12 +3,18 @@
 
 use bytes::Bytes;
 use mlswarp::pixmap::Extent;
-use mlswarp_server::wire::landmarks::LandmarkFiles;
+use mlswarp_server::problem::Problem;
+use mlswarp_server::wire::Reserved;
+use mlswarp_server::wire::landmarks::{LandmarkFiles, Landmarks};
 use serde_json::{Value, json};
 
 use super::assert_is_problem;
 
 const MAX_COLUMNS: usize = 64;
+
+fn landmarks(files: &LandmarkFiles) -> Result<Landmarks, Problem> {
+    Reserved::of_files(files, MAX_COLUMNS, &|| false, |_| Ok(())).map(|read| read.into_parts().0)
+}
 
 pub(super) fn read(bytes: &[u8]) {
     let Some((first, files)) = bytes.split_first() else { return };
@@ -18,7 +24,7 @@ pub(super) fn read(bytes: &[u8]) {
         None => LandmarkFiles { both: part(files), ..LandmarkFiles::default() },
     };
     let files = LandmarkFiles { extent_p: if first & 2 == 0 { None } else { Extent::new(640, 480) }, ..files };
-    let read = match files.read(MAX_COLUMNS, &|| false).and_then(|landmarks| landmarks.scale(None)) {
+    let read = match landmarks(&files).and_then(|landmarks| landmarks.scale(None)) {
         Ok(landmarks) => json!(landmarks),
         Err(problem) => {
             let document = problem.to_json("", None);
@@ -33,7 +39,7 @@ pub(super) fn read(bytes: &[u8]) {
     assert!((1..=MAX_COLUMNS).contains(&handles), "{read}");
     assert!([count("q"), count("names")].into_iter().flatten().all(|count| count == handles), "{read}");
     let again = LandmarkFiles { both: part(read.to_string().as_bytes()), ..LandmarkFiles::default() };
-    let again = again.read(MAX_COLUMNS, &|| false).and_then(|landmarks| landmarks.scale(None));
+    let again = landmarks(&again).and_then(|landmarks| landmarks.scale(None));
     let mut again = json!(again.expect("what is written is read again"));
     for varying in ["format", "unmatched"] {
         again[varying] = read.get(varying).cloned().unwrap_or(Value::Null);

@@ -41,9 +41,12 @@ pub(super) fn talk(bytes: &[u8]) {
         let mut drag = app.open_drag(Client::default(), *id, wishes).await.expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {
             if is_binary {
-                drag.on_binary(message, Instant::now());
+                drag.on_binary(&Bytes::copy_from_slice(message), Instant::now());
             } else {
-                drag.on_text(message, Instant::now());
+                drag.on_text(Bytes::copy_from_slice(message), Instant::now());
+            }
+            while drag.is_reading() {
+                drag.work().await;
             }
             go_on(&mut drag).await;
             assert!(!drag.is_over(), "nothing that is said ends a session");

@@ -6,14 +6,13 @@ use std::ops::ControlFlow;
 use std::sync::{Arc, LazyLock};
 
 use bytes::Bytes;
-use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
     CoordinateMap, Folds, Frame, Image, ImageLimits, Limits, MapFormat, OutputSpec, Posed, Quality, Setup, Subject, Units, Warp,
 };
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{
-    BatchObject, Cursor, DragObject, MapObject, PointsObject, ReportAnswer, ReportObject, WarningEntry, WarpObject,
+    BatchObject, Cursor, DragObject, MapObject, PointsObject, PosePatch, ReportAnswer, ReportObject, Reserved, WarningEntry, WarpObject,
 };
 
 use serde_json::{Map, Value};
@@ -34,19 +33,33 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 pub(super) fn parse(bytes: &[u8]) {
     let Some((route, json)) = bytes.split_first() else { return };
     let refused = match route % 11 {
-        0..=2 => as_with_nulls("WarpObject", json, WarpObject::parse).and_then(|object| warped(&object)).err(),
-        3 => as_with_nulls("Drag", json, DragObject::parse).err(),
+        0..=2 => as_with_nulls("WarpObject", json, |json| value(Reserved::<WarpObject, _>::parse(json, free)))
+            .and_then(|object| warped(&object))
+            .err(),
+        3 => as_with_nulls("Drag", json, |json| value(Reserved::<DragObject, _>::parse(json, 64, free))).err(),
         4 => as_with_nulls("Points", json, points).and_then(|object| mapped(&object)).err(),
         5 => as_with_nulls("PosedPoints", json, posed_points).err(),
-        6 => as_with_nulls("Map", json, MapObject::parse).and_then(|object| inverted(&object)).err(),
-        7 => as_with_nulls("PosedMap", json, MapObject::parse_posed).err(),
+        6 => {
+            as_with_nulls("Map", json, |json| value(Reserved::<MapObject, _>::parse(json, free))).and_then(|object| inverted(&object)).err()
+        }
+        7 => as_with_nulls("PosedMap", json, |json| value(Reserved::<MapObject, _>::parse_posed(json, free))).err(),
         8 => as_with_nulls("Batch", json, batch).err(),
-        9 => as_with_nulls("Report", json, ReportObject::parse).and_then(|object| measured(&object)).err(),
-        _ => as_with_nulls("PosedReport", json, DragObject::parse_for_report).err(),
+        9 => as_with_nulls("Report", json, |json| value(Reserved::<ReportObject, _>::parse(json, free)))
+            .and_then(|object| measured(&object))
+            .err(),
+        _ => as_with_nulls("PosedReport", json, |json| value(Reserved::<DragObject, _>::parse_for_report(json, 64, free))).err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
     }
+}
+
+fn free(_: u64) -> Result<(), Problem> {
+    Ok(())
+}
+
+fn value<T>(read: Result<Reserved<T, ()>, Problem>) -> Result<T, Problem> {
+    read.map(|read| read.into_parts().0)
 }
 
 /// What the text is read as, which must not change when the fields of the schema that it does not have are added as `null`.
@@ -67,14 +80,14 @@ fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8
 }
 
 /// The poses of a batch that the request gives: their number, and each until one is refused.
-type Poses = (u32, Vec<Result<(Option<Vec<Handle>>, f64), Problem>>);
+type Poses = (u32, Vec<Result<PosePatch, Problem>>);
 
 fn batch(json: &[u8]) -> Result<Poses, Problem> {
     let source = Frame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
-    let object = BatchObject::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16, source)?;
+    let object = value(Reserved::<BatchObject, _>::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16, source, free))?;
     let count = object.poses.count();
     assert!((1..=10_000).contains(&count), "{count}");
-    Ok((count, (0..count.min(100)).map(|frame| object.poses.given(frame)).collect()))
+    Ok((count, (0..count.min(100)).map(|frame| value(object.poses.given(frame, free))).collect()))
 }
 
 fn measured(object: &ReportObject) -> Result<(), Problem> {
@@ -145,10 +158,11 @@ fn mapped(object: &PointsObject) -> Result<(), Problem> {
 }
 
 fn points(json: &[u8]) -> Result<PointsObject, Problem> {
-    PointsObject::parse(&Bytes::copy_from_slice(json), 1 << 20)
+    value(Reserved::<PointsObject, _>::parse(&Bytes::copy_from_slice(json), 1 << 20, free))
 }
 
 fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
     let of_session = (Extent::new(40, 30).expect("a size"), Units::Px);
-    PointsObject::parse_posed(&Bytes::copy_from_slice(json), 1 << 20, of_session, &OutputSpec::default())
+    let (body, output) = (Bytes::copy_from_slice(json), OutputSpec::default());
+    value(Reserved::<PointsObject, _>::parse_posed(&body, 1 << 20, of_session, &output, free))
 }

@@ -17,6 +17,7 @@ use crate::app::App;
 use crate::app::draw::{DrawJob, DrawnFile, Planned, Prepared};
 use crate::app::drawable::Content;
 use crate::app::json_text::json_unless;
+use crate::app::reading::Held;
 use crate::cache::CacheEntry;
 use crate::client::Client;
 use crate::layer::LayerRef;
@@ -26,7 +27,7 @@ use crate::observe::stages::Timing;
 use crate::pool::Cancel;
 use crate::problem::Problem;
 use crate::store::Record;
-use crate::wire::{Annotations, AsJson, BatchFrame, BatchPoses, Cursor, in_frame};
+use crate::wire::{AsJson, BatchFrame, BatchObject, BatchPoses, Cursor, in_frame};
 
 /// Time after which a survey gives its worker back, so that other clients do not wait for all of its frames.
 const MAX_SURVEY_TIME: Duration = Duration::from_millis(20);
@@ -45,10 +46,10 @@ pub(crate) struct BatchJob {
     pub(crate) layers: Vec<(LayerRef, Content)>,
     pub(crate) plan: Arc<CacheEntry<Plan>>,
     pub(crate) rest: Rest,
-    pub(crate) poses: BatchPoses,
+    /// The poses and the annotations.
+    pub(crate) object: Held<BatchObject>,
     /// The number of frames: those of the poses, and then the same in the reverse order as far as they are repeated.
     pub(crate) frames: u32,
-    pub(crate) annotations: Annotations,
     pub(crate) output: OutputSpec,
     pub(crate) form: BatchForm,
     /// See [`mlswarp::warp::Target::force_alpha`].
@@ -79,7 +80,7 @@ pub(crate) struct Frame {
 impl BatchJob {
     /// The pose of a frame, by its number among the poses.
     fn pose_number(&self, frame: u32) -> u32 {
-        let last = self.poses.count() - 1;
+        let last = self.object.poses.count() - 1;
         if frame <= last { frame } else { 2 * last - frame }
     }
 
@@ -89,28 +90,37 @@ impl BatchJob {
     }
 
     fn has_annotations(&self) -> bool {
-        !self.annotations.kinds.is_empty() || matches!(self.poses, BatchPoses::Jitter { .. })
+        !self.object.annotations.kinds.is_empty() || matches!(self.object.poses, BatchPoses::Jitter { .. })
     }
 
     /// The job of drawing the picture or a layer.
-    fn draw_job(&self, content: &Content, q: Vec<Handle>, timing: Timing) -> DrawJob {
+    fn draw_job(&self, content: &Content, q: Arc<Held<Vec<Handle>>>, timing: Timing) -> DrawJob {
         let planned = Planned { setup: Arc::clone(&self.rest.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
         let output = content.output_beside(self.output);
         DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
     }
 
+    /// Memory of a frame besides its pictures.
+    fn reserve(&self, bytes: u64) -> Result<Reservation, Problem> {
+        self.app.reserve_for(Purpose::Frame, &self.quota, bytes)
+    }
+
+    fn pose_of(&self, pose: u32) -> Result<FramePose, Problem> {
+        self.rest.pose_of(&self.object.poses, pose, &|bytes| self.reserve(bytes))
+    }
+
     /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
     fn located(&self, frame: u32, mut problem: Problem) -> Problem {
         problem.detail.insert_str(0, &format!("frame {frame}: "));
         let is_pose = problem.pointer.as_deref().is_some_and(|pointer| pointer.starts_with("/q"));
-        if is_pose && matches!(self.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
+        if is_pose && matches!(self.object.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
     }
 
     /// Checks all poses, and whether frames must be posed to find out what all pictures have in common.
     /// Errors: Those of a frame, or of the output.
     pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
-        self.rest.check(&self.poses, &|| cancel.is_cancelled())?;
+        self.rest.check(&self.object.poses, &|bytes| self.reserve(bytes), &|| cancel.is_cancelled())?;
         self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
@@ -126,8 +136,8 @@ impl BatchJob {
         let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
         while !self.is_surveyed(survey) {
             // The last in-between first: it moves the most, and is the likeliest to need alpha.
-            let frame = if survey.posed == 0 { self.poses.count() - 1 } else { survey.posed - 1 };
-            let FramePose { q, .. } = self.rest.pose_of(&self.poses, frame)?;
+            let frame = if survey.posed == 0 { self.object.poses.count() - 1 } else { survey.posed - 1 };
+            let q = Arc::new(self.pose_of(frame)?.q);
             let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
             let Prepared { warp, .. } = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
@@ -137,7 +147,7 @@ impl BatchJob {
             }
             survey.posed += 1;
             if !self.is_surveyed(survey) {
-                self.rest.setup.check_frames((self.poses.count() - survey.posed).into())?;
+                self.rest.setup.check_frames((self.object.poses.count() - survey.posed).into())?;
             }
             if began.elapsed() >= MAX_SURVEY_TIME {
                 return Ok(());
@@ -148,7 +158,7 @@ impl BatchJob {
 
     /// Whether no more frames need to be posed.
     pub(crate) fn is_surveyed(&self, survey: &Survey) -> bool {
-        survey.posed == self.poses.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
+        survey.posed == self.object.poses.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
     }
 
     /// Decides on the canvas of all pictures of an animation.
@@ -184,11 +194,12 @@ impl BatchJob {
     pub(crate) fn draw(&self, frame: u32, timing: Timing, cancel: &Cancel) -> Result<Frame, Problem> {
         let pose = self.pose_number(frame);
         let located = |problem| self.located(pose, problem);
-        let FramePose { q, position } = self.rest.pose_of(&self.poses, pose)?;
+        let FramePose { q, position } = self.pose_of(pose)?;
+        let q = Arc::new(q);
         let is_cancelled = || cancel.is_cancelled();
         let (mut layers, mut layer_files) = (BTreeMap::new(), Vec::new());
         for (layer, content) in &self.layers {
-            let job = self.draw_job(content, q.clone(), Timing::default());
+            let job = self.draw_job(content, Arc::clone(&q), Timing::default());
             let name = format!("{frame:04}.{}.{}", layer.as_str(), job.output.format.extension());
             layer_files.push((name.clone(), self.app.draw_file(&job, &is_cancelled).map_err(located)?.bytes));
             layers.insert(layer.as_str().to_owned(), name);
@@ -202,7 +213,7 @@ impl BatchJob {
             None
         };
         let mut warnings = report.warnings;
-        self.annotations.add_warnings(&self.rest.setup.source_frame(), &mut warnings);
+        self.object.annotations.add_warnings(&self.rest.setup.source_frame(), &mut warnings);
         let entry = BatchFrame {
             layers,
             picture: format!("{frame:04}.{}", self.output.format.extension()),
@@ -229,16 +240,16 @@ impl BatchJob {
     fn annotate(&self, q: &[Handle], picture: PictureFrame, cancel: &Cancel) -> Result<Bytes, Problem> {
         let pose = self.rest.setup.pose(q)?;
         let transform = self.rest.setup.transform(&pose).onto(picture);
-        let mut reservation = self.app.reserve_for(Purpose::Frame, &self.quota, HANDLE_TEXT * q.len() as u64)?;
+        let mut reservation = self.reserve(HANDLE_TEXT * q.len() as u64)?;
         let (mut cursor, mut body) = (Cursor::default(), Vec::new());
-        if matches!(self.poses, BatchPoses::Jitter { .. }) {
+        if matches!(self.object.poses, BatchPoses::Jitter { .. }) {
             body = json_unless(cancel, &json!({"q": AsJson(q)}), 0)?;
             body.pop();
             cursor = Cursor::after_fields();
         }
         let is_cancelled = || cancel.is_cancelled();
         let mut reserve = |bytes| self.app.reserve_more(&mut reservation, bytes);
-        while self.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut body)? {}
+        while self.object.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut body)? {}
         body.shrink_to_fit();
         reservation.shrink_to(body.len() as u64);
         Ok(reservation.attach(body))

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Setup, Warning, jitter_grid};
+use mlswarp::warp::{CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid};
 
 use super::App;
 use super::draw::Planned;
@@ -20,12 +20,13 @@ use super::session_warp::AdmittedPlan;
 use super::warp::{ATTEMPTS, columns};
 use crate::client::Client;
 use crate::layer::LayerRef;
+use crate::limits::memory::Purpose;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, StoreError};
 use crate::wire::formats::Formats;
-use crate::wire::{BatchObject, BatchPoses};
+use crate::wire::{BatchObject, BatchPoses, Reserved};
 use frame::BatchJob;
 pub use package::BatchForm;
 use package::DELAY;
@@ -64,14 +65,15 @@ impl App {
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
         let (most, most_of_frame) = (self.0.config.max_warp_json_bytes, most_frame_bytes(columns(&record)));
         let source = PictureFrame::of_source(record.extent, record.rest.units);
-        let parse = move |_: &_| BatchObject::parse(&json, most, most_of_frame, source);
-        let object = self.0.pool.run(&ticket, parse).await??;
+        let reserve = self.reserving(Purpose::Upload, client);
+        let parse = move |_: &_| Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, source, reserve);
+        let mut object = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         check_form(&object, form)?;
-        let frames = object.count();
-        let BatchObject { poses, layers: names, annotations, output, delay, plays, .. } = object;
+        let (frames, names) = (object.count(), std::mem::take(&mut object.layers));
+        let (output, delay, plays) = (object.output, object.delay, object.plays);
         let (record, content, layers, planned) = self.admit_layers(client, record, &names).await?;
-        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &poses).await?;
+        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &object.poses).await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
@@ -89,9 +91,8 @@ impl App {
             layers,
             plan,
             rest,
-            poses,
+            object,
             frames,
-            annotations,
             output,
             form,
             force_alpha: false,
@@ -111,8 +112,8 @@ impl App {
             _ => None,
         };
         let mut warnings = Vec::new();
-        job.annotations.add_warnings(&source, &mut warnings);
-        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0))?;
+        job.object.annotations.add_warnings(&source, &mut warnings);
+        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0)).await?;
         let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
         warnings.extend(rest.of_file.iter().cloned());
         Ok(Batch { frames, canvas, plan_built: planned.is_built, warnings, first, rest })
@@ -158,10 +159,10 @@ impl App {
         }
         let spec = RestSpec { p: jitter_grid(record.rest.units, record.extent), ..record.rest.clone() };
         let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (rest, extent, limits) = (spec.clone(), record.extent, self.0.config.limits());
-        let new = move |cancel: &Cancel| Setup::new_unless(&rest, extent, &limits, &|| cancel.is_cancelled());
+        let (app, rest, extent) = (self.clone(), spec.clone(), record.extent);
+        let new = move |cancel: &Cancel| app.new_setup(&rest, extent, cancel);
         let setup = Arc::new(self.0.pool.run(&ticket, new).await??);
-        Ok((self.plan(client.owner, &ticket, &setup, planned.timing).await?, Some(spec)))
+        Ok((self.plan(client, &ticket, &setup, planned.timing).await?, Some(spec)))
     }
 
     /// The layers of these names, decoded.
@@ -174,7 +175,7 @@ impl App {
                 problem
             })?;
             let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            layers.push((name.clone(), self.decode_content(record.id.owner(), &ticket, sources).await?));
+            layers.push((name.clone(), self.decode_content(client, &ticket, sources).await?));
         }
         Ok(layers)
     }

@@ -58,24 +58,34 @@ impl BatchForm {
 
     /// Prepares the files of a frame; all but the first are left out of an animation. CPU work: a copy and its checksum.
     pub(crate) fn pack(self, files: Vec<(String, Bytes)>) -> Result<PackedFrame, Problem> {
-        match self {
+        let bytes = files.iter().map(|(_, bytes)| bytes.len()).sum();
+        let packed = match self {
             Self::Zip => {
                 let entries = files.into_iter().map(|(name, bytes)| entry(&name, &bytes));
-                Ok(PackedFrame(Packed::Entries(entries.collect::<Result<_, _>>()?)))
+                Packed::Entries(entries.collect::<Result<_, _>>()?)
             }
-            Self::Apng | Self::Gif => {
-                Ok(PackedFrame(Packed::Picture(files.into_iter().next().map(|(_, bytes)| bytes).unwrap_or_default())))
-            }
-        }
+            Self::Apng | Self::Gif => Packed::Picture(files.into_iter().next().map(|(_, bytes)| bytes).unwrap_or_default()),
+        };
+        Ok(PackedFrame { bytes, packed })
     }
 }
 
 /// A frame that is ready to be appended.
-pub(crate) struct PackedFrame(Packed);
+pub(crate) struct PackedFrame {
+    bytes: usize,
+    packed: Packed,
+}
 
 enum Packed {
     Entries(Vec<PreparedZipFile>),
     Picture(Bytes),
+}
+
+impl PackedFrame {
+    /// Bytes of its files.
+    pub(crate) const fn bytes(&self) -> usize {
+        self.bytes
+    }
 }
 
 /// A file that is being written.
@@ -106,7 +116,7 @@ impl Package {
     pub(crate) fn push(&mut self, frame: PackedFrame) -> Result<Vec<u8>, Problem> {
         let mut out = Vec::new();
         let pushed = |pushed: Result<(), CodecError>| pushed.map_err(|error| Problem::new(Code::Internal, error.to_string()));
-        match (&mut self.0, frame.0) {
+        match (&mut self.0, frame.packed) {
             (Writer::Zip { writer, written }, Packed::Entries(entries)) => {
                 for entry in entries {
                     writer.add_prepared_file(entry).map_err(|error| not_written(&error))?;

@@ -3,19 +3,25 @@
 use std::sync::Arc;
 
 use mlswarp::deform::Handle;
-use mlswarp::warp::{RestSpec, Setup, WarpError};
+use mlswarp::warp::{RestSpec, WarpError};
 
+use crate::app::draw::HeldSetup;
+use crate::app::reading::Held;
+use crate::limits::memory::Reservation;
 use crate::problem::{Code, Problem};
 use crate::store::Record;
-use crate::wire::{BatchPoses, FrameJitter, FramePosition, Pose, in_frame};
+use crate::wire::{BatchPoses, FrameJitter, FramePosition, Pose, handles_bytes, in_frame};
 
 /// A frame's pose.
 #[derive(Debug)]
 pub(crate) struct FramePose {
     /// Posed handles.
-    pub(crate) q: Vec<Handle>,
+    pub(crate) q: Held<Vec<Handle>>,
     pub(crate) position: FramePosition,
 }
+
+/// Takes memory for posed handles.
+pub(crate) type Reserve<'a> = &'a dyn Fn(u64) -> Result<Reservation, Problem>;
 
 /// What the poses refer to.
 #[derive(Debug)]
@@ -23,7 +29,7 @@ pub(crate) struct Rest {
     pub(crate) record: Arc<Record>,
     /// The handles of a jitter in a session that has none.
     pub(crate) grid: Option<RestSpec>,
-    pub(crate) setup: Arc<Setup>,
+    pub(crate) setup: HeldSetup,
 }
 
 impl Rest {
@@ -33,25 +39,31 @@ impl Rest {
     }
 
     /// The pose that a frame begins with.
-    fn given(&self, poses: &BatchPoses, frame: u32) -> Result<Pose, Problem> {
-        let mut given = poses.given(frame)?;
-        let p = &self.spec().p;
+    fn given(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<Held<Pose>, Problem> {
+        let (p, session) = (&self.spec().p, self.record.pose.as_ref());
+        // Those at rest or of the session may take their place, and a jitter makes a copy.
+        let others = handles_bytes(p).max(session.map_or(0, |pose| handles_bytes(&pose.q)));
+        let given = poses.given(frame, |bytes| reserve(2 * bytes.max(others)))?;
         let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
-        // The empty `q` of a session without handles.
-        given.q = given.q.filter(|q| self.grid.is_none() || !q.is_empty());
-        if given.q.is_none() && self.record.pose.is_none() {
-            given.q = is_at_rest.then(|| p.clone());
-        }
-        given.onto(self.record.pose.as_ref()).map_err(|problem| match poses {
+        let given = given.try_map(|mut given| {
+            // The empty `q` of a session without handles.
+            given.q = given.q.filter(|q| self.grid.is_none() || !q.is_empty());
+            if given.q.is_none() && session.is_none() {
+                given.q = is_at_rest.then(|| p.clone());
+            }
+            given.onto(session)
+        });
+        given.map_err(|problem| match poses {
             BatchPoses::Frames(_) => in_frame(frame, problem),
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => problem,
         })
     }
 
     /// The pose of a frame.
-    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32) -> Result<FramePose, Problem> {
-        let Pose { q, strength } = self.given(poses, frame)?;
-        let posed = |strength| self.spec().posed(q, strength, self.record.extent).0;
+    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<FramePose, Problem> {
+        let given = self.given(poses, frame, reserve)?;
+        let strength = given.strength;
+        let posed = |strength| given.map(|pose| self.spec().posed(pose.q, strength, self.record.extent).0);
         let plain = FramePosition { strength, t: None, jitter: None };
         Ok(match *poses {
             BatchPoses::Frames(_) => FramePose { q: posed(strength), position: plain },
@@ -61,23 +73,23 @@ impl Rest {
             }
             BatchPoses::Jitter { jitter, .. } => {
                 let position = FramePosition { jitter: Some(FrameJitter { seed: jitter.seed, frame }), ..plain };
-                FramePose { q: jitter.displace(&self.setup, &self.spec().p, &posed(strength), frame), position }
+                FramePose { q: posed(strength).map(|q| jitter.displace(&self.setup, &self.spec().p, &q, frame)), position }
             }
         })
     }
 
     /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
     /// Errors: The first invalid pose.
-    pub(crate) fn check(&self, poses: &BatchPoses, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
+    pub(crate) fn check(&self, poses: &BatchPoses, reserve: Reserve<'_>, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
         match poses {
             BatchPoses::Frames(_) => {
                 for frame in (0..poses.count()).take_while(|_| !is_cancelled()) {
-                    self.setup.pose(&self.pose_of(poses, frame)?.q).map_err(|error| in_frame(frame, error.into()))?;
+                    self.setup.pose(&self.pose_of(poses, frame, reserve)?.q).map_err(|error| in_frame(frame, error.into()))?;
                 }
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
-                let Pose { q, strength } = self.given(poses, 0)?;
-                let (q, _) = self.spec().posed(q, strength, self.record.extent);
+                let given = self.given(poses, 0, reserve)?;
+                let q = given.map(|Pose { q, strength }| self.spec().posed(q, strength, self.record.extent).0);
                 self.setup.pose(&q)?;
                 if let BatchPoses::Jitter { jitter, .. } = poses {
                     for q in jitter.extremes(&self.setup, &q) {

@@ -10,11 +10,11 @@ use mlswarp::warp::Warning;
 use tokio::task::JoinHandle;
 
 use super::frame::{BatchJob, Frame};
-use super::package::Package;
-use crate::limits::memory::{Purpose, Reservation};
+use super::package::{Package, PackedFrame};
+use crate::limits::memory::{Budget, Purpose, Reservation};
 use crate::observe::Scope;
 use crate::observe::stages::Timing;
-use crate::pool::{PoolError, QueueKey, WorkClass};
+use crate::pool::{PoolError, QueueKey, WorkClass, aside};
 use crate::problem::{Code, Problem};
 use crate::wire::{BatchFrame, BatchIndex};
 
@@ -24,6 +24,9 @@ use crate::wire::{BatchFrame, BatchIndex};
 const SPARE: usize = 2;
 /// The most frames that are made ahead.
 const MOST_AHEAD: usize = 8;
+/// A frame of more bytes is appended on a blocking thread, and so is the index of more frames.
+const MAX_COPIED_HERE: usize = 64 << 10;
+const MAX_INDEX_HERE: u32 = 64;
 /// The pause before a frame that found no worker or no memory is made again.
 const RETRY: Duration = Duration::from_millis(50);
 
@@ -36,13 +39,33 @@ pub(crate) struct BatchStream {
     width: usize,
     /// The number of frames that have been begun.
     begun: u32,
-    entries: Vec<BatchFrame>,
+    /// The number of frames that have been appended.
+    done: u32,
     /// See [`Frame::of_file`].
     pub(crate) of_file: Vec<Warning>,
     /// `None` after the end.
-    package: Option<Package>,
+    file: Option<File>,
     /// The memory of the package's directory and of the index.
     held: Option<Reservation>,
+}
+
+/// The file, and what its index says of each frame.
+struct File {
+    package: Package,
+    entries: Vec<BatchFrame>,
+}
+
+impl File {
+    fn push(&mut self, packed: PackedFrame, entry: BatchFrame) -> Result<Vec<u8>, Problem> {
+        let bytes = self.package.push(packed)?;
+        self.entries.push(entry);
+        Ok(bytes)
+    }
+
+    fn finish(self) -> Result<Vec<u8>, Problem> {
+        let index = serde_json::to_vec(&BatchIndex { frames: &self.entries }).unwrap_or_default();
+        self.package.finish(&index)
+    }
 }
 
 /// A frame that is being made; it is cancelled when this is dropped.
@@ -56,39 +79,43 @@ impl Drop for FrameTask {
 
 impl BatchStream {
     /// Errors: Too little memory for the directory.
-    pub(crate) fn new(job: BatchJob, delay: u16, plays: u16) -> Result<Self, Problem> {
+    pub(crate) async fn new(job: BatchJob, delay: u16, plays: u16) -> Result<Self, Problem> {
         let directory = job.form.directory_bytes(job.frames, job.files_per_frame());
-        let held = Some(job.app.reserve_for(Purpose::Frame, &job.quota, directory)?);
-        let package = Some(Package::new(job.form, job.frames, delay, plays));
+        let take = |budget: &Budget| budget.take_for(Purpose::Frame, &job.quota, directory);
+        let held = Some(job.app.reserve_aside(take).await?);
+        let package = Package::new(job.form, job.frames, delay, plays);
+        let file = Some(File { package, entries: Vec::new() });
         let width = most_ahead(&job);
-        Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, entries: Vec::new(), of_file: Vec::new(), package, held })
+        Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, done: 0, of_file: Vec::new(), file, held })
     }
 
     /// The next bytes; `None` at the end, also after an error.
     pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
-        if self.entries.len() < self.job.frames as usize {
-            self.package.as_ref()?;
-            let next = self.next_frame().await;
+        if self.done < self.job.frames {
+            // Kept only if the frame is appended.
+            let file = self.file.take()?;
+            let next = self.next_frame(file).await;
             if next.is_err() {
-                self.package = None;
                 self.ahead.clear();
             }
             return Some(next);
         }
-        let index = serde_json::to_vec(&BatchIndex { frames: &self.entries }).unwrap_or_default();
-        let last = self.package.take()?.finish(&index);
+        let file = self.file.take()?;
+        let last = aside(self.done > MAX_INDEX_HERE, move || file.finish()).await;
         Some(last.map(|last| match self.held.take() {
             Some(held) => held.attach(last),
             None => last.into(),
         }))
     }
 
-    async fn next_frame(&mut self) -> Result<Bytes, Problem> {
+    async fn next_frame(&mut self, mut file: File) -> Result<Bytes, Problem> {
         let Frame { packed, entry, of_file, mut held } = self.made().await?;
-        let package = self.package.as_mut().ok_or_else(|| Problem::new(Code::Internal, "the batch has ended"))?;
-        let bytes = package.push(packed)?;
+        let is_long = packed.bytes() > MAX_COPIED_HERE;
+        let append = move || file.push(packed, entry).map(|bytes| (file, bytes));
+        let (file, bytes) = aside(is_long, append).await?;
+        self.file = Some(file);
         held.shrink_to(bytes.len() as u64);
-        self.entries.push(entry);
+        self.done += 1;
         self.of_file = of_file;
         self.job.app.metrics().batch_frames.inc();
         Ok(held.attach(bytes))
@@ -110,10 +137,10 @@ impl BatchStream {
                 }
             };
             match made {
-                Err(problem) if problem.code == Code::Overloaded && !self.entries.is_empty() && began.elapsed() < limit => {
+                Err(problem) if problem.code == Code::Overloaded && self.done > 0 && began.elapsed() < limit => {
                     // Later frames may hold what this one needs: they are made again.
                     self.ahead.clear();
-                    self.begun = u32::try_from(self.entries.len()).unwrap_or(u32::MAX);
+                    self.begun = self.done;
                     self.width = 1;
                     tokio::time::sleep(RETRY).await;
                 }

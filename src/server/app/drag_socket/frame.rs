@@ -12,12 +12,14 @@ use tokio::sync::Semaphore;
 use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
-use crate::app::session_warp::{AdmittedPlan, MOST_POSED_HERE, MeshForm, PosedMesh};
+use crate::app::reading::Held;
+use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, MeshForm, PosedMesh};
 use crate::app::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
 use crate::limits::client_quota::ClientQuota;
+use crate::limits::memory::Purpose;
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -139,7 +141,7 @@ async fn try_draw_frame(
             let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
             let strength = request.pose.q.strength(record.pose.as_ref());
-            let q = read_handles(&app, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
+            let q = read_handles(&app, client, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, &request);
             let AdmittedPlan { ticket, planned } = plan;
@@ -159,7 +161,7 @@ async fn try_draw_frame(
             let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
             drop(permit);
             let strength = request.pose.q.strength(record.pose.as_ref());
-            let q = read_handles(&app, &plan.ticket, request.pose.q, &record).await?;
+            let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
             let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
@@ -188,17 +190,18 @@ pub(super) async fn mesh_shape(
     Ok((MeshShape::compact(&lattice, record.extent), Some(lattice)))
 }
 
-/// Size of text up to which parsing is faster than waking a compute thread, bytes.
-const MAX_PARSED_HERE: usize = 16 << 10;
-
-/// Parses the handles of a pose.
-async fn read_handles(app: &App, ticket: &Ticket, q: Arc<UnreadHandles>, record: &Arc<Record>) -> Result<Vec<Handle>, Problem> {
-    let is_aligned_here = record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE;
-    if q.len() <= MAX_PARSED_HERE && is_aligned_here {
-        return q.read(&record.rest, record.pose.as_ref(), record.extent);
-    }
-    let record = Arc::clone(record);
-    app.0.pool.run(ticket, move |_| q.read(&record.rest, record.pose.as_ref(), record.extent)).await?
+/// Parses the handles of a pose: here if they are few, otherwise on a compute thread.
+async fn read_handles(
+    app: &App,
+    client: Client,
+    ticket: &Ticket,
+    q: Arc<UnreadHandles>,
+    record: &Arc<Record>,
+) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
+    let is_short = q.len() <= MAX_INLINE && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
+    let (record, reserve) = (Arc::clone(record), app.reserving(Purpose::Frame, client));
+    let read = move || Held::of_pose(&q, &record.rest, record.pose.as_ref(), record.extent, reserve).map(Arc::new);
+    if is_short { read() } else { app.0.pool.run(ticket, move |_| read()).await? }
 }
 
 /// All pieces of an image.

@@ -8,12 +8,13 @@ use std::collections::VecDeque;
 use std::future::{Future, pending};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use tokio::sync::Semaphore;
 
 use super::App;
-use super::session_warp::MeshForm;
+use super::session_warp::{MAX_INLINE, MeshForm};
 use super::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
@@ -23,10 +24,11 @@ pub use crate::drag::send_window::{MAX_WINDOW, Window};
 use crate::limits::memory::{Purpose, Reservation};
 use crate::limits::sockets::SocketSlot;
 use crate::observe::Scope;
+use crate::pool::{QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::Record;
-use crate::wire::{BadMessage, DragMessage, MeshShape};
+use crate::wire::{BadMessage, DragMessage, MeshShape, Reserved};
 pub use frame::Form;
 use frame::{Frame, KnownLattice, draw_frame, full_width, mesh_shape};
 
@@ -65,7 +67,13 @@ pub enum Outgoing {
 /// (twice), one that waits and one that is being drawn.
 const SOCKET_BYTES: (u64, u64) = (512 << 10, 256);
 
-type Drawing = Pin<Box<dyn Future<Output = Result<Frame, Problem>> + Send>>;
+/// Work in progress.
+type Task<T> = Pin<Box<dyn Future<Output = T> + Send>>;
+/// A message that was read.
+type Read = Result<DragMessage, BadMessage>;
+
+/// Pause before a long message is read that found no worker.
+const RETRY: Duration = Duration::from_millis(50);
 
 /// One drag of one session.
 pub struct Drag {
@@ -74,7 +82,9 @@ pub struct Drag {
     client: Client,
     options: DragOptions,
     scheduler: FrameScheduler<Frame>,
-    drawing: Option<Drawing>,
+    drawing: Option<Task<Result<Frame, Problem>>>,
+    /// A long message that is being read.
+    reading: Option<Task<Read>>,
     newest: Option<u64>,
     /// The record of the newest frame.
     record: Arc<Record>,
@@ -100,14 +110,16 @@ impl App {
         let record = self.peek_session(id).await?.record;
         self.require_running()?;
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
-        let reservation = self.reserve(Purpose::Socket, SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record))?;
+        let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
+        let reservation = self.reserve_aside(|budget| budget.take(Purpose::Socket, bytes)).await?;
         let lattice = KnownLattice::default();
         let shape = if let Form::CompactMesh(_) = options.form {
             let _permit = slot.frames.acquire().await.expect("the semaphore is never closed");
             let plan = self.admit_mesh(client, &record, &MeshForm::F32).await?;
             mesh_shape(self, &plan, (options.form, &lattice), &record, &self.response_quota(client)).await?.0
         } else {
-            MeshShape::new(&*self.session_setup(client, &record).await?, record.extent)
+            let setup = self.session_setup(client, &record).await?;
+            MeshShape::new(&setup, record.extent)
         };
         Ok(Drag {
             app: self.clone(),
@@ -116,6 +128,7 @@ impl App {
             scheduler: FrameScheduler::new(previews(options, &record), pictures(options, &record), full(options, &record), options.window),
             options,
             drawing: None,
+            reading: None,
             newest: None,
             lattice,
             record: Arc::clone(&record),
@@ -165,17 +178,28 @@ fn full(options: DragOptions, record: &Record) -> u32 {
 }
 
 impl Drag {
-    /// A text message arrived.
-    pub fn on_text(&mut self, text: &[u8], now: Instant) {
-        self.on_message(DragMessage::parse(text), now);
+    /// A text message arrived. A long one is read on a compute thread: until [`Drag::is_reading`] is false, no other may arrive.
+    pub fn on_text(&mut self, text: Bytes, now: Instant) {
+        if text.len() <= MAX_INLINE {
+            return self.on_message(parse(&text), now);
+        }
+        let (app, key, frames) = (self.app.clone(), QueueKey::session(self.client, self.id), Arc::clone(&self.slot.frames));
+        self.reading = Some(Box::pin(read_long(app, key, frames, text)));
     }
 
     /// A binary message arrived.
-    pub fn on_binary(&mut self, bytes: &[u8], now: Instant) {
-        self.on_message(DragMessage::parse_binary(bytes), now);
+    pub fn on_binary(&mut self, bytes: &Bytes, now: Instant) {
+        // In the memory of the socket.
+        let message = Reserved::<DragMessage, _>::of_bytes(bytes, |_| Ok(()));
+        self.on_message(message.map(|message| message.into_parts().0), now);
     }
 
-    fn on_message(&mut self, message: Result<DragMessage, BadMessage>, now: Instant) {
+    /// Whether a message is being read.
+    pub const fn is_reading(&self) -> bool {
+        self.reading.is_some()
+    }
+
+    fn on_message(&mut self, message: Read, now: Instant) {
         match message {
             Ok(DragMessage::Ack(seq)) => {
                 if self.scheduler.ack(seq, now).is_err() {
@@ -239,12 +263,15 @@ impl Drag {
         self.app.metrics().frames_sent.inc();
     }
 
-    /// Waits for the frame in progress, or forever if there is none. May be dropped and called again.
+    /// Waits for the frame in progress or a message that is being read, or forever if there is none. May be dropped and called again.
     pub async fn work(&mut self) {
-        let Some(drawing) = &mut self.drawing else { return pending().await };
-        let drawn = drawing.await;
-        self.drawing = None;
-        let now = Instant::now();
+        tokio::select! {
+            drawn = done(&mut self.drawing) => self.on_drawn(drawn, Instant::now()),
+            read = done(&mut self.reading) => self.on_message(read, Instant::now()),
+        }
+    }
+
+    fn on_drawn(&mut self, drawn: Result<Frame, Problem>, now: Instant) {
         match drawn {
             Ok(frame) => {
                 if !same(&self.record, &frame.record) {
@@ -290,7 +317,7 @@ impl Drag {
 
     /// Cancels the frame in progress.
     pub fn stop(&mut self) {
-        self.drawing = None;
+        (self.drawing, self.reading) = (None, None);
     }
 
     /// The record of the newest frame.
@@ -302,6 +329,31 @@ impl Drag {
     pub fn owed_since(&self) -> Option<Instant> {
         self.scheduler.owed_since()
     }
+}
+
+/// Waits for a task, or forever if there is none.
+async fn done<T>(task: &mut Option<Task<T>>) -> T {
+    let Some(running) = task else { return pending().await };
+    let result = running.await;
+    *task = None;
+    result
+}
+
+/// Reads a text message, in the memory of the socket.
+fn parse(text: &[u8]) -> Read {
+    Reserved::<DragMessage, _>::parse(text, |_| Ok(())).map(|message| message.into_parts().0)
+}
+
+/// Reads a long text message on a compute thread, when there is one.
+async fn read_long(app: App, key: QueueKey, frames: Arc<Semaphore>, text: Bytes) -> Read {
+    let _permit = frames.acquire_owned().await.expect("the semaphore is never closed");
+    let ticket = loop {
+        match app.0.pool.admit(WorkClass::Drag, key).await {
+            Ok(ticket) => break ticket,
+            Err(_) => tokio::time::sleep(RETRY).await,
+        }
+    };
+    app.0.pool.run(&ticket, move |_| parse(&text)).await.unwrap_or_else(|error| Err(Problem::from(error).into()))
 }
 
 /// Whether frames of both records have the same shape: layers do not change it.

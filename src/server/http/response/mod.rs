@@ -2,6 +2,7 @@
 
 pub(crate) mod problem;
 
+use std::convert::Infallible;
 use std::io;
 use std::task::{Poll, ready};
 
@@ -10,7 +11,7 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG, TE, 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use bytes::Bytes;
-use futures_util::stream::{Stream, StreamExt as _, once, poll_fn, unfold};
+use futures_util::stream::{Stream, StreamExt as _, empty, iter, once, poll_fn, unfold};
 use http_body::Frame;
 use http_body_util::StreamBody;
 use mlswarp::warp::Report;
@@ -19,8 +20,9 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Picture, Piece};
 use crate::app::map::MapFile;
-use crate::app::plan::PlanFile;
+use crate::app::plan::{PlanContent, PlanFile};
 use crate::app::points::MappedFile;
+use crate::app::session_object::ShownSession;
 use crate::http::headers::elements;
 use crate::observe::stages::{Cost, Timing};
 use crate::problem::Problem;
@@ -126,12 +128,17 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
     (headers, body).into_response()
 }
 
-/// A table of coefficients, or 304 if the client has it.
-pub(crate) fn plan(PlanFile { etag, file }: PlanFile) -> Response {
+/// A table of coefficients, its length, or 304 if the client has it.
+pub(crate) fn plan(PlanFile { etag, content }: PlanFile) -> Response {
     let headers = [(ETAG, text(etag)), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
-    let Some((timing, bytes)) = file else { return (StatusCode::NOT_MODIFIED, headers).into_response() };
-    let media_type = HeaderValue::from_static("application/octet-stream");
-    (headers, [(CONTENT_TYPE, media_type), (SERVER_TIMING, text(timing_text(Some(timing), None)))], bytes).into_response()
+    let media_type = (CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    match content {
+        PlanContent::Known => (StatusCode::NOT_MODIFIED, headers).into_response(),
+        PlanContent::Length(length) => (headers, [media_type, (CONTENT_LENGTH, length.into())]).into_response(),
+        PlanContent::File(timing, bytes) => {
+            (headers, [media_type, (SERVER_TIMING, text(timing_text(Some(timing), None)))], bytes).into_response()
+        }
+    }
 }
 
 /// A coordinate map, computed as it is sent.
@@ -208,6 +215,22 @@ pub(crate) fn streamed(headers: HeaderMap, first: Bytes, rest: impl Stream<Item 
     (headers, Body::from_stream(once(async { Ok(first) }).chain(rest))).into_response()
 }
 
+/// The session object, with the warnings of its handles.
+pub(crate) fn session(shown: ShownSession) -> Response {
+    let mut headers = json_headers();
+    insert_warnings(&mut headers, shown.warnings());
+    let pieces = shown.into_json();
+    let length: usize = pieces.iter().map(Bytes::len).sum();
+    headers.insert(CONTENT_LENGTH, length.into());
+    (headers, Body::from_stream(iter(pieces.map(Ok::<_, Infallible>)))).into_response()
+}
+
+/// The head of a JSON response whose content is not wanted.
+pub(crate) fn json_head() -> Response {
+    // Of unknown length.
+    (json_headers(), Body::from_stream(empty::<Result<Bytes, Infallible>>())).into_response()
+}
+
 /// A JSON value.
 pub(crate) fn json(value: &impl serde::Serialize) -> Response {
     json_text(serde_json::to_vec(value).expect("objects of the contract have string keys").into())
@@ -215,6 +238,10 @@ pub(crate) fn json(value: &impl serde::Serialize) -> Response {
 
 /// Serialized JSON.
 pub(crate) fn json_text(body: Bytes) -> Response {
-    let headers = [(CONTENT_TYPE, HeaderValue::from_static("application/json")), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
-    (headers, body).into_response()
+    (json_headers(), body).into_response()
+}
+
+fn json_headers() -> HeaderMap {
+    let media_type = HeaderValue::from_static("application/json");
+    HeaderMap::from_iter([(CONTENT_TYPE, media_type), (CACHE_CONTROL, HeaderValue::from_static("no-store"))])
 }

@@ -6,11 +6,12 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use mlswarp::codec::SourceFormat;
 
-use super::sessions::{reserved_object, session_id};
+use super::sessions::session_id;
 use crate::app::layers::bad_name;
 use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::session;
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::{Code, Problem};
 use crate::wire::EnumName as _;
@@ -28,8 +29,8 @@ pub(crate) async fn put(caller: Caller, Path((id, name)): Path<(String, String)>
     }
     let file = body::file(&caller, request).await?;
     let put = app.put_layer(*client, id, &name, kind, file).await?;
-    let object = reserved_object(&caller, &put.session, &put.setup)?;
-    Ok((if put.is_new { StatusCode::CREATED } else { StatusCode::OK }, object).into_response())
+    let status = if put.is_new { StatusCode::CREATED } else { StatusCode::OK };
+    Ok((status, session(put.session)).into_response())
 }
 
 /// The stored file of a layer.

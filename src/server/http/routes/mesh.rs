@@ -5,11 +5,10 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use super::warp::read_drag;
-use crate::app::session_warp::MeshForm;
+use crate::app::session_warp::{DragRoute, MeshForm};
 use crate::http::middleware::authentication::Caller;
 use crate::http::{accept, response};
 use crate::problem::Problem;
-use crate::wire::DragObject;
 
 const FORMS: [&str; 2] = ["application/json", "application/octet-stream"];
 
@@ -18,7 +17,7 @@ pub(crate) async fn mesh(caller: Caller, Path(id): Path<String>, request: Reques
     let chosen = accept::choose(request.headers(), FORMS)?;
     let (media_type, form) = (FORMS[chosen], if chosen == 0 { MeshForm::Json } else { MeshForm::F32 });
     let id = session_id(caller.client, &id)?;
-    let (drag, _parsed) = read_drag(&caller, id, request, DragObject::parse_posed).await?;
+    let drag = read_drag(&caller, id, request, DragRoute::Mesh).await?;
     let mesh = caller.app.mesh_session(caller.client, id, drag, form).await?;
     Ok(response::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))
 }

@@ -1,6 +1,7 @@
 //! `GET /sessions/{id}/plan`: the coefficients on a lattice, for clients that pose by themselves.
 
 use axum::extract::{Path, Request};
+use axum::http::Method;
 use axum::http::request::Parts;
 use axum::response::Response;
 
@@ -17,7 +18,7 @@ const VERTICES: u32 = 50;
 /// The table as a file, or 304 if the client has it.
 pub(crate) async fn plan(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
-    let (Parts { uri, headers, .. }, _) = request.into_parts();
+    let (Parts { uri, headers, method, .. }, _) = request.into_parts();
     let [columns, rows, precision] = query_fields(uri.query(), ["columns", "rows", "precision"])?;
     let lines = |name, text: Option<&str>| text.map_or(Ok(VERTICES), |text| parse_lines(name, text));
     let query = PlanQuery {
@@ -26,7 +27,8 @@ pub(crate) async fn plan(caller: Caller, Path(id): Path<String>, request: Reques
         precision: precision.map_or(Ok(Precision::default()), parse_precision)?,
     };
     let is_known = |tag: &str| sends_tag(&headers, tag);
-    Ok(response::plan(caller.app.plan_of_session(caller.client, id, query, is_known).await?))
+    let with_content = method != Method::HEAD;
+    Ok(response::plan(caller.app.plan_of_session(caller.client, id, query, is_known, with_content).await?))
 }
 
 fn parse_lines(name: &str, text: &str) -> Result<u32, Problem> {

@@ -6,23 +6,22 @@ use axum::http::{HeaderName, HeaderValue};
 use axum::response::Response;
 
 use super::sessions::{location, session_id};
+use crate::app::reading::Held;
+use crate::app::session_warp::DragRoute;
 use crate::app::warp::columns;
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{picture, takes_trailers, with_method};
 use crate::http::upload::{json_or_form, pose_of};
 use crate::http::{accept, upload};
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::Purpose;
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::store::record_bytes;
 use crate::wire::DragObject;
 
 const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
 /// Maximum size of a drag's JSON: a constant, and bytes per column.
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
-/// Memory of parsed handles per byte of their JSON.
-const PARSED: u64 = 10;
 
 /// A picture of an upload.
 pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, Problem> {
@@ -33,7 +32,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let Caller { app, client } = caller;
     let (drawn, material) = app.warp_once(client, upload, formats).await?;
     let method = material.chosen_method();
-    let session = if keeps_session { Some(app.create_session_from(client, material).await?.0.record.id) } else { None };
+    let session = if keeps_session { Some(app.create_session_from(client, material).await?) } else { None };
     let mut response = with_method(picture(drawn, trailers), method);
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
@@ -47,24 +46,16 @@ pub(crate) async fn drag(caller: Caller, Path(id): Path<String>, request: Reques
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(caller.client, &id)?;
-    let (drag, _parsed) = read_drag(&caller, id, request, DragObject::parse).await?;
+    let drag = read_drag(&caller, id, request, DragRoute::Picture).await?;
     Ok(picture(caller.app.warp_session(caller.client, id, drag, formats).await?, trailers))
 }
 
-/// Reads the body of a drag, and reserves the memory of its handles, which wait in the queue.
-pub(super) async fn read_drag(
-    caller: &Caller,
-    id: SessionId,
-    request: Request,
-    parse: impl Fn(&[u8]) -> Result<DragObject, Problem>,
-) -> Result<(DragObject, Reservation), Problem> {
+/// Reads the body of a drag.
+pub(super) async fn read_drag(caller: &Caller, id: SessionId, request: Request, route: DragRoute) -> Result<Held<DragObject>, Problem> {
     let record = caller.app.peek_session(id).await?.record;
-    let limit = drag_limit(columns(&record));
-    let body = json_or_form(caller, request, Purpose::Frame, ("drag_json_bytes", limit), pose_of(&record)).await?;
-    // Without `q`, the pose of the session is copied.
-    let bytes = PARSED * body.len() as u64 + record.pose.as_ref().map_or(0, |_| record_bytes(&record));
-    let parsed = caller.app.reserve_for(Purpose::Frame, &caller.app.request_quota(caller.client), bytes)?;
-    Ok((parse(&body)?, parsed))
+    let limit = ("drag_json_bytes", drag_limit(columns(&record)));
+    let body = json_or_form(caller, request, Purpose::Frame, limit, pose_of(&record)).await?;
+    caller.app.read_drag(caller.client, &record, body, route).await
 }
 
 /// Maximum size of the JSON of a drag with this many columns.

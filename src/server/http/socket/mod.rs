@@ -91,13 +91,13 @@ async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &m
         let (deadline, _) = next_deadline(heard, pinged, drag, socket, app.config());
         let wake = due.map_or(deadline, |due| due.min(deadline));
         tokio::select! {
-            event = socket.next() => {
+            event = socket.next(!drag.is_reading()) => {
                 (heard, pinged) = (Instant::now(), None);
                 if !matches!(event, Event::Ended(_)) && !bucket.take(heard) {
                     return Ending::Close(CloseCode::Policy, "too many messages a second");
                 }
                 match event {
-                    Event::Text(text) => drag.on_text(text.as_bytes(), heard),
+                    Event::Text(text) => drag.on_text(text.into(), heard),
                     Event::Binary(bytes) => drag.on_binary(&bytes, heard),
                     Event::Ping => {}
                     Event::Ended(ending) => return ending,

@@ -22,7 +22,7 @@ use tokio_util::io::InspectReader;
 use crate::http::connection::transport::Transport;
 
 /// Maximum size of a fragment, which is the buffer that a picture is copied through.
-const FRAGMENT: usize = 128 << 10;
+const FRAGMENT: usize = 64 << 10;
 /// Smaller writes are collected.
 const WRITE_BUFFER: usize = 16 << 10;
 /// Bytes that the frame heads of a message may add to it: hundreds of fragments.
@@ -146,13 +146,13 @@ impl WebSocketConnection {
         self.last_written
     }
 
-    /// Writes the queue and waits for the client's next message. Nothing is read while the queue is full. Cancel safe.
-    pub(crate) async fn next(&mut self) -> Event {
+    /// Writes the queue and waits for the client's next message. Nothing is read while the queue is full, and unless `reads`. Cancel safe.
+    pub(crate) async fn next(&mut self, reads: bool) -> Event {
         poll_fn(|cx| {
             if let Poll::Ready(Err(_)) = self.poll_write(cx) {
                 return Poll::Ready(Event::Ended(Ending::Disconnected));
             }
-            if self.queue.len() >= MAX_QUEUE {
+            if !reads || self.queue.len() >= MAX_QUEUE {
                 return Poll::Pending;
             }
             match Pin::new(&mut self.socket).poll_next(cx) {

@@ -80,21 +80,6 @@ pub(crate) fn is_geojson(file: &[u8]) -> bool {
     geojson::is_geojson(&Node::new(text, At::Root))
 }
 
-/// Upper bound of the memory in which the other fields of a request are read, bytes. Annotations and frames stay text.
-#[must_use]
-pub fn reading_bytes(json: &[u8]) -> u64 {
-    /// A list, while a list of it grows.
-    const LIST: u64 = 48;
-    let lists = |text: &str| LIST * text.bytes().filter(|byte| *byte == b'[').count() as u64;
-    let text = std::str::from_utf8(json).unwrap_or_default();
-    let node = Node::new(text.trim(), At::Root);
-    if node.kind() != Kind::Object {
-        return 0;
-    }
-    let stays = |name: &str| super::fields::ANNOTATIONS.contains(&name.trim_matches('"')) || name == "\"frames\"";
-    node.pairs().filter(|(name, _)| !stays(name)).map(|(_, value)| lists(value)).sum()
-}
-
 impl Annotations {
     /// Reads the fields in the order of `fields::ANNOTATIONS`, `inverse`, `refine`. `image`: that of the positions, of the inverse or not.
     pub(super) fn read(

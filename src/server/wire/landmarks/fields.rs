@@ -48,7 +48,7 @@ struct Unmatched<'a> {
 impl LandmarkFiles {
     /// Reads the files. `cancelled` is true when nobody wants the result any more.
     /// Errors: As [`Self::read`]; other files than the target has.
-    pub fn read_for(&self, target: Target, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
+    pub(in crate::wire) fn read_for(&self, target: Target, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
         match target {
             Target::Request | Target::Session(_) => self.read(max_columns, cancelled),
             Target::Pose(..) => self.read_pose(max_columns, &Work::new(cancelled)),

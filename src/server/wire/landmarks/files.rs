@@ -129,7 +129,7 @@ impl LandmarkFiles {
     }
 
     /// The memory that reading takes at most, bytes: handles, their places and names, in each file.
-    pub fn reading_bytes(&self, max_columns: usize) -> u64 {
+    pub(in crate::wire) fn reading_bytes(&self, max_columns: usize) -> u64 {
         const HANDLE: usize = 400;
         const NAME: usize = 4 * 256;
         // The longest row of a table, twice, and a long line.
@@ -145,7 +145,7 @@ impl LandmarkFiles {
 
     /// Reads the files. `cancelled` is true when nobody wants the result any more.
     /// Errors: `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or cancelled.
-    pub fn read(&self, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
+    pub(in crate::wire) fn read(&self, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
         self.read_counted(max_columns, &Work::new(cancelled))
     }
 

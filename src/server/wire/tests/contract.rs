@@ -224,20 +224,20 @@ fn schemas_and_parsers_agree_on_a_table() {
     type Parse = fn(&[u8]) -> bool;
     let batch = |b: &[u8]| {
         let source = Frame::of_source(Extent::new(400, 300).unwrap(), Units::Px);
-        BatchObject::parse(&super::bytes(b), 1 << 20, 1 << 16, source).is_ok()
+        Reserved::<BatchObject, _>::parse(&super::bytes(b), 1 << 20, 1 << 16, source, |_| Ok(())).is_ok()
     };
     let parsers: [(&str, Parse, &str); 11] = [
         ("Batch", batch, "\"q\": [], \"steps\": 2"),
         ("Fit", |b| FitObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedFit", |b| FitObject::parse_posed(b).is_ok(), ""),
         ("WarpObject", |b| WarpObject::parse(b).is_ok(), ""),
-        ("Drag", |b| DragObject::parse(b).is_ok(), ""),
+        ("Drag", |b| DragObject::parse(b, usize::MAX).is_ok(), ""),
         ("Points", |b| super::points(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedPoints", |b| super::posed_points(b).is_ok(), ""),
         ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), ""),
         ("Report", |b| ReportObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedReport", |b| DragObject::parse_for_report(b).is_ok(), ""),
+        ("PosedReport", |b| DragObject::parse_for_report(b, usize::MAX).is_ok(), ""),
     ];
     let fields = [
         "p: []",

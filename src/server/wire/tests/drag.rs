@@ -5,15 +5,15 @@ use super::*;
 #[test]
 fn drag_reads_its_fields() {
     let pose = |q| PosePatch { q: Some(q), strength: None };
-    let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}").unwrap();
+    let drag = DragObject::parse(b"{\"q\": [[1, 2]], \"seq\": 9007199254740993, \"output\": {\"width\": 9}}", usize::MAX).unwrap();
     let output = OutputPatch { width: Some(9), ..OutputPatch::default() };
     assert_eq!(drag, DragObject { pose: pose(vec![point(1.0, 2.0)]), seq: Some((1 << 53) + 1), layer: None, output });
-    let drag = DragObject::parse(b"{\"q\": []}").unwrap();
+    let drag = DragObject::parse(b"{\"q\": []}", usize::MAX).unwrap();
     assert_eq!(drag, DragObject { pose: pose(vec![]), seq: None, layer: None, output: OutputPatch::default() });
-    let of_session = DragObject::parse(b"{\"q\": null, \"strength\": 2}").unwrap().pose;
+    let of_session = DragObject::parse(b"{\"q\": null, \"strength\": 2}", usize::MAX).unwrap().pose;
     assert_eq!(of_session, PosePatch { q: None, strength: Some(2.0) });
     for (text, seq) in [("0", 0), ("-0", 0), ("7.0", 7), ("1e3", 1000), ("18446744073709551615", u64::MAX)] {
-        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes()).unwrap().seq, Some(seq));
+        assert_eq!(DragObject::parse(format!("{{\"q\": [], \"seq\": {text}}}").as_bytes(), usize::MAX).unwrap().seq, Some(seq));
     }
 }
 
@@ -21,7 +21,7 @@ fn drag_reads_its_fields() {
 fn drag_refuses() {
     use Code::{BadValue as B, NotFinite as N};
     check(
-        DragObject::parse,
+        |json| DragObject::parse(json, usize::MAX),
         &[
             ("{\"q\": [], \"seq\": -1}", B, Some("/seq"), None),
             ("{\"q\": [], \"seq\": 1.5}", B, Some("/seq"), None),

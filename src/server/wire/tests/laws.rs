@@ -27,10 +27,10 @@ fn near_miss() -> impl Strategy<Value = Value> {
 fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
     let problems = [
         WarpObject::parse(text).err(),
-        DragObject::parse(text).err(),
+        DragObject::parse(text, usize::MAX).err(),
         points(text).err(),
         ReportObject::parse(text).err(),
-        DragObject::parse_for_report(text).err(),
+        DragObject::parse_for_report(text, usize::MAX).err(),
         posed_points(text).err(),
         MapObject::parse(text).err(),
         MapObject::parse_posed(text).err(),

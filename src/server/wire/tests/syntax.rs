@@ -31,7 +31,7 @@ fn malformed_is_400_before_any_meaning() {
         ("{\"\\ud800\": 1}", M, None, None),
     ];
     check(WarpObject::parse, table);
-    check(DragObject::parse, &table[..16]);
+    check(|json| DragObject::parse(json, usize::MAX), &table[..16]);
     check(points, &table[..16]);
     check(posed_points, &table[..16]);
     assert_eq!(WarpObject::parse(b"{\"p\": \xff}").unwrap_err().code, M);
@@ -58,7 +58,7 @@ fn unknown_fields_are_named_with_what_is_known() {
         ("{\"grid\": {\"cells\": 3}}", U, Some("/grid/cells"), None),
     ];
     check(WarpObject::parse, table);
-    check(DragObject::parse, &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
+    check(|json| DragObject::parse(json, usize::MAX), &[("{\"q\": [], \"p\": []}", U, Some("/p"), None)]);
     check(posed_points, &[("{\"q\": [], \"extent\": [1, 1]}", U, Some("/extent"), None)]);
     assert_eq!(detail("{\"grid\": {\"x\": 3}}"), "unknown field: `x`; known fields: `cell`, `columns`, `rows`, `tolerance`");
 }
@@ -94,7 +94,7 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
     assert_eq!(WarpObject::parse(b"{\"p\": [[1, 2]], \"q\": null}").unwrap().posed().unwrap_err().pointer.as_deref(), Some("/q"));
     let absent = b"{\"q\": [], \"points\": null, \"polygons\": null, \"boxes\": null, \"inverse\": null, \"refine\": null}";
     assert_eq!(posed_points(absent), posed_points(b"{\"q\": []}"));
-    assert_eq!(DragObject::parse_posed(b"{\"q\": [], \"seq\": null}"), DragObject::parse_posed(b"{\"q\": []}"));
+    assert_eq!(DragObject::parse_posed(b"{\"q\": [], \"seq\": null}", usize::MAX), DragObject::parse_posed(b"{\"q\": []}", usize::MAX));
     check(
         WarpObject::parse,
         &[
@@ -113,8 +113,8 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
         ],
     );
     for (problem, field) in [
-        (DragObject::parse(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
-        (DragObject::parse_posed(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
+        (DragObject::parse(b"{\"q\": null}", usize::MAX).unwrap().pose.onto(None).unwrap_err(), "`q`"),
+        (DragObject::parse_posed(b"{\"q\": null}", usize::MAX).unwrap().pose.onto(None).unwrap_err(), "`q`"),
         (posed_points(b"{\"q\": null}").unwrap().pose.onto(None).unwrap_err(), "`q`"),
         (points(b"{\"extent\": null}").unwrap_err(), "`extent`"),
     ] {

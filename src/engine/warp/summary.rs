@@ -1,0 +1,76 @@
+//! What a client is told about handles at rest.
+
+use super::{Digest, Limits, RestSpec, Setup, Warning, WarpError};
+use crate::deform::IsCancelled;
+use crate::pixmap::Extent;
+
+/// The effective values of rest handles and their parameters on a picture. They cost little beside
+/// a [`Setup`]: the system of a spline is not computed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RestSummary {
+    /// See [`Setup::grid`].
+    pub grid: (u32, u32),
+    /// See [`Setup::cell`].
+    pub cell: (f64, f64),
+    /// See [`Setup::alpha`].
+    pub alpha: Option<f64>,
+    /// See [`Setup::point_mass`].
+    pub point_mass: Option<f64>,
+    /// See [`Setup::smoothing`].
+    pub smoothing: Option<f64>,
+    /// See [`Setup::groups`].
+    pub groups: Vec<Vec<usize>>,
+    /// See [`Setup::rest_digest`].
+    pub rest_digest: Digest,
+    /// See [`Setup::rest_warnings`].
+    pub warnings: Vec<Warning>,
+}
+
+impl RestSummary {
+    /// Resolves and validates as [`Setup::new`]; stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// Those of [`Setup::new`]; cancelled.
+    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+        Setup::resolve(rest, extent, limits, false, cancelled).map(|setup| Self::of(&setup))
+    }
+
+    /// The summary of a setup.
+    #[must_use]
+    pub fn of(setup: &Setup) -> Self {
+        Self {
+            grid: setup.grid(),
+            cell: setup.cell(),
+            alpha: setup.alpha(),
+            point_mass: setup.point_mass(),
+            smoothing: setup.smoothing(),
+            groups: setup.groups(),
+            rest_digest: setup.rest_digest(),
+            warnings: setup.rest_warnings().to_vec(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deform::Handle;
+    use crate::geometry::Point;
+    use crate::warp::Method;
+
+    #[test]
+    fn a_summary_without_the_system_of_a_spline_says_the_same() {
+        let (extent, limits) = (Extent::new(300, 200).unwrap(), Limits::default());
+        let place = |k: u32| Point::new(f64::from(k % 17) * 7.0, f64::from(k % 5) * 9.0 + 1.0);
+        let points = |count: u32| (0..count).map(|k| Handle::Point(place(k))).collect::<Vec<_>>();
+        // With groups of points at one place, on a line, at one place, none.
+        for p in [points(200), points(3), points(1), vec![Handle::Point(place(1)); 4], vec![]] {
+            for method in [Method::ThinPlateSpline, Method::Rigid, Method::GlobalAffine] {
+                let rest = RestSpec { p: p.clone(), method, ..RestSpec::default() };
+                let setup = Setup::new(&rest, extent, &limits).unwrap();
+                let summary = RestSummary::new_unless(&rest, extent, &limits, &|| false).unwrap();
+                assert_eq!(summary, RestSummary::of(&setup), "{method:?}, {} points", p.len());
+            }
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! The session object. All of it but its last members stays the same within a revision of a session: that text grows with the handles, is
+//! written once, on a compute thread, and is kept in a cache. No system of a spline is needed for it.
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use data_encoding::HEXLOWER;
+use mlswarp::deform::Coincident;
+use mlswarp::warp::{Align, Digest, RestSummary, Warning};
+
+use super::json_text::json_unless;
+use super::warp::{columns, revision_key};
+use super::{App, build_aborted};
+use crate::cache::CacheEntry;
+use crate::client::Client;
+use crate::layer::MAX_LAYERS;
+use crate::limits::memory::{Purpose, Reservation};
+use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::problem::Problem;
+use crate::store::{Record, Session};
+use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision, session_tail};
+
+/// Maximum length of a number and its comma in JSON, and of what precedes the numbers of a handle.
+const NUMBER: u64 = 25;
+const BRACKETS: u64 = 4;
+/// Maximum length of the text without its lists: names, ids, dates, single numbers and layers.
+const FIXED_PART: u64 = 2048 + 128 * MAX_LAYERS as u64;
+/// Maximum length of the members that change.
+const TAIL: u64 = 256;
+
+/// What stays the same within a revision.
+#[derive(Debug)]
+pub(crate) struct RevisionText {
+    /// The object without its last members.
+    text: Vec<u8>,
+    /// See [`RestSummary::rest_digest`].
+    pub(crate) rest_digest: Digest,
+    /// The warnings of the handles at rest.
+    warnings: Vec<Warning>,
+}
+
+impl RevisionText {
+    /// Bytes of a response.
+    const fn response_bytes(&self) -> u64 {
+        self.text.len() as u64 + TAIL
+    }
+}
+
+/// A session and its object, whose memory counts for the client until it is sent.
+#[derive(Debug)]
+pub struct ShownSession {
+    /// The session.
+    pub session: Session,
+    shown: Shown,
+}
+
+/// The text of a session's object, and the memory of a response with it.
+#[derive(Debug)]
+pub(super) struct Shown {
+    text: Arc<CacheEntry<RevisionText>>,
+    held: Reservation,
+}
+
+/// The kept text as bytes of a response.
+struct Kept(Arc<CacheEntry<RevisionText>>);
+
+impl AsRef<[u8]> for Kept {
+    fn as_ref(&self) -> &[u8] {
+        &self.0.text
+    }
+}
+
+impl ShownSession {
+    /// The warnings of the handles at rest.
+    pub(crate) fn warnings(&self) -> &[Warning] {
+        &self.shown.text.warnings
+    }
+
+    /// The JSON of the object, in two pieces.
+    pub(crate) fn into_json(self) -> [Bytes; 2] {
+        let Self { session, shown: Shown { text, mut held } } = self;
+        let tail = session_tail(&rfc3339(session.expires), session.seq);
+        held.shrink_to((text.text.len() + tail.len()) as u64);
+        [held.attach(Kept(text)), tail.into()]
+    }
+}
+
+impl Shown {
+    /// The object of a session whose record the text is of.
+    pub(super) const fn of(self, session: Session) -> ShownSession {
+        ShownSession { session, shown: self }
+    }
+
+    /// The text.
+    pub(super) const fn text(&self) -> &Arc<CacheEntry<RevisionText>> {
+        &self.text
+    }
+}
+
+impl App {
+    /// A session with its object. Reading does not extend the session's life.
+    /// Errors: Unknown or expired, or too little capacity.
+    pub(crate) async fn read_session(&self, client: Client, session: Session) -> Result<ShownSession, Problem> {
+        let text = self.revision_text(client, &session.record).await?;
+        let (quota, bytes) = (self.response_quota(client), text.response_bytes());
+        let held = self.reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes)).await?;
+        Ok(Shown { text, held }.of(session))
+    }
+
+    /// What a session's object says of its revision, from the cache or written now.
+    /// Errors: Too little capacity.
+    pub(crate) async fn revision_text(&self, client: Client, record: &Arc<Record>) -> Result<Arc<CacheEntry<RevisionText>>, Problem> {
+        let (app, written) = (self.clone(), Arc::clone(record));
+        let write = async move {
+            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, written.id)).await?;
+            let pool = app.0.pool.clone();
+            pool.run(&ticket, move |cancel| app.write_text(&written, None, cancel)).await?
+        };
+        let texts = &self.0.texts;
+        Ok(texts.get(revision_key(record), client.tenant(), write, build_aborted).await?.value)
+    }
+
+    /// A response with this text. Runs on the pool. Errors: Too little memory.
+    pub(super) fn shown(&self, client: Client, text: Arc<CacheEntry<RevisionText>>) -> Result<Shown, Problem> {
+        let held = self.reserve_for(Purpose::Frame, &self.response_quota(client), text.response_bytes())?;
+        Ok(Shown { text, held })
+    }
+
+    /// Writes the text of a revision into memory that is reserved before. `summary`: that of its setup, if there is one. Runs on the pool.
+    /// Errors: Too little memory, cancelled.
+    pub(super) fn write_text(
+        &self,
+        record: &Record,
+        summary: Option<RestSummary>,
+        cancel: &Cancel,
+    ) -> Result<CacheEntry<RevisionText>, Problem> {
+        let length = longest_text(record);
+        // The handles in px, and a few copies of their positions.
+        let mut held = self.reserve(Purpose::Plan, length + 256 * columns(record))?;
+        let new = || {
+            let limits = self.0.config.limits();
+            RestSummary::new_unless(&record.rest, record.extent, &limits, &|| cancel.is_cancelled())
+        };
+        let summary = summary.map_or_else(new, Ok)?;
+        let text = text(record, &summary, length, cancel)?;
+        held.shrink_to((size_of::<RevisionText>() + text.len()) as u64);
+        let RestSummary { rest_digest, warnings, .. } = summary;
+        Ok(CacheEntry::new(RevisionText { text, rest_digest, warnings }, held))
+    }
+}
+
+/// Maximum length of the text of a record: two coordinates of each position on either side, its weight, and its index in a group of
+/// coincident points.
+fn longest_text(record: &Record) -> u64 {
+    let posed = record.pose.iter().flat_map(|pose| &pose.q);
+    let places: usize = record.rest.p.iter().chain(posed).map(|handle| 1 + handle.places().len()).sum();
+    FIXED_PART + (2 * NUMBER + BRACKETS) * places as u64 + 2 * NUMBER * record.rest.p.len() as u64
+}
+
+fn text(record: &Record, summary: &RestSummary, length: u64, cancel: &Cancel) -> Result<Vec<u8>, Problem> {
+    let ((columns, rows), rest) = (summary.grid, &record.rest);
+    let groups = summary.groups.iter().map(|handles| CoincidentGroup { handles: handles.clone() });
+    let layers = record.layers.iter().map(|(name, layer)| (name.as_str(), SessionLayer { kind: AsJson(layer.kind) }));
+    let (width, height) = (record.extent.width(), record.extent.height());
+    let object = SessionObject {
+        id: &record.id.to_string(),
+        image: SessionImage { width, height, digest: AsJson(record.image) },
+        p: AsJson(&rest.p),
+        q: record.pose.as_ref().map(|pose| AsJson(pose.q.as_slice())),
+        strength: record.pose.as_ref().map(|pose| pose.strength).filter(|strength| strength.to_bits() != 1.0_f64.to_bits()),
+        weights: rest.weights.as_deref(),
+        method: AsJson(rest.method),
+        alpha: summary.alpha,
+        point_mass: summary.point_mass,
+        smoothing: summary.smoothing,
+        coincident_policy: (rest.coincident != Coincident::default()).then_some(AsJson(rest.coincident)),
+        coincident: groups.collect(),
+        units: AsJson(rest.units),
+        align: (rest.align != Align::None).then_some(AsJson(rest.align)),
+        grid: SessionGrid { columns, rows, cell: summary.cell.into(), requested: AsJson(rest.grid) },
+        rest_revision: &HEXLOWER.encode(&rest_revision(summary.rest_digest)),
+        folds: AsJson(record.folds),
+        output: AsJson(&record.output),
+        layers: layers.collect(),
+        created: &rfc3339(record.created),
+    };
+    let mut text = json_unless(cancel, &object, usize::try_from(length).unwrap_or_default())?;
+    // The members that change follow.
+    text.pop();
+    text.shrink_to_fit();
+    Ok(text)
+}
+
+/// `2026-11-21T09:30:00.125Z`. A time outside the years 1970 to 9999, which humantime cannot write, becomes the nearest one inside.
+fn rfc3339(time: SystemTime) -> String {
+    let last = SystemTime::UNIX_EPOCH + Duration::from_secs(253_402_300_799);
+    humantime::format_rfc3339_millis(time.clamp(SystemTime::UNIX_EPOCH, last)).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (seconds, date) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (951_782_400, "2000-02-29T00:00:00.000Z"),
+            (951_868_799, "2000-02-29T23:59:59.000Z"),
+            (1_709_164_800, "2024-02-29T00:00:00.000Z"),
+            (4_107_542_399, "2100-02-28T23:59:59.000Z"),
+            (4_107_542_400, "2100-03-01T00:00:00.000Z"),
+            (1_798_761_599, "2026-12-31T23:59:59.000Z"),
+        ] {
+            assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)), date);
+        }
+        assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_millis(86_400_125)), "1970-01-02T00:00:00.125Z");
+    }
+}

@@ -1,0 +1,44 @@
+//! Where large values are freed. Unmapping takes a millisecond for every few tens of megabytes, for which the runtime's thread would not
+//! serve anybody.
+
+use tokio::runtime::Handle;
+
+/// Values of fewer bytes are freed where they are dropped.
+const MIN_ASIDE: u64 = 256 << 10;
+
+/// Drops a value of so many bytes: on a blocking thread, if this may be a thread of the runtime.
+pub fn free<T: Send + 'static>(value: T, bytes: u64) {
+    match Handle::try_current() {
+        Ok(runtime) if bytes >= MIN_ASIDE => drop(runtime.spawn_blocking(move || drop(value))),
+        _ => drop(value),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+    use std::thread::{self, ThreadId};
+
+    use super::*;
+
+    struct Large(mpsc::Sender<ThreadId>);
+
+    impl Drop for Large {
+        fn drop(&mut self) {
+            let _ = self.0.send(thread::current().id());
+        }
+    }
+
+    #[test]
+    fn large_values_are_freed_aside_of_the_runtime() {
+        let (says, said) = mpsc::channel();
+        let here = thread::current().id();
+        free(Large(says.clone()), u64::MAX);
+        assert_eq!(said.recv().unwrap(), here, "without a runtime");
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE - 1) });
+        assert_eq!(said.recv().unwrap(), here, "a small one");
+        runtime.block_on(async { free(Large(says), MIN_ASIDE) });
+        assert_ne!(said.recv().unwrap(), here);
+    }
+}
