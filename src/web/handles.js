@@ -1,7 +1,9 @@
 // The handles as SVG over the picture: one focusable element per point; for a line, one for the whole and one per vertex. Positions are in
-// picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom.
+// picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom. A canvas shows those that are not selected
+// (marks.js).
 
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
+import { FEW_SELECTED, LEAST_WAY, Marks, PLATE, STALK } from "./marks.js";
 import { isRegionTool } from "./region.js";
 import { withRoom } from "./numbers.js";
 import { canTwist } from "./twist.js";
@@ -12,11 +14,9 @@ const SPACE = "http://www.w3.org/2000/svg";
 export const REACH = { mouse: 12, pen: 14, touch: 22 };
 /** Distance of the selection ring from the vertices, CSS px. */
 const RING_OFF = 26;
-/** Radius of the ring of a pin, and length of the stalk between a ring and its knob, CSS px. */
+/** Radius of the ring of a pin, CSS px. */
 const PIN_RING = { mouse: 30, touch: 40 };
-const STALK = 16;
 const COARSE = matchMedia("(pointer: coarse)");
-const PLATE = 10.5;
 
 function element(name, attributes = {}, ...children) {
   const made = document.createElementNS(SPACE, name);
@@ -58,7 +58,7 @@ export class Handles {
   #thinnedFor = null;
 
   constructor(svg, store, view) {
-    Object.assign(this, { svg, store, view });
+    Object.assign(this, { svg, store, view, marks: new Marks(document.getElementById("marks"), document.getElementById("moving"), view) });
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.fit = element("g", { id: "residuals", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
@@ -81,7 +81,8 @@ export class Handles {
   draw() {
     const { state } = this.store;
     const { handles } = state.document;
-    set(this.svg, { class: state.compare || state.peek || state.playing !== null ? "away" : isRegionTool(state.tool) ? "aside" : state.before ? "moving" : "" });
+    const isAway = state.compare || state.peek || state.playing !== null;
+    set(this.svg, { class: isAway ? "away" : isRegionTool(state.tool) ? "aside" : state.before ? "moving" : "" });
     const counts = new Map(handles.map(({ id, p }) => [id, p.length]));
     for (const [id, nodes] of this.#drawn) {
       if (counts.get(id) === nodes.count) continue;
@@ -92,21 +93,26 @@ export class Handles {
     const looks = {
       place: `${this.view.zoom} ${this.view.toStage([0, 0])}`,
       selected: new Set(state.selection),
+      inSvg: state.selection.length <= FEW_SELECTED,
+      moving: state.before !== null,
       faults: new Set(marked(state.problem)),
       warnings: new Set([...state.apart, ...(fit && fitShown ? fit.outliers : [])]),
       residual: fit ? (index) => residualWords(fit.residuals[index], fit.outliers.includes(index)) : () => "",
     };
     let last = null;
+    const [plain, drawnHere] = [[], []];
     handles.forEach((handle, index) => {
       const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
       this.#update(nodes, handle, index, looks);
+      (nodes.onCanvas ? plain : drawnHere).push({ handle, ...nodes.mark });
       // A handle restored by undo returns to its old position in the order.
       if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
       last = nodes.places.at(-1) ?? nodes.whole;
     });
     this.#drawFit(state);
     this.#thinOut(state);
-    this.#drawRing(state);
+    const ring = this.#drawRing(state);
+    this.marks.draw(plain, state.before ? drawnHere : null, ring, isAway || isRegionTool(state.tool));
     this.#drawDraft(state);
     this.#drawMarks(state);
   }
@@ -129,36 +135,47 @@ export class Handles {
   }
 
   /** Draws a handle, unless it looks as before: most do in a frame of a drag. */
-  #update(nodes, handle, index, { place: frame, selected, faults, warnings, residual }) {
+  #update(nodes, handle, index, { place: frame, selected, inSvg, moving, faults, warnings, residual }) {
     const fault = faults.has(index) ? "" : warnings.has(index) ? "warning" : null;
     const whole = selected.has(String(handle.id));
     const pressedAt = handle.q.map((_, k) => whole || selected.has(`${handle.id}.${k}`));
     const words = residual(index);
-    const look = `${index} ${fault} ${pressedAt} ${frame} ${words}`;
+    const look = `${index} ${fault} ${pressedAt} ${inSvg} ${moving} ${frame} ${words}`;
     if (nodes.handle === handle && nodes.look === look) return;
-    Object.assign(nodes, { handle, look });
-    const posed = handle.q.map((place) => this.view.toStage(place));
+    const onCanvas = fault === null && !(inSvg && pressedAt.includes(true));
+    const labels = handle.q.map((_, k) => this.#labelOf(nodes, k, pressedAt[k] || fault !== null, index));
+    Object.assign(nodes, { handle, look, onCanvas, mark: { pressed: pressedAt, fault, labels } });
+    // In a drag the SVG is not seen: what is drawn stays as it is, and only what is told follows.
+    const posed = moving ? null : handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault };
+    const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault, "data-canvas": onCanvas ? "" : null };
     const single = handle.p.length === 1;
     set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}${words}` : name });
-    if (single) this.#updatePlace(nodes.whole, posed[0], handle.q[0], index + 1);
-    else for (const part of nodes.whole.children) set(part, { points: list(posed) });
+    if (single) this.#updatePlace(nodes.whole, posed?.[0], handle.q[0], index + 1);
+    else if (posed) for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
       set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressedAt[k], "aria-label": `${name}.${k + 1} at ${placesWords([handle.q[k]])}` });
-      this.#updatePlace(node, posed[k], handle.q[k], `${index + 1}.${k + 1}`);
+      this.#updatePlace(node, posed?.[k], handle.q[k], `${index + 1}.${k + 1}`);
     });
+    if (!posed) return;
     nodes.ghosts.forEach((ghost, k) => {
       const [x, y] = this.view.toStage(handle.p[k]);
-      const away = Math.hypot(posed[k][0] - x, posed[k][1] - y) > 4;
-      set(ghost, { visibility: away ? "visible" : "hidden" });
+      const away = Math.hypot(posed[k][0] - x, posed[k][1] - y) > LEAST_WAY;
+      set(ghost, { display: away && !onCanvas ? null : "none" });
+      if (onCanvas) return;
       for (const line of ghost.querySelectorAll("line")) set(line, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
       set(ghost.lastChild, { cx: x, cy: y });
     });
   }
 
+  /** The number that a vertex shows on the canvas, if it has room. */
+  #labelOf(nodes, k, isShown, index) {
+    const node = nodes.places[k] ?? nodes.whole;
+    return isShown && node.getAttribute("class") !== "crowded" ? `${index + 1}${nodes.places.length ? `.${k + 1}` : ""}` : "";
+  }
+
   #updatePlace(node, stage, place, label) {
-    set(node, { transform: at(stage), "data-x": place[0], "data-y": place[1] });
+    set(node, { ...(stage && { transform: at(stage) }), "data-x": place[0], "data-y": place[1] });
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
   }
 
@@ -198,16 +215,18 @@ export class Handles {
 
   #drawRing({ before }) {
     const ring = this.ringAt();
+    const degrees = ring?.pin?.twist?.angle;
+    const words = degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
+    if (before) return ring && { ...ring, degrees: words };
     const visibility = ring ? "visible" : "hidden";
     for (const circle of [this.ringShade, this.ring]) set(circle, { visibility, ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
     set(this.knob, { visibility, tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
-    if (!ring) return;
+    if (!ring) return null;
     const [x, y] = [0, 1].map((axis) => (ring.middle[axis] - ring.knob[axis]) / (ring.r + STALK));
     set(this.stalk, { x1: x * STALK, y1: y * STALK, x2: x * PLATE, y2: y * PLATE });
-    const degrees = ring.pin?.twist?.angle;
     set(this.knob, { "aria-label": ring.pin ? `Twist the pin${degrees === undefined ? "" : `, now ${degrees} degrees`}: arrow keys turn it by 1 degree` : "Rotate the selection: arrow keys rotate by 1 degree" });
-    const words = degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
     if (this.degrees.textContent !== words) this.degrees.textContent = words;
+    return null;
   }
 
   /** Hides numbers without room. Not during a drag, so that they do not flicker. */
