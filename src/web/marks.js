@@ -48,7 +48,8 @@ export class Marks {
     if (this.#drawn && Object.keys(now).every((name) => near(this.#drawn[name], now[name]))) return;
     this.#drawn = now;
     this.#begin(this.lower, [0, 0, ...stageSize]);
-    this.#drawAll(plain);
+    // Their numbers are those of the SVG.
+    this.#drawAll(plain.map(({ handle, pressed }) => ({ handle, pressed })));
   }
 
   #drawMoving(moving, ring) {

@@ -257,7 +257,7 @@ class Visit:
 
     def look(self):
         """The visible picture on the stage, without handles and bars."""
-        over = "#handles, #loupe, #work > :not(#stage), main > :not(#work)"
+        over = "#handles, #marks, #moving, #loupe, #work > :not(#stage), main > :not(#work)"
         fade = f"(opacity) => document.querySelectorAll('{over}').forEach((node) => (node.style.opacity = opacity))"
         self.page.evaluate(fade, "0")
         shot = self.page.screenshot(scale="css")

@@ -77,6 +77,5 @@ def test_a_large_selection_is_on_the_canvas_too(many):
     many.page.click("#select-all")
     many.body(f"[data-selected='{COUNT}']")
     assert drawn_by_svg(many) == []
-    many.page.wait_for_timeout(0)
     x, y = many.at(*many.posed(100))
-    assert not is_blue(many, "marks", x, y) and is_blue(many, "marks", x - 7, y)
+    assert not is_blue(many, "marks", x, y) and is_blue(many, "marks", x - 7.5, y)
