@@ -15,6 +15,10 @@ const MOST_MOVING = 40_000;
 /** Places of a path that are farther apart than this, px, get some between them, up to so many parts. */
 const FAR = 8;
 const MOST_PARTS = 64;
+/** More vertices are near enough to each other. */
+const MOST_REFINED = 100_000;
+/** Nesting beyond which nothing is drawn. */
+const DEEPEST = 20;
 /** Smaller outlines are drawn as a dot, CSS px. */
 const DOT = 2;
 
@@ -53,20 +57,21 @@ function whereBroken(text, name, problem) {
 export function pathsOf(geojson) {
   const paths = [];
   const isPlace = (value) => Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]);
-  const add = (coordinates) => {
+  const add = (coordinates, depth = 0) => {
+    if (depth > DEEPEST) return;
     if (isPlace(coordinates)) paths.push([coordinates]);
     else if (Array.isArray(coordinates) && coordinates.some(isPlace)) paths.push(coordinates.filter(isPlace));
-    else if (Array.isArray(coordinates)) coordinates.forEach(add);
+    else if (Array.isArray(coordinates)) for (const part of coordinates) add(part, depth + 1);
   };
-  const visit = (value) => {
-    if (Array.isArray(value)) return value.forEach(visit);
-    if (value === null || typeof value !== "object") return;
-    if (value.type === "FeatureCollection") return visit(value.features);
-    if (value.type === "GeometryCollection") return visit(value.geometries);
-    if (value.type === "MultiPoint") return (value.coordinates ?? []).forEach(add);
+  const visit = (value, depth = 0) => {
+    if (value === null || typeof value !== "object" || depth > DEEPEST) return;
+    if (Array.isArray(value)) return value.forEach((one) => visit(one, depth + 1));
+    if (value.type === "FeatureCollection") return visit(value.features, depth);
+    if (value.type === "GeometryCollection") return visit(value.geometries, depth);
+    if (value.type === "MultiPoint") return Array.isArray(value.coordinates) ? value.coordinates.forEach((place) => add([place])) : undefined;
     if (GEOMETRIES.includes(value.type)) return add(value.coordinates);
     // Every member of a feature that is a geometry, such as the nucleus of a cell.
-    if (value.type === "Feature") for (const member of Object.values(value)) if (GEOMETRIES.includes(member?.type)) visit(member);
+    if (value.type === "Feature") for (const member of Object.values(value)) if (GEOMETRIES.includes(member?.type)) visit(member, depth + 1);
   };
   visit(geojson);
   return paths;
@@ -106,7 +111,8 @@ export class Annotations {
     find("annotations-panel").hidden = !annotations;
     if (annotations !== this.#of) {
       this.#of = annotations;
-      this.#paths = annotations ? pathsOf(annotations.geojson).map(refined) : [];
+      const paths = annotations ? pathsOf(annotations.geojson) : [];
+      this.#paths = paths.reduce((sum, path) => sum + path.length, 0) > MOST_REFINED ? paths : paths.map(refined);
       this.#mapped = null;
       if (annotations) find("annotations-note").textContent = annotationWords(annotations.name, countOf(annotations.geojson));
     }

@@ -36,10 +36,11 @@ export class Marks {
   draw(plain, moving, ring, isHidden) {
     const { canvas } = this.lower;
     canvas.hidden = isHidden || !this.view.size;
-    this.upper.canvas.hidden = canvas.hidden || !moving;
+    const moves = moving !== null && (moving.length > 0 || ring !== null);
+    this.upper.canvas.hidden = canvas.hidden || !moves;
     if (canvas.hidden) return;
     this.#drawStill(plain);
-    if (moving) this.#drawMoving(moving, ring);
+    if (moves) this.#drawMoving(moving, ring);
   }
 
   #drawStill(plain) {
@@ -56,8 +57,9 @@ export class Marks {
     const { view } = this;
     const places = moving.flatMap(({ handle: { p, q } }) => [...p, ...q].map((at) => view.toStage(at)));
     if (ring) places.push(...[-1, 1].map((side) => ring.middle.map((c) => c + side * (ring.r + STALK))), ring.knob);
-    const low = [0, 1].map((axis) => Math.max(0, Math.floor(Math.min(...places.map((at) => at[axis])) - EDGE)));
-    const high = [0, 1].map((axis) => Math.min(view.stageSize[axis], Math.ceil(Math.max(...places.map((at) => at[axis])) + EDGE)));
+    const edge = (which, axis) => places.reduce((most, at) => which(most, at[axis]), places[0][axis]);
+    const low = [0, 1].map((axis) => Math.max(0, Math.floor(edge(Math.min, axis) - EDGE)));
+    const high = [0, 1].map((axis) => Math.min(view.stageSize[axis], Math.ceil(edge(Math.max, axis) + EDGE)));
     const size = [0, 1].map((axis) => Math.max(1, high[axis] - low[axis]));
     this.#begin(this.upper, [...low, ...size]);
     this.#drawAll(moving);

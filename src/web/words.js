@@ -71,11 +71,13 @@ export function problemWords({ code, title, detail: told, handle, coincident, st
   const [said, usual] = PROBLEMS[link ? "dead_link" : code] ?? [title || "Request rejected", "Undo the last step, or try again."];
   // Only requests for the open picture are repeated automatically.
   const advice = opening ? usual.replace(/(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./, "Try again.") : usual;
+  // A file with several specimens, images or persons: this page takes all of a file.
+  const choose = code === "bad_landmarks" && /`item`/.test(told ?? "") ? "This page opens one set of landmarks: save the one that you need as a file of its own." : "";
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marks = marked({ handle, coincident });
   const where = marks.length ? ` Marked: ${series(marks.map((index) => index + 1))}.` : "";
   const sentence = detail ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}` : "";
-  return { title: said, detail: `${sentence}${more}`, advice: `${advice}${where}` };
+  return { title: said, detail: `${sentence}${more}`, advice: choose || `${advice}${where}` };
 }
 
 const METHODS = {
