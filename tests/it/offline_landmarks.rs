@@ -131,4 +131,16 @@ fn every_command_takes_landmark_files() {
             assert!(written(handles, &fields) == expected, "{args:?} {handles:?}");
         }
     }
+    // The pose of a batch may be in its JSON, if the files have none.
+    let batch = ["batch", &*image, "-", "-o", "-", "--landmarks"];
+    let expected = done(&batch[..5], &json!({"p": P, "q": Q, "steps": 3, "strength": 0.5}).to_string()).0;
+    let posed = json!({"q": Q, "steps": 3, "strength": 0.5}).to_string();
+    assert!(done(&[&batch[..], &[&*p]].concat(), &posed).0 == expected);
+    let said = failed(&[&batch[..], &[&*both]].concat(), &posed);
+    assert!(said.starts_with("bad_value: standard input: both `q` and landmark files are given"), "{said}");
+    let said = failed(&[&batch[..], &[&*p]].concat(), r#"{"steps": 3}"#);
+    assert!(
+        said.starts_with(&format!("bad_value: {p}: it has no posed positions: give a file with both sides, or --landmarks-q")),
+        "{said}"
+    );
 }

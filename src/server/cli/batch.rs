@@ -54,24 +54,27 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let (format, cure) = format_of(kind, &merged);
     require_quality_of_jpeg(&args.file, format, cure)?;
     let (layers, drawn) = selected(layers, &merged, region.is_some(), kind == Out::Directory)?;
-    let [warp, batch] = split_batch(&merged.with("layers", drawn))?;
+    let whole = Bytes::from(merged.with("layers", drawn));
     let files = handles.landmarks.read_files(config)?;
     let file = input::read("image", image, Limit::body(config))?;
     let mask = region.as_deref().map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from)).transpose()?;
     let layers = layers.into_iter().filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
     let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, Limit::body(config))?)));
     let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
-    let (service, warp) = (Service::start(config)?, Bytes::from(warp));
+    let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
     let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
     let landmarks = match files {
         Some(files) => {
-            let read = service.run(app.read_landmarks(client, files, warp.clone()));
+            let read = service.run(app.read_landmarks(client, files, whole.clone()));
             Some(read.map_err(|problem| handles.landmarks.blame(problem))?)
         }
         None => None,
     };
-    let upload = Upload { image: file.into(), warp, region: mask, landmarks };
+    // Those of one side are handles at rest: the pose of the JSON is the batch's.
+    let has_rest_only = landmarks.as_ref().is_some_and(|read| read.require_q().is_err());
+    let [warp, batch] = split_batch(&whole, !has_rest_only)?;
+    let upload = Upload { image: file.into(), warp: warp.into(), region: mask, landmarks };
     let session = service.run(app.create_session(client, upload));
     let (shown, method) = session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
     let id = shown.session.record.id;
@@ -85,7 +88,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         }
         app.batch(client, id, batch.into(), form, |_| u64::MAX).await
     });
-    let made = made.map_err(located)?;
+    let made = made.map_err(|problem| match has_rest_only && !merged.has("q") && problem.pointer.as_deref() == Some("/q") {
+        true => handles.landmarks.without_q(problem),
+        false => located(problem),
+    })?;
     let (frames, warnings) = (made.frames, [shown.warnings(), &made.warnings].concat());
     let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
     match kind {

@@ -127,11 +127,15 @@ impl LandmarkInput {
         // Nobody shares this machine's memory with other clients.
         let landmarks = Reserved::of_files(&files, config.limits().columns, &|| false, |_| Ok(()));
         let (landmarks, ()) = landmarks.map_err(|problem| self.blame(problem))?.into_parts();
-        landmarks.require_q().map_err(|mut problem| {
-            "it has no posed positions: give a file with both sides, or --landmarks-q FILE".clone_into(&mut problem.detail);
-            Failure::from(problem).about(self.landmarks.as_deref().map(name_of).unwrap_or_default())
-        })?;
+        landmarks.require_q().map_err(|problem| self.without_q(problem))?;
         Ok(Some(landmarks))
+    }
+
+    /// A problem with landmarks of one side, in the words of the command line.
+    pub(super) fn without_q(&self, mut problem: Problem) -> Failure {
+        "it has no posed positions: give a file with both sides, or --landmarks-q FILE".clone_into(&mut problem.detail);
+        problem.pointer = None;
+        Failure::from(problem).about(self.landmarks.as_deref().map(name_of).unwrap_or_default())
     }
 
     /// A problem with a landmark file, with its name in place of that of the part.

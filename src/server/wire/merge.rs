@@ -160,11 +160,13 @@ pub(crate) fn of_fit(object: &[u8]) -> Result<Vec<u8>, Problem> {
     without(object, &others)
 }
 
-/// Splits an object with the fields of both into the warp object of a session, which keeps the pose, and the body of a batch.
+/// Splits an object with the fields of both into the warp object of a session and the body of a batch. `keeps_pose`: whether the session
+/// gets the pose; otherwise the batch does.
 /// Errors: Not a JSON object.
-pub(crate) fn split_batch(object: &[u8]) -> Result<[Vec<u8>; 2], Problem> {
+pub(crate) fn split_batch(object: &[u8], keeps_pose: bool) -> Result<[Vec<u8>; 2], Problem> {
     let root = json::root(object)?;
-    let is_of_session = |name: &str| fields::WARP.contains(&name) && name != "output";
+    let is_of_batch = |name: &str| name == "output" || !keeps_pose && ["q", "strength"].contains(&name);
+    let is_of_session = |name: &str| fields::WARP.contains(&name) && !is_of_batch(name);
     let text = |is_session: bool| {
         let fields = root.pairs().filter(|(name, _)| is_of_session(name.trim_matches('"')) == is_session);
         let fields: Vec<String> = fields.map(|(name, value)| format!("{name}:{value}")).collect();
@@ -214,8 +216,12 @@ mod tests {
         assert_eq!(spliced(r#" {"item": 3} "#, r#"{"p": {} }"#), r#"{"p": {}}"#);
         assert_eq!(spliced(r#"{"a" : 1e0, "item": [3], "b": "}"}"#, " { } "), r#"{"a":1e0,"b":"}"}"#);
         assert_eq!(spliced(r#"{"a": 1}"#, r#"{"p": []}"#), r#"{"p": [],"a":1}"#);
-        let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#).unwrap();
-        let [session, batch] = split.map(|text| String::from_utf8(text).unwrap());
+        let split = |keeps_pose| {
+            let split = split_batch(br#"{"p": [[1, 2]], "steps": 2, "q": [[3, 4]], "output": {}, "other": "}"}"#, keeps_pose).unwrap();
+            split.map(|text| String::from_utf8(text).unwrap())
+        };
+        assert_eq!(split(false), [r#"{"p":[[1, 2]]}"#, r#"{"steps":2,"q":[[3, 4]],"output":{},"other":"}"}"#]);
+        let [session, batch] = split(true);
         assert_eq!(session, r#"{"p":[[1, 2]],"q":[[3, 4]]}"#);
         assert_eq!(batch, r#"{"steps":2,"output":{},"other":"}"}"#);
     }
