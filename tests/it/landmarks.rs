@@ -6,7 +6,7 @@ use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
 
 use crate::support::program::mlswarp;
-use crate::support::{Server, photo};
+use crate::support::{Server, eventually, photo};
 
 const PTS: &str = "version: 1\nn_points: 2\n{\n4.5 3.5\n12.5 8.5\n}\n";
 const CSV: &str = "x,y\n5,3\n12,9\n";
@@ -56,7 +56,7 @@ async fn a_picture_with_landmark_files_is_that_with_their_handles() {
     let (_, expected) = picture(&server, &[("warp", &by_json)]).await;
     let (_, drawn) = picture(&server, &[("landmarks_p", PTS), ("landmarks_q", CSV)]).await;
     assert!(drawn == expected);
-    assert_eq!(server.app.budget().taken_for(Purpose::Upload), 0);
+    eventually("nothing is kept", || server.app.budget().taken_for(Purpose::Upload) == 0).await;
 }
 
 #[tokio::test]
@@ -126,7 +126,7 @@ async fn uploads_that_say_too_much_or_too_little_are_refused() {
     let (status, document) = problem(server.post("/warp").multipart(Form::new().text("landmarks", PTS)).send().await.unwrap()).await;
     assert_eq!((status, &document["detail"]), (400, &json!("the part `image` is missing")));
     server.is_well().await;
-    assert_eq!(server.app.budget().taken_for(Purpose::Upload), 0);
+    eventually("nothing is kept", || server.app.budget().taken_for(Purpose::Upload) == 0).await;
 }
 
 #[tokio::test]
@@ -172,7 +172,7 @@ async fn files_are_converted_without_an_image() {
     let parts = Form::new().text("landmarks", list).text("extent_p", "20,18");
     let (_, document) = problem(server.post("/landmarks?extent_p=1,2").multipart(parts).send().await.unwrap()).await;
     assert_eq!(document["detail"], "`extent_p` is given twice: in the query and as a part");
-    assert_eq!(server.app.budget().taken_for(Purpose::Upload), 0);
+    eventually("nothing is kept", || server.app.budget().taken_for(Purpose::Upload) == 0).await;
 }
 
 #[test]
