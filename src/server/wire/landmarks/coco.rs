@@ -9,12 +9,12 @@ use std::collections::HashMap;
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
-use super::item::ItemNames;
+use super::item::{ItemNames, name_in};
 use super::json::Fields;
 use super::own::read_names;
 use super::{Form, Format, offset};
 use crate::problem::Problem;
-use crate::wire::json::{Kind, Node};
+use crate::wire::json::{At, Kind, Node, optional};
 use crate::wire::number::number;
 
 pub(super) const FORMAT: Format = Format { name: "coco", title: "COCO keypoints", items: "annotations", form: Form::Json(is_coco, read) };
@@ -22,7 +22,7 @@ const CENTRE: f64 = 0.5;
 const ANNOTATIONS: &str = "an array of annotations";
 const KEYPOINTS: &str = "an array of numbers, x, y and v of each keypoint";
 /// The most images: their names are in memory together.
-const MOST_IMAGES: usize = 1 << 17;
+const MOST_IMAGES: usize = 1 << 16;
 
 fn is_coco(fields: &Fields<'_>) -> bool {
     if fields.is_list { fields.has("keypoints") } else { fields.has("annotations") && (fields.has("images") || fields.has("categories")) }
@@ -47,8 +47,8 @@ fn people(text: &str, list: &Node<'_, '_>, [images, categories]: [Option<Node<'_
         if labelled == 0 {
             return Ok(());
         }
-        let file = image.map(|image| files.get(image.text).map_or_else(|| plain(&image), plain)).transpose()?.unwrap_or_default();
-        let part = id.map(|id| plain(&id)).transpose()?.unwrap_or_default();
+        let file = image.map(|image| name_in(&files.get(image.text).map_or(image, |file| Node::new(file, At::Root))));
+        let (file, part) = (file.transpose()?.unwrap_or_default(), optional(id, name_in)?.unwrap_or_default());
         if !out.item(at, &ItemNames::new(&file, &part).list())? {
             return Ok(());
         }
@@ -87,7 +87,7 @@ fn count(text: &str, keypoints: &Node<'_, '_>) -> Result<(usize, usize), BadJson
 }
 
 /// The names of files by the ids of images, both as they are written.
-fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, Node<'j, 'static>>, BadJson> {
+fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, &'j str>, BadJson> {
     let mut files = HashMap::new();
     images.items::<BadJson>("an array of images", |index, image| {
         if index == MOST_IMAGES {
@@ -95,7 +95,7 @@ fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, Node<
             return Err(Bad::new(offset(text, &image), detail).into());
         }
         if let [Some(id), Some(file)] = image.find(&["id", "file_name"])? {
-            files.insert(id.text, Node::new(file.text, crate::wire::json::At::Root));
+            files.insert(id.text, file.text);
         }
         Ok(())
     })?;
@@ -115,13 +115,4 @@ fn labels(text: &str, categories: &Node<'_, '_>, wanted: &str, count: usize) -> 
         Ok(())
     })?;
     Ok(labels)
-}
-
-/// A text or a number as text.
-fn plain(node: &Node<'_, '_>) -> Result<String, Problem> {
-    match node.kind() {
-        Kind::String => node.string("a name"),
-        Kind::Number => Ok(node.text.to_owned()),
-        _ => Err(node.wrong_kind("a number or a name")),
-    }
 }

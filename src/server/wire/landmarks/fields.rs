@@ -67,7 +67,7 @@ impl LandmarkFiles {
         let file = self.file(SIDES[1], q, max_columns, work)?;
         if file.q.is_some() {
             let detail = "expected posed positions alone, because the session has those at rest; found both sides";
-            return Err(Bad::new(file.at[0], detail).problem(SIDES[1], q));
+            return Err(Bad::new(file.at.first().copied().unwrap_or_default(), detail).problem(SIDES[1], q));
         }
         Ok(Landmarks::of_file(file, [self.extent_q, None]))
     }

@@ -7,10 +7,11 @@
 
 use super::bad::{Bad, BadJson};
 use super::collect::Collector;
+use super::item::name_in;
 use super::json::Fields;
 use super::{Form, Format, offset};
 use crate::wire::handles::{PLACE, place};
-use crate::wire::json::{Kind, Node};
+use crate::wire::json::{Kind, Node, optional};
 
 pub(super) const FORMAT: Format =
     Format { name: "iiif", title: "IIIF georeference", items: "annotations", form: Form::Json(is_iiif, read) };
@@ -39,9 +40,9 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
 
 fn annotation(text: &str, item: &Node<'_, '_>, body: &Node<'_, '_>, out: &mut Collector) -> Result<(), BadJson> {
     let [id, label] = item.find(&["id", "label"])?;
-    let name = |node: Option<Node<'_, '_>>| {
-        node.filter(|node| node.kind() == Kind::String).map(|node| node.string("a name")).transpose().map(Option::unwrap_or_default)
-    };
+    // A label may also be an object with languages.
+    let name =
+        |node: Option<Node<'_, '_>>| optional(node.filter(|node| node.kind() == Kind::String), name_in).map(Option::unwrap_or_default);
     if !out.item(offset(text, item), &[&name(id)?, &name(label)?])? {
         return Ok(());
     }

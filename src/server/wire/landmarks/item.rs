@@ -6,6 +6,8 @@ use crate::problem::{Code, Problem};
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::whole;
 
+/// The longest name of an item as it is written, bytes.
+pub(super) const LONGEST_NAME: usize = 4096;
 /// The most items that an error lists.
 const MOST_LISTED: usize = 12;
 
@@ -127,6 +129,17 @@ impl Items {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// A name in JSON, a text or a number. Its length is limited before it is copied.
+pub(super) fn name_in(node: &Node<'_, '_>) -> Result<String, Problem> {
+    const EXPECTED: &str = "a name or a number";
+    match node.kind() {
+        _ if node.text.len() > LONGEST_NAME => Err(node.unexpected(&format!("a name of at most {LONGEST_NAME} bytes"), quote(node.text))),
+        Kind::String => node.string(EXPECTED),
+        Kind::Number => Ok(node.text.to_owned()),
+        _ => Err(node.wrong_kind(EXPECTED)),
     }
 }
 

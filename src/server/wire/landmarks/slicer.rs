@@ -6,6 +6,7 @@
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
+use super::item::name_in;
 use super::json::Fields;
 use super::table::Table;
 use super::words::Lines;
@@ -51,18 +52,18 @@ fn read_json(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usi
     markups.items::<BadJson>(MARKUPS, |_, list| {
         let at = offset(text, &list);
         let [kind, system, points] = list.find(&["type", "coordinateSystem", "controlPoints"])?;
-        let kind = optional(kind, |kind| kind.string("a type"))?.unwrap_or_default();
+        let kind = optional(kind, name_in)?.unwrap_or_default();
         if !out.item(at, &[&kind])? {
             return Ok(());
         }
         let system_at = system.as_ref().map_or(at, |system| offset(text, system));
-        require_indices(system_at, &optional(system, |system| system.string("a coordinate system"))?.unwrap_or_default())?;
+        require_indices(system_at, &optional(system, name_in)?.unwrap_or_default())?;
         let points = points.ok_or_else(|| list.missing("controlPoints", POINTS))?;
         points.items::<BadJson>(POINTS, |_, point| {
             let at = offset(text, &point);
             let [label, position, status] = point.find(&["label", "position", "positionStatus"])?;
             let label_at = label.as_ref().map_or(at, |label| offset(text, label));
-            let label = optional(label, |label| label.string("a label"))?.unwrap_or_default();
+            let label = optional(label, name_in)?.unwrap_or_default();
             let is_defined = status.is_none_or(|status| status.text == "\"defined\"");
             let place = position.filter(|_| is_defined).map(|position| indices(&position)).transpose()?;
             Ok(out.point(at, place, Some(Located { at: label_at, text: &label }))?)

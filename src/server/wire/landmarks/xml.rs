@@ -7,6 +7,7 @@ use std::borrow::Cow;
 use super::Source;
 use super::bad::Bad;
 use super::collect::Located;
+use super::item::LONGEST_NAME;
 use crate::problem::words::quote;
 
 /// The most elements inside one another.
@@ -181,8 +182,11 @@ impl<'t> Tag<'t> {
 
 impl<'t> Located<'t> {
     /// The value of an attribute, with its entities as characters.
-    /// Errors: An entity that only a declaration could explain.
+    /// Errors: An entity that only a declaration could explain, or a long text.
     pub(super) fn unescaped(self) -> Result<Cow<'t, str>, Bad> {
+        if self.text.len() > LONGEST_NAME {
+            return Err(Bad::new(self.at, format!("expected a name of at most {LONGEST_NAME} bytes; found {}", quote(self.text))));
+        }
         if !self.text.contains('&') {
             return Ok(Cow::Borrowed(self.text));
         }

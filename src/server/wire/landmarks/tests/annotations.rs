@@ -211,6 +211,23 @@ fn too_many_handles_are_refused_in_each_format() {
     }
 }
 
+/// Names are copied several times: their length is limited before.
+#[test]
+fn names_that_are_too_long_are_refused_in_each_format() {
+    let long = "a".repeat(5000);
+    for file in [
+        format!("<dataset><image file='{long}'/></dataset>"),
+        format!("<annotations><image name='{long}'/></annotations>"),
+        format!(r#"{{"images": [], "annotations": [{{"image_id": "{long}", "keypoints": [1, 2, 2]}}]}}"#),
+        format!(r#"{{"images": [{{"id": 1, "file_name": "{long}"}}], "annotations": [{{"image_id": 1, "keypoints": [1, 2, 2]}}]}}"#),
+        format!(r#"{{"type": "a", "id": "{long}", "body": {{"features": []}}}}"#),
+        format!(r#"{{"markups": [{{"type": "{long}", "coordinateSystem": "IJK", "controlPoints": []}}]}}"#),
+    ] {
+        let (_, _, detail) = place(&read(&file).unwrap_err());
+        assert!(detail.contains("a name of at most 4096 bytes"), "{detail}");
+    }
+}
+
 #[test]
 fn elements_that_are_nested_too_deeply_are_refused() {
     let (line, column, detail) = place(&read(format!("<dataset>{}", "<a>".repeat(1 << 20))).unwrap_err());
