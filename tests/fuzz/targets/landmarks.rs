@@ -5,7 +5,7 @@ use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::Reserved;
-use mlswarp_server::wire::landmarks::{LandmarkFiles, Landmarks};
+use mlswarp_server::wire::landmarks::{LandmarkFiles, Landmarks, Target};
 use serde_json::{Value, json};
 
 use super::assert_is_problem;
@@ -34,6 +34,7 @@ pub(super) fn read(bytes: &[u8]) {
             return;
         }
     };
+    as_fields(&files, &read);
     let count = |name: &str| read[name].as_array().map(Vec::len);
     let handles = count("p").expect("handles");
     assert!((1..=MAX_COLUMNS).contains(&handles), "{read}");
@@ -45,4 +46,13 @@ pub(super) fn read(bytes: &[u8]) {
         again[varying] = read.get(varying).cloned().unwrap_or(Value::Null);
     }
     assert!(read.as_object().is_some_and(|read| read.iter().all(|(name, value)| again[name] == *value)), "{read} {again}");
+}
+
+/// As fields of the JSON beside the files, the handles are the ones that were read.
+fn as_fields(files: &LandmarkFiles, read: &Value) {
+    let options = br#"{"extent": [640, 480], "method": "affine", "item": null}"#;
+    let target = Target::Session(Extent::new(640, 480).expect("a size"));
+    let Ok(fields) = landmarks(files).expect("what was read").into_fields(options, target) else { return };
+    let fields: Value = serde_json::from_slice(&fields).expect("JSON");
+    assert_eq!((&fields["method"], fields["p"].as_array().map(Vec::len)), (&json!("affine"), read["p"].as_array().map(Vec::len)));
 }
