@@ -1,11 +1,13 @@
 //! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and the program itself.
 
 pub(crate) mod bombs;
+pub(crate) mod clocked;
 pub(crate) mod collector;
 pub(crate) mod counters;
 pub(crate) mod drag_client;
 pub(crate) mod healthy;
 pub(crate) mod http2;
+pub(crate) mod largest;
 pub(crate) mod picture;
 pub(crate) mod program;
 #[allow(dead_code, reason = "the store's unit tests use the rest of it")]

@@ -1,0 +1,76 @@
+//! The thread of the asynchronous runtime moves bytes and computes nothing that grows with what a client sends or keeps: a request of one
+//! client would delay those of all others. Every operation of the OpenAPI document is sent with the largest session there may be.
+
+use std::time::{Duration, Instant};
+
+use crate::support::clocked::ClockedServer;
+use crate::support::is_full;
+use crate::support::largest::{Material, Request, Sizes};
+
+/// The most processor time of a poll of a task.
+const MOST: Duration = Duration::from_micros(200);
+/// What the dev profile needs in place of that, beside other tests: it leaves out most optimisation.
+const DEBUG: u32 = if cfg!(debug_assertions) { 10 } else { 1 };
+/// Times that each request is sent, of which the median counts, and in the dev profile the least: other tests that run at the same time
+/// only add to it. Fewer if that takes long.
+const TIMES: usize = 20;
+const LONG: Duration = Duration::from_millis(500);
+const FEWEST: usize = 3;
+/// Bodies that are much larger than what one poll may move.
+const SIZES: Sizes = Sizes { handles: 10_000, json: 1 << 20, body: 1 << 20 };
+
+/// The longest polls of the runtime's thread, one for each time that the request is sent, in order.
+fn longest_polls(server: &ClockedServer, material: &Material, request: &Request) -> Vec<Duration> {
+    let began = Instant::now();
+    let mut longest = Vec::new();
+    while longest.len() < TIMES && (is_full() || longest.len() < FEWEST || began.elapsed() < LONG) {
+        let own = request.needs_session().then(|| request.of(&material.session(server.address)));
+        let request = own.as_ref().unwrap_or(request);
+        let (poll, (status, read)) = server.longest(|| request.exchange(server.address));
+        assert_eq!(status, request.status, "{}: {}", request.what, String::from_utf8_lossy(&read[..read.len().min(2000)]));
+        longest.push(poll);
+    }
+    longest.sort_unstable();
+    longest
+}
+
+/// The test itself: a task that computes is seen.
+#[test]
+fn a_poll_that_computes_is_measured() {
+    let server = ClockedServer::start(&[]);
+    let (longest, ()) = server.longest(|| server.compute(20 * MOST));
+    assert!(longest >= 20 * MOST, "{longest:?}");
+    let (longest, ()) = server.longest(|| ());
+    assert!(longest < 20 * MOST, "{longest:?}");
+}
+
+#[test]
+fn every_operation_has_its_largest_requests() {
+    let requests = Material::unopened(SIZES).requests();
+    assert!(requests.len() > 60, "{}", requests.len());
+}
+
+#[test]
+#[ignore = "takes minutes in the dev profile: cargo test --release --test it -- --ignored runtime_thread"]
+fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
+    let server = ClockedServer::start(&["--max-warp-json-bytes", "1MiB"]);
+    let material = Material::prepare(server.address, SIZES);
+    let mut slow = Vec::new();
+    for request in material.requests() {
+        let began = Instant::now();
+        let longest = longest_polls(&server, &material, &request);
+        let (median, last) = (longest[longest.len() / 2], longest[longest.len() - 1]);
+        let counted = if cfg!(debug_assertions) { longest[0] } else { median };
+        println!(
+            "{median:>9.1?}, at least {:>9.1?}, at most {last:>9.1?} of {} in {:.1?}: {}",
+            longest[0],
+            longest.len(),
+            began.elapsed(),
+            request.what
+        );
+        if counted > DEBUG * MOST {
+            slow.push(format!("{}: {counted:?}", request.what));
+        }
+    }
+    assert!(slow.is_empty(), "the runtime's thread computes for longer than {:?}: {slow:#?}", DEBUG * MOST);
+}
