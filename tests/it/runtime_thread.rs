@@ -51,7 +51,6 @@ fn every_operation_has_its_largest_requests() {
 }
 
 #[test]
-#[ignore = "takes minutes in the dev profile: cargo test --release --test it -- --ignored runtime_thread"]
 fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
     let server = ClockedServer::start(&["--max-warp-json-bytes", "1MiB"]);
     let material = Material::prepare(server.address, SIZES);
