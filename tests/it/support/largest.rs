@@ -282,7 +282,7 @@ impl Material {
                 Request::new("POST", format!("{many}/warp"), 200).json(&drag),
                 Request::new("POST", format!("{many}/warp"), 200).called("strength").json(&posed),
                 Request::new("POST", format!("{many}/warp"), 422).called("over").json(self.over_drag()),
-                Request::new("POST", format!("{few}/warp"), 200).called("picture").json(of(&two, &self.output(2000))),
+                Request::new("POST", format!("{few}/warp"), 200).called("picture").json(of(&two, &self.output(1000))),
             ],
             "poseMesh" => vec![
                 Request::new("POST", format!("{many}/mesh"), 200).json(&drag),
@@ -405,8 +405,8 @@ impl Material {
             batch(many).json(of(&json!({"q": points(self.sizes.handles, 0.1), "steps": 4}), &small)),
             batch(few).called("geojson").json(self.geojson(&json!({"q": [[21, 20], [90, 60]], "steps": 2}))),
             batch(&least).called("frames").json(json!({"frames": frames, "output": {"width": 1}})),
-            batch(few).called("pictures").json(of(&two, &self.output(1500))),
-            batch(few).called("animation").header("accept", "image/apng").json(of(&two, &self.output(1500))),
+            batch(few).called("pictures").json(of(&two, &self.output(400))),
+            batch(few).called("animation").header("accept", "image/apng").json(of(&two, &self.output(400))),
         ]
     }
 
