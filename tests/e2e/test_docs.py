@@ -141,8 +141,8 @@ def test_the_examples_use_the_key_of_the_page(docs, locked):
         assert "unauthorized" not in text and '"error"' not in text and text, text
 
 
-def test_the_notebook_of_the_readme_shows_a_drag(server):
-    [cell] = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.M | re.S)
+def test_the_notebook_of_the_recipes_shows_a_drag(server):
+    [cell] = re.findall(r"^```python\n(.*?)^```$", (ROOT / "api/README.md").read_text(), re.M | re.S)
     assert WRITTEN in cell
     # A notebook has `display`.
     shown = "\nshown = []\ndisplay = lambda image: shown.append(image.tobytes())\n"
