@@ -137,7 +137,7 @@ mod tests {
     /// A grid of cells of 16 px whose displacement grows with the square of the distance from the 100th line, but no farther than 10 lines.
     fn bent_near_a_line(width: f64, height: f64) -> Mesh {
         let grid = Grid::with_cell(width, height, 16.0);
-        let line = |j: u32| (f64::from(j) - 100.0).clamp(-10.0, 10.0) as f32;
+        let line = |k: u32| f32::from(u16::try_from(k.clamp(90, 110)).unwrap()) - 100.0;
         let lines = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| i.max(j)));
         Mesh::new(grid, lines.map(|k| [0.0, line(k) * line(k)]).collect())
     }

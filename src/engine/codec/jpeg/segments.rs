@@ -98,7 +98,7 @@ pub(super) fn find<'a>(segment: &Segment<'a>, found: &mut Found<'a>, work: &Step
         APP12 if data.starts_with(b"Ducky") => {}
         APP14 if data.starts_with(b"Adobe") => {}
         COM => found.add_comment(Cow::Borrowed(data)),
-        APP0..=APP15 => found.dropped.add(Kind::Application),
+        other if (APP0..=APP15).contains(&other) => found.dropped.add(Kind::Application),
         _ => {}
     }
 }

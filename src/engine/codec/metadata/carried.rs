@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::exif::{self, Exif};
 use super::resolution::{Resolution, Unit};
-use super::{Chunk, Dropped, Kind, Metadata};
+use super::{Chunk, Dropped, KeptChunk, Kind, Metadata};
 use crate::codec::ifd::write::{BYTE, DirectoryWriter, UNDEFINED};
 use crate::codec::{Format, Profile};
 use crate::pixmap::Extent;
@@ -68,7 +68,7 @@ impl Carried {
         dropped.add_if(is_gif && source.xmp.is_some(), Kind::Xmp);
         let has_maker_note = source.exif.as_ref().is_some_and(Exif::has_maker_note);
         dropped.add_if(has_maker_note && format == Format::Tiff, Kind::MakerNote);
-        let is_lost = |text: &Chunk<Box<[u8]>>| match format {
+        let is_lost = |text: &KeptChunk| match format {
             Format::Png => false,
             Format::Jpeg => comment_of(text).is_none(),
             Format::WebP | Format::Tiff | Format::Gif => true,
@@ -105,7 +105,7 @@ impl Carried {
     }
 
     /// The chunks of a PNG that come before its palette.
-    pub(in crate::codec) fn chunks_of_colour(&self, grey: bool) -> (Option<&Profile>, &[Chunk<Box<[u8]>>]) {
+    pub(in crate::codec) fn chunks_of_colour(&self, grey: bool) -> (Option<&Profile>, &[KeptChunk]) {
         (self.profile(grey), &self.source.colour)
     }
 
@@ -189,7 +189,7 @@ impl Carried {
 }
 
 /// The text of a PNG's comment, if it is one that is not compressed.
-fn comment_of((kind, data): &Chunk<Box<[u8]>>) -> Option<&[u8]> {
+fn comment_of((kind, data): &KeptChunk) -> Option<&[u8]> {
     let text = data.strip_prefix(COMMENT)?;
     match kind {
         b"tEXt" => Some(text),

@@ -28,6 +28,8 @@ const MOST_TEXTS: usize = 256;
 
 /// A PNG chunk: its type and its data.
 pub(super) type Chunk<T> = ([u8; 4], T);
+/// The same, kept after its file is gone.
+pub(super) type KeptChunk = Chunk<Box<[u8]>>;
 
 /// What a reader has found in a file.
 #[derive(Clone, Debug, Default)]
@@ -76,12 +78,12 @@ fn has_room(lengths: impl ExactSizeIterator<Item = usize>, more: usize) -> bool 
 pub struct Metadata {
     resolution: Option<Resolution>,
     profile: Option<Profile>,
-    colour: Vec<Chunk<Box<[u8]>>>,
+    colour: Vec<KeptChunk>,
     /// Whether only the chunks say what the numbers mean, and it is not sRGB.
     needs_chunks: bool,
     exif: Option<Exif>,
     xmp: Option<Vec<u8>>,
-    texts: Vec<Chunk<Box<[u8]>>>,
+    texts: Vec<KeptChunk>,
     comments: Vec<Box<[u8]>>,
     dropped: Dropped,
     profile_dropped: bool,

@@ -318,7 +318,7 @@ fn hostile_metadata_cost_little_memory() {
             let shape = PngShape { extent: Extent::new(8, 8).unwrap(), channels: Channels::Rgb, grey: false, depth: Depth::Eight };
             let writer = Writer::new(shape, encoding, Some(&carried));
             let mut out = writer.head();
-            let sum = writer.strip_into(0, &mut vec![0; 192], &mut out, &|| true);
+            let sum = writer.strip_into(0, &mut [0; 192], &mut out, &|| true);
             out.extend(writer.tail(&[sum]));
             assert!(out.len() as u64 <= writer.max_bytes().min(METADATA_BYTES + PROFILE_BYTES), "{name} as {}", format.name());
             assert!(decode(&out, &Limits::default()).is_ok(), "{name} as {}", format.name());

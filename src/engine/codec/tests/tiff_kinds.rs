@@ -25,7 +25,7 @@ fn labels_of(file: &[u8]) -> Result<Labels, CodecError> {
 
 /// Black where the sum of the coordinates is divisible by three.
 fn fax_lines(width: u16, height: u16) -> (Vec<u8>, Vec<u8>) {
-    let is_black = |x: u16, y: u16| (x + y) % 3 == 0;
+    let is_black = |x: u16, y: u16| (x + y).is_multiple_of(3);
     let mut encoder = Encoder::new(VecWriter::new());
     for y in 0..height {
         encoder.encode_line((0..width).map(|x| if is_black(x, y) { Color::Black } else { Color::White }), width).unwrap();

@@ -1,6 +1,6 @@
 //! The compressed data of a strip or tile as a stream. Every stream ends with its data, and cancellation is checked as it is read.
 
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read};
 
 use flate2::bufread::ZlibDecoder;
 use weezl::{BitOrder, LzwStatus, decode};
@@ -83,7 +83,7 @@ impl Compression {
 /// The code tables look at more bits than a last code has; behind the data they see zeros, which begin no code.
 fn padded(data: impl Read) -> impl Iterator<Item = io::Result<u8>> {
     const ZEROS: usize = 4;
-    data.bytes().chain(std::iter::repeat_with(|| Ok(0)).take(ZEROS))
+    BufReader::new(data).bytes().chain(std::iter::repeat_with(|| Ok(0)).take(ZEROS))
 }
 
 /// Bytes with their bits in reverse order.
