@@ -59,7 +59,7 @@ fn stays_near_the_budget(addresses: usize) {
         let began = Instant::now();
         let statuses = send(&program, request, addresses);
         let peak = program.peak();
-        println!("{peak:>6} MiB in {:>7.1?}: {}, answered {statuses:?}", began.elapsed(), request.what);
+        eprintln!("{peak:>6} MiB in {:>7.1?}: {}, answered {statuses:?}", began.elapsed(), request.what);
         // Otherwise it is not known what the request takes.
         assert!(statuses.contains(&request.status), "{}: {statuses:?}", request.what);
         if peak > BUDGET + BESIDE {

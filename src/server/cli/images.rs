@@ -14,7 +14,7 @@ use super::output::{by_extension, is_directory, require_directory, require_other
 /// Extensions of the files of a folder that are images.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "gif", "bmp"];
 /// Bytes in which the beginning of JSON is sought.
-const HEAD: u64 = 1024;
+const HEAD: usize = 1024;
 
 /// A file of the command line.
 #[derive(Debug)]
@@ -38,8 +38,8 @@ impl InputFile {
         }
         let mut head = Vec::new();
         match &self.content {
-            Some(content) => head.extend(content.iter().take(HEAD as usize)),
-            None => drop(File::open(&self.path).and_then(|file| file.take(HEAD).read_to_end(&mut head))),
+            Some(content) => head.extend(content.iter().take(HEAD)),
+            None => drop(File::open(&self.path).and_then(|file| file.take(HEAD as u64).read_to_end(&mut head))),
         }
         let head = head.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&head);
         head.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'{')

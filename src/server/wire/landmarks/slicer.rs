@@ -76,7 +76,9 @@ fn indices(position: &Node<'_, '_>) -> Result<[f64; 2], Problem> {
     let (mut place, mut count) = ([0.0; 2], 0);
     position.items::<Problem>(POSITION, |axis, value| {
         let value = number(&value, "a number")?;
-        place.get_mut(axis).map(|place| *place = value + CENTRE);
+        if let Some(place) = place.get_mut(axis) {
+            *place = value + CENTRE;
+        }
         count += 1;
         Ok(())
     })?;
