@@ -70,13 +70,13 @@ fn stays_near_the_budget(addresses: usize) {
 }
 
 #[test]
-#[ignore = "takes minutes in the dev profile: cargo test --release --test it -- --ignored unread"]
+#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that the other tests keep their pace"]
 fn of_one_address_stay_near_the_budget() {
     stays_near_the_budget(1);
 }
 
 #[test]
-#[ignore = "takes minutes in the dev profile: cargo test --release --test it -- --ignored unread"]
+#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that the other tests keep their pace"]
 fn of_eight_addresses_stay_near_the_budget() {
     stays_near_the_budget(8);
 }

@@ -153,6 +153,7 @@ impl Field {
 
     /// The handles and parameters of [`Field::spline`] without its system, which takes nearly all of
     /// the time: it is described by this, and cannot be evaluated.
+    #[cfg(feature = "codec")]
     pub(crate) fn spline_without_system(
         handles: Handles,
         coincident: Coincident,

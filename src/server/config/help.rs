@@ -57,6 +57,11 @@ const BATCH: &str = r#"Examples:
   echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "points": [[240, 250]]}' > jitter.json
   mlswarp batch cat.png jitter.json --layer mask=cat-labels.png:labels -o cats.zip"#;
 
+const HEALTH_CHECK: &str = "Examples:
+  mlswarp health                                  # the server at 127.0.0.1:8080
+  mlswarp health --listen 127.0.0.1:9000 || systemctl restart mlswarp
+  MLSWARP_TLS_CERT=cert.pem MLSWARP_TLS_KEY=key.pem mlswarp health --listen 127.0.0.1:8443";
+
 const VALUES: &str =
     "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names.";
 
@@ -105,7 +110,7 @@ const SUBCOMMANDS: [Subcommand; 7] = [
     Subcommand { name: "batch", examples: BATCH, effective: &SERVICE, has_limits: true },
     Subcommand { name: "report", examples: REPORT, effective: &SERVICE, has_limits: true },
     Subcommand { name: "fit", examples: FIT, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "health", examples: "", effective: &HEALTH, has_limits: false },
+    Subcommand { name: "health", examples: HEALTH_CHECK, effective: &HEALTH, has_limits: false },
 ];
 
 impl Subcommand {
@@ -143,7 +148,8 @@ fn command_with(shows_limits: bool) -> Command {
         command.mut_subcommand(subcommand.name, |own| {
             let own = if shows_limits { own.mut_args(|arg| arg.hide(true)) } else { own };
             let own = if subcommand.has_limits { own.arg(help_limits.hide(shows_limits)) } else { own };
-            own.args(limits).help_template(TEMPLATE).before_help(if shows_limits { "" } else { subcommand.examples })
+            let own = own.args(limits).help_template(TEMPLATE);
+            if shows_limits { own } else { own.before_help(subcommand.examples) }
         })
     })
 }
