@@ -19,6 +19,8 @@ const LATTICE: u32 = 32;
 const SAME: f64 = 1e-6;
 /// Positions with the same f that are farther apart than this are on two sides of a fold, px.
 const APART: f64 = 1.0 / 16.0;
+/// Rows that are counted together.
+const STRIP: u32 = 32;
 /// The covered share is counted on at most this many pixels of a side.
 const COUNTED_SIDE: u32 = 1024;
 
@@ -136,14 +138,17 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
     let target = counted(canvas);
     let (width, height) = (target.width(), target.height());
     let map = InverseMap::new(mesh, target, Some(canvas));
-    let mut row = vec![[0.0; 2]; width as usize];
+    // Rows of one strip share what is found of the cells.
+    let mut places = vec![[0.0; 2]; width as usize * STRIP as usize];
     let mut covered = 0_u32;
-    for y in 0..height {
+    for y in (0..height).step_by(STRIP as usize) {
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        map.rows(y..y + 1, &mut row);
-        covered += row.iter().map(|[x, _]| u32::from(!x.is_nan())).sum::<u32>();
+        let rows = y..height.min(y + STRIP);
+        let places = &mut places[..width as usize * rows.len()];
+        map.rows(rows, places);
+        covered += places.iter().map(|[x, _]| u32::from(!x.is_nan())).sum::<u32>();
     }
     Ok(f64::from(covered) / f64::from(width * height))
 }
