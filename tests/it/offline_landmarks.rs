@@ -144,3 +144,25 @@ fn every_command_takes_landmark_files() {
         "{said}"
     );
 }
+
+/// With landmarks, the only file is that of the annotations if it is GeoJSON, or standard input.
+#[test]
+fn points_maps_the_only_file_beside_landmarks() {
+    let scratch = Scratch::new();
+    let (landmarks, cells) = (scratch.path("landmarks.csv"), scratch.path("cells.geojson"));
+    let feature = json!({"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [30.0, 20.0]}});
+    fs::write(&landmarks, csv()).unwrap();
+    for (text, pointer) in [(json!([feature]), "/0/geometry/coordinates"), (feature.clone(), "/geometry/coordinates")] {
+        fs::write(&cells, text.to_string()).unwrap();
+        let common = ["points", "--landmarks", &*landmarks, "--extent", "60,40"];
+        let (by_name, _) = done(&[&common, &[&*cells][..]].concat(), "");
+        let (piped, _) = done(&[&common, &["-"][..]].concat(), &text.to_string());
+        assert!(by_name == piped);
+        let place = serde_json::from_slice::<Value>(&by_name).unwrap().pointer(pointer).unwrap().clone();
+        let [x, y] = [0, 1].map(|axis| place[axis].as_f64().unwrap());
+        assert!((x - 31.0).abs() < 1e-9 && (y - 23.0).abs() < 1e-9, "{place}");
+    }
+    let fields = json!({"points": [[30, 20]], "method": "affine"}).to_string();
+    let (mapped, _) = done(&["points", "--landmarks", &landmarks, "--extent", "60,40", "-"], &fields);
+    assert!(String::from_utf8(mapped).unwrap().contains("\"points\""));
+}

@@ -1,5 +1,7 @@
 //! `mlswarp points WARP.json [ANNOTATIONS.json] --extent WIDTH,HEIGHT`: `POST /points` without a server.
 
+use std::path::Path;
+
 use serde_json::json;
 
 use super::failure::Failure;
@@ -14,7 +16,15 @@ use crate::wire::{Cursor, Source, is_geojson};
 /// Maps annotations. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure> {
-    let PointsArgs { input, annotations, inverse, extent, pose, frame, out } = args;
+    let PointsArgs { inverse, extent, pose, frame, out, .. } = args;
+    let (mut input, mut annotations) = (args.input.clone(), args.annotations.clone());
+    // With landmarks the warp object may be left out: then the first file is that of the annotations.
+    if annotations.is_none()
+        && input.landmarks.landmarks.is_some()
+        && input.warp.as_deref().is_some_and(|path| is_of_annotations(config, path))
+    {
+        annotations = input.warp.take();
+    }
     let files = || input.files().into_iter().chain([annotations.as_ref(), extent.image.as_ref()]);
     input::require_one_stdin(files())?;
     output::require_directory(out)?;
@@ -30,7 +40,7 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
     let mut more: Vec<Source> = annotations.into_iter().chain(pose.sources()).collect();
     more.extend(frame.sources()?);
     more.extend(options::source("--inverse", "inverse", inverse.then_some(json!(true))));
-    let Body { json, merged } = Body::read(config, input, extent, more)?;
+    let Body { json, merged } = Body::read(config, &input, extent, more)?;
     let service = Service::start(config)?;
     let mapped = service.run(service.app.points_once(service.client, json, cursor));
     let MappedFile { warnings, method, first, mut rest, .. } = mapped.map_err(|problem| input::located(&merged, problem))?;
@@ -43,4 +53,10 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
         sink.end_line()
     })?;
     Ok(summary(method, &warnings))
+}
+
+/// Whether the first file is that of the annotations: GeoJSON, or standard input, whose fields count wherever they come from.
+fn is_of_annotations(config: &Config, path: &Path) -> bool {
+    let source = || input::source("annotations", path, Limit::body(config));
+    input::is_stdio(path) || source().is_ok_and(|source| is_geojson(&source.json))
 }
