@@ -85,9 +85,10 @@ fn what_a_gif_does_not_carry_is_named() {
     for (name, file, _, want, _) in [png_carriers(), jpeg_carriers(), tiff_carriers(), other_carriers()].concat() {
         let (out, (profile, dropped), _) = written(&file, Encoding::Gif, Format::Gif, (1, 1));
         assert!(!token_in(&out), "{name}");
+        // What only PNG needs to say, that the colours are sRGB, is no loss.
         assert_eq!(
             profile || !dropped.is_empty(),
-            want.contains(['k', 'p', 'd']),
+            want[1..].contains(['k', 'p', 'd']),
             "{name}: {profile} {:?}",
             dropped.names().collect::<Vec<_>>()
         );
