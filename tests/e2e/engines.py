@@ -184,10 +184,17 @@ class Drive:
         return Look(png, self.at(0, 0), self.at(width, height), float(self.data["zoom"]))
 
     def seen(self, what, holds):
-        """Waits until the picture on the screen fits: a screenshot may be a frame older than the state of the page."""
+        """Waits until the picture on the screen fits: a screenshot may be a frame older than the state of the page, and a frame may be
+        one in which the picture is not drawn yet."""
         give_up = time.monotonic() + DEADLINE
-        while not holds(look := self.look()):
-            assert time.monotonic() < give_up, f"never seen: {what}: {[look.centre(colour) for colour in ('red', 'green', 'blue')]}"
+        while True:
+            try:
+                if holds(look := self.look()):
+                    return
+                found = [look.centre(colour) for colour in ("red", "green", "blue")]
+            except AssertionError as nothing:
+                found = nothing
+            assert time.monotonic() < give_up, f"never seen: {what}: {found}"
 
     def downloaded(self, button, name):
         """The bytes that a button of the page writes to the folder of downloads."""
