@@ -3,7 +3,8 @@
 //!
 //! Time is divided into rounds. In each round the tasks of an address are polled until they have used [`TURN`]; others of them wait for the
 //! next round, in the order in which they became ready. A round lasts as long as the runtime needs for everything that is ready, so an
-//! address that is alone gets all of the time.
+//! address that is alone gets all of the time. Half of the time that passes is forgiven, so that a client that asks for one thing after
+//! another seldom waits for a round.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::IpAddr;
@@ -55,6 +56,8 @@ struct State {
     /// The round in which an address last had a turn, and the time that it has used in it.
     round: u64,
     used: Duration,
+    /// Until when time was forgiven.
+    forgiven: Option<Instant>,
     /// Tasks that wait for a turn, and whether the next round knows of them.
     waiting: VecDeque<Arc<Place>>,
     is_listed: bool,
@@ -128,8 +131,11 @@ impl Address {
     /// A place among the waiting tasks, unless the address has time left in this round.
     fn wait(self: &Arc<Self>, waker: &Waker) -> Option<Arc<Place>> {
         let mut state = self.now();
-        if state.used < TURN && state.waiting.is_empty() {
-            return None;
+        if state.waiting.is_empty() {
+            state.forgive();
+            if state.used < TURN {
+                return None;
+            }
         }
         let place = Arc::new(Place(Mutex::new(Some(waker.clone()))));
         state.waiting.push_back(Arc::clone(&place));
@@ -156,6 +162,12 @@ impl Address {
 }
 
 impl State {
+    fn forgive(&mut self) {
+        let now = Instant::now();
+        let passed = self.forgiven.replace(now).map_or(Duration::MAX, |forgiven| now.saturating_duration_since(forgiven));
+        self.used = self.used.saturating_sub(passed / 2);
+    }
+
     /// The next waiting task.
     fn next(&mut self) -> Option<Waker> {
         // A task that was dropped has left its place.
@@ -293,8 +305,9 @@ mod tests {
     #[tokio::test]
     async fn a_task_that_is_dropped_while_it_waits_is_passed_over() {
         let of = Turns::default().of(address(1));
-        // The turn is over.
-        of.0.used(2 * TURN);
+        // The turn is over, and will not be forgiven soon.
+        of.0.now().forgive();
+        of.0.used(Duration::from_secs(60));
         let mut waits: Vec<_> = (0..3).map(|n| Box::pin(of.take(async move { n }))).collect();
         for task in &mut waits {
             assert!(task.now_or_never().is_none());
