@@ -3,8 +3,8 @@
 
 use tokio::runtime::Handle;
 
-/// Values of fewer bytes are freed where they are dropped.
-const MIN_ASIDE: u64 = 256 << 10;
+/// Values of fewer bytes are freed where they are dropped: handing them to another thread would take longer.
+const MIN_ASIDE: u64 = 2 << 20;
 
 /// Drops a value of so many bytes: on a blocking thread, if this may be a thread of the runtime.
 pub fn free<T: Send + 'static>(value: T, bytes: u64) {
