@@ -1,32 +1,11 @@
 //! Landmark files where handles are, without a server: `mlswarp fit`, and batches.
 
 use std::fs;
-use std::io::Write as _;
-use std::process::{Output, Stdio};
 
 use serde_json::{Value, json};
 
-use crate::support::program::mlswarp;
+use crate::support::program::{done, failed};
 use crate::support::{Scratch, Server, photo};
-
-fn run(args: &[&str], stdin: &str) -> Output {
-    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // A command that fails at once closes the pipe.
-    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
-    child.wait_with_output().unwrap()
-}
-
-fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
-    let output = run(args, stdin);
-    assert!(output.status.success(), "{args:?}: {output:?}");
-    (output.stdout, String::from_utf8(output.stderr).unwrap())
-}
-
-fn failed(args: &[&str], stdin: &str) -> String {
-    let output = run(args, stdin);
-    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
-    String::from_utf8(output.stderr).unwrap()
-}
 
 const P: [[f64; 2]; 6] = [[5.0, 5.0], [50.0, 6.0], [8.0, 33.0], [52.0, 30.0], [30.0, 20.0], [40.0, 12.0]];
 const Q: [[f64; 2]; 6] = [[7.0, 6.0], [51.0, 9.0], [8.5, 35.0], [51.0, 34.0], [31.0, 23.0], [52.0, 2.0]];

@@ -1,27 +1,12 @@
 //! The options of the subcommands that JSON has too, fields that two files give, and the help texts.
 
 use std::fs;
-use std::io::Write as _;
-use std::process::{Output, Stdio};
 
 use serde_json::{Value, json};
 
 use crate::support::picture::decoded;
-use crate::support::program::mlswarp;
+use crate::support::program::{done, run};
 use crate::support::{Scratch, photo};
-
-fn run(args: &[&str], stdin: &str) -> Output {
-    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // A command that fails at once closes the pipe.
-    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
-    child.wait_with_output().unwrap()
-}
-
-fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
-    let output = run(args, stdin);
-    assert!(output.status.success(), "{args:?}: {output:?}");
-    (output.stdout, String::from_utf8(output.stderr).unwrap())
-}
 
 fn failed(args: &[&str], stdin: &str) -> String {
     let output = run(args, stdin);

@@ -2,36 +2,14 @@
 //! output cannot be written, or the program is interrupted.
 
 use std::io::{Read as _, Write as _};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
 use crate::support::picture::png_of;
-use crate::support::program::mlswarp;
+use crate::support::program::{done, failed, mlswarp, run};
 use crate::support::{Scratch, Server, photo};
-
-/// Runs the program with text on its standard input.
-fn run(args: &[&str], stdin: &str) -> Output {
-    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // A command that fails at once closes the pipe.
-    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
-    child.wait_with_output().unwrap()
-}
-
-/// Standard output of a command that succeeds, and what it says.
-fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
-    let output = run(args, stdin);
-    assert!(output.status.success(), "{args:?}: {output:?}");
-    (output.stdout, String::from_utf8(output.stderr).unwrap())
-}
-
-/// What a command says that fails.
-fn failed(args: &[&str], stdin: &str) -> String {
-    let output = run(args, stdin);
-    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
-    String::from_utf8(output.stderr).unwrap()
-}
 
 /// The fields of both objects.
 fn merged(one: &Value, other: &Value) -> Value {

@@ -1,8 +1,8 @@
 //! The program itself, as a user starts it.
 
-use std::io::{BufRead as _, BufReader, Read as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::SocketAddr;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// `mlswarp`, with nothing of ours in its environment.
@@ -15,6 +15,28 @@ pub(crate) fn mlswarp(args: &[&str]) -> Command {
         command.env_remove(name);
     }
     command
+}
+
+/// Runs the program with text on its standard input.
+pub(crate) fn run(args: &[&str], stdin: &str) -> Output {
+    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // A command that fails at once closes the pipe.
+    let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
+    child.wait_with_output().unwrap()
+}
+
+/// Standard output of a command that succeeds, and what it says.
+pub(crate) fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
+    let output = run(args, stdin);
+    assert!(output.status.success(), "{args:?}: {output:?}");
+    (output.stdout, String::from_utf8(output.stderr).unwrap())
+}
+
+/// What a command says that fails.
+pub(crate) fn failed(args: &[&str], stdin: &str) -> String {
+    let output = run(args, stdin);
+    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
+    String::from_utf8(output.stderr).unwrap()
 }
 
 /// A server in a process of its own; killed when dropped.

@@ -258,7 +258,7 @@ fn is_signed(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<bool, Codec
     }
 }
 
-/// The alpha of pixels of so many samples, of which so many are colours. Other samples have no place in a picture.
+/// The alpha of pixels with this number of stored samples, and of colours among them. Other samples have no place in a picture.
 fn alpha_of(
     page: &Directory<'_>,
     colour: Colour,
