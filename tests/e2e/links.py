@@ -5,12 +5,12 @@ import math
 import subprocess
 from pathlib import Path
 
-from support import PROGRAM
+from support import PROGRAM, Visited
 
 LINK = Path(PROGRAM).parent / "examples" / "link"
 
 
-class Link:
+class Link(Visited):
     """A server at the other end of a link of MBIT Mbit/s and MS ms each way."""
 
     def __init__(self, server, mbit=5, ms=75):
@@ -33,6 +33,7 @@ class Link:
         self.tell(f"pause {seconds}")
 
     def close(self):
+        self.leave()
         self.process.stdin.close()
         self.process.wait()
 

@@ -101,6 +101,7 @@ def published(name, folder):
             time.sleep(0.05)
         yield proxied
     finally:
+        proxied.leave()
         process.terminate()
         process.wait(DEADLINE)
         server.stop()

@@ -45,7 +45,17 @@ def crossed(these, those):
     return [(this, those[k % len(those)]) for k, this in enumerate(these)]
 
 
-class Server:
+class Visited:
+    """A server that pages look at. They are closed before it ends: a request of theirs would find nobody, which is an error of the page."""
+
+    visits = ()
+
+    def leave(self):
+        for visit in self.visits:
+            visit.close()
+
+
+class Server(Visited):
     """The program on a loopback port. After a restart it has the same port and an empty store."""
 
     def __init__(self, *flags):
@@ -79,6 +89,7 @@ class Server:
 
     def stop(self):
         """Stops the program, which must exit with 0 and without a panic."""
+        self.leave()
         if self.log.closed:
             return
         self.process.send_signal(signal.SIGTERM)
@@ -107,6 +118,7 @@ class Visit:
 
     def __init__(self, browser, server, *, query="", path="", expects=(), **options):
         self.server = server
+        server.visits = (*server.visits, self)
         self.expected = set(expects)
         self.trouble = []
         options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
