@@ -7,8 +7,6 @@ import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
 const TRIES = 3;
-/** A socket that closes sooner than this, ms, counts as failed. */
-const LIVED = 2000;
 /** Time without a response, ms, after which the socket is given up, even if the connection looks open. */
 const PATIENCE = 5000;
 /** Buffered bytes of the socket beyond which newer poses wait here. */
@@ -28,7 +26,6 @@ export class Live {
   #socket = null;
   #failures = 0;
   #open = false;
-  #opened = 0;
   #grid = null;
   #lattice = null; // of the compact meshes of the socket
   #seq = 0;
@@ -42,7 +39,7 @@ export class Live {
   #report = null;
   #lost = false; // an open socket was closed or given up, and no later request has been answered
   #closedAt = 0;
-  #broken = false; // it had lived, and was closed by the other side or the network
+  #broken = false; // a socket that had answered was closed by the other side or the network, and none has opened since
   #reopening = 0;
   #attempts = 0;
 
@@ -69,11 +66,12 @@ export class Live {
    * stopped. */
   found(asked) {
     if (asked < this.#closedAt) return;
-    const isBroken = this.#broken;
-    this.#lost = this.#broken = false;
-    if (!isBroken) return;
-    // The socket may open again, whatever its failures meanwhile.
-    this.#failures = 0;
+    const wasLost = this.#lost;
+    this.#lost = false;
+    if (!wasLost || !this.#broken) return;
+    // The socket may open again, whatever its failures meanwhile. One that is opening may have begun while the server was away: it fails, and
+    // another one follows, because the socket counts as broken until one is open.
+    this.#failures = this.#attempts = 0;
     clearTimeout(this.#reopening);
     if (!this.#socket) this.#connect();
   }
@@ -137,8 +135,6 @@ export class Live {
     socket.onopen = current(() => {
       this.#open = true;
       this.#lost = this.#broken = false;
-      this.#attempts = 0;
-      this.#opened = performance.now();
       this.#seq = 0;
       this.#revisions.clear();
       this.#unanswered.clear();
@@ -148,7 +144,8 @@ export class Live {
     });
     socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
     socket.onclose = current(({ code }) => {
-      const hasLived = this.#open && performance.now() - this.#opened > LIVED;
+      // A socket that answers nothing has failed, unless it was asked for nothing.
+      const hasLived = this.#open && (this.#quickest !== null || this.#seq === 0);
       if (code === ENDED) this.#open = false;
       this.#broken ||= hasLived && this.#open;
       this.#closed(hasLived ? 0 : this.#failures + 1);
@@ -165,7 +162,7 @@ export class Live {
     this.#open = false;
     this.#socket = null;
     clearTimeout(this.#reopening);
-    if (this.#lost) this.#reopen();
+    if (this.#lost || this.#broken) this.#reopen();
     this.told.way();
     this.#flush();
   }
@@ -174,7 +171,7 @@ export class Live {
   #reopen() {
     if (this.#attempts >= ATTEMPTS) return;
     const pause = (AGAIN * 2 ** this.#attempts++ * (1 + Math.random())) / 2;
-    this.#reopening = setTimeout(() => this.#lost && !this.#socket && this.#connect(this.#broken), pause);
+    this.#reopening = setTimeout(() => (this.#lost || this.#broken) && !this.#socket && this.#connect(this.#broken), pause);
   }
 
   /** The response to a pose is also that to all older ones. */
@@ -182,6 +179,7 @@ export class Live {
     const sent = this.#unanswered.get(seq);
     if (sent === undefined) return;
     this.#quickest = Math.min(this.#quickest ?? Infinity, performance.now() - sent);
+    this.#attempts = 0;
     for (const old of this.#unanswered.keys()) if (old <= seq) this.#unanswered.delete(old);
   }
 
