@@ -80,6 +80,9 @@ impl Level {
     }
 
     fn best() -> Self {
-        [Self::Avx512, Self::Avx2].into_iter().find(|level| level.is_here()).unwrap_or(Self::Scalar)
+        [Self::Avx512, Self::Avx2]
+            .into_iter()
+            .find(|level| level.is_here())
+            .unwrap_or(Self::Scalar)
     }
 }

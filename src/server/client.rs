@@ -26,7 +26,11 @@ impl Owner {
 
 impl fmt::Debug for Owner {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if *self == Self::ANYBODY { f.write_str("anybody") } else { f.write_str(&HEXLOWER.encode(&self.0[..4])) }
+        if *self == Self::ANYBODY {
+            f.write_str("anybody")
+        } else {
+            f.write_str(&HEXLOWER.encode(&self.0[..4]))
+        }
     }
 }
 
@@ -55,7 +59,9 @@ impl Tenant {
     /// The tenant of a client without a key.
     pub fn of_address(address: IpAddr) -> Self {
         Self::Address(match address.to_canonical() {
-            IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> V6_HOST_BITS << V6_HOST_BITS)),
+            IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(
+                v6.to_bits() >> V6_HOST_BITS << V6_HOST_BITS,
+            )),
             v4 @ IpAddr::V4(_) => v4,
         })
     }
@@ -64,13 +70,20 @@ impl Tenant {
 impl Client {
     /// The tenant that it counts as.
     pub fn tenant(self) -> Tenant {
-        if self.owner == Owner::ANYBODY { Tenant::of_address(self.address) } else { Tenant::Key(self.owner) }
+        if self.owner == Owner::ANYBODY {
+            Tenant::of_address(self.address)
+        } else {
+            Tenant::Key(self.owner)
+        }
     }
 }
 
 impl Default for Client {
     fn default() -> Self {
-        Self { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::UNSPECIFIED) }
+        Self {
+            owner: Owner::ANYBODY,
+            address: IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+        }
     }
 }
 
@@ -80,12 +93,20 @@ mod tests {
 
     #[test]
     fn a_key_counts_from_every_address_and_without_keys_the_address_counts() {
-        let tenant =
-            |owner: u8, address: &str| Client { owner: Owner::from_bytes([owner; 16]), address: address.parse().unwrap() }.tenant();
+        let tenant = |owner: u8, address: &str| {
+            Client {
+                owner: Owner::from_bytes([owner; 16]),
+                address: address.parse().unwrap(),
+            }
+            .tenant()
+        };
         assert_eq!(tenant(1, "192.0.2.1"), tenant(1, "2001:db8::1"));
         assert_ne!(tenant(1, "192.0.2.1"), tenant(2, "192.0.2.1"));
         assert_ne!(tenant(0, "192.0.2.1"), tenant(0, "192.0.2.2"));
-        assert_eq!(tenant(0, "2001:db8:1:2:3:4:5:6"), Tenant::Address("2001:db8:1:2::".parse().unwrap()));
+        assert_eq!(
+            tenant(0, "2001:db8:1:2:3:4:5:6"),
+            Tenant::Address("2001:db8:1:2::".parse().unwrap())
+        );
         assert_ne!(tenant(0, "2001:db8:1:2::1"), tenant(0, "2001:db8:1:3::1"));
         assert_eq!(tenant(0, "::ffff:192.0.2.1"), tenant(0, "192.0.2.1"));
     }

@@ -18,8 +18,11 @@ impl LayerName {
 
     /// Checks a name.
     pub fn parse(text: &str) -> Option<Self> {
-        let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-');
-        let is_name = (1..=MAX_NAME).contains(&text.len()) && text.bytes().all(is_allowed) && text.bytes().any(|byte| byte != b'.');
+        let is_allowed =
+            |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-');
+        let is_name = (1..=MAX_NAME).contains(&text.len())
+            && text.bytes().all(is_allowed)
+            && text.bytes().any(|byte| byte != b'.');
         is_name.then(|| Self(text.to_owned()))
     }
 
@@ -101,9 +104,23 @@ mod tests {
     #[test]
     fn names_are_short_and_plain() {
         for good in ["a", "depth.v2", "A_b-9", "..a", &"x".repeat(64)] {
-            assert_eq!(LayerName::parse(good).as_ref().map(LayerName::as_str), Some(good));
+            assert_eq!(
+                LayerName::parse(good).as_ref().map(LayerName::as_str),
+                Some(good)
+            );
         }
-        for bad in ["", ".", "..", "...", "@coverage", "a b", "a/b", "é", "a\n", &"x".repeat(65)] {
+        for bad in [
+            "",
+            ".",
+            "..",
+            "...",
+            "@coverage",
+            "a b",
+            "a/b",
+            "é",
+            "a\n",
+            &"x".repeat(65),
+        ] {
             assert_eq!(LayerName::parse(bad), None, "{bad:?}");
         }
         assert!(
@@ -111,9 +128,18 @@ mod tests {
                 .iter()
                 .all(|name| matches!(LayerRef::parse(name), Some(built_in) if built_in != LayerRef::Stored(LayerName::region())))
         );
-        assert_eq!((LayerRef::parse("region"), LayerRef::parse("@region")), (Some(LayerRef::Stored(LayerName::region())), None));
+        assert_eq!(
+            (LayerRef::parse("region"), LayerRef::parse("@region")),
+            (Some(LayerRef::Stored(LayerName::region())), None)
+        );
         let name = |text: &str| LayerName::parse(text).unwrap();
-        assert!(name("Depth").is_twin(&name("depth")) && !name("depth").is_twin(&name("depth")) && !name("a").is_twin(&name("b")));
-        assert!(LayerName::region().is_region() && !LayerName::parse("Region").unwrap().is_region());
+        assert!(
+            name("Depth").is_twin(&name("depth"))
+                && !name("depth").is_twin(&name("depth"))
+                && !name("a").is_twin(&name("b"))
+        );
+        assert!(
+            LayerName::region().is_region() && !LayerName::parse("Region").unwrap().is_region()
+        );
     }
 }

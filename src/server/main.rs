@@ -23,23 +23,40 @@ fn main() -> ExitCode {
     };
     let (command, unknown) = (command.unwrap_or(Command::Serve), unknown_variables());
     if !matches!(command, Command::Serve | Command::Health) {
-        unknown.iter().for_each(|sentence| eprintln!("warning: {sentence}"));
+        unknown
+            .iter()
+            .for_each(|sentence| eprintln!("warning: {sentence}"));
     }
     let done = match command {
         Command::Serve => {
             observe::start(&config.telemetry.log, config.telemetry.log_format);
-            unknown.iter().for_each(|sentence| tracing::warn!("{sentence}"));
+            unknown
+                .iter()
+                .for_each(|sentence| tracing::warn!("{sentence}"));
             #[cfg(all(target_os = "linux", target_env = "gnu"))]
             malloc_trim::start();
             connection::run(config).map_err(|e| format!("error: {e}"))
         }
         Command::Health => health::ask(&config).map_err(|e| format!("error: {e}")),
-        Command::Warp(args) => warp::run(&config, &args).map(Some).map_err(|e| e.to_string()).map(print),
-        Command::Batch(args) => batch::run(&config, &args).map_err(|e| e.to_string()).map(print),
-        Command::Map(args) => map::run(&config, &args).map_err(|e| e.to_string()).map(print),
-        Command::Report(args) => report::run(&config, &args).map_err(|e| e.to_string()).map(print),
-        Command::Fit(args) => fit::run(&config, &args).map_err(|e| e.to_string()).map(print),
-        Command::Points(args) => points::run(&config, &args).map_err(|e| e.to_string()).map(print),
+        Command::Warp(args) => warp::run(&config, &args)
+            .map(Some)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Batch(args) => batch::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Map(args) => map::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Report(args) => report::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Fit(args) => fit::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Points(args) => points::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

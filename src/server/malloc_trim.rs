@@ -31,14 +31,21 @@ pub(crate) fn start() {
     let processors = std::thread::available_parallelism().map_or(1, NonZero::get);
     let arenas = c_int::try_from(processors.div_ceil(PROCESSORS_PER_ARENA)).unwrap_or(c_int::MAX);
     // Without these options the service uses more memory.
-    let _ = (mallopt(M_ARENA_MAX, arenas), mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD), mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD));
+    let _ = (
+        mallopt(M_ARENA_MAX, arenas),
+        mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD),
+        mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD),
+    );
     let trims = || {
         loop {
             std::thread::sleep(TRIM_INTERVAL);
             malloc_trim(0);
         }
     };
-    if let Err(error) = std::thread::Builder::new().name("heap".to_owned()).spawn(trims) {
+    if let Err(error) = std::thread::Builder::new()
+        .name("heap".to_owned())
+        .spawn(trims)
+    {
         tracing::warn!(%error, "memory that is freed is not given back");
     }
 }

@@ -16,13 +16,17 @@ pub struct SessionId {
 impl SessionId {
     /// A new id.
     pub fn random(owner: Owner) -> Self {
-        Self { owner, uuid: Uuid::new_v4() }
+        Self {
+            owner,
+            uuid: Uuid::new_v4(),
+        }
     }
 
     /// Parses the hyphenated form of a UUID of version 4.
     pub fn parse(owner: Owner, text: &str) -> Option<Self> {
         let uuid = Uuid::try_parse(text).ok().filter(|_| text.len() == 36)?;
-        (uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122).then_some(Self { owner, uuid })
+        (uuid.get_version_num() == 4 && uuid.get_variant() == Variant::RFC4122)
+            .then_some(Self { owner, uuid })
     }
 
     /// The owner.
@@ -42,7 +46,10 @@ impl SessionId {
     pub fn from_bytes(bytes: &[u8; 32]) -> Self {
         let (owner, uuid) = bytes.split_at(16);
         let half = |half: &[u8]| half.try_into().expect("half of 32 bytes");
-        Self { owner: Owner::from_bytes(half(owner)), uuid: Uuid::from_bytes(half(uuid)) }
+        Self {
+            owner: Owner::from_bytes(half(owner)),
+            uuid: Uuid::from_bytes(half(uuid)),
+        }
     }
 }
 
@@ -89,7 +96,12 @@ mod tests {
         let parse = |text: &str| SessionId::parse(Owner::ANYBODY, text);
         let id = SessionId::random(Owner::ANYBODY);
         assert_eq!(parse(&id.to_string()), Some(id));
-        for text in ["", "x", "00000000-0000-0000-0000-000000000000", "6ba7b810-9dad-11d1-80b4-00c04fd430c8"] {
+        for text in [
+            "",
+            "x",
+            "00000000-0000-0000-0000-000000000000",
+            "6ba7b810-9dad-11d1-80b4-00c04fd430c8",
+        ] {
             assert_eq!(parse(text), None, "{text}");
         }
         assert!(parse(&id.to_string().replace('-', "")).is_none());

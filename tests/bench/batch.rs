@@ -36,9 +36,18 @@ const ROUNDS: usize = 3;
 /// The sum of a metric's samples whose names begin so.
 fn metric(client: &mut Client, service: &Service, name: &str) -> f64 {
     let (mut text, address) = (Vec::new(), service.address);
-    client.send(format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes(), |bytes| text.extend_from_slice(bytes));
+    client.send(
+        format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes(),
+        |bytes| text.extend_from_slice(bytes),
+    );
     let text = String::from_utf8(text).expect("text");
-    let samples = text.lines().filter_map(|line| line.strip_prefix(name)?.rsplit(' ').next()?.parse::<f64>().ok());
+    let samples = text.lines().filter_map(|line| {
+        line.strip_prefix(name)?
+            .rsplit(' ')
+            .next()?
+            .parse::<f64>()
+            .ok()
+    });
     samples.sum()
 }
 
@@ -46,26 +55,59 @@ fn main() {
     let service = Service::start();
     let extent = extent(SIDES);
     let mut file = Vec::new();
-    encode(extent, Channels::Rgb, bytes(&photograph(extent, Channels::Rgb)), (png::Compression::Fastest, None), &mut file);
+    encode(
+        extent,
+        Channels::Rgb,
+        bytes(&photograph(extent, Channels::Rgb)),
+        (png::Compression::Fastest, None),
+        &mut file,
+    );
     let (rest, target) = handles(12, extent, 1.0);
     let pose = |k: usize| -> String {
         let t = (k as f64 / 50.0).sin();
-        let between = |(p, q): (&Point, &Point)| Point::new(p.x + t * (q.x - p.x), p.y + t * (q.y - p.y));
+        let between =
+            |(p, q): (&Point, &Point)| Point::new(p.x + t * (q.x - p.x), p.y + t * (q.y - p.y));
         let handle = |(p, q): (&Handle, &Handle)| between((&p.places()[0], &q.places()[0]));
-        places(&rest.iter().zip(&target).map(handle).map(Handle::Point).collect::<Vec<_>>())
+        places(
+            &rest
+                .iter()
+                .zip(&target)
+                .map(handle)
+                .map(Handle::Point)
+                .collect::<Vec<_>>(),
+        )
     };
     let mut client = Client::connect(service.address);
-    let session = service.session(&mut client, &file, &format!(r#"{{"p": {}}}"#, places(&rest)));
+    let session = service.session(
+        &mut client,
+        &file,
+        &format!(r#"{{"p": {}}}"#, places(&rest)),
+    );
     let json = "application/json";
-    let singles: Vec<Vec<u8>> =
-        (0..FRAMES).map(|k| service.post(&format!("{session}/warp"), json, format!(r#"{{"q": {}}}"#, pose(k)).as_bytes())).collect();
-    let frames: Vec<String> = (0..FRAMES).map(|k| format!(r#"{{"q": {}}}"#, pose(k))).collect();
-    let batch = service.post(&format!("{session}/batch"), json, format!(r#"{{"frames": [{}]}}"#, frames.join(",")).as_bytes());
+    let singles: Vec<Vec<u8>> = (0..FRAMES)
+        .map(|k| {
+            service.post(
+                &format!("{session}/warp"),
+                json,
+                format!(r#"{{"q": {}}}"#, pose(k)).as_bytes(),
+            )
+        })
+        .collect();
+    let frames: Vec<String> = (0..FRAMES)
+        .map(|k| format!(r#"{{"q": {}}}"#, pose(k)))
+        .collect();
+    let batch = service.post(
+        &format!("{session}/batch"),
+        json,
+        format!(r#"{{"frames": [{}]}}"#, frames.join(",")).as_bytes(),
+    );
 
     let (mut ratios, mut size) = (Vec::new(), 0);
     for round in 0..=ROUNDS {
         let began = Instant::now();
-        singles.iter().for_each(|single| client.send(single, |_| {}));
+        singles
+            .iter()
+            .for_each(|single| client.send(single, |_| {}));
         let one_by_one = began.elapsed();
         let before = metric(&mut client, &service, "mlswarp_memory_resident_bytes");
         let began = Instant::now();
@@ -93,7 +135,8 @@ fn main() {
 
     for _ in 0..5 {
         use std::io::{Read as _, Write as _};
-        let mut stream = std::net::TcpStream::connect(service.address).expect("the service listens");
+        let mut stream =
+            std::net::TcpStream::connect(service.address).expect("the service listens");
         stream.write_all(&batch).expect("the service reads");
         let (mut piece, mut taken) = (vec![0; 64 << 10], 0);
         while taken < size / 10 {
@@ -103,9 +146,17 @@ fn main() {
         drop(stream);
         while metric(&mut client, &service, "mlswarp_workers_busy") > 0.0 {}
         let stopped = began.elapsed();
-        let started = metric(&mut client, &service, "mlswarp_pictures_total{state=\"started\"}");
+        let started = metric(
+            &mut client,
+            &service,
+            "mlswarp_pictures_total{state=\"started\"}",
+        );
         std::thread::sleep(std::time::Duration::from_millis(50));
-        let later = metric(&mut client, &service, "mlswarp_pictures_total{state=\"started\"}");
+        let later = metric(
+            &mut client,
+            &service,
+            "mlswarp_pictures_total{state=\"started\"}",
+        );
         println!(
             "left after {} frames: no work after {:.1} ms (goal 50), {} more later",
             FRAMES / 10,

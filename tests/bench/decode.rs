@@ -33,7 +33,10 @@ const BODY: usize = 32 << 20;
 
 /// RGB with little in it, so that files stay below the limit.
 fn waves() -> Vec<u8> {
-    let row = |y: usize| (0..usize::from(WIDTH)).flat_map(move |x| [(x / 9) as u8, (y / 7) as u8, (x / 31 * (y / 29)) as u8]);
+    let row = |y: usize| {
+        (0..usize::from(WIDTH))
+            .flat_map(move |x| [(x / 9) as u8, (y / 7) as u8, (x / 31 * (y / 29)) as u8])
+    };
     (0..usize::from(HEIGHT)).flat_map(row).collect()
 }
 
@@ -47,13 +50,21 @@ fn png(bits: u8, colour: u8, interlaced: bool) -> Vec<u8> {
     for _ in 0..usize::from(HEIGHT) + 64 {
         data.write_all(&vec![0; row]).expect("memory");
     }
-    bombs::png(&[(b"IHDR", head), (b"IDAT", data.finish().expect("memory")), (b"IEND", vec![])])
+    bombs::png(&[
+        (b"IHDR", head),
+        (b"IDAT", data.finish().expect("memory")),
+        (b"IEND", vec![]),
+    ])
 }
 
 fn png_of_blocks() -> Vec<u8> {
     let rows = vec![0; 300];
     let data = bombs::behind_blocks(EmptyBlock::Dynamic, BODY / 12, &rows);
-    bombs::png(&[(b"IHDR", bombs::ihdr(WIDTH.into(), HEIGHT.into())), (b"IDAT", data), (b"IEND", vec![])])
+    bombs::png(&[
+        (b"IHDR", bombs::ihdr(WIDTH.into(), HEIGHT.into())),
+        (b"IDAT", data),
+        (b"IEND", vec![]),
+    ])
 }
 
 fn jpeg(progressive: bool, sampling: SamplingFactor) -> Vec<u8> {
@@ -61,14 +72,23 @@ fn jpeg(progressive: bool, sampling: SamplingFactor) -> Vec<u8> {
     let mut encoder = Encoder::new(&mut file, 90);
     encoder.set_progressive(progressive);
     encoder.set_sampling_factor(sampling);
-    encoder.encode(&waves(), WIDTH, HEIGHT, ColorType::Rgb).expect("a picture");
+    encoder
+        .encode(&waves(), WIDTH, HEIGHT, ColorType::Rgb)
+        .expect("a picture");
     file
 }
 
 fn webp_lossless() -> Vec<u8> {
     let mut file = Vec::new();
     let encoder = image::codecs::webp::WebPEncoder::new_lossless(&mut file);
-    encoder.write_image(&waves(), WIDTH.into(), HEIGHT.into(), image::ExtendedColorType::Rgb8).expect("a picture");
+    encoder
+        .write_image(
+            &waves(),
+            WIDTH.into(),
+            HEIGHT.into(),
+            image::ExtendedColorType::Rgb8,
+        )
+        .expect("a picture");
     file
 }
 
@@ -91,7 +111,11 @@ fn webp_lossy(alpha: bool) -> Vec<u8> {
     }
     // The stream of a lossless file without its head.
     let stream = bombs::webp_of_one_cached_colour(1, 1).split_off(25);
-    bombs::riff(&[(b"VP8X", bombs::canvas(0x10, WIDTH, HEIGHT)), (b"ALPH", [&[1], &stream[..]].concat()), (b"VP8 ", vp8())])
+    bombs::riff(&[
+        (b"VP8X", bombs::canvas(0x10, WIDTH, HEIGHT)),
+        (b"ALPH", [&[1], &stream[..]].concat()),
+        (b"VP8 ", vp8()),
+    ])
 }
 
 fn main() {
@@ -103,11 +127,19 @@ fn main() {
         ("PNG, RGBA of 16 bits", || png(16, 6, false)),
         ("PNG, RGB, interlaced", || png(8, 2, true)),
         ("PNG of empty blocks", png_of_blocks),
-        ("JPEG, baseline 4:2:0", || jpeg(false, SamplingFactor::R_4_2_0)),
-        ("JPEG, progressive 4:4:4", || jpeg(true, SamplingFactor::R_4_4_4)),
-        ("JPEG, progressive grey, 60 scans", || bombs::jpeg_scans(7_056, 59)),
+        ("JPEG, baseline 4:2:0", || {
+            jpeg(false, SamplingFactor::R_4_2_0)
+        }),
+        ("JPEG, progressive 4:4:4", || {
+            jpeg(true, SamplingFactor::R_4_4_4)
+        }),
+        ("JPEG, progressive grey, 60 scans", || {
+            bombs::jpeg_scans(7_056, 59)
+        }),
         ("WebP, lossless", webp_lossless),
-        ("WebP, lossless, one colour", || bombs::webp_of_one_cached_colour(WIDTH.into(), HEIGHT.into())),
+        ("WebP, lossless, one colour", || {
+            bombs::webp_of_one_cached_colour(WIDTH.into(), HEIGHT.into())
+        }),
         ("WebP, lossless, copies", || bombs::webp_of_copies(6_656)),
         ("WebP, lossy", || webp_lossy(false)),
         ("WebP, lossy with alpha", || webp_lossy(true)),
@@ -128,6 +160,10 @@ fn main() {
         asked();
         let took = began.elapsed().as_secs_f64() * 1e3;
         let end = result.map_or_else(|error| error.to_string(), |_| String::new());
-        println!("| {name} | {} | {took:.0} | {:.0} | {end} |", file.len(), longest.get().as_secs_f64() * 1e3);
+        println!(
+            "| {name} | {} | {took:.0} | {:.0} | {end} |",
+            file.len(),
+            longest.get().as_secs_f64() * 1e3
+        );
     }
 }

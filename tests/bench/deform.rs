@@ -36,18 +36,29 @@ fn read(table: &[[f32; 64]]) -> f32 {
 
 fn main() {
     // Inside the pool: no hand-over is timed, and no second thread is used.
-    pool(1).install(if std::env::args().any(|arg| arg == ONE_LEVEL) { one_level } else { tables });
+    pool(1).install(if std::env::args().any(|arg| arg == ONE_LEVEL) {
+        one_level
+    } else {
+        tables
+    });
 }
 
 fn tables() {
-    let mut report = Report::new("deform", "10,000 vertices (100 x 100 over 500 x 500 px), rigid, alpha 1, one thread");
+    let mut report = Report::new(
+        "deform",
+        "10,000 vertices (100 x 100 over 500 x 500 px), rigid, alpha 1, one thread",
+    );
     let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 100, 100);
     for n in [7, 11, 100] {
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
         let plan = Plan::of_grid(&field, &grid);
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
-        let single = |list: &[Point]| list.iter().map(|p| (p.x as f32, p.y as f32)).collect::<Vec<_>>();
+        let single = |list: &[Point]| {
+            list.iter()
+                .map(|p| (p.x as f32, p.y as f32))
+                .collect::<Vec<_>>()
+        };
         let (p32, q32) = (single(&p), single(&q));
         let mut piston = deform_grid::DeformGrid::new([0.0, 0.0, sets::SIDE, sets::SIDE], 99, 99);
         for (p, q) in p.iter().zip(&q) {
@@ -67,12 +78,23 @@ fn tables() {
             for j in 0..100 {
                 for i in 0..100 {
                     let v = grid.vertex(i, j);
-                    black_box(moving_least_squares::deform_rigid(&p32, &q32, (v.x as f32, v.y as f32)));
+                    black_box(moving_least_squares::deform_rigid(
+                        &p32,
+                        &q32,
+                        (v.x as f32, v.y as f32),
+                    ));
                 }
             }
         }));
-        contenders.push(contender("piston2d-deform_grid 0.15 (f64, rigid)", move || piston.update()));
-        report.table(&format!("{n} handles, table of {:.2} MB", plan.bytes() as f64 / 1e6), 31, &mut contenders);
+        contenders.push(contender(
+            "piston2d-deform_grid 0.15 (f64, rigid)",
+            move || piston.update(),
+        ));
+        report.table(
+            &format!("{n} handles, table of {:.2} MB", plan.bytes() as f64 / 1e6),
+            31,
+            &mut contenders,
+        );
     }
     many(&mut report);
     annotations(&mut report);
@@ -93,30 +115,69 @@ fn many(report: &mut Report) {
             };
             let two = &two;
             contenders.push(contender(format!("alpha {alpha}, 1 thread"), pose));
-            contenders.push(contender(format!("alpha {alpha}, 2 threads"), move || two.install(pose)));
+            contenders.push(contender(format!("alpha {alpha}, 2 threads"), move || {
+                two.install(pose)
+            }));
         }
-        report.table(&format!("{n} handles without a table, 10,201 vertices"), 7, &mut contenders);
+        report.table(
+            &format!("{n} handles without a table, 10,201 vertices"),
+            7,
+            &mut contenders,
+        );
     }
 }
 
 /// 100,000 points by the exact map and back.
 fn annotations(report: &mut Report) {
     let p = sets::points(7).0.into_iter().map(Handle::Point).collect();
-    let rest = RestSpec { p, ..RestSpec::default() };
+    let rest = RestSpec {
+        p,
+        ..RestSpec::default()
+    };
     let side = sets::SIDE as u32;
     let extent = Extent::new(side, side).expect("a size");
     let setup = Setup::new(&rest, extent, &Limits::default()).expect("seven points");
-    let pose = setup.pose(&sets::points(7).1.into_iter().map(Handle::Point).collect::<Vec<_>>()).expect("seven points");
-    let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
-    let place = |k: u32| Point::new(f64::from(k * 7919 % 99_991) * sets::SIDE / 99_991.0, f64::from(k) * sets::SIDE / 1e5);
+    let pose = setup
+        .pose(
+            &sets::points(7)
+                .1
+                .into_iter()
+                .map(Handle::Point)
+                .collect::<Vec<_>>(),
+        )
+        .expect("seven points");
+    let posed =
+        Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
+    let place = |k: u32| {
+        Point::new(
+            f64::from(k * 7919 % 99_991) * sets::SIDE / 99_991.0,
+            f64::from(k) * sets::SIDE / 1e5,
+        )
+    };
     let places: Vec<Point> = (0..100_000).map(place).collect();
-    let there: Vec<Point> = setup.transform(&pose).map(&places, &|| false).expect("in range").into_iter().flatten().collect();
+    let there: Vec<Point> = setup
+        .transform(&pose)
+        .map(&places, &|| false)
+        .expect("in range")
+        .into_iter()
+        .flatten()
+        .collect();
     let mut contenders = vec![
         contender("f", || {
-            black_box(setup.transform(&pose).map(black_box(&places), &|| false).expect("in range"));
+            black_box(
+                setup
+                    .transform(&pose)
+                    .map(black_box(&places), &|| false)
+                    .expect("in range"),
+            );
         }),
         contender("its inverse", || {
-            black_box(setup.inverse(&pose, posed.mesh()).map(black_box(&there), &|| false).expect("in range"));
+            black_box(
+                setup
+                    .inverse(&pose, posed.mesh())
+                    .map(black_box(&there), &|| false)
+                    .expect("in range"),
+            );
         }),
     ];
     report.table("100,000 points, 7 handles", 7, &mut contenders);
@@ -137,7 +198,8 @@ fn growth(report: &mut Report) {
         )[0];
         (median, plan.bytes() as f64 / 1e6)
     };
-    let slope = |(few, _): (f64, f64), (many, _): (f64, f64), times: f64| (many / few).ln() / times.ln();
+    let slope =
+        |(few, _): (f64, f64), (many, _): (f64, f64), times: f64| (many / few).ln() / times.ln();
     let (small, large) = (time(40, 7), time(80, 7));
     let (few, many) = (time(32, 30), time(32, 60));
     report.line(&format!(
@@ -154,10 +216,15 @@ fn growth(report: &mut Report) {
 
 /// The time of 7 and 100 handles on every level of the machine: this program again, with the level lowered as a user would lower it.
 fn levels(report: &mut Report) {
-    report.line("## Levels, 10,000 vertices\n\n| level | 7 handles | 100 handles |\n|---|---:|---:|");
+    report
+        .line("## Levels, 10,000 vertices\n\n| level | 7 handles | 100 handles |\n|---|---:|---:|");
     let program = std::env::current_exe().expect("a program knows where it is");
     for level in mlswarp::level::Level::available() {
-        let child = std::process::Command::new(&program).arg(ONE_LEVEL).env("MLSWARP_LEVEL", level.name()).output().expect("runs again");
+        let child = std::process::Command::new(&program)
+            .arg(ONE_LEVEL)
+            .env("MLSWARP_LEVEL", level.name())
+            .output()
+            .expect("runs again");
         let line = String::from_utf8(child.stdout).expect("prints text");
         report.line(&format!("| {} | {} |", level.name(), line.trim()));
     }

@@ -81,33 +81,80 @@ impl Scene {
     fn of(photo: &Pixmap) -> Self {
         let extent = photo.extent();
         let mut file = Vec::new();
-        encode(extent, Channels::Rgb, bytes(photo), (png::Compression::Fastest, None), &mut file);
+        encode(
+            extent,
+            Channels::Rgb,
+            bytes(photo),
+            (png::Compression::Fastest, None),
+            &mut file,
+        );
         let (rest, target) = handles(HANDLES, extent, 1.0);
-        let q: Vec<_> = recording::poses(&rest, &target, f64::from(extent.height())).iter().map(|q| places(q)).collect();
-        let poses = (0..).zip(&q).map(|(seq, q): (u64, _)| text(&format!(r#"{{"seq":{seq},"q":{q}}}"#))).collect();
-        Self { file, warp: format!(r#"{{"p": {}}}"#, places(&rest)), q, poses, times: recording::times() }
+        let q: Vec<_> = recording::poses(&rest, &target, f64::from(extent.height()))
+            .iter()
+            .map(|q| places(q))
+            .collect();
+        let poses = (0..)
+            .zip(&q)
+            .map(|(seq, q): (u64, _)| text(&format!(r#"{{"seq":{seq},"q":{q}}}"#)))
+            .collect();
+        Self {
+            file,
+            warp: format!(r#"{{"p": {}}}"#, places(&rest)),
+            q,
+            poses,
+            times: recording::times(),
+        }
     }
 
     /// So many clients at once, each on a session of its own.
     fn run(&self, service: &Service, clients: usize, query: &str) -> Vec<Run> {
         let mut client = Client::connect(service.address);
-        let paths: Vec<String> =
-            (0..clients).map(|_| format!("{}/drag?{query}", service.session(&mut client, &self.file, &self.warp))).collect();
+        let paths: Vec<String> = (0..clients)
+            .map(|_| {
+                format!(
+                    "{}/drag?{query}",
+                    service.session(&mut client, &self.file, &self.warp)
+                )
+            })
+            .collect();
         let start = Instant::now() + BEFORE;
         let runs = std::thread::scope(|scope| {
-            let clients: Vec<_> = paths.iter().map(|path| scope.spawn(move || self.client(service, path, start))).collect();
-            clients.into_iter().map(|client| client.join().expect("the last pose is shown")).collect()
+            let clients: Vec<_> = paths
+                .iter()
+                .map(|path| scope.spawn(move || self.client(service, path, start)))
+                .collect();
+            clients
+                .into_iter()
+                .map(|client| client.join().expect("the last pose is shown"))
+                .collect()
         });
         for path in paths {
             let session = path.split("/drag").next().unwrap_or_default();
-            client.send(format!("DELETE {session} HTTP/1.1\r\nHost: {}\r\n\r\n", service.address).as_bytes(), |_| {});
+            client.send(
+                format!(
+                    "DELETE {session} HTTP/1.1\r\nHost: {}\r\n\r\n",
+                    service.address
+                )
+                .as_bytes(),
+                |_| {},
+            );
         }
         runs
     }
 
     fn client(&self, service: &Service, path: &str, start: Instant) -> Run {
-        let run = Socket::open(service.address, path).expect("a drag").drag(start, &self.times, &self.poses, PATIENCE, HEAD);
-        assert_eq!(run.shown.last().map_or(0, |frame| frame.seq), recording::POSES - 1, "the last pose is shown");
+        let run = Socket::open(service.address, path).expect("a drag").drag(
+            start,
+            &self.times,
+            &self.poses,
+            PATIENCE,
+            HEAD,
+        );
+        assert_eq!(
+            run.shown.last().map_or(0, |frame| frame.seq),
+            recording::POSES - 1,
+            "the last pose is shown"
+        );
         run
     }
 }
@@ -124,20 +171,31 @@ struct Figures {
 
 impl Figures {
     fn new(runs: &[Run]) -> Self {
-        let (mut rates, mut frames, mut ages, mut widths, mut sizes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut rates, mut frames, mut ages, mut widths, mut sizes) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for Run { sent, shown } in runs {
             let mut first = shown.clone();
             first.dedup_by_key(|frame| frame.seq);
             let last = first.last().expect("the last pose is shown");
             rates.push(first.len() as f64 / (last.at - sent[0]).as_secs_f64());
             frames.push(first.len());
-            ages.extend(first.iter().map(|frame| (frame.at - sent[frame.seq as usize]).as_secs_f64()));
+            ages.extend(
+                first
+                    .iter()
+                    .map(|frame| (frame.at - sent[frame.seq as usize]).as_secs_f64()),
+            );
             widths.extend(first.iter().map(Shown::width));
             sizes.extend(first.iter().map(|frame| frame.bytes));
         }
         widths.sort_unstable();
         sizes.sort_unstable();
-        Self { rates, frames, ages: Times::new(ages), width: widths[widths.len() / 2], bytes: sizes[sizes.len() / 2] }
+        Self {
+            rates,
+            frames,
+            ages: Times::new(ages),
+            width: widths[widths.len() / 2],
+            bytes: sizes[sizes.len() / 2],
+        }
     }
 
     fn p99(&self) -> f64 {
@@ -159,12 +217,26 @@ fn main() {
         links::run();
         return;
     }
-    let mut report = Report::new("drag", "the socket under a recorded drag, 600 poses at 125 Hz, 12 handles");
+    let mut report = Report::new(
+        "drag",
+        "the socket under a recorded drag, 600 poses at 125 Hz, 12 handles",
+    );
     for clients in [1, 8] {
-        let title = if clients == 1 { "1 client".to_owned() } else { format!("{clients} clients, each on a session of its own") };
+        let title = if clients == 1 {
+            "1 client".to_owned()
+        } else {
+            format!("{clients} clients, each on a session of its own")
+        };
         let name = |sides, query| format!("{}, `{query}`", size(extent(sides)));
-        let cases: Vec<_> = CASES.iter().filter(|case| case.0 == clients).map(|case| (case, name(case.1, case.2))).collect();
-        let cases: Vec<_> = cases.into_iter().filter(|(_, name)| harness::wanted(&format!("{title} {name}"))).collect();
+        let cases: Vec<_> = CASES
+            .iter()
+            .filter(|case| case.0 == clients)
+            .map(|case| (case, name(case.1, case.2)))
+            .collect();
+        let cases: Vec<_> = cases
+            .into_iter()
+            .filter(|(_, name)| harness::wanted(&format!("{title} {name}")))
+            .collect();
         if cases.is_empty() {
             continue;
         }
@@ -175,8 +247,14 @@ fn main() {
             let scene = Scene::new(*sides);
             let service = Service::start();
             let runs = (0..RUNS).map(|_| Figures::new(&scene.run(&service, clients, query)));
-            let best = runs.min_by(|a, b| a.p99().total_cmp(&b.p99())).expect("three runs");
-            let width = if query.contains("png") { best.width.to_string() } else { String::new() };
+            let best = runs
+                .min_by(|a, b| a.p99().total_cmp(&b.p99()))
+                .expect("three runs");
+            let width = if query.contains("png") {
+                best.width.to_string()
+            } else {
+                String::new()
+            };
             let shown = best.frames.iter().sum::<usize>() / clients;
             let _ = writeln!(
                 text,
@@ -189,13 +267,25 @@ fn main() {
                 best.bytes >> 10
             );
             if let Some(least) = least {
-                report.goal(&format!("{clients} client, {name}: frames/s"), best.rate(), Goal::AtLeast(*least));
+                report.goal(
+                    &format!("{clients} client, {name}: frames/s"),
+                    best.rate(),
+                    Goal::AtLeast(*least),
+                );
             }
             if (clients, *sides, *query) == (1, SQUARE, "frames=png") {
-                report.goal(&format!("{clients} client, {name}: age p99, ms"), best.p99() * 1e3, Goal::AtMost(25.0));
+                report.goal(
+                    &format!("{clients} client, {name}: age p99, ms"),
+                    best.p99() * 1e3,
+                    Goal::AtMost(25.0),
+                );
             }
             if clients > 1 {
-                report.goal(&format!("{clients} clients, {name}: fewest / most frames"), best.fairness(), Goal::AtLeast(0.6));
+                report.goal(
+                    &format!("{clients} clients, {name}: fewest / most frames"),
+                    best.fairness(),
+                    Goal::AtLeast(0.6),
+                );
             }
         }
         report.line(&text);

@@ -21,7 +21,9 @@ mod harness;
 use std::path::Path;
 use std::sync::Arc;
 
-use harness::pictures::{FULL_HD, Folded, SMALL, UHD, VERTICES, bytes, extent, mesh, options, photograph, size, tiles};
+use harness::pictures::{
+    FULL_HD, Folded, SMALL, UHD, VERTICES, bytes, extent, mesh, options, photograph, size, tiles,
+};
 use harness::{Contender, Goal, Report, dense, inside, paired, pool};
 use mlswarp::geometry::{Grid, Mesh};
 use mlswarp::level::Level;
@@ -40,7 +42,10 @@ fn main() {
 }
 
 fn tables() {
-    let mut report = Report::new("render", "mesh to pixels, 8 bit, bilinear, transparent outside");
+    let mut report = Report::new(
+        "render",
+        "mesh to pixels, 8 bit, bilinear, transparent outside",
+    );
     for (sides, channels, folded) in [
         (SMALL, Channels::Rgba, Folded::Nowhere),
         (SMALL, Channels::Rgba, Folded::UnderOnePercent),
@@ -58,7 +63,10 @@ fn tables() {
         }
     }
     for chaotic in [false, true] {
-        let title = format!("outside: edge, {} border", if chaotic { "chaotic" } else { "smooth" });
+        let title = format!(
+            "outside: edge, {} border",
+            if chaotic { "chaotic" } else { "smooth" }
+        );
         if harness::wanted(&title) {
             edge(&mut report, &title, chaotic);
         }
@@ -71,17 +79,25 @@ fn tables() {
 fn table(report: &mut Report, title: &str, extent: Extent, channels: Channels, folded: Folded) {
     let source = Arc::new(Source::new(photograph(extent, channels)));
     let mesh = mesh(extent, folded);
-    let share = 100.0 * mesh.folded_cells().count() as f64 / f64::from((VERTICES - 1) * (VERTICES - 1));
+    let share =
+        100.0 * mesh.folded_cells().count() as f64 / f64::from((VERTICES - 1) * (VERTICES - 1));
     let (one, two) = (pool(1), pool(2));
     let mut contenders = Vec::new();
     for &level in Level::available().iter().rev() {
         for (threads, pool, bands) in [(1, &one, 1), (2, &two, BANDS)] {
             let mut drawing = Drawing::new(&source, &mesh, extent, level, bands);
-            contenders.push(inside(pool, format!("{}, {threads} thread(s)", level.name()), move || drawing.draw()));
+            contenders.push(inside(
+                pool,
+                format!("{}, {threads} thread(s)", level.name()),
+                move || drawing.draw(),
+            ));
         }
     }
     let medians = report.table(title, 41, &mut contenders);
-    report.line(&format!("{share:.2} % of the cells fold; {:.2} ns a pixel.\n", medians[0] * 1e9 / extent.pixels() as f64));
+    report.line(&format!(
+        "{share:.2} % of the cells fold; {:.2} ns a pixel.\n",
+        medians[0] * 1e9 / extent.pixels() as f64
+    ));
 }
 
 /// Most pixels lie outside of the posed picture and get the colour of its border, which is smooth or jumps to and fro across the target.
@@ -97,22 +113,38 @@ fn edge(report: &mut Report, title: &str, chaotic: bool) {
         f64::from(random >> 8) / f64::from(1 << 24)
     };
     // Each column is one place: no cell covers anything.
-    let places: Vec<[f64; 2]> = (0..columns).map(|_| [side * share(), side * share()]).collect();
-    let displacement = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j))).map(|(i, j)| {
-        let v = grid.vertex(i, j);
-        let to = if chaotic { places[i as usize] } else { [0.3 * v.x, 0.3 * v.y] };
-        [(to[0] - v.x) as f32, (to[1] - v.y) as f32]
-    });
+    let places: Vec<[f64; 2]> = (0..columns)
+        .map(|_| [side * share(), side * share()])
+        .collect();
+    let displacement = (0..rows)
+        .flat_map(|j| (0..columns).map(move |i| (i, j)))
+        .map(|(i, j)| {
+            let v = grid.vertex(i, j);
+            let to = if chaotic {
+                places[i as usize]
+            } else {
+                [0.3 * v.x, 0.3 * v.y]
+            };
+            [(to[0] - v.x) as f32, (to[1] - v.y) as f32]
+        });
     let mesh = Mesh::new(grid, displacement.collect());
     let one = pool(1);
     let mut drawings = [Outside::Transparent, Outside::Edge].map(|outside| {
-        let options = RenderOptions { outside, ..options(extent) };
-        Drawing { options, ..Drawing::new(&source, &mesh, extent, Level::detect(), 1) }
+        let options = RenderOptions {
+            outside,
+            ..options(extent)
+        };
+        Drawing {
+            options,
+            ..Drawing::new(&source, &mesh, extent, Level::detect(), 1)
+        }
     });
     let bare = drawings[0].bare();
     let [transparent, edge] = &mut drawings;
-    let mut contenders =
-        vec![inside(&one, "transparent outside, 1 thread", || transparent.draw()), inside(&one, "edge outside, 1 thread", || edge.draw())];
+    let mut contenders = vec![
+        inside(&one, "transparent outside, 1 thread", || transparent.draw()),
+        inside(&one, "edge outside, 1 thread", || edge.draw()),
+    ];
     let medians = report.table(title, 11, &mut contenders);
     let cost = (medians[1] - medians[0]) * 1e9 / bare as f64;
     report.line(&format!(
@@ -133,28 +165,49 @@ struct Drawing<'a> {
 }
 
 impl<'a> Drawing<'a> {
-    fn new(source: &'a Arc<Source>, mesh: &'a Mesh, extent: Extent, level: Level, bands: u32) -> Self {
-        Self { source, mesh, extent, options: options(extent), level, bands, out: Vec::new() }
+    fn new(
+        source: &'a Arc<Source>,
+        mesh: &'a Mesh,
+        extent: Extent,
+        level: Level,
+        bands: u32,
+    ) -> Self {
+        Self {
+            source,
+            mesh,
+            extent,
+            options: options(extent),
+            level,
+            bands,
+            out: Vec::new(),
+        }
     }
 
     /// Pixels that nothing is painted on.
     fn bare(&mut self) -> usize {
         self.draw();
-        self.out.chunks_exact(4).filter(|pixel| pixel[3] == 0).count()
+        self.out
+            .chunks_exact(4)
+            .filter(|pixel| pixel[3] == 0)
+            .count()
     }
 
     fn draw(&mut self) {
-        let renderer = Renderer::with_level(Arc::clone(self.source), self.mesh, self.options, self.level);
+        let renderer =
+            Renderer::with_level(Arc::clone(self.source), self.mesh, self.options, self.level);
         let row = self.extent.width() as usize * renderer.channels().count();
         self.out.resize(row * self.extent.height() as usize, 0);
         if self.bands == 1 {
             return renderer.band(0..self.extent.height(), &mut self.out);
         }
         let rows = self.extent.height().div_ceil(self.bands);
-        self.out.par_chunks_mut(row * rows as usize).enumerate().for_each(|(k, band)| {
-            let first = k as u32 * rows;
-            renderer.band(first..first + (band.len() / row) as u32, band);
-        });
+        self.out
+            .par_chunks_mut(row * rows as usize)
+            .enumerate()
+            .for_each(|(k, band)| {
+                let first = k as u32 * rows;
+                renderer.band(first..first + (band.len() / row) as u32, band);
+            });
     }
 }
 
@@ -175,9 +228,17 @@ fn growth(report: &mut Report) {
         (k, harness::slope(pixels, [medians[k - 1], medians[k]]))
     });
     for (k, slope) in slopes {
-        report.line(&format!("Slope in pixels, {} to {}: {slope:.2}", sides[k - 1], sides[k]));
+        report.line(&format!(
+            "Slope in pixels, {} to {}: {slope:.2}",
+            sides[k - 1],
+            sides[k]
+        ));
         if sides[k] == 1000 {
-            report.goal("slope in pixels, 500^2 to 1000^2", slope, Goal::Between(0.9, 1.1));
+            report.goal(
+                "slope in pixels, 500^2 to 1000^2",
+                slope,
+                Goal::Between(0.9, 1.1),
+            );
         }
     }
     report.line("");
@@ -198,16 +259,30 @@ fn answer(folder: &Path) {
     let drawn: Vec<_> = cases()
         .into_iter()
         .map(|(name, extent, folded)| {
-            (name, extent, folded, Arc::new(Source::new(photograph(extent, Channels::Rgba))), mesh(extent, folded))
+            (
+                name,
+                extent,
+                folded,
+                Arc::new(Source::new(photograph(extent, Channels::Rgba))),
+                mesh(extent, folded),
+            )
         })
         .collect();
     let one = pool(1);
     let (mut index, mut contenders) = (Vec::new(), Vec::new());
     for (name, extent, folded, source, mesh) in &drawn {
-        let map: Vec<u8> = dense::map(mesh, *extent).iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+        let map: Vec<u8> = dense::map(mesh, *extent)
+            .iter()
+            .flatten()
+            .flat_map(|x| x.to_le_bytes())
+            .collect();
         let mut drawing = Drawing::new(source, mesh, *extent, Level::detect(), 1);
         drawing.draw();
-        let files = [("source.rgba", bytes(source.pixmap())), ("map.f32", &map), ("ours.rgba", &drawing.out)];
+        let files = [
+            ("source.rgba", bytes(source.pixmap())),
+            ("map.f32", &map),
+            ("ours.rgba", &drawing.out),
+        ];
         let [source, map, ours] = files.map(|(kind, bytes)| {
             let file = format!("{name}.{kind}");
             paired::write(folder, &file, bytes);
@@ -219,6 +294,10 @@ fn answer(folder: &Path) {
         }));
         contenders.push(inside(&one, *name, move || drawing.draw()));
     }
-    paired::write(folder, "index.json", serde_json::Value::from(index).to_string().as_bytes());
+    paired::write(
+        folder,
+        "index.json",
+        serde_json::Value::from(index).to_string().as_bytes(),
+    );
     paired::serve(&mut contenders);
 }

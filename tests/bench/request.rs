@@ -37,7 +37,10 @@ fn main() {
     if let Some(folder) = harness::option("--paired") {
         return in_process::answer(Some(Path::new(&folder)));
     }
-    let mut report = harness::Report::new("request", "q to the bytes of a PNG, in process and over loopback");
+    let mut report = harness::Report::new(
+        "request",
+        "q to the bytes of a PNG, in process and over loopback",
+    );
     in_process::tables(&mut report);
     loopback::tables(&mut report);
 }

@@ -26,13 +26,23 @@ impl Fractions {
 /// `n` points 0.25 px off the vertices of a 100 x 100 grid, and where they go.
 pub fn points(n: usize) -> (Vec<Point>, Vec<Point>) {
     let mut random = Fractions::new(7);
-    let p: Vec<Point> =
-        (0..n).map(|_| Point::new((40.0 + 420.0 * random.next()).floor() + 0.25, (40.0 + 420.0 * random.next()).floor() + 0.25)).collect();
+    let p: Vec<Point> = (0..n)
+        .map(|_| {
+            Point::new(
+                (40.0 + 420.0 * random.next()).floor() + 0.25,
+                (40.0 + 420.0 * random.next()).floor() + 0.25,
+            )
+        })
+        .collect();
     let q = p
         .iter()
         .map(|p| {
             let (sin, cos) = (random.next() * std::f64::consts::TAU).sin_cos();
-            let reach = if n > 50 { 4.0 } else { 20.0 + 20.0 * random.next() };
+            let reach = if n > 50 {
+                4.0
+            } else {
+                20.0 + 20.0 * random.next()
+            };
             Point::new(p.x + reach * cos, p.y + reach * sin)
         })
         .collect();
@@ -51,9 +61,14 @@ pub fn line_field(n: usize, method: Method, alpha: f64) -> (Field, Pose) {
     let (mut p, mut q) = (vec![], vec![]);
     for k in 0..n {
         let x = SIDE * (k as f64 + 0.5) / n as f64;
-        let mut end = |y: f64| Point::new(x + 20.0 * random.next() - 10.0, y + 60.0 * random.next());
+        let mut end =
+            |y: f64| Point::new(x + 20.0 * random.next() - 10.0, y + 60.0 * random.next());
         let ab = vec![end(80.0), end(300.0)];
-        q.push(Handle::Polyline(ab.iter().map(|p| Point::new(p.x + 25.0, p.y - 10.0 * (k % 3) as f64)).collect()));
+        q.push(Handle::Polyline(
+            ab.iter()
+                .map(|p| Point::new(p.x + 25.0, p.y - 10.0 * (k % 3) as f64))
+                .collect(),
+        ));
         p.push(Handle::Polyline(ab));
     }
     field(p, q, method, alpha)

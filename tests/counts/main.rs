@@ -14,7 +14,11 @@
     reason = "a program that is started by a script"
 )]
 
-#[allow(dead_code, clippy::unwrap_used, reason = "of a test, which uses the rest of it")]
+#[allow(
+    dead_code,
+    clippy::unwrap_used,
+    reason = "of a test, which uses the rest of it"
+)]
 #[path = "../it/support/bombs.rs"]
 mod bombs;
 #[path = "../bench/sets.rs"]
@@ -33,10 +37,18 @@ use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
 
 const SIDE: u32 = 500;
 const VERTICES: u32 = 100;
-const STAGES: [(&str, fn()); 5] = [("deform", deform), ("plan", plan), ("plan-lines", plan_lines), ("render", render), ("png", png)];
+const STAGES: [(&str, fn()); 5] = [
+    ("deform", deform),
+    ("plan", plan),
+    ("plan-lines", plan_lines),
+    ("render", render),
+    ("png", png),
+];
 
 fn main() {
-    let mut arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with('-'));
+    let mut arguments = std::env::args()
+        .skip(1)
+        .filter(|argument| !argument.starts_with('-'));
     let (wanted, folder) = (arguments.next(), arguments.next());
     let Some(wanted) = wanted else {
         println!("level {}", Level::detect().name());
@@ -48,20 +60,37 @@ fn main() {
         ("decode", Some(folder)) => return decode(Path::new(&folder)),
         _ => {}
     }
-    let stage = STAGES.iter().find(|(name, _)| *name == wanted).unwrap_or_else(|| panic!("no such stage: {wanted}")).1;
+    let stage = STAGES
+        .iter()
+        .find(|(name, _)| *name == wanted)
+        .unwrap_or_else(|| panic!("no such stage: {wanted}"))
+        .1;
     // One thread: what a stage splits is counted whole, and no second thread waits in a loop.
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .expect("a pool of one thread");
     pool.install(stage);
 }
 
 fn listed(folder: &Path) -> Vec<PathBuf> {
-    let mut paths: Vec<_> = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("a file").path()).collect();
+    let mut paths: Vec<_> = std::fs::read_dir(folder)
+        .expect("a folder")
+        .map(|entry| entry.expect("a file").path())
+        .collect();
     paths.sort();
     paths
 }
 
 fn files(folder: &Path) {
-    let kept = |name: &str| listed(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fuzz").join(name).join("image"));
+    let kept = |name: &str| {
+        listed(
+            &Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("../../tests/fuzz")
+                .join(name)
+                .join("image"),
+        )
+    };
     for path in kept("seeds").into_iter().chain(kept("found")) {
         std::fs::copy(&path, folder.join(path.file_name().expect("a file"))).expect("a copy");
     }
@@ -72,18 +101,33 @@ fn files(folder: &Path) {
     let limits = Limits::default();
     for path in listed(folder) {
         let bytes = std::fs::read(&path).expect("a file");
-        let header = codec::probe(&bytes, &StepCounter::new(&|| false)).ok().filter(|header| limits.check(header.extent).is_ok());
+        let header = codec::probe(&bytes, &StepCounter::new(&|| false))
+            .ok()
+            .filter(|header| limits.check(header.extent).is_ok());
         let pixels = header.map_or(0, |header| header.extent.pixels());
-        println!("{}\t{pixels}\t{}", bytes.len(), path.file_name().expect("a file").to_string_lossy());
+        println!(
+            "{}\t{pixels}\t{}",
+            bytes.len(),
+            path.file_name().expect("a file").to_string_lossy()
+        );
     }
 }
 
 fn decode(folder: &Path) {
     // A damaged palette makes a decoder panic, which is caught; its message would be counted.
     std::panic::set_hook(Box::new(|_| {}));
-    let files: Vec<_> = listed(folder).into_iter().map(|path| std::fs::read(path).expect("a file")).collect();
+    let files: Vec<_> = listed(folder)
+        .into_iter()
+        .map(|path| std::fs::read(path).expect("a file"))
+        .collect();
     for bytes in files {
-        counted_stage(&mut || drop(black_box(codec::decode(black_box(&bytes), &Limits::default(), &|| false))));
+        counted_stage(&mut || {
+            drop(black_box(codec::decode(
+                black_box(&bytes),
+                &Limits::default(),
+                &|| false,
+            )))
+        });
     }
 }
 
@@ -142,7 +186,12 @@ fn render() {
 fn png() {
     let mut samples = Vec::new();
     let channels = draw(&source(), &mesh(), &mut samples);
-    let shape = PngShape { extent: extent(), channels, grey: false, depth: Depth::Eight };
+    let shape = PngShape {
+        extent: extent(),
+        channels,
+        grey: false,
+        depth: Depth::Eight,
+    };
     let row = SIDE as usize * channels.count();
     let mut file = Vec::with_capacity(2 * samples.len());
     measure(|| {
@@ -151,7 +200,11 @@ fn png() {
         file.extend_from_slice(&writer.head());
         let strip = |index: usize| {
             let rows = writer.rows(index);
-            writer.strip_into(index, &samples[rows.start as usize * row..rows.end as usize * row], &mut file)
+            writer.strip_into(
+                index,
+                &samples[rows.start as usize * row..rows.end as usize * row],
+                &mut file,
+            )
         };
         let checksums: Vec<_> = (0..writer.strips()).map(strip).collect();
         file.extend_from_slice(&writer.tail(&checksums));
@@ -165,12 +218,27 @@ fn extent() -> Extent {
 /// The astronaut, cropped, as RGBA.
 fn source() -> Arc<Source> {
     let file = include_bytes!("../images/astronaut.png");
-    let photograph = codec::decode(file, &Limits::default(), &|| false).expect("a whole file").pixmap;
-    let Samples::Eight(samples) = photograph.samples() else { panic!("the photograph has 8 bits") };
-    let (channels, width) = (photograph.channels().count(), photograph.extent().width() as usize);
+    let photograph = codec::decode(file, &Limits::default(), &|| false)
+        .expect("a whole file")
+        .pixmap;
+    let Samples::Eight(samples) = photograph.samples() else {
+        panic!("the photograph has 8 bits")
+    };
+    let (channels, width) = (
+        photograph.channels().count(),
+        photograph.extent().width() as usize,
+    );
     let row = |y: usize| &samples[y * width * channels..][..SIDE as usize * channels];
-    let rgba = (0..SIDE as usize).flat_map(|y| row(y).chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2], 255]));
-    Arc::new(Source::new(Pixmap::new(extent(), Channels::Rgba, Samples::Eight(rgba.collect()))))
+    let rgba = (0..SIDE as usize).flat_map(|y| {
+        row(y)
+            .chunks_exact(channels)
+            .flat_map(|p| [p[0], p[1], p[2], 255])
+    });
+    Arc::new(Source::new(Pixmap::new(
+        extent(),
+        Channels::Rgba,
+        Samples::Eight(rgba.collect()),
+    )))
 }
 
 fn mesh() -> Mesh {
@@ -180,8 +248,13 @@ fn mesh() -> Mesh {
 
 /// All rows in bands of 64.
 fn draw(source: &Arc<Source>, mesh: &Mesh, samples: &mut Vec<u8>) -> Channels {
-    let options =
-        RenderOptions { target: extent(), canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false };
+    let options = RenderOptions {
+        target: extent(),
+        canvas: None,
+        filter: Filter::Bilinear,
+        outside: Outside::Transparent,
+        force_alpha: false,
+    };
     let renderer = Renderer::new(Arc::clone(source), mesh, options);
     let row = SIDE as usize * renderer.channels().count();
     samples.resize(SIDE as usize * row, 0);

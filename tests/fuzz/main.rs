@@ -1,7 +1,10 @@
 //! Fuzzing in short: every target over its seeds, over what was found before, and over damage by chance, the same on every run. Without
 //! coverage to guide it, on the program as the other tests build it: what takes minutes to build and hours to run is in `long/`.
 
-#![expect(clippy::cast_possible_truncation, reason = "random numbers are cut to bytes")]
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "random numbers are cut to bytes"
+)]
 #![expect(clippy::print_stdout, reason = "what was tried is what is read")]
 
 mod mutation;
@@ -21,20 +24,33 @@ fn count(name: &str) -> usize {
         "socket" => 300,
         _ => 20_000,
     };
-    if std::env::var_os("MLSWARP_TESTS_FULL").is_some() { 20 * short } else { short }
+    if std::env::var_os("MLSWARP_TESTS_FULL").is_some() {
+        20 * short
+    } else {
+        short
+    }
 }
 
 fn fuzz(name: &str) {
-    let (_, target) = TARGETS.into_iter().find(|(known, _)| *known == name).expect("a target");
+    let (_, target) = TARGETS
+        .into_iter()
+        .find(|(known, _)| *known == name)
+        .expect("a target");
     let mut corpus = files(&format!("seeds/{name}"));
     corpus.extend(files(&format!("found/{name}")));
     assert!(!corpus.is_empty(), "{name} has seeds");
     let began = Instant::now();
     let run = |what: &str, input: &[u8]| {
         if let Err(panic) = catch_unwind(AssertUnwindSafe(|| target(input))) {
-            let kept = format!("{}/../../tests/artefacts/fuzz-{name}", env!("CARGO_MANIFEST_DIR"));
+            let kept = format!(
+                "{}/../../tests/artefacts/fuzz-{name}",
+                env!("CARGO_MANIFEST_DIR")
+            );
             // Whether or not it can be kept, the test fails.
-            let _ = std::fs::create_dir_all(format!("{}/../../tests/artefacts", env!("CARGO_MANIFEST_DIR")));
+            let _ = std::fs::create_dir_all(format!(
+                "{}/../../tests/artefacts",
+                env!("CARGO_MANIFEST_DIR")
+            ));
             let _ = std::fs::write(&kept, input);
             println!("{name}: {what} breaks a law; the input is kept as {kept}");
             std::panic::resume_unwind(panic);
@@ -47,10 +63,19 @@ fn fuzz(name: &str) {
         let mut dice = Dice::new(n as u64);
         let (file, seed) = &corpus[n % corpus.len()];
         let other = &corpus[dice.below(corpus.len())].1;
-        let input = if name == "image" { damaged_picture(&mut dice, seed, other) } else { damaged(&mut dice, seed, other) };
+        let input = if name == "image" {
+            damaged_picture(&mut dice, seed, other)
+        } else {
+            damaged(&mut dice, seed, other)
+        };
         run(&format!("{file}, damaged by {n},"), &input);
     }
-    println!("{name}: {} kept inputs and {} new ones in {:.1} s", corpus.len(), count(name), began.elapsed().as_secs_f64());
+    println!(
+        "{name}: {} kept inputs and {} new ones in {:.1} s",
+        corpus.len(),
+        count(name),
+        began.elapsed().as_secs_f64()
+    );
 }
 
 #[test]
@@ -77,8 +102,15 @@ fn socket_messages_are_answered_and_never_end_the_drag() {
 fn records_are_read_as_they_were_written_or_not_at_all() {
     for (name, seed) in files("seeds/record") {
         let text = String::from_utf8_lossy(&seed[1..]);
-        let kept = if seed[0] == b'1' { format!("{:08x}\n{text}", crc32fast::hash(text.as_bytes())) } else { text.into_owned() };
-        assert!(mlswarp_server::store::record::read(kept.as_bytes()).is_ok(), "the seed {name} is a record");
+        let kept = if seed[0] == b'1' {
+            format!("{:08x}\n{text}", crc32fast::hash(text.as_bytes()))
+        } else {
+            text.into_owned()
+        };
+        assert!(
+            mlswarp_server::store::record::read(kept.as_bytes()).is_ok(),
+            "the seed {name} is a record"
+        );
     }
     fuzz("record");
 }

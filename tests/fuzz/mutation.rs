@@ -40,7 +40,24 @@ impl Dice {
 }
 
 /// Numbers at which sizes and signs turn over.
-const EDGES: [u32; 16] = [0, 1, 2, 7, 8, 0x7F, 0x80, 0xFF, 0x100, 0x3FFF, 0x4000, 0x7FFF, 0xFFFF, 0x1_0000, 0x7FFF_FFFF, 0xFFFF_FFFF];
+const EDGES: [u32; 16] = [
+    0,
+    1,
+    2,
+    7,
+    8,
+    0x7F,
+    0x80,
+    0xFF,
+    0x100,
+    0x3FFF,
+    0x4000,
+    0x7FFF,
+    0xFFFF,
+    0x1_0000,
+    0x7FFF_FFFF,
+    0xFFFF_FFFF,
+];
 
 /// Largest result, bytes.
 const LONGEST: usize = 1 << 20;
@@ -71,7 +88,10 @@ fn blow(dice: &mut Dice, out: &mut Vec<u8>, other: &[u8]) {
         }
         4 => {
             // A number of 16 or 32 bits, either end first.
-            let edge = dice.pick(&EDGES).wrapping_add(dice.below(3) as u32).wrapping_sub(1);
+            let edge = dice
+                .pick(&EDGES)
+                .wrapping_add(dice.below(3) as u32)
+                .wrapping_sub(1);
             let (big, little) = (edge.to_be_bytes(), edge.to_le_bytes());
             let written = match dice.below(4) {
                 0 => &big[2..],
@@ -154,8 +174,12 @@ fn chunks(bytes: &[u8]) -> Vec<&[u8]> {
     while !rest.is_empty() {
         let length = match (bytes, rest) {
             ([0x89, ..], [a, b, c, d, ..]) => u32::from_be_bytes([*a, *b, *c, *d]) as usize + 12,
-            ([0x52, ..], [_, _, _, _, a, b, c, d, ..]) => (u32::from_le_bytes([*a, *b, *c, *d]) as usize).next_multiple_of(2) + 8,
-            ([0xFF, ..], [0xFF, marker, a, b, ..]) if *marker != 0xDA => usize::from(u16::from_be_bytes([*a, *b])) + 2,
+            ([0x52, ..], [_, _, _, _, a, b, c, d, ..]) => {
+                (u32::from_le_bytes([*a, *b, *c, *d]) as usize).next_multiple_of(2) + 8
+            }
+            ([0xFF, ..], [0xFF, marker, a, b, ..]) if *marker != 0xDA => {
+                usize::from(u16::from_be_bytes([*a, *b])) + 2
+            }
             _ => rest.len(),
         };
         let (part, behind) = rest.split_at(length.clamp(1, rest.len()));
@@ -171,8 +195,12 @@ pub(crate) fn mend(bytes: &mut [u8]) {
         let mut at = PNG.len();
         while let Some(length) = bytes.get(at..at + 4).and_then(|head| head.first_chunk()) {
             let end = (at + 8).saturating_add(u32::from_be_bytes(*length) as usize);
-            let Some(sum) = bytes.get(at + 4..end).map(crc32fast::hash) else { return };
-            let Some(place) = bytes.get_mut(end..end + 4) else { return };
+            let Some(sum) = bytes.get(at + 4..end).map(crc32fast::hash) else {
+                return;
+            };
+            let Some(place) = bytes.get_mut(end..end + 4) else {
+                return;
+            };
             place.copy_from_slice(&sum.to_be_bytes());
             at = end + 4;
         }
@@ -188,7 +216,13 @@ pub(crate) fn files(folder: &str) -> Vec<(String, Vec<u8>)> {
     let entries = std::fs::read_dir(folder).expect("a folder of this repository");
     let read = |entry: std::io::Result<std::fs::DirEntry>| {
         let path = entry.expect("a folder of this repository").path();
-        (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), std::fs::read(&path).expect("a file of this repository"))
+        (
+            path.file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
+            std::fs::read(&path).expect("a file of this repository"),
+        )
     };
     let mut files: Vec<_> = entries.map(read).collect();
     files.sort();

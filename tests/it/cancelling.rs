@@ -7,35 +7,70 @@ use crate::layers::sources;
 
 /// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their `Cancel` contain one of these.
 const BOUNDED: [(&str, &str); 6] = [
-    ("::parse", "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has the time for the largest"),
-    ("| parse(", "a drag or a message of a socket, no longer than the session's handles"),
+    (
+        "::parse",
+        "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has the time for the largest",
+    ),
+    (
+        "| parse(",
+        "a drag or a message of a socket, no longer than the session's handles",
+    ),
     ("| read()", "the handles of one drag"),
-    ("| posed()", "a few operations for each of at most `--max-columns` positions"),
+    (
+        "| posed()",
+        "a few operations for each of at most `--max-columns` positions",
+    ),
     ("to_invert(", "the same"),
     ("map_band", "2^16 positions"),
 ];
 /// Functions of the library that have a twin with an argument for cancellation. The offline tool may call them.
-const TWINS: [&str; 6] = ["Setup::new(", ".plan()", "Plan::of_grid(", "Image::decode(", "Warp::new(", ".reduced("];
+const TWINS: [&str; 6] = [
+    "Setup::new(",
+    ".plan()",
+    "Plan::of_grid(",
+    "Image::decode(",
+    "Warp::new(",
+    ".reduced(",
+];
 
 /// The code of a file without comments and unit tests.
 fn code(text: &str) -> String {
-    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-    text.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
+    let text = text
+        .split("#[cfg(test)]\nmod tests {")
+        .next()
+        .unwrap_or_default();
+    text.lines()
+        .map(|line| line.split("//").next().unwrap_or_default())
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 /// What is wrong with the code of a file of the service.
 fn offences(code: &str) -> Vec<String> {
-    let mut found: Vec<String> = TWINS.iter().filter(|twin| code.contains(*twin)).map(|twin| format!("calls {twin}..)")).collect();
+    let mut found: Vec<String> = TWINS
+        .iter()
+        .filter(|twin| code.contains(*twin))
+        .map(|twin| format!("calls {twin}..)"))
+        .collect();
     for (at, _) in code.match_indices("|| false") {
-        found.push(format!("never cancels: {}", &code[at.saturating_sub(60)..at + 8]));
+        found.push(format!(
+            "never cancels: {}",
+            &code[at.saturating_sub(60)..at + 8]
+        ));
     }
     for closure in ["move |_| ", "move |_: &_| {"] {
         for (at, _) in code.match_indices(closure) {
             // As far as the work of such a closure goes.
-            let end = code[at..].char_indices().nth(400).map_or(code.len(), |(length, _)| at + length);
+            let end = code[at..]
+                .char_indices()
+                .nth(400)
+                .map_or(code.len(), |(length, _)| at + length);
             let body = &code[at..end];
             if !BOUNDED.iter().any(|(name, _)| body.contains(name)) {
-                found.push(format!("ignores its cancellation: {}", body.lines().next().unwrap_or_default()));
+                found.push(format!(
+                    "ignores its cancellation: {}",
+                    body.lines().next().unwrap_or_default()
+                ));
             }
         }
     }
@@ -50,13 +85,22 @@ fn cancelling_is_forgotten_nowhere_in_the_service() {
     assert!(files.len() > 100, "{}", files.len());
     let mut all = Vec::new();
     for file in files {
-        let name = file.strip_prefix(&root).unwrap().to_str().unwrap().to_owned();
+        let name = file
+            .strip_prefix(&root)
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .to_owned();
         // The offline tool waits for what it computes.
         if name.contains("tests") || name.starts_with("cli/") {
             continue;
         }
         let text = std::fs::read_to_string(&file).unwrap();
-        all.extend(offences(&code(&text)).into_iter().map(|offence| format!("{name} {offence}")));
+        all.extend(
+            offences(&code(&text))
+                .into_iter()
+                .map(|offence| format!("{name} {offence}")),
+        );
     }
     assert!(all.is_empty(), "{}", all.join("\n"));
 }
@@ -72,6 +116,8 @@ fn cancelling_that_is_forgotten_is_seen() {
     ] {
         assert_eq!(offences(wrong).len(), 1, "{wrong}");
     }
-    assert!(offences("self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await?").is_empty());
+    assert!(
+        offences("self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await?").is_empty()
+    );
     assert!(offences("pool.run(&ticket, move |cancel| work(cancel))").is_empty());
 }

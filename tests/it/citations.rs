@@ -22,7 +22,13 @@ fn texts(endings: &[&str]) -> Vec<(PathBuf, String)> {
     for folder in ["src", "tests", "api", "deploy"] {
         add(&Path::new(ROOT).join(folder), endings, &mut found);
     }
-    for name in ["README.md", "CHANGELOG.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"] {
+    for name in [
+        "README.md",
+        "CHANGELOG.md",
+        "ARCHITECTURE.md",
+        "CONTRIBUTING.md",
+        "SECURITY.md",
+    ] {
         let path = Path::new(ROOT).join(name);
         found.push((path.clone(), std::fs::read_to_string(path).unwrap()));
     }
@@ -31,13 +37,18 @@ fn texts(endings: &[&str]) -> Vec<(PathBuf, String)> {
 
 /// The numbers at the beginning of the headings: `## 2. Points`, `### 2.1 The problem`.
 fn sections(book: &str) -> BTreeSet<String> {
-    let headings = book.lines().filter_map(|line| line.strip_prefix("## ").or_else(|| line.strip_prefix("### ")));
+    let headings = book.lines().filter_map(|line| {
+        line.strip_prefix("## ")
+            .or_else(|| line.strip_prefix("### "))
+    });
     headings.filter_map(number).collect()
 }
 
 /// A section number in front of a text: `7.1`.
 fn number(text: &str) -> Option<String> {
-    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let end = text
+        .find(|c: char| !c.is_ascii_digit() && c != '.')
+        .unwrap_or(text.len());
     let number = text[..end].trim_end_matches('.');
     (!number.is_empty()).then(|| number.to_owned())
 }
@@ -46,7 +57,11 @@ fn number(text: &str) -> Option<String> {
 fn cited(text: &str) -> Vec<String> {
     let mut cited = Vec::new();
     // A citation may be divided by the end of a line of a comment.
-    let text = text.lines().map(|line| line.trim_start().trim_start_matches(['/', '!', '#'])).collect::<Vec<_>>().join(" ");
+    let text = text
+        .lines()
+        .map(|line| line.trim_start().trim_start_matches(['/', '!', '#']))
+        .collect::<Vec<_>>()
+        .join(" ");
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
     for (at, word) in text.to_lowercase().match_indices("mathematics ") {
         let mut rest = &text[at + word.len()..];
@@ -56,7 +71,10 @@ fn cited(text: &str) -> Vec<String> {
         while let Some(section) = number(rest) {
             rest = &rest[section.len()..];
             cited.push(section);
-            rest = [", ", " and "].iter().find_map(|word| rest.strip_prefix(word)).unwrap_or("");
+            rest = [", ", " and "]
+                .iter()
+                .find_map(|word| rest.strip_prefix(word))
+                .unwrap_or("");
         }
     }
     cited
@@ -66,28 +84,44 @@ fn cited(text: &str) -> Vec<String> {
 fn citations_of_the_mathematics_name_sections_that_exist() {
     let book = std::fs::read_to_string(Path::new(ROOT).join("src/engine/MATHEMATICS.md")).unwrap();
     let known = sections(&book);
-    assert!(["2.3", "3.2", "7.1", "12"].iter().all(|section| known.contains(*section)), "{known:?}");
+    assert!(
+        ["2.3", "3.2", "7.1", "12"]
+            .iter()
+            .all(|section| known.contains(*section)),
+        "{known:?}"
+    );
     let mut count = 0;
     for (path, text) in texts(&[".rs", ".md"]) {
         for section in cited(&text) {
             count += 1;
-            assert!(known.contains(&section), "{}: mathematics {section} does not exist", path.display());
+            assert!(
+                known.contains(&section),
+                "{}: mathematics {section} does not exist",
+                path.display()
+            );
         }
     }
     assert!(count > 20, "{count} citations");
     // The book itself: "section 3.2", "sections 2.4 and 3.4".
-    let inner = book.replace("section ", "mathematics section ").replace("sections ", "mathematics sections ");
+    let inner = book
+        .replace("section ", "mathematics section ")
+        .replace("sections ", "mathematics sections ");
     for section in cited(&inner) {
-        assert!(known.contains(&section), "MATHEMATICS.md: section {section} does not exist");
+        assert!(
+            known.contains(&section),
+            "MATHEMATICS.md: section {section} does not exist"
+        );
     }
 }
 
 #[test]
 fn citations_are_found_in_all_their_forms() {
-    let text =
-        "/// a (mathematics\n    /// 7.1), mathematics section 12, step 2; mathematics sections 2.4, 3.4 and 6. The mathematics of 5";
+    let text = "/// a (mathematics\n    /// 7.1), mathematics section 12, step 2; mathematics sections 2.4, 3.4 and 6. The mathematics of 5";
     assert_eq!(cited(text), ["7.1", "12", "2.4", "3.4", "6"]);
-    assert_eq!(sections("# T\n## 2. Points\n### 2.1 The problem\ntext\n## Appendix"), ["2", "2.1"].map(str::to_owned).into());
+    assert_eq!(
+        sections("# T\n## 2. Points\n### 2.1 The problem\ntext\n## Appendix"),
+        ["2", "2.1"].map(str::to_owned).into()
+    );
 }
 
 /// Links of documents, `[text](path)`.
@@ -101,7 +135,11 @@ fn links_between_documents_lead_to_files() {
                 continue;
             }
             count += 1;
-            assert!(path.parent().unwrap().join(target).exists(), "{}: {target} does not exist", path.display());
+            assert!(
+                path.parent().unwrap().join(target).exists(),
+                "{}: {target} does not exist",
+                path.display()
+            );
         }
     }
     assert!(count > 50, "{count} links");
@@ -117,9 +155,15 @@ fn nothing_cites_a_line_of_a_file_or_an_unknown_document() {
         }
         for (number, line) in (1..).zip(text.lines()) {
             let cites_line = [".md:", ".rs:"].iter().any(|ending| {
-                line.match_indices(ending).any(|(at, _)| line[at + ending.len()..].starts_with(|c: char| c.is_ascii_digit()))
+                line.match_indices(ending).any(|(at, _)| {
+                    line[at + ending.len()..].starts_with(|c: char| c.is_ascii_digit())
+                })
             });
-            assert!(!cites_line && !line.contains("api.md"), "{}:{number}: {line}", path.display());
+            assert!(
+                !cites_line && !line.contains("api.md"),
+                "{}:{number}: {line}",
+                path.display()
+            );
         }
     }
 }

@@ -36,7 +36,9 @@ async fn thirty_two_clients_get_the_right_picture_each() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn thirty_two_clients_drag_one_session() {
     let server = Server::start(&[]).await;
-    let id = server.session(&photo(120, 90), &json!({"p": [[20, 20], [100, 70]]})).await;
+    let id = server
+        .session(&photo(120, 90), &json!({"p": [[20, 20], [100, 70]]}))
+        .await;
     server.app.clear_caches();
     let decoded = server.app.counters();
     let pose = |client: u32| json!({"q": [[20 + client, 20], [100, 70]]});
@@ -46,9 +48,17 @@ async fn thirty_two_clients_drag_one_session() {
     }))
     .await;
     let now = server.app.counters();
-    assert_eq!(now.plans_built - decoded.plans_built, 1, "one build for many waiting requests");
+    assert_eq!(
+        now.plans_built - decoded.plans_built,
+        1,
+        "one build for many waiting requests"
+    );
     assert_eq!(now.images_decoded - decoded.images_decoded, 1);
     for (client, bytes) in (0..).zip(&together) {
-        assert_eq!(png(server.drag(&id, &pose(client)).await).await, *bytes, "client {client}");
+        assert_eq!(
+            png(server.drag(&id, &pose(client)).await).await,
+            *bytes,
+            "client {client}"
+        );
     }
 }

@@ -1,6 +1,8 @@
 //! Handles that coincide at rest: points are grouped, crossing lines share the mean, and what is contradictory is reported.
 
-use mlswarp::deform::{Coincident, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Warning};
+use mlswarp::deform::{
+    Coincident, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Warning,
+};
 use mlswarp::geometry::{Grid, Point, Vec2};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -17,23 +19,50 @@ fn line(places: &[(f64, f64)]) -> Handle {
     Handle::Polyline(places.iter().map(|&(x, y)| Point::new(x, y)).collect())
 }
 
-fn field(p: Vec<Handle>, weights: Option<Vec<f64>>, within: f64, method: Method, alpha: f64) -> Result<Field, DeformError> {
+fn field(
+    p: Vec<Handle>,
+    weights: Option<Vec<f64>>,
+    within: f64,
+    method: Method,
+    alpha: f64,
+) -> Result<Field, DeformError> {
     let handles = Handles::new(p, weights)?;
     let falloff = Falloff::new(alpha, handles.has_lines())?;
-    let coincident = Coincident { within, ..Coincident::default() };
+    let coincident = Coincident {
+        within,
+        ..Coincident::default()
+    };
     Field::new_unless(handles, coincident, method, falloff, 30.0, &|| false)
 }
 
 fn near(found: Point, expected: Point, tolerance: f64) {
-    assert!(found.distance(expected) <= tolerance, "{found:?}, expected {expected:?}");
+    assert!(
+        found.distance(expected) <= tolerance,
+        "{found:?}, expected {expected:?}"
+    );
 }
 
 #[test]
 fn points_within_a_distance_are_one_handle_at_the_weighted_mean() {
-    let p = vec![dot(20.0, 30.0), dot(90.0, 40.0), dot(22.0, 30.0), dot(50.0, 90.0), dot(23.5, 30.0)];
-    let q = vec![dot(24.0, 30.0), dot(95.0, 40.0), dot(26.0, 34.0), dot(50.0, 80.0), dot(27.5, 30.0)];
+    let p = vec![
+        dot(20.0, 30.0),
+        dot(90.0, 40.0),
+        dot(22.0, 30.0),
+        dot(50.0, 90.0),
+        dot(23.5, 30.0),
+    ];
+    let q = vec![
+        dot(24.0, 30.0),
+        dot(95.0, 40.0),
+        dot(26.0, 34.0),
+        dot(50.0, 80.0),
+        dot(27.5, 30.0),
+    ];
     let weights = vec![1.0, 1.0, 2.0, 1.0, 1.0];
-    for (method, alpha) in METHODS.iter().flat_map(|method| [0.75, 1.0, 2.0].map(|alpha| (*method, alpha))) {
+    for (method, alpha) in METHODS
+        .iter()
+        .flat_map(|method| [0.75, 1.0, 2.0].map(|alpha| (*method, alpha)))
+    {
         let grouped = field(p.clone(), Some(weights.clone()), 2.0, method, alpha).unwrap();
         let pose = grouped.pose(&q).unwrap();
         assert_eq!(grouped.groups(), [vec![0, 2, 4]], "0 and 4 are joined by 2");
@@ -41,15 +70,33 @@ fn points_within_a_distance_are_one_handle_at_the_weighted_mean() {
         let (rest, moved) = (Point::new(21.875, 30.0), Point::new(25.875, 32.0));
         let by_hand = vec![Handle::Point(rest), p[1].clone(), p[3].clone()];
         let by_hand = field(by_hand, Some(vec![4.0, 1.0, 1.0]), 0.0, method, alpha).unwrap();
-        let pose_by_hand = by_hand.pose(&[Handle::Point(moved), q[1].clone(), q[3].clone()]).unwrap();
+        let pose_by_hand = by_hand
+            .pose(&[Handle::Point(moved), q[1].clone(), q[3].clone()])
+            .unwrap();
         near(grouped.map(&pose, rest), moved, 1e-9);
         for (x, y) in [(0.0, 0.0), (21.0, 30.0), (60.0, 50.0), (300.0, -20.0)] {
-            near(grouped.map(&pose, Point::new(x, y)), by_hand.map(&pose_by_hand, Point::new(x, y)), 1e-9);
+            near(
+                grouped.map(&pose, Point::new(x, y)),
+                by_hand.map(&pose_by_hand, Point::new(x, y)),
+                1e-9,
+            );
         }
-        assert!(grouped.warnings(&pose).contains(&Warning::CoincidentHandles));
-        assert!(grouped.warnings(&grouped.pose(&p).unwrap()).is_empty(), "at rest nothing contradicts");
-        let [listed] = pose.contradictions().listed.as_slice() else { panic!("{:?}", pose.contradictions()) };
-        assert_eq!((listed.handles.as_slice(), listed.spread), (&[0, 2, 4][..], 2.0));
+        assert!(
+            grouped
+                .warnings(&pose)
+                .contains(&Warning::CoincidentHandles)
+        );
+        assert!(
+            grouped.warnings(&grouped.pose(&p).unwrap()).is_empty(),
+            "at rest nothing contradicts"
+        );
+        let [listed] = pose.contradictions().listed.as_slice() else {
+            panic!("{:?}", pose.contradictions())
+        };
+        assert_eq!(
+            (listed.handles.as_slice(), listed.spread),
+            (&[0, 2, 4][..], 2.0)
+        );
     }
 }
 
@@ -80,17 +127,45 @@ proptest! {
 
 #[test]
 fn the_position_that_lines_share_moves_by_the_weighted_mean() {
-    let p = vec![line(&[(0.0, 0.0), (64.0, 64.0)]), line(&[(0.0, 64.0), (32.0, 32.0), (64.0, 0.0)]), dot(48.0, 48.0)];
+    let p = vec![
+        line(&[(0.0, 0.0), (64.0, 64.0)]),
+        line(&[(0.0, 64.0), (32.0, 32.0), (64.0, 0.0)]),
+        dot(48.0, 48.0),
+    ];
     // The second line moves 8 px to the right, the point 6 px down; the weights are 1, 3 and 2.
-    let q = vec![p[0].clone(), line(&[(8.0, 64.0), (40.0, 32.0), (72.0, 0.0)]), dot(48.0, 54.0)];
+    let q = vec![
+        p[0].clone(),
+        line(&[(8.0, 64.0), (40.0, 32.0), (72.0, 0.0)]),
+        dot(48.0, 54.0),
+    ];
     let weights = Some(vec![1.0, 3.0, 2.0]);
-    for (method, alpha) in METHODS.iter().flat_map(|method| [1.0, 2.0, 3.0].map(|alpha| (*method, alpha))) {
+    for (method, alpha) in METHODS
+        .iter()
+        .flat_map(|method| [1.0, 2.0, 3.0].map(|alpha| (*method, alpha)))
+    {
         let field = field(p.clone(), weights.clone(), 0.0, method, alpha).unwrap();
         let pose = field.pose(&q).unwrap();
-        near(field.map(&pose, Point::new(32.0, 32.0)), Point::new(38.0, 32.0), 1e-12);
-        near(field.map(&pose, Point::new(48.0, 48.0)), Point::new(48.0, 52.0), 1e-12);
-        near(field.map(&pose, Point::new(16.0, 16.0)), Point::new(16.0, 16.0), 1e-9);
-        let groups: Vec<_> = pose.contradictions().listed.iter().map(|group| (group.handles.clone(), group.position.x.round())).collect();
+        near(
+            field.map(&pose, Point::new(32.0, 32.0)),
+            Point::new(38.0, 32.0),
+            1e-12,
+        );
+        near(
+            field.map(&pose, Point::new(48.0, 48.0)),
+            Point::new(48.0, 52.0),
+            1e-12,
+        );
+        near(
+            field.map(&pose, Point::new(16.0, 16.0)),
+            Point::new(16.0, 16.0),
+            1e-9,
+        );
+        let groups: Vec<_> = pose
+            .contradictions()
+            .listed
+            .iter()
+            .map(|group| (group.handles.clone(), group.position.x.round()))
+            .collect();
         assert_eq!(groups, [(vec![0, 1], 32.0), (vec![0, 2], 48.0)]);
         // The table has the same rows.
         let grid = Grid::with_counts(64.0, 64.0, 5, 5);
@@ -104,16 +179,34 @@ fn the_position_that_lines_share_moves_by_the_weighted_mean() {
 fn groups_that_meet_only_at_their_means_are_handles_of_one_position() {
     // A ring of points within 8 px of their neighbours, and a point at its centre.
     let angle = |k: i32| std::f64::consts::TAU * f64::from(k) / 12.0;
-    let mut p: Vec<Handle> = (0..12).map(|k| dot(100.0 + 12.0 * angle(k).cos(), 80.0 + 12.0 * angle(k).sin())).collect();
+    let mut p: Vec<Handle> = (0..12)
+        .map(|k| dot(100.0 + 12.0 * angle(k).cos(), 80.0 + 12.0 * angle(k).sin()))
+        .collect();
     p.extend([dot(100.0, 80.0), dot(200.0, 20.0), dot(10.0, 20.0)]);
     let moved = |by: Vec2| move |h: &Handle| Handle::Point(h.places()[0] + by);
-    let q: Vec<Handle> = p.iter().enumerate().map(|(k, h)| moved(if k == 12 { Vec2::new(0.0, 9.0) } else { Vec2::ZERO })(h)).collect();
+    let q: Vec<Handle> = p
+        .iter()
+        .enumerate()
+        .map(|(k, h)| {
+            moved(if k == 12 {
+                Vec2::new(0.0, 9.0)
+            } else {
+                Vec2::ZERO
+            })(h)
+        })
+        .collect();
     let field = field(p, None, 8.0, Method::Rigid, 1.0).unwrap();
     assert_eq!(field.groups(), [(0..12).collect::<Vec<_>>()]);
     let pose = field.pose(&q).unwrap();
-    let [group] = pose.contradictions().listed.as_slice() else { panic!("{:?}", pose.contradictions()) };
+    let [group] = pose.contradictions().listed.as_slice() else {
+        panic!("{:?}", pose.contradictions())
+    };
     assert_eq!((group.handles.len(), group.total), (13, 13));
-    near(field.map(&pose, Point::new(100.0, 80.0)), Point::new(100.0, 80.0 + 9.0 / 13.0), 1e-9);
+    near(
+        field.map(&pose, Point::new(100.0, 80.0)),
+        Point::new(100.0, 80.0 + 9.0 / 13.0),
+        1e-9,
+    );
 }
 
 #[tokio::test]
@@ -130,13 +223,30 @@ async fn landmarks_that_were_rounded_are_warped_and_the_groups_are_named() {
     let image = photo(120, 90);
     let p = json!([[20, 30], [90, 40], [20, 30], [50, 80]]);
     let q = json!([[24, 30], [95, 40], [28, 30], [50, 70]]);
-    let response = server.upload("/warp", &image, &json!({"p": p, "q": q})).await;
-    assert_eq!((response.status().as_u16(), &response.headers()["warp-warning"]), (200, &"coincident_handles".parse().unwrap()));
+    let response = server
+        .upload("/warp", &image, &json!({"p": p, "q": q}))
+        .await;
+    assert_eq!(
+        (
+            response.status().as_u16(),
+            &response.headers()["warp-warning"]
+        ),
+        (200, &"coincident_handles".parse().unwrap())
+    );
     // The drawn position is measured against the mean.
-    let residual: f64 = response.headers()["warp-residual"].to_str().unwrap().parse().unwrap();
+    let residual: f64 = response.headers()["warp-residual"]
+        .to_str()
+        .unwrap()
+        .parse()
+        .unwrap();
     assert!(residual < 1.0, "{residual}");
 
-    let session: Value = server.upload("/sessions", &image, &json!({"p": p})).await.json().await.unwrap();
+    let session: Value = server
+        .upload("/sessions", &image, &json!({"p": p}))
+        .await
+        .json()
+        .await
+        .unwrap();
     assert_eq!(session["coincident"], json!([{"handles": [0, 2]}]));
     assert_eq!(session.get("coincident_policy"), None, "the default");
     let id = session["id"].as_str().unwrap();
@@ -144,22 +254,50 @@ async fn landmarks_that_were_rounded_are_warped_and_the_groups_are_named() {
     drag.pose(1, &q).await;
     let report = drag.text().await;
     assert_eq!(report["warnings"], json!(["coincident_handles"]));
-    assert_eq!(report["coincident"], json!([{"handles": [0, 2], "position": [20.0, 30.0], "spread": 2.0}]));
+    assert_eq!(
+        report["coincident"],
+        json!([{"handles": [0, 2], "position": [20.0, 30.0], "spread": 2.0}])
+    );
     drag.ack_of_next_frame(1).await;
     drag.pose(2, &p).await;
     while drag.text().await["seq"] != 2 {}
 
     // The policy belongs to the session, and stays when only the handles are replaced.
-    let put = async |body: Value| server.client.put(server.url(&format!("/sessions/{id}/handles"))).json(&body).send().await.unwrap();
-    assert_eq!(put(json!({"coincident": {"policy": "reject"}})).await.status(), 200);
+    let put = async |body: Value| {
+        server
+            .client
+            .put(server.url(&format!("/sessions/{id}/handles")))
+            .json(&body)
+            .send()
+            .await
+            .unwrap()
+    };
+    assert_eq!(
+        put(json!({"coincident": {"policy": "reject"}}))
+            .await
+            .status(),
+        200
+    );
     let near = json!([[20, 30], [90, 40], [21, 30], [50, 80]]);
     let replaced: Value = put(json!({"p": near})).await.json().await.unwrap();
     assert_eq!(replaced.get("coincident"), None, "nothing coincides");
-    assert_eq!(replaced["coincident_policy"], json!({"policy": "reject", "within": 0.0}), "kept");
+    assert_eq!(
+        replaced["coincident_policy"],
+        json!({"policy": "reject", "within": 0.0}),
+        "kept"
+    );
     assert_eq!(put(json!({"p": p, "q": q})).await.status(), 422);
-    let within: Value = put(json!({"coincident": {"within": 1}})).await.json().await.unwrap();
+    let within: Value = put(json!({"coincident": {"within": 1}}))
+        .await
+        .json()
+        .await
+        .unwrap();
     assert_eq!(within["coincident"], json!([{"handles": [0, 2]}]));
-    assert_eq!(put(json!({"p": p, "q": q})).await.status(), 200, "the whole policy was replaced");
+    assert_eq!(
+        put(json!({"p": p, "q": q})).await.status(),
+        200,
+        "the whole policy was replaced"
+    );
 }
 
 #[tokio::test]
@@ -169,7 +307,13 @@ async fn a_distance_that_joins_everything_takes_no_list_of_pairs() {
     let p: Vec<[u32; 2]> = (0..9_999).map(|k| [k % 64, k / 64 % 48]).collect();
     let warp = json!({"p": p, "q": p, "coincident": {"within": 1e6}});
     let response = server.upload("/warp", &image, &warp).await;
-    assert_eq!((response.status().as_u16(), &response.headers()["warp-warning"]), (200, &"translation_only".parse().unwrap()));
+    assert_eq!(
+        (
+            response.status().as_u16(),
+            &response.headers()["warp-warning"]
+        ),
+        (200, &"translation_only".parse().unwrap())
+    );
 }
 
 /// f takes the mean of grouped points to the mean of their targets; how far it misses them at their own positions is reported.
@@ -181,12 +325,21 @@ async fn the_residual_counts_grouped_points_where_they_are() {
     let dots = |at: &[(f64, f64)]| at.iter().map(|&(x, y)| dot(x, y)).collect::<Vec<_>>();
     let field = field(dots(&p), None, 25.0, Method::Rigid, 1.0).unwrap();
     let pose = field.pose(&dots(&q)).unwrap();
-    let miss = |(p, q): (&(f64, f64), &(f64, f64))| field.map(&pose, Point::new(p.0, p.1)).distance(Point::new(q.0, q.1));
+    let miss = |(p, q): (&(f64, f64), &(f64, f64))| {
+        field
+            .map(&pose, Point::new(p.0, p.1))
+            .distance(Point::new(q.0, q.1))
+    };
     let want = p.iter().zip(&q).map(miss).fold(0.0, f64::max);
     assert!(want > 1.0, "{want}");
     let warp = json!({"p": p, "q": q, "coincident": {"within": 25}});
     let answer = server.upload("/warp", &photo(200, 150), &warp).await;
-    let header = |name: &str| answer.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
+    let header = |name: &str| {
+        answer
+            .headers()
+            .get(name)
+            .map(|value| value.to_str().unwrap().to_owned())
+    };
     let residual: f64 = header("warp-residual").unwrap().parse().unwrap();
     assert!((residual - want).abs() <= 0.25, "{residual} {want}");
     assert_eq!(header("warp-warning"), None, "the targets agree");

@@ -14,7 +14,12 @@ fn rest() -> Value {
 /// Pose `n` of a circular drag.
 fn posed(n: u32) -> Value {
     let (x, y) = (f64::from(n).cos() * 7.0, f64::from(n).sin() * 5.0);
-    json!([[20.0 + x, 20.0 + y], [100, 24], [[30, 70], [90.0 - y, 80.0 + x]], [[60, 30], [64.0 + y, 44], [70, 60.0 + y]]])
+    json!([
+        [20.0 + x, 20.0 + y],
+        [100, 24],
+        [[30, 70], [90.0 - y, 80.0 + x]],
+        [[60, 30], [64.0 + y, 44], [70, 60.0 + y]]
+    ])
 }
 
 #[tokio::test]
@@ -53,11 +58,22 @@ async fn an_upload_that_asks_for_a_session_gives_one_with_its_picture() {
     let id = header(&response, "warp-session").to_owned();
     assert_eq!(header(&response, "location"), format!("/sessions/{id}"));
     let first = png(response).await;
-    let again = server.post(&format!("/sessions/{id}/warp")).json(&json!({"q": posed(3)})).send().await.unwrap();
+    let again = server
+        .post(&format!("/sessions/{id}/warp"))
+        .json(&json!({"q": posed(3)}))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(header(&again, "warp-plan"), "hit");
     assert_eq!(png(again).await, first);
     // Refused warps make no session.
-    let refused = server.upload("/warp?session=true", &photo, &json!({"p": [[1, 1]], "q": []})).await;
+    let refused = server
+        .upload(
+            "/warp?session=true",
+            &photo,
+            &json!({"p": [[1, 1]], "q": []}),
+        )
+        .await;
     assert_eq!(refused.status(), 422);
     assert!(refused.headers().get("warp-session").is_none());
 }
@@ -95,10 +111,16 @@ async fn what_the_caches_dropped_is_rebuilt_from_the_session() {
 async fn caches_too_small_for_anything_change_no_picture() {
     let server = Server::start(&["--image-cache-bytes", "0", "--plan-cache-bytes", "0"]).await;
     let roomy = Server::start(&[]).await;
-    let (a, b) = (server.session(&photo(64, 48), &rest()).await, roomy.session(&photo(64, 48), &rest()).await);
+    let (a, b) = (
+        server.session(&photo(64, 48), &rest()).await,
+        roomy.session(&photo(64, 48), &rest()).await,
+    );
     for n in 0..3 {
         let small = server.drag(&a, &json!({"q": posed(n)})).await;
-        assert_eq!(png(small).await, png(roomy.drag(&b, &json!({"q": posed(n)})).await).await);
+        assert_eq!(
+            png(small).await,
+            png(roomy.drag(&b, &json!({"q": posed(n)})).await).await
+        );
     }
     assert!(server.app.counters().plans_built > 1 && roomy.app.counters().plans_built == 1);
 }
@@ -109,43 +131,78 @@ async fn an_output_given_with_a_pose_replaces_only_what_it_names() {
     let mut whole = rest();
     whole["output"] = json!({"outside": "#ff0000ff", "filter": "nearest"});
     let id = server.session(&photo(64, 48), &whole).await;
-    let preview = png(server.drag(&id, &json!({"q": posed(2), "output": {"width": 32}})).await).await;
+    let preview = png(server
+        .drag(&id, &json!({"q": posed(2), "output": {"width": 32}}))
+        .await)
+    .await;
     let preview_read = decoded(&preview);
     assert_eq!((preview_read.width, preview_read.height), (32, 24));
     whole["output"]["width"] = json!(32);
     whole["q"] = posed(2);
-    assert_eq!(png(server.upload("/warp", &photo(64, 48), &whole).await).await, preview);
+    assert_eq!(
+        png(server.upload("/warp", &photo(64, 48), &whole).await).await,
+        preview
+    );
 }
 
 #[tokio::test]
 async fn the_first_bytes_of_a_large_picture_leave_before_its_last_strip_is_drawn() {
     let server = Server::start(&[]).await;
     let large = photo(3840, 2160);
-    let id = server.session(&large, &json!({"p": [[100, 100], [3000, 2000]], "output": {"compression": "best"}})).await;
-    let mut response = server.drag(&id, &json!({"q": [[140, 130], [2900, 2000]]})).await;
+    let id = server
+        .session(
+            &large,
+            &json!({"p": [[100, 100], [3000, 2000]], "output": {"compression": "best"}}),
+        )
+        .await;
+    let mut response = server
+        .drag(&id, &json!({"q": [[140, 130], [2900, 2000]]}))
+        .await;
     assert_eq!(response.status(), 200);
     assert!(response.headers().get("content-length").is_none());
     let first = response.chunk().await.unwrap().unwrap();
     assert!(first.starts_with(b"\x89PNG"));
     let counters = server.app.counters();
-    assert_eq!((counters.pictures_begun, counters.pictures_finished), (1, 0));
+    assert_eq!(
+        (counters.pictures_begun, counters.pictures_finished),
+        (1, 0)
+    );
     let mut file = first.to_vec();
     while let Some(chunk) = response.chunk().await.unwrap() {
         file.extend_from_slice(&chunk);
     }
     let read = decoded(&file);
     assert_eq!((read.width, read.height), (3840, 2160));
-    eventually("the picture is counted", || server.app.counters().pictures_finished == 1).await;
+    eventually("the picture is counted", || {
+        server.app.counters().pictures_finished == 1
+    })
+    .await;
 }
 
 #[tokio::test]
 async fn copies_for_a_size_are_made_once_and_timed_apart() {
     let server = Server::start(&[]).await;
-    let id = server.session(&photo(640, 480), &json!({"p": [[20, 20], [300, 200]]})).await;
+    let id = server
+        .session(&photo(640, 480), &json!({"p": [[20, 20], [300, 200]]}))
+        .await;
     let mut made = Vec::new();
-    for (width, moved) in [(160, 0), (160, 1), (100, 2), (320, 3), (640, 0), (640, 4), (640, 5), (300, 6)] {
+    for (width, moved) in [
+        (160, 0),
+        (160, 1),
+        (100, 2),
+        (320, 3),
+        (640, 0),
+        (640, 4),
+        (640, 5),
+        (300, 6),
+    ] {
         let drag = json!({"q": [[20 + moved, 20], [300, 200]], "output": {"width": width}});
-        let response = server.post(&format!("/sessions/{id}/warp")).json(&drag).send().await.unwrap();
+        let response = server
+            .post(&format!("/sessions/{id}/warp"))
+            .json(&drag)
+            .send()
+            .await
+            .unwrap();
         made.push(header(&response, "server-timing").contains("reduce;dur="));
         png(response).await;
     }
@@ -156,7 +213,13 @@ async fn copies_for_a_size_are_made_once_and_timed_apart() {
 #[tokio::test]
 async fn headers_tell_what_the_contract_says() {
     let server = Server::start(&[]).await;
-    let response = server.upload("/warp", &photo(64, 48), &json!({"p": [[20, 20]], "q": [[25, 20]]})).await;
+    let response = server
+        .upload(
+            "/warp",
+            &photo(64, 48),
+            &json!({"p": [[20, 20]], "q": [[25, 20]]}),
+        )
+        .await;
     assert_eq!(header(&response, "content-type"), "image/png");
     assert_eq!(header(&response, "warp-plan"), "built");
     assert_eq!(header(&response, "warp-folds"), "0");
@@ -167,7 +230,13 @@ async fn headers_tell_what_the_contract_says() {
     assert!(response.headers().get("warp-session").is_none());
     let timing = header(&response, "server-timing");
     for stage in ["queue", "decode", "plan", "deform", "render", "encode"] {
-        assert!(timing.contains(&format!("{stage};dur=")), "{stage} in {timing}");
+        assert!(
+            timing.contains(&format!("{stage};dur=")),
+            "{stage} in {timing}"
+        );
     }
-    assert!(response.content_length().is_some(), "a small picture is whole before its answer begins");
+    assert!(
+        response.content_length().is_some(),
+        "a small picture is whole before its answer begins"
+    );
 }

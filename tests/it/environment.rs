@@ -24,7 +24,11 @@ fn path() -> PathBuf {
 
 /// Every option that has a variable.
 fn options() -> Vec<Arg> {
-    command().get_arguments().filter(|option| option.get_env().is_some()).cloned().collect()
+    command()
+        .get_arguments()
+        .filter(|option| option.get_env().is_some())
+        .cloned()
+        .collect()
 }
 
 fn variable(option: &Arg) -> &str {
@@ -32,15 +36,30 @@ fn variable(option: &Arg) -> &str {
 }
 
 fn default(option: &Arg) -> &str {
-    let [value] = option.get_default_values() else { panic!("{} has one default", variable(option)) };
+    let [value] = option.get_default_values() else {
+        panic!("{} has one default", variable(option))
+    };
     value.to_str().unwrap()
 }
 
 fn expected() -> String {
     let mut text = HEAD.to_owned();
     for option in options() {
-        let kinds: Vec<_> = option.get_value_names().unwrap().iter().map(|name| name.as_str()).collect();
-        write!(text, "\n# {} ({})\n#{}={}\n", option.get_help().unwrap(), kinds.join(" "), variable(&option), default(&option)).unwrap();
+        let kinds: Vec<_> = option
+            .get_value_names()
+            .unwrap()
+            .iter()
+            .map(|name| name.as_str())
+            .collect();
+        write!(
+            text,
+            "\n# {} ({})\n#{}={}\n",
+            option.get_help().unwrap(),
+            kinds.join(" "),
+            variable(&option),
+            default(&option)
+        )
+        .unwrap();
     }
     text
 }
@@ -50,8 +69,14 @@ fn uncommented(text: &str) -> BTreeMap<&str, &str> {
     let mut variables = BTreeMap::new();
     for line in text.lines().filter(|line| line.starts_with("#MLSWARP_")) {
         let (name, value) = line[1..].split_once('=').unwrap();
-        assert!(name.bytes().all(|b| b.is_ascii_uppercase() || b == b'_'), "{name}");
-        assert!(!value.contains([' ', '\t', '"', '\'', '\\', '$', '`', '#', ';']), "not every reader takes it as it is: {line}");
+        assert!(
+            name.bytes().all(|b| b.is_ascii_uppercase() || b == b'_'),
+            "{name}"
+        );
+        assert!(
+            !value.contains([' ', '\t', '"', '\'', '\\', '$', '`', '#', ';']),
+            "not every reader takes it as it is: {line}"
+        );
         assert!(variables.insert(name, value).is_none(), "{name} twice");
     }
     variables
@@ -64,8 +89,14 @@ fn environment_example_is_what_the_program_declares() {
         std::fs::write(path(), &expected).unwrap();
     }
     let written = std::fs::read_to_string(path()).unwrap();
-    assert!(written == expected, "deploy/env.example is not what the program declares; MLSWARP_BLESS=1 writes it anew");
-    assert!(written.lines().all(|line| line.is_empty() || line.starts_with("# ") || line == "#" || line.starts_with("#MLSWARP_")));
+    assert!(
+        written == expected,
+        "deploy/env.example is not what the program declares; MLSWARP_BLESS=1 writes it anew"
+    );
+    assert!(written.lines().all(|line| line.is_empty()
+        || line.starts_with("# ")
+        || line == "#"
+        || line.starts_with("#MLSWARP_")));
     assert_eq!(uncommented(&written).len(), options().len());
 }
 
@@ -73,7 +104,13 @@ fn environment_example_is_what_the_program_declares() {
 fn environment_example_uncommented_is_the_default_configuration() {
     let written = expected();
     let variables = uncommented(&written);
-    let flags = options().into_iter().map(|option| format!("--{}={}", option.get_long().unwrap(), variables[variable(&option)]));
+    let flags = options().into_iter().map(|option| {
+        format!(
+            "--{}={}",
+            option.get_long().unwrap(),
+            variables[variable(&option)]
+        )
+    });
     let config = Config::read(std::iter::once("mlswarp".to_owned()).chain(flags)).unwrap();
     assert_eq!(config, Config::default());
 }
@@ -95,7 +132,9 @@ fn environment_example_uncommented_starts_the_program() {
 #[test]
 fn unknown_variables_are_named_at_the_start() {
     let mut command = mlswarp(&["serve", "--listen", "127.0.0.1:0"]);
-    command.env("MLSWARP_MAX_SESION", "3").env("MLSWARP_FROBNICATE", "1");
+    command
+        .env("MLSWARP_MAX_SESION", "3")
+        .env("MLSWARP_FROBNICATE", "1");
     let program = Program::spawn(command);
     program.terminate();
     let (_, log) = program.wait();
@@ -103,21 +142,52 @@ fn unknown_variables_are_named_at_the_start() {
         "the variable MLSWARP_MAX_SESION is not known and has no effect; did you mean MLSWARP_MAX_SESSIONS?",
         "the variable MLSWARP_FROBNICATE is not known and has no effect",
     ] {
-        assert!(log.lines().any(|line| line.contains("WARN") && line.contains(said)), "{said} in {log}");
+        assert!(
+            log.lines()
+                .any(|line| line.contains("WARN") && line.contains(said)),
+            "{said} in {log}"
+        );
     }
     assert_eq!(log.matches("is not known").count(), 2, "{log}");
-    let offline = mlswarp(&["report", "none.json", "--extent", "4,3"]).env("MLSWARP_MAX_COLUMS", "9").output().unwrap();
+    let offline = mlswarp(&["report", "none.json", "--extent", "4,3"])
+        .env("MLSWARP_MAX_COLUMS", "9")
+        .output()
+        .unwrap();
     let said = String::from_utf8(offline.stderr).unwrap();
-    assert!(said.starts_with("warning: the variable MLSWARP_MAX_COLUMS is not known") && said.contains("MLSWARP_MAX_COLUMNS?"), "{said}");
+    assert!(
+        said.starts_with("warning: the variable MLSWARP_MAX_COLUMS is not known")
+            && said.contains("MLSWARP_MAX_COLUMNS?"),
+        "{said}"
+    );
 }
 
 #[test]
 fn a_flag_takes_precedence_over_a_wrong_variable() {
-    let code = |args: &[&str]| mlswarp(args).env("MLSWARP_METRICS_LISTEN", "none").env("MLSWARP_LISTEN", "127.0.0.1:1").output().unwrap();
-    for args in [["health", "--metrics-listen", "127.0.0.1:2"], ["--metrics-listen", "127.0.0.1:2", "health"]] {
-        assert_eq!(code(&args).status.code(), Some(1), "{args:?}: nobody listens there");
+    let code = |args: &[&str]| {
+        mlswarp(args)
+            .env("MLSWARP_METRICS_LISTEN", "none")
+            .env("MLSWARP_LISTEN", "127.0.0.1:1")
+            .output()
+            .unwrap()
+    };
+    for args in [
+        ["health", "--metrics-listen", "127.0.0.1:2"],
+        ["--metrics-listen", "127.0.0.1:2", "health"],
+    ] {
+        assert_eq!(
+            code(&args).status.code(),
+            Some(1),
+            "{args:?}: nobody listens there"
+        );
     }
     let wrong = code(&["health"]);
     let text = String::from_utf8(wrong.stderr).unwrap();
-    assert_eq!((wrong.status.code(), text.matches("MLSWARP_METRICS_LISTEN").count()), (Some(2), 1), "{text}");
+    assert_eq!(
+        (
+            wrong.status.code(),
+            text.matches("MLSWARP_METRICS_LISTEN").count()
+        ),
+        (Some(2), 1),
+        "{text}"
+    );
 }

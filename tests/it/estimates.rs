@@ -13,7 +13,9 @@ const SOON: Duration = Duration::from_secs(10);
 
 fn places(count: u32) -> Vec<[f64; 2]> {
     let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
-    (0..count).map(|k| [600.0 * share(2 * k), 400.0 * share(2 * k + 1)]).collect()
+    (0..count)
+        .map(|k| [600.0 * share(2 * k), 400.0 * share(2 * k + 1)])
+        .collect()
 }
 
 async fn refused(server: &Server, path: &str, body: &Value) -> Value {
@@ -21,8 +23,14 @@ async fn refused(server: &Server, path: &str, body: &Value) -> Value {
     let answer = server.post(path).json(body).send().await.unwrap();
     let told = problem(answer, 413, "too_large").await;
     assert_eq!(told["limit_name"], "work", "{told}");
-    assert!(told["actual"].as_u64() > told["limit"].as_u64() && told.get("retry_after").is_none(), "{told}");
-    assert!(told["detail"].as_str().unwrap().contains("send "), "what to send instead: {told}");
+    assert!(
+        told["actual"].as_u64() > told["limit"].as_u64() && told.get("retry_after").is_none(),
+        "{told}"
+    );
+    assert!(
+        told["detail"].as_str().unwrap().contains("send "),
+        "what to send instead: {told}"
+    );
     assert!(began.elapsed() < SOON, "{path}: {:?}", began.elapsed());
     told
 }
@@ -35,14 +43,27 @@ async fn estimates_refuse_at_once_what_would_never_end() {
     let p = places(2_000);
     let candidates = vec![json!({"method": "tps"}); 64];
     let fit = json!({"p": p, "q": p, "extent": [640, 400], "candidates": candidates});
-    assert_eq!(refused(&server, "/fit", &fit).await["pointer"], "/candidates");
+    assert_eq!(
+        refused(&server, "/fit", &fit).await["pointer"],
+        "/candidates"
+    );
     // Vertices of a grid.
     let pixel = json!({"p": many, "q": many, "extent": extent, "grid": "pixel"});
-    assert_eq!(refused(&server, "/report", &pixel).await["pointer"], "/grid");
+    assert_eq!(
+        refused(&server, "/report", &pixel).await["pointer"],
+        "/grid"
+    );
     refused(&server, "/map", &pixel).await;
     // Edges of outlines.
-    let ring: Vec<[f64; 2]> = (0..20_000).map(|k| [f64::from(k % 2) * 600.0, f64::from(k) * 0.3]).collect();
-    refused(&server, "/points", &json!({"p": many, "q": many, "extent": extent, "polygons": [ring]})).await;
+    let ring: Vec<[f64; 2]> = (0..20_000)
+        .map(|k| [f64::from(k % 2) * 600.0, f64::from(k) * 0.3])
+        .collect();
+    refused(
+        &server,
+        "/points",
+        &json!({"p": many, "q": many, "extent": extent, "polygons": [ring]}),
+    )
+    .await;
     // Frames that are posed before the first is sent: nothing moves, so none needs alpha.
     let id = server.session(&photo(640, 400), &json!({"p": many})).await;
     let still = json!({"q": many, "jitter": {"seed": 1, "count": 10_000, "sigma": 0}});
@@ -53,9 +74,22 @@ async fn estimates_refuse_at_once_what_would_never_end() {
 async fn estimates_follow_the_flag_and_accept_what_is_usual() {
     let server = Server::start(&["--max-work", "1M"]).await;
     let p = places(100);
-    let points = |count: u32| json!({"p": p, "q": p, "extent": [640, 400], "points": places(count)});
-    assert_eq!(server.post("/points").json(&points(4_000)).send().await.unwrap().status(), 200);
-    assert_eq!(refused(&server, "/points", &points(6_000)).await["limit"], 1_000_000);
+    let points =
+        |count: u32| json!({"p": p, "q": p, "extent": [640, 400], "points": places(count)});
+    assert_eq!(
+        server
+            .post("/points")
+            .json(&points(4_000))
+            .send()
+            .await
+            .unwrap()
+            .status(),
+        200
+    );
+    assert_eq!(
+        refused(&server, "/points", &points(6_000)).await["limit"],
+        1_000_000
+    );
     let mut inverse = points(700);
     inverse["inverse"] = json!(true);
     refused(&server, "/points", &inverse).await;

@@ -30,11 +30,18 @@ struct Party {
 impl Party {
     fn new(server: &Server, last: u8) -> Self {
         let address = IpAddr::V4(Ipv4Addr::new(127, 0, 0, last));
-        Self { http: Client::builder().local_address(address).build().unwrap(), address, server: server.address }
+        Self {
+            http: Client::builder().local_address(address).build().unwrap(),
+            address,
+            server: server.address,
+        }
     }
 
     fn who(&self) -> Who {
-        Who { owner: Owner::ANYBODY, address: self.address }
+        Who {
+            owner: Owner::ANYBODY,
+            address: self.address,
+        }
     }
 
     fn post(&self, path: &str) -> RequestBuilder {
@@ -42,7 +49,11 @@ impl Party {
     }
 
     async fn open(&self, image: &[u8], warp: &Value) -> Response {
-        self.post("/sessions").multipart(form(image, warp.to_string())).send().await.unwrap()
+        self.post("/sessions")
+            .multipart(form(image, warp.to_string()))
+            .send()
+            .await
+            .unwrap()
     }
 
     async fn session(&self, image: &[u8]) -> String {
@@ -52,14 +63,29 @@ impl Party {
     }
 
     async fn delete(&self, id: &str) -> u16 {
-        self.http.delete(format!("http://{}/sessions/{id}", self.server)).send().await.unwrap().status().as_u16()
+        self.http
+            .delete(format!("http://{}/sessions/{id}", self.server))
+            .send()
+            .await
+            .unwrap()
+            .status()
+            .as_u16()
     }
 
     /// A handshake of the drag socket; the seat is taken for as long as the answer lives.
     async fn socket(&self, id: &str) -> Response {
-        let request = self.http.get(format!("http://{}/sessions/{id}/drag", self.server));
-        let request = request.header("Connection", "upgrade").header("Upgrade", "websocket").header("Sec-WebSocket-Version", "13");
-        request.header("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ==").send().await.unwrap()
+        let request = self
+            .http
+            .get(format!("http://{}/sessions/{id}/drag", self.server));
+        let request = request
+            .header("Connection", "upgrade")
+            .header("Upgrade", "websocket")
+            .header("Sec-WebSocket-Version", "13");
+        request
+            .header("Sec-WebSocket-Key", "dGhlIHNhbXBsZSBub25jZQ==")
+            .send()
+            .await
+            .unwrap()
     }
 
     async fn connect(&self) -> TcpStream {
@@ -70,7 +96,10 @@ impl Party {
 }
 
 async fn id_of(answer: Response) -> String {
-    answer.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+    answer.json::<Value>().await.unwrap()["id"]
+        .as_str()
+        .unwrap()
+        .to_owned()
 }
 
 fn rest() -> Value {
@@ -82,7 +111,10 @@ async fn limited(answer: Response, what: &str) {
     assert!(header(&answer, "retry-after").parse::<u32>().unwrap() >= 1);
     let told = problem(answer, 429, "rate_limited").await;
     assert_eq!(told["limit_name"], what, "{told}");
-    assert!(told["actual"].as_u64().unwrap() > told["limit"].as_u64().unwrap(), "{told}");
+    assert!(
+        told["actual"].as_u64().unwrap() > told["limit"].as_u64().unwrap(),
+        "{told}"
+    );
 }
 
 /// Requests that are sent again and again until this is dropped, and how many were answered with a picture.
@@ -94,8 +126,14 @@ struct Flood {
 
 impl Flood {
     /// `at_once` requests at a time; `ask` makes the n-th request of a task.
-    fn start(at_once: usize, ask: impl Fn(usize, u64) -> RequestBuilder + Clone + Send + 'static) -> Self {
-        let (answered, over) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+    fn start(
+        at_once: usize,
+        ask: impl Fn(usize, u64) -> RequestBuilder + Clone + Send + 'static,
+    ) -> Self {
+        let (answered, over) = (
+            Arc::new(AtomicUsize::new(0)),
+            Arc::new(AtomicBool::new(false)),
+        );
         let task = |task: usize| {
             let (ask, answered, over) = (ask.clone(), Arc::clone(&answered), Arc::clone(&over));
             tokio::spawn(async move {
@@ -103,7 +141,9 @@ impl Flood {
                     if over.load(Ordering::Relaxed) {
                         return;
                     }
-                    let Ok(answer) = ask(task, n).send().await else { continue };
+                    let Ok(answer) = ask(task, n).send().await else {
+                        continue;
+                    };
                     let is_picture = answer.status() == 200;
                     let whole = answer.bytes().await.is_ok();
                     answered.fetch_add(usize::from(is_picture && whole), Ordering::Relaxed);
@@ -111,7 +151,11 @@ impl Flood {
             })
         };
         let tasks = (0..at_once).map(task).collect();
-        Self { answered, over, tasks }
+        Self {
+            answered,
+            over,
+            tasks,
+        }
     }
 
     fn answered(&self) -> usize {
@@ -137,12 +181,21 @@ async fn meanwhile(what: &str, number: usize, flood: &Flood, ask: impl AsyncFn(u
     let others = flood.answered() - before;
     times.sort_unstable();
     let p99 = times[(number * 99).div_ceil(100) - 1];
-    eprintln!("{what}: {number} of {} answers; median {:.0?}, p99 {p99:.0?}", number + others, times[number / 2]);
+    eprintln!(
+        "{what}: {number} of {} answers; median {:.0?}, p99 {p99:.0?}",
+        number + others,
+        times[number / 2]
+    );
     others
 }
 
 async fn drag(party: &Party, id: &str, n: usize) {
-    let answer = party.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[20 + n % 9, 21]]})).send().await.unwrap();
+    let answer = party
+        .post(&format!("/sessions/{id}/warp"))
+        .json(&json!({"q": [[20 + n % 9, 21]]}))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(answer.status(), 200);
     // Not decoded: the client is back at once.
     assert!(answer.bytes().await.unwrap().starts_with(b"\x89PNG"));
@@ -161,10 +214,19 @@ async fn six_busy_sessions_do_not_starve_the_session_of_another_address() {
         let own = calm.session(&photo(900, 701)).await;
         let flood = Flood::start(12, {
             let busy = busy.clone();
-            move |task, n| busy.post(&format!("/sessions/{}/warp", ids[task % 6])).json(&json!({"q": [[20 + n % 9, 22]]}))
+            move |task, n| {
+                busy.post(&format!("/sessions/{}/warp", ids[task % 6]))
+                    .json(&json!({"q": [[20 + n % 9, 22]]}))
+            }
         });
         eventually("the workers are busy", || flood.answered() > 12).await;
-        let others = meanwhile(&format!("drags, {workers} workers"), 40, &flood, async |n| drag(&calm, &own, n).await).await;
+        let others = meanwhile(
+            &format!("drags, {workers} workers"),
+            40,
+            &flood,
+            async |n| drag(&calm, &own, n).await,
+        )
+        .await;
         flood.end().await;
         // As before there was a queue for each session: five and more for one.
         assert!(others <= 3 * 40, "{others} of the busy client beside 40");
@@ -182,10 +244,22 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
         let flood = Flood::start(4, {
             let huge = huge.clone();
             let output = json!({"compression": "best"});
-            move |_, n| huge.post(&format!("/sessions/{large}/warp")).json(&json!({"q": [[20 + n % 9, 22]], "output": output}))
+            move |_, n| {
+                huge.post(&format!("/sessions/{large}/warp"))
+                    .json(&json!({"q": [[20 + n % 9, 22]], "output": output}))
+            }
         });
-        eventually("a huge one runs", || server.app.pool().load(WorkClass::Drag).waiting > 1).await;
-        let others = meanwhile(&format!("small drags, {workers} workers"), 40, &flood, async |n| drag(&small, &own, n).await).await;
+        eventually("a huge one runs", || {
+            server.app.pool().load(WorkClass::Drag).waiting > 1
+        })
+        .await;
+        let others = meanwhile(
+            &format!("small drags, {workers} workers"),
+            40,
+            &flood,
+            async |n| drag(&small, &own, n).await,
+        )
+        .await;
         flood.end().await;
         // Where each waits for the end of a huge one, there are as many of them.
         assert!(others <= 20, "{others} huge drags beside 40 small ones");
@@ -197,12 +271,27 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
             warp["output"] = json!({"compression": "best"});
             move |_, _| huge.post("/warp").multipart(form(&file, warp.to_string()))
         });
-        eventually("a huge one runs", || server.app.pool().load(WorkClass::Upload).waiting > 1).await;
+        eventually("a huge one runs", || {
+            server.app.pool().load(WorkClass::Upload).waiting > 1
+        })
+        .await;
         let tiny = photo(32, 24);
         let upload = async |_| {
-            png(small.post("/warp").multipart(form(&tiny, warp.to_string())).send().await.unwrap()).await;
+            png(small
+                .post("/warp")
+                .multipart(form(&tiny, warp.to_string()))
+                .send()
+                .await
+                .unwrap())
+            .await;
         };
-        let others = meanwhile(&format!("small uploads, {workers} workers"), 40, &flood, upload).await;
+        let others = meanwhile(
+            &format!("small uploads, {workers} workers"),
+            40,
+            &flood,
+            upload,
+        )
+        .await;
         flood.end().await;
         assert!(others <= 20, "{others} huge uploads beside 40 small ones");
     }
@@ -215,7 +304,9 @@ async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_
     let fit = json!({"p": p, "q": p, "extent": [640, 400], "candidates": vec![json!({"method": "tps"}); 40]});
     for addresses in [1, 3] {
         let server = Server::start(&["--workers", "2"]).await;
-        let busy: Vec<Party> = (2..2 + addresses).map(|last| Party::new(&server, last)).collect();
+        let busy: Vec<Party> = (2..2 + addresses)
+            .map(|last| Party::new(&server, last))
+            .collect();
         let calm = Party::new(&server, 9);
         let floods: Vec<Flood> = busy
             .into_iter()
@@ -224,17 +315,31 @@ async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_
                 Flood::start(3, move |_, _| party.post("/fit").json(&fit))
             })
             .collect();
-        eventually("they wait for slots", || server.app.pool().load(WorkClass::Upload).waiting > 0).await;
+        eventually("they wait for slots", || {
+            server.app.pool().load(WorkClass::Upload).waiting > 0
+        })
+        .await;
         let (tiny, warp) = (photo(32, 24), json!({"p": [[20, 20]], "q": [[25, 20]]}));
         let mut times = Vec::new();
         for _ in 0..10 {
             let began = Instant::now();
-            png(calm.post("/warp").multipart(form(&tiny, warp.to_string())).send().await.unwrap()).await;
+            png(calm
+                .post("/warp")
+                .multipart(form(&tiny, warp.to_string()))
+                .send()
+                .await
+                .unwrap())
+            .await;
             times.push(began.elapsed());
         }
         times.sort_unstable();
-        eprintln!("10 uploads beside long requests from {addresses} addresses: median {:.0?}, longest {:.0?}", times[5], times[9]);
-        floods.iter().for_each(|flood| flood.tasks.iter().for_each(JoinHandle::abort));
+        eprintln!(
+            "10 uploads beside long requests from {addresses} addresses: median {:.0?}, longest {:.0?}",
+            times[5], times[9]
+        );
+        floods
+            .iter()
+            .for_each(|flood| flood.tasks.iter().for_each(JoinHandle::abort));
     }
 }
 
@@ -243,7 +348,11 @@ async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_
 async fn many_sockets_do_not_starve_the_socket_of_another_address() {
     let server = Server::start(&["--workers", "1", "--queue", "8"]).await;
     let (busy, calm) = (Party::new(&server, 2), Party::new(&server, 3));
-    let flood = Flood { answered: Arc::default(), over: Arc::default(), tasks: Vec::new() };
+    let flood = Flood {
+        answered: Arc::default(),
+        over: Arc::default(),
+        tasks: Vec::new(),
+    };
     let mut tasks = Vec::new();
     for n in 0..16 {
         let id = busy.session(&photo(700 + n, 500)).await;
@@ -262,7 +371,8 @@ async fn many_sockets_do_not_starve_the_socket_of_another_address() {
     }
     let flood = Flood { tasks, ..flood };
     let id = calm.session(&photo(700, 501)).await;
-    let drag = tokio::sync::Mutex::new(DragClient::over(calm.connect().await, &id, "?width=700").await);
+    let drag =
+        tokio::sync::Mutex::new(DragClient::over(calm.connect().await, &id, "?width=700").await);
     eventually("the workers are busy", || flood.answered() > 16).await;
     let others = meanwhile("frames of a socket", 40, &flood, async |n| {
         let mut drag = drag.lock().await;
@@ -271,14 +381,21 @@ async fn many_sockets_do_not_starve_the_socket_of_another_address() {
     });
     let others = others.await;
     flood.end().await;
-    assert!(others <= 4 * 40, "{others} frames of sixteen sockets beside 40 of one");
+    assert!(
+        others <= 4 * 40,
+        "{others} frames of sixteen sockets beside 40 of one"
+    );
 }
 
 /// Row: places in the queue. The client that has most of them makes room.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_full_queue_makes_room_at_the_cost_of_the_client_that_has_most() {
     let server = Server::start(&["--workers", "1", "--queue", "4"]).await;
-    let (busy, calm, third) = (Party::new(&server, 2), Party::new(&server, 3), Party::new(&server, 4));
+    let (busy, calm, third) = (
+        Party::new(&server, 2),
+        Party::new(&server, 3),
+        Party::new(&server, 4),
+    );
     let own = calm.session(&photo(64, 48)).await;
     let mut ids = Vec::new();
     for _ in 0..6 {
@@ -286,14 +403,36 @@ async fn a_full_queue_makes_room_at_the_cost_of_the_client_that_has_most() {
     }
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     // The turn and the spare one.
-    let turn = |party: &Party| server.app.pool().admit(WorkClass::Drag, QueueKey::client(party.who()));
+    let turn = |party: &Party| {
+        server
+            .app
+            .pool()
+            .admit(WorkClass::Drag, QueueKey::client(party.who()))
+    };
     let held = (turn(&busy).await.unwrap(), turn(&third).await.unwrap());
-    let ask = |party: &Party, id: &str| tokio::spawn(party.post(&format!("/sessions/{id}/warp")).json(&json!({"q": [[21, 20]]})).send());
+    let ask = |party: &Party, id: &str| {
+        tokio::spawn(
+            party
+                .post(&format!("/sessions/{id}/warp"))
+                .json(&json!({"q": [[21, 20]]}))
+                .send(),
+        )
+    };
     let many: Vec<_> = ids.iter().map(|id| ask(&busy, id)).collect();
-    eventually("two found no place", || server.app.pool().load(WorkClass::Drag).full == 2).await;
-    assert_eq!(server.get("/readyz").send().await.unwrap().status(), 200, "others are served");
+    eventually("two found no place", || {
+        server.app.pool().load(WorkClass::Drag).full == 2
+    })
+    .await;
+    assert_eq!(
+        server.get("/readyz").send().await.unwrap().status(),
+        200,
+        "others are served"
+    );
     let one = ask(&calm, &own);
-    eventually("it has a place", || server.app.pool().load(WorkClass::Drag).full == 3).await;
+    eventually("it has a place", || {
+        server.app.pool().load(WorkClass::Drag).full == 3
+    })
+    .await;
     drop(held);
     png(one.await.unwrap().unwrap()).await;
     let mut statuses = Vec::new();
@@ -312,22 +451,38 @@ async fn one_client_has_half_of_the_sessions() {
     let file = photo(64, 48);
     let ids = [one.session(&file).await, one.session(&file).await];
     limited(one.open(&file, &rest()).await, "client_sessions").await;
-    let warped = one.post("/warp?session=true").multipart(form(&file, json!({"p": [[20, 20]], "q": [[21, 20]]}).to_string()));
+    let warped = one.post("/warp?session=true").multipart(form(
+        &file,
+        json!({"p": [[20, 20]], "q": [[21, 20]]}).to_string(),
+    ));
     limited(warped.send().await.unwrap(), "client_sessions").await;
     // Replacing one of its own is no more than it had.
-    let again = one.http.put(format!("http://{}/sessions/{}", server.address, ids[0])).multipart(form(&photo(65, 48), rest().to_string()));
+    let again = one
+        .http
+        .put(format!("http://{}/sessions/{}", server.address, ids[0]))
+        .multipart(form(&photo(65, 48), rest().to_string()));
     assert_eq!(again.send().await.unwrap().status(), 200);
     let theirs = [other.session(&file).await, other.session(&file).await];
     // The store's own limit stays what it was.
-    problem(Party::new(&server, 4).open(&file, &rest()).await, 503, "overloaded").await;
+    problem(
+        Party::new(&server, 4).open(&file, &rest()).await,
+        503,
+        "overloaded",
+    )
+    .await;
     assert_eq!(one.delete(&ids[1]).await, 204);
     one.session(&file).await;
     limited(one.open(&file, &rest()).await, "client_sessions").await;
     drag(&other, &theirs[0], 1).await;
 
     let behind = Server::start(&["--max-sessions", "4", "--trusted-proxies", "127.0.0.0/8"]).await;
-    let open =
-        |from: &'static str| behind.post("/sessions").header("X-Forwarded-For", from).multipart(form(&file, rest().to_string())).send();
+    let open = |from: &'static str| {
+        behind
+            .post("/sessions")
+            .header("X-Forwarded-For", from)
+            .multipart(form(&file, rest().to_string()))
+            .send()
+    };
     for _ in 0..2 {
         assert_eq!(open("2001:db8::1").await.unwrap().status(), 201);
     }
@@ -338,15 +493,29 @@ async fn one_client_has_half_of_the_sessions() {
     for _ in 0..4 {
         off.session(&file, &rest()).await;
     }
-    problem(off.upload("/sessions", &file, &rest()).await, 503, "overloaded").await;
+    problem(
+        off.upload("/sessions", &file, &rest()).await,
+        503,
+        "overloaded",
+    )
+    .await;
 }
 
 /// Row: sessions, where there are keys: the name counts, from whatever address.
 #[tokio::test]
 async fn one_key_has_half_of_the_sessions_from_all_its_addresses() {
-    let server = Server::start(&["--max-sessions", "4", "--keys", "ann ann-s-key-0123456789,bob bob-s-key-9876543210"]).await;
+    let server = Server::start(&[
+        "--max-sessions",
+        "4",
+        "--keys",
+        "ann ann-s-key-0123456789,bob bob-s-key-9876543210",
+    ])
+    .await;
     let open = async |last: u8, key: &str| {
-        let request = Party::new(&server, last).post("/sessions").bearer_auth(key).multipart(form(&photo(64, 48), rest().to_string()));
+        let request = Party::new(&server, last)
+            .post("/sessions")
+            .bearer_auth(key)
+            .multipart(form(&photo(64, 48), rest().to_string()));
         request.send().await.unwrap()
     };
     for last in [2, 3] {
@@ -407,7 +576,10 @@ async fn one_client_has_half_of_the_sockets() {
     assert!(open.iter().all(|answer| answer.status() == 101));
     problem(Party::new(&server, 4).socket(&id).await, 503, "overloaded").await;
     drop(open);
-    eventually("the seats are free again", || server.app.counters().sockets_open == 0).await;
+    eventually("the seats are free again", || {
+        server.app.counters().sockets_open == 0
+    })
+    .await;
     assert_eq!(one.socket(&id).await.status(), 101);
 }
 
@@ -430,9 +602,13 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
         let mut stream = one.connect().await;
         let before = server.app.request_quota(one.who()).held();
         // Refused while it sends: what it writes then may find nobody.
-        let _ = stream.write_all(&[head.as_bytes(), &vec![0; 2_000_000]].concat()).await;
+        let _ = stream
+            .write_all(&[head.as_bytes(), &vec![0; 2_000_000]].concat())
+            .await;
         let mut status = [0; 12];
-        let counted = eventually("its bytes have come", || server.app.request_quota(one.who()).held() >= before + 2_000_000);
+        let counted = eventually("its bytes have come", || {
+            server.app.request_quota(one.who()).held() >= before + 2_000_000
+        });
         tokio::select! {
             read = stream.read_exact(&mut status) => {
                 read.unwrap();
@@ -445,14 +621,28 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
         assert!(server.app.request_quota(one.who()).held() <= limit);
     }
     let taken = server.app.budget().taken_for(Purpose::Upload);
-    eprintln!("{} uploads are held, {refused} were refused; {taken} bytes are taken, {limit} is the limit", held.len() - refused);
+    eprintln!(
+        "{} uploads are held, {refused} were refused; {taken} bytes are taken, {limit} is the limit",
+        held.len() - refused
+    );
     assert!(refused >= 6 && held.len() - refused >= 2);
     // Uploads and drags of others have their own part.
     for n in 0..5 {
-        png(other.post("/warp").multipart(form(&photo(200, 150), json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string())).send().await.unwrap())
-            .await;
+        png(other
+            .post("/warp")
+            .multipart(form(
+                &photo(200, 150),
+                json!({"p": [[2, 2]], "q": [[3, 2]]}).to_string(),
+            ))
+            .send()
+            .await
+            .unwrap())
+        .await;
         drag(&other, &id, n).await;
     }
     drop(held);
-    eventually("it is given back", || server.app.request_quota(one.who()).held() == 0).await;
+    eventually("it is given back", || {
+        server.app.request_quota(one.who()).held() == 0
+    })
+    .await;
 }

@@ -8,7 +8,8 @@ use tokio::net::TcpSocket;
 
 use crate::support::healthy::{Healthy, ms};
 use crate::support::http2::{
-    ACK, CONTINUATION, DATA, END_HEADERS, Frames, GET, GOAWAY, HEADERS, PING, POST, RST_STREAM, SETTINGS, WINDOW_UPDATE, block, frame,
+    ACK, CONTINUATION, DATA, END_HEADERS, Frames, GET, GOAWAY, HEADERS, PING, POST, RST_STREAM,
+    SETTINGS, WINDOW_UPDATE, block, frame,
 };
 use crate::support::program::Program;
 
@@ -36,13 +37,23 @@ enum End {
 }
 
 /// Sends `opening` and then `batches` batches, and reads what comes.
-async fn flood(program: &Program, opening: &[u8], batches: u32, batch: &impl Fn(u32) -> Vec<u8>) -> End {
-    let Frames { mut reader, mut write } = Frames::open(program.address, 65535).await;
+async fn flood(
+    program: &Program,
+    opening: &[u8],
+    batches: u32,
+    batch: &impl Fn(u32) -> Vec<u8>,
+) -> End {
+    let Frames {
+        mut reader,
+        mut write,
+    } = Frames::open(program.address, 65535).await;
     let reading = tokio::spawn(async move {
         let (mut error, mut acknowledged) = (None, 0);
         while let Some(frame) = reader.next().await {
             match (frame.kind, frame.flags & ACK) {
-                (GOAWAY, _) => error = Some(u32::from_be_bytes(frame.payload[4..8].try_into().unwrap())),
+                (GOAWAY, _) => {
+                    error = Some(u32::from_be_bytes(frame.payload[4..8].try_into().unwrap()))
+                }
                 (PING, ACK) if frame.payload == LAST => return End::Read { acknowledged },
                 (PING | SETTINGS, ACK) => acknowledged += 1,
                 _ => {}
@@ -75,7 +86,10 @@ async fn ended(name: &str, opening: &[u8], batch: impl Fn(u32) -> Vec<u8>) {
         calmed
     })
     .await;
-    eprintln!("{name}: {CONNECTIONS} connections were ended within {} frames each, {calmed} of them with the reason", TOO_MANY * BATCH);
+    eprintln!(
+        "{name}: {CONNECTIONS} connections were ended within {} frames each, {calmed} of them with the reason",
+        TOO_MANY * BATCH
+    );
     assert!(calmed > 0, "{name}");
 }
 
@@ -92,7 +106,10 @@ async fn endured<T>(name: &str, options: &[&str], attack: impl AsyncFnOnce(&Prog
     let ended = attack(&program).await;
     let took = began.elapsed();
     let p99 = innocent.end(name).await;
-    let (grown, busy) = (program.resident().saturating_sub(memory), program.busy() - busy);
+    let (grown, busy) = (
+        program.resident().saturating_sub(memory),
+        program.busy() - busy,
+    );
     eprintln!(
         "{name}: the innocent client's p99 {:.1} ms (bar: {:.1} ms without the flood); \
          the program was busy for {:.2} s in {:.2} s and grew by {grown} MiB",
@@ -114,15 +131,34 @@ fn stream(number: u32) -> u32 {
 }
 
 fn head(stream: u32, method: u8, path: &str, flags: u8) -> Vec<u8> {
-    frame(HEADERS, flags, stream, &block(method, path, "localhost", &[("content-type", "application/json")]))
+    frame(
+        HEADERS,
+        flags,
+        stream,
+        &block(
+            method,
+            path,
+            "localhost",
+            &[("content-type", "application/json")],
+        ),
+    )
 }
 
 /// Streams that are opened and reset at once (CVE-2023-44487).
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn rapid_reset_ends_the_connection() {
     let cancel = 8_u32.to_be_bytes();
-    let one = |number| [head(stream(number), POST, "/points", END_HEADERS), frame(RST_STREAM, 0, stream(number), &cancel)].concat();
-    ended("rapid reset", &[], |n| (n * BATCH..(n + 1) * BATCH).flat_map(one).collect()).await;
+    let one = |number| {
+        [
+            head(stream(number), POST, "/points", END_HEADERS),
+            frame(RST_STREAM, 0, stream(number), &cancel),
+        ]
+        .concat()
+    };
+    ended("rapid reset", &[], |n| {
+        (n * BATCH..(n + 1) * BATCH).flat_map(one).collect()
+    })
+    .await;
 }
 
 /// A head that never ends (CVE-2024-27316): of empty frames, and of fields.
@@ -130,15 +166,24 @@ async fn rapid_reset_ends_the_connection() {
 async fn continuation_floods_end_the_connection() {
     let field = [&[0x00, 1, b'x', 100][..], &[b'y'; 100]].concat();
     for (name, fragment) in [("empty CONTINUATION", vec![]), ("CONTINUATION", field)] {
-        ended(name, &head(1, GET, "/", 0), |_| batch_of(&frame(CONTINUATION, 0, 1, &fragment))).await;
+        ended(name, &head(1, GET, "/", 0), |_| {
+            batch_of(&frame(CONTINUATION, 0, 1, &fragment))
+        })
+        .await;
     }
 }
 
 /// Empty frames of bodies, on a stream whose body is read and on one whose body nobody wants.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn empty_data_frames_end_the_connection() {
-    for (name, method, path) in [("empty DATA", POST, "/points"), ("empty DATA, unwanted", GET, "/page/cat.jpg")] {
-        ended(name, &head(1, method, path, END_HEADERS), |_| batch_of(&frame(DATA, 0, 1, &[]))).await;
+    for (name, method, path) in [
+        ("empty DATA", POST, "/points"),
+        ("empty DATA, unwanted", GET, "/page/cat.jpg"),
+    ] {
+        ended(name, &head(1, method, path, END_HEADERS), |_| {
+            batch_of(&frame(DATA, 0, 1, &[]))
+        })
+        .await;
     }
 }
 
@@ -148,10 +193,21 @@ async fn pings_settings_and_windows_are_answered_one_by_one() {
     let settings = [&[0, 4][..], &65535_u32.to_be_bytes()].concat();
     for (name, one, acknowledged) in [
         ("PING", frame(PING, 0, 0, &[7; 8]), BATCH * BATCHES),
-        ("SETTINGS", frame(SETTINGS, 0, 0, &settings), BATCH * BATCHES),
-        ("WINDOW_UPDATE", frame(WINDOW_UPDATE, 0, 0, &1_u32.to_be_bytes()), 0),
+        (
+            "SETTINGS",
+            frame(SETTINGS, 0, 0, &settings),
+            BATCH * BATCHES,
+        ),
+        (
+            "WINDOW_UPDATE",
+            frame(WINDOW_UPDATE, 0, 0, &1_u32.to_be_bytes()),
+            0,
+        ),
     ] {
-        let end = endured(name, &[], async |program| flood(program, &[], BATCHES, &|_| batch_of(&one)).await).await;
+        let end = endured(name, &[], async |program| {
+            flood(program, &[], BATCHES, &|_| batch_of(&one)).await
+        })
+        .await;
         match end {
             // The settings of the opening are acknowledged too.
             End::Read { acknowledged: read } => assert_eq!(read, acknowledged + 1, "{name}"),
@@ -164,11 +220,15 @@ async fn pings_settings_and_windows_are_answered_one_by_one() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_floods_and_reads_nothing_is_cut() {
     const MOST: u32 = 10_000;
-    for (name, one) in [("PING, unread", frame(PING, 0, 0, &[7; 8])), ("SETTINGS, unread", frame(SETTINGS, 0, 0, &[]))] {
+    for (name, one) in [
+        ("PING, unread", frame(PING, 0, 0, &[7; 8])),
+        ("SETTINGS, unread", frame(SETTINGS, 0, 0, &[])),
+    ] {
         let sent = endured(name, &["--write-timeout", "1s"], async |program| {
             let socket = TcpSocket::new_v4().unwrap();
             socket.set_recv_buffer_size(4096).unwrap();
-            let mut frames = Frames::over(socket.connect(program.address).await.unwrap(), 65535).await;
+            let mut frames =
+                Frames::over(socket.connect(program.address).await.unwrap(), 65535).await;
             let batch = batch_of(&one);
             let mut sent = 0;
             // The last write waits until the server closes, as the server reads nothing more.
@@ -177,7 +237,9 @@ async fn who_floods_and_reads_nothing_is_cut() {
                     sent += 1;
                 }
             };
-            tokio::time::timeout(Duration::from_secs(60), writing).await.expect("the server neither reads nor closes");
+            tokio::time::timeout(Duration::from_secs(60), writing)
+                .await
+                .expect("the server neither reads nor closes");
             sent
         })
         .await;

@@ -20,8 +20,12 @@ const EXAMPLES: [(&str, &str); 5] = [
     ("thinner-face", "astronaut.png"),
     ("fold", "coffee.png"),
 ];
-const METHODS: [(Method, &str); 4] =
-    [(Method::Affine, "affine"), (Method::Similarity, "similarity"), (Method::Rigid, "rigid"), (Method::ThinPlateSpline, "tps")];
+const METHODS: [(Method, &str); 4] = [
+    (Method::Affine, "affine"),
+    (Method::Similarity, "similarity"),
+    (Method::Rigid, "rigid"),
+    (Method::ThinPlateSpline, "tps"),
+];
 const WIDTH: u32 = 256;
 const TOLERANCE: u8 = 2;
 const DEVIATING_SHARE: f64 = 0.005;
@@ -38,7 +42,9 @@ pub(crate) fn limits() -> Limits {
 
 /// The PNG of an object on a photograph.
 pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
-    let image = Arc::new(Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap());
+    let image = Arc::new(
+        Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap(),
+    );
     let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
@@ -55,7 +61,9 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
 
 pub(crate) fn decode(png: &[u8]) -> Pixmap {
     decoded(png);
-    codec::decode(png, &ImageLimits::default(), &|| false).unwrap().pixmap
+    codec::decode(png, &ImageLimits::default(), &|| false)
+        .unwrap()
+        .pixmap
 }
 
 fn eight(pixmap: &Pixmap) -> &[u8] {
@@ -80,7 +88,11 @@ fn golden_examples_of_all_methods() {
                     continue;
                 }
             }
-            object.output = OutputSpec { width: Some(WIDTH), compression: codec::Compression::Best, ..object.output };
+            object.output = OutputSpec {
+                width: Some(WIDTH),
+                compression: codec::Compression::Best,
+                ..object.output
+            };
             let png = draw(&root().join("tests/images").join(photograph), &object);
             let file = format!("{example}-{name}.png");
             let path = root().join("tests/golden").join(&file);
@@ -88,12 +100,28 @@ fn golden_examples_of_all_methods() {
                 std::fs::write(&path, &png).unwrap();
             }
             let golden = std::fs::read(&path).unwrap_or_else(|e| panic!("{file}: {e}"));
-            assert!(golden.len() as u64 <= LARGEST, "{file} has {} bytes", golden.len());
+            assert!(
+                golden.len() as u64 <= LARGEST,
+                "{file} has {} bytes",
+                golden.len()
+            );
             let (drawn, golden) = (decode(&png), decode(&golden));
-            assert_eq!((drawn.extent(), drawn.channels()), (golden.extent(), golden.channels()), "{file}");
+            assert_eq!(
+                (drawn.extent(), drawn.channels()),
+                (golden.extent(), golden.channels()),
+                "{file}"
+            );
             let (drawn, golden) = (eight(&drawn), eight(&golden));
-            let off = drawn.iter().zip(golden).filter(|(a, b)| a.abs_diff(**b) > TOLERANCE).count();
-            assert!(off as f64 <= DEVIATING_SHARE * drawn.len() as f64, "{file}: {off} of {} samples differ", drawn.len());
+            let off = drawn
+                .iter()
+                .zip(golden)
+                .filter(|(a, b)| a.abs_diff(**b) > TOLERANCE)
+                .count();
+            assert!(
+                off as f64 <= DEVIATING_SHARE * drawn.len() as f64,
+                "{file}: {off} of {} samples differ",
+                drawn.len()
+            );
             wanted.push(file);
         }
     }

@@ -7,14 +7,25 @@ use mlswarp::codec::{self, Compression, Limits as ImageLimits, PngShape, PngWrit
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::{Channels, Depth, Extent};
-use mlswarp::warp::{Folds, GridSpec, Image, Method, OutputSpec, Posed, RestSpec, Setup, Subject, Warp};
+use mlswarp::warp::{
+    Folds, GridSpec, Image, Method, OutputSpec, Posed, RestSpec, Setup, Subject, Warp,
+};
 
 use crate::golden::limits;
 use crate::support::picture::decoded;
 
 /// A PNG of pseudo-random samples, written in one strip after another.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Vec<u8> {
-    let writer = PngWriter::new(PngShape { extent, channels, grey: false, depth }, Compression::None, None);
+    let writer = PngWriter::new(
+        PngShape {
+            extent,
+            channels,
+            grey: false,
+            depth,
+        },
+        Compression::None,
+        None,
+    );
     let row = extent.width() as usize * channels.count() * depth.bytes();
     let mut state = extent.width().wrapping_mul(31) + extent.height();
     let mut png = writer.head();
@@ -24,7 +35,11 @@ fn noise(extent: Extent, channels: Channels, depth: Depth) -> Vec<u8> {
             .map(|k| {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 // Every third pixel or so is fully transparent and keeps a colour beneath.
-                if state >> 30 == 0 && k % 4 == 3 { 0 } else { (state >> 16) as u8 }
+                if state >> 30 == 0 && k % 4 == 3 {
+                    0
+                } else {
+                    (state >> 16) as u8
+                }
             })
             .collect();
         let strip = writer.strip(index, &samples);
@@ -47,19 +62,37 @@ fn identity_returns_the_decoded_pixels() {
                 for (method, grid) in [
                     (Method::Rigid, GridSpec::Auto),
                     (Method::Affine, GridSpec::Pixel),
-                    (Method::Similarity, GridSpec::Counts { columns: 9, rows: 4 }),
+                    (
+                        Method::Similarity,
+                        GridSpec::Counts {
+                            columns: 9,
+                            rows: 4,
+                        },
+                    ),
                     (Method::ThinPlateSpline, GridSpec::Auto),
                 ] {
                     let point = |x, y| Handle::Point(Point::new(x, y));
                     let line = Handle::Polyline(vec![Point::new(0.0, 0.0), Point::new(9.0, 5.0)]);
-                    let other = if method == Method::ThinPlateSpline { vec![point(0.0, 0.0), point(9.0, 5.0)] } else { vec![line] };
+                    let other = if method == Method::ThinPlateSpline {
+                        vec![point(0.0, 0.0), point(9.0, 5.0)]
+                    } else {
+                        vec![line]
+                    };
                     for p in [vec![], [vec![point(0.5, 0.5)], other].concat()] {
-                        let rest = RestSpec { p, method, grid, ..RestSpec::default() };
+                        let rest = RestSpec {
+                            p,
+                            method,
+                            grid,
+                            ..RestSpec::default()
+                        };
                         let setup = Setup::new(&rest, extent, &limits()).unwrap();
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
-                        let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false).unwrap();
-                        let warp = Warp::new(Subject::Image(&image), &posed, &output, &limits()).unwrap();
+                        let posed =
+                            Posed::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false)
+                                .unwrap();
+                        let warp =
+                            Warp::new(Subject::Image(&image), &posed, &output, &limits()).unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);
@@ -70,7 +103,10 @@ fn identity_returns_the_decoded_pixels() {
                             codec::decode(&file, &ImageLimits::default(), &|| false),
                         );
                         assert!(decoded(&png).samples == decoded(&file).samples);
-                        assert!(got.unwrap().pixmap == want.unwrap().pixmap, "{width} x {height} {channels:?} {depth:?} {method:?}");
+                        assert!(
+                            got.unwrap().pixmap == want.unwrap().pixmap,
+                            "{width} x {height} {channels:?} {depth:?} {method:?}"
+                        );
                         assert_eq!((posed.report().folds, posed.report().residual), (0, 0.0));
                         compared += 1;
                     }

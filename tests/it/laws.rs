@@ -31,7 +31,12 @@ impl Set {
 
     /// Largest displacement of a handle, px.
     fn reach(&self) -> f64 {
-        self.p.iter().zip(&self.q).flat_map(|(p, q)| p.places().iter().zip(q.places())).map(|(p, q)| p.distance(*q)).fold(0.0, f64::max)
+        self.p
+            .iter()
+            .zip(&self.q)
+            .flat_map(|(p, q)| p.places().iter().zip(q.places()))
+            .map(|(p, q)| p.distance(*q))
+            .fold(0.0, f64::max)
     }
 }
 
@@ -60,29 +65,64 @@ fn fractions() -> impl Strategy<Value = Vec<(f64, f64)>> {
 fn sets() -> impl Strategy<Value = Set> {
     let cells = proptest::sample::subsequence((0..16usize).collect::<Vec<_>>(), 3..=8);
     let moved = proptest::collection::vec((-60.0f64..60.0, -60.0f64..60.0), 40);
-    let alpha = prop_oneof![0.05f64..0.5, Just(0.5), Just(1.0), Just(1.5), Just(2.0), Just(3.0), 0.5f64..8.0];
-    (cells, proptest::collection::vec(fractions(), 8), moved, proptest::collection::vec(0.2f64..5.0, 8), alpha, 1.0f64..200.0).prop_map(
-        |(cells, shapes, moved, weights, alpha, point_mass)| {
+    let alpha = prop_oneof![
+        0.05f64..0.5,
+        Just(0.5),
+        Just(1.0),
+        Just(1.5),
+        Just(2.0),
+        Just(3.0),
+        0.5f64..8.0
+    ];
+    (
+        cells,
+        proptest::collection::vec(fractions(), 8),
+        moved,
+        proptest::collection::vec(0.2f64..5.0, 8),
+        alpha,
+        1.0f64..200.0,
+    )
+        .prop_map(|(cells, shapes, moved, weights, alpha, point_mass)| {
             let cell = SIDE / 4.0;
             let mut moved = moved.into_iter();
-            let mut set = Set { p: vec![], q: vec![], weights: weights[..cells.len()].to_vec(), alpha, point_mass };
+            let mut set = Set {
+                p: vec![],
+                q: vec![],
+                weights: weights[..cells.len()].to_vec(),
+                alpha,
+                point_mass,
+            };
             let has_lines = shapes[..cells.len()].iter().any(|shape| shape.len() > 1);
             set.alpha = if has_lines { alpha.max(0.5) } else { alpha };
             for (&at, shape) in cells.iter().zip(&shapes) {
                 let corner = Vec2::new((at % 4) as f64 * cell, (at / 4) as f64 * cell);
-                let places: Vec<Point> = shape.iter().map(|(x, y)| Point::new(x * cell, y * cell) + corner).collect();
-                let posed = places.iter().map(|p| *p + moved.next().map(|(x, y)| Vec2::new(x, y)).unwrap()).collect::<Vec<_>>();
-                let handle = |places: Vec<Point>| if places.len() == 1 { Handle::Point(places[0]) } else { Handle::Polyline(places) };
+                let places: Vec<Point> = shape
+                    .iter()
+                    .map(|(x, y)| Point::new(x * cell, y * cell) + corner)
+                    .collect();
+                let posed = places
+                    .iter()
+                    .map(|p| *p + moved.next().map(|(x, y)| Vec2::new(x, y)).unwrap())
+                    .collect::<Vec<_>>();
+                let handle = |places: Vec<Point>| {
+                    if places.len() == 1 {
+                        Handle::Point(places[0])
+                    } else {
+                        Handle::Polyline(places)
+                    }
+                };
                 set.p.push(handle(places));
                 set.q.push(handle(posed));
             }
             set
-        },
-    )
+        })
 }
 
 fn places() -> impl Strategy<Value = Vec<Point>> {
-    proptest::collection::vec((-100.0f64..600.0, -100.0f64..600.0).prop_map(|(x, y)| Point::new(x, y)), 6)
+    proptest::collection::vec(
+        (-100.0f64..600.0, -100.0f64..600.0).prop_map(|(x, y)| Point::new(x, y)),
+        6,
+    )
 }
 
 /// `z -> m z + t`.
@@ -95,7 +135,11 @@ fn assert_reproduces(set: &Set, method: Method, at: &[Point], g: impl Fn(Point) 
     let pose = field.pose(&map_handles(&set.p, &g)).unwrap();
     for v in at {
         let (got, want) = (field.map(&pose, *v), g(*v));
-        assert!(got.distance(want) < 1e-6, "{method:?} alpha {}: {v:?} -> {got:?}, expected {want:?}", set.alpha);
+        assert!(
+            got.distance(want) < 1e-6,
+            "{method:?} alpha {}: {v:?} -> {got:?}, expected {want:?}",
+            set.alpha
+        );
     }
 }
 
@@ -264,13 +308,42 @@ fn weights_a_doubled_weight_is_a_doubled_point() {
     let at = |x: f64, y: f64| Handle::Point(Point::new(x, y));
     let falloff = Falloff::new(1.0, false).unwrap();
     for method in METHODS {
-        let p = vec![at(10.0, 10.0), at(200.0, 40.0), at(90.0, 300.0), at(400.0, 420.0)];
-        let q = vec![at(20.0, 0.0), at(210.0, 60.0), at(80.0, 310.0), at(390.0, 400.0)];
-        let weighted = Field::new(Handles::new(p.clone(), Some(vec![1.0, 1.0, 2.0, 1.0])).unwrap(), method, falloff, 1.0).unwrap();
+        let p = vec![
+            at(10.0, 10.0),
+            at(200.0, 40.0),
+            at(90.0, 300.0),
+            at(400.0, 420.0),
+        ];
+        let q = vec![
+            at(20.0, 0.0),
+            at(210.0, 60.0),
+            at(80.0, 310.0),
+            at(390.0, 400.0),
+        ];
+        let weighted = Field::new(
+            Handles::new(p.clone(), Some(vec![1.0, 1.0, 2.0, 1.0])).unwrap(),
+            method,
+            falloff,
+            1.0,
+        )
+        .unwrap();
         let doubled = |list: &[Handle]| [list, &list[2..3]].concat();
-        let twice = Field::new(Handles::new(doubled(&p), None).unwrap(), method, falloff, 1.0).unwrap();
-        let (pose, pose_twice) = (weighted.pose(&q).unwrap(), twice.pose(&doubled(&q)).unwrap());
-        for v in [Point::new(0.0, 0.0), Point::new(250.0, 250.0), Point::new(91.0, 299.0)] {
+        let twice = Field::new(
+            Handles::new(doubled(&p), None).unwrap(),
+            method,
+            falloff,
+            1.0,
+        )
+        .unwrap();
+        let (pose, pose_twice) = (
+            weighted.pose(&q).unwrap(),
+            twice.pose(&doubled(&q)).unwrap(),
+        );
+        for v in [
+            Point::new(0.0, 0.0),
+            Point::new(250.0, 250.0),
+            Point::new(91.0, 299.0),
+        ] {
             assert!(weighted.map(&pose, v).distance(twice.map(&pose_twice, v)) < 1e-9);
         }
     }
@@ -279,13 +352,29 @@ fn weights_a_doubled_weight_is_a_doubled_point() {
 /// Segments are the limit of dense weighted points (the definition of section 3): the error of n midpoints falls as 1/n^2.
 #[test]
 fn segments_are_the_limit_of_dense_points() {
-    let (a, b, c, d) = (Point::new(100.0, 120.0), Point::new(380.0, 200.0), Point::new(80.0, 160.0), Point::new(400.0, 130.0));
-    let (e, f, g, h) = (Point::new(150.0, 400.0), Point::new(420.0, 330.0), Point::new(170.0, 380.0), Point::new(400.0, 420.0));
+    let (a, b, c, d) = (
+        Point::new(100.0, 120.0),
+        Point::new(380.0, 200.0),
+        Point::new(80.0, 160.0),
+        Point::new(400.0, 130.0),
+    );
+    let (e, f, g, h) = (
+        Point::new(150.0, 400.0),
+        Point::new(420.0, 330.0),
+        Point::new(170.0, 380.0),
+        Point::new(400.0, 420.0),
+    );
     for method in METHODS {
         for alpha in [0.5, 1.0, 1.3, 2.0, 4.0] {
-            let lines = Handles::new(vec![Handle::Polyline(vec![a, b]), Handle::Polyline(vec![e, f])], None).unwrap();
+            let lines = Handles::new(
+                vec![Handle::Polyline(vec![a, b]), Handle::Polyline(vec![e, f])],
+                None,
+            )
+            .unwrap();
             let field = Field::new(lines, method, Falloff::new(alpha, true).unwrap(), 1.0).unwrap();
-            let pose = field.pose(&[Handle::Polyline(vec![c, d]), Handle::Polyline(vec![g, h])]).unwrap();
+            let pose = field
+                .pose(&[Handle::Polyline(vec![c, d]), Handle::Polyline(vec![g, h])])
+                .unwrap();
             let dense = |n: usize, v: Point| {
                 let (mut p, mut q, mut weights) = (vec![], vec![], vec![]);
                 for (ab, cd) in [((a, b), (c, d)), ((e, f), (g, h))] {
@@ -297,15 +386,29 @@ fn segments_are_the_limit_of_dense_points() {
                     }
                 }
                 let falloff = Falloff::new(alpha, false).unwrap();
-                let field = Field::new(Handles::new(p, Some(weights)).unwrap(), method, falloff, 1.0).unwrap();
+                let field = Field::new(
+                    Handles::new(p, Some(weights)).unwrap(),
+                    method,
+                    falloff,
+                    1.0,
+                )
+                .unwrap();
                 let pose: Pose = field.pose(&q).unwrap();
                 field.map(&pose, v)
             };
-            for v in [Point::new(250.0, 250.0), Point::new(10.0, 480.0), Point::new(300.0, 60.0), Point::new(240.0, 190.0)] {
+            for v in [
+                Point::new(250.0, 250.0),
+                Point::new(10.0, 480.0),
+                Point::new(300.0, 60.0),
+                Point::new(240.0, 190.0),
+            ] {
                 let want = field.map(&pose, v);
                 let (coarse, fine) = (dense(300, v).distance(want), dense(1200, v).distance(want));
                 assert!(fine < 1e-3, "{method:?} alpha {alpha}: {fine:e} at {v:?}");
-                assert!(fine < coarse / 8.0 || coarse < 1e-9, "{method:?} alpha {alpha}: {coarse:e} -> {fine:e} is not a limit");
+                assert!(
+                    fine < coarse / 8.0 || coarse < 1e-9,
+                    "{method:?} alpha {alpha}: {coarse:e} -> {fine:e} is not a limit"
+                );
             }
         }
     }

@@ -7,14 +7,36 @@ use std::path::{Path, PathBuf};
 
 /// Each module with the modules that it may name. Modules of the server may name every module of the engine.
 const SERVER: [(&str, &[&str]); 16] = [
-    ("cli", &["http", "app", "config", "auth", "problem", "wire", "layer", "client"]),
-    ("http", &["app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem", "session", "layer", "client"]),
-    ("app", &["config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire", "problem", "session", "layer", "client"]),
+    (
+        "cli",
+        &[
+            "http", "app", "config", "auth", "problem", "wire", "layer", "client",
+        ],
+    ),
+    (
+        "http",
+        &[
+            "app", "config", "observe", "auth", "pool", "store", "limits", "wire", "problem",
+            "session", "layer", "client",
+        ],
+    ),
+    (
+        "app",
+        &[
+            "config", "drag", "pool", "cache", "store", "observe", "auth", "limits", "wire",
+            "problem", "session", "layer", "client",
+        ],
+    ),
     ("config", &["store", "observe", "auth", "limits", "problem"]),
     ("drag", &["wire"]),
     ("pool", &["observe", "limits", "session", "client"]),
     ("cache", &["observe", "limits", "problem", "client"]),
-    ("store", &["observe", "limits", "wire", "problem", "session", "layer", "client"]),
+    (
+        "store",
+        &[
+            "observe", "limits", "wire", "problem", "session", "layer", "client",
+        ],
+    ),
     ("observe", &["auth", "limits", "problem"]),
     ("auth", &["limits", "problem", "client"]),
     ("limits", &["problem", "session", "client"]),
@@ -25,7 +47,10 @@ const SERVER: [(&str, &[&str]); 16] = [
     ("layer", &[]),
 ];
 const ENGINE: [(&str, &[&str]); 7] = [
-    ("warp", &["codec", "render", "deform", "pixmap", "geometry", "level"]),
+    (
+        "warp",
+        &["codec", "render", "deform", "pixmap", "geometry", "level"],
+    ),
     ("codec", &["pixmap", "level"]),
     ("render", &["pixmap", "geometry", "level"]),
     ("deform", &["geometry", "level"]),
@@ -38,18 +63,30 @@ const CRATES: [(&str, &[&str]); 14] = [
     ("axum", &["server/http"]),
     // Spans are posted, which is no part of the service's own HTTP.
     ("hyper", &["server/http", "server/observe/otlp_client.rs"]),
-    ("opentelemetry", &["server/observe", "server/http/middleware"]),
-    ("opentelemetry_sdk", &["server/observe", "server/http/middleware"]),
+    (
+        "opentelemetry",
+        &["server/observe", "server/http/middleware"],
+    ),
+    (
+        "opentelemetry_sdk",
+        &["server/observe", "server/http/middleware"],
+    ),
     ("tokio", &["server"]),
     ("tokio_tungstenite", &["server/http"]),
     ("tokio_util", &["server/http"]),
     ("tower_http", &["server/http"]),
     ("tokio_rustls", &["server"]),
-    ("rayon", &["engine/deform", "engine/render", "engine/warp", "server"]),
+    (
+        "rayon",
+        &["engine/deform", "engine/render", "engine/warp", "server"],
+    ),
     ("image", &["engine/codec"]),
     ("png", &["engine/codec"]),
     ("rand_chacha", &["engine/warp/batch.rs"]),
-    ("zip", &["server/app/batch/package.rs", "server/cli/batch.rs"]),
+    (
+        "zip",
+        &["server/app/batch/package.rs", "server/cli/batch.rs"],
+    ),
 ];
 
 type Module = Vec<String>;
@@ -72,8 +109,15 @@ pub(crate) fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
 
 /// The module of a file of a crate: `deform/kernel/mod.rs` is `[deform, kernel]`.
 fn module(file: &Path) -> Module {
-    let mut path: Module = file.with_extension("").iter().map(|part| part.to_str().unwrap().to_owned()).collect();
-    if path.last().is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str())) {
+    let mut path: Module = file
+        .with_extension("")
+        .iter()
+        .map(|part| part.to_str().unwrap().to_owned())
+        .collect();
+    if path
+        .last()
+        .is_some_and(|last| ["mod", "lib", "main"].contains(&last.as_str()))
+    {
         path.pop();
     }
     path
@@ -81,8 +125,14 @@ fn module(file: &Path) -> Module {
 
 /// Code only: no comments, and nothing after the unit tests of a file begin.
 fn code(text: &str) -> String {
-    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-    text.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
+    let text = text
+        .split("#[cfg(test)]\nmod tests {")
+        .next()
+        .unwrap_or_default();
+    text.lines()
+        .map(|line| line.split("//").next().unwrap_or_default())
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 fn is_test(file: &Path) -> bool {
@@ -100,25 +150,36 @@ impl Sources {
             let text = std::fs::read_to_string(file).unwrap();
             let place = format!("{krate}/{}", relative.display());
             // The program's own file is no module of the library.
-            let is_library = relative != Path::new("main.rs") && relative != Path::new("malloc_trim.rs");
+            let is_library =
+                relative != Path::new("main.rs") && relative != Path::new("malloc_trim.rs");
             (is_library && !is_test(relative)).then(|| (module(relative), (place, code(&text))))
         });
-        Self { files: files.collect() }
+        Self {
+            files: files.collect(),
+        }
     }
 
     /// The module of a path: the longest part of it that has a file.
     fn owner(&self, path: &[String]) -> Module {
         let lengths = (0..=path.len()).rev();
-        lengths.map(|length| path[..length].to_vec()).find(|module| self.files.contains_key(module)).unwrap_or_default()
+        lengths
+            .map(|length| path[..length].to_vec())
+            .find(|module| self.files.contains_key(module))
+            .unwrap_or_default()
     }
 
     /// The modules that each module names.
     fn edges(&self) -> BTreeMap<&Module, BTreeSet<Module>> {
         let named = |module: &Module, code: &str| {
-            let targets = paths(code, module).into_iter().map(|path| self.owner(&path));
+            let targets = paths(code, module)
+                .into_iter()
+                .map(|path| self.owner(&path));
             targets.filter(|target| target != module).collect()
         };
-        self.files.iter().map(|(module, (_, code))| (module, named(module, code))).collect()
+        self.files
+            .iter()
+            .map(|(module, (_, code))| (module, named(module, code)))
+            .collect()
     }
 }
 
@@ -129,16 +190,27 @@ fn paths(code: &str, module: &[String]) -> Vec<Module> {
     for start in ["crate::", "super::", "self::"] {
         for (at, _) in code.match_indices(start) {
             // Only the head of a path: `super::super::x` is looked at once.
-            if at > 0 && (bytes[at - 1] == b':' || bytes[at - 1].is_ascii_alphanumeric() || bytes[at - 1] == b'_') {
+            if at > 0
+                && (bytes[at - 1] == b':'
+                    || bytes[at - 1].is_ascii_alphanumeric()
+                    || bytes[at - 1] == b'_')
+            {
                 continue;
             }
             let mut rest = &code[at..];
-            let mut base = if start == "crate::" { Vec::new() } else { module.to_vec() };
+            let mut base = if start == "crate::" {
+                Vec::new()
+            } else {
+                module.to_vec()
+            };
             while let Some(tail) = rest.strip_prefix("super::") {
                 base.pop();
                 rest = tail;
             }
-            rest = rest.strip_prefix("crate::").or_else(|| rest.strip_prefix("self::")).unwrap_or(rest);
+            rest = rest
+                .strip_prefix("crate::")
+                .or_else(|| rest.strip_prefix("self::"))
+                .unwrap_or(rest);
             open(&base, rest, &mut found);
         }
     }
@@ -149,7 +221,10 @@ fn paths(code: &str, module: &[String]) -> Vec<Module> {
 fn open<'a>(base: &[String], text: &'a str, found: &mut Vec<Module>) -> &'a str {
     let text = text.trim_start();
     let Some(mut rest) = text.strip_prefix('{') else {
-        let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+        let name: String = text
+            .chars()
+            .take_while(|c| c.is_alphanumeric() || *c == '_')
+            .collect();
         let rest = &text[name.len()..];
         if name.is_empty() || name == "self" {
             found.push(base.to_vec());
@@ -157,7 +232,13 @@ fn open<'a>(base: &[String], text: &'a str, found: &mut Vec<Module>) -> &'a str 
         }
         let path = [base, &[name]].concat();
         return match rest.strip_prefix("::") {
-            Some(rest) if rest.starts_with(|c: char| c.is_alphabetic() || c == '{' || c == '_' || c == '*') => open(&path, rest, found),
+            Some(rest)
+                if rest.starts_with(|c: char| {
+                    c.is_alphabetic() || c == '{' || c == '_' || c == '*'
+                }) =>
+            {
+                open(&path, rest, found)
+            }
             _ => {
                 found.push(path);
                 rest
@@ -167,7 +248,9 @@ fn open<'a>(base: &[String], text: &'a str, found: &mut Vec<Module>) -> &'a str 
     loop {
         rest = open(base, rest, found).trim_start();
         // An alias (`a as b`) names nothing more.
-        rest = rest.strip_prefix("as ").map_or(rest, |alias| alias.trim_start_matches(|c: char| c.is_alphanumeric() || c == '_'));
+        rest = rest.strip_prefix("as ").map_or(rest, |alias| {
+            alias.trim_start_matches(|c: char| c.is_alphanumeric() || c == '_')
+        });
         match rest.trim_start().strip_prefix(',') {
             Some(tail) if !tail.trim_start().starts_with('}') => rest = tail,
             Some(tail) => return tail.trim_start().strip_prefix('}').unwrap_or(tail),
@@ -181,8 +264,12 @@ fn offences(sources: &Sources, table: &[(&str, &[&str])]) -> Vec<String> {
     let mut offences = Vec::new();
     for (k, (name, below)) in table.iter().enumerate() {
         let is_below = |target: &str| table[k + 1..].iter().any(|(other, _)| *other == target);
-        offences
-            .extend(below.iter().filter(|target| !is_below(target)).map(|target| format!("the table: {name} names {target}, above it")));
+        offences.extend(
+            below
+                .iter()
+                .filter(|target| !is_below(target))
+                .map(|target| format!("the table: {name} names {target}, above it")),
+        );
     }
     for (module, targets) in sources.edges() {
         let Some(top) = module.first() else { continue };
@@ -190,7 +277,11 @@ fn offences(sources: &Sources, table: &[(&str, &[&str])]) -> Vec<String> {
             offences.push(format!("{top} is not in the table"));
             continue;
         };
-        for target in targets.iter().filter_map(|target| target.first()).filter(|target| *target != top) {
+        for target in targets
+            .iter()
+            .filter_map(|target| target.first())
+            .filter(|target| *target != top)
+        {
             if !allowed.contains(&target.as_str()) {
                 offences.push(format!("{} names {target}", module.join("::")));
             }
@@ -206,7 +297,12 @@ fn cycles(sources: &Sources) -> Vec<String> {
     let reached = |from: &Module| {
         let (mut seen, mut todo) = (BTreeSet::new(), vec![from.clone()]);
         while let Some(at) = todo.pop() {
-            for next in edges.get(&at).into_iter().flatten().filter(|next| !kin(&at, next)) {
+            for next in edges
+                .get(&at)
+                .into_iter()
+                .flatten()
+                .filter(|next| !kin(&at, next))
+            {
                 if seen.insert(next.clone()) {
                     todo.push(next.clone());
                 }
@@ -214,7 +310,11 @@ fn cycles(sources: &Sources) -> Vec<String> {
         }
         seen
     };
-    edges.keys().filter(|module| reached(module).contains(**module)).map(|module| module.join("::")).collect()
+    edges
+        .keys()
+        .filter(|module| reached(module).contains(**module))
+        .map(|module| module.join("::"))
+        .collect()
 }
 
 fn forbidden_crates(sources: &Sources) -> Vec<String> {
@@ -226,8 +326,14 @@ fn forbidden_crates(sources: &Sources) -> Vec<String> {
                 !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
             });
             // `codec::png` and `warp::image` are modules of this project; there the crate of that name is written `::png`.
-            let own_name = module.iter().any(|part| part == krate) || code.contains(&format!("mod {krate};"));
-            if named && !own_name && !places.iter().any(|place| file == place || file.starts_with(&format!("{place}/"))) {
+            let own_name =
+                module.iter().any(|part| part == krate) || code.contains(&format!("mod {krate};"));
+            if named
+                && !own_name
+                && !places
+                    .iter()
+                    .any(|place| file == place || file.starts_with(&format!("{place}/")))
+            {
                 offences.push(format!("{file} names the crate {krate}"));
             }
         }
@@ -240,9 +346,17 @@ fn layers_dependencies_point_one_way() {
     let mut all = Vec::new();
     for (krate, table) in [("engine", &ENGINE[..]), ("server", &SERVER[..])] {
         let sources = Sources::of(krate);
-        assert!(sources.files.len() > 50, "{} files of {krate}", sources.files.len());
+        assert!(
+            sources.files.len() > 50,
+            "{} files of {krate}",
+            sources.files.len()
+        );
         all.extend([offences(&sources, table), forbidden_crates(&sources)].concat());
-        all.extend(cycles(&sources).into_iter().map(|module| format!("{krate}: {module} is part of a cycle of files")));
+        all.extend(
+            cycles(&sources)
+                .into_iter()
+                .map(|module| format!("{krate}: {module} is part of a cycle of files")),
+        );
     }
     assert!(all.is_empty(), "{}", all.join("\n"));
 }
@@ -251,22 +365,54 @@ fn layers_dependencies_point_one_way() {
 #[test]
 fn layers_wrong_dependencies_are_seen() {
     let files = |files: &[(&str, &str)]| Sources {
-        files: files.iter().map(|(file, text)| (module(Path::new(file)), (format!("engine/{file}"), code(text)))).collect(),
+        files: files
+            .iter()
+            .map(|(file, text)| {
+                (
+                    module(Path::new(file)),
+                    (format!("engine/{file}"), code(text)),
+                )
+            })
+            .collect(),
     };
     let one = |file: &str, text: &str| {
-        let mut all: Vec<(&str, &str)> = ENGINE.iter().map(|(name, _)| (*name, "")).chain([(file, text)]).collect();
-        let folders: Vec<String> = all.iter().map(|(name, _)| format!("{}.rs", name.trim_end_matches(".rs"))).collect();
-        all.iter_mut().zip(&folders).for_each(|((name, _), file)| *name = file);
+        let mut all: Vec<(&str, &str)> = ENGINE
+            .iter()
+            .map(|(name, _)| (*name, ""))
+            .chain([(file, text)])
+            .collect();
+        let folders: Vec<String> = all
+            .iter()
+            .map(|(name, _)| format!("{}.rs", name.trim_end_matches(".rs")))
+            .collect();
+        all.iter_mut()
+            .zip(&folders)
+            .for_each(|((name, _), file)| *name = file);
         let sources = files(&all);
         !offences(&sources, &ENGINE).is_empty() || !forbidden_crates(&sources).is_empty()
     };
     assert!(one("deform/plan.rs", "use crate::render::Filter;"));
-    assert!(one("deform/kernel/scalar.rs", "use super::super::super::codec::Limits;"));
-    assert!(one("codec/decode.rs", "use crate::{pixmap::Extent, deform::Handle};"));
-    assert!(one("geometry/grid.rs", "fn f() { crate::warp::Digest::of(b\"\"); }"));
-    assert!(one("new/part.rs", ""), "a module that the table does not list");
+    assert!(one(
+        "deform/kernel/scalar.rs",
+        "use super::super::super::codec::Limits;"
+    ));
+    assert!(one(
+        "codec/decode.rs",
+        "use crate::{pixmap::Extent, deform::Handle};"
+    ));
+    assert!(one(
+        "geometry/grid.rs",
+        "fn f() { crate::warp::Digest::of(b\"\"); }"
+    ));
+    assert!(
+        one("new/part.rs", ""),
+        "a module that the table does not list"
+    );
     assert!(one("warp/setup.rs", "use tokio::sync::Notify;"));
-    assert!(!one("deform/plan.rs", "use super::field::Field; use crate::geometry::Grid; // crate::render"));
+    assert!(!one(
+        "deform/plan.rs",
+        "use super::field::Field; use crate::geometry::Grid; // crate::render"
+    ));
     let circle = files(&[
         ("a/x.rs", "use super::y::Y;"),
         ("a/y.rs", "use crate::a::z::{self, Z};"),
@@ -274,5 +420,12 @@ fn layers_wrong_dependencies_are_seen() {
         ("a.rs", ""),
     ]);
     assert_eq!(cycles(&circle), ["a::x", "a::y", "a::z"]);
-    assert!(cycles(&files(&[("a.rs", "use self::x::X;"), ("a/x.rs", "use super::Y;")])).is_empty(), "a module and its child");
+    assert!(
+        cycles(&files(&[
+            ("a.rs", "use self::x::X;"),
+            ("a/x.rs", "use super::Y;")
+        ]))
+        .is_empty(),
+        "a module and its child"
+    );
 }

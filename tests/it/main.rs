@@ -1,6 +1,10 @@
 //! One integration binary: linked once, one module a topic. Name the topic first, then the law.
 
-#![expect(clippy::unwrap_used, clippy::cast_possible_truncation, reason = "a failed unwrap is a failed test, and test numbers are small")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    reason = "a failed unwrap is a failed test, and test numbers are small"
+)]
 
 mod account;
 mod align;

@@ -31,7 +31,10 @@ async fn bytes(response: Response) -> Vec<u8> {
 }
 
 fn warning(response: &Response) -> Option<&str> {
-    response.headers().get("warp-warning").map(|value| value.to_str().unwrap())
+    response
+        .headers()
+        .get("warp-warning")
+        .map(|value| value.to_str().unwrap())
 }
 
 /// The picture, a layer, the frames of a batch and the offline tool: px per mm times the scale of the picture is that of the upload.
@@ -42,21 +45,52 @@ async fn a_pixel_keeps_its_length_wherever_it_is_drawn() {
     let file = with_chunks(&photo(80, 60), &[resolution]);
     let scaled = json!({"p": [[20, 20]], "q": [[22, 20]], "output": {"width": 40}});
     let half = [5_906, 2_953];
-    assert_eq!(per_metre(&bytes(server.upload("/warp", &file, &scaled).await).await), Some(half));
+    assert_eq!(
+        per_metre(&bytes(server.upload("/warp", &file, &scaled).await).await),
+        Some(half)
+    );
     let cropped = json!({"p": [[20, 20]], "q": [[22, 20]], "output": {"canvas": {"x": 5, "y": 5, "width": 20, "height": 30}}});
-    assert_eq!(per_metre(&bytes(server.upload("/warp", &file, &cropped).await).await), Some([11_811, 5_905]));
+    assert_eq!(
+        per_metre(&bytes(server.upload("/warp", &file, &cropped).await).await),
+        Some([11_811, 5_905])
+    );
 
     let id = server.session(&file, &json!({"p": [[20, 20]]})).await;
-    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/a"))).body(file.clone()).send().await.unwrap();
+    let put = server
+        .client
+        .put(server.url(&format!("/sessions/{id}/layers/a")))
+        .body(file.clone())
+        .send()
+        .await
+        .unwrap();
     assert_eq!(put.status(), 201);
-    let put = server.client.put(server.url(&format!("/sessions/{id}/layers/b?kind=labels"))).body(file.clone()).send().await.unwrap();
+    let put = server
+        .client
+        .put(server.url(&format!("/sessions/{id}/layers/b?kind=labels")))
+        .body(file.clone())
+        .send()
+        .await
+        .unwrap();
     assert_eq!(put.status(), 201);
     for layer in [Value::Null, json!("a"), json!("b")] {
-        let drag = server.drag(&id, &json!({"q": [[22, 20]], "layer": layer, "output": {"width": 40}})).await;
+        let drag = server
+            .drag(
+                &id,
+                &json!({"q": [[22, 20]], "layer": layer, "output": {"width": 40}}),
+            )
+            .await;
         assert_eq!(per_metre(&bytes(drag).await), Some(half), "{layer}");
     }
     let batch = json!({"q": [[24, 20]], "steps": 2, "output": {"width": 40}, "layers": ["a", "b"]});
-    let zip = bytes(server.post(&format!("/sessions/{id}/batch")).json(&batch).send().await.unwrap()).await;
+    let zip = bytes(
+        server
+            .post(&format!("/sessions/{id}/batch"))
+            .json(&batch)
+            .send()
+            .await
+            .unwrap(),
+    )
+    .await;
     let mut archive = zip::ZipArchive::new(Cursor::new(zip)).unwrap();
     let mut pictures = 0;
     for k in 0..archive.len() {
@@ -74,14 +108,28 @@ async fn a_pixel_keeps_its_length_wherever_it_is_drawn() {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     std::fs::write(path("in.png"), &file).unwrap();
     std::fs::write(path("warp.json"), scaled.to_string()).unwrap();
-    let output = mlswarp(&["warp", &path("in.png"), &path("warp.json"), "-o", &path("out.png")]).output().unwrap();
+    let output = mlswarp(&[
+        "warp",
+        &path("in.png"),
+        &path("warp.json"),
+        "-o",
+        &path("out.png"),
+    ])
+    .output()
+    .unwrap();
     assert!(output.status.success(), "{output:?}");
-    assert_eq!(per_metre(&std::fs::read(path("out.png")).unwrap()), Some(half));
+    assert_eq!(
+        per_metre(&std::fs::read(path("out.png")).unwrap()),
+        Some(half)
+    );
     std::fs::remove_dir_all(folder).unwrap();
 }
 
 fn tempfile_folder(name: &str) -> std::path::PathBuf {
-    let folder = std::env::temp_dir().join(format!("mlswarp-test-{}-metadata-{name}", std::process::id()));
+    let folder = std::env::temp_dir().join(format!(
+        "mlswarp-test-{}-metadata-{name}",
+        std::process::id()
+    ));
     std::fs::create_dir_all(&folder).unwrap();
     folder
 }
@@ -91,31 +139,71 @@ fn tempfile_folder(name: &str) -> std::path::PathBuf {
 async fn what_is_dropped_or_mended_is_named() {
     let server = Server::start(&[]).await;
     let linear = (b"gAMA", 100_000_u32.to_be_bytes().to_vec());
-    let chunks = [linear, (b"tEXt", b"Author\0me".to_vec()), (b"prVt", vec![1]), (b"sBIT", vec![5, 5, 5])];
+    let chunks = [
+        linear,
+        (b"tEXt", b"Author\0me".to_vec()),
+        (b"prVt", vec![1]),
+        (b"sBIT", vec![5, 5, 5]),
+    ];
     let mut file = with_chunks(&photo(24, 16), &chunks);
     let end = file.len() - 12;
     file.truncate(end);
     let warp = json!({"p": [[2, 2]], "q": [[3, 2]]});
     let png = server.upload("/warp", &file, &warp).await;
-    assert_eq!(warning(&png), Some("translation_only, metadata_dropped, file_repaired"));
+    assert_eq!(
+        warning(&png),
+        Some("translation_only, metadata_dropped, file_repaired")
+    );
     let id = server.session(&file, &json!({"p": [[2, 2]]})).await;
-    let of = |warnings: &Value, code: &str| warnings.as_array().unwrap().iter().find(|entry| entry["code"] == code).cloned();
-    for (format, dropped) in
-        [("png", json!(["significant bits", "application data"])), ("jpeg", json!(["text", "significant bits", "application data"]))]
-    {
+    let of = |warnings: &Value, code: &str| {
+        warnings
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|entry| entry["code"] == code)
+            .cloned()
+    };
+    for (format, dropped) in [
+        ("png", json!(["significant bits", "application data"])),
+        (
+            "jpeg",
+            json!(["text", "significant bits", "application data"]),
+        ),
+    ] {
         let body = json!({"q": [[3, 2]], "output": {"format": format}});
-        let report: Value = server.post(&format!("/sessions/{id}/report")).json(&body).send().await.unwrap().json().await.unwrap();
+        let report: Value = server
+            .post(&format!("/sessions/{id}/report"))
+            .json(&body)
+            .send()
+            .await
+            .unwrap()
+            .json()
+            .await
+            .unwrap();
         let warnings = &report["warnings"];
-        assert_eq!(of(warnings, "metadata_dropped").unwrap()["dropped"], dropped, "{format}: {report}");
-        assert_eq!(of(warnings, "file_repaired").unwrap()["repaired"], json!(["no end of the file"]));
+        assert_eq!(
+            of(warnings, "metadata_dropped").unwrap()["dropped"],
+            dropped,
+            "{format}: {report}"
+        );
+        assert_eq!(
+            of(warnings, "file_repaired").unwrap()["repaired"],
+            json!(["no end of the file"])
+        );
         assert_eq!(of(warnings, "profile_dropped").is_some(), format == "jpeg");
     }
     for (kind, codes) in [
         ("application/zip", "metadata_dropped, file_repaired"),
         ("image/apng", "metadata_dropped, file_repaired"),
-        ("image/gif", "profile_dropped, metadata_dropped, file_repaired"),
+        (
+            "image/gif",
+            "profile_dropped, metadata_dropped, file_repaired",
+        ),
     ] {
-        let batch = server.post(&format!("/sessions/{id}/batch")).header("accept", kind).json(&json!({"q": [[3, 2]], "steps": 2}));
+        let batch = server
+            .post(&format!("/sessions/{id}/batch"))
+            .header("accept", kind)
+            .json(&json!({"q": [[3, 2]], "steps": 2}));
         let batch = batch.send().await.unwrap();
         assert_eq!(warning(&batch), Some(codes), "{kind}");
     }
@@ -126,7 +214,9 @@ async fn what_is_dropped_or_mended_is_named() {
 fn deep(value: u16) -> Vec<u8> {
     let mut file = Cursor::new(Vec::new());
     let picture = ImageBuffer::from_fn(40, 30, |x, y| Luma([value + (x * y) as u16]));
-    DynamicImage::ImageLuma16(picture).write_to(&mut file, ImageFormat::Png).unwrap();
+    DynamicImage::ImageLuma16(picture)
+        .write_to(&mut file, ImageFormat::Png)
+        .unwrap();
     file.into_inner()
 }
 
@@ -141,22 +231,31 @@ async fn the_outside_has_a_value_of_the_depth() {
         async move {
             let response = server.upload("/warp", file, &warp).await;
             let tag = header(&response, "etag").to_owned();
-            (image::load_from_memory(&bytes(response).await).unwrap(), tag)
+            (
+                image::load_from_memory(&bytes(response).await).unwrap(),
+                tag,
+            )
         }
     };
     let mut tags = Vec::new();
     for format in ["png", "tiff"] {
         let (grey, tag) = drawn(json!({"outside": {"value": 300}, "format": format})).await;
-        let DynamicImage::ImageLuma16(grey) = grey else { panic!("{format}: {:?}", grey.color()) };
+        let DynamicImage::ImageLuma16(grey) = grey else {
+            panic!("{format}: {:?}", grey.color())
+        };
         assert_eq!(grey.get_pixel(0, 0)[0], 300, "{format}");
-        let (colour, other) = drawn(json!({"outside": {"value": [300, 301, 65_535]}, "format": format})).await;
-        let DynamicImage::ImageRgb16(colour) = colour else { panic!("{format}: {:?}", colour.color()) };
+        let (colour, other) =
+            drawn(json!({"outside": {"value": [300, 301, 65_535]}, "format": format})).await;
+        let DynamicImage::ImageRgb16(colour) = colour else {
+            panic!("{format}: {:?}", colour.color())
+        };
         assert_eq!(colour.get_pixel(0, 0).0, [300, 301, 65_535], "{format}");
         tags.extend([tag, other]);
     }
     let (_, black) = drawn(json!({"outside": "#000000ff"})).await;
     tags.push(black);
-    let (jpeg, tag) = drawn(json!({"outside": {"value": 32_768}, "format": "jpeg", "quality": 100})).await;
+    let (jpeg, tag) =
+        drawn(json!({"outside": {"value": 32_768}, "format": "jpeg", "quality": 100})).await;
     assert!(jpeg.get_pixel(0, 0)[0].abs_diff(128) <= 2);
     tags.push(tag);
     tags.sort_unstable();
@@ -164,36 +263,89 @@ async fn the_outside_has_a_value_of_the_depth() {
     assert_eq!(tags.len(), 6, "every answer has a tag of its own");
 
     // The session keeps it, and gives it back as it was sent.
-    let id = server.session(&file, &json!({"p": [[5, 5]], "output": {"outside": {"value": [9, 9, 9]}}})).await;
-    let session: Value = server.get(&format!("/sessions/{id}")).send().await.unwrap().json().await.unwrap();
+    let id = server
+        .session(
+            &file,
+            &json!({"p": [[5, 5]], "output": {"outside": {"value": [9, 9, 9]}}}),
+        )
+        .await;
+    let session: Value = server
+        .get(&format!("/sessions/{id}"))
+        .send()
+        .await
+        .unwrap()
+        .json()
+        .await
+        .unwrap();
     assert_eq!(session["output"]["outside"], json!({"value": 9}));
-    let picture = image::load_from_memory(&bytes(server.drag(&id, &json!({"q": [[25, 20]]})).await).await).unwrap();
+    let picture =
+        image::load_from_memory(&bytes(server.drag(&id, &json!({"q": [[25, 20]]})).await).await)
+            .unwrap();
     assert_eq!(picture.into_luma16().get_pixel(0, 0)[0], 9);
 
     // Labels have none of their own: refused if it is asked for, without effect if the session has it.
-    let labels = server.client.put(server.url(&format!("/sessions/{id}/layers/l?kind=labels"))).body(file.clone()).send().await.unwrap();
+    let labels = server
+        .client
+        .put(server.url(&format!("/sessions/{id}/layers/l?kind=labels")))
+        .body(file.clone())
+        .send()
+        .await
+        .unwrap();
     assert_eq!(labels.status(), 201);
-    let drawn = bytes(server.drag(&id, &json!({"q": [[25, 20]], "layer": "l"})).await).await;
-    assert_eq!(image::load_from_memory(&drawn).unwrap().into_luma16().get_pixel(0, 0)[0], 0);
+    let drawn = bytes(
+        server
+            .drag(&id, &json!({"q": [[25, 20]], "layer": "l"}))
+            .await,
+    )
+    .await;
+    assert_eq!(
+        image::load_from_memory(&drawn)
+            .unwrap()
+            .into_luma16()
+            .get_pixel(0, 0)[0],
+        0
+    );
     let asked = json!({"q": [[25, 20]], "layer": "l", "output": {"outside": {"value": 1}}});
     let refused = problem(server.drag(&id, &asked).await, 422, "bad_value").await;
     assert_eq!(refused["pointer"], "/output/outside");
     let batch = json!({"q": [[25, 20]], "steps": 2, "layers": ["l"]});
-    bytes(server.post(&format!("/sessions/{id}/batch")).json(&batch).send().await.unwrap()).await;
+    bytes(
+        server
+            .post(&format!("/sessions/{id}/batch"))
+            .json(&batch)
+            .send()
+            .await
+            .unwrap(),
+    )
+    .await;
 
     // Beyond the depth, wherever it is given.
-    let beyond = json!({"p": [[5, 5]], "q": [[6, 5]], "output": {"outside": {"value": [0, 256, 0]}}});
+    let beyond =
+        json!({"p": [[5, 5]], "q": [[6, 5]], "output": {"outside": {"value": [0, 256, 0]}}});
     for path in ["/warp", "/sessions"] {
-        let sent = server.post(path).multipart(form(&photo(24, 16), beyond.to_string())).send().await.unwrap();
+        let sent = server
+            .post(path)
+            .multipart(form(&photo(24, 16), beyond.to_string()))
+            .send()
+            .await
+            .unwrap();
         let refused = problem(sent, 422, "bad_value").await;
         assert_eq!(
             (&refused["pointer"], &refused["limit"], &refused["actual"]),
             (&json!("/output/outside/value"), &json!(255), &json!(256))
         );
     }
-    let id = server.session(&photo(24, 16), &json!({"p": [[5, 5]]})).await;
-    let handles = server.client.put(server.url(&format!("/sessions/{id}/handles")));
-    let put = handles.json(&json!({"output": {"outside": {"value": 300}}})).send().await.unwrap();
+    let id = server
+        .session(&photo(24, 16), &json!({"p": [[5, 5]]}))
+        .await;
+    let handles = server
+        .client
+        .put(server.url(&format!("/sessions/{id}/handles")));
+    let put = handles
+        .json(&json!({"output": {"outside": {"value": 300}}}))
+        .send()
+        .await
+        .unwrap();
     problem(put, 422, "bad_value").await;
 }
 
@@ -203,15 +355,36 @@ async fn samples_that_a_picture_does_not_have_are_refused() {
     let server = Server::start(&[]).await;
     // Little-endian, one row of two pixels.
     let mut file = b"II*\0\x0C\0\0\0\x01\x02\x03\x04".to_vec();
-    let tags: [(u16, u16, u32, u32); 8] =
-        [(256, 3, 1, 2), (257, 3, 1, 1), (258, 3, 1, 8), (262, 3, 1, 1), (273, 4, 1, 8), (277, 3, 1, 2), (278, 3, 1, 1), (279, 4, 1, 4)];
+    let tags: [(u16, u16, u32, u32); 8] = [
+        (256, 3, 1, 2),
+        (257, 3, 1, 1),
+        (258, 3, 1, 8),
+        (262, 3, 1, 1),
+        (273, 4, 1, 8),
+        (277, 3, 1, 2),
+        (278, 3, 1, 1),
+        (279, 4, 1, 4),
+    ];
     file.extend((tags.len() as u16).to_le_bytes());
     for (tag, kind, count, value) in tags {
-        file.extend([&tag.to_le_bytes()[..], &kind.to_le_bytes(), &count.to_le_bytes(), &value.to_le_bytes()].concat());
+        file.extend(
+            [
+                &tag.to_le_bytes()[..],
+                &kind.to_le_bytes(),
+                &count.to_le_bytes(),
+                &value.to_le_bytes(),
+            ]
+            .concat(),
+        );
     }
     file.extend([0; 4]);
-    let sent = server.upload("/warp", &file, &json!({"p": [[1, 1]], "q": [[1, 1]]})).await;
+    let sent = server
+        .upload("/warp", &file, &json!({"p": [[1, 1]], "q": [[1, 1]]}))
+        .await;
     let refused = problem(sent, 415, "unsupported_format").await;
     let detail = refused["detail"].as_str().unwrap();
-    assert!(detail.contains("2 samples per pixel") && detail.contains("layers of a session"), "{detail}");
+    assert!(
+        detail.contains("2 samples per pixel") && detail.contains("layers of a session"),
+        "{detail}"
+    );
 }

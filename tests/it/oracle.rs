@@ -1,14 +1,22 @@
 //! The independent reference cases of `tests/oracle.json` (generic weighted least squares and quadrature at 50 digits and more; no closed
 //! form of the paper): exact evaluation within `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
-use mlswarp::deform::{Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose, Warning};
+use mlswarp::deform::{
+    Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose,
+    Warning,
+};
 use mlswarp::geometry::{Grid, Point};
 use serde_json::Value;
 
 /// Methods of the file that are not built yet.
 const NOT_YET: [&str; 1] = ["beier_neely"];
 /// Fields of a case that are not compared yet.
-const FIELDS_NOT_YET: [&str; 4] = ["expected_jacobian", "expected_det", "expected_det_sign", "first_fold_s"];
+const FIELDS_NOT_YET: [&str; 4] = [
+    "expected_jacobian",
+    "expected_det",
+    "expected_det_sign",
+    "first_fold_s",
+];
 /// Every other field that a case may have; one that is in neither list fails the test.
 const FIELDS: [&str; 17] = [
     "name",
@@ -37,7 +45,11 @@ fn file() -> Value {
 fn cases<'a>(file: &'a Value, list: &str) -> impl Iterator<Item = &'a Value> {
     file[list].as_array().unwrap().iter().inspect(|case| {
         for field in case.as_object().unwrap().keys() {
-            assert!(FIELDS.contains(&field.as_str()) || FIELDS_NOT_YET.contains(&field.as_str()), "{}: {field} is new", case["name"]);
+            assert!(
+                FIELDS.contains(&field.as_str()) || FIELDS_NOT_YET.contains(&field.as_str()),
+                "{}: {field} is new",
+                case["name"]
+            );
         }
     })
 }
@@ -63,15 +75,27 @@ fn method(case: &Value) -> Option<Chosen> {
 }
 
 fn handles(case: &Value, end: &str) -> Vec<Handle> {
-    let list = |kind: &str| case["handles"][kind].as_array().cloned().unwrap_or_default();
-    let points = list("points").into_iter().map(|h| Handle::Point(point(&h[end])));
-    let lines = list("lines").into_iter().map(|h| Handle::Polyline(h[end].as_array().unwrap().iter().map(point).collect()));
+    let list = |kind: &str| {
+        case["handles"][kind]
+            .as_array()
+            .cloned()
+            .unwrap_or_default()
+    };
+    let points = list("points")
+        .into_iter()
+        .map(|h| Handle::Point(point(&h[end])));
+    let lines = list("lines")
+        .into_iter()
+        .map(|h| Handle::Polyline(h[end].as_array().unwrap().iter().map(point).collect()));
     points.chain(lines).collect()
 }
 
 fn field(case: &Value, method: Chosen) -> Result<(Field, Pose), DeformError> {
     let rest = Handles::new(handles(case, "p"), None)?;
-    let coincident = Coincident { policy: CoincidentPolicy::Reject, within: 0.0 };
+    let coincident = Coincident {
+        policy: CoincidentPolicy::Reject,
+        within: 0.0,
+    };
     let field = match method {
         Some(method) => {
             let falloff = Falloff::new(case["alpha"].as_f64().unwrap(), rest.has_lines())?;
@@ -86,14 +110,29 @@ fn field(case: &Value, method: Chosen) -> Result<(Field, Pose), DeformError> {
 
 /// Worst distance from the expected places: of exact evaluation, and of the f32 plan.
 fn worst(case: &Value, field: &Field, pose: &Pose) -> (f64, f64) {
-    let vertices: Vec<Point> = case["vertices"].as_array().unwrap().iter().map(point).collect();
-    let expected: Vec<Point> = case["expected"].as_array().unwrap().iter().map(point).collect();
-    let (displacement, _) = Plan::of_vertices(field, vertices.len(), |k| vertices[k]).displace(pose);
+    let vertices: Vec<Point> = case["vertices"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(point)
+        .collect();
+    let expected: Vec<Point> = case["expected"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(point)
+        .collect();
+    let (displacement, _) =
+        Plan::of_vertices(field, vertices.len(), |k| vertices[k]).displace(pose);
     let mut worst = (0.0f64, 0.0f64);
     for ((v, e), d) in vertices.iter().zip(&expected).zip(displacement) {
         let exact = field.map(pose, *v).distance(*e);
         let planned = Point::new(v.x + f64::from(d[0]), v.y + f64::from(d[1])).distance(*e);
-        assert!(exact.is_finite() && planned.is_finite(), "{}: not a number at {v:?}", case["name"]);
+        assert!(
+            exact.is_finite() && planned.is_finite(),
+            "{}: not a number at {v:?}",
+            case["name"]
+        );
         worst = (worst.0.max(exact), worst.1.max(planned));
     }
     worst
@@ -110,14 +149,26 @@ fn oracle_exact_evaluation_and_plan_are_within_tolerance() {
         };
         let (field, pose) = field(case, method).unwrap();
         let (exact, planned) = worst(case, &field, &pose);
-        let (tolerance, tolerance_f32) = (case["tolerance"].as_f64().unwrap(), case["tolerance_f32"].as_f64().unwrap());
+        let (tolerance, tolerance_f32) = (
+            case["tolerance"].as_f64().unwrap(),
+            case["tolerance_f32"].as_f64().unwrap(),
+        );
         if exact > tolerance || planned > tolerance_f32 {
             failed.push(format!("{}: exact {exact:e} (at most {tolerance:e}), plan {planned:e} (at most {tolerance_f32:e})", case["name"]));
         }
         checked += 1;
     }
-    assert!(failed.is_empty(), "{} of {checked} cases:\n{}", failed.len(), failed.join("\n"));
-    assert_eq!((checked, left_out), (95, 3), "cases that were compared, and left out as {NOT_YET:?}");
+    assert!(
+        failed.is_empty(),
+        "{} of {checked} cases:\n{}",
+        failed.len(),
+        failed.join("\n")
+    );
+    assert_eq!(
+        (checked, left_out),
+        (95, 3),
+        "cases that were compared, and left out as {NOT_YET:?}"
+    );
 }
 
 #[test]
@@ -128,15 +179,28 @@ fn oracle_degenerate_sets_have_their_named_results() {
         let (field, pose) = field(case, method(case).unwrap()).unwrap();
         let (exact, planned) = worst(case, &field, &pose);
         let name = &case["name"];
-        assert!(exact <= case["tolerance"].as_f64().unwrap(), "{name}: exact evaluation is off by {exact:e}");
+        assert!(
+            exact <= case["tolerance"].as_f64().unwrap(),
+            "{name}: exact evaluation is off by {exact:e}"
+        );
         assert!(planned <= 1e-3, "{name}: the plan is off by {planned:e}");
         let warnings = field.warnings(&pose);
         match case["behaviour"].as_str().unwrap() {
             "translation" => assert!(warnings.contains(&Warning::TranslationOnly), "{name}"),
-            "affine falls back to similarity" => assert!(warnings.contains(&Warning::AffineDegenerateUsedSimilarity), "{name}"),
+            "affine falls back to similarity" => assert!(
+                warnings.contains(&Warning::AffineDegenerateUsedSimilarity),
+                "{name}"
+            ),
             "rotation undefined -> identity rotation: f = v - p* + q*" => {
                 let grid = Grid::with_counts(500.0, 500.0, 11, 11);
-                assert!(Plan::of_grid(&field, &grid).pose(&grid, &pose).1.least_rotation < 0.1, "{name}");
+                assert!(
+                    Plan::of_grid(&field, &grid)
+                        .pose(&grid, &pose)
+                        .1
+                        .least_rotation
+                        < 0.1,
+                    "{name}"
+                );
             }
             other => panic!("{name}: behaviour {other} is new"),
         }
@@ -157,7 +221,12 @@ fn oracle_errors_are_refused_by_their_code() {
             DeformError::AlphaOutOfRange { .. } => "alpha_out_of_range",
             other => panic!("{}: {other}", case["name"]),
         };
-        assert_eq!(code, case["expect_error"].as_str().unwrap(), "{}", case["name"]);
+        assert_eq!(
+            code,
+            case["expect_error"].as_str().unwrap(),
+            "{}",
+            case["name"]
+        );
         checked += 1;
     }
     assert_eq!(checked, 4);
@@ -169,14 +238,26 @@ fn oracle_folded_cells_are_the_same_cells() {
     let mut checked = 0;
     for case in cases(&file, "meshfold_cases") {
         let (field, pose) = field(case, method(case).unwrap()).unwrap();
-        let (nx, ny) = (case["grid"]["nx"].as_u64().unwrap(), case["grid"]["ny"].as_u64().unwrap());
+        let (nx, ny) = (
+            case["grid"]["nx"].as_u64().unwrap(),
+            case["grid"]["ny"].as_u64().unwrap(),
+        );
         let step = case["grid"]["step"].as_f64().unwrap();
         assert_eq!(case["grid"]["origin"], serde_json::json!([0.0, 0.0]));
         let side = |n: u64| step * (n - 1) as f64;
-        let grid = Grid::with_counts(side(nx), side(ny), u32::try_from(nx).unwrap(), u32::try_from(ny).unwrap());
+        let grid = Grid::with_counts(
+            side(nx),
+            side(ny),
+            u32::try_from(nx).unwrap(),
+            u32::try_from(ny).unwrap(),
+        );
         let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
-        let mut folded: Vec<[u64; 2]> = mesh.folded_cells().map(|(i, j)| [i.into(), j.into()]).collect();
-        let mut expected: Vec<[u64; 2]> = serde_json::from_value(case["folded_cells"].clone()).unwrap();
+        let mut folded: Vec<[u64; 2]> = mesh
+            .folded_cells()
+            .map(|(i, j)| [i.into(), j.into()])
+            .collect();
+        let mut expected: Vec<[u64; 2]> =
+            serde_json::from_value(case["folded_cells"].clone()).unwrap();
         folded.sort_unstable();
         expected.sort_unstable();
         assert_eq!(folded, expected, "{}", case["name"]);

@@ -21,27 +21,66 @@ async fn its_files_come_with_a_tag_and_a_policy() {
         assert_eq!(header("x-content-type-options"), "nosniff");
         assert_eq!(header("referrer-policy"), "no-referrer");
         let policy = header("content-security-policy");
-        assert!(policy.starts_with("default-src 'none'; ") && !policy.contains("unsafe"), "{policy}");
+        assert!(
+            policy.starts_with("default-src 'none'; ") && !policy.contains("unsafe"),
+            "{policy}"
+        );
         let tag = header("etag");
         assert!(!whole.bytes().await.unwrap().is_empty(), "{path}");
         for known in [tag.clone(), format!("\"other\", W/{tag}"), "*".to_owned()] {
-            let again = server.get(path).header("If-None-Match", known).send().await.unwrap();
-            assert_eq!((again.status().as_u16(), again.headers()["etag"].to_str().unwrap()), (304, tag.as_str()), "{path}");
+            let again = server
+                .get(path)
+                .header("If-None-Match", known)
+                .send()
+                .await
+                .unwrap();
+            assert_eq!(
+                (
+                    again.status().as_u16(),
+                    again.headers()["etag"].to_str().unwrap()
+                ),
+                (304, tag.as_str()),
+                "{path}"
+            );
             assert!(again.bytes().await.unwrap().is_empty());
         }
-        assert_eq!(server.get(path).header("If-None-Match", "\"other\"").send().await.unwrap().status(), 200, "{path}");
+        assert_eq!(
+            server
+                .get(path)
+                .header("If-None-Match", "\"other\"")
+                .send()
+                .await
+                .unwrap()
+                .status(),
+            200,
+            "{path}"
+        );
     }
     let index = server.get("/").send().await.unwrap().text().await.unwrap();
-    assert!(index.contains("content=\"body=5242880 pixels=50000000 side=16384 idle=120 memory=1\""), "the limits of this server");
+    assert!(
+        index.contains("content=\"body=5242880 pixels=50000000 side=16384 idle=120 memory=1\""),
+        "the limits of this server"
+    );
 }
 
 #[tokio::test]
 async fn nothing_else_is_served_beside_it() {
     let server = Server::start(&[]).await;
-    for path in ["/page/none.js", "/page/README.md", "/page/index.html", "/page/..%2fpage.rs", "/page/", "/page"] {
+    for path in [
+        "/page/none.js",
+        "/page/README.md",
+        "/page/index.html",
+        "/page/..%2fpage.rs",
+        "/page/",
+        "/page",
+    ] {
         let refused = server.get(path).send().await.unwrap();
         assert_eq!(refused.status(), 404, "{path}");
-        assert_eq!(refused.headers()["content-type"], "application/problem+json", "{path}");
+        assert_eq!(
+            refused.headers()["content-type"],
+            "application/problem+json",
+            "{path}"
+        );
     }
     assert_eq!(server.post("/").send().await.unwrap().status(), 405);
 }

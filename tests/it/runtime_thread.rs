@@ -17,17 +17,29 @@ const TIMES: usize = 20;
 const LONG: Duration = Duration::from_millis(500);
 const FEWEST: usize = 3;
 /// Bodies that are much larger than what one poll may move.
-const SIZES: Sizes = Sizes { handles: 10_000, json: 1 << 20, body: 1 << 20 };
+const SIZES: Sizes = Sizes {
+    handles: 10_000,
+    json: 1 << 20,
+    body: 1 << 20,
+};
 
 /// The longest polls of the runtime's thread, one for each time that the request is sent, in order.
 fn longest_polls(server: &ClockedServer, material: &Material, request: &Request) -> Vec<Duration> {
     let began = Instant::now();
     let mut longest = Vec::new();
     while longest.len() < TIMES && (is_full() || longest.len() < FEWEST || began.elapsed() < LONG) {
-        let own = request.needs_session().then(|| request.of(&material.session(server.address)));
+        let own = request
+            .needs_session()
+            .then(|| request.of(&material.session(server.address)));
         let request = own.as_ref().unwrap_or(request);
         let (poll, (status, read)) = server.longest(|| request.exchange(server.address));
-        assert_eq!(status, request.status, "{}: {}", request.what, String::from_utf8_lossy(&read[..read.len().min(2000)]));
+        assert_eq!(
+            status,
+            request.status,
+            "{}: {}",
+            request.what,
+            String::from_utf8_lossy(&read[..read.len().min(2000)])
+        );
         longest.push(poll);
     }
     longest.sort_unstable();
@@ -59,7 +71,11 @@ fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
         let began = Instant::now();
         let longest = longest_polls(&server, &material, &request);
         let (median, last) = (longest[longest.len() / 2], longest[longest.len() - 1]);
-        let counted = if cfg!(debug_assertions) { longest[0] } else { median };
+        let counted = if cfg!(debug_assertions) {
+            longest[0]
+        } else {
+            median
+        };
         println!(
             "{median:>9.1?}, at least {:>9.1?}, at most {last:>9.1?} of {} in {:.1?}: {}",
             longest[0],
@@ -71,5 +87,9 @@ fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
             slow.push(format!("{}: {counted:?}", request.what));
         }
     }
-    assert!(slow.is_empty(), "the runtime's thread computes for longer than {:?}: {slow:#?}", DEBUG * MOST);
+    assert!(
+        slow.is_empty(),
+        "the runtime's thread computes for longer than {:?}: {slow:#?}",
+        DEBUG * MOST
+    );
 }

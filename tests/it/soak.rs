@@ -71,8 +71,12 @@ impl Day {
     }
 
     fn resident(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.program.id())).unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        let status =
+            std::fs::read_to_string(format!("/proc/{}/status", self.program.id())).unwrap();
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix("VmRSS:"))
+            .unwrap();
         line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
     }
 
@@ -80,9 +84,21 @@ impl Day {
     async fn stayed(&self) -> (u64, u64) {
         let resident = rest(self).await;
         let url = format!("http://{}/metrics", self.program.address);
-        let text = self.client.get(url).send().await.unwrap().text().await.unwrap();
-        let samples = text.lines().filter(|line| line.starts_with("mlswarp_memory_reserved_bytes{"));
-        let kept = samples.map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap()).sum::<u64>();
+        let text = self
+            .client
+            .get(url)
+            .send()
+            .await
+            .unwrap()
+            .text()
+            .await
+            .unwrap();
+        let samples = text
+            .lines()
+            .filter(|line| line.starts_with("mlswarp_memory_reserved_bytes{"));
+        let kept = samples
+            .map(|line| line.rsplit_once(' ').unwrap().1.parse::<u64>().unwrap())
+            .sum::<u64>();
         (resident, kept)
     }
 
@@ -106,18 +122,46 @@ impl Day {
     async fn note(&self, what: &'static str, response: reqwest::Result<Response>) -> Option<Value> {
         let response = response.unwrap_or_else(|e| panic!("{what}: no answer: {e}"));
         let status = response.status().as_u16();
-        *self.answers.lock().unwrap().entry((what, status)).or_insert(0) += 1;
-        let is_problem = response.headers().get("content-type").is_some_and(|kind| kind == "application/problem+json");
-        let body = response.bytes().await.unwrap_or_else(|e| panic!("{what}: half an answer: {e}"));
-        assert!(status < 500 || status == 503, "{what}: {status} {}", String::from_utf8_lossy(&body));
+        *self
+            .answers
+            .lock()
+            .unwrap()
+            .entry((what, status))
+            .or_insert(0) += 1;
+        let is_problem = response
+            .headers()
+            .get("content-type")
+            .is_some_and(|kind| kind == "application/problem+json");
+        let body = response
+            .bytes()
+            .await
+            .unwrap_or_else(|e| panic!("{what}: half an answer: {e}"));
+        assert!(
+            status < 500 || status == 503,
+            "{what}: {status} {}",
+            String::from_utf8_lossy(&body)
+        );
         assert_eq!(status >= 400, is_problem, "{what}: {status}");
         serde_json::from_slice(&body).ok()
     }
 }
 
 fn handles(dice: &mut Dice, [width, height]: [f64; 2], count: usize) -> Value {
-    let mut place = || json!([dice.below(1000) as f64 / 1000.0 * width, dice.below(1000) as f64 / 1000.0 * height]);
-    (0..count).map(|n| if n == 3 { json!([place(), place(), place()]) } else { place() }).collect()
+    let mut place = || {
+        json!([
+            dice.below(1000) as f64 / 1000.0 * width,
+            dice.below(1000) as f64 / 1000.0 * height
+        ])
+    };
+    (0..count)
+        .map(|n| {
+            if n == 3 {
+                json!([place(), place(), place()])
+            } else {
+                place()
+            }
+        })
+        .collect()
 }
 
 /// The pose of every session: as many handles as `sessions` have, mostly.
@@ -129,7 +173,11 @@ fn posed(dice: &mut Dice) -> Value {
 /// JSON, now and then damaged.
 fn text(value: &Value, dice: &mut Dice) -> Vec<u8> {
     let text = value.to_string().into_bytes();
-    if dice.one_in(8) { damaged(dice, &text, br#"[[1e999, null], {"p": -0.0}]"#) } else { text }
+    if dice.one_in(8) {
+        damaged(dice, &text, br#"[[1e999, null], {"p": -0.0}]"#)
+    } else {
+        text
+    }
 }
 
 fn warp(dice: &mut Dice, sides: [f64; 2]) -> Value {
@@ -139,7 +187,9 @@ fn warp(dice: &mut Dice, sides: [f64; 2]) -> Value {
     match dice.below(6) {
         0 => warp["grid"] = json!({"cell": 1 + dice.below(40)}),
         1 => warp["grid"] = json!("pixel"),
-        2 => warp["output"] = json!({"format": *dice.pick(&["jpeg", "webp", "png"]), "width": 1 + dice.below(600)}),
+        2 => {
+            warp["output"] = json!({"format": *dice.pick(&["jpeg", "webp", "png"]), "width": 1 + dice.below(600)})
+        }
         3 => warp["folds"] = json!("reject"),
         4 => warp["output"] = json!({"compression": "best"}),
         _ => {}
@@ -150,30 +200,63 @@ fn warp(dice: &mut Dice, sides: [f64; 2]) -> Value {
 async fn step(day: &Day, dice: &mut Dice) {
     let (picture, sides) = dice.pick(&day.pictures).clone();
     let id = day.session(dice);
-    let request = |method: Method, path: &str| day.client.request(method, day.url(path)).timeout(PATIENCE);
-    let json_post = |path: &str, body: Vec<u8>| request(Method::POST, path).header("content-type", "application/json").body(body).send();
+    let request =
+        |method: Method, path: &str| day.client.request(method, day.url(path)).timeout(PATIENCE);
+    let json_post = |path: &str, body: Vec<u8>| {
+        request(Method::POST, path)
+            .header("content-type", "application/json")
+            .body(body)
+            .send()
+    };
     match dice.below(20) {
         0 | 1 => {
             let body = String::from_utf8_lossy(&text(&warp(dice, sides), dice)).into_owned();
-            drop(day.note("POST /warp", request(Method::POST, "/warp").multipart(form(&picture, body)).send().await).await);
+            drop(
+                day.note(
+                    "POST /warp",
+                    request(Method::POST, "/warp")
+                        .multipart(form(&picture, body))
+                        .send()
+                        .await,
+                )
+                .await,
+            );
         }
         2 => {
             let (_, seed) = dice.pick(&day.zoo);
             let (_, other) = dice.pick(&day.zoo);
             let file = damaged_picture(dice, seed, other);
-            drop(day.note("POST /warp, damaged", request(Method::POST, "/warp").multipart(form(&file, r#"{"p": []}"#)).send().await).await);
+            drop(
+                day.note(
+                    "POST /warp, damaged",
+                    request(Method::POST, "/warp")
+                        .multipart(form(&file, r#"{"p": []}"#))
+                        .send()
+                        .await,
+                )
+                .await,
+            );
         }
         3 | 4 => {
             let mut warp = warp(dice, sides);
             warp["p"] = handles(dice, sides, 5);
-            let answer = request(Method::POST, "/sessions").multipart(form(&picture, warp.to_string())).send().await;
-            if let Some(session) = day.note("POST /sessions", answer).await.and_then(|s| s["id"].as_str().map(str::to_owned)) {
+            let answer = request(Method::POST, "/sessions")
+                .multipart(form(&picture, warp.to_string()))
+                .send()
+                .await;
+            if let Some(session) = day
+                .note("POST /sessions", answer)
+                .await
+                .and_then(|s| s["id"].as_str().map(str::to_owned))
+            {
                 day.remember(session);
             }
         }
         5 => {
             let id = format!("{:08x}-0000-4000-8000-000000000000", dice.below(30));
-            let answer = request(Method::PUT, &format!("/sessions/{id}")).multipart(form(&picture, warp(dice, sides).to_string())).send();
+            let answer = request(Method::PUT, &format!("/sessions/{id}"))
+                .multipart(form(&picture, warp(dice, sides).to_string()))
+                .send();
             if day.note("PUT /sessions/{id}", answer.await).await.is_some() {
                 day.remember(id);
             }
@@ -184,31 +267,90 @@ async fn step(day: &Day, dice: &mut Dice) {
                 drag["seq"] = json!(dice.below(50));
             }
             let body = text(&drag, dice);
-            drop(day.note("POST /sessions/{id}/warp", json_post(&format!("/sessions/{id}/warp"), body).await).await);
+            drop(
+                day.note(
+                    "POST /sessions/{id}/warp",
+                    json_post(&format!("/sessions/{id}/warp"), body).await,
+                )
+                .await,
+            );
         }
         10..=11 => {
             let body = text(&json!({"q": posed(dice)}), dice);
-            drop(day.note("POST /sessions/{id}/mesh", json_post(&format!("/sessions/{id}/mesh"), body).await).await);
+            drop(
+                day.note(
+                    "POST /sessions/{id}/mesh",
+                    json_post(&format!("/sessions/{id}/mesh"), body).await,
+                )
+                .await,
+            );
         }
         12 => {
-            let body = text(&json!({"q": posed(dice), "points": handles(dice, sides, 3)}), dice);
-            drop(day.note("POST /sessions/{id}/points", json_post(&format!("/sessions/{id}/points"), body).await).await);
+            let body = text(
+                &json!({"q": posed(dice), "points": handles(dice, sides, 3)}),
+                dice,
+            );
+            drop(
+                day.note(
+                    "POST /sessions/{id}/points",
+                    json_post(&format!("/sessions/{id}/points"), body).await,
+                )
+                .await,
+            );
             let (p, q) = (handles(dice, sides, 5), handles(dice, sides, 5));
-            let body = text(&json!({"extent": [300, 200], "p": p, "q": q, "points": handles(dice, sides, 3)}), dice);
-            drop(day.note("POST /points", json_post("/points", body).await).await);
+            let body = text(
+                &json!({"extent": [300, 200], "p": p, "q": q, "points": handles(dice, sides, 3)}),
+                dice,
+            );
+            drop(
+                day.note("POST /points", json_post("/points", body).await)
+                    .await,
+            );
         }
         13 => {
             let body = text(&json!({"p": handles(dice, sides, 5)}), dice);
-            let put = request(Method::PUT, &format!("/sessions/{id}/handles")).header("content-type", "application/json");
-            drop(day.note("PUT /sessions/{id}/handles", put.body(body).send().await).await);
+            let put = request(Method::PUT, &format!("/sessions/{id}/handles"))
+                .header("content-type", "application/json");
+            drop(
+                day.note("PUT /sessions/{id}/handles", put.body(body).send().await)
+                    .await,
+            );
         }
         14 => {
-            drop(day.note("DELETE /sessions/{id}", request(Method::DELETE, &format!("/sessions/{id}")).send().await).await);
+            drop(
+                day.note(
+                    "DELETE /sessions/{id}",
+                    request(Method::DELETE, &format!("/sessions/{id}"))
+                        .send()
+                        .await,
+                )
+                .await,
+            );
         }
         15 => {
-            let path = *dice.pick(&["/", "/openapi.json", "/healthz", "/readyz", "/docs", "/nowhere", "/sessions/x", "/warp"]);
-            drop(day.note("GET", request(Method::GET, path).send().await).await);
-            drop(day.note("GET /sessions/{id}", request(Method::GET, &format!("/sessions/{id}")).send().await).await);
+            let path = *dice.pick(&[
+                "/",
+                "/openapi.json",
+                "/healthz",
+                "/readyz",
+                "/docs",
+                "/nowhere",
+                "/sessions/x",
+                "/warp",
+            ]);
+            drop(
+                day.note("GET", request(Method::GET, path).send().await)
+                    .await,
+            );
+            drop(
+                day.note(
+                    "GET /sessions/{id}",
+                    request(Method::GET, &format!("/sessions/{id}"))
+                        .send()
+                        .await,
+                )
+                .await,
+            );
         }
         16 => half_upload(day, dice, &picture).await,
         17 => half_answer(day, dice, &picture).await,
@@ -236,40 +378,81 @@ async fn half_upload(day: &Day, dice: &mut Dice, picture: &[u8]) {
     if dice.one_in(2) {
         tokio::time::sleep(Duration::from_millis(dice.below(30) as u64)).await;
     }
-    *day.answers.lock().unwrap().entry(("half an upload", 0)).or_insert(0) += 1;
+    *day.answers
+        .lock()
+        .unwrap()
+        .entry(("half an upload", 0))
+        .or_insert(0) += 1;
 }
 
 /// An answer that is not read to its end.
 async fn half_answer(day: &Day, dice: &mut Dice, picture: &[u8]) {
-    let body = form(picture, r#"{"p": [[5, 5]], "q": [[9, 7]], "output": {"width": 2000}}"#);
-    let mut response = day.client.post(day.url("/warp")).timeout(PATIENCE).multipart(body).send().await.unwrap();
+    let body = form(
+        picture,
+        r#"{"p": [[5, 5]], "q": [[9, 7]], "output": {"width": 2000}}"#,
+    );
+    let mut response = day
+        .client
+        .post(day.url("/warp"))
+        .timeout(PATIENCE)
+        .multipart(body)
+        .send()
+        .await
+        .unwrap();
     for _ in 0..dice.below(3) {
         let _ = response.chunk().await;
     }
-    *day.answers.lock().unwrap().entry(("half an answer", response.status().as_u16())).or_insert(0) += 1;
+    *day.answers
+        .lock()
+        .unwrap()
+        .entry(("half an answer", response.status().as_u16()))
+        .or_insert(0) += 1;
 }
 
 /// A socket that says a few things, right or wrong, acknowledges some of what comes, and goes with or without a word.
 async fn socket(day: &Day, dice: &mut Dice, id: &str) {
-    let query = *dice.pick(&["", "?frames=mesh", "?frames=jpeg&width=auto", "?frames=webp&width=64", "?frames=gif"]);
+    let query = *dice.pick(&[
+        "",
+        "?frames=mesh",
+        "?frames=jpeg&width=auto",
+        "?frames=webp&width=64",
+        "?frames=gif",
+    ]);
     let stream = TcpStream::connect(day.program.address).await.unwrap();
     let url = format!("ws://{}/sessions/{id}/drag{query}", day.program.address);
-    let Ok(opened) = tokio::time::timeout(PATIENCE, client_async(url, stream)).await else { panic!("a handshake has no answer") };
-    let status = opened.as_ref().map_or(0, |(_, response)| response.status().as_u16());
-    *day.answers.lock().unwrap().entry(("GET /sessions/{id}/drag", status)).or_insert(0) += 1;
+    let Ok(opened) = tokio::time::timeout(PATIENCE, client_async(url, stream)).await else {
+        panic!("a handshake has no answer")
+    };
+    let status = opened
+        .as_ref()
+        .map_or(0, |(_, response)| response.status().as_u16());
+    *day.answers
+        .lock()
+        .unwrap()
+        .entry(("GET /sessions/{id}/drag", status))
+        .or_insert(0) += 1;
     let Ok((mut socket, _)) = opened else { return };
     for seq in 0..dice.below(12) {
         let message = match dice.below(6) {
-            0 => Message::text(String::from_utf8_lossy(&text(&json!({"ack": seq}), dice)).into_owned()),
+            0 => Message::text(
+                String::from_utf8_lossy(&text(&json!({"ack": seq}), dice)).into_owned(),
+            ),
             1 => Message::binary(vec![7; dice.below(2000)]),
-            _ => Message::text(String::from_utf8_lossy(&text(&json!({"seq": seq, "q": posed(dice)}), dice)).into_owned()),
+            _ => Message::text(
+                String::from_utf8_lossy(&text(&json!({"seq": seq, "q": posed(dice)}), dice))
+                    .into_owned(),
+            ),
         };
         if socket.send(message).await.is_err() {
             return;
         }
-        if let Ok(Some(Ok(Message::Binary(frame)))) = tokio::time::timeout(Duration::from_millis(20), socket.next()).await {
+        if let Ok(Some(Ok(Message::Binary(frame)))) =
+            tokio::time::timeout(Duration::from_millis(20), socket.next()).await
+        {
             let seq = u64::from_le_bytes(frame[..8].try_into().unwrap());
-            let _ = socket.send(Message::text(json!({"ack": seq}).to_string())).await;
+            let _ = socket
+                .send(Message::text(json!({"ack": seq}).to_string()))
+                .await;
         }
     }
     if dice.one_in(2) {
@@ -311,7 +494,11 @@ async fn rest(day: &Day) -> u64 {
     for _ in 0..60 {
         tokio::time::sleep(Duration::from_secs(1)).await;
         let now = day.resident();
-        same = if now.abs_diff(resident) < resident / 100 { same + 1 } else { 0 };
+        same = if now.abs_diff(resident) < resident / 100 {
+            same + 1
+        } else {
+            0
+        };
         resident = now;
         if same == STILL {
             break;
@@ -319,7 +506,10 @@ async fn rest(day: &Day) -> u64 {
     }
     // The caches may hold what they held; a request shows that the server goes on.
     let mut stream = TcpStream::connect(day.program.address).await.unwrap();
-    stream.write_all(b"GET /readyz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await.unwrap();
+    stream
+        .write_all(b"GET /readyz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        .await
+        .unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).await.unwrap();
     assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
@@ -335,14 +525,21 @@ async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
         program: Program::start(&OPTIONS),
         client: Client::new(),
         sessions: Mutex::default(),
-        pictures: sizes.into_iter().map(|(w, h)| (photo(w, h), [f64::from(w), f64::from(h)])).collect(),
+        pictures: sizes
+            .into_iter()
+            .map(|(w, h)| (photo(w, h), [f64::from(w), f64::from(h)]))
+            .collect(),
         zoo: files("seeds/image"),
         answers: Mutex::default(),
     });
     let begun = day.resident();
     let first = load(&day, 1, Duration::from_secs(warming)).await;
     let mib = |bytes: &u64| bytes >> 20;
-    println!("resident, MiB: begun {}, warming {:?}", mib(&begun), first.iter().map(mib).collect::<Vec<_>>());
+    println!(
+        "resident, MiB: begun {}, warming {:?}",
+        mib(&begun),
+        first.iter().map(mib).collect::<Vec<_>>()
+    );
     let mut before = day.stayed().await;
     let mut has_grown = true;
     for period in 0..PERIODS {
@@ -363,13 +560,26 @@ async fn what_is_resident_after_a_long_time_was_resident_after_a_short_one() {
         before = after;
     }
     println!("answers: {:?}", day.answers.lock().unwrap());
-    let (answers, served) = (day.answers.lock().unwrap().clone(), |what: &str, status: u16| {
-        day.answers.lock().unwrap().iter().any(|((w, s), _)| *w == what && *s == status)
-    });
-    for (what, status) in
-        [("POST /warp", 200), ("POST /sessions", 201), ("POST /sessions/{id}/warp", 200), ("GET /sessions/{id}/drag", 101)]
-    {
+    let (answers, served) = (
+        day.answers.lock().unwrap().clone(),
+        |what: &str, status: u16| {
+            day.answers
+                .lock()
+                .unwrap()
+                .iter()
+                .any(|((w, s), _)| *w == what && *s == status)
+        },
+    );
+    for (what, status) in [
+        ("POST /warp", 200),
+        ("POST /sessions", 201),
+        ("POST /sessions/{id}/warp", 200),
+        ("GET /sessions/{id}/drag", 101),
+    ] {
         assert!(served(what, status), "{what} {status}: {answers:?}");
     }
-    assert!(!has_grown, "more is resident after each of {PERIODS} periods");
+    assert!(
+        !has_grown,
+        "more is resident after each of {PERIODS} periods"
+    );
 }

@@ -59,7 +59,14 @@ async fn a_flood_closes_its_socket_alone() {
     let well = tokio::spawn(healthy(server.address, id.clone(), 200));
     let mut drag = DragClient::open(server.address, &id, "").await;
     for seq in 0..10_000 {
-        if drag.socket.feed(Message::text(json!({"seq": seq, "q": posed(seq)}).to_string())).await.is_err() {
+        if drag
+            .socket
+            .feed(Message::text(
+                json!({"seq": seq, "q": posed(seq)}).to_string(),
+            ))
+            .await
+            .is_err()
+        {
             break;
         }
     }
@@ -74,7 +81,10 @@ async fn a_flood_closes_its_socket_alone() {
     }
     assert_eq!(drag.closed().await, 1008);
     well.await.unwrap();
-    eventually("no seat is taken", || server.app.counters().sockets_open == 0).await;
+    eventually("no seat is taken", || {
+        server.app.counters().sockets_open == 0
+    })
+    .await;
 }
 
 /// Empty fragments count towards the limit of their message, wherever control frames stand between them.
@@ -84,19 +94,26 @@ async fn empty_fragments_close_their_socket_alone() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     let well = tokio::spawn(healthy(server.address, id.clone(), 100));
-    let fragment = |opcode: u8, is_last: bool| [opcode | if is_last { 0x80 } else { 0 }, 0x80, 1, 2, 3, 4];
+    let fragment =
+        |opcode: u8, is_last: bool| [opcode | if is_last { 0x80 } else { 0 }, 0x80, 1, 2, 3, 4];
     for ping_each in [usize::MAX, 100] {
         let (mut read, mut write) = upgraded(server.address, &id).await.into_split();
         let reading = tokio::spawn(async move {
             let mut said = Vec::new();
-            let _ = tokio::time::timeout(Duration::from_secs(60), read.read_to_end(&mut said)).await.expect("the server does not close");
+            let _ = tokio::time::timeout(Duration::from_secs(60), read.read_to_end(&mut said))
+                .await
+                .expect("the server does not close");
             said
         });
         let mut sent = 0;
         let mut next = fragment(1, false);
         while sent < MOST && !reading.is_finished() && write.write_all(&next).await.is_ok() {
             sent += 1;
-            next = if sent % ping_each == 0 { fragment(9, true) } else { fragment(0, false) };
+            next = if sent % ping_each == 0 {
+                fragment(9, true)
+            } else {
+                fragment(0, false)
+            };
             // Time to read them, and to close.
             if sent % 1000 == 0 {
                 tokio::time::sleep(Duration::from_millis(5)).await;
@@ -105,7 +122,11 @@ async fn empty_fragments_close_their_socket_alone() {
         println!("one ping in {ping_each} frames: closed after at most {sent} frames of 6 bytes");
         assert!(sent < MOST, "all of {sent} fragments were taken");
         let said = reading.await.unwrap();
-        assert!(said.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()), "closed as too large");
+        assert!(
+            said.windows(4)
+                .any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1009_u16.to_be_bytes()),
+            "closed as too large"
+        );
     }
     // A message of some hundred fragments is one, and so is the next.
     let mut drag = DragClient::open(server.address, &id, "").await;
@@ -114,9 +135,13 @@ async fn empty_fragments_close_their_socket_alone() {
         let pieces: Vec<&[u8]> = text.as_bytes().chunks(1).collect();
         for (n, piece) in pieces.iter().enumerate() {
             let opcode = if n == 0 { Data::Text } else { Data::Continue };
-            let fragment = Frame::message(piece.to_vec(), OpCode::Data(opcode), n + 1 == pieces.len());
+            let fragment =
+                Frame::message(piece.to_vec(), OpCode::Data(opcode), n + 1 == pieces.len());
             drag.socket.feed(Message::Frame(fragment)).await.unwrap();
-            drag.socket.feed(Message::Ping(vec![].into())).await.unwrap();
+            drag.socket
+                .feed(Message::Ping(vec![].into()))
+                .await
+                .unwrap();
         }
         drag.socket.flush().await.unwrap();
         drag.ack_of_next_frame(seq).await;
@@ -129,7 +154,11 @@ async fn empty_fragments_close_their_socket_alone() {
 async fn floods_of_pings_and_of_empty_messages_close_their_socket() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
-    for message in [Message::Ping(vec![7; 125].into()), Message::Pong(vec![].into()), Message::text("")] {
+    for message in [
+        Message::Ping(vec![7; 125].into()),
+        Message::Pong(vec![].into()),
+        Message::text(""),
+    ] {
         let mut drag = DragClient::open(server.address, &id, "").await;
         for _ in 0..10_000 {
             if drag.socket.feed(message.clone()).await.is_err() {
@@ -186,11 +215,18 @@ async fn a_peer_that_answers_no_ping_is_closed_and_one_that_does_is_kept() {
         assert!(alive.next_within(Duration::from_secs(3)).await.is_none());
         alive
     });
-    eventually("the silent one is closed", || server.app.counters().sockets_open == 1).await;
+    eventually("the silent one is closed", || {
+        server.app.counters().sockets_open == 1
+    })
+    .await;
     let mut rest = Vec::new();
     let _ = half_open.read_to_end(&mut rest).await;
     // A close frame with 1008 was the last that it was sent.
-    assert!(rest.windows(4).any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1008_u16.to_be_bytes()), "{rest:?}");
+    assert!(
+        rest.windows(4)
+            .any(|bytes| bytes[0] == 0x88 && bytes[2..4] == 1008_u16.to_be_bytes()),
+        "{rest:?}"
+    );
     let mut alive = listening.await.unwrap();
     alive.pose(1, &posed(1)).await;
     assert_eq!(alive.frame().await.0, 1);
@@ -233,7 +269,11 @@ async fn narrow_way(to: SocketAddr, bytes_a_second: usize) -> SocketAddr {
 async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(700, 500), &rest()).await;
-    let well = tokio::spawn(healthy(server.address, server.session(&photo(128, 96), &rest()).await, 200));
+    let well = tokio::spawn(healthy(
+        server.address,
+        server.session(&photo(128, 96), &rest()).await,
+        200,
+    ));
     // 1 Mbit/s.
     let way = narrow_way(server.address, 125_000).await;
     let mut drag = DragClient::open(way, &id, "").await;
@@ -243,7 +283,9 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
         tokio::time::sleep_until((began + Duration::from_millis(8 * seq)).into()).await;
         drag.pose(seq, &posed(seq)).await;
         while let Some(said) = drag.next_within(Duration::ZERO).await {
-            let Received::Frame(of, frame) = said else { panic!("{said:?}") };
+            let Received::Frame(of, frame) = said else {
+                panic!("{said:?}")
+            };
             drag.ack(of).await;
             shown.push((of, frame.len()));
         }
@@ -257,20 +299,42 @@ async fn a_slow_reader_holds_two_frames_and_sees_the_newest() {
         shown.push((of, frame.len()));
     }
     let first = shown[0].1;
-    println!("1 Mbit/s, 8 s at 125 Hz, 700 x 500: {} frames of {first} bytes at first, {} at last", shown.len(), shown.last().unwrap().1);
+    println!(
+        "1 Mbit/s, 8 s at 125 Hz, 700 x 500: {} frames of {first} bytes at first, {} at last",
+        shown.len(),
+        shown.last().unwrap().1
+    );
     assert!(shown.is_sorted_by(|a, b| a.0 <= b.0));
-    assert!(shown.iter().any(|(_, bytes)| 2 * bytes < first), "the preview became narrower");
+    assert!(
+        shown.iter().any(|(_, bytes)| 2 * bytes < first),
+        "the preview became narrower"
+    );
     well.await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     // Nobody is closed for taking nothing and saying nothing while the others come.
-    let program = Program::start(&["--socket-timeout", "10m", "--socket-idle", "10m", "--max-client-share", "100"]);
+    let program = Program::start(&[
+        "--socket-timeout",
+        "10m",
+        "--socket-idle",
+        "10m",
+        "--max-client-share",
+        "100",
+    ]);
     let http = reqwest::Client::new();
     let session = async |picture: Vec<u8>| {
         let url = format!("http://{}/sessions", program.address);
-        let session: Value = http.post(url).multipart(form(&picture, rest().to_string())).send().await.unwrap().json().await.unwrap();
+        let session: Value = http
+            .post(url)
+            .multipart(form(&picture, rest().to_string()))
+            .send()
+            .await
+            .unwrap()
+            .json()
+            .await
+            .unwrap();
         session["id"].as_str().unwrap().to_owned()
     };
     let mut ids = Vec::new();
@@ -295,8 +359,14 @@ async fn two_hundred_sockets_that_take_nothing_are_bounded_in_memory() {
     }
     healthy(program.address, small, 100).await;
     let during = program.resident();
-    println!("200 sockets, each with a frame ahead of {} KiB: {before} MiB before, {during} MiB during", largest >> 10);
+    println!(
+        "200 sockets, each with a frame ahead of {} KiB: {before} MiB before, {during} MiB during",
+        largest >> 10
+    );
     let frames = (2 * 200 * largest as u64) >> 20;
-    assert!(during <= before + frames + 200 / 4 + 64, "{before} MiB before, {during} MiB during; frames are {frames} MiB");
+    assert!(
+        during <= before + frames + 200 / 4 + 64,
+        "{before} MiB before, {during} MiB during; frames are {frames} MiB"
+    );
     drop(clients);
 }

@@ -3,7 +3,10 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use mlswarp::deform::{Coincident, CoincidentPolicy, DeformError, Field, Handle, Handles, Plan, Pose, Warning, pose_without_table};
+use mlswarp::deform::{
+    Coincident, CoincidentPolicy, DeformError, Field, Handle, Handles, Plan, Pose, Warning,
+    pose_without_table,
+};
 use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Folds, GridSpec, Method, Posed, RestSpec, Setup, WarpError};
@@ -28,7 +31,11 @@ struct Set {
 
 impl Set {
     fn field(&self, smoothing: f64) -> Field {
-        Field::spline(Handles::new(handles(&self.p), Some(self.weights.clone())).unwrap(), smoothing).unwrap()
+        Field::spline(
+            Handles::new(handles(&self.p), Some(self.weights.clone())).unwrap(),
+            smoothing,
+        )
+        .unwrap()
     }
 
     fn posed(&self, smoothing: f64) -> (Field, Pose) {
@@ -38,7 +45,10 @@ impl Set {
     }
 
     fn mapped(&self, f: impl Fn(Point) -> Point) -> Self {
-        Self { q: self.p.iter().map(|p| f(*p)).collect(), ..self.clone() }
+        Self {
+            q: self.p.iter().map(|p| f(*p)).collect(),
+            ..self.clone()
+        }
     }
 }
 
@@ -47,33 +57,63 @@ fn sets(least: usize) -> impl Strategy<Value = Set> {
     let cells = proptest::sample::subsequence((0..25u8).collect::<Vec<_>>(), least..=12);
     let places = proptest::collection::vec((0.1f64..0.9, 0.1f64..0.9), 12);
     let moved = proptest::collection::vec((-60.0f64..60.0, -60.0f64..60.0), 12);
-    (cells, places, moved, proptest::collection::vec(0.2f64..5.0, 12)).prop_map(|(cells, places, moved, weights)| {
-        let at = |(cell, (x, y)): (&u8, &(f64, f64))| Point::new(100.0 * (f64::from(cell % 5) + x), 100.0 * (f64::from(cell / 5) + y));
-        let p: Vec<Point> = cells.iter().zip(&places).map(at).collect();
-        let q = p.iter().zip(&moved).map(|(p, (x, y))| *p + Vec2::new(*x, *y)).collect();
-        Set { weights: weights[..p.len()].to_vec(), p, q }
-    })
+    (
+        cells,
+        places,
+        moved,
+        proptest::collection::vec(0.2f64..5.0, 12),
+    )
+        .prop_map(|(cells, places, moved, weights)| {
+            let at = |(cell, (x, y)): (&u8, &(f64, f64))| {
+                Point::new(
+                    100.0 * (f64::from(cell % 5) + x),
+                    100.0 * (f64::from(cell / 5) + y),
+                )
+            };
+            let p: Vec<Point> = cells.iter().zip(&places).map(at).collect();
+            let q = p
+                .iter()
+                .zip(&moved)
+                .map(|(p, (x, y))| *p + Vec2::new(*x, *y))
+                .collect();
+            Set {
+                weights: weights[..p.len()].to_vec(),
+                p,
+                q,
+            }
+        })
 }
 
 fn places() -> impl Strategy<Value = Vec<Point>> {
-    proptest::collection::vec((-100.0f64..600.0, -100.0f64..600.0).prop_map(|(x, y)| Point::new(x, y)), 6)
+    proptest::collection::vec(
+        (-100.0f64..600.0, -100.0f64..600.0).prop_map(|(x, y)| Point::new(x, y)),
+        6,
+    )
 }
 
 fn smoothing() -> impl Strategy<Value = f64> {
-    prop_oneof![Just(0.0), (-6.0f64..4.0).prop_map(|exponent| 10f64.powf(exponent))]
+    prop_oneof![
+        Just(0.0),
+        (-6.0f64..4.0).prop_map(|exponent| 10f64.powf(exponent))
+    ]
 }
 
 /// Solves `a x = b` by elimination with pivots.
 fn eliminated(mut a: Vec<Vec<f64>>, mut b: Vec<Vec2>) -> Vec<Vec2> {
     let n = b.len();
     for c in 0..n {
-        let pivot = (c..n).max_by(|i, j| a[*i][c].abs().total_cmp(&a[*j][c].abs())).unwrap();
+        let pivot = (c..n)
+            .max_by(|i, j| a[*i][c].abs().total_cmp(&a[*j][c].abs()))
+            .unwrap();
         a.swap(c, pivot);
         b.swap(c, pivot);
         for row in c + 1..n {
             let share = a[row][c] / a[c][c];
             let (above, below) = a.split_at_mut(row);
-            below[0][c..].iter_mut().zip(&above[c][c..]).for_each(|(x, known)| *x -= share * known);
+            below[0][c..]
+                .iter_mut()
+                .zip(&above[c][c..])
+                .for_each(|(x, known)| *x -= share * known);
             let known = b[c] * share;
             b[row] = b[row] - known;
         }
@@ -91,7 +131,10 @@ fn eliminated(mut a: Vec<Vec<f64>>, mut b: Vec<Vec2>) -> Vec<Vec2> {
 /// The spline by its definition, in the normalised coordinates of the contract.
 fn bookstein(set: &Set, smoothing: f64, places: &[Point]) -> Vec<Point> {
     let n = set.p.len();
-    let sum = set.p.iter().fold(Vec2::ZERO, |sum, p| sum + (*p - Point::default()));
+    let sum = set
+        .p
+        .iter()
+        .fold(Vec2::ZERO, |sum, p| sum + (*p - Point::default()));
     let mean = Point::default() + sum * (1.0 / n as f64);
     let unit = (set.p.iter().map(|p| (*p - mean).norm2()).sum::<f64>() / n as f64).sqrt();
     let at = |p: Point| (p - mean) * (1.0 / unit);
@@ -116,7 +159,11 @@ fn bookstein(set: &Set, smoothing: f64, places: &[Point]) -> Vec<Point> {
     let map = |v: &Point| {
         let here = at(*v);
         let polynomials = w[n] + w[n + 1] * here.x + w[n + 2] * here.y;
-        *v + set.p.iter().zip(&w).fold(polynomials, |sum, (p, w)| sum + *w * u(here, at(*p)))
+        *v + set
+            .p
+            .iter()
+            .zip(&w)
+            .fold(polynomials, |sum, (p, w)| sum + *w * u(here, at(*p)))
     };
     places.iter().map(map).collect()
 }
@@ -282,13 +329,24 @@ proptest! {
 fn a_spline_of_points_a_hair_apart_is_finite() {
     let size = 10f64.powf(-3.094_024_258_833_591_6);
     for exponent in [-9.2, -8.575_902_570_309_777, -8.0, -7.0] {
-        let (a, b) = (Point::new(210.0 * size, 10.0 * size), Point::new(482.837_072_702_206_34 * size, 210.0 * size));
+        let (a, b) = (
+            Point::new(210.0 * size, 10.0 * size),
+            Point::new(482.837_072_702_206_34 * size, 210.0 * size),
+        );
         let p = [a, b, b + Vec2::new(size * 10f64.powf(2.0 + exponent), 0.0)];
-        let q = [Point::new(210.0, 10.0), Point::new(480.0, 200.0), Point::new(1e6, -1e6)];
+        let q = [
+            Point::new(210.0, 10.0),
+            Point::new(480.0, 200.0),
+            Point::new(1e6, -1e6),
+        ];
         let field = Field::spline(Handles::new(handles(&p), None).unwrap(), 0.0).unwrap();
         let pose = field.pose(&handles(&q)).unwrap();
         for v in [Point::new(0.0, 0.0), Point::new(1e6, -1e6), a, b] {
-            assert!(field.map(&pose, v).is_finite(), "{exponent}, {v:?}: {:?}", field.map(&pose, v));
+            assert!(
+                field.map(&pose, v).is_finite(),
+                "{exponent}, {v:?}: {:?}",
+                field.map(&pose, v)
+            );
         }
     }
 }
@@ -296,7 +354,14 @@ fn a_spline_of_points_a_hair_apart_is_finite() {
 /// The x coordinates of a set, on a line that is not straight to the last bit.
 fn on_a_line(set: &Set) -> Set {
     Set {
-        p: set.p.iter().zip(1..).map(|(p, k)| Point::new(0.6, 1.3) + Vec2::new(0.8, 0.6) * (0.1 * p.x + 50.0 * f64::from(k))).collect(),
+        p: set
+            .p
+            .iter()
+            .zip(1..)
+            .map(|(p, k)| {
+                Point::new(0.6, 1.3) + Vec2::new(0.8, 0.6) * (0.1 * p.x + 50.0 * f64::from(k))
+            })
+            .collect(),
         ..set.clone()
     }
 }
@@ -304,12 +369,23 @@ fn on_a_line(set: &Set) -> Set {
 #[test]
 fn spline_of_nothing_and_of_one_position() {
     let v = Point::new(70.0, 30.0);
-    let none = Set { p: vec![], q: vec![], weights: vec![] };
+    let none = Set {
+        p: vec![],
+        q: vec![],
+        weights: vec![],
+    };
     let (field, pose) = none.posed(0.0);
     assert_eq!((field.map(&pose, v), field.warnings(&pose)), (v, vec![]));
-    for (p, q) in [(vec![(10.0, 20.0)], (15.0, 18.0)), (vec![(10.0, 20.0); 3], (15.0, 18.0))] {
+    for (p, q) in [
+        (vec![(10.0, 20.0)], (15.0, 18.0)),
+        (vec![(10.0, 20.0); 3], (15.0, 18.0)),
+    ] {
         let p: Vec<Point> = p.into_iter().map(|(x, y)| Point::new(x, y)).collect();
-        let set = Set { q: vec![Point::new(q.0, q.1); p.len()], weights: vec![2.0; p.len()], p };
+        let set = Set {
+            q: vec![Point::new(q.0, q.1); p.len()],
+            weights: vec![2.0; p.len()],
+            p,
+        };
         for smoothing in [0.0, 0.5] {
             let (field, pose) = set.posed(smoothing);
             assert!(field.map(&pose, v).distance(v + Vec2::new(5.0, -2.0)) < 1e-12);
@@ -320,38 +396,86 @@ fn spline_of_nothing_and_of_one_position() {
 
 #[test]
 fn spline_refuses_what_it_does_not_take() {
-    let points = || Handles::new(handles(&[Point::new(1.0, 2.0), Point::new(30.0, 5.0)]), None).unwrap();
+    let points = || {
+        Handles::new(
+            handles(&[Point::new(1.0, 2.0), Point::new(30.0, 5.0)]),
+            None,
+        )
+        .unwrap()
+    };
     for value in [-1e-9, 1.1e9, f64::INFINITY] {
-        assert_eq!(Field::spline(points(), value).unwrap_err(), DeformError::BadSmoothing { value });
+        assert_eq!(
+            Field::spline(points(), value).unwrap_err(),
+            DeformError::BadSmoothing { value }
+        );
     }
-    assert!(matches!(Field::spline(points(), f64::NAN), Err(DeformError::BadSmoothing { .. })));
+    assert!(matches!(
+        Field::spline(points(), f64::NAN),
+        Err(DeformError::BadSmoothing { .. })
+    ));
     let line = Handle::Polyline(vec![Point::new(1.0, 2.0), Point::new(3.0, 4.0)]);
-    let mixed = Handles::new([handles(&[Point::new(0.0, 0.0)]), vec![line]].concat(), None).unwrap();
-    assert_eq!(Field::spline(mixed, 0.0).unwrap_err(), DeformError::LineInSpline { handle: 1 });
+    let mixed = Handles::new(
+        [handles(&[Point::new(0.0, 0.0)]), vec![line]].concat(),
+        None,
+    )
+    .unwrap();
+    assert_eq!(
+        Field::spline(mixed, 0.0).unwrap_err(),
+        DeformError::LineInSpline { handle: 1 }
+    );
 }
 
 /// A group of points is one handle, whatever the policy; the mean of a group may lie on another point.
 #[test]
 fn spline_moves_coincident_points_by_their_mean() {
     let at = |x: f64, y: f64| Point::new(x, y);
-    let p = [at(10.0, 20.0), at(90.0, 15.0), at(20.0, 80.0), at(10.0, 20.0)];
-    let q = [at(14.0, 20.0), at(90.0, 25.0), at(20.0, 80.0), at(10.0, 26.0)];
+    let p = [
+        at(10.0, 20.0),
+        at(90.0, 15.0),
+        at(20.0, 80.0),
+        at(10.0, 20.0),
+    ];
+    let q = [
+        at(14.0, 20.0),
+        at(90.0, 25.0),
+        at(20.0, 80.0),
+        at(10.0, 26.0),
+    ];
     let field = |policy, within, p: &[Point]| {
         let rest = Handles::new(handles(p), None).unwrap();
         Field::spline_unless(rest, Coincident { policy, within }, 0.0, &|| false).unwrap()
     };
     let mean = field(CoincidentPolicy::Mean, 0.0, &p);
     let pose = mean.pose(&handles(&q)).unwrap();
-    assert_eq!((mean.groups(), mean.warnings(&pose)), (vec![vec![0, 3]], vec![Warning::CoincidentHandles]));
-    assert!(mean.map(&pose, p[0]).distance(at(12.0, 23.0)) < 1e-9, "{:?}", mean.map(&pose, p[0]));
+    assert_eq!(
+        (mean.groups(), mean.warnings(&pose)),
+        (vec![vec![0, 3]], vec![Warning::CoincidentHandles])
+    );
+    assert!(
+        mean.map(&pose, p[0]).distance(at(12.0, 23.0)) < 1e-9,
+        "{:?}",
+        mean.map(&pose, p[0])
+    );
     assert!(mean.map(&pose, p[1]).distance(q[1]) < 1e-9);
-    let refused = field(CoincidentPolicy::Reject, 0.0, &p).pose(&handles(&q)).unwrap_err();
-    assert!(matches!(refused, DeformError::Contradictory { total: 1, .. }), "{refused:?}");
+    let refused = field(CoincidentPolicy::Reject, 0.0, &p)
+        .pose(&handles(&q))
+        .unwrap_err();
+    assert!(
+        matches!(refused, DeformError::Contradictory { total: 1, .. }),
+        "{refused:?}"
+    );
 
     // A ring, whose mean is the point in its middle.
-    let mut p: Vec<Point> =
-        (0..8).map(|k| f64::from(k) * std::f64::consts::FRAC_PI_4).map(|a| at(50.0 + 8.0 * a.cos(), 50.0 + 8.0 * a.sin())).collect();
-    p.extend([at(50.0, 50.0), at(0.0, 0.0), at(200.0, 10.0), at(20.0, 170.0)]);
+    let mut p: Vec<Point> = (0..8)
+        .map(|k| f64::from(k) * std::f64::consts::FRAC_PI_4)
+        .map(|a| at(50.0 + 8.0 * a.cos(), 50.0 + 8.0 * a.sin()))
+        .collect();
+    p.extend([
+        at(50.0, 50.0),
+        at(0.0, 0.0),
+        at(200.0, 10.0),
+        at(20.0, 170.0),
+    ]);
     let mut q = p.clone();
     q[8] = at(58.0, 50.0);
     let ring = field(CoincidentPolicy::Mean, 7.0, &p);
@@ -359,7 +483,10 @@ fn spline_moves_coincident_points_by_their_mean() {
     let pose = ring.pose(&handles(&q)).unwrap();
     // The group of eight stays, and has eight times the weight of the one that moves by 8 px.
     let middle = ring.map(&pose, at(50.0, 50.0));
-    assert!(middle.distance(at(50.0 + 8.0 / 9.0, 50.0)) < 1e-6, "{middle:?}");
+    assert!(
+        middle.distance(at(50.0 + 8.0 / 9.0, 50.0)) < 1e-6,
+        "{middle:?}"
+    );
 }
 
 fn scattered(count: u32) -> Vec<Point> {
@@ -368,7 +495,9 @@ fn scattered(count: u32) -> Vec<Point> {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         f64::from(state >> 8) / f64::from(1 << 24)
     };
-    (0..count).map(|_| Point::new(400.0 * next(), 300.0 * next())).collect()
+    (0..count)
+        .map(|_| Point::new(400.0 * next(), 300.0 * next()))
+        .collect()
 }
 
 #[test]
@@ -376,15 +505,23 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     let rest = Handles::new(handles(&scattered(120)), None).unwrap();
     let asked = AtomicUsize::new(0);
     assert!(
-        Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) == usize::MAX).is_ok()
+        Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked
+            .fetch_add(1, Ordering::Relaxed)
+            == usize::MAX)
+        .is_ok()
     );
     let looks = asked.into_inner();
     // Each point, each row and each panel.
     assert!(looks >= 120 + 120 + 120 / 8, "{looks}");
     for after in [0, 1, looks / 2, looks - 1] {
         let asked = AtomicUsize::new(0);
-        let given_up = Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked.fetch_add(1, Ordering::Relaxed) >= after);
-        assert_eq!((given_up.unwrap_err(), asked.into_inner()), (DeformError::Cancelled, after + 1));
+        let given_up = Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| {
+            asked.fetch_add(1, Ordering::Relaxed) >= after
+        });
+        assert_eq!(
+            (given_up.unwrap_err(), asked.into_inner()),
+            (DeformError::Cancelled, after + 1)
+        );
     }
 }
 
@@ -392,25 +529,68 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
 fn spline_of_many_points_is_posed_without_a_table() {
     let extent = Extent::new(400, 300).unwrap();
     let setup = |count: u32, method, smoothing| {
-        let rest = RestSpec { p: handles(&scattered(count)), method, smoothing, grid: GridSpec::Cell(20.0), ..RestSpec::default() };
+        let rest = RestSpec {
+            p: handles(&scattered(count)),
+            method,
+            smoothing,
+            grid: GridSpec::Cell(20.0),
+            ..RestSpec::default()
+        };
         Setup::new(&rest, extent, &limits())
     };
     for (count, has_table) in [(64, true), (65, false)] {
-        assert_eq!(setup(count, Method::ThinPlateSpline, None).unwrap().plan_bytes().is_some(), has_table, "{count}");
+        assert_eq!(
+            setup(count, Method::ThinPlateSpline, None)
+                .unwrap()
+                .plan_bytes()
+                .is_some(),
+            has_table,
+            "{count}"
+        );
     }
-    assert!(setup(65, Method::Affine, None).unwrap().plan_bytes().is_some());
+    assert!(
+        setup(65, Method::Affine, None)
+            .unwrap()
+            .plan_bytes()
+            .is_some()
+    );
     let error = setup(2001, Method::ThinPlateSpline, None).unwrap_err();
-    assert_eq!(error, WarpError::TooLarge { what: "spline_handles", limit: 2000, actual: 2001 });
-    assert_eq!(setup(9, Method::Affine, Some(0.0)).unwrap_err(), WarpError::ForeignParameter { parameter: "smoothing" });
+    assert_eq!(
+        error,
+        WarpError::TooLarge {
+            what: "spline_handles",
+            limit: 2000,
+            actual: 2001
+        }
+    );
+    assert_eq!(
+        setup(9, Method::Affine, Some(0.0)).unwrap_err(),
+        WarpError::ForeignParameter {
+            parameter: "smoothing"
+        }
+    );
 
     let p = scattered(100);
-    let set = Set { q: p.iter().map(|p| *p + Vec2::new(4.0 * (p.y / 30.0).sin(), 3.0)).collect(), weights: vec![1.0; p.len()], p };
+    let set = Set {
+        q: p.iter()
+            .map(|p| *p + Vec2::new(4.0 * (p.y / 30.0).sin(), 3.0))
+            .collect(),
+        weights: vec![1.0; p.len()],
+        p,
+    };
     let (field, pose) = set.posed(0.0);
     let grid = Grid::with_counts(400.0, 300.0, 20, 15);
-    let (table, without) =
-        (Plan::of_grid(&field, &grid).pose(&grid, &pose).0, pose_without_table(&field, &grid, &pose, &|| false).unwrap().0);
+    let (table, without) = (
+        Plan::of_grid(&field, &grid).pose(&grid, &pose).0,
+        pose_without_table(&field, &grid, &pose, &|| false)
+            .unwrap()
+            .0,
+    );
     for (a, b) in table.displacement().iter().zip(without.displacement()) {
-        assert!((a[0] - b[0]).abs() < 1e-3 && (a[1] - b[1]).abs() < 1e-3, "{a:?} {b:?}");
+        assert!(
+            (a[0] - b[0]).abs() < 1e-3 && (a[1] - b[1]).abs() < 1e-3,
+            "{a:?} {b:?}"
+        );
     }
 }
 
@@ -418,57 +598,137 @@ fn spline_of_many_points_is_posed_without_a_table() {
 fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
     let extent = Extent::new(400, 300).unwrap();
     let set: Vec<Point> = scattered(9);
-    let posed: Vec<Point> = set.iter().zip(0..).map(|(p, k)| *p + Vec2::new(20.0 * f64::from(k % 2), 5.0)).collect();
+    let posed: Vec<Point> = set
+        .iter()
+        .zip(0..)
+        .map(|(p, k)| *p + Vec2::new(20.0 * f64::from(k % 2), 5.0))
+        .collect();
     let residual = |smoothing| {
-        let rest =
-            RestSpec { p: handles(&set), method: Method::ThinPlateSpline, smoothing, grid: GridSpec::Cell(2.0), ..RestSpec::default() };
+        let rest = RestSpec {
+            p: handles(&set),
+            method: Method::ThinPlateSpline,
+            smoothing,
+            grid: GridSpec::Cell(2.0),
+            ..RestSpec::default()
+        };
         let setup = Setup::new(&rest, extent, &limits()).unwrap();
-        assert_eq!((setup.alpha(), setup.point_mass(), setup.smoothing()), (None, None, Some(smoothing.unwrap_or(0.0))));
+        assert_eq!(
+            (setup.alpha(), setup.point_mass(), setup.smoothing()),
+            (None, None, Some(smoothing.unwrap_or(0.0)))
+        );
         let pose = setup.pose(&handles(&posed)).unwrap();
         let mapped = setup.transform(&pose).map(&set, &|| false).unwrap();
-        let off = mapped.iter().flatten().zip(&posed).map(|(f, q)| f.distance(*q)).fold(0.0, f64::max);
-        (Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap().report().residual, off, setup.plan_key())
+        let off = mapped
+            .iter()
+            .flatten()
+            .zip(&posed)
+            .map(|(f, q)| f.distance(*q))
+            .fold(0.0, f64::max);
+        (
+            Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false)
+                .unwrap()
+                .report()
+                .residual,
+            off,
+            setup.plan_key(),
+        )
     };
-    let ((drawn, off, key), (drawn_smooth, off_smooth, key_smooth)) = (residual(None), residual(Some(0.1)));
+    let ((drawn, off, key), (drawn_smooth, off_smooth, key_smooth)) =
+        (residual(None), residual(Some(0.1)));
     assert!(drawn < 0.1 && off < 1e-9, "{drawn} {off}");
     // f is off its targets by pixels; what is drawn is not off f.
-    assert!(drawn_smooth < 0.1 && off_smooth > 2.0, "{drawn_smooth} {off_smooth}");
+    assert!(
+        drawn_smooth < 0.1 && off_smooth > 2.0,
+        "{drawn_smooth} {off_smooth}"
+    );
     assert!(key != key_smooth && key == residual(Some(0.0)).2);
 }
 
 #[tokio::test]
 async fn spline_sessions_keep_their_smoothing_and_map_points_as_drawn() {
     let server = Server::start(&[]).await;
-    let (p, q) = (json!([[4, 4], [60, 5], [8, 40], [50, 44], [30, 20]]), json!([[6, 4], [58, 9], [8, 44], [50, 40], [34, 26]]));
-    let id = server.session(&photo(64, 48), &json!({"p": p, "method": "tps", "smoothing": 0.1})).await;
+    let (p, q) = (
+        json!([[4, 4], [60, 5], [8, 40], [50, 44], [30, 20]]),
+        json!([[6, 4], [58, 9], [8, 44], [50, 40], [34, 26]]),
+    );
+    let id = server
+        .session(
+            &photo(64, 48),
+            &json!({"p": p, "method": "tps", "smoothing": 0.1}),
+        )
+        .await;
     let path = format!("/sessions/{id}");
     let told = |response: reqwest::Response| async { response.json::<Value>().await.unwrap() };
     let object = told(server.get(&path).send().await.unwrap()).await;
-    assert_eq!((&object["method"], &object["smoothing"]), (&json!("tps"), &json!(0.1)));
-    assert!(object.get("alpha").is_none() && object.get("point_mass").is_none(), "{object}");
+    assert_eq!(
+        (&object["method"], &object["smoothing"]),
+        (&json!("tps"), &json!(0.1))
+    );
+    assert!(
+        object.get("alpha").is_none() && object.get("point_mass").is_none(),
+        "{object}"
+    );
 
     let once = json!({"p": p, "q": q, "method": "tps", "smoothing": 0.1, "extent": [64, 48], "points": [[1, 2], [30, 20], [63, 47]]});
     let once = told(server.post("/points").json(&once).send().await.unwrap()).await;
-    let mapped = server.post(&format!("{path}/points")).json(&json!({"q": q, "points": [[1, 2], [30, 20], [63, 47]]}));
+    let mapped = server
+        .post(&format!("{path}/points"))
+        .json(&json!({"q": q, "points": [[1, 2], [30, 20], [63, 47]]}));
     assert_eq!(told(mapped.send().await.unwrap()).await, once);
-    assert!(once["points"][1][0].as_f64().unwrap() < 33.9, "smoothing holds the middle back: {once}");
-    let (drawn, again) = (server.drag(&id, &json!({"q": q})).await, server.drag(&id, &json!({"q": q})).await);
-    assert_eq!((drawn.status(), &drawn.headers()["etag"]), (reqwest::StatusCode::OK, &again.headers()["etag"]));
-    assert!(drawn.headers()["warp-residual"].to_str().unwrap().parse::<f64>().unwrap() < 0.5, "{:?}", drawn.headers());
+    assert!(
+        once["points"][1][0].as_f64().unwrap() < 33.9,
+        "smoothing holds the middle back: {once}"
+    );
+    let (drawn, again) = (
+        server.drag(&id, &json!({"q": q})).await,
+        server.drag(&id, &json!({"q": q})).await,
+    );
+    assert_eq!(
+        (drawn.status(), &drawn.headers()["etag"]),
+        (reqwest::StatusCode::OK, &again.headers()["etag"])
+    );
+    assert!(
+        drawn.headers()["warp-residual"]
+            .to_str()
+            .unwrap()
+            .parse::<f64>()
+            .unwrap()
+            < 0.5,
+        "{:?}",
+        drawn.headers()
+    );
 
     let handles = |body: Value| {
-        let request = server.client.put(server.url(&format!("{path}/handles"))).json(&body);
+        let request = server
+            .client
+            .put(server.url(&format!("{path}/handles")))
+            .json(&body);
         async { request.send().await.unwrap() }
     };
-    let other = told(handles(json!({"p": [[4, 4], [60, 5], [8, 41], [50, 44], [30, 20]]})).await).await;
-    assert_eq!((&other["method"], &other["smoothing"]), (&json!("tps"), &json!(0.1)));
+    let other =
+        told(handles(json!({"p": [[4, 4], [60, 5], [8, 41], [50, 44], [30, 20]]})).await).await;
+    assert_eq!(
+        (&other["method"], &other["smoothing"]),
+        (&json!("tps"), &json!(0.1))
+    );
     let exact = told(handles(json!({"smoothing": 0})).await).await;
     assert_eq!(exact["smoothing"], json!(0.0));
-    assert_ne!(server.drag(&id, &json!({"q": q})).await.headers()["etag"], drawn.headers()["etag"]);
+    assert_ne!(
+        server.drag(&id, &json!({"q": q})).await.headers()["etag"],
+        drawn.headers()["etag"]
+    );
     problem(handles(json!({"alpha": 2})).await, 422, "bad_value").await;
-    problem(handles(json!({"p": [[1, 1], [[2, 2], [3, 3]]]})).await, 422, "bad_value").await;
+    problem(
+        handles(json!({"p": [[1, 1], [[2, 2], [3, 3]]]})).await,
+        422,
+        "bad_value",
+    )
+    .await;
     let rigid = told(handles(json!({"method": "rigid"})).await).await;
-    assert_eq!((&rigid["method"], &rigid["alpha"], rigid.get("smoothing")), (&json!("rigid"), &json!(1.0), None));
+    assert_eq!(
+        (&rigid["method"], &rigid["alpha"], rigid.get("smoothing")),
+        (&json!("rigid"), &json!(1.0), None)
+    );
     problem(handles(json!({"smoothing": 0.1})).await, 422, "bad_value").await;
     server.is_well().await;
 }

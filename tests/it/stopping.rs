@@ -33,7 +33,11 @@ async fn sent(program: &Program, bytes: &[u8]) -> TcpStream {
 
 /// Whoever came was accepted when one that came later is answered.
 async fn accepted(program: &Program) {
-    assert!(answer(sent(program, b"GET /healthz HTTP/1.0\r\n\r\n").await).await.contains("200 OK"));
+    assert!(
+        answer(sent(program, b"GET /healthz HTTP/1.0\r\n\r\n").await)
+            .await
+            .contains("200 OK")
+    );
 }
 
 /// All that comes until the connection ends.
@@ -45,7 +49,9 @@ async fn answer(mut stream: TcpStream) -> String {
 
 /// It ends by itself, and with 0.
 async fn ends(program: Program) -> String {
-    let (status, log) = tokio::task::spawn_blocking(move || program.wait()).await.unwrap();
+    let (status, log) = tokio::task::spawn_blocking(move || program.wait())
+        .await
+        .unwrap();
     assert_eq!(status.code(), Some(0), "{log}");
     log
 }
@@ -62,7 +68,9 @@ async fn while_it_leaves_it_serves_and_says_that_it_is_not_ready() {
     let program = Program::start(&["--drain-delay", "4s", "--log-format", "json"]);
     let at = |path: &str| format!("http://{}{path}", program.address);
     let client = Client::new();
-    let upload = client.post(at("/sessions")).multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
+    let upload = client
+        .post(at("/sessions"))
+        .multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
     let session: Value = upload.send().await.unwrap().json().await.unwrap();
     let id = session["id"].as_str().unwrap().to_owned();
     let ready = client.get(at("/readyz")).send().await.unwrap();
@@ -76,26 +84,54 @@ async fn while_it_leaves_it_serves_and_says_that_it_is_not_ready() {
         if answer.status() == 503 {
             break answer;
         }
-        assert!(told.elapsed() < Duration::from_secs(2), "it still says that it is ready");
+        assert!(
+            told.elapsed() < Duration::from_secs(2),
+            "it still says that it is ready"
+        );
     };
-    assert_eq!((&leaving.headers()["retry-after"], &leaving.headers()["connection"]), (&"1".parse().unwrap(), &"close".parse().unwrap()));
+    assert_eq!(
+        (
+            &leaving.headers()["retry-after"],
+            &leaving.headers()["connection"]
+        ),
+        (&"1".parse().unwrap(), &"close".parse().unwrap())
+    );
     assert_eq!(leaving.json::<Value>().await.unwrap()["code"], "overloaded");
     // Newcomers and those who are there are served, on connections that are not kept.
-    let answer = client.post(at(&format!("/sessions/{id}/warp"))).json(&json!({"q": [[44, 44]]})).send().await.unwrap();
+    let answer = client
+        .post(at(&format!("/sessions/{id}/warp")))
+        .json(&json!({"q": [[44, 44]]}))
+        .send()
+        .await
+        .unwrap();
     assert!(answer.status() == 200 && answer.headers()["connection"] == "close");
-    assert_eq!(client.get(at("/healthz")).send().await.unwrap().status(), 200);
+    assert_eq!(
+        client.get(at("/healthz")).send().await.unwrap().status(),
+        200
+    );
     let mut late = DragClient::open(program.address, &id, "").await;
     for drag in [&mut drag, &mut late] {
         drag.pose(1, &json!([[44, 44]])).await;
         assert_eq!(drag.frame().await.0, 1);
     }
-    assert!(told.elapsed() < Duration::from_secs(4), "this machine is too slow to see anything");
+    assert!(
+        told.elapsed() < Duration::from_secs(4),
+        "this machine is too slow to see anything"
+    );
 
     assert_eq!((drag.closed().await, late.closed().await), (1012, 1012));
-    assert!(told.elapsed() >= Duration::from_millis(3500), "not before its time");
+    assert!(
+        told.elapsed() >= Duration::from_millis(3500),
+        "not before its time"
+    );
     let log = ends(program).await;
-    let place = |words: &str| log.find(words).unwrap_or_else(|| panic!("{words} in {log}"));
-    assert!(place("leaving") < place("\"stopping\"") && place("\"stopping\"") < place("\"stopped\""));
+    let place = |words: &str| {
+        log.find(words)
+            .unwrap_or_else(|| panic!("{words} in {log}"))
+    };
+    assert!(
+        place("leaving") < place("\"stopping\"") && place("\"stopping\"") < place("\"stopped\"")
+    );
 }
 
 #[tokio::test]
@@ -103,7 +139,12 @@ async fn what_has_begun_is_finished_and_nobody_else_comes() {
     let program = Program::start(&[]);
     let url = format!("http://{}/warp", program.address);
     let spec = json!({"p": [[100, 100]], "q": [[140, 130]], "output": {"compression": "best"}});
-    let begun = Client::new().post(&url).multipart(form(&photo(2400, 1600), spec.to_string())).send().await.unwrap();
+    let begun = Client::new()
+        .post(&url)
+        .multipart(form(&photo(2400, 1600), spec.to_string()))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(begun.status(), 200);
     program.terminate();
     // Its head has come; the rest of the picture comes while the program stops.
@@ -133,18 +174,30 @@ async fn who_has_sent_a_part_of_a_head_is_not_waited_for() {
         let program = Program::start(&options);
         let mut parts = Vec::new();
         // The beginning of a handshake, or of a request, also where TLS is spoken.
-        for part in if tls { &[b"\x16\x03\x01", PARTS[1]] } else { &PARTS[..] } {
+        for part in if tls {
+            &[b"\x16\x03\x01", PARTS[1]]
+        } else {
+            &PARTS[..]
+        } {
             parts.push(sent(&program, part).await);
         }
         if !tls {
             // One that had a request before.
-            let mut stream = sent(&program, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").await;
+            let mut stream = sent(
+                &program,
+                b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
+            )
+            .await;
             assert!(stream.read(&mut [0; 4096]).await.unwrap() > 0);
             stream.write_all(PARTS[1]).await.unwrap();
             parts.push(stream);
             accepted(&program).await;
         } else {
-            assert!(answer(sent(&program, b"GET / HTTP/1.0\r\n\r\n").await).await.contains("https://"));
+            assert!(
+                answer(sent(&program, b"GET / HTTP/1.0\r\n\r\n").await)
+                    .await
+                    .contains("https://")
+            );
         }
         program.terminate();
         ends(program).await;
@@ -169,10 +222,19 @@ async fn who_has_sent_a_whole_head_is_waited_for() {
 
 #[tokio::test]
 async fn a_second_signal_waits_for_neither_delay_nor_grace_and_a_third_changes_nothing() {
-    let program = Program::start(&["--drain-delay", "10m", "--shutdown-grace", "10m", "--body-timeout", "10m"]);
+    let program = Program::start(&[
+        "--drain-delay",
+        "10m",
+        "--shutdown-grace",
+        "10m",
+        "--body-timeout",
+        "10m",
+    ]);
     let at = |path: &str| format!("http://{}{path}", program.address);
     let client = Client::new();
-    let upload = client.post(at("/sessions")).multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
+    let upload = client
+        .post(at("/sessions"))
+        .multipart(form(&photo(128, 96), json!({"p": [[30, 40]]}).to_string()));
     let session: Value = upload.send().await.unwrap().json().await.unwrap();
     let mut drag = DragClient::open(program.address, session["id"].as_str().unwrap(), "").await;
     let begun = sent(&program, HALF).await;
@@ -184,6 +246,10 @@ async fn a_second_signal_waits_for_neither_delay_nor_grace_and_a_third_changes_n
     program.terminate();
     let log = ends(program).await;
     assert!(log.contains("second signal"), "{log}");
-    assert!(told.elapsed() < Duration::from_secs(10), "{:?}", told.elapsed());
+    assert!(
+        told.elapsed() < Duration::from_secs(10),
+        "{:?}",
+        told.elapsed()
+    );
     assert_eq!(answer(begun).await, "", "its time was over");
 }

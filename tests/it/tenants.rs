@@ -26,7 +26,11 @@ struct Name<'a> {
 
 impl<'a> Name<'a> {
     fn new(server: &'a Server, key: &'static str) -> Self {
-        Self { server, key, seen: Vec::new() }
+        Self {
+            server,
+            key,
+            seen: Vec::new(),
+        }
     }
 
     /// Sends a request, and notes what differs only by what others have stored.
@@ -40,27 +44,50 @@ impl<'a> Name<'a> {
             .map(|(name, value)| format!("{name}: {}", value.to_str().unwrap()))
             .collect();
         headers.sort_unstable();
-        let is_json = headers.iter().any(|header| header.starts_with("content-type: application/") && header.contains("json"));
+        let is_json = headers.iter().any(|header| {
+            header.starts_with("content-type: application/") && header.contains("json")
+        });
         let body = response.bytes().await.unwrap();
-        let mut told: Value = if is_json { serde_json::from_slice(&body).unwrap() } else { Value::Null };
+        let mut told: Value = if is_json {
+            serde_json::from_slice(&body).unwrap()
+        } else {
+            Value::Null
+        };
         let answer = told.clone();
         if let Some(members) = told.as_object_mut() {
-            members.retain(|name, _| !["id", "request_id", "created", "expires", "rest_revision"].contains(&name.as_str()));
+            members.retain(|name, _| {
+                !["id", "request_id", "created", "expires", "rest_revision"]
+                    .contains(&name.as_str())
+            });
         }
-        self.seen.push(format!("{what}: {status} {headers:?} {told}"));
+        self.seen
+            .push(format!("{what}: {status} {headers:?} {told}"));
         answer
     }
 
     /// Notes the metrics, without those of times.
     async fn scrape(&mut self, what: &str) {
         let budget = self.server.app.budget();
-        eventually("answers have left", || budget.taken_for(Purpose::Frame) == 0).await;
+        eventually("answers have left", || {
+            budget.taken_for(Purpose::Frame) == 0
+        })
+        .await;
         let request = self.server.get("/metrics").bearer_auth(self.key);
         let text = request.send().await.unwrap().text().await.unwrap();
-        let is_of_time = |line: &&str| ["_seconds", "resident", "connections", "busy"].iter().any(|name| line.contains(name));
-        let mut lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#') && !is_of_time(line)).collect();
+        let is_of_time = |line: &&str| {
+            ["_seconds", "resident", "connections", "busy"]
+                .iter()
+                .any(|name| line.contains(name))
+        };
+        let mut lines: Vec<&str> = text
+            .lines()
+            .filter(|line| !line.starts_with('#') && !is_of_time(line))
+            .collect();
         lines.sort_unstable();
-        assert!(lines.len() > 40 && text.contains("mlswarp_store_size_bytes"), "{text}");
+        assert!(
+            lines.len() > 40 && text.contains("mlswarp_store_size_bytes"),
+            "{text}"
+        );
         self.seen.push(format!("{what}: {}", lines.join("\n")));
     }
 }
@@ -74,38 +101,99 @@ async fn seen_by_bob(store: &str, anns: [&[u8]; 2], bobs: [&[u8]; 2]) -> Vec<Str
     // For the two files of each, and little more.
     let room = (4 * anns[0].len() + 6144).to_string();
     let keys = format!("ann {ANN},bob {BOB},carol {CAROL}");
-    let options = ["--store", store, "--keys", &keys, "--store-bytes", &room, "--max-client-share", "100", "--workers", "1"];
+    let options = [
+        "--store",
+        store,
+        "--keys",
+        &keys,
+        "--store-bytes",
+        &room,
+        "--max-client-share",
+        "100",
+        "--workers",
+        "1",
+    ];
     let server = Server::start(&options).await;
     let mut ann = Name::new(&server, ANN);
-    let id = ann.ask("ann", server.post("/sessions").multipart(form(anns[0], rest().to_string()))).await;
+    let id = ann
+        .ask(
+            "ann",
+            server
+                .post("/sessions")
+                .multipart(form(anns[0], rest().to_string())),
+        )
+        .await;
     let id = id["id"].as_str().unwrap().to_owned();
     let layer = |client: &Client, id: &str, name: &str, file: &[u8]| {
-        client.put(server.url(&format!("/sessions/{id}/layers/{name}"))).body(file.to_vec())
+        client
+            .put(server.url(&format!("/sessions/{id}/layers/{name}")))
+            .body(file.to_vec())
     };
-    ann.ask("ann", layer(&server.client, &id, "depth", anns[1])).await;
+    ann.ask("ann", layer(&server.client, &id, "depth", anns[1]))
+        .await;
 
     let mut bob = Name::new(&server, BOB);
     bob.scrape("before").await;
-    let opened = bob.ask("open", server.post("/sessions").multipart(form(bobs[0], rest().to_string()))).await;
+    let opened = bob
+        .ask(
+            "open",
+            server
+                .post("/sessions")
+                .multipart(form(bobs[0], rest().to_string())),
+        )
+        .await;
     let id = opened["id"].as_str().unwrap().to_owned();
     bob.scrape("with a session").await;
-    bob.ask("layer", layer(&server.client, &id, "depth", bobs[1])).await;
+    bob.ask("layer", layer(&server.client, &id, "depth", bobs[1]))
+        .await;
     bob.scrape("with a layer").await;
     let drag = json!({"q": [[22, 20], [60, 41]]});
-    bob.ask("drag", server.post(&format!("/sessions/{id}/warp")).json(&drag)).await;
-    bob.ask("session", server.get(&format!("/sessions/{id}"))).await;
+    bob.ask(
+        "drag",
+        server.post(&format!("/sessions/{id}/warp")).json(&drag),
+    )
+    .await;
+    bob.ask("session", server.get(&format!("/sessions/{id}")))
+        .await;
     // A store without room for it says how full it would be.
     let large = bmp(400, 300, 7);
-    bob.ask("too much", server.post("/sessions").multipart(form(&large, rest().to_string()))).await;
-    bob.ask("too much", layer(&server.client, &id, "more", &bmp(80, 60, 9))).await;
+    bob.ask(
+        "too much",
+        server
+            .post("/sessions")
+            .multipart(form(&large, rest().to_string())),
+    )
+    .await;
+    bob.ask(
+        "too much",
+        layer(&server.client, &id, "more", &bmp(80, 60, 9)),
+    )
+    .await;
     bob.scrape("refused").await;
-    bob.ask("layer gone", server.client.delete(server.url(&format!("/sessions/{id}/layers/depth")))).await;
+    bob.ask(
+        "layer gone",
+        server
+            .client
+            .delete(server.url(&format!("/sessions/{id}/layers/depth"))),
+    )
+    .await;
     bob.scrape("without the layer").await;
     // As a layer the picture, and as a picture the layer.
-    bob.ask("exchanged", layer(&server.client, &id, "depth", bobs[0])).await;
-    bob.ask("exchanged", server.post("/sessions").multipart(form(bobs[1], rest().to_string()))).await;
+    bob.ask("exchanged", layer(&server.client, &id, "depth", bobs[0]))
+        .await;
+    bob.ask(
+        "exchanged",
+        server
+            .post("/sessions")
+            .multipart(form(bobs[1], rest().to_string())),
+    )
+    .await;
     bob.scrape("exchanged").await;
-    bob.ask("gone", server.client.delete(server.url(&format!("/sessions/{id}")))).await;
+    bob.ask(
+        "gone",
+        server.client.delete(server.url(&format!("/sessions/{id}"))),
+    )
+    .await;
     bob.scrape("gone").await;
     bob.seen
 }
@@ -116,17 +204,35 @@ async fn a_file_of_another_name_changes_nothing_that_is_seen() {
     let [one, two, three, four] = [1, 2, 3, 4].map(|seed| bmp(80, 60, seed));
     for is_file in [false, true] {
         let scratch = Scratch::new();
-        let store = |name: &str| if is_file { format!("file:{}", scratch.path(name)) } else { "memory".to_owned() };
+        let store = |name: &str| {
+            if is_file {
+                format!("file:{}", scratch.path(name))
+            } else {
+                "memory".to_owned()
+            }
+        };
         let shared = seen_by_bob(&store("a"), [&one, &two], [&one, &two]).await;
         let foreign = seen_by_bob(&store("b"), [&three, &four], [&one, &two]).await;
         assert_eq!(shared.len(), foreign.len());
         for (shared, foreign) in shared.iter().zip(&foreign) {
-            let lines = |text: &str| text.lines().map(str::to_owned).collect::<std::collections::BTreeSet<_>>();
+            let lines = |text: &str| {
+                text.lines()
+                    .map(str::to_owned)
+                    .collect::<std::collections::BTreeSet<_>>()
+            };
             let (shared, foreign) = (lines(shared), lines(foreign));
             let differ: Vec<&String> = shared.symmetric_difference(&foreign).collect();
-            assert!(differ.is_empty(), "the store in a file: {is_file}; {differ:#?}");
+            assert!(
+                differ.is_empty(),
+                "the store in a file: {is_file}; {differ:#?}"
+            );
         }
-        assert!(shared.iter().any(|seen| seen.contains("503") && seen.contains("store_bytes") && seen.contains("actual")), "{shared:?}");
+        assert!(
+            shared.iter().any(|seen| seen.contains("503")
+                && seen.contains("store_bytes")
+                && seen.contains("actual")),
+            "{shared:?}"
+        );
     }
 }
 
@@ -136,11 +242,25 @@ async fn the_only_name_has_no_share() {
     let scratch = Scratch::new();
     let keys = scratch.path("keys");
     std::fs::write(&keys, format!("ann {ANN}\nann {CAROL}\n")).unwrap();
-    let server = Server::start(&["--keys-file", &keys, "--max-sessions", "3", "--max-sockets", "2"]).await;
+    let server = Server::start(&[
+        "--keys-file",
+        &keys,
+        "--max-sessions",
+        "3",
+        "--max-sockets",
+        "2",
+    ])
+    .await;
     let open = async |key: &str| {
-        let request = server.post("/sessions").bearer_auth(key).multipart(form(&bmp(16, 12, 1), json!({"p": [[2, 2]]}).to_string()));
+        let request = server
+            .post("/sessions")
+            .bearer_auth(key)
+            .multipart(form(&bmp(16, 12, 1), json!({"p": [[2, 2]]}).to_string()));
         let response = request.send().await.unwrap();
-        (response.status().as_u16(), response.json::<Value>().await.unwrap())
+        (
+            response.status().as_u16(),
+            response.json::<Value>().await.unwrap(),
+        )
     };
     let mut ids = Vec::new();
     for key in [ANN, CAROL, ANN] {
@@ -151,16 +271,36 @@ async fn the_only_name_has_no_share() {
     // The store's own limit applies.
     let (status, refused) = open(ANN).await;
     assert_eq!((status, &refused["limit_name"]), (503, &json!("sessions")));
-    let delete = async |id: &str| server.client.delete(server.url(&format!("/sessions/{id}"))).bearer_auth(ANN).send().await.unwrap();
+    let delete = async |id: &str| {
+        server
+            .client
+            .delete(server.url(&format!("/sessions/{id}")))
+            .bearer_auth(ANN)
+            .send()
+            .await
+            .unwrap()
+    };
     delete(&ids[0]).await;
     // Another name: the share is two of three.
     std::fs::write(&keys, format!("ann {ANN}\nbob {BOB}\n")).unwrap();
     let began = std::time::Instant::now();
     while open(BOB).await.0 != 201 {
-        assert!(began.elapsed() < std::time::Duration::from_secs(30), "keys are read again");
+        assert!(
+            began.elapsed() < std::time::Duration::from_secs(30),
+            "keys are read again"
+        );
         tokio::time::sleep(std::time::Duration::from_millis(100)).await;
     }
     let (status, refused) = open(ANN).await;
-    assert_eq!((status, &refused["limit_name"], &refused["limit"]), (429, &json!("client_sessions"), &json!(2)));
-    assert!(refused["detail"].as_str().unwrap().contains("--max-client-share"), "{refused}");
+    assert_eq!(
+        (status, &refused["limit_name"], &refused["limit"]),
+        (429, &json!("client_sessions"), &json!(2))
+    );
+    assert!(
+        refused["detail"]
+            .as_str()
+            .unwrap()
+            .contains("--max-client-share"),
+        "{refused}"
+    );
 }

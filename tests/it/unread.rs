@@ -16,7 +16,11 @@ const COUNT: usize = 16;
 /// Time for which answers are left unread, once each has begun.
 const UNREAD: Duration = Duration::from_millis(50);
 /// The limits, in proportion to the budget as by default.
-const SIZES: Sizes = Sizes { handles: 2500, json: 512 << 10, body: 2 << 20 };
+const SIZES: Sizes = Sizes {
+    handles: 2500,
+    json: 512 << 10,
+    body: 2 << 20,
+};
 
 /// Sends a request so many times at once, from so many addresses; the statuses of the answers, in order.
 fn send(program: &Program, request: &Request, addresses: usize) -> Vec<u16> {
@@ -31,7 +35,10 @@ fn send(program: &Program, request: &Request, addresses: usize) -> Vec<u16> {
     };
     let mut statuses: Vec<u16> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..COUNT).map(|k| scope.spawn(move || one(k))).collect();
-        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap())
+            .collect()
     });
     statuses.sort_unstable();
     statuses
@@ -53,20 +60,34 @@ fn stays_near_the_budget(addresses: usize) {
     let material = Material::prepare(program.address, SIZES);
     let mut above = Vec::new();
     for request in material.requests() {
-        let own = request.needs_session().then(|| request.of(&material.session(program.address)));
+        let own = request
+            .needs_session()
+            .then(|| request.of(&material.session(program.address)));
         let request = own.as_ref().unwrap_or(&request);
         program.forget_peak();
         let began = Instant::now();
         let statuses = send(&program, request, addresses);
         let peak = program.peak();
-        eprintln!("{peak:>6} MiB in {:>7.1?}: {}, answered {statuses:?}", began.elapsed(), request.what);
+        eprintln!(
+            "{peak:>6} MiB in {:>7.1?}: {}, answered {statuses:?}",
+            began.elapsed(),
+            request.what
+        );
         // Otherwise it is not known what the request takes.
-        assert!(statuses.contains(&request.status), "{}: {statuses:?}", request.what);
+        assert!(
+            statuses.contains(&request.status),
+            "{}: {statuses:?}",
+            request.what
+        );
         if peak > BUDGET + BESIDE {
             above.push(format!("{}: {peak} MiB", request.what));
         }
     }
-    assert!(above.is_empty(), "more than {} MiB: {above:#?}", BUDGET + BESIDE);
+    assert!(
+        above.is_empty(),
+        "more than {} MiB: {above:#?}",
+        BUDGET + BESIDE
+    );
 }
 
 #[test]

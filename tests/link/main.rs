@@ -24,10 +24,20 @@ use relay::{Link, Relay};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [server, megabits, milliseconds] = &*arguments else { return Err("usage: link ADDRESS MBIT MS".into()) };
-    let link = Link { rate: rate(megabits)?, delay: Duration::try_from_secs_f64(milliseconds.parse::<f64>()? / 1e3)? };
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-    let relay = runtime.block_on(async { Relay::start(server.parse()?, link, link).map_err(Box::<dyn Error>::from) })?;
+    let [server, megabits, milliseconds] = &*arguments else {
+        return Err("usage: link ADDRESS MBIT MS".into());
+    };
+    let link = Link {
+        rate: rate(megabits)?,
+        delay: Duration::try_from_secs_f64(milliseconds.parse::<f64>()? / 1e3)?,
+    };
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()?;
+    let relay = runtime.block_on(async {
+        Relay::start(server.parse()?, link, link).map_err(Box::<dyn Error>::from)
+    })?;
     say(&relay.address.port().to_string())?;
     for line in std::io::stdin().lines() {
         match line?.split_whitespace().collect::<Vec<_>>()[..] {
@@ -46,7 +56,11 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Bytes per second.
 fn rate(megabits: &str) -> Result<u64, Box<dyn Error>> {
     let rate = megabits.parse::<f64>()? * 125_000.0;
-    if (1.0..1e12).contains(&rate) { Ok(rate as u64) } else { Err(format!("not a rate: {megabits}").into()) }
+    if (1.0..1e12).contains(&rate) {
+        Ok(rate as u64)
+    } else {
+        Err(format!("not a rate: {megabits}").into())
+    }
 }
 
 fn say(line: &str) -> std::io::Result<()> {

@@ -3,7 +3,10 @@
 //!
 //! A lost packet is modelled as a pause: TCP repeats it, and until then nothing that was sent after it can be read.
 
-#![allow(dead_code, reason = "each of the programs that share this file uses a part of it")]
+#![allow(
+    dead_code,
+    reason = "each of the programs that share this file uses a part of it"
+)]
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -37,12 +40,17 @@ pub(crate) struct Link {
 impl Link {
     /// Megabits per second, and milliseconds.
     pub(crate) const fn new(megabits: u64, milliseconds: u64) -> Self {
-        Self { rate: megabits * 125_000, delay: Duration::from_millis(milliseconds) }
+        Self {
+            rate: megabits * 125_000,
+            delay: Duration::from_millis(milliseconds),
+        }
     }
 
     /// The length of the queue in front of the link: what the link carries in a tenth of a second.
     fn queue(self) -> usize {
-        usize::try_from((self.rate / 10).max(MAX_PIECE)).unwrap_or(Semaphore::MAX_PERMITS).min(Semaphore::MAX_PERMITS)
+        usize::try_from((self.rate / 10).max(MAX_PIECE))
+            .unwrap_or(Semaphore::MAX_PERMITS)
+            .min(Semaphore::MAX_PERMITS)
     }
 }
 
@@ -76,11 +84,19 @@ pub(crate) struct Direction {
 
 impl Direction {
     fn new(link: Link) -> Self {
-        Self { link, departures: Arc::new(Mutex::new(Departures { rate: link.rate, last: Instant::now() })) }
+        Self {
+            link,
+            departures: Arc::new(Mutex::new(Departures {
+                rate: link.rate,
+                last: Instant::now(),
+            })),
+        }
     }
 
     fn departures(&self) -> MutexGuard<'_, Departures> {
-        self.departures.lock().unwrap_or_else(PoisonError::into_inner)
+        self.departures
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Changes the rate, bytes per second. The queue keeps its length.
@@ -94,16 +110,25 @@ impl Direction {
     }
 
     /// Passes everything on, including the end.
-    async fn pass(&self, mut from: impl AsyncRead + Unpin, mut to: impl AsyncWrite + Unpin) -> io::Result<()> {
+    async fn pass(
+        &self,
+        mut from: impl AsyncRead + Unpin,
+        mut to: impl AsyncWrite + Unpin,
+    ) -> io::Result<()> {
         let room = Arc::new(Semaphore::new(self.link.queue()));
-        let (queue, mut queued) = mpsc::unbounded_channel::<(Instant, Vec<u8>, OwnedSemaphorePermit)>();
+        let (queue, mut queued) =
+            mpsc::unbounded_channel::<(Instant, Vec<u8>, OwnedSemaphorePermit)>();
         let (wire, mut under_way) = mpsc::channel::<(Instant, Vec<u8>)>(UNDER_WAY);
         let read = async {
             loop {
                 // At most what the link carries in a millisecond.
                 let rate = self.departures().rate;
-                let size = u32::try_from((rate / 1000).clamp(PACKET, MAX_PIECE)).map_err(io::Error::other)?;
-                let mut place = Arc::clone(&room).acquire_many_owned(size).await.map_err(io::Error::other)?;
+                let size = u32::try_from((rate / 1000).clamp(PACKET, MAX_PIECE))
+                    .map_err(io::Error::other)?;
+                let mut place = Arc::clone(&room)
+                    .acquire_many_owned(size)
+                    .await
+                    .map_err(io::Error::other)?;
                 let mut piece = vec![0; size as usize];
                 let length = from.read(&mut piece).await?;
                 piece.truncate(length);
@@ -119,7 +144,11 @@ impl Direction {
                 let departure = self.departures().departure(arrival, piece.len());
                 sleep_until(departure.into()).await;
                 drop(place);
-                if wire.send((departure + self.link.delay, piece)).await.is_err() {
+                if wire
+                    .send((departure + self.link.delay, piece))
+                    .await
+                    .is_err()
+                {
                     break;
                 }
             }
@@ -157,7 +186,12 @@ impl Relay {
         let address = listener.local_addr()?;
         let (up, down) = (Direction::new(up), Direction::new(down));
         let accepting = tokio::spawn(accept(listener, server, up.clone(), down.clone()));
-        Ok(Self { address, up, down, accepting })
+        Ok(Self {
+            address,
+            up,
+            down,
+            accepting,
+        })
     }
 
     /// Nothing departs for this time, in both directions.
@@ -190,14 +224,23 @@ async fn accept(listener: TcpListener, server: SocketAddr, up: Direction, down: 
     }
 }
 
-async fn connect(mut client: TcpStream, server: SocketAddr, up: &Direction, down: &Direction) -> io::Result<()> {
+async fn connect(
+    mut client: TcpStream,
+    server: SocketAddr,
+    up: &Direction,
+    down: &Direction,
+) -> io::Result<()> {
     let mut server = bounded()?.connect(server).await?;
     for socket in [&client, &server] {
         socket.set_nodelay(true)?;
     }
     let (from_client, to_client) = client.split();
     let (from_server, to_server) = server.split();
-    tokio::try_join!(up.pass(from_client, to_server), down.pass(from_server, to_client)).map(drop)
+    tokio::try_join!(
+        up.pass(from_client, to_server),
+        down.pass(from_server, to_client)
+    )
+    .map(drop)
 }
 
 #[cfg(test)]
@@ -208,39 +251,69 @@ mod tests {
 
     /// The departures of packets that all arrive at once, seconds after that.
     fn of_a_burst(departures: &mut Departures, start: Instant, packets: usize) -> Vec<f64> {
-        (0..packets).map(|_| (departures.departure(start, 1000) - start).as_secs_f64()).collect()
+        (0..packets)
+            .map(|_| (departures.departure(start, 1000) - start).as_secs_f64())
+            .collect()
     }
 
     #[test]
     fn link_departures_follow_the_rate() {
         let start = Instant::now();
-        let mut departures = Departures { rate: 100_000, last: start };
+        let mut departures = Departures {
+            rate: 100_000,
+            last: start,
+        };
         let times = of_a_burst(&mut departures, start, 50);
-        assert!((0..50).zip(&times).all(|(n, time)| (time - 0.01 * f64::from(n + 1)).abs() < 1e-6), "{times:?}");
+        assert!(
+            (0..50)
+                .zip(&times)
+                .all(|(n, time)| (time - 0.01 * f64::from(n + 1)).abs() < 1e-6),
+            "{times:?}"
+        );
         // The link was idle meanwhile, which saves nothing up.
-        assert_eq!(departures.departure(start + 2 * SECOND, 1000), start + 2 * SECOND + SECOND / 100);
+        assert_eq!(
+            departures.departure(start + 2 * SECOND, 1000),
+            start + 2 * SECOND + SECOND / 100
+        );
     }
 
     #[test]
     fn link_rate_changes_with_the_next_packet_and_a_pause_delays_all_that_wait() {
         let start = Instant::now();
-        let mut departures = Departures { rate: 100_000, last: start };
+        let mut departures = Departures {
+            rate: 100_000,
+            last: start,
+        };
         of_a_burst(&mut departures, start, 10);
         departures.rate = 50_000;
         let times = of_a_burst(&mut departures, start, 10);
-        assert!((times[0] - 0.12).abs() < 1e-6 && (times[9] - 0.3).abs() < 1e-6, "{times:?}");
+        assert!(
+            (times[0] - 0.12).abs() < 1e-6 && (times[9] - 0.3).abs() < 1e-6,
+            "{times:?}"
+        );
         departures.pause(start, SECOND);
-        assert_eq!(departures.departure(start, 1000), start + SECOND + Duration::from_millis(320));
+        assert_eq!(
+            departures.departure(start, 1000),
+            start + SECOND + Duration::from_millis(320)
+        );
         departures.pause(start + 5 * SECOND, SECOND);
-        assert_eq!(departures.departure(start, 1000), start + 6 * SECOND + Duration::from_millis(20));
+        assert_eq!(
+            departures.departure(start, 1000),
+            start + 6 * SECOND + Duration::from_millis(20)
+        );
     }
 
     /// Bytes through a link of 400 kB/s and 30 ms by a clock that is not simulated: the sender may not be ahead of the queue, nor the
     /// receiver ahead of the link.
     #[tokio::test]
     async fn link_passes_the_same_bytes_and_none_too_early() {
-        let link = Link { rate: 400_000, delay: Duration::from_millis(30) };
-        let sent: Vec<u8> = (0..120_000_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let link = Link {
+            rate: 400_000,
+            delay: Duration::from_millis(30),
+        };
+        let sent: Vec<u8> = (0..120_000_u32)
+            .map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
         let ((mut near, from), (to, mut far)) = (tokio::io::duplex(100), tokio::io::duplex(100));
         let direction = Direction::new(link);
         let start = Instant::now();
@@ -260,13 +333,23 @@ mod tests {
             }
             Ok((received, times))
         };
-        let (written, (received, times), ()) = tokio::try_join!(write, read, direction.pass(from, to)).unwrap();
-        assert!(received == sent, "{} of {} bytes", received.len(), sent.len());
+        let (written, (received, times), ()) =
+            tokio::try_join!(write, read, direction.pass(from, to)).unwrap();
+        assert!(
+            received == sent,
+            "{} of {} bytes",
+            received.len(),
+            sent.len()
+        );
         let passing = |bytes: usize| Duration::from_secs_f64(bytes as f64 / 400_000.0);
         // The first piece is at least as long as what has been read of it.
-        assert!(times.iter().all(|(bytes, time)| *time >= link.delay + passing(*bytes).saturating_sub(passing(PACKET as usize))));
+        assert!(times.iter().all(|(bytes, time)| *time
+            >= link.delay + passing(*bytes).saturating_sub(passing(PACKET as usize))));
         assert!(times.last().unwrap().1 >= link.delay + passing(sent.len()));
         let held = link.queue() + 3 * 1460;
-        assert!(written >= passing(sent.len() - held), "the sender is {written:?} ahead");
+        assert!(
+            written >= passing(sent.len() - held),
+            "the sender is {written:?} ahead"
+        );
     }
 }

@@ -3,7 +3,11 @@
 //! speed nothing is asserted but that bounds hold ten times over.
 
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-#![expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "figures for people")]
+#![expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    reason = "figures for people"
+)]
 
 #[expect(dead_code, reason = "shared with the integration tests")]
 #[path = "../it/support/program.rs"]
@@ -51,7 +55,10 @@ impl Answers {
         };
         let status = response.status().as_u16();
         let retry = response.headers().contains_key("retry-after");
-        let is_png = response.headers().get("content-type").is_some_and(|value| value == "image/png");
+        let is_png = response
+            .headers()
+            .get("content-type")
+            .is_some_and(|value| value == "image/png");
         let Ok(body) = response.bytes().await else {
             self.unanswered.fetch_add(1, Ordering::Relaxed);
             return;
@@ -69,13 +76,21 @@ impl Answers {
     }
 
     fn served(&self) -> u64 {
-        self.by_status.lock().unwrap().get(&200).copied().unwrap_or_default()
+        self.by_status
+            .lock()
+            .unwrap()
+            .get(&200)
+            .copied()
+            .unwrap_or_default()
     }
 
     fn p(&self, percent: usize) -> Duration {
         let mut times = self.times.lock().unwrap();
         times.sort_unstable();
-        times.get(times.len().saturating_sub(1) * percent / 100).copied().unwrap_or_default()
+        times
+            .get(times.len().saturating_sub(1) * percent / 100)
+            .copied()
+            .unwrap_or_default()
     }
 }
 
@@ -89,7 +104,12 @@ struct Crowd {
 }
 
 fn handles(shift: f64) -> Value {
-    json!([[168.0 + shift, 112], [316.0 + shift, 136], [262, 240.0 - shift], [[0, 300], [451, 300]]])
+    json!([
+        [168.0 + shift, 112],
+        [316.0 + shift, 136],
+        [262, 240.0 - shift],
+        [[0, 300], [451, 300]]
+    ])
 }
 
 impl Crowd {
@@ -102,7 +122,12 @@ impl Crowd {
     async fn warp(self, n: u64, answers: Arc<Answers>) {
         let warp = json!({"p": handles(0.0), "q": handles((n % 40) as f64)}).to_string();
         let began = Instant::now();
-        let sent = self.client.post(format!("{}/warp", self.url)).multipart(self.upload(n).text("warp", warp)).send().await;
+        let sent = self
+            .client
+            .post(format!("{}/warp", self.url))
+            .multipart(self.upload(n).text("warp", warp))
+            .send()
+            .await;
         answers.note(began, sent).await;
     }
 
@@ -110,29 +135,58 @@ impl Crowd {
         let id = &self.sessions[n as usize % SESSIONS];
         let began = Instant::now();
         let q = json!({"q": handles((n % 97) as f64 / 3.0)});
-        let sent = self.client.post(format!("{}/sessions/{id}/warp", self.url)).json(&q).send().await;
+        let sent = self
+            .client
+            .post(format!("{}/sessions/{id}/warp", self.url))
+            .json(&q)
+            .send()
+            .await;
         answers.note(began, sent).await;
     }
 
     async fn new_session(&self, n: u64) -> String {
-        let form = self.upload(n).text("warp", json!({"p": handles(0.0)}).to_string());
-        let response = self.client.post(format!("{}/sessions", self.url)).multipart(form).send().await.unwrap();
+        let form = self
+            .upload(n)
+            .text("warp", json!({"p": handles(0.0)}).to_string());
+        let response = self
+            .client
+            .post(format!("{}/sessions", self.url))
+            .multipart(form)
+            .send()
+            .await
+            .unwrap();
         assert_eq!(response.status(), 201);
-        response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+        response.json::<Value>().await.unwrap()["id"]
+            .as_str()
+            .unwrap()
+            .to_owned()
     }
 
     /// What so many clients that ask again as soon as they are answered get in a second: drags, uploads.
     async fn capacity(&self) -> (f64, f64) {
-        let (drags, uploads, over) = (Arc::new(Answers::default()), Arc::new(Answers::default()), Arc::new(AtomicBool::new(false)));
+        let (drags, uploads, over) = (
+            Arc::new(Answers::default()),
+            Arc::new(Answers::default()),
+            Arc::new(AtomicBool::new(false)),
+        );
         let spell = Duration::from_secs(4);
         let clients = (0..4_u64).map(|k| {
-            let (crowd, drags, uploads, over) = (self.clone(), Arc::clone(&drags), Arc::clone(&uploads), Arc::clone(&over));
+            let (crowd, drags, uploads, over) = (
+                self.clone(),
+                Arc::clone(&drags),
+                Arc::clone(&uploads),
+                Arc::clone(&over),
+            );
             tokio::spawn(async move {
                 for n in (k * 1_000_000).. {
                     if over.load(Ordering::Relaxed) {
                         return;
                     }
-                    if k < 2 { crowd.clone().drag(n, Arc::clone(&drags)).await } else { crowd.clone().warp(n, Arc::clone(&uploads)).await }
+                    if k < 2 {
+                        crowd.clone().drag(n, Arc::clone(&drags)).await
+                    } else {
+                        crowd.clone().warp(n, Arc::clone(&uploads)).await
+                    }
                 }
             })
         });
@@ -148,7 +202,11 @@ impl Crowd {
 }
 
 /// Starts `work` so many times a second, whatever becomes of it; waits for all.
-async fn storm<F: Future<Output = ()> + Send + 'static>(rate: f64, spell: Duration, mut work: impl FnMut(u64) -> F) -> u64 {
+async fn storm<F: Future<Output = ()> + Send + 'static>(
+    rate: f64,
+    spell: Duration,
+    mut work: impl FnMut(u64) -> F,
+) -> u64 {
     let (began, mut begun, mut tasks) = (Instant::now(), 0, tokio::task::JoinSet::new());
     while began.elapsed() < spell {
         while (begun as f64) < began.elapsed().as_secs_f64() * rate {
@@ -168,25 +226,55 @@ async fn storm<F: Future<Output = ()> + Send + 'static>(rate: f64, spell: Durati
 fn memory(pid: u32, name: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() << 10
+    line.split_whitespace()
+        .nth(1)
+        .unwrap()
+        .parse::<u64>()
+        .unwrap()
+        << 10
 }
 
 /// Processor time of this process.
 fn processor_time() -> Duration {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
-    let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
+    let fields: Vec<&str> = stat
+        .rsplit_once(')')
+        .unwrap()
+        .1
+        .split_whitespace()
+        .collect();
     // A tick is a hundredth of a second on every Linux that Rust knows.
-    Duration::from_millis(10 * (fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()))
+    Duration::from_millis(
+        10 * (fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()),
+    )
 }
 
 #[tokio::test(flavor = "current_thread")]
 async fn four_times_what_the_machine_holds() {
-    let program =
-        Program::start(&["--memory-bytes", "256MiB", "--max-client-share", "100", "--log", "warn,mlswarp_server::http::connection=info"]);
-    let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/chelsea.png")).unwrap();
-    let client = Client::builder().timeout(Duration::from_secs(100)).build().unwrap();
+    let program = Program::start(&[
+        "--memory-bytes",
+        "256MiB",
+        "--max-client-share",
+        "100",
+        "--log",
+        "warn,mlswarp_server::http::connection=info",
+    ]);
+    let file = std::fs::read(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../tests/images/chelsea.png"
+    ))
+    .unwrap();
+    let client = Client::builder()
+        .timeout(Duration::from_secs(100))
+        .build()
+        .unwrap();
     let url: Arc<str> = format!("http://{}", program.address).into();
-    let mut crowd = Crowd { client, url, file: file.into(), sessions: Arc::default() };
+    let mut crowd = Crowd {
+        client,
+        url,
+        file: file.into(),
+        sessions: Arc::default(),
+    };
     let mut sessions = Vec::new();
     for n in 0..SESSIONS as u64 {
         sessions.push(crowd.new_session(u64::MAX - n).await);
@@ -194,7 +282,9 @@ async fn four_times_what_the_machine_holds() {
     crowd.sessions = Arc::new(sessions);
 
     let (drag_rate, upload_rate) = crowd.capacity().await;
-    println!("held: {drag_rate:.0} drags/s and {upload_rate:.0} uploads/s at once; four times that follows");
+    println!(
+        "held: {drag_rate:.0} drags/s and {upload_rate:.0} uploads/s at once; four times that follows"
+    );
     let before = memory(program.id(), "VmRSS");
 
     let spell = Duration::from_secs(if long() { 600 } else { 60 });
@@ -212,13 +302,26 @@ async fn four_times_what_the_machine_holds() {
         }
     });
     let (began, spent) = (Instant::now(), processor_time());
-    let dragging = storm(4.0 * drag_rate, spell, |n| crowd.clone().drag(n, Arc::clone(&drags)));
-    let uploading = storm(4.0 * upload_rate, spell, |n| crowd.clone().warp(n, Arc::clone(&uploads)));
+    let dragging = storm(4.0 * drag_rate, spell, |n| {
+        crowd.clone().drag(n, Arc::clone(&drags))
+    });
+    let uploading = storm(4.0 * upload_rate, spell, |n| {
+        crowd.clone().warp(n, Arc::clone(&uploads))
+    });
     let health = async {
         let mut slowest = Duration::ZERO;
         while began.elapsed() < spell {
             let asked = Instant::now();
-            assert_eq!(crowd.client.get(format!("{}/healthz", crowd.url)).send().await.unwrap().status(), 200);
+            assert_eq!(
+                crowd
+                    .client
+                    .get(format!("{}/healthz", crowd.url))
+                    .send()
+                    .await
+                    .unwrap()
+                    .status(),
+                200
+            );
             slowest = slowest.max(asked.elapsed());
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
@@ -233,7 +336,10 @@ async fn four_times_what_the_machine_holds() {
         loop {
             let after = Arc::new(Answers::default());
             crowd.clone().drag(n, Arc::clone(&after)).await;
-            assert_eq!(after.unanswered.load(Ordering::Relaxed) + after.wrong.load(Ordering::Relaxed), 0);
+            assert_eq!(
+                after.unanswered.load(Ordering::Relaxed) + after.wrong.load(Ordering::Relaxed),
+                0
+            );
             if after.served() == 1 {
                 break;
             }
@@ -241,22 +347,42 @@ async fn four_times_what_the_machine_holds() {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
-    assert_eq!(crowd.client.get(format!("{}/readyz", crowd.url)).send().await.unwrap().status(), 200);
+    assert_eq!(
+        crowd
+            .client
+            .get(format!("{}/readyz", crowd.url))
+            .send()
+            .await
+            .unwrap()
+            .status(),
+        200
+    );
     let recovered = recovered.elapsed();
     over.store(true, Ordering::Relaxed);
     let curve = watch.join().unwrap();
     let most = curve.iter().copied().max().unwrap();
     let after = memory(program.id(), "VmRSS");
 
-    for (name, answers, begun) in [("drags", &drags, drags_begun), ("uploads", &uploads, uploads_begun)] {
+    for (name, answers, begun) in [
+        ("drags", &drags, drags_begun),
+        ("uploads", &uploads, uploads_begun),
+    ] {
         let statuses = answers.by_status.lock().unwrap().clone();
         println!(
             "{name}: {begun} sent, answers {statuses:?}, served in p50 {:.0} ms, p99 {:.0} ms",
             answers.p(50).as_secs_f64() * 1e3,
             answers.p(99).as_secs_f64() * 1e3
         );
-        assert_eq!(answers.unanswered.load(Ordering::Relaxed), 0, "{name} without an answer");
-        assert_eq!(answers.wrong.load(Ordering::Relaxed), 0, "{name} with an answer that is none");
+        assert_eq!(
+            answers.unanswered.load(Ordering::Relaxed),
+            0,
+            "{name} without an answer"
+        );
+        assert_eq!(
+            answers.wrong.load(Ordering::Relaxed),
+            0,
+            "{name} with an answer that is none"
+        );
         assert_eq!(statuses.values().sum::<u64>(), begun);
         assert!(answers.served() > 0);
     }

@@ -21,7 +21,11 @@ impl Client {
     pub(crate) fn connect(address: SocketAddr) -> Self {
         let stream = TcpStream::connect(address).unwrap();
         stream.set_nodelay(true).unwrap();
-        Self { stream, head: String::new(), answer: Vec::new() }
+        Self {
+            stream,
+            head: String::new(),
+            answer: Vec::new(),
+        }
     }
 
     /// Sends a request and reads its whole answer.
@@ -44,7 +48,10 @@ impl Client {
         };
         let text = std::str::from_utf8(&self.answer[..head]).unwrap();
         let status = text[9..12].parse().unwrap();
-        let length = text.split("\r\n").find_map(|line| line.strip_prefix("content-length: ")).map(|n| n.parse::<usize>().unwrap());
+        let length = text
+            .split("\r\n")
+            .find_map(|line| line.strip_prefix("content-length: "))
+            .map(|n| n.parse::<usize>().unwrap());
         let end = match length {
             Some(length) => {
                 while self.answer.len() < head + length {
@@ -54,7 +61,10 @@ impl Client {
             }
             None => self.chunks(head),
         };
-        Answer { status, body: &self.answer[head..end] }
+        Answer {
+            status,
+            body: &self.answer[head..end],
+        }
     }
 
     /// Reads all chunks and moves them together; returns where the body ends.
@@ -92,5 +102,7 @@ impl Client {
 }
 
 fn find(bytes: &[u8], wanted: &[u8]) -> Option<usize> {
-    bytes.windows(wanted.len()).position(|window| window == wanted)
+    bytes
+        .windows(wanted.len())
+        .position(|window| window == wanted)
 }

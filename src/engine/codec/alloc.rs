@@ -5,7 +5,11 @@ use crate::pixmap::Channels;
 
 /// The allocator refused. The available memory is unknown, so the limit is 0.
 pub(super) const fn no_room(asked: u64) -> CodecError {
-    CodecError::TooLarge { what: "image_bytes", limit: 0, actual: asked }
+    CodecError::TooLarge {
+        what: "image_bytes",
+        limit: 0,
+        actual: asked,
+    }
 }
 
 /// An empty vector with capacity for `len` samples.
@@ -18,10 +22,15 @@ pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
 }
 
 /// `len` zero samples. Touching the memory takes as long as some decoders, so cancellation is checked meanwhile.
-pub(super) fn zeros<T: Copy + Default>(len: u64, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
+pub(super) fn zeros<T: Copy + Default>(
+    len: u64,
+    work: &StepCounter<'_>,
+) -> Result<Vec<T>, CodecError> {
     const PART: usize = 1 << 22;
     let mut samples = room(len)?;
-    let len = samples.capacity().min(usize::try_from(len).unwrap_or(usize::MAX));
+    let len = samples
+        .capacity()
+        .min(usize::try_from(len).unwrap_or(usize::MAX));
     while samples.len() < len {
         work.check()?;
         samples.resize(len.min(samples.len() + PART), T::default());

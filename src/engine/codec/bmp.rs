@@ -25,7 +25,9 @@ pub(super) struct BmpFile<'a> {
 
 fn refused(error: ImageError) -> CodecError {
     match error {
-        ImageError::Unsupported(_) => CodecError::unsupported("a BMP of another kind than 1 to 32 bit, with or without runs"),
+        ImageError::Unsupported(_) => {
+            CodecError::unsupported("a BMP of another kind than 1 to 32 bit, with or without runs")
+        }
         ImageError::IoError(_) => bad("it is cut off before its end"),
         _ => bad("its header or its pixels are damaged"),
     }
@@ -38,21 +40,40 @@ fn bad(detail: impl ToString) -> CodecError {
 impl<'a> BmpFile<'a> {
     pub(super) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         work.step(1)?;
-        let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { refused(error) };
+        let wanted = |error| {
+            if work.is_cancelled() {
+                CodecError::Cancelled
+            } else {
+                refused(error)
+            }
+        };
         let decoder = BmpDecoder::new(Pieces::new(bytes, work)).map_err(wanted)?;
         let (width, height) = decoder.dimensions();
-        let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        let extent = Extent::new(width, height)
+            .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let channels = match decoder.color_type() {
             ColorType::Rgb8 => Channels::Rgb,
             ColorType::Rgba8 => Channels::Rgba,
-            _ => return Err(CodecError::unsupported("a BMP of other samples than 8 bit RGB or RGBA")),
+            _ => {
+                return Err(CodecError::unsupported(
+                    "a BMP of other samples than 8 bit RGB or RGBA",
+                ));
+            }
         };
-        Ok(Self { bytes, extent, channels, indexed: None })
+        Ok(Self {
+            bytes,
+            extent,
+            channels,
+            indexed: None,
+        })
     }
 
     /// The number at a place of the file, 0 behind its end.
     fn long(&self, at: usize) -> u32 {
-        self.bytes.get(at..at + 4).and_then(|bytes| bytes.try_into().ok()).map_or(0, u32::from_le_bytes)
+        self.bytes
+            .get(at..at + 4)
+            .and_then(|bytes| bytes.try_into().ok())
+            .map_or(0, u32::from_le_bytes)
     }
 
     /// The number that names the colour space of a header of version 4 or 5.
@@ -61,7 +82,8 @@ impl<'a> BmpFile<'a> {
     }
 
     pub(super) fn found(&self) -> Found<'a> {
-        let resolution = Resolution::whole(self.long(38), self.long(42), Unit::Metre).filter(|_| self.long(14) >= 40);
+        let resolution = Resolution::whole(self.long(38), self.long(42), Unit::Metre)
+            .filter(|_| self.long(14) >= 40);
         let colour_dropped = match self.colour_space().as_ref() {
             // Calibrated, if the end points or the gammas are stated.
             Some([0, 0, 0, 0]) => (74..122).step_by(4).any(|at| self.long(at) != 0),
@@ -69,7 +91,11 @@ impl<'a> BmpFile<'a> {
             Some(b"LINK") => true,
             _ => false,
         };
-        Found { resolution, colour_dropped, ..Found::default() }
+        Found {
+            resolution,
+            colour_dropped,
+            ..Found::default()
+        }
     }
 
     pub(super) fn has_profile(&self) -> bool {
@@ -81,7 +107,10 @@ impl<'a> BmpFile<'a> {
             return None;
         }
         let (at, length) = (14 + self.long(126) as usize, self.long(130) as usize);
-        let profile = self.bytes.get(at..at.checked_add(length)?).filter(|profile| profile.len() <= MAX_ICC)?;
+        let profile = self
+            .bytes
+            .get(at..at.checked_add(length)?)
+            .filter(|profile| profile.len() <= MAX_ICC)?;
         keep_profile(profile.to_vec(), false)
     }
 
@@ -90,17 +119,28 @@ impl<'a> BmpFile<'a> {
         // The size of the header, bits per pixel, and colours.
         let (size, bits, used) = (self.long(14), self.long(28) & 0xFFFF, self.long(46));
         if size >= 40 && matches!(bits, 1 | 2 | 4 | 8) && self.channels == Channels::Rgb {
-            self.indexed = Some(if used == 0 { 1 << bits } else { used.min(256) as usize });
+            self.indexed = Some(if used == 0 {
+                1 << bits
+            } else {
+                used.min(256) as usize
+            });
         }
     }
 
     /// The file; for indices, with a palette in which every colour is its own index, three times.
     fn file(&self) -> Result<Cow<'a, [u8]>, CodecError> {
-        let Some(colours) = self.indexed else { return Ok(Cow::Borrowed(self.bytes)) };
+        let Some(colours) = self.indexed else {
+            return Ok(Cow::Borrowed(self.bytes));
+        };
         let mut file = room(self.bytes.len() as u64)?;
         file.extend_from_slice(self.bytes);
-        let palette = file.get_mut(14 + self.long(14) as usize..).unwrap_or_default();
-        for (index, colour) in (0..=u8::MAX).zip(palette.as_chunks_mut::<4>().0).take(colours) {
+        let palette = file
+            .get_mut(14 + self.long(14) as usize..)
+            .unwrap_or_default();
+        for (index, colour) in (0..=u8::MAX)
+            .zip(palette.as_chunks_mut::<4>().0)
+            .take(colours)
+        {
             *colour = [index, index, index, 0];
         }
         Ok(Cow::Owned(file))
@@ -110,10 +150,18 @@ impl<'a> BmpFile<'a> {
         self.indexed.is_some()
     }
 
-    pub(super) fn label_palette(&self, work: &StepCounter<'_>) -> Result<Option<Palette>, CodecError> {
-        let Some(length) = self.indexed else { return Ok(None) };
+    pub(super) fn label_palette(
+        &self,
+        work: &StepCounter<'_>,
+    ) -> Result<Option<Palette>, CodecError> {
+        let Some(length) = self.indexed else {
+            return Ok(None);
+        };
         let decoder = BmpDecoder::new(Pieces::new(self.bytes, work)).map_err(refused)?;
-        Ok(decoder.get_palette().map(|colours| Palette { colours: colours.iter().copied().take(length).collect(), alpha: Vec::new() }))
+        Ok(decoder.get_palette().map(|colours| Palette {
+            colours: colours.iter().copied().take(length).collect(),
+            alpha: Vec::new(),
+        }))
     }
 
     pub(super) const fn channels(&self) -> Channels {
@@ -122,7 +170,13 @@ impl<'a> BmpFile<'a> {
 
     /// Memory beside the picture: a row or two.
     pub(super) fn decoder_bytes(&self) -> u64 {
-        (512 << 10) + 8 * u64::from(self.extent.width()) + if self.is_indexed() { self.bytes.len() as u64 } else { 0 }
+        (512 << 10)
+            + 8 * u64::from(self.extent.width())
+            + if self.is_indexed() {
+                self.bytes.len() as u64
+            } else {
+                0
+            }
     }
 
     pub(super) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {

@@ -33,28 +33,44 @@ pub struct Opened<'a> {
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
-pub fn open<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
+pub fn open<'a>(
+    bytes: &'a [u8],
+    limits: &Limits,
+    work: &'a StepCounter<'a>,
+) -> Result<Opened<'a>, CodecError> {
     let opened = open_any(bytes, limits, work)?;
     opened.parsed.check_picture()?;
     Ok(opened)
 }
 
 /// Like [`open`], also for files that can only be read as labels.
-pub(super) fn open_any<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
+pub(super) fn open_any<'a>(
+    bytes: &'a [u8],
+    limits: &Limits,
+    work: &'a StepCounter<'a>,
+) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
     limits.check(parsed.header().extent)?;
     if let Parsed::WebP(file) = &mut parsed {
         file.read_codes(work)?;
     }
     let header = parsed.header();
-    Ok(Opened { parsed, header, work })
+    Ok(Opened {
+        parsed,
+        header,
+        work,
+    })
 }
 
 /// Opens and decodes a file; stops early when `cancelled` returns true.
 ///
 /// # Errors
 /// Those of [`open`] and [`Opened::decode`].
-pub fn decode(bytes: &[u8], limits: &Limits, cancelled: &dyn Fn() -> bool) -> Result<Decoded, CodecError> {
+pub fn decode(
+    bytes: &[u8],
+    limits: &Limits,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Decoded, CodecError> {
     open(bytes, limits, &StepCounter::new(cancelled))?.decode()
 }
 
@@ -71,9 +87,19 @@ impl Opened<'_> {
     /// [`CodecError::Bad`] for a file that lacks pixels, whose pixels are damaged, or that makes a decoder panic. Bytes after the file's
     /// end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
-        let Self { parsed, header, work } = self;
+        let Self {
+            parsed,
+            header,
+            work,
+        } = self;
         // A decoder whose input is withheld reports damage.
-        let wanted = |error| if work.is_cancelled() { CodecError::Cancelled } else { error };
+        let wanted = |error| {
+            if work.is_cancelled() {
+                CodecError::Cancelled
+            } else {
+                error
+            }
+        };
         let (samples, repairs) = contained(header.format, || match parsed {
             Parsed::Png(file) => Ok((file.samples(header.decode_bytes, work)?, file.repairs)),
             Parsed::Jpeg(file) => file.samples(work),
@@ -87,10 +113,18 @@ impl Opened<'_> {
         let (stored, orientation) = parsed.stored();
         let width = stored.width() as usize;
         let upright = match (samples, header.channels) {
-            (Samples::Eight(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Eight),
-            (Samples::Eight(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Eight),
-            (Samples::Sixteen(s), Channels::Rgb) => orientation.apply::<_, 3>(s, width, work).map(Samples::Sixteen),
-            (Samples::Sixteen(s), Channels::Rgba) => orientation.apply::<_, 4>(s, width, work).map(Samples::Sixteen),
+            (Samples::Eight(s), Channels::Rgb) => orientation
+                .apply::<_, 3>(s, width, work)
+                .map(Samples::Eight),
+            (Samples::Eight(s), Channels::Rgba) => orientation
+                .apply::<_, 4>(s, width, work)
+                .map(Samples::Eight),
+            (Samples::Sixteen(s), Channels::Rgb) => orientation
+                .apply::<_, 3>(s, width, work)
+                .map(Samples::Sixteen),
+            (Samples::Sixteen(s), Channels::Rgba) => orientation
+                .apply::<_, 4>(s, width, work)
+                .map(Samples::Sixteen),
         }?;
 
         let (has_profile, icc) = match parsed {
@@ -102,21 +136,36 @@ impl Opened<'_> {
             Parsed::Bmp(file) => (file.has_profile(), file.icc()),
         };
         work.check()?;
-        let metadata = Metadata::new(&parsed.found(work), (has_profile, icc.as_deref()), orientation.swaps_sides(), work)?;
+        let metadata = Metadata::new(
+            &parsed.found(work),
+            (has_profile, icc.as_deref()),
+            orientation.swaps_sides(),
+            work,
+        )?;
         let is_opaque = self.is_opaque(&upright)?;
-        Ok(Decoded { pixmap: Pixmap::of_opacity(header.extent, header.channels, upright, is_opaque), metadata, repairs })
+        Ok(Decoded {
+            pixmap: Pixmap::of_opacity(header.extent, header.channels, upright, is_opaque),
+            metadata,
+            repairs,
+        })
     }
 
     /// Whether no pixel is transparent.
     fn is_opaque(&self, samples: &Samples) -> Result<bool, CodecError> {
-        let Header { extent, channels, .. } = self.header;
+        let Header {
+            extent, channels, ..
+        } = self.header;
         let row = extent.width() as usize * channels.count();
         for y in 0..extent.height() as usize {
             self.work.step(extent.width().into())?;
             let is_opaque = match samples {
                 _ if channels == Channels::Rgb => true,
-                Samples::Eight(samples) => crate::pixmap::is_opaque(&samples[y * row..][..row], u8::MAX),
-                Samples::Sixteen(samples) => crate::pixmap::is_opaque(&samples[y * row..][..row], u16::MAX),
+                Samples::Eight(samples) => {
+                    crate::pixmap::is_opaque(&samples[y * row..][..row], u8::MAX)
+                }
+                Samples::Sixteen(samples) => {
+                    crate::pixmap::is_opaque(&samples[y * row..][..row], u16::MAX)
+                }
             };
             if !is_opaque {
                 return Ok(false);
@@ -127,8 +176,12 @@ impl Opened<'_> {
 }
 
 /// Treats a panic of the decoder as a damaged file.
-fn contained<T>(format: SourceFormat, decoder: impl FnOnce() -> Result<T, CodecError>) -> Result<T, CodecError> {
-    catch_unwind(AssertUnwindSafe(decoder)).unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
+fn contained<T>(
+    format: SourceFormat,
+    decoder: impl FnOnce() -> Result<T, CodecError>,
+) -> Result<T, CodecError> {
+    catch_unwind(AssertUnwindSafe(decoder))
+        .unwrap_or_else(|_| Err(CodecError::bad(format.name(), "the decoder gave up")))
 }
 
 #[cfg(test)]
@@ -138,15 +191,29 @@ mod tests {
 
     #[test]
     fn a_decoder_that_panics_has_met_a_damaged_file() {
-        let given_up = contained::<()>(SourceFormat::Written(Format::WebP), || panic!("on purpose")).unwrap_err();
-        assert_eq!(given_up, CodecError::Bad { format: "WebP", detail: "the decoder gave up".to_owned() });
-        assert_eq!(contained(SourceFormat::Written(Format::Gif), || Ok(7)), Ok(7));
+        let given_up =
+            contained::<()>(SourceFormat::Written(Format::WebP), || panic!("on purpose"))
+                .unwrap_err();
+        assert_eq!(
+            given_up,
+            CodecError::Bad {
+                format: "WebP",
+                detail: "the decoder gave up".to_owned()
+            }
+        );
+        assert_eq!(
+            contained(SourceFormat::Written(Format::Gif), || Ok(7)),
+            Ok(7)
+        );
     }
 
     /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.
     #[test]
     fn a_palette_of_no_whole_colours_is_a_damaged_file() {
         let file = include_bytes!("../../../tests/fuzz/found/image/png-palette-not-of-threes");
-        assert!(matches!(decode(file, &Limits::default(), &|| false), Err(CodecError::Bad { format: "PNG", .. })));
+        assert!(matches!(
+            decode(file, &Limits::default(), &|| false),
+            Err(CodecError::Bad { format: "PNG", .. })
+        ));
     }
 }

@@ -37,12 +37,17 @@ pub enum CodecError {
 impl CodecError {
     /// A damaged file, with the decoder's message.
     pub(super) fn bad(format: &'static str, detail: impl ToString) -> Self {
-        Self::Bad { format, detail: detail.to_string() }
+        Self::Bad {
+            format,
+            detail: detail.to_string(),
+        }
     }
 
     /// A well-formed file of an unsupported kind.
     pub(super) fn unsupported(found: impl Into<String>) -> Self {
-        Self::Unsupported { found: found.into() }
+        Self::Unsupported {
+            found: found.into(),
+        }
     }
 }
 

@@ -97,8 +97,24 @@ impl SourceFormat {
         Ok(match bytes {
             [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Self::Written(Format::Png),
             [0xFF, 0xD8, 0xFF, ..] => Self::Written(Format::Jpeg),
-            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => Self::Written(Format::WebP),
-            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Self::Written(Format::Tiff),
+            [
+                b'R',
+                b'I',
+                b'F',
+                b'F',
+                _,
+                _,
+                _,
+                _,
+                b'W',
+                b'E',
+                b'B',
+                b'P',
+                ..,
+            ] => Self::Written(Format::WebP),
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => {
+                Self::Written(Format::Tiff)
+            }
             [b'G', b'I', b'F', b'8', b'7' | b'9', b'a', ..] => Self::Written(Format::Gif),
             [b'B', b'M', ..] => Self::Bmp,
             _ => return Err(CodecError::unsupported(looks_like(bytes))),
@@ -142,11 +158,17 @@ fn looks_like(bytes: &[u8]) -> String {
         [b'P', b'K', 3, 4, ..] => "a ZIP archive",
         [0x1F, 0x8B, ..] => "a gzip archive",
         [b'd', b'a', b't', b'a', b':', ..] => "a data URL; send the bytes of the file",
-        [b'i', b'V', b'B', b'O', b'R', b'w', b'0', b'K', ..] | [b'/', b'9', b'j', b'/', ..] => "base64; send the bytes of the file",
+        [b'i', b'V', b'B', b'O', b'R', b'w', b'0', b'K', ..] | [b'/', b'9', b'j', b'/', ..] => {
+            "base64; send the bytes of the file"
+        }
         [b'{' | b'[', ..] => "JSON",
         [b'<', ..] | [0xEF, 0xBB, 0xBF, b'<', ..] => {
             let head = &bytes[..bytes.len().min(1024)];
-            if head.windows(4).any(|tag| tag == b"<svg") { "SVG" } else { "XML or HTML" }
+            if head.windows(4).any(|tag| tag == b"<svg") {
+                "SVG"
+            } else {
+                "XML or HTML"
+            }
         }
         [_] => "1 byte, too short for an image",
         _ if bytes.len() < 12 => return format!("{} bytes, too short for an image", bytes.len()),

@@ -48,7 +48,11 @@ impl Labels {
 ///
 /// # Errors
 /// Those of [`super::open`].
-pub fn open_labels<'a>(bytes: &'a [u8], limits: &Limits, work: &'a StepCounter<'a>) -> Result<Opened<'a>, CodecError> {
+pub fn open_labels<'a>(
+    bytes: &'a [u8],
+    limits: &Limits,
+    work: &'a StepCounter<'a>,
+) -> Result<Opened<'a>, CodecError> {
     let mut opened = open_any(bytes, limits, work)?;
     opened.parsed.read_labels();
     opened.header = opened.parsed.header();
@@ -81,13 +85,21 @@ impl Opened<'_> {
     #[must_use]
     pub fn label_bytes(&self) -> u64 {
         let metadata = PROFILE_BYTES + METADATA_BYTES;
-        self.header.decode_bytes.saturating_add(self.label_shape().sample_bytes()).saturating_add(metadata)
+        self.header
+            .decode_bytes
+            .saturating_add(self.label_shape().sample_bytes())
+            .saturating_add(metadata)
     }
 
     /// The shape of a label image.
     const fn label_shape(&self) -> PngShape {
         let header = self.header;
-        PngShape { extent: header.extent, channels: header.channels, grey: header.grey, depth: header.depth }
+        PngShape {
+            extent: header.extent,
+            channels: header.channels,
+            grey: header.grey,
+            depth: header.depth,
+        }
     }
 
     /// Decodes a label image that was opened as one.
@@ -96,7 +108,11 @@ impl Opened<'_> {
     /// Those of [`Opened::decode`].
     pub fn decode_labels(&self) -> Result<Labels, CodecError> {
         let palette = self.parsed.palette(self.work)?;
-        let Decoded { pixmap, metadata, repairs } = self.decode()?;
+        let Decoded {
+            pixmap,
+            metadata,
+            repairs,
+        } = self.decode()?;
         let shape = self.label_shape();
         let mut values = room(shape.sample_bytes())?;
         // The first of three equal colours, and alpha.
@@ -110,7 +126,13 @@ impl Opened<'_> {
             Samples::Eight(samples) => self.keep(samples, kept, &mut values, |sample| [sample])?,
             Samples::Sixteen(samples) => self.keep(samples, kept, &mut values, u16::to_be_bytes)?,
         }
-        Ok(Labels { shape, palette, values, metadata: Arc::new(metadata), repairs })
+        Ok(Labels {
+            shape,
+            palette,
+            values,
+            metadata: Arc::new(metadata),
+            repairs,
+        })
     }
 
     /// Appends these samples of each pixel as bytes.
@@ -125,7 +147,8 @@ impl Opened<'_> {
         for row in samples.chunks_exact(header.extent.width() as usize * header.channels.count()) {
             self.work.step(header.extent.width().into())?;
             for pixel in row.chunks_exact(header.channels.count()) {
-                kept.iter().for_each(|index| values.extend_from_slice(&to_bytes(pixel[*index])));
+                kept.iter()
+                    .for_each(|index| values.extend_from_slice(&to_bytes(pixel[*index])));
             }
         }
         Ok(())
@@ -140,6 +163,9 @@ impl PngShape {
             Depth::Eight => 1,
             Depth::Sixteen => 2,
         };
-        self.extent.pixels().saturating_mul(self.samples() as u64).saturating_mul(depth)
+        self.extent
+            .pixels()
+            .saturating_mul(self.samples() as u64)
+            .saturating_mul(depth)
     }
 }

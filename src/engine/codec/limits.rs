@@ -14,7 +14,10 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { max_pixels: 50_000_000, max_side: 16_384 }
+        Self {
+            max_pixels: 50_000_000,
+            max_side: 16_384,
+        }
     }
 }
 
@@ -26,10 +29,18 @@ impl Limits {
     pub fn check(&self, extent: Extent) -> Result<(), CodecError> {
         let side = extent.width().max(extent.height());
         if side > self.max_side {
-            return Err(CodecError::TooLarge { what: "image_side", limit: self.max_side.into(), actual: side.into() });
+            return Err(CodecError::TooLarge {
+                what: "image_side",
+                limit: self.max_side.into(),
+                actual: side.into(),
+            });
         }
         if extent.pixels() > self.max_pixels {
-            return Err(CodecError::TooLarge { what: "image_pixels", limit: self.max_pixels, actual: extent.pixels() });
+            return Err(CodecError::TooLarge {
+                what: "image_pixels",
+                limit: self.max_pixels,
+                actual: extent.pixels(),
+            });
         }
         Ok(())
     }
@@ -41,13 +52,44 @@ mod tests {
 
     #[test]
     fn limits_hold_their_own_value_and_refuse_the_next() {
-        let limits = Limits { max_pixels: 100, max_side: 50 };
+        let limits = Limits {
+            max_pixels: 100,
+            max_side: 50,
+        };
         let check = |width, height| limits.check(Extent::new(width, height).unwrap());
         assert_eq!(check(50, 2), Ok(()));
         assert_eq!(check(10, 10), Ok(()));
-        assert_eq!(check(51, 1), Err(CodecError::TooLarge { what: "image_side", limit: 50, actual: 51 }));
-        assert_eq!(check(1, 51), Err(CodecError::TooLarge { what: "image_side", limit: 50, actual: 51 }));
-        assert_eq!(check(10, 11), Err(CodecError::TooLarge { what: "image_pixels", limit: 100, actual: 110 }));
-        assert!(Limits { max_pixels: u64::MAX, max_side: u32::MAX }.check(Extent::new(u32::MAX, u32::MAX).unwrap()).is_ok());
+        assert_eq!(
+            check(51, 1),
+            Err(CodecError::TooLarge {
+                what: "image_side",
+                limit: 50,
+                actual: 51
+            })
+        );
+        assert_eq!(
+            check(1, 51),
+            Err(CodecError::TooLarge {
+                what: "image_side",
+                limit: 50,
+                actual: 51
+            })
+        );
+        assert_eq!(
+            check(10, 11),
+            Err(CodecError::TooLarge {
+                what: "image_pixels",
+                limit: 100,
+                actual: 110
+            })
+        );
+        assert!(
+            Limits {
+                max_pixels: u64::MAX,
+                max_side: u32::MAX
+            }
+            .check(Extent::new(u32::MAX, u32::MAX).unwrap())
+            .is_ok()
+        );
     }
 }

@@ -50,7 +50,9 @@ pub use gif::write::GifAnimation;
 pub use jpeg::write::{JpegWriter, Subsampling};
 pub use labels::{Labels, Palette, open_labels};
 pub use limits::Limits;
-pub use metadata::{Carried, Dropped, Kind as DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, Unit};
+pub use metadata::{
+    Carried, Dropped, Kind as DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, Unit,
+};
 pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;

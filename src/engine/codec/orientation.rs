@@ -41,11 +41,19 @@ impl Orientation {
         };
         let short = |at: usize| {
             let bytes = tiff.get(at..at.checked_add(2)?)?.try_into().ok()?;
-            Some(if little { u16::from_le_bytes(bytes) } else { u16::from_be_bytes(bytes) })
+            Some(if little {
+                u16::from_le_bytes(bytes)
+            } else {
+                u16::from_be_bytes(bytes)
+            })
         };
         let long = |at: usize| {
             let bytes = tiff.get(at..at.checked_add(4)?)?.try_into().ok()?;
-            Some(if little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
+            Some(if little {
+                u32::from_le_bytes(bytes)
+            } else {
+                u32::from_be_bytes(bytes)
+            })
         };
         let directory = usize::try_from(long(4)?).ok()?;
         let entries = usize::from(short(directory)?);
@@ -53,7 +61,11 @@ impl Orientation {
             let entry = directory.checked_add(2 + 12 * index)?;
             if short(entry)? == ORIENTATION_TAG {
                 let is_one_short = short(entry + 2)? == TYPE_SHORT && long(entry + 4)? == 1;
-                return if is_one_short { Self::from_number(short(entry + 8)?) } else { None };
+                return if is_one_short {
+                    Self::from_number(short(entry + 8)?)
+                } else {
+                    None
+                };
             }
         }
         None
@@ -75,7 +87,10 @@ impl Orientation {
 
     /// Whether width and height are swapped.
     pub(super) const fn swaps_sides(self) -> bool {
-        matches!(self, Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270)
+        matches!(
+            self,
+            Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270
+        )
     }
 
     /// Transforms `stored: [rows][width][N]` to the upright picture unless cancelled.
@@ -95,12 +110,19 @@ impl Orientation {
             }
             Self::Rotate180 => rotate(stored.as_chunks_mut::<N>().0, work)?,
             Self::MirrorVertical => mirror_rows(&mut stored, N * width, work)?,
-            Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270 => return self.turn::<T, N>(&stored, width, work),
+            Self::Transpose | Self::Rotate90 | Self::Transverse | Self::Rotate270 => {
+                return self.turn::<T, N>(&stored, width, work);
+            }
         }
         Ok(stored)
     }
 
-    fn turn<T: Copy + Default, const N: usize>(self, stored: &[T], width: usize, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
+    fn turn<T: Copy + Default, const N: usize>(
+        self,
+        stored: &[T],
+        width: usize,
+        work: &StepCounter<'_>,
+    ) -> Result<Vec<T>, CodecError> {
         let mut upright = zeros(stored.len() as u64, work)?;
         let from = stored.as_chunks::<N>().0;
         let into = upright.as_chunks_mut::<N>().0;
@@ -140,7 +162,10 @@ fn rotate<P>(pixels: &mut [P], work: &StepCounter<'_>) -> Result<(), CodecError>
 fn mirror_rows<T>(samples: &mut [T], row: usize, work: &StepCounter<'_>) -> Result<(), CodecError> {
     let height = samples.len() / row;
     let (above, below) = samples.split_at_mut(height / 2 * row);
-    for (upper, lower) in above.chunks_exact_mut(row).zip(below.rchunks_exact_mut(row)) {
+    for (upper, lower) in above
+        .chunks_exact_mut(row)
+        .zip(below.rchunks_exact_mut(row))
+    {
         work.check()?;
         upper.swap_with_slice(lower);
     }
@@ -165,9 +190,25 @@ pub(super) mod tests {
 
     /// A TIFF block with one entry besides the orientation.
     pub(crate) fn exif(orientation: u16, little: bool) -> Vec<u8> {
-        let short = |v: u16| if little { v.to_le_bytes() } else { v.to_be_bytes() };
-        let long = |v: u32| if little { v.to_le_bytes() } else { v.to_be_bytes() };
-        let mut out = if little { b"II*\0".to_vec() } else { b"MM\0*".to_vec() };
+        let short = |v: u16| {
+            if little {
+                v.to_le_bytes()
+            } else {
+                v.to_be_bytes()
+            }
+        };
+        let long = |v: u32| {
+            if little {
+                v.to_le_bytes()
+            } else {
+                v.to_be_bytes()
+            }
+        };
+        let mut out = if little {
+            b"II*\0".to_vec()
+        } else {
+            b"MM\0*".to_vec()
+        };
         out.extend(long(8));
         out.extend(short(2));
         for (tag, value) in [(0x0106_u16, 2_u16), (ORIENTATION_TAG, orientation)] {
@@ -195,13 +236,24 @@ pub(super) mod tests {
     #[test]
     fn orientation_of_malformed_exif_is_upright() {
         for number in [0, 9, 255, u16::MAX] {
-            assert_eq!(Orientation::from_exif(&exif(number, true)), Orientation::Upright);
+            assert_eq!(
+                Orientation::from_exif(&exif(number, true)),
+                Orientation::Upright
+            );
         }
         let whole = exif(6, true);
         let needed = 8 + 2 + 12 + 10;
         for length in 0..whole.len() {
-            let expected = if length < needed { Orientation::Upright } else { Orientation::Rotate90 };
-            assert_eq!(Orientation::from_exif(&whole[..length]), expected, "{length} bytes");
+            let expected = if length < needed {
+                Orientation::Upright
+            } else {
+                Orientation::Rotate90
+            };
+            assert_eq!(
+                Orientation::from_exif(&whole[..length]),
+                expected,
+                "{length} bytes"
+            );
         }
         let mut far = whole.clone();
         far[4..8].copy_from_slice(&u32::MAX.to_le_bytes());
@@ -219,7 +271,13 @@ pub(super) mod tests {
         let work = StepCounter::new(&|| false);
         for (number, _, expected) in UPRIGHT {
             let orientation = Orientation::from_number(number).unwrap();
-            assert_eq!(orientation.apply::<_, 1>(b"abcdef".to_vec(), 3, &work).unwrap(), expected, "{number}");
+            assert_eq!(
+                orientation
+                    .apply::<_, 1>(b"abcdef".to_vec(), 3, &work)
+                    .unwrap(),
+                expected,
+                "{number}"
+            );
             assert_eq!(orientation.swaps_sides(), number >= 5);
         }
     }
@@ -231,10 +289,17 @@ pub(super) mod tests {
         for (width, height) in [(1, 1), (1, 70), (70, 1), (64, 65), (130, 63)] {
             let stored: Vec<u16> = (0..).take(3 * width * height).collect();
             for (there, back) in [(2, 2), (3, 3), (4, 4), (5, 5), (6, 8), (7, 7), (8, 6)] {
-                let (there, back) = (Orientation::from_number(there).unwrap(), Orientation::from_number(back).unwrap());
+                let (there, back) = (
+                    Orientation::from_number(there).unwrap(),
+                    Orientation::from_number(back).unwrap(),
+                );
                 let turned = there.apply::<_, 3>(stored.clone(), width, &work).unwrap();
                 let turned_width = if there.swaps_sides() { height } else { width };
-                assert_eq!(back.apply::<_, 3>(turned, turned_width, &work).unwrap(), stored, "{there:?} {width}x{height}");
+                assert_eq!(
+                    back.apply::<_, 3>(turned, turned_width, &work).unwrap(),
+                    stored,
+                    "{there:?} {width}x{height}"
+                );
             }
         }
     }

@@ -41,11 +41,21 @@ pub(super) enum Parsed<'a> {
 impl<'a> Parsed<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
         Ok(match SourceFormat::of(bytes)? {
-            SourceFormat::Written(Format::Png) => Self::Png(png::read::PngFile::parse(bytes, work)?),
-            SourceFormat::Written(Format::Jpeg) => Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?),
-            SourceFormat::Written(Format::WebP) => Self::WebP(webp::read::WebPFile::parse(bytes, work)?),
-            SourceFormat::Written(Format::Tiff) => Self::Tiff(tiff::read::TiffFile::parse(bytes, work)?),
-            SourceFormat::Written(Format::Gif) => Self::Gif(gif::read::GifFile::parse(bytes, work)?),
+            SourceFormat::Written(Format::Png) => {
+                Self::Png(png::read::PngFile::parse(bytes, work)?)
+            }
+            SourceFormat::Written(Format::Jpeg) => {
+                Self::Jpeg(jpeg::read::JpegFile::parse(bytes, work)?)
+            }
+            SourceFormat::Written(Format::WebP) => {
+                Self::WebP(webp::read::WebPFile::parse(bytes, work)?)
+            }
+            SourceFormat::Written(Format::Tiff) => {
+                Self::Tiff(tiff::read::TiffFile::parse(bytes, work)?)
+            }
+            SourceFormat::Written(Format::Gif) => {
+                Self::Gif(gif::read::GifFile::parse(bytes, work)?)
+            }
             SourceFormat::Bmp => Self::Bmp(bmp::BmpFile::parse(bytes, work)?),
         })
     }
@@ -60,7 +70,10 @@ impl<'a> Parsed<'a> {
             Self::Gif(file) => (file.extent, None),
             Self::Bmp(file) => (file.extent, None),
         };
-        (extent, exif.map_or_else(Orientation::default, Orientation::from_exif))
+        (
+            extent,
+            exif.map_or_else(Orientation::default, Orientation::from_exif),
+        )
     }
 
     /// What the file says beside its pixels.
@@ -77,26 +90,81 @@ impl<'a> Parsed<'a> {
 
     /// Refuses what can only be read as labels.
     pub(super) fn check_picture(&self) -> Result<(), CodecError> {
-        if let Self::Tiff(file) = self { file.check_picture() } else { Ok(()) }
+        if let Self::Tiff(file) = self {
+            file.check_picture()
+        } else {
+            Ok(())
+        }
     }
 
     pub(super) fn header(&self) -> Header {
         let (format, channels, depth, decoder_bytes, grey) = match self {
-            Self::Png(f) => (SourceFormat::Written(Format::Png), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
-            Self::Jpeg(f) => (SourceFormat::Written(Format::Jpeg), Channels::Rgb, Depth::Eight, f.decoder_bytes(), f.is_grey()),
-            Self::WebP(f) => (SourceFormat::Written(Format::WebP), f.channels(), Depth::Eight, f.decoder_bytes(), false),
-            Self::Tiff(f) => (SourceFormat::Written(Format::Tiff), f.channels(), f.depth(), f.decoder_bytes(), f.is_grey()),
-            Self::Gif(f) => (SourceFormat::Written(Format::Gif), f.channels(), Depth::Eight, f.decoder_bytes(), false),
-            Self::Bmp(f) => (SourceFormat::Bmp, f.channels(), Depth::Eight, f.decoder_bytes(), f.is_indexed()),
+            Self::Png(f) => (
+                SourceFormat::Written(Format::Png),
+                f.channels(),
+                f.depth(),
+                f.decoder_bytes(),
+                f.is_grey(),
+            ),
+            Self::Jpeg(f) => (
+                SourceFormat::Written(Format::Jpeg),
+                Channels::Rgb,
+                Depth::Eight,
+                f.decoder_bytes(),
+                f.is_grey(),
+            ),
+            Self::WebP(f) => (
+                SourceFormat::Written(Format::WebP),
+                f.channels(),
+                Depth::Eight,
+                f.decoder_bytes(),
+                false,
+            ),
+            Self::Tiff(f) => (
+                SourceFormat::Written(Format::Tiff),
+                f.channels(),
+                f.depth(),
+                f.decoder_bytes(),
+                f.is_grey(),
+            ),
+            Self::Gif(f) => (
+                SourceFormat::Written(Format::Gif),
+                f.channels(),
+                Depth::Eight,
+                f.decoder_bytes(),
+                false,
+            ),
+            Self::Bmp(f) => (
+                SourceFormat::Bmp,
+                f.channels(),
+                Depth::Eight,
+                f.decoder_bytes(),
+                f.is_indexed(),
+            ),
         };
         let (stored, orientation) = self.stored();
         let picture = sample_bytes(stored, channels, depth);
         let swaps = orientation.swaps_sides();
-        let extent = if swaps { Extent::new(stored.height(), stored.width()).expect("both sides are non-zero") } else { stored };
+        let extent = if swaps {
+            Extent::new(stored.height(), stored.width()).expect("both sides are non-zero")
+        } else {
+            stored
+        };
         // The decoder's planes are freed before the picture is turned, so the peak is the larger of the two, not the sum; its small blocks
         // stay with the allocator.
-        let beside = if swaps { decoder_bytes.max(picture.saturating_add(TURNING_SLACK)) } else { decoder_bytes };
-        Header { format, extent, channels, grey, depth, decode_bytes: picture.saturating_add(beside) }
+        let beside = if swaps {
+            decoder_bytes.max(picture.saturating_add(TURNING_SLACK))
+        } else {
+            decoder_bytes
+        };
+        Header {
+            format,
+            extent,
+            channels,
+            grey,
+            depth,
+            decode_bytes: picture.saturating_add(beside),
+        }
     }
 }
 

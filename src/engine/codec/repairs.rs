@@ -20,7 +20,12 @@ impl Repairs {
 
     /// Their names.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
-        let all = [(self.checksum, "wrong checksum"), (self.end, "no end of the file"), (self.gap, "bytes between segments")];
-        all.into_iter().filter_map(|(is_so, name)| is_so.then_some(name))
+        let all = [
+            (self.checksum, "wrong checksum"),
+            (self.end, "no end of the file"),
+            (self.gap, "bytes between segments"),
+        ];
+        all.into_iter()
+            .filter_map(|(is_so, name)| is_so.then_some(name))
     }
 }

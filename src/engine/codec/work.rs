@@ -26,7 +26,9 @@ pub struct StepCounter<'a> {
 
 impl fmt::Debug for StepCounter<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("StepCounter").field("steps", &self.steps).finish_non_exhaustive()
+        f.debug_struct("StepCounter")
+            .field("steps", &self.steps)
+            .finish_non_exhaustive()
     }
 }
 
@@ -34,7 +36,11 @@ impl<'a> StepCounter<'a> {
     /// `cancelled` returns true when the result is no longer needed.
     #[must_use]
     pub fn new(cancelled: &'a dyn Fn() -> bool) -> Self {
-        Self { cancelled, steps: Cell::new(0), asked: Cell::new(0) }
+        Self {
+            cancelled,
+            steps: Cell::new(0),
+            asked: Cell::new(0),
+        }
     }
 
     /// Steps so far: chunks, segments, bytes searched, reads from a bit stream, and a decoder's requests for input.
@@ -62,7 +68,11 @@ impl<'a> StepCounter<'a> {
 
     /// Checks cancellation.
     pub(super) fn check(&self) -> Result<(), CodecError> {
-        if self.is_cancelled() { Err(CodecError::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() {
+            Err(CodecError::Cancelled)
+        } else {
+            Ok(())
+        }
     }
 
     pub(super) fn is_cancelled(&self) -> bool {
@@ -81,7 +91,13 @@ pub(super) struct Pieces<'a, B> {
 
 impl<'a, B: AsRef<[u8]>> Pieces<'a, B> {
     pub(super) const fn new(bytes: B, work: &'a StepCounter<'a>) -> Self {
-        Self { bytes, at: 0, end: 0, requests: 0, work }
+        Self {
+            bytes,
+            at: 0,
+            end: 0,
+            requests: 0,
+            work,
+        }
     }
 }
 
@@ -133,12 +149,21 @@ pub(super) struct Bytes<'a> {
 
 impl<'a> Bytes<'a> {
     pub(super) fn new(bytes: &'a [u8], work: &'a StepCounter<'a>) -> Self {
-        Self { cursor: ZCursor::new(bytes), requests: 0, stopped: false, work }
+        Self {
+            cursor: ZCursor::new(bytes),
+            requests: 0,
+            stopped: false,
+            work,
+        }
     }
 
     fn ask(&mut self) -> Result<(), ZByteIoError> {
         self.stopped = self.stopped || self.work.requests(std::mem::take(&mut self.requests));
-        if self.stopped { Err(ZByteIoError::Generic("the picture is no longer wanted")) } else { Ok(()) }
+        if self.stopped {
+            Err(ZByteIoError::Generic("the picture is no longer wanted"))
+        } else {
+            Ok(())
+        }
     }
 }
 

@@ -50,7 +50,9 @@ impl Encoding {
     pub const fn is_grey(self) -> bool {
         match self {
             Self::Png(_) | Self::Tiff(_) => true,
-            Self::Jpeg { ground: [r, g, b], .. } => r == g && g == b,
+            Self::Jpeg {
+                ground: [r, g, b], ..
+            } => r == g && g == b,
             Self::WebP | Self::Gif => false,
         }
     }
@@ -69,7 +71,11 @@ pub struct Writer {
 enum Kind {
     Png(PngWriter),
     Jpeg(JpegWriter),
-    Whole { coding: Coding, metadata: Option<Carried>, palette: Option<Palette> },
+    Whole {
+        coding: Coding,
+        metadata: Option<Carried>,
+        palette: Option<Palette>,
+    },
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -88,15 +94,33 @@ impl Writer {
     pub fn new(shape: PngShape, encoding: Encoding, metadata: Option<&Carried>) -> Self {
         let grey = shape.grey && encoding.is_grey();
         let shape = PngShape { grey, ..shape };
-        let whole = |coding| Kind::Whole { coding, metadata: metadata.cloned(), palette: None };
+        let whole = |coding| Kind::Whole {
+            coding,
+            metadata: metadata.cloned(),
+            palette: None,
+        };
         let kind = match encoding {
             Encoding::Png(compression) => Kind::Png(PngWriter::new(shape, compression, metadata)),
-            Encoding::Jpeg { quality, subsampling, ground } => Kind::Jpeg(JpegWriter::new(shape, quality, subsampling, ground, metadata)),
+            Encoding::Jpeg {
+                quality,
+                subsampling,
+                ground,
+            } => Kind::Jpeg(JpegWriter::new(
+                shape,
+                quality,
+                subsampling,
+                ground,
+                metadata,
+            )),
             Encoding::WebP => whole(Coding::WebP),
             Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
             Encoding::Gif => whole(Coding::Gif),
         };
-        Self { shape, is_grey_in_colour: grey, kind }
+        Self {
+            shape,
+            is_grey_in_colour: grey,
+            kind,
+        }
     }
 
     /// Creates a writer for a label image, whose samples are given as the file has them; `None` if the format would change them.
@@ -104,15 +128,28 @@ impl Writer {
     /// # Panics
     /// Like [`Self::new`].
     #[must_use]
-    pub fn of_labels(shape: PngShape, encoding: Encoding, palette: Option<&Palette>, metadata: Option<&Carried>) -> Option<Self> {
+    pub fn of_labels(
+        shape: PngShape,
+        encoding: Encoding,
+        palette: Option<&Palette>,
+        metadata: Option<&Carried>,
+    ) -> Option<Self> {
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Png(PngWriter::of_labels(shape, compression, palette, metadata)),
-            Encoding::Tiff(compression) => {
-                Kind::Whole { coding: Coding::Tiff(compression), metadata: metadata.cloned(), palette: palette.cloned() }
+            Encoding::Png(compression) => {
+                Kind::Png(PngWriter::of_labels(shape, compression, palette, metadata))
             }
+            Encoding::Tiff(compression) => Kind::Whole {
+                coding: Coding::Tiff(compression),
+                metadata: metadata.cloned(),
+                palette: palette.cloned(),
+            },
             Encoding::Jpeg { .. } | Encoding::WebP | Encoding::Gif => return None,
         };
-        Some(Self { shape, is_grey_in_colour: false, kind })
+        Some(Self {
+            shape,
+            is_grey_in_colour: false,
+            kind,
+        })
     }
 
     /// Number of strips.
@@ -165,10 +202,16 @@ impl Writer {
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
             Kind::Jpeg(jpeg) => jpeg.work_bytes(),
-            Kind::Whole { coding, metadata, .. } => {
+            Kind::Whole {
+                coding, metadata, ..
+            } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                let tables = if matches!(coding, Coding::Gif) { gif::write::work_bytes(shape.extent) } else { 0 };
+                let tables = if matches!(coding, Coding::Gif) {
+                    gif::write::work_bytes(shape.extent)
+                } else {
+                    0
+                };
                 tables + samples * COPIES + 2 * metadata.as_ref().map_or(0, Carried::most_bytes)
             }
         }
@@ -190,20 +233,53 @@ impl Writer {
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
-    pub fn strip_into(&self, index: usize, samples: &mut [u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) -> StripChecksum {
-        let samples = if self.is_grey_in_colour { first_colour(samples, self.shape) } else { samples };
+    pub fn strip_into(
+        &self,
+        index: usize,
+        samples: &mut [u8],
+        out: &mut Vec<u8>,
+        wanted: &dyn Fn() -> bool,
+    ) -> StripChecksum {
+        let samples = if self.is_grey_in_colour {
+            first_colour(samples, self.shape)
+        } else {
+            samples
+        };
         match &self.kind {
             Kind::Png(png) => png.strip_into(index, samples, out),
             Kind::Jpeg(jpeg) => {
                 jpeg.strip_into(index, &in_eight(samples, self.shape.depth), out, wanted);
                 StripChecksum::default()
             }
-            Kind::Whole { coding, metadata, palette } => {
+            Kind::Whole {
+                coding,
+                metadata,
+                palette,
+            } => {
                 let (shape, metadata) = (self.shape, metadata.as_ref());
                 match *coding {
-                    Coding::Tiff(compression) => tiff::write::write(shape, compression, samples, (metadata, palette.as_ref()), out, wanted),
-                    Coding::WebP => webp::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), metadata, out),
-                    Coding::Gif => gif::write::write(shape.extent, shape.channels, &in_eight(samples, shape.depth), out, wanted),
+                    Coding::Tiff(compression) => tiff::write::write(
+                        shape,
+                        compression,
+                        samples,
+                        (metadata, palette.as_ref()),
+                        out,
+                        wanted,
+                    ),
+                    Coding::WebP => webp::write::write(
+                        shape.extent,
+                        shape.channels,
+                        &in_eight(samples, shape.depth),
+                        metadata,
+                        out,
+                    ),
+                    Coding::Gif => gif::write::write(
+                        shape.extent,
+                        shape.channels,
+                        &in_eight(samples, shape.depth),
+                        out,
+                        wanted,
+                    ),
                 }
                 StripChecksum::default()
             }
@@ -223,7 +299,9 @@ impl Writer {
 
 /// Moves the first colour of every pixel, and its alpha, to the front.
 fn first_colour(samples: &mut [u8], shape: PngShape) -> &[u8] {
-    fn compact<const FROM: usize, const COLOUR: usize, const TO: usize>(samples: &mut [u8]) -> usize {
+    fn compact<const FROM: usize, const COLOUR: usize, const TO: usize>(
+        samples: &mut [u8],
+    ) -> usize {
         let pixels = samples.len() / FROM;
         for pixel in 0..pixels {
             let from: [u8; FROM] = samples[pixel * FROM..][..FROM].try_into().expect("a pixel");
@@ -246,7 +324,8 @@ fn first_colour(samples: &mut [u8], shape: PngShape) -> &[u8] {
 /// Samples of 8 bit: of 16, the nearest `(s * 255 + 32767) / 65535`.
 fn in_eight(samples: &[u8], depth: Depth) -> Cow<'_, [u8]> {
     #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
-    let nearest = |s: &[u8]| ((u32::from(u16::from_be_bytes([s[0], s[1]])) * 255 + 32_767) / 65_535) as u8;
+    let nearest =
+        |s: &[u8]| ((u32::from(u16::from_be_bytes([s[0], s[1]])) * 255 + 32_767) / 65_535) as u8;
     match depth {
         Depth::Eight => Cow::Borrowed(samples),
         Depth::Sixteen => samples.chunks_exact(2).map(nearest).collect(),
@@ -262,13 +341,32 @@ mod tests {
 
     const TIFF: Encoding = Encoding::Tiff(Compression::Fast);
 
-    fn written(extent: Extent, channels: Channels, depth: Depth, samples: &[u8], encoding: Encoding, icc: Option<&[u8]>) -> Decoded {
+    fn written(
+        extent: Extent,
+        channels: Channels,
+        depth: Depth,
+        samples: &[u8],
+        encoding: Encoding,
+        icc: Option<&[u8]>,
+    ) -> Decoded {
         let profile = icc.map(Carried::of_icc);
-        let writer = Writer::new(PngShape { extent, channels, grey: false, depth }, encoding, profile.as_ref());
+        let writer = Writer::new(
+            PngShape {
+                extent,
+                channels,
+                grey: false,
+                depth,
+            },
+            encoding,
+            profile.as_ref(),
+        );
         let mut file = writer.head();
         let checksum = writer.strip_into(0, &mut samples.to_vec(), &mut file, &|| true);
         file.extend(writer.tail(&[checksum]));
-        assert_eq!(SourceFormat::of(&file).unwrap(), SourceFormat::Written(encoding.format()));
+        assert_eq!(
+            SourceFormat::of(&file).unwrap(),
+            SourceFormat::Written(encoding.format())
+        );
         assert!(file.len() as u64 <= writer.max_bytes());
         decode(&file, &Limits::default(), &|| false).unwrap()
     }
@@ -277,13 +375,30 @@ mod tests {
     fn a_jpeg_that_nobody_waits_for_is_not_written_to_its_end() {
         use std::cell::Cell;
         let extent = Extent::new(1500, 1000).unwrap();
-        let shape = PngShape { extent, channels: Channels::Rgb, grey: false, depth: Depth::Eight };
-        let writer = Writer::new(shape, Encoding::Jpeg { quality: 95, subsampling: Subsampling::Full, ground: [0; 3] }, None);
+        let shape = PngShape {
+            extent,
+            channels: Channels::Rgb,
+            grey: false,
+            depth: Depth::Eight,
+        };
+        let writer = Writer::new(
+            shape,
+            Encoding::Jpeg {
+                quality: 95,
+                subsampling: Subsampling::Full,
+                ground: [0; 3],
+            },
+            None,
+        );
         let rows = writer.rows(0).end;
-        let noise: Vec<u8> = (0..rows * 1500 * 3).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let noise: Vec<u8> = (0..rows * 1500 * 3)
+            .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .collect();
         let write = |looks: u32| {
             let (asked, mut file) = (Cell::new(0), Vec::new());
-            writer.strip_into(0, &mut noise.clone(), &mut file, &|| asked.replace(asked.get() + 1) < looks);
+            writer.strip_into(0, &mut noise.clone(), &mut file, &|| {
+                asked.replace(asked.get() + 1) < looks
+            });
             file.len()
         };
         let whole = write(u32::MAX);
@@ -301,9 +416,19 @@ mod tests {
     fn waves(extent: Extent, channels: Channels) -> Vec<u8> {
         let (w, h) = (extent.width() as usize, extent.height() as usize);
         let wave = |k: usize| {
-            let (x, y, c) = (k / channels.count() % w, k / channels.count() / w, k % channels.count());
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
-            let sample = (127.5 + 120.0 * ((x as f64 * 0.11 + c as f64).sin() * (y as f64 * 0.07).cos())) as u8;
+            let (x, y, c) = (
+                k / channels.count() % w,
+                k / channels.count() / w,
+                k % channels.count(),
+            );
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "0 to 255"
+            )]
+            let sample = (127.5
+                + 120.0 * ((x as f64 * 0.11 + c as f64).sin() * (y as f64 * 0.07).cos()))
+                as u8;
             sample
         };
         (0..w * h * channels.count()).map(wave).collect()
@@ -315,8 +440,18 @@ mod tests {
             let extent = Extent::new(w, h).unwrap();
             for channels in [Channels::Rgb, Channels::Rgba] {
                 let samples = waves(extent, channels);
-                let back = written(extent, channels, Depth::Eight, &samples, Encoding::WebP, None);
-                assert_eq!((back.pixmap.extent(), back.pixmap.channels(), eight(&back)), (extent, channels, samples.as_slice()));
+                let back = written(
+                    extent,
+                    channels,
+                    Depth::Eight,
+                    &samples,
+                    Encoding::WebP,
+                    None,
+                );
+                assert_eq!(
+                    (back.pixmap.extent(), back.pixmap.channels(), eight(&back)),
+                    (extent, channels, samples.as_slice())
+                );
             }
         }
     }
@@ -331,14 +466,26 @@ mod tests {
                 Channels::Rgb,
                 Depth::Eight,
                 &samples,
-                Encoding::Jpeg { quality, subsampling: Subsampling::Full, ground: [255; 3] },
+                Encoding::Jpeg {
+                    quality,
+                    subsampling: Subsampling::Full,
+                    ground: [255; 3],
+                },
                 None,
             );
             assert_eq!(back.pixmap.extent(), extent);
-            eight(&back).iter().zip(&samples).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
+            eight(&back)
+                .iter()
+                .zip(&samples)
+                .map(|(a, b)| a.abs_diff(*b))
+                .max()
+                .unwrap()
         };
         let (low, high, full) = (worst(30), worst(90), worst(100));
-        assert!(full <= 6 && full < high && high < low, "{low} {high} {full}");
+        assert!(
+            full <= 6 && full < high && high < low,
+            "{low} {high} {full}"
+        );
     }
 
     #[test]
@@ -346,11 +493,28 @@ mod tests {
         let extent = Extent::new(24, 16).unwrap();
         for (alpha, want) in [(0, [10, 200, 30]), (255, [250, 0, 90]), (51, [58, 160, 42])] {
             let samples = [250, 0, 90, alpha].repeat(24 * 16);
-            let encoding = Encoding::Jpeg { quality: 100, subsampling: Subsampling::Full, ground: [10, 200, 30] };
-            let back = written(extent, Channels::Rgba, Depth::Eight, &samples, encoding, None);
+            let encoding = Encoding::Jpeg {
+                quality: 100,
+                subsampling: Subsampling::Full,
+                ground: [10, 200, 30],
+            };
+            let back = written(
+                extent,
+                Channels::Rgba,
+                Depth::Eight,
+                &samples,
+                encoding,
+                None,
+            );
             assert_eq!(back.pixmap.channels(), Channels::Rgb);
             for pixel in eight(&back).chunks_exact(3) {
-                assert!(pixel.iter().zip(want).all(|(got, want)| got.abs_diff(want) <= 3), "{pixel:?} {want:?}");
+                assert!(
+                    pixel
+                        .iter()
+                        .zip(want)
+                        .all(|(got, want)| got.abs_diff(want) <= 3),
+                    "{pixel:?} {want:?}"
+                );
             }
         }
     }
@@ -358,10 +522,22 @@ mod tests {
     #[test]
     fn sixteen_bits_become_the_nearest_eight() {
         let extent = Extent::new(4, 1).unwrap();
-        let deep = [0_u16, 128, 129, 257, 32_639, 32_768, 65_406, 65_407, 65_535, 300, 400, 500];
+        let deep = [
+            0_u16, 128, 129, 257, 32_639, 32_768, 65_406, 65_407, 65_535, 300, 400, 500,
+        ];
         let samples: Vec<u8> = deep.iter().flat_map(|s| s.to_be_bytes()).collect();
-        let back = written(extent, Channels::Rgb, Depth::Sixteen, &samples, Encoding::WebP, None);
-        let nearest: Vec<u8> = deep.iter().map(|s| u8::try_from((2 * u32::from(*s) + 257) / 514).unwrap()).collect();
+        let back = written(
+            extent,
+            Channels::Rgb,
+            Depth::Sixteen,
+            &samples,
+            Encoding::WebP,
+            None,
+        );
+        let nearest: Vec<u8> = deep
+            .iter()
+            .map(|s| u8::try_from((2 * u32::from(*s) + 257) / 514).unwrap())
+            .collect();
         assert_eq!(eight(&back), nearest);
     }
 
@@ -373,15 +549,33 @@ mod tests {
         profile[..4].copy_from_slice(&70_000_u32.to_be_bytes());
         profile[16..20].copy_from_slice(b"RGB ");
         profile[36..40].copy_from_slice(b"acsp");
-        profile.iter_mut().enumerate().skip(200).for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
+        profile
+            .iter_mut()
+            .enumerate()
+            .skip(200)
+            .for_each(|(k, byte)| *byte = u8::try_from(k % 251).unwrap());
         for encoding in [
             Encoding::Png(Compression::Fast),
-            Encoding::Jpeg { quality: 90, subsampling: Subsampling::Full, ground: [255; 3] },
+            Encoding::Jpeg {
+                quality: 90,
+                subsampling: Subsampling::Full,
+                ground: [255; 3],
+            },
             Encoding::WebP,
             TIFF,
         ] {
-            let back = written(extent, Channels::Rgb, Depth::Eight, &samples, encoding, Some(&profile));
-            assert!(back.metadata.icc() == Some(profile.as_slice()), "{encoding:?}");
+            let back = written(
+                extent,
+                Channels::Rgb,
+                Depth::Eight,
+                &samples,
+                encoding,
+                Some(&profile),
+            );
+            assert!(
+                back.metadata.icc() == Some(profile.as_slice()),
+                "{encoding:?}"
+            );
         }
     }
 }

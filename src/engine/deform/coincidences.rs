@@ -55,7 +55,11 @@ impl Coincidences {
     ///
     /// # Errors
     /// Too many coincidences, too many pairs to compare, cancelled.
-    pub(super) fn find(elements: &[Element], extent: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+    pub(super) fn find(
+        elements: &[Element],
+        extent: f64,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, DeformError> {
         let mut search = Search::new(elements, extent, cancelled);
         search.run()?;
         Ok(search.found)
@@ -103,7 +107,12 @@ impl Coincidences {
         displacements: &[Vec2],
         members: impl Fn(usize, Vec2) -> M,
     ) {
-        let at = |(element, t): On| (place(&elements[element], t), displacement(&elements[element], t, displacements));
+        let at = |(element, t): On| {
+            (
+                place(&elements[element], t),
+                displacement(&elements[element], t, displacements),
+            )
+        };
         for &(x, y) in &self.touching {
             let ((p, dp), (r, dr)) = (at(x), at(y));
             let apart = ((p + dp) - (r + dr)).norm();
@@ -118,7 +127,10 @@ impl Coincidences {
         let mut added = HashSet::new();
         for on in self.touching.iter().flat_map(|(x, y)| [*x, *y]) {
             let (position, displacement) = at(on);
-            if found.listed(position).is_some_and(|group| added.insert((group, on.0))) {
+            if found
+                .listed(position)
+                .is_some_and(|group| added.insert((group, on.0)))
+            {
                 found.add_members(position, members(on.0, displacement));
             }
         }
@@ -132,7 +144,9 @@ impl Coincidences {
     /// Whether some points nearer than 1 px move more than ten times as far apart.
     pub(super) fn tears(&self, elements: &[Element], displacements: &[Vec2]) -> bool {
         self.near.iter().any(|&(i, j, apart)| {
-            (target(&elements[i], 0.0, displacements) - target(&elements[j], 0.0, displacements)).norm() > NEAR_FACTOR * apart
+            (target(&elements[i], 0.0, displacements) - target(&elements[j], 0.0, displacements))
+                .norm()
+                > NEAR_FACTOR * apart
         })
     }
 }
@@ -152,8 +166,18 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
         let coincident = coincidence_distance(extent);
-        let found = Coincidences { tolerance: CONTRADICTION_SHARE * extent.max(1.0), ..Coincidences::default() };
-        Self { elements, coincident, cancelled, found, compared: 0, work: 0 }
+        let found = Coincidences {
+            tolerance: CONTRADICTION_SHARE * extent.max(1.0),
+            ..Coincidences::default()
+        };
+        Self {
+            elements,
+            coincident,
+            cancelled,
+            found,
+            compared: 0,
+            work: 0,
+        }
     }
 
     fn run(&mut self) -> Result<(), DeformError> {
@@ -165,14 +189,28 @@ impl<'a> Search<'a> {
     }
 
     fn check_cancelled(&self) -> Result<(), DeformError> {
-        if (self.cancelled)() { Err(DeformError::Cancelled) } else { Ok(()) }
+        if (self.cancelled)() {
+            Err(DeformError::Cancelled)
+        } else {
+            Ok(())
+        }
     }
 
     /// Finds coincident points, each paired with the first in the client's order, and points that are near each other.
     fn points(&mut self) -> Result<(), DeformError> {
-        let points = || self.elements.iter().enumerate().filter_map(|(index, element)| point(element).map(|p| (index, p)));
-        let origin = points().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, (_, p)| Point::new(o.x.min(p.x), o.y.min(p.y)));
-        let (mut close, mut same) = (Cells::new(origin, NEAR), Cells::new(origin, SAME_CELL * self.coincident));
+        let points = || {
+            self.elements
+                .iter()
+                .enumerate()
+                .filter_map(|(index, element)| point(element).map(|p| (index, p)))
+        };
+        let origin = points().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, (_, p)| {
+            Point::new(o.x.min(p.x), o.y.min(p.y))
+        });
+        let (mut close, mut same) = (
+            Cells::new(origin, NEAR),
+            Cells::new(origin, SAME_CELL * self.coincident),
+        );
         let (mut touching, mut near, mut compared) = (Vec::new(), Vec::new(), 0);
         for (j, p) in points() {
             self.check_cancelled()?;
@@ -215,29 +253,56 @@ impl<'a> Search<'a> {
             if best.as_ref().is_some_and(|best| best.pairs <= few) {
                 break;
             }
-            let sweep = Sweep::new(self.elements, std::f64::consts::PI * f64::from(turn) / f64::from(DIRECTIONS), reach);
+            let sweep = Sweep::new(
+                self.elements,
+                std::f64::consts::PI * f64::from(turn) / f64::from(DIRECTIONS),
+                reach,
+            );
             if best.as_ref().is_none_or(|best| sweep.pairs < best.pairs) {
                 best = Some(sweep);
             }
         }
-        let Some(Sweep { segments, points, .. }) = best else { return Ok(()) };
+        let Some(Sweep {
+            segments, points, ..
+        }) = best
+        else {
+            return Ok(());
+        };
         let boxes: Vec<[f64; 4]> = self.elements.iter().map(bounds).collect();
-        for (k, &Interval { low, high, index: i }) in segments.iter().enumerate() {
+        for (
+            k,
+            &Interval {
+                low,
+                high,
+                index: i,
+            },
+        ) in segments.iter().enumerate()
+        {
             self.check_cancelled()?;
-            let later = segments[k + 1..].iter().take_while(|other| other.low <= high + reach).map(|other| other.index);
+            let later = segments[k + 1..]
+                .iter()
+                .take_while(|other| other.low <= high + reach)
+                .map(|other| other.index);
             let from = points.partition_point(|p| p.low < low - reach);
-            let on_it = points[from..].iter().take_while(|p| p.low <= high + reach).map(|p| p.index);
+            let on_it = points[from..]
+                .iter()
+                .take_while(|p| p.low <= high + reach)
+                .map(|p| p.index);
             for j in later.chain(on_it) {
                 self.work += 1;
                 let (a, b) = (&boxes[i], &boxes[j]);
                 let apart = |low: usize| b[low] > a[low + 2] + reach || a[low] > b[low + 2] + reach;
-                let beside = |i: usize, j: usize| is_beside(&self.elements[i], &self.elements[j], reach);
+                let beside =
+                    |i: usize, j: usize| is_beside(&self.elements[i], &self.elements[j], reach);
                 if !apart(0) && !apart(1) && !beside(i, j) && !beside(j, i) {
                     self.work += COMPARISON;
-                    self.found.meet(self.elements, i.min(j), i.max(j), self.coincident);
+                    self.found
+                        .meet(self.elements, i.min(j), i.max(j), self.coincident);
                 }
                 if self.work > MOST_WORK {
-                    return Err(DeformError::TooManyNeighbours { limit: MOST_WORK / COMPARISON });
+                    return Err(DeformError::TooManyNeighbours {
+                        limit: MOST_WORK / COMPARISON,
+                    });
                 }
                 if self.found.touching.len() > MOST {
                     return Err(DeformError::TooManyMeetings { limit: MOST });
@@ -257,14 +322,21 @@ struct Cells {
 
 impl Cells {
     fn new(origin: Point, side: f64) -> Self {
-        Self { origin, side, cells: HashMap::new() }
+        Self {
+            origin,
+            side,
+            cells: HashMap::new(),
+        }
     }
 
     /// Points lie within a few extents of the origin, and a side is at least a billionth of the extent.
     #[expect(clippy::cast_possible_truncation, reason = "some 2^32 cells at most")]
     fn cell(&self, p: Point) -> (i64, i64) {
         let from = p - self.origin;
-        ((from.x / self.side).floor() as i64, (from.y / self.side).floor() as i64)
+        (
+            (from.x / self.side).floor() as i64,
+            (from.y / self.side).floor() as i64,
+        )
     }
 
     fn insert(&mut self, index: usize, p: Point) {
@@ -309,29 +381,45 @@ impl Sweep {
         let (mut segments, mut points) = (Vec::new(), Vec::new());
         for (index, element) in elements.iter().enumerate() {
             match element {
-                Element::Point { p, .. } => points.push(Interval { low: along(*p), high: along(*p), index }),
+                Element::Point { p, .. } => points.push(Interval {
+                    low: along(*p),
+                    high: along(*p),
+                    index,
+                }),
                 Element::Segment(s) => {
                     let (a, b) = (along(s.a), along(s.b));
-                    segments.push(Interval { low: a.min(b), high: a.max(b), index });
+                    segments.push(Interval {
+                        low: a.min(b),
+                        high: a.max(b),
+                        index,
+                    });
                 }
             }
         }
         for list in [&mut segments, &mut points] {
             list.sort_unstable_by(|a, b| a.low.total_cmp(&b.low).then(a.index.cmp(&b.index)));
         }
-        let until = |list: &[Interval], end: f64| list.partition_point(|other| other.low <= end) as u64;
+        let until =
+            |list: &[Interval], end: f64| list.partition_point(|other| other.low <= end) as u64;
         let overlaps = |(k, s): (usize, &Interval)| {
-            let points = until(&points, s.high + reach) - points.partition_point(|p| p.low < s.low - reach) as u64;
+            let points = until(&points, s.high + reach)
+                - points.partition_point(|p| p.low < s.low - reach) as u64;
             until(&segments[k + 1..], s.high + reach) + points
         };
         let pairs = segments.iter().enumerate().map(overlaps).sum();
-        Self { segments, points, pairs }
+        Self {
+            segments,
+            points,
+            pairs,
+        }
     }
 }
 
 /// Whether the other element lies on one side of a segment's line, farther than `reach` from it.
 fn is_beside(element: &Element, other: &Element, reach: f64) -> bool {
-    let Element::Segment(s) = element else { return false };
+    let Element::Segment(s) = element else {
+        return false;
+    };
     let side = |p: Point| s.tau.cross(p - s.a);
     let (a, b) = match other {
         Element::Point { p, .. } => (side(*p), side(*p)),
@@ -352,7 +440,12 @@ fn point(element: &Element) -> Option<Point> {
 fn bounds(element: &Element) -> [f64; 4] {
     match element {
         Element::Point { p, .. } => [p.x, p.y, p.x, p.y],
-        Element::Segment(s) => [s.a.x.min(s.b.x), s.a.y.min(s.b.y), s.a.x.max(s.b.x), s.a.y.max(s.b.y)],
+        Element::Segment(s) => [
+            s.a.x.min(s.b.x),
+            s.a.y.min(s.b.y),
+            s.a.x.max(s.b.x),
+            s.a.y.max(s.b.y),
+        ],
     }
 }
 
@@ -369,7 +462,10 @@ fn crossing(s: &Segment, other: &Segment) -> Option<(f64, f64)> {
         return None;
     }
     let between = other.a - s.a;
-    let (t, u) = (between.cross(other.tau) / (sin * s.length), between.cross(s.tau) / (sin * other.length));
+    let (t, u) = (
+        between.cross(other.tau) / (sin * s.length),
+        between.cross(s.tau) / (sin * other.length),
+    );
     ((0.0..=1.0).contains(&t) && (0.0..=1.0).contains(&u)).then_some((t, u))
 }
 
@@ -431,7 +527,10 @@ mod tests {
                 }
                 search.found.meet(elements, i, j, search.coincident);
             }
-            search.found.touching.extend(first.map(|i| ((i, 0.0), (j, 0.0))));
+            search
+                .found
+                .touching
+                .extend(first.map(|i| ((i, 0.0), (j, 0.0))));
         }
         search.found.touching.sort_by_key(|(x, y)| (x.0, y.0));
         search.found
@@ -439,7 +538,10 @@ mod tests {
 
     fn agrees(handles: Vec<Handle>) -> Result<(), TestCaseError> {
         let (elements, extent) = elements_of(handles);
-        let (mut found, mut want) = (Coincidences::find(&elements, extent, NEVER).unwrap(), by_brute_force(&elements, extent));
+        let (mut found, mut want) = (
+            Coincidences::find(&elements, extent, NEVER).unwrap(),
+            by_brute_force(&elements, extent),
+        );
         prop_assert_eq!(&found.touching, &want.touching);
         found.near.sort_by_key(|near| (near.0, near.1));
         want.near.sort_by_key(|near| (near.0, near.1));
@@ -449,15 +551,24 @@ mod tests {
 
     /// Places that often coincide, are often near each other, and often lie on one line.
     fn place() -> impl Strategy<Value = (f64, f64)> {
-        let lattice = (0..6_u8, 0..6_u8).prop_map(|(x, y)| (f64::from(x) * 7.0, f64::from(y) * 7.0));
-        let beside = (0..6_u8, 0..3_u8, -3..4_i8).prop_map(|(x, y, d)| (f64::from(x) * 7.0 + f64::from(d) * 0.3, f64::from(y) * 7.0));
-        let rounded = (0..6_u8, -9..10_i8).prop_map(|(x, d)| (f64::from(x) * 7.0 + f64::from(d) * 5e-9, 7.0 - f64::from(d) * 3e-9));
+        let lattice =
+            (0..6_u8, 0..6_u8).prop_map(|(x, y)| (f64::from(x) * 7.0, f64::from(y) * 7.0));
+        let beside = (0..6_u8, 0..3_u8, -3..4_i8)
+            .prop_map(|(x, y, d)| (f64::from(x) * 7.0 + f64::from(d) * 0.3, f64::from(y) * 7.0));
+        let rounded = (0..6_u8, -9..10_i8).prop_map(|(x, d)| {
+            (
+                f64::from(x) * 7.0 + f64::from(d) * 5e-9,
+                7.0 - f64::from(d) * 3e-9,
+            )
+        });
         prop_oneof![lattice, beside, rounded, (0.0..40.0, 0.0..40.0)]
     }
 
     fn handle() -> impl Strategy<Value = Handle> {
         let point = place().prop_map(|(x, y)| dot(x, y));
-        let line = (place(), place()).prop_filter("a length", |(a, b)| (a.0 - b.0).hypot(a.1 - b.1) > 1e-3).prop_map(|(a, b)| line(a, b));
+        let line = (place(), place())
+            .prop_filter("a length", |(a, b)| (a.0 - b.0).hypot(a.1 - b.1) > 1e-3)
+            .prop_map(|(a, b)| line(a, b));
         prop_oneof![point, line]
     }
 
@@ -486,8 +597,10 @@ mod tests {
         for degrees in [0.0_f64, 11.0, 45.0, 90.0, 130.0] {
             let (sin, cos) = degrees.to_radians().sin_cos();
             let turned = |x: f64, y: f64| (400.0 + x * cos - y * sin, 400.0 + x * sin + y * cos);
-            let mut handles: Vec<Handle> =
-                (0..60).map(|k| f64::from(k) - 30.0).map(|y| line(turned(-150.0, y), turned(150.0, y))).collect();
+            let mut handles: Vec<Handle> = (0..60)
+                .map(|k| f64::from(k) - 30.0)
+                .map(|y| line(turned(-150.0, y), turned(150.0, y)))
+                .collect();
             handles.push(line(turned(0.0, -12.5), turned(1.0, 14.5)));
             let at = turned(10.0, 20.0);
             handles.push(dot(at.0, at.1));
@@ -500,34 +613,91 @@ mod tests {
     fn the_work_of_the_worst_sets_is_bounded() {
         const N: u32 = 10_000;
         let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);
-        let (half, all) = (|| 0..N / 2, || (0..N).map(|k| (k, share(k), share(k ^ 0x5bd1))));
+        let (half, all) = (
+            || 0..N / 2,
+            || (0..N).map(|k| (k, share(k), share(k ^ 0x5bd1))),
+        );
         let bundle = |angle: f64, spread: f64| {
             let (sin, cos) = angle.sin_cos();
             let turned = move |x: f64, y: f64| (x * cos - y * sin, x * sin + y * cos);
-            half().map(|k| spread * f64::from(k)).map(|y| line(turned(0.0, y), turned(400.0, y))).collect::<Vec<_>>()
+            half()
+                .map(|k| spread * f64::from(k))
+                .map(|y| line(turned(0.0, y), turned(400.0, y)))
+                .collect::<Vec<_>>()
         };
         let sets: Vec<(&str, Vec<Handle>)> = vec![
-            ("points within 1 px", all().map(|(_, x, y)| dot(100.0 + 0.7 * x, 100.0 + 0.7 * y)).collect()),
-            ("points at one place", all().map(|_| dot(3.0, 4.0)).chain([dot(900.0, 0.0)]).collect()),
-            ("points within a millionth of a px", all().map(|(_, x, y)| dot(1e-6 * x, 1e-6 * y)).chain([dot(900.0, 0.0)]).collect()),
-            ("points of one x", all().map(|(_, x, _)| dot(7.0, 4000.0 * x)).collect()),
-            ("points of one x, 1/100 px apart", all().map(|(k, ..)| dot(7.0, 0.01 * f64::from(k))).collect()),
-            ("points on one slanted line", all().map(|(_, x, _)| dot(2000.0 * x, 2000.0 * x)).collect()),
+            (
+                "points within 1 px",
+                all()
+                    .map(|(_, x, y)| dot(100.0 + 0.7 * x, 100.0 + 0.7 * y))
+                    .collect(),
+            ),
+            (
+                "points at one place",
+                all()
+                    .map(|_| dot(3.0, 4.0))
+                    .chain([dot(900.0, 0.0)])
+                    .collect(),
+            ),
+            (
+                "points within a millionth of a px",
+                all()
+                    .map(|(_, x, y)| dot(1e-6 * x, 1e-6 * y))
+                    .chain([dot(900.0, 0.0)])
+                    .collect(),
+            ),
+            (
+                "points of one x",
+                all().map(|(_, x, _)| dot(7.0, 4000.0 * x)).collect(),
+            ),
+            (
+                "points of one x, 1/100 px apart",
+                all().map(|(k, ..)| dot(7.0, 0.01 * f64::from(k))).collect(),
+            ),
+            (
+                "points on one slanted line",
+                all().map(|(_, x, _)| dot(2000.0 * x, 2000.0 * x)).collect(),
+            ),
             ("parallel lines along x", bundle(0.0, 0.01)),
-            ("parallel lines between two directions", bundle(std::f64::consts::PI / 16.0, 0.01)),
-            ("parallel lines far apart", bundle(std::f64::consts::PI / 16.0, 0.5)),
+            (
+                "parallel lines between two directions",
+                bundle(std::f64::consts::PI / 16.0, 0.01),
+            ),
+            (
+                "parallel lines far apart",
+                bundle(std::f64::consts::PI / 16.0, 0.5),
+            ),
             (
                 "a star",
                 half()
                     .map(|k| f64::from(k).sin_cos())
-                    .map(|(s, c)| line((500.0 + 9.0 * c, 500.0 + 9.0 * s), (500.0 + 400.0 * c, 500.0 + 400.0 * s)))
+                    .map(|(s, c)| {
+                        line(
+                            (500.0 + 9.0 * c, 500.0 + 9.0 * s),
+                            (500.0 + 400.0 * c, 500.0 + 400.0 * s),
+                        )
+                    })
                     .collect(),
             ),
-            ("all cross", half().map(|k| f64::from(k) / 5000.0).map(|t| line((0.0, 400.0 * t), (400.0, 400.0 * (1.0 - t)))).collect()),
+            (
+                "all cross",
+                half()
+                    .map(|k| f64::from(k) / 5000.0)
+                    .map(|t| line((0.0, 400.0 * t), (400.0, 400.0 * (1.0 - t))))
+                    .collect(),
+            ),
             (
                 "points beside lines",
                 (0..N / 3)
-                    .flat_map(|k| [dot(200.0 + share(k), 3.0), line((0.0, 0.01 * f64::from(k)), (400.0, 5.0 + 0.01 * f64::from(k)))])
+                    .flat_map(|k| {
+                        [
+                            dot(200.0 + share(k), 3.0),
+                            line(
+                                (0.0, 0.01 * f64::from(k)),
+                                (400.0, 5.0 + 0.01 * f64::from(k)),
+                            ),
+                        ]
+                    })
                     .collect(),
             ),
         ];
@@ -547,26 +717,51 @@ mod tests {
                 began.elapsed().as_secs_f64() * 1e3,
                 outcome
             );
-            assert!(search.compared <= n * (9 + 25) * CROWD as u64, "{name}: {}", search.compared);
-            assert!(search.work <= MOST_WORK + 2 * COMPARISON, "{name}: {}", search.work);
+            assert!(
+                search.compared <= n * (9 + 25) * CROWD as u64,
+                "{name}: {}",
+                search.compared
+            );
+            assert!(
+                search.work <= MOST_WORK + 2 * COMPARISON,
+                "{name}: {}",
+                search.work
+            );
         }
     }
 
     /// A point may be a group of thousands.
     #[test]
     fn the_members_of_an_element_are_listed_once_for_a_position() {
-        let lines = (0..300)
-            .map(|k| f64::from(k).sin_cos())
-            .map(|(s, c)| line((50.0 - 40.0 * s, 50.0 - 40.0 * c), (50.0 + 40.0 * s, 50.0 + 40.0 * c)));
+        let lines = (0..300).map(|k| f64::from(k).sin_cos()).map(|(s, c)| {
+            line(
+                (50.0 - 40.0 * s, 50.0 - 40.0 * c),
+                (50.0 + 40.0 * s, 50.0 + 40.0 * c),
+            )
+        });
         let (elements, extent) = elements_of([dot(50.0, 50.0)].into_iter().chain(lines).collect());
         let coincidences = Coincidences::find(&elements, extent, NEVER).unwrap();
-        assert!(coincidences.touching.len() > 40_000, "{}", coincidences.touching.len());
+        assert!(
+            coincidences.touching.len() > 40_000,
+            "{}",
+            coincidences.touching.len()
+        );
         let displacements: Vec<Vec2> = (0..601).map(|k| Vec2::new(f64::from(k % 7), 0.0)).collect();
         let (mut found, listed) = (Contradictions::new(coincidences.tolerance()), Cell::new(0));
-        coincidences.add_contradictions(&mut found, &elements, &displacements, |element, displacement| {
-            listed.set(listed.get() + 1);
-            [Member { element, handle: element, weight: 1.0, displacement }]
-        });
+        coincidences.add_contradictions(
+            &mut found,
+            &elements,
+            &displacements,
+            |element, displacement| {
+                listed.set(listed.get() + 1);
+                [Member {
+                    element,
+                    handle: element,
+                    weight: 1.0,
+                    displacement,
+                }]
+            },
+        );
         assert_eq!((listed.get(), found.finish().listed[0].total), (301, 301));
     }
 
@@ -578,7 +773,10 @@ mod tests {
         for looks in [0, 1, 499, 501, 520, 900] {
             let asked = Cell::new(0);
             let cancelled = || asked.replace(asked.get() + 1) >= looks;
-            assert_eq!(Coincidences::find(&elements, extent, &cancelled).unwrap_err(), DeformError::Cancelled);
+            assert_eq!(
+                Coincidences::find(&elements, extent, &cancelled).unwrap_err(),
+                DeformError::Cancelled
+            );
             assert_eq!(asked.get(), looks + 1);
         }
     }

@@ -58,7 +58,9 @@ impl Sources {
         let mut sources = Self::default();
         for element in elements {
             match *element {
-                Element::Point { p, mass, column } => sources.points.push(PointSource { p, mass, column }),
+                Element::Point { p, mass, column } => {
+                    sources.points.push(PointSource { p, mass, column })
+                }
                 Element::Segment(segment) => sources.segments.push(segment),
             }
         }
@@ -87,7 +89,11 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
     for (index, (handle, &weight)) in handles.handles().iter().zip(handles.weights()).enumerate() {
         match handle {
             Handle::Point(p) => {
-                elements.push(Element::Point { p: *p, mass: weight * point_mass, column });
+                elements.push(Element::Point {
+                    p: *p,
+                    mass: weight * point_mass,
+                    column,
+                });
                 owners.push(index);
                 column += 1;
             }
@@ -96,7 +102,14 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
                     let (a, b) = (ab[0], ab[1]);
                     let length = a.distance(b);
                     let tau = (b - a) * (1.0 / length);
-                    elements.push(Element::Segment(Segment { a, b, length, tau, weight, column }));
+                    elements.push(Element::Segment(Segment {
+                        a,
+                        b,
+                        length,
+                        tau,
+                        weight,
+                        column,
+                    }));
                     owners.push(index);
                     column += 2;
                 }
@@ -109,14 +122,25 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
 
 /// Rank of the set: `max distance from the best-fit line <= 1e-9 extent` is collinear.
 pub(super) fn rank(handles: &Handles) -> Rank {
-    let places = || handles.handles().iter().flat_map(|h| h.places().iter().copied());
-    let Some(first) = places().next() else { return Rank::Empty };
+    let places = || {
+        handles
+            .handles()
+            .iter()
+            .flat_map(|h| h.places().iter().copied())
+    };
+    let Some(first) = places().next() else {
+        return Rank::Empty;
+    };
     // A segment has a direction, however short.
     if handles.extent() <= ONE_PLACE && !handles.has_lines() {
         return Rank::OnePlace;
     }
-    #[expect(clippy::cast_precision_loss, reason = "a count of places is far below 2^53")]
-    let mean = first + places().fold(Vec2::ZERO, |s, p| s + (p - first)) * (1.0 / places().count() as f64);
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "a count of places is far below 2^53"
+    )]
+    let mean =
+        first + places().fold(Vec2::ZERO, |s, p| s + (p - first)) * (1.0 / places().count() as f64);
     // Total least squares: the direction that maximises sum (d . u)^2 has the angle atan2(2 sxy, sxx - syy) / 2.
     let (mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0);
     for p in places() {
@@ -127,8 +151,14 @@ pub(super) fn rank(handles: &Handles) -> Rank {
     }
     let (sin, cos) = (0.5 * f64::atan2(2.0 * sxy, sxx - syy)).sin_cos();
     let direction = Vec2::new(cos, sin);
-    let off = places().map(|p| direction.cross(p - mean).abs()).fold(0.0, f64::max);
-    if off <= COINCIDENT_SHARE * handles.extent() { Rank::Collinear } else { Rank::Full }
+    let off = places()
+        .map(|p| direction.cross(p - mean).abs())
+        .fold(0.0, f64::max);
+    if off <= COINCIDENT_SHARE * handles.extent() {
+        Rank::Collinear
+    } else {
+        Rank::Full
+    }
 }
 
 impl Segment {

@@ -12,15 +12,21 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
     let cells = columns - 1;
-    let index = |i: usize, j: usize| u32::try_from(j * cells + i).expect("fewer cells than vertices");
+    let index =
+        |i: usize, j: usize| u32::try_from(j * cells + i).expect("fewer cells than vertices");
     if columns < 4 || rows < 4 {
         let is_tall = rows >= columns;
         let bent = bent_along(mesh, if is_tall { Axis::Y } else { Axis::X }, limit);
         let all = (0..rows - 1).flat_map(|j| (0..cells).map(move |i| (i, j)));
-        return all.filter(|&(i, j)| bent[if is_tall { j } else { i }]).map(|(i, j)| index(i, j)).collect();
+        return all
+            .filter(|&(i, j)| bent[if is_tall { j } else { i }])
+            .map(|(i, j)| index(i, j))
+            .collect();
     }
     let line = |j: usize| mesh.displacement()[j * columns..][..columns].as_flattened();
-    let share = |x: fn(&crate::geometry::Grid, u32) -> f64, last: u32| (x(grid, last) - x(grid, last - 1)) / (x(grid, 1) - x(grid, 0));
+    let share = |x: fn(&crate::geometry::Grid, u32) -> f64, last: u32| {
+        (x(grid, last) - x(grid, last - 1)) / (x(grid, 1) - x(grid, 0))
+    };
     let last_column = Last::new(share(crate::geometry::Grid::x, grid.columns() - 1));
     let last_row = Last::new(share(crate::geometry::Grid::y, grid.rows() - 1));
     #[expect(clippy::cast_possible_truncation, reason = "a threshold")]
@@ -31,7 +37,11 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     for j in 0..rows {
         // Rows at the border take the differences of their neighbours.
         let middle = j.clamp(1, rows - 2);
-        let (middle, last) = if middle == rows - 2 { last_row.line(middle) } else { (middle, None) };
+        let (middle, last) = if middle == rows - 2 {
+            last_row.line(middle)
+        } else {
+            (middle, None)
+        };
         let (over, here, under) = (line(middle - 1), line(middle), line(middle + 1));
         let at = line(j);
         let n = 2 * columns;
@@ -39,7 +49,12 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
             let second = last.map_or((c - b) - (b - a), |last| last.second(*a, *b, *c));
             *square = second * second;
         }
-        for (((square, a), b), c) in across[2..n - 2].iter_mut().zip(at).zip(&at[2..]).zip(&at[4..]) {
+        for (((square, a), b), c) in across[2..n - 2]
+            .iter_mut()
+            .zip(at)
+            .zip(&at[2..])
+            .zip(&at[4..])
+        {
             let second = (c - b) - (b - a);
             *square = second * second;
         }
@@ -52,14 +67,23 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
         }
         (across[0], across[1]) = (across[2], across[3]);
         (across[n - 2], across[n - 1]) = (across[n - 4], across[n - 3]);
-        for ((bend, x), y) in below.iter_mut().zip(across.chunks_exact(2)).zip(squares.chunks_exact(2)) {
+        for ((bend, x), y) in below
+            .iter_mut()
+            .zip(across.chunks_exact(2))
+            .zip(squares.chunks_exact(2))
+        {
             *bend = (x[0] + x[1]).sqrt() + (y[0] + y[1]).sqrt();
         }
         if j > 0 {
             let pairs = above.iter().zip(&below);
             let high = |(a, b): (&f32, &f32)| a.max(*b) > limit;
             let high: Vec<bool> = pairs.map(high).collect();
-            bent.extend(high.windows(2).enumerate().filter(|(_, ab)| ab[0] | ab[1]).map(|(i, _)| index(i, j - 1)));
+            bent.extend(
+                high.windows(2)
+                    .enumerate()
+                    .filter(|(_, ab)| ab[0] | ab[1])
+                    .map(|(i, _)| index(i, j - 1)),
+            );
         }
         std::mem::swap(&mut above, &mut below);
     }
@@ -78,21 +102,40 @@ fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
     const NARROW_LIMIT: f64 = 0.25;
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
-    let (lines, across) = if matches!(axis, Axis::Y) { (rows, columns) } else { (columns, rows) };
+    let (lines, across) = if matches!(axis, Axis::Y) {
+        (rows, columns)
+    } else {
+        (columns, rows)
+    };
     if lines < 4 {
         return vec![true; lines - 1];
     }
     let at = |line: usize, k: usize| {
-        let [x, y] = mesh.displacement()[if matches!(axis, Axis::Y) { line * columns + k } else { k * columns + line }];
+        let [x, y] = mesh.displacement()[if matches!(axis, Axis::Y) {
+            line * columns + k
+        } else {
+            k * columns + line
+        }];
         [f64::from(x), f64::from(y)]
     };
-    let (width, height) = (grid.cell().0.min(grid.width()), grid.cell().1.min(grid.height()));
-    let aspect = if matches!(axis, Axis::Y) { width / height } else { height / width };
+    let (width, height) = (
+        grid.cell().0.min(grid.width()),
+        grid.cell().1.min(grid.height()),
+    );
+    let aspect = if matches!(axis, Axis::Y) {
+        width / height
+    } else {
+        height / width
+    };
     let bend = |line: usize| {
         // The last line may be nearer than the others.
         let middle = line.clamp(1, lines - 3);
-        let second = |k: usize, c: usize| at(middle - 1, k)[c] - 2.0 * at(middle, k)[c] + at(middle + 1, k)[c];
-        let largest = (0..across).map(|k| second(k, 0).hypot(second(k, 1))).fold(0.0, f64::max);
+        let second = |k: usize, c: usize| {
+            at(middle - 1, k)[c] - 2.0 * at(middle, k)[c] + at(middle + 1, k)[c]
+        };
+        let largest = (0..across)
+            .map(|k| second(k, 0).hypot(second(k, 1)))
+            .fold(0.0, f64::max);
         largest * (1.0 + aspect * aspect) > 8.0 * limit * NARROW_LIMIT
     };
     let high: Vec<bool> = (0..lines).map(bend).collect();
@@ -148,7 +191,11 @@ mod tests {
             let mesh = bent_near_a_line(width, height);
             let cells = mesh.grid().columns().max(mesh.grid().rows()) - 1;
             let bent = bent_cells(&mesh, 0.1);
-            assert!((20..100).contains(&bent.len()), "{width} x {height}: {} of {cells}", bent.len());
+            assert!(
+                (20..100).contains(&bent.len()),
+                "{width} x {height}: {} of {cells}",
+                bent.len()
+            );
         }
         assert_eq!(bent_cells(&bent_near_a_line(20.0, 30.0), 0.1).len(), 4);
     }

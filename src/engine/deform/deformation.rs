@@ -36,22 +36,41 @@ impl Field {
     /// f of a pose, for many positions.
     #[must_use]
     pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
-        let spline = self.solved().map(|spline| spline.posed(pose.displacements()));
-        let moments = if self.prefers_moments() { self.moments(pose) } else { None };
-        Deformation { field: self, pose, spline, moments }
+        let spline = self
+            .solved()
+            .map(|spline| spline.posed(pose.displacements()));
+        let moments = if self.prefers_moments() {
+            self.moments(pose)
+        } else {
+            None
+        };
+        Deformation {
+            field: self,
+            pose,
+            spline,
+            moments,
+        }
     }
 
     /// The moments, if they suffice: points alone, and moving least squares.
     pub(super) fn moments<'a>(&'a self, pose: &'a Pose) -> Option<MomentInputs<'a>> {
         let falloff = self.falloff().filter(|_| self.has_moments())?;
-        Some(MomentInputs::new(&self.sources.points, pose.displacements(), falloff, self.family))
+        Some(MomentInputs::new(
+            &self.sources.points,
+            pose.displacements(),
+            falloff,
+            self.family,
+        ))
     }
 
     fn has_moments(&self) -> bool {
         // Affine moments of points on nearly one line are accurate only if none of them is much lighter than the others.
         let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
-        let is_accurate = |falloff: Falloff| falloff.alpha() <= MOST_AFFINE && self.sources.points.windows(2).all(is_equal);
-        self.falloff().is_some_and(|falloff| self.family != Method::Affine || is_accurate(falloff))
+        let is_accurate = |falloff: Falloff| {
+            falloff.alpha() <= MOST_AFFINE && self.sources.points.windows(2).all(is_equal)
+        };
+        self.falloff()
+            .is_some_and(|falloff| self.family != Method::Affine || is_accurate(falloff))
             && self.sources.segments.is_empty()
             && matches!(self.rank, Rank::Collinear | Rank::Full)
     }
@@ -69,9 +88,18 @@ impl Field {
 
     /// Calls `look` with positions at which f is known, and their displacements, px: those of points, and a few of each segment. Positions
     /// at which handles contradict each other are left out. `None` when cancelled.
-    pub fn look_at_handles(&self, pose: &Pose, cancelled: IsCancelled<'_>, mut look: impl FnMut(Point, Vec2)) -> Option<()> {
+    pub fn look_at_handles(
+        &self,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+        mut look: impl FnMut(Point, Vec2),
+    ) -> Option<()> {
         let approximated = self.approximated(pose, cancelled)?;
-        let mut d = approximated.as_deref().unwrap_or(pose.displacements()).iter().copied();
+        let mut d = approximated
+            .as_deref()
+            .unwrap_or(pose.displacements())
+            .iter()
+            .copied();
         let mut next = || d.next().expect("one column a point, two a segment");
         let mut look = |p: Point, displacement: Vec2| {
             if !pose.contradictions().contains(p) {
@@ -98,15 +126,24 @@ impl Field {
 
     /// Calls `look` with the client's points that are one handle with others, where they agree with them: their own positions, at which f
     /// is only approximately known, and their displacements, px. `None` when cancelled.
-    pub fn look_at_grouped_points(&self, pose: &Pose, cancelled: IsCancelled<'_>, mut look: impl FnMut(Point, Vec2)) -> Option<()> {
-        let Some((given, groups)) = self.grouped.as_deref() else { return Some(()) };
+    pub fn look_at_grouped_points(
+        &self,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+        mut look: impl FnMut(Point, Vec2),
+    ) -> Option<()> {
+        let Some((given, groups)) = self.grouped.as_deref() else {
+            return Some(());
+        };
         let approximated = self.approximated(pose, cancelled)?;
         let d = approximated.as_deref().unwrap_or(pose.displacements());
         for element in &self.elements {
             if let Element::Point { p, column, .. } = element
                 && !pose.contradictions().contains(*p)
             {
-                groups.handles_of(*column).for_each(|handle| look(given.handles()[handle].places()[0], d[*column]));
+                groups
+                    .handles_of(*column)
+                    .for_each(|handle| look(given.handles()[handle].places()[0], d[*column]));
             }
         }
         Some(())
@@ -114,10 +151,16 @@ impl Field {
 
     /// Where f takes the handles, if not to their targets: the displacements of the columns, px. The outer `None`: cancelled.
     #[must_use]
-    pub fn approximated(&self, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Option<Vec<Vec2>>> {
+    pub fn approximated(
+        &self,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Option<Vec<Vec2>>> {
         let interpolates = match &self.model {
             Model::MovingLeastSquares { .. } => true,
-            Model::ThinPlateSpline { spline, .. } => spline.as_ref().is_none_or(|spline| spline.interpolates()),
+            Model::ThinPlateSpline { spline, .. } => {
+                spline.as_ref().is_none_or(|spline| spline.interpolates())
+            }
             Model::GlobalAffine { map, .. } => map.is_none(),
         };
         if interpolates {
@@ -129,7 +172,13 @@ impl Field {
         });
         let places: Vec<Point> = places.flatten().collect();
         let mapped = self.deformation(pose).map_all(&places, cancelled)?;
-        Some(Some(mapped.into_iter().zip(places).map(|(mapped, place)| mapped - place).collect()))
+        Some(Some(
+            mapped
+                .into_iter()
+                .zip(places)
+                .map(|(mapped, place)| mapped - place)
+                .collect(),
+        ))
     }
 }
 
@@ -156,35 +205,58 @@ impl Deformation<'_> {
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
         let mut workspace = Workspace::new(self.columns());
         let mut mapped = Vec::with_capacity(places.len());
-        for places in places.chunks(LANES * (COLUMNS_BETWEEN_CHECKS / self.columns().max(1)).max(1)) {
+        for places in places.chunks(LANES * (COLUMNS_BETWEEN_CHECKS / self.columns().max(1)).max(1))
+        {
             if cancelled() {
                 return None;
             }
-            places.chunks(LANES).for_each(|places| mapped.extend(self.map_block(places, &mut workspace)));
+            places
+                .chunks(LANES)
+                .for_each(|places| mapped.extend(self.map_block(places, &mut workspace)));
         }
         Some(mapped)
     }
 
     /// f at up to [`LANES`] positions.
-    pub(super) fn map_block(&self, places: &[Point], workspace: &mut Workspace<LANES>) -> Vec<Point> {
+    pub(super) fn map_block(
+        &self,
+        places: &[Point],
+        workspace: &mut Workspace<LANES>,
+    ) -> Vec<Point> {
         let v = gather(|lane| places[lane.min(places.len() - 1)]);
         let ([x, y], _) = self.displacements(&v, true, workspace);
-        places.iter().enumerate().map(|(k, place)| *place + Vec2::new(x[k], y[k])).collect()
+        places
+            .iter()
+            .enumerate()
+            .map(|(k, place)| *place + Vec2::new(x[k], y[k]))
+            .collect()
     }
 
     /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes throughout.
-    pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) -> ([[f64; N]; 2], f32) {
+    pub(super) fn displacements<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        exact: bool,
+        workspace: &mut Workspace<N>,
+    ) -> ([[f64; N]; 2], f32) {
         if let Some(spline) = &self.spline {
             return (spline.displacements(v), 1.0);
         }
         if let (false, Some(moments)) = (exact, &self.moments) {
             let (moved, rotation) = kernel::moments(moments, v);
-            #[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "a quality number, compared with 0.1"
+            )]
             let least = rotation.into_iter().fold(f64::INFINITY, f64::min) as f32;
             return (moved, least);
         }
         self.field.rows(v, exact, workspace);
-        let (family, d, rows) = (self.field.family, self.pose.displacements(), &workspace.rows);
+        let (family, d, rows) = (
+            self.field.family,
+            self.pose.displacements(),
+            &workspace.rows,
+        );
         let ([mut x, mut y], mut least) = ([[0.0; N]; 2], f32::INFINITY);
         for (k, (x, y)) in x.iter_mut().zip(&mut y).enumerate() {
             let moved = displacement(family, rows, k, d);

@@ -71,7 +71,12 @@ impl Field {
 }
 
 fn demand(sums: &Sums, controls: usize) -> Option<Demand> {
-    let Residuals { rigid, similarity, mirrored, affine } = sums.residuals();
+    let Residuals {
+        rigid,
+        similarity,
+        mirrored,
+        affine,
+    } = sums.residuals();
     let (affine, [x, y]) = (affine?, sums.affine_axes()?);
     let (determinant, is_few) = (x.cross(y), controls < FEW);
     if determinant < 0.0 {
@@ -79,7 +84,11 @@ fn demand(sums: &Sums, controls: usize) -> Option<Demand> {
         let is_thin = similarity < LEAST_LEFT * sums.to_spread;
         let is_exact = controls >= LEAST_FOR_EXACT && affine <= EXACT * similarity;
         let is_alike = mirrored <= LEFT_OF_FEW * sums.to_spread;
-        let is_explained = if is_few { is_exact || is_alike } else { affine <= EXPLAINS * similarity };
+        let is_explained = if is_few {
+            is_exact || is_alike
+        } else {
+            affine <= EXPLAINS * similarity
+        };
         return (!is_flat && !is_thin && is_explained).then_some(Demand::Mirrored { determinant });
     }
     let scale = determinant.sqrt();
@@ -109,15 +118,26 @@ mod tests {
     }
 
     fn of_points(p: &[Point], q: &[Point]) -> Option<Demand> {
-        let points = |places: &[Point]| places.iter().map(|p| Handle::Point(*p)).collect::<Vec<_>>();
+        let points =
+            |places: &[Point]| places.iter().map(|p| Handle::Point(*p)).collect::<Vec<_>>();
         demand_of(&points(p), &points(q))
     }
 
     /// `count` points in a picture of 300 x 200, mapped by `map` with an error of at most `noise` px.
-    fn mapped(seed: u32, count: usize, noise: f64, map: impl Fn(Point) -> Point) -> [Vec<Point>; 2] {
+    fn mapped(
+        seed: u32,
+        count: usize,
+        noise: f64,
+        map: impl Fn(Point) -> Point,
+    ) -> [Vec<Point>; 2] {
         let mut number = numbers(seed);
-        let p: Vec<Point> = (0..count).map(|_| Point::new(300.0 * number(), 200.0 * number())).collect();
-        let q = p.iter().map(|p| map(*p) + Vec2::new(number() - 0.5, number() - 0.5) * (2.0 * noise)).collect();
+        let p: Vec<Point> = (0..count)
+            .map(|_| Point::new(300.0 * number(), 200.0 * number()))
+            .collect();
+        let q = p
+            .iter()
+            .map(|p| map(*p) + Vec2::new(number() - 0.5, number() - 0.5) * (2.0 * noise))
+            .collect();
         [p, q]
     }
 
@@ -125,7 +145,10 @@ mod tests {
         let (sin, cos) = angle.sin_cos();
         move |p: Point| {
             let (x, y) = (if flip { -p.x } else { p.x }, p.y);
-            Point::new(40.0 + scale * (cos * x - sin * y), scale * (sin * x + cos * y) - 20.0)
+            Point::new(
+                40.0 + scale * (cos * x - sin * y),
+                scale * (sin * x + cos * y) - 20.0,
+            )
         }
     }
 
@@ -146,10 +169,19 @@ mod tests {
     #[test]
     fn mirrors_are_found_through_noise_turns_and_scales() {
         for (count, least) in [(4, 90), (6, 95), (8, 98), (12, 100), (40, 100)] {
-            for (angle, scale) in [(0.0, 1.0), (std::f64::consts::FRAC_PI_2, 1.0), (2.0, 0.1), (-1.0, 10.0)] {
+            for (angle, scale) in [
+                (0.0, 1.0),
+                (std::f64::consts::FRAC_PI_2, 1.0),
+                (2.0, 0.1),
+                (-1.0, 10.0),
+            ] {
                 for noise in [0.0, 2.0, 5.0] {
-                    let (mirrored, scaled) = asked(count, noise * scale, turned(angle, scale, true));
-                    assert!(mirrored >= least && scaled == 0, "{count} points, {noise} px: {mirrored}");
+                    let (mirrored, scaled) =
+                        asked(count, noise * scale, turned(angle, scale, true));
+                    assert!(
+                        mirrored >= least && scaled == 0,
+                        "{count} points, {noise} px: {mirrored}"
+                    );
                     let (mirrored, _) = asked(count, noise * scale, turned(angle, scale, false));
                     assert_eq!(mirrored, 0, "{count} points, {noise} px");
                 }
@@ -160,13 +192,26 @@ mod tests {
     #[test]
     fn scales_are_found_from_a_half_and_from_twice() {
         for count in [4, 8, 20] {
-            for (scale, is_other) in [(0.1, true), (0.4, true), (0.55, false), (1.0, false), (1.8, false), (2.5, true), (10.0, true)] {
+            for (scale, is_other) in [
+                (0.1, true),
+                (0.4, true),
+                (0.55, false),
+                (1.0, false),
+                (1.8, false),
+                (2.5, true),
+                (10.0, true),
+            ] {
                 let (mirrored, scaled) = asked(count, 3.0 * scale, turned(1.0, scale, false));
-                assert!(mirrored == 0 && if is_other { scaled >= 92 } else { scaled <= 2 }, "{count} at {scale}: {scaled}");
+                assert!(
+                    mirrored == 0 && if is_other { scaled >= 92 } else { scaled <= 2 },
+                    "{count} at {scale}: {scaled}"
+                );
             }
         }
         let [p, q] = mapped(1, 9, 0.0, turned(0.3, 4.0, false));
-        assert!(matches!(of_points(&p, &q), Some(Demand::Scaled { scale }) if (scale - 4.0).abs() < 1e-9));
+        assert!(
+            matches!(of_points(&p, &q), Some(Demand::Scaled { scale }) if (scale - 4.0).abs() < 1e-9)
+        );
         let [p, q] = mapped(1, 9, 0.0, turned(0.3, 2.0, false));
         assert_eq!(of_points(&p, &q), None, "twice is within the range");
     }
@@ -174,7 +219,15 @@ mod tests {
     /// Edits by hand: some handles go anywhere, the others stay. With three handles any pose is affine.
     #[test]
     fn handles_that_are_dragged_far_ask_for_nothing() {
-        for (moved, count, most) in [(1, 4, 8), (1, 6, 3), (1, 8, 1), (2, 5, 6), (2, 8, 1), (3, 12, 1), (6, 12, 1)] {
+        for (moved, count, most) in [
+            (1, 4, 8),
+            (1, 6, 3),
+            (1, 8, 1),
+            (2, 5, 6),
+            (2, 8, 1),
+            (3, 12, 1),
+            (6, 12, 1),
+        ] {
             let mut asked = 0;
             for seed in 0..200 {
                 let mut number = numbers(977 * seed + 3);
@@ -190,7 +243,11 @@ mod tests {
 
     #[test]
     fn degenerate_sets_ask_for_nothing() {
-        let line = |count: u32, dx: f64, dy: f64| (0..count).map(|k| Point::new(dx * f64::from(k), dy * f64::from(k))).collect::<Vec<_>>();
+        let line = |count: u32, dx: f64, dy: f64| {
+            (0..count)
+                .map(|k| Point::new(dx * f64::from(k), dy * f64::from(k)))
+                .collect::<Vec<_>>()
+        };
         let [scattered, _] = mapped(3, 6, 0.0, |p| p);
         for (p, q) in [
             (line(2, 50.0, 0.0), line(2, -500.0, 0.0)),
@@ -210,7 +267,10 @@ mod tests {
         let flipped: Vec<Point> = p.iter().map(|p| Point::new(p.x, -p.y)).collect();
         assert_eq!(of_points(&p, &flipped), None);
         // Flattened across itself.
-        let flat: Vec<Point> = scattered.iter().map(|p| Point::new(p.x, -0.01 * p.y)).collect();
+        let flat: Vec<Point> = scattered
+            .iter()
+            .map(|p| Point::new(p.x, -0.01 * p.y))
+            .collect();
         assert_eq!(of_points(&scattered, &flat), None);
     }
 
@@ -218,13 +278,21 @@ mod tests {
     fn lines_count_as_their_positions_do() {
         let mut number = numbers(5);
         let mut place = || Point::new(300.0 * number(), 200.0 * number());
-        let p: Vec<Handle> = (0..4).map(|_| Handle::Polyline(vec![place(), place(), place()])).collect();
+        let p: Vec<Handle> = (0..4)
+            .map(|_| Handle::Polyline(vec![place(), place(), place()]))
+            .collect();
         let map = |scale: f64, flip: bool| {
             let map = turned(0.4, scale, flip);
-            p.iter().map(|line| Handle::Polyline(line.places().iter().map(|p| map(*p)).collect())).collect::<Vec<_>>()
+            p.iter()
+                .map(|line| Handle::Polyline(line.places().iter().map(|p| map(*p)).collect()))
+                .collect::<Vec<_>>()
         };
-        assert!(matches!(demand_of(&p, &map(1.0, true)), Some(Demand::Mirrored { determinant }) if (determinant + 1.0).abs() < 1e-9));
-        assert!(matches!(demand_of(&p, &map(0.2, false)), Some(Demand::Scaled { scale }) if (scale - 0.2).abs() < 1e-9));
+        assert!(
+            matches!(demand_of(&p, &map(1.0, true)), Some(Demand::Mirrored { determinant }) if (determinant + 1.0).abs() < 1e-9)
+        );
+        assert!(
+            matches!(demand_of(&p, &map(0.2, false)), Some(Demand::Scaled { scale }) if (scale - 0.2).abs() < 1e-9)
+        );
         assert_eq!(demand_of(&p, &map(1.0, false)), None);
     }
 }

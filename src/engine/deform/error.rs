@@ -122,8 +122,15 @@ pub enum DeformError {
 impl fmt::Display for DeformError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotFinite { handle } => write!(f, "handle {handle} has a coordinate that is not a finite number"),
-            Self::OutOfRange { handle, value, limit } => {
+            Self::NotFinite { handle } => write!(
+                f,
+                "handle {handle} has a coordinate that is not a finite number"
+            ),
+            Self::OutOfRange {
+                handle,
+                value,
+                limit,
+            } => {
                 write!(
                     f,
                     "handle {handle} has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px",
@@ -131,26 +138,58 @@ impl fmt::Display for DeformError {
                 )
             }
             Self::TooFewPlaces { handle, places } => {
-                write!(f, "handle {handle} is a line of {}; a line needs at least 2", counted(*places, "position"))
+                write!(
+                    f,
+                    "handle {handle} is a line of {}; a line needs at least 2",
+                    counted(*places, "position")
+                )
             }
-            Self::CountMismatch { rest, posed } => write!(f, "`q` has {}, but `p` has {rest}", counted(*posed, "handle")),
-            Self::ShapeMismatch { handle, rest, posed } => write!(f, "handle {handle} is {posed} in `q`, but {rest} in `p`"),
+            Self::CountMismatch { rest, posed } => write!(
+                f,
+                "`q` has {}, but `p` has {rest}",
+                counted(*posed, "handle")
+            ),
+            Self::ShapeMismatch {
+                handle,
+                rest,
+                posed,
+            } => write!(f, "handle {handle} is {posed} in `q`, but {rest} in `p`"),
             Self::MissingInPose { handle } => write!(
                 f,
                 "handle {handle} has a position in `p` and none in `q`: to leave it out, the set of rest handles must have none either"
             ),
             Self::WeightCount { rest, weights } => {
-                write!(f, "`weights` has {}, but `p` has {}", counted(*weights, "number"), counted(*rest, "handle"))
+                write!(
+                    f,
+                    "`weights` has {}, but `p` has {}",
+                    counted(*weights, "number"),
+                    counted(*rest, "handle")
+                )
             }
             Self::BadWeight { handle, value } => {
-                write!(f, "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9", Compact(*value))
+                write!(
+                    f,
+                    "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9",
+                    Compact(*value)
+                )
             }
             Self::BadPointMass { value } => {
-                write!(f, "`point_mass` is {}; it must lie between 1e-9 and 1e9 px", Compact(*value))
+                write!(
+                    f,
+                    "`point_mass` is {}; it must lie between 1e-9 and 1e9 px",
+                    Compact(*value)
+                )
             }
-            Self::BadWithin { value } => write!(f, "`within` is {}; it must lie between 0 and 1000000 px", Compact(*value)),
+            Self::BadWithin { value } => write!(
+                f,
+                "`within` is {}; it must lie between 0 and 1000000 px",
+                Compact(*value)
+            ),
             Self::DegenerateLine { handle, segment } => {
-                write!(f, "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead")
+                write!(
+                    f,
+                    "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead"
+                )
             }
             Self::Contradictory { listed, total } => {
                 for (index, contradiction) in listed.iter().take(MOST_DESCRIBED).enumerate() {
@@ -161,7 +200,10 @@ impl fmt::Display for DeformError {
                     more => write!(f, "; and {more} more"),
                 }
             }
-            Self::TooManyMeetings { limit } => write!(f, "the handles meet at more than {limit} positions; send fewer handles"),
+            Self::TooManyMeetings { limit } => write!(
+                f,
+                "the handles meet at more than {limit} positions; send fewer handles"
+            ),
             Self::TooManyNeighbours { limit } => write!(
                 f,
                 "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; \
@@ -174,9 +216,17 @@ impl fmt::Display for DeformError {
                     "handle {handle} is a line, but the method `tps` takes points only; send points along the line, or another method"
                 )
             }
-            Self::BadSmoothing { value } => write!(f, "`smoothing` is {}; it must lie between 0 and 1e9", Compact(*value)),
+            Self::BadSmoothing { value } => write!(
+                f,
+                "`smoothing` is {}; it must lie between 0 and 1e9",
+                Compact(*value)
+            ),
             Self::AlphaOutOfRange { alpha, lines } => {
-                let range = if *lines { "between 0.5 and 8 if a handle is a line" } else { "above 0 and at most 8" };
+                let range = if *lines {
+                    "between 0.5 and 8 if a handle is a line"
+                } else {
+                    "above 0 and at most 8"
+                };
                 write!(f, "`alpha` is {}; it must be {range}", Compact(*alpha))
             }
         }
@@ -187,7 +237,11 @@ impl std::error::Error for DeformError {}
 
 /// A number of things: `1 handle`, `2 handles`.
 fn counted(n: usize, thing: &str) -> String {
-    if n == 1 { format!("1 {thing}") } else { format!("{n} {thing}s") }
+    if n == 1 {
+        format!("1 {thing}")
+    } else {
+        format!("{n} {thing}s")
+    }
 }
 
 /// Contradictions that the text of an error describes.

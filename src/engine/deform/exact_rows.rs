@@ -47,7 +47,9 @@ pub(super) struct Posing<'a> {
 /// The vertices of a group, `(a, b)` of the cell's lattice.
 pub(super) fn group(level: u8) -> impl Iterator<Item = (u32, u32)> + Clone {
     let last = 1_u32 << level;
-    (0..=last).flat_map(move |b| (0..=last).map(move |a| (a, b))).filter(|(a, b)| (a | b) & 1 == 1)
+    (0..=last)
+        .flat_map(move |b| (0..=last).map(move |a| (a, b)))
+        .filter(|(a, b)| (a | b) & 1 == 1)
 }
 
 /// The number of vertices in a group.
@@ -70,23 +72,38 @@ pub(super) fn vertex(grid: &Grid, cell: u32, level: u8, (a, b): (u32, u32)) -> P
         k if k == 1 << level => to,
         k => from + (to - from) * (f64::from(k) / f64::from(1 << level)),
     };
-    Point::new(between(grid.x(i), grid.x(i + 1), a), between(grid.y(j), grid.y(j + 1), b))
+    Point::new(
+        between(grid.x(i), grid.x(i + 1), a),
+        between(grid.y(j), grid.y(j + 1), b),
+    )
 }
 
 impl ExactRows {
     /// Keeps rows of up to `bytes`.
     #[must_use]
     pub fn new(bytes: u64) -> Self {
-        Self { kept: RwLock::default(), left: AtomicU64::new(bytes) }
+        Self {
+            kept: RwLock::default(),
+            left: AtomicU64::new(bytes),
+        }
     }
 
     /// Displacements of the groups of cells, which must be sorted, `[cells][group]`; `None` when cancelled, which is checked for each unit.
-    pub(super) fn displace(&self, posing: &Posing<'_>, level: u8, cells: &[u32], cancelled: IsCancelled<'_>) -> Option<Vec<[f32; 2]>> {
+    pub(super) fn displace(
+        &self,
+        posing: &Posing<'_>,
+        level: u8,
+        cells: &[u32],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec<[f32; 2]>> {
         let len = group_len(level);
         let mut out = vec![[0.0; 2]; cells.len() * len];
         let found: Vec<Option<(Unit, usize)>> = {
             let kept = self.kept.read().unwrap_or_else(PoisonError::into_inner);
-            cells.iter().map(|&cell| kept.get(&(cell, level)).cloned()).collect()
+            cells
+                .iter()
+                .map(|&cell| kept.get(&(cell, level)).cloned())
+                .collect()
         };
         let mut posed: (Option<Unit>, Vec<Pairs>) = (None, Vec::new());
         for (unit, out) in found.iter().zip(out.chunks_exact_mut(len)) {
@@ -116,9 +133,15 @@ impl ExactRows {
         let columns = posing.field.handles().columns();
         let units: Option<Vec<(Vec<Pairs>, Option<Unit>)>> = if posing.serial {
             let mut workspace = Workspace::new(columns);
-            missing.chunks(per_unit).map(|indices| compute(&mut workspace, indices)).collect()
+            missing
+                .chunks(per_unit)
+                .map(|indices| compute(&mut workspace, indices))
+                .collect()
         } else {
-            missing.par_chunks(per_unit).map_init(|| Workspace::new(columns), compute).collect()
+            missing
+                .par_chunks(per_unit)
+                .map_init(|| Workspace::new(columns), compute)
+                .collect()
         };
         let mut fresh = Vec::new();
         for (indices, (pairs, unit)) in missing.chunks(per_unit).zip(units?) {
@@ -132,9 +155,18 @@ impl ExactRows {
     }
 
     /// Computes the rows of a unit; returns its displacements, and the rows if they may be kept.
-    fn unit(&self, posing: &Posing<'_>, level: u8, cells: &[u32], workspace: &mut Workspace<LANES>) -> (Vec<Pairs>, Option<Unit>) {
+    fn unit(
+        &self,
+        posing: &Posing<'_>,
+        level: u8,
+        cells: &[u32],
+        workspace: &mut Workspace<LANES>,
+    ) -> (Vec<Pairs>, Option<Unit>) {
         let Posing { field, grid, d, .. } = *posing;
-        let places: Vec<Point> = cells.iter().flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at))).collect();
+        let places: Vec<Point> = cells
+            .iter()
+            .flat_map(|&cell| group(level).map(move |at| vertex(grid, cell, level, at)))
+            .collect();
         let block_at = |places: &[Point]| gather(|lane| places[lane.min(places.len() - 1)]);
         if let Some(f) = posing.f {
             let displaced = |places: &[Point]| {
@@ -146,12 +178,28 @@ impl ExactRows {
         let per_block = lanes_per_block(field.family(), field.handles().columns());
         let blocks = places.len().div_ceil(LANES);
         let bytes = (blocks * per_block * size_of::<Lanes>() + cells.len() * ENTRY) as u64;
-        let is_kept = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(bytes)).is_ok();
-        let mut table = vec![Lanes::default(); if is_kept { blocks * per_block } else { per_block }];
+        let is_kept = self
+            .left
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
+                left.checked_sub(bytes)
+            })
+            .is_ok();
+        let mut table = vec![
+            Lanes::default();
+            if is_kept {
+                blocks * per_block
+            } else {
+                per_block
+            }
+        ];
         let mut pairs = Vec::with_capacity(blocks);
         for (k, places) in places.chunks(LANES).enumerate() {
             field.rows(&block_at(places), false, workspace);
-            let block = if is_kept { &mut table[k * per_block..][..per_block] } else { &mut table[..] };
+            let block = if is_kept {
+                &mut table[k * per_block..][..per_block]
+            } else {
+                &mut table[..]
+            };
             store(field.family(), &workspace.rows, block);
             kernel::displace(field.family(), block, d, &mut pairs);
         }
@@ -166,10 +214,14 @@ impl ExactRows {
         let mut kept = self.kept.write().unwrap_or_else(PoisonError::into_inner);
         for (indices, unit) in fresh {
             for (group, &k) in indices.iter().enumerate() {
-                kept.entry((cells[k], level)).or_insert_with(|| (Arc::clone(&unit), group));
+                kept.entry((cells[k], level))
+                    .or_insert_with(|| (Arc::clone(&unit), group));
             }
             if Arc::strong_count(&unit) == 1 {
-                self.left.fetch_add((size_of_val(&*unit) + indices.len() * ENTRY) as u64, Ordering::Relaxed);
+                self.left.fetch_add(
+                    (size_of_val(&*unit) + indices.len() * ENTRY) as u64,
+                    Ordering::Relaxed,
+                );
             }
         }
     }
@@ -185,14 +237,19 @@ mod tests {
     /// Bytes of the units that are kept, each once, and of their entries.
     fn kept_bytes(rows: &ExactRows) -> u64 {
         let kept = rows.kept.read().unwrap();
-        let units: HashSet<_> = kept.values().map(|(unit, _)| (unit.as_ptr(), size_of_val(&**unit))).collect();
+        let units: HashSet<_> = kept
+            .values()
+            .map(|(unit, _)| (unit.as_ptr(), size_of_val(&**unit)))
+            .collect();
         units.iter().map(|(_, bytes)| *bytes as u64).sum::<u64>() + (kept.len() * ENTRY) as u64
     }
 
     fn set() -> (Field, Pose, Grid) {
-        let place = |k: u32| Point::new(f64::from(k % 5) * 31.0 + 3.3, f64::from(k / 5) * 17.0 + 5.1);
+        let place =
+            |k: u32| Point::new(f64::from(k % 5) * 31.0 + 3.3, f64::from(k / 5) * 17.0 + 5.1);
         let rest = Handles::new((0..20).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
-        let field = Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+        let field =
+            Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
         let moved = |k: u32| Handle::Point(place(k) + Vec2::new(3.0, f64::from(k % 3)));
         let pose = field.pose(&(0..20).map(moved).collect::<Vec<_>>()).unwrap();
         (field, pose, Grid::with_counts(160.0, 100.0, 33, 21))
@@ -204,8 +261,17 @@ mod tests {
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let cells: Vec<u32> = (0..32 * 20).collect();
         let displaced = |rows: &ExactRows, level: u8, serial: bool| {
-            let posing = Posing { field: &field, f: None, grid: &grid, d: &d, serial };
-            cells.chunks(100).flat_map(|cells| rows.displace(&posing, level, cells, &|| false).unwrap()).collect::<Vec<_>>()
+            let posing = Posing {
+                field: &field,
+                f: None,
+                grid: &grid,
+                d: &d,
+                serial,
+            };
+            cells
+                .chunks(100)
+                .flat_map(|cells| rows.displace(&posing, level, cells, &|| false).unwrap())
+                .collect::<Vec<_>>()
         };
         let all = ExactRows::new(u64::MAX);
         let want: Vec<_> = (1..=4).map(|level| displaced(&all, level, true)).collect();
@@ -215,12 +281,24 @@ mod tests {
             let rows = ExactRows::new(limit);
             for serial in [true, false, true] {
                 for (level, want) in (1..=4).zip(&want) {
-                    assert_eq!(&displaced(&rows, level, serial), want, "{limit} bytes, level {level}");
+                    assert_eq!(
+                        &displaced(&rows, level, serial),
+                        want,
+                        "{limit} bytes, level {level}"
+                    );
                 }
                 let kept = kept_bytes(&rows);
-                assert_eq!(kept + rows.left.load(Ordering::Relaxed), limit, "what is kept is counted");
+                assert_eq!(
+                    kept + rows.left.load(Ordering::Relaxed),
+                    limit,
+                    "what is kept is counted"
+                );
             }
-            assert_eq!(rows.kept.read().unwrap().len() == 4 * cells.len(), limit == needed, "{limit} of {needed} bytes");
+            assert_eq!(
+                rows.kept.read().unwrap().len() == 4 * cells.len(),
+                limit == needed,
+                "{limit} of {needed} bytes"
+            );
         }
     }
 
@@ -231,8 +309,16 @@ mod tests {
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let cells: Vec<u32> = (0..32 * 20).collect();
         let rows = ExactRows::new(u64::MAX);
-        let posing = |f| Posing { field: &field, f, grid: &grid, d: &d, serial: true };
-        let direct = rows.displace(&posing(Some(&f)), 2, &cells, &|| false).unwrap();
+        let posing = |f| Posing {
+            field: &field,
+            f,
+            grid: &grid,
+            d: &d,
+            serial: true,
+        };
+        let direct = rows
+            .displace(&posing(Some(&f)), 2, &cells, &|| false)
+            .unwrap();
         assert_eq!(kept_bytes(&rows), 0);
         let by_rows = rows.displace(&posing(None), 2, &cells, &|| false).unwrap();
         for (a, b) in direct.iter().zip(by_rows) {

@@ -96,7 +96,11 @@ impl Falloff {
             Power::Other => {
                 for r2 in squares {
                     let power = pow(1.0 / *r2, self.alpha);
-                    *r2 = if *r2 < NO_DISTANCE { f64::INFINITY } else { power };
+                    *r2 = if *r2 < NO_DISTANCE {
+                        f64::INFINITY
+                    } else {
+                        power
+                    };
                 }
             }
         }

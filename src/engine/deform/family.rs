@@ -9,12 +9,25 @@ use crate::geometry::Vec2;
 const UNDEFINED: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
-pub(super) fn displacement<const N: usize>(family: Method, rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
+pub(super) fn displacement<const N: usize>(
+    family: Method,
+    rows: &Rows<N>,
+    k: usize,
+    d: &[Vec2],
+) -> Vec2 {
     match family {
-        Method::Affine => rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
+        Method::Affine => rows
+            .h
+            .iter()
+            .zip(d)
+            .fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
         Method::Similarity => pull(rows, k, d),
         Method::Rigid => {
-            let shift = rows.wn.iter().zip(d).fold(Vec2::ZERO, |sum, (wn, d)| sum + *d * wn[k]);
+            let shift = rows
+                .wn
+                .iter()
+                .zip(d)
+                .fold(Vec2::ZERO, |sum, (wn, d)| sum + *d * wn[k]);
             Vec2::new(rows.e[0][k], rows.e[1][k]).complex_mul(rho(pull(rows, k, d))) + shift
         }
     }
@@ -22,12 +35,22 @@ pub(super) fn displacement<const N: usize>(family: Method, rows: &Rows<N>, k: us
 
 /// `sum H_j d_j` (rigid: u) or `sum C_j d_j` (similarity).
 fn pull<const N: usize>(rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
-    rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d))
+    rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| {
+        sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d)
+    })
 }
 
 /// |m| of the fitted rotation for rigid, 1 for the other families; near 0 all rotations fit equally.
-#[expect(clippy::cast_possible_truncation, reason = "a quality number, compared with 0.1")]
-pub(super) fn rotation<const N: usize>(family: Method, rows: &Rows<N>, k: usize, d: &[Vec2]) -> f32 {
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "a quality number, compared with 0.1"
+)]
+pub(super) fn rotation<const N: usize>(
+    family: Method,
+    rows: &Rows<N>,
+    k: usize,
+    d: &[Vec2],
+) -> f32 {
     match family {
         Method::Affine | Method::Similarity => 1.0,
         Method::Rigid => {
@@ -43,7 +66,11 @@ pub(super) fn rho(u: Vec2) -> Vec2 {
     if n < UNDEFINED {
         return Vec2::ZERO;
     }
-    let re = if 1.0 + u.x > 0.0 { -u.y * (u.y / (1.0 + u.x + n)) } else { 1.0 + u.x - n };
+    let re = if 1.0 + u.x > 0.0 {
+        -u.y * (u.y / (1.0 + u.x + n))
+    } else {
+        1.0 + u.x - n
+    };
     Vec2::new(re / n, u.y / n)
 }
 
@@ -62,8 +89,13 @@ mod tests {
                 let r = rho(u);
                 assert!(r.x.is_finite() && r.y.is_finite());
                 let turned = Vec2::new(1.0 + r.x, r.y);
-                assert!((turned.norm() - 1.0).abs() < 1e-12, "|1 + rho({u:?})| = {}", turned.norm());
-                let sine = Vec2::new(1.0 + u.x, u.y).cross(turned) / Vec2::new(1.0 + u.x, u.y).norm();
+                assert!(
+                    (turned.norm() - 1.0).abs() < 1e-12,
+                    "|1 + rho({u:?})| = {}",
+                    turned.norm()
+                );
+                let sine =
+                    Vec2::new(1.0 + u.x, u.y).cross(turned) / Vec2::new(1.0 + u.x, u.y).norm();
                 assert!(sine.abs() < 1e-12);
             }
         }

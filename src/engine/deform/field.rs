@@ -48,11 +48,21 @@ pub struct Field {
 #[derive(Clone, Debug)]
 pub(super) enum Model {
     /// A map is fitted at every position.
-    MovingLeastSquares { falloff: Falloff, point_mass: f64, beta: Option<Arc<IncompleteBeta>> },
+    MovingLeastSquares {
+        falloff: Falloff,
+        point_mass: f64,
+        beta: Option<Arc<IncompleteBeta>>,
+    },
     /// One map; no spline is needed for handles at one position.
-    ThinPlateSpline { smoothing: f64, spline: Option<Arc<Spline>> },
+    ThinPlateSpline {
+        smoothing: f64,
+        spline: Option<Arc<Spline>>,
+    },
     /// One affine map; none is needed for handles at one position.
-    GlobalAffine { point_mass: f64, map: Option<Arc<GlobalAffine>> },
+    GlobalAffine {
+        point_mass: f64,
+        map: Option<Arc<GlobalAffine>>,
+    },
 }
 
 /// Handles whose coincident points are one.
@@ -65,29 +75,51 @@ struct Grouped {
 }
 
 impl Grouped {
-    fn new(handles: Handles, coincident: Coincident, point_mass: f64, cancelled: &dyn Fn() -> bool) -> Result<Self, DeformError> {
+    fn new(
+        handles: Handles,
+        coincident: Coincident,
+        point_mass: f64,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Self, DeformError> {
         let within = coincident.within;
         if !(0.0..=MAX_COORDINATE).contains(&within) {
             return Err(DeformError::BadWithin { value: within });
         }
-        let groups = Groups::find(&handles, within.max(coincidence_distance(handles.extent())), cancelled)?;
+        let groups = Groups::find(
+            &handles,
+            within.max(coincidence_distance(handles.extent())),
+            cancelled,
+        )?;
         let (handles, grouped, handle_of) = match groups {
-            Some((groups, merged, handle_of)) => (merged, Some(Box::new((handles, groups))), Some(handle_of)),
+            Some((groups, merged, handle_of)) => {
+                (merged, Some(Box::new((handles, groups))), Some(handle_of))
+            }
             None => (handles, None, None),
         };
         let (elements, mut owners) = elements(&handles, point_mass);
         if let Some(handle_of) = handle_of {
-            owners.iter_mut().for_each(|owner| *owner = handle_of[*owner]);
+            owners
+                .iter_mut()
+                .for_each(|owner| *owner = handle_of[*owner]);
         }
         let coincidences = Coincidences::find(&elements, handles.extent(), cancelled)?;
-        Ok(Self { handles, grouped, elements, owners, coincidences })
+        Ok(Self {
+            handles,
+            grouped,
+            elements,
+            owners,
+            coincidences,
+        })
     }
 }
 
 /// The family that handles of this rank determine, and the warnings.
 fn determined(method: Method, rank: Rank) -> (Method, Vec<Warning>) {
     match (method, rank) {
-        (Method::Affine, Rank::Collinear) => (Method::Similarity, vec![Warning::AffineDegenerateUsedSimilarity]),
+        (Method::Affine, Rank::Collinear) => (
+            Method::Similarity,
+            vec![Warning::AffineDegenerateUsedSimilarity],
+        ),
         (_, Rank::OnePlace) => (method, vec![Warning::TranslationOnly]),
         _ => (method, vec![]),
     }
@@ -98,8 +130,20 @@ impl Field {
     ///
     /// # Errors
     /// A mass or a distance out of range, too many coincidences of handles, or too many lines close to each other.
-    pub fn new(handles: Handles, method: Method, falloff: Falloff, point_mass: f64) -> Result<Self, DeformError> {
-        Self::new_unless(handles, Coincident::default(), method, falloff, point_mass, &|| false)
+    pub fn new(
+        handles: Handles,
+        method: Method,
+        falloff: Falloff,
+        point_mass: f64,
+    ) -> Result<Self, DeformError> {
+        Self::new_unless(
+            handles,
+            Coincident::default(),
+            method,
+            falloff,
+            point_mass,
+            &|| false,
+        )
     }
 
     /// Like [`Field::new`]; stops when `cancelled` returns true.
@@ -117,16 +161,45 @@ impl Field {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
-        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
+        let Grouped {
+            handles,
+            grouped,
+            elements,
+            owners,
+            coincidences,
+        } = Grouped::new(handles, coincident, point_mass, cancelled)?;
         let policy = coincident.policy;
         let rank = rank(&handles);
         let (family, mut warnings) = determined(method, rank);
         if handles.has_lines() && falloff.alpha() < 1.0 {
             warnings.push(Warning::LineAlphaBelowOne);
         }
-        let beta = if handles.has_lines() { IncompleteBeta::new(falloff.alpha()).map(Arc::new) } else { None };
-        let (model, sources) = (Model::MovingLeastSquares { falloff, point_mass, beta }, Sources::of(&elements));
-        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+        let beta = if handles.has_lines() {
+            IncompleteBeta::new(falloff.alpha()).map(Arc::new)
+        } else {
+            None
+        };
+        let (model, sources) = (
+            Model::MovingLeastSquares {
+                falloff,
+                point_mass,
+                beta,
+            },
+            Sources::of(&elements),
+        );
+        Ok(Self {
+            handles,
+            grouped,
+            policy,
+            model,
+            family,
+            rank,
+            sources,
+            elements,
+            owners,
+            coincidences,
+            warnings,
+        })
     }
 
     /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends less, towards the affine map that fits
@@ -170,20 +243,36 @@ impl Field {
         is_solved: bool,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        if let Some(handle) = handles.handles().iter().position(|handle| matches!(handle, Handle::Polyline(_))) {
+        if let Some(handle) = handles
+            .handles()
+            .iter()
+            .position(|handle| matches!(handle, Handle::Polyline(_)))
+        {
             return Err(DeformError::LineInSpline { handle });
         }
         if !SMOOTHING.contains(&smoothing) {
             return Err(DeformError::BadSmoothing { value: smoothing });
         }
-        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, 1.0, cancelled)?;
+        let Grouped {
+            handles,
+            grouped,
+            elements,
+            owners,
+            coincidences,
+        } = Grouped::new(handles, coincident, 1.0, cancelled)?;
         let (policy, sources) = (coincident.policy, Sources::of(&elements));
         let sites = Sites::of(&sources.points, coincidence_distance(handles.extent()));
-        let rank = rank(&Handles::new(sites.positions.iter().copied().map(Handle::Point).collect(), None)?);
+        let rank = rank(&Handles::new(
+            sites.positions.iter().copied().map(Handle::Point).collect(),
+            None,
+        )?);
         let (family, warnings) = match rank {
             Rank::Empty | Rank::Full => (Method::Affine, vec![]),
             Rank::OnePlace => (Method::Affine, vec![Warning::TranslationOnly]),
-            Rank::Collinear => (Method::Similarity, vec![Warning::TpsDegenerateUsedSimilarity]),
+            Rank::Collinear => (
+                Method::Similarity,
+                vec![Warning::TpsDegenerateUsedSimilarity],
+            ),
         };
         let spline = match rank {
             _ if !is_solved => None,
@@ -194,7 +283,19 @@ impl Field {
             }
         };
         let model = Model::ThinPlateSpline { smoothing, spline };
-        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+        Ok(Self {
+            handles,
+            grouped,
+            policy,
+            model,
+            family,
+            rank,
+            sources,
+            elements,
+            owners,
+            coincidences,
+            warnings,
+        })
     }
 
     /// One affine map, of least squares over all handles; `point_mass` as in [`Field::new`].
@@ -210,15 +311,36 @@ impl Field {
         if !POINT_MASS.contains(&point_mass) {
             return Err(DeformError::BadPointMass { value: point_mass });
         }
-        let Grouped { handles, grouped, elements, owners, coincidences } = Grouped::new(handles, coincident, point_mass, cancelled)?;
+        let Grouped {
+            handles,
+            grouped,
+            elements,
+            owners,
+            coincidences,
+        } = Grouped::new(handles, coincident, point_mass, cancelled)?;
         let (policy, sources, rank) = (coincident.policy, Sources::of(&elements), rank(&handles));
         let (family, warnings) = determined(Method::Affine, rank);
         let map = match rank {
             Rank::Empty | Rank::OnePlace => None,
-            Rank::Collinear | Rank::Full => Some(Arc::new(GlobalAffine::new(&sources, rank == Rank::Collinear))),
+            Rank::Collinear | Rank::Full => Some(Arc::new(GlobalAffine::new(
+                &sources,
+                rank == Rank::Collinear,
+            ))),
         };
         let model = Model::GlobalAffine { point_mass, map };
-        Ok(Self { handles, grouped, policy, model, family, rank, sources, elements, owners, coincidences, warnings })
+        Ok(Self {
+            handles,
+            grouped,
+            policy,
+            model,
+            family,
+            rank,
+            sources,
+            elements,
+            owners,
+            coincidences,
+            warnings,
+        })
     }
 
     /// Bytes that [`Field::spline`] of this number of points takes; known before anything is allocated.
@@ -236,7 +358,9 @@ impl Field {
     /// The client's handles at rest.
     #[must_use]
     pub fn given(&self) -> &Handles {
-        self.grouped.as_ref().map_or(&self.handles, |grouped| &grouped.0)
+        self.grouped
+            .as_ref()
+            .map_or(&self.handles, |grouped| &grouped.0)
     }
 
     /// The fall-off of moving least squares.
@@ -252,7 +376,8 @@ impl Field {
     #[must_use]
     pub const fn point_mass(&self) -> Option<f64> {
         match self.model {
-            Model::MovingLeastSquares { point_mass, .. } | Model::GlobalAffine { point_mass, .. } => Some(point_mass),
+            Model::MovingLeastSquares { point_mass, .. }
+            | Model::GlobalAffine { point_mass, .. } => Some(point_mass),
             Model::ThinPlateSpline { .. } => None,
         }
     }
@@ -275,7 +400,10 @@ impl Field {
     /// The client's handles of each group of coincident points, ascending.
     #[must_use]
     pub fn groups(&self) -> Vec<Vec<usize>> {
-        self.grouped.iter().flat_map(|grouped| grouped.1.handles()).collect()
+        self.grouped
+            .iter()
+            .flat_map(|grouped| grouped.1.handles())
+            .collect()
     }
 
     /// Pairs posed handles with the client's handles at rest. Coincident points move by the weighted mean of their displacements.
@@ -287,7 +415,8 @@ impl Field {
         let (displacements, contradictions) = match self.grouped.as_deref() {
             Some((_, groups)) => {
                 let mean = groups.displacements(given.displacements());
-                let contradictions = self.contradictions(&mean, Some((groups, given.displacements())));
+                let contradictions =
+                    self.contradictions(&mean, Some((groups, given.displacements())));
                 (mean, contradictions)
             }
             None => {
@@ -303,22 +432,38 @@ impl Field {
     }
 
     /// `given`: the groups and the displacements of the client's columns.
-    fn contradictions(&self, displacements: &[Vec2], given: Option<(&Groups, &[Vec2])>) -> Contradictory {
+    fn contradictions(
+        &self,
+        displacements: &[Vec2],
+        given: Option<(&Groups, &[Vec2])>,
+    ) -> Contradictory {
         let tolerance = self.coincidences.tolerance();
         let mut found = Contradictions::new(tolerance);
         if let Some((groups, given)) = given {
             groups.add_contradictions(&mut found, &self.handles, given, displacements, tolerance);
         }
-        self.coincidences.add_contradictions(&mut found, &self.elements, displacements, |element, displacement| {
-            let column = self.elements[element].column();
-            let members: Option<Vec<Member>> = given.and_then(|(groups, given)| groups.members(column, given)).map(Iterator::collect);
-            members.unwrap_or_else(|| {
-                let handle = self.owners[element];
-                let weights = self.given().weights();
-                // Columns of the client's set identify the points of groups; these must differ from them.
-                vec![Member { element: usize::MAX - element, handle, weight: weights[handle], displacement }]
-            })
-        });
+        self.coincidences.add_contradictions(
+            &mut found,
+            &self.elements,
+            displacements,
+            |element, displacement| {
+                let column = self.elements[element].column();
+                let members: Option<Vec<Member>> = given
+                    .and_then(|(groups, given)| groups.members(column, given))
+                    .map(Iterator::collect);
+                members.unwrap_or_else(|| {
+                    let handle = self.owners[element];
+                    let weights = self.given().weights();
+                    // Columns of the client's set identify the points of groups; these must differ from them.
+                    vec![Member {
+                        element: usize::MAX - element,
+                        handle,
+                        weight: weights[handle],
+                        displacement,
+                    }]
+                })
+            },
+        );
         found.finish()
     }
 
@@ -326,7 +471,10 @@ impl Field {
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
-        if self.coincidences.tears(&self.elements, pose.displacements()) {
+        if self
+            .coincidences
+            .tears(&self.elements, pose.displacements())
+        {
             warnings.push(Warning::NearDuplicateHandles);
         }
         if pose.contradictions().total > 0 {
@@ -344,19 +492,47 @@ impl Field {
     }
 
     /// The rows of N vertices into the workspace. `exact`: quadrature nodes throughout.
-    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, exact: bool, workspace: &mut Workspace<N>) {
+    pub(super) fn rows<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        exact: bool,
+        workspace: &mut Workspace<N>,
+    ) {
         let Workspace { rows, scratch } = workspace;
         match self.rank {
             Rank::Empty => rows.clear(),
             Rank::OnePlace => self.translation(rows),
             Rank::Collinear | Rank::Full => match &self.model {
-                Model::MovingLeastSquares { falloff, point_mass, beta } => {
-                    let (sources, extent, method) = (&self.sources, self.handles.extent(), self.family);
+                Model::MovingLeastSquares {
+                    falloff,
+                    point_mass,
+                    beta,
+                } => {
+                    let (sources, extent, method) =
+                        (&self.sources, self.handles.extent(), self.family);
                     let (falloff, point_mass, beta) = (*falloff, *point_mass, beta.as_deref());
-                    kernel::rows(&RowInputs { sources, extent, falloff, beta, point_mass, method, exact }, v, scratch, rows);
+                    kernel::rows(
+                        &RowInputs {
+                            sources,
+                            extent,
+                            falloff,
+                            beta,
+                            point_mass,
+                            method,
+                            exact,
+                        },
+                        v,
+                        scratch,
+                        rows,
+                    );
                 }
-                Model::ThinPlateSpline { spline, .. } => spline.as_ref().expect("has an extent").rows(v, &mut scratch.sides, rows),
-                Model::GlobalAffine { map, .. } => map.as_ref().expect("has an extent").rows(v, rows),
+                Model::ThinPlateSpline { spline, .. } => spline
+                    .as_ref()
+                    .expect("has an extent")
+                    .rows(v, &mut scratch.sides, rows),
+                Model::GlobalAffine { map, .. } => {
+                    map.as_ref().expect("has an extent").rows(v, rows)
+                }
             },
         }
     }
@@ -367,7 +543,9 @@ impl Field {
         let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();
         for mark in &self.sources.points {
             match self.family {
-                Method::Affine | Method::Similarity => rows.h[mark.column][0] = [mark.mass / total; N],
+                Method::Affine | Method::Similarity => {
+                    rows.h[mark.column][0] = [mark.mass / total; N]
+                }
                 Method::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }

@@ -21,8 +21,14 @@ pub(super) fn fit<const N: usize>(
     if method == Method::Affine {
         return affine(sources, &e, &per_mu, scratch, rows);
     }
-    let turn = Rotation { rigid: method == Method::Rigid, tau, e: &e };
-    for (PointSource { column, .. }, PointMass { x, y, w }) in sources.points.iter().zip(&scratch.places) {
+    let turn = Rotation {
+        rigid: method == Method::Rigid,
+        tau,
+        e: &e,
+    };
+    for (PointSource { column, .. }, PointMass { x, y, w }) in
+        sources.points.iter().zip(&scratch.places)
+    {
         let (mut gx, mut gy) = ([0.0; N], [0.0; N]);
         for k in 0..N {
             let g = w[k] * per_mu[k];
@@ -31,7 +37,12 @@ pub(super) fn fit<const N: usize>(
         turn.put(&gx, &gy, w, &mut rows.h[*column], &mut rows.wn[*column]);
     }
     for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span { place: PointMass { x, y, .. }, x: tx, y: ty, .. } = span;
+        let Span {
+            place: PointMass { x, y, .. },
+            x: tx,
+            y: ty,
+            ..
+        } = span;
         for (column, [mass, along]) in [(*column, span.of_a()), (column + 1, span.of_b())] {
             let (mut gx, mut gy) = ([0.0; N], [0.0; N]);
             for k in 0..N {
@@ -59,7 +70,14 @@ impl<const N: usize> Rotation<'_, N> {
     /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, rotated back by conj(tau), and wn; similarity `C = wn + e
     /// H`, where the rotation cancels.
     #[inline(always)]
-    fn put(&self, gx: &[f64; N], gy: &[f64; N], w: &[f64; N], h: &mut [[f64; N]; 2], wn: &mut [f64; N]) {
+    fn put(
+        &self,
+        gx: &[f64; N],
+        gy: &[f64; N],
+        w: &[f64; N],
+        h: &mut [[f64; N]; 2],
+        wn: &mut [f64; N],
+    ) {
         let ([tx, ty], [ex, ey], [re, im]) = (self.tau, self.e, h);
         if self.rigid {
             for k in 0..N {
@@ -78,7 +96,10 @@ impl<const N: usize> Rotation<'_, N> {
 
 /// Normalises masses and moves positions to p*. Returns `v - p*` in the frame, and 1/mu.
 #[inline(always)]
-fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[f64; N]; 2], [f64; N]) {
+fn centre<const N: usize>(
+    at_v: &[[f64; N]; 2],
+    scratch: &mut Scratch<N>,
+) -> ([[f64; N]; 2], [f64; N]) {
     let (mut total, mut px, mut py, mut mu) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
     for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
@@ -100,7 +121,11 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
         py[k] *= total[k];
         (e[0][k], e[1][k]) = (at_v[0][k] - px[k], at_v[1][k] - py[k]);
     }
-    for PointMass { x, y, w } in scratch.places.iter_mut().chain(scratch.spans.iter_mut().map(|span| &mut span.place)) {
+    for PointMass { x, y, w } in scratch
+        .places
+        .iter_mut()
+        .chain(scratch.spans.iter_mut().map(|span| &mut span.place))
+    {
         for k in 0..N {
             x[k] -= px[k];
             y[k] -= py[k];
@@ -108,11 +133,20 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
             mu[k] += w[k] * (x[k] * x[k] + y[k] * y[k]);
         }
     }
-    for Span { place, first, second, x: tx, y: ty, .. } in &mut scratch.spans {
+    for Span {
+        place,
+        first,
+        second,
+        x: tx,
+        y: ty,
+        ..
+    } in &mut scratch.spans
+    {
         for k in 0..N {
             first[k] *= total[k];
             second[k] *= total[k];
-            mu[k] += 2.0 * first[k] * (place.x[k] * tx[k] + place.y[k] * ty[k]) + second[k] * (tx[k] * tx[k] + ty[k] * ty[k]);
+            mu[k] += 2.0 * first[k] * (place.x[k] * tx[k] + place.y[k] * ty[k])
+                + second[k] * (tx[k] * tx[k] + ty[k] * ty[k]);
         }
     }
     for mu in &mut mu {
@@ -124,12 +158,21 @@ fn centre<const N: usize>(at_v: &[[f64; N]; 2], scratch: &mut Scratch<N>) -> ([[
 /// The masses of points and segments.
 #[inline(always)]
 fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMass<N>> {
-    scratch.places.iter().chain(scratch.spans.iter().map(|span| &span.place))
+    scratch
+        .places
+        .iter()
+        .chain(scratch.spans.iter().map(|span| &span.place))
 }
 
 /// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first, because next to a line S has a condition of h^(3 - 2 alpha).
 #[inline(always)]
-fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N], scratch: &Scratch<N>, rows: &mut Rows<N>) {
+fn affine<const N: usize>(
+    sources: &Sources,
+    e: &[[f64; N]; 2],
+    per_mu: &[f64; N],
+    scratch: &Scratch<N>,
+    rows: &mut Rows<N>,
+) {
     let (mut a, mut b, mut c) = ([0.0; N], [0.0; N], [0.0; N]);
     for PointMass { x, y, w } in places(scratch) {
         for k in 0..N {
@@ -138,10 +181,19 @@ fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N
             b[k] += g * x[k] * y[k];
         }
     }
-    for Span { place: PointMass { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
+    for Span {
+        place: PointMass { x, y, .. },
+        first,
+        second,
+        x: tx,
+        y: ty,
+        ..
+    } in &scratch.spans
+    {
         for k in 0..N {
             a[k] += (2.0 * first[k] * x[k] * tx[k] + second[k] * tx[k] * tx[k]) * per_mu[k];
-            b[k] += (first[k] * (x[k] * ty[k] + tx[k] * y[k]) + second[k] * tx[k] * ty[k]) * per_mu[k];
+            b[k] +=
+                (first[k] * (x[k] * ty[k] + tx[k] * y[k]) + second[k] * tx[k] * ty[k]) * per_mu[k];
         }
     }
     let mut r = [0.0; N];
@@ -154,7 +206,15 @@ fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N
             c[k] += w[k] * per_mu[k] * y * y;
         }
     }
-    for Span { place: PointMass { x, y, .. }, first, second, x: tx, y: ty, .. } in &scratch.spans {
+    for Span {
+        place: PointMass { x, y, .. },
+        first,
+        second,
+        x: tx,
+        y: ty,
+        ..
+    } in &scratch.spans
+    {
         for k in 0..N {
             let (y, ty) = (y[k] - r[k] * x[k], ty[k] - r[k] * tx[k]);
             c[k] += (2.0 * first[k] * y * ty + second[k] * ty * ty) * per_mu[k];
@@ -165,14 +225,21 @@ fn affine<const N: usize>(sources: &Sources, e: &[[f64; N]; 2], per_mu: &[f64; N
         ey[k] = (e[1][k] - r[k] * e[0][k]) / c[k] * per_mu[k];
         ex[k] = e[0][k] / a[k] * per_mu[k];
     }
-    for (PointSource { column, .. }, PointMass { x, y, w }) in sources.points.iter().zip(&scratch.places) {
+    for (PointSource { column, .. }, PointMass { x, y, w }) in
+        sources.points.iter().zip(&scratch.places)
+    {
         let [h, _] = &mut rows.h[*column];
         for k in 0..N {
             h[k] = w[k] + w[k] * (ex[k] * x[k] + ey[k] * (y[k] - r[k] * x[k]));
         }
     }
     for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span { place: PointMass { x, y, .. }, x: tx, y: ty, .. } = span;
+        let Span {
+            place: PointMass { x, y, .. },
+            x: tx,
+            y: ty,
+            ..
+        } = span;
         for (column, [mass, along]) in [(*column, span.of_a()), (column + 1, span.of_b())] {
             let [h, _] = &mut rows.h[column];
             for k in 0..N {

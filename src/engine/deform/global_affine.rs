@@ -54,17 +54,39 @@ impl Piece {
 impl GlobalAffine {
     /// At least two positions. `line`: all lie on one.
     pub(super) fn new(sources: &Sources, line: bool) -> Self {
-        let first = sources.points.first().map_or_else(|| sources.segments[0].a, |source| source.p);
-        let point = |source: &PointSource| Piece { mass: source.mass, a: source.p - first, b: source.p - first };
-        let segment = |s: &Segment| Piece { mass: s.weight * s.length, a: s.a - first, b: s.b - first };
-        let mut pieces: Vec<Piece> = sources.points.iter().map(point).chain(sources.segments.iter().map(segment)).collect();
+        let first = sources
+            .points
+            .first()
+            .map_or_else(|| sources.segments[0].a, |source| source.p);
+        let point = |source: &PointSource| Piece {
+            mass: source.mass,
+            a: source.p - first,
+            b: source.p - first,
+        };
+        let segment = |s: &Segment| Piece {
+            mass: s.weight * s.length,
+            a: s.a - first,
+            b: s.b - first,
+        };
+        let mut pieces: Vec<Piece> = sources
+            .points
+            .iter()
+            .map(point)
+            .chain(sources.segments.iter().map(segment))
+            .collect();
         let total: f64 = pieces.iter().map(|piece| piece.mass).sum();
-        let mean = pieces.iter().fold(Vec2::ZERO, |sum, Piece { mass, a, b }| sum + (*a + *b) * (0.5 * mass / total));
+        let mean = pieces.iter().fold(Vec2::ZERO, |sum, Piece { mass, a, b }| {
+            sum + (*a + *b) * (0.5 * mass / total)
+        });
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
         for piece in &mut pieces {
             (piece.mass, piece.a, piece.b) = (piece.mass / total, piece.a - mean, piece.b - mean);
             let (x, y) = ([piece.a.x, piece.b.x], [piece.a.y, piece.b.y]);
-            (xx, xy, yy) = (xx + piece.integral(x, x), xy + piece.integral(x, y), yy + piece.integral(y, y));
+            (xx, xy, yy) = (
+                xx + piece.integral(x, x),
+                xy + piece.integral(x, y),
+                yy + piece.integral(y, y),
+            );
         }
         let (sin, cos) = (0.5 * f64::atan2(2.0 * xy, xx - yy)).sin_cos();
         let tau = Vec2::new(cos, sin);
@@ -73,19 +95,40 @@ impl GlobalAffine {
         }
         // The tangent first, then what is left across it, so that handles near a line keep their digits.
         let sum = |f: &dyn Fn(Vec2) -> f64, g: &dyn Fn(Vec2) -> f64| -> f64 {
-            pieces.iter().map(|piece| piece.integral([f(piece.a), f(piece.b)], [g(piece.a), g(piece.b)])).sum()
+            pieces
+                .iter()
+                .map(|piece| piece.integral([f(piece.a), f(piece.b)], [g(piece.a), g(piece.b)]))
+                .sum()
         };
         let along = sum(&|p| p.x, &|p| p.x);
-        let slope = if line { 0.0 } else { sum(&|p| p.x, &|p| p.y) / along };
+        let slope = if line {
+            0.0
+        } else {
+            sum(&|p| p.x, &|p| p.y) / along
+        };
         let rest = |p: Vec2| p.y - slope * p.x;
         let across = sum(&rest, &rest);
         let spread = along + across;
         let masses = masses(sources, &pieces);
         let columns = masses.map(|Mass { column, mass, at }| {
-            let gradient = if line { at * (1.0 / spread) } else { Vec2::new(at.x / along, (at.y - slope * at.x) / across) };
-            Column { column, share: mass, gradient }
+            let gradient = if line {
+                at * (1.0 / spread)
+            } else {
+                Vec2::new(at.x / along, (at.y - slope * at.x) / across)
+            };
+            Column {
+                column,
+                share: mass,
+                gradient,
+            }
         });
-        Self { centre: first + mean, tau, slope, is_complex: line, columns: columns.collect() }
+        Self {
+            centre: first + mean,
+            tau,
+            slope,
+            is_complex: line,
+            columns: columns.collect(),
+        }
     }
 
     /// The coefficients of N vertices.
@@ -95,11 +138,20 @@ impl GlobalAffine {
             let e = turned(Point::new(v.x[k], v.y[k]) - self.centre, self.tau);
             (ex[k], ey[k]) = (e.x, e.y - self.slope * e.x);
         }
-        for Column { column, share, gradient } in &self.columns {
+        for Column {
+            column,
+            share,
+            gradient,
+        } in &self.columns
+        {
             let [re, im] = &mut rows.h[*column];
             for k in 0..N {
                 re[k] = share + (ex[k] * gradient.x + ey[k] * gradient.y);
-                im[k] = if self.is_complex { ey[k] * gradient.x - ex[k] * gradient.y } else { 0.0 };
+                im[k] = if self.is_complex {
+                    ey[k] * gradient.x - ex[k] * gradient.y
+                } else {
+                    0.0
+                };
             }
         }
     }
@@ -108,12 +160,28 @@ impl GlobalAffine {
 /// The columns of all sources; `pieces` in their order. The first moment of an end is the integral of the position times the end's share.
 fn masses<'a>(sources: &'a Sources, pieces: &'a [Piece]) -> impl Iterator<Item = Mass> + 'a {
     let (points, segments) = pieces.split_at(sources.points.len());
-    let points =
-        sources.points.iter().zip(points).map(|(source, piece)| Mass { column: source.column, mass: piece.mass, at: piece.a * piece.mass });
-    let segments = sources.segments.iter().zip(segments).flat_map(|(segment, Piece { mass, a, b })| {
-        let end = |column: usize, near: Vec2, far: Vec2| Mass { column, mass: 0.5 * mass, at: (near * 2.0 + far) * (mass / 6.0) };
-        [end(segment.column, *a, *b), end(segment.column + 1, *b, *a)]
-    });
+    let points = sources
+        .points
+        .iter()
+        .zip(points)
+        .map(|(source, piece)| Mass {
+            column: source.column,
+            mass: piece.mass,
+            at: piece.a * piece.mass,
+        });
+    let segments =
+        sources
+            .segments
+            .iter()
+            .zip(segments)
+            .flat_map(|(segment, Piece { mass, a, b })| {
+                let end = |column: usize, near: Vec2, far: Vec2| Mass {
+                    column,
+                    mass: 0.5 * mass,
+                    at: (near * 2.0 + far) * (mass / 6.0),
+                };
+                [end(segment.column, *a, *b), end(segment.column + 1, *b, *a)]
+            });
     points.chain(segments)
 }
 

@@ -35,7 +35,11 @@ pub struct Coincident {
 
 /// The distance up to which the positions of a set of this extent coincide, px.
 pub(super) fn coincidence_distance(extent: f64) -> f64 {
-    if extent <= ONE_PLACE { 2.0 * ONE_PLACE } else { COINCIDENT_SHARE * extent }
+    if extent <= ONE_PLACE {
+        2.0 * ONE_PLACE
+    } else {
+        COINCIDENT_SHARE * extent
+    }
 }
 
 /// The groups of two points or more of one set.
@@ -77,13 +81,26 @@ impl Groups {
     ) -> Result<Option<(Self, Handles, Vec<usize>)>, DeformError> {
         let mut points = Vec::new();
         let mut column = 0;
-        for (index, (handle, &weight)) in handles.handles().iter().zip(handles.weights()).enumerate() {
+        for (index, (handle, &weight)) in
+            handles.handles().iter().zip(handles.weights()).enumerate()
+        {
             if let Handle::Point(p) = handle {
-                points.push((*p, GroupedPoint { handle: index, column, weight }));
+                points.push((
+                    *p,
+                    GroupedPoint {
+                        handle: index,
+                        column,
+                        weight,
+                    },
+                ));
             }
             column += handle.columns();
         }
-        let firsts = firsts(&points.iter().map(|(p, _)| *p).collect::<Vec<_>>(), distance, cancelled)?;
+        let firsts = firsts(
+            &points.iter().map(|(p, _)| *p).collect::<Vec<_>>(),
+            distance,
+            cancelled,
+        )?;
         let mut members = vec![Vec::new(); handles.handles().len()];
         for ((_, point), first) in points.iter().zip(firsts) {
             members[points[first].1.handle].push(*point);
@@ -96,7 +113,10 @@ impl Groups {
 
     /// `members`: of each handle that is the first of a group, the points of the group.
     fn merge(handles: &Handles, members: &[Vec<GroupedPoint>]) -> (Self, Handles, Vec<usize>) {
-        let mut merged = Self { groups: Vec::new(), origins: Vec::new() };
+        let mut merged = Self {
+            groups: Vec::new(),
+            origins: Vec::new(),
+        };
         let (mut grouped, mut weights, mut owners) = (Vec::new(), Vec::new(), Vec::new());
         let mut column = 0;
         for (index, (handle, group)) in handles.handles().iter().zip(members).enumerate() {
@@ -124,7 +144,9 @@ impl Groups {
 
     /// The handles of each group, ascending, in the order of their first handles.
     pub(super) fn handles(&self) -> impl Iterator<Item = Vec<usize>> + '_ {
-        self.groups.iter().map(|group| group.iter().map(|point| point.handle).collect())
+        self.groups
+            .iter()
+            .map(|group| group.iter().map(|point| point.handle).collect())
     }
 
     /// The displacements of the grouped columns, from those of the client's.
@@ -133,7 +155,8 @@ impl Groups {
             Origin::Column(column) => given[column],
             Origin::Group(group) => {
                 let group = &self.groups[group];
-                given[group[0].column] + mean(group, |k| given[group[k].column] - given[group[0].column])
+                given[group[0].column]
+                    + mean(group, |k| given[group[k].column] - given[group[0].column])
             }
         };
         self.origins.iter().map(of).collect()
@@ -149,7 +172,9 @@ impl Groups {
         for (grouped, origin) in self.origins.iter().enumerate() {
             match *origin {
                 Origin::Column(column) => columns[column] = grouped,
-                Origin::Group(group) => self.groups[group].iter().for_each(|point| columns[point.column] = grouped),
+                Origin::Group(group) => self.groups[group]
+                    .iter()
+                    .for_each(|point| columns[point.column] = grouped),
             }
         }
         columns
@@ -165,44 +190,84 @@ impl Groups {
     }
 
     /// Adds the position of each group whose displacements differ from their mean by more than `tolerance`.
-    pub(super) fn add_contradictions(&self, found: &mut Contradictions, grouped: &Handles, given: &[Vec2], mean: &[Vec2], tolerance: f64) {
+    pub(super) fn add_contradictions(
+        &self,
+        found: &mut Contradictions,
+        grouped: &Handles,
+        given: &[Vec2],
+        mean: &[Vec2],
+        tolerance: f64,
+    ) {
         let mut columns = self.origins.iter().zip(mean);
-        for handle in grouped.handles().iter().filter(|handle| handle.columns() > 0) {
+        for handle in grouped
+            .handles()
+            .iter()
+            .filter(|handle| handle.columns() > 0)
+        {
             let column = columns.next();
             if let (Handle::Point(p), Some((&Origin::Group(group), mean))) = (handle, column)
-                && self.groups[group].iter().any(|point| (given[point.column] - *mean).norm() > tolerance)
+                && self.groups[group]
+                    .iter()
+                    .any(|point| (given[point.column] - *mean).norm() > tolerance)
             {
                 found.add_position(*p);
-                found.add_members(*p, self.groups[group].iter().map(|point| member(point, given)));
+                found.add_members(
+                    *p,
+                    self.groups[group].iter().map(|point| member(point, given)),
+                );
             }
             columns.by_ref().take(handle.columns() - 1).for_each(drop);
         }
     }
 
     /// The points of the group that is this column, if it is one, with their displacements.
-    pub(super) fn members(&self, column: usize, given: &[Vec2]) -> Option<impl Iterator<Item = Member>> {
+    pub(super) fn members(
+        &self,
+        column: usize,
+        given: &[Vec2],
+    ) -> Option<impl Iterator<Item = Member>> {
         match self.origins[column] {
-            Origin::Group(group) => Some(self.groups[group].iter().map(|point| member(point, given))),
+            Origin::Group(group) => {
+                Some(self.groups[group].iter().map(|point| member(point, given)))
+            }
             Origin::Column(_) => None,
         }
     }
 }
 
 fn member(point: &GroupedPoint, given: &[Vec2]) -> Member {
-    Member { element: point.column, handle: point.handle, weight: point.weight, displacement: given[point.column] }
+    Member {
+        element: point.column,
+        handle: point.handle,
+        weight: point.weight,
+        displacement: given[point.column],
+    }
 }
 
 /// The weighted mean; zero if every value is.
 fn mean(group: &[GroupedPoint], value: impl Fn(usize) -> Vec2) -> Vec2 {
     let weight: f64 = group.iter().map(|point| point.weight).sum();
-    group.iter().enumerate().fold(Vec2::ZERO, |sum, (k, point)| sum + value(k) * (point.weight / weight))
+    group
+        .iter()
+        .enumerate()
+        .fold(Vec2::ZERO, |sum, (k, point)| {
+            sum + value(k) * (point.weight / weight)
+        })
 }
 
 /// The first point of the group of each point.
-fn firsts(points: &[Point], distance: f64, cancelled: &dyn Fn() -> bool) -> Result<Vec<usize>, DeformError> {
+fn firsts(
+    points: &[Point],
+    distance: f64,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Vec<usize>, DeformError> {
     let mut sets: Vec<usize> = (0..points.len()).collect();
     let mut cells: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
-    let origin = points.iter().fold(Point::new(f64::INFINITY, f64::INFINITY), |o, p| Point::new(o.x.min(p.x), o.y.min(p.y)));
+    let origin = points
+        .iter()
+        .fold(Point::new(f64::INFINITY, f64::INFINITY), |o, p| {
+            Point::new(o.x.min(p.x), o.y.min(p.y))
+        });
     for (index, p) in points.iter().enumerate() {
         let cell = cells.entry(cell(*p - origin, CELL * distance)).or_default();
         if let Some(first) = cell.first() {
@@ -212,12 +277,16 @@ fn firsts(points: &[Point], distance: f64, cancelled: &dyn Fn() -> bool) -> Resu
     }
     for (at, own) in &cells {
         // Each pair of cells once.
-        let later = (0..=REACH).flat_map(|dx| (-REACH..=REACH).map(move |dy| [dx, dy])).filter(|step| *step > [0, 0]);
+        let later = (0..=REACH)
+            .flat_map(|dx| (-REACH..=REACH).map(move |dy| [dx, dy]))
+            .filter(|step| *step > [0, 0]);
         for other in later.filter_map(|[dx, dy]| cells.get(&[at[0] + dx, at[1] + dy])) {
             join_cells(&mut sets, points, own, other, distance, cancelled)?;
         }
     }
-    Ok((0..points.len()).map(|index| root(&mut sets, index)).collect())
+    Ok((0..points.len())
+        .map(|index| root(&mut sets, index))
+        .collect())
 }
 
 /// Joins two cells, each of which is in one set, if a point of one is within `distance` of a point of the other.
@@ -236,7 +305,10 @@ fn join_cells(
         if cancelled() {
             return Err(DeformError::Cancelled);
         }
-        if other.iter().any(|&j| points[i].distance(points[j]) <= distance) {
+        if other
+            .iter()
+            .any(|&j| points[i].distance(points[j]) <= distance)
+        {
             join(sets, own[0], other[0]);
             return Ok(());
         }
@@ -282,7 +354,9 @@ mod tests {
                 }
             }
         }
-        (0..points.len()).map(|index| root(&mut sets, index)).collect()
+        (0..points.len())
+            .map(|index| root(&mut sets, index))
+            .collect()
     }
 
     proptest! {
@@ -301,27 +375,50 @@ mod tests {
     fn a_group_is_one_handle_at_the_weighted_mean() {
         let dot = |x: f64| Handle::Point(Point::new(x, 7.0));
         let line = Handle::Polyline(vec![Point::new(0.0, 0.0), Point::new(9.0, 0.0)]);
-        let given = Handles::new(vec![dot(1.0), line, dot(50.0), dot(3.0)], Some(vec![1.0, 2.0, 4.0, 3.0])).unwrap();
+        let given = Handles::new(
+            vec![dot(1.0), line, dot(50.0), dot(3.0)],
+            Some(vec![1.0, 2.0, 4.0, 3.0]),
+        )
+        .unwrap();
         assert!(Groups::find(&given, 1.9, NEVER).unwrap().is_none());
         let (groups, grouped, owners) = Groups::find(&given, 2.0, NEVER).unwrap().unwrap();
-        assert_eq!((grouped.handles()[0].places(), grouped.weights()), (&[Point::new(2.5, 7.0)][..], &[4.0, 2.0, 4.0][..]));
-        assert_eq!((groups.handles().collect::<Vec<_>>(), owners), (vec![vec![0, 3]], vec![0, 1, 2]));
+        assert_eq!(
+            (grouped.handles()[0].places(), grouped.weights()),
+            (&[Point::new(2.5, 7.0)][..], &[4.0, 2.0, 4.0][..])
+        );
+        assert_eq!(
+            (groups.handles().collect::<Vec<_>>(), owners),
+            (vec![vec![0, 3]], vec![0, 1, 2])
+        );
         let d: Vec<Vec2> = (0..5).map(|k| Vec2::new(f64::from(k), 1.0)).collect();
         let mean = groups.displacements(&d);
-        assert_eq!(mean.iter().map(|d| (d.x, d.y)).collect::<Vec<_>>(), [(3.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]);
+        assert_eq!(
+            mean.iter().map(|d| (d.x, d.y)).collect::<Vec<_>>(),
+            [(3.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]
+        );
         let mut found = Contradictions::new(1e-6);
         groups.add_contradictions(&mut found, &grouped, &d, &mean, 1e-6);
         let Contradictory { listed, total, .. } = found.finish();
-        assert_eq!((total, listed[0].handles.as_slice(), listed[0].spread), (1, &[0, 3][..], 3.0));
+        assert_eq!(
+            (total, listed[0].handles.as_slice(), listed[0].spread),
+            (1, &[0, 3][..], 3.0)
+        );
     }
 
     #[test]
     fn sets_as_small_as_a_point_are_grouped_far_from_the_origin() {
         for (apart, extent) in [(2e-6, 3e-6), (1e-9, 2e-6), (1.0, 1e6)] {
-            let points = [Point::new(999_999.0, -999_000.0), Point::new(999_999.0 + apart, -999_000.0)];
+            let points = [
+                Point::new(999_999.0, -999_000.0),
+                Point::new(999_999.0 + apart, -999_000.0),
+            ];
             for distance in [1e-9 * extent, 0.4 * apart, 2.0 * apart] {
                 let joined = points[0].distance(points[1]) <= distance;
-                assert_eq!(firsts(&points, distance, NEVER).unwrap(), if joined { [0, 0] } else { [0, 1] }, "{apart} {distance}");
+                assert_eq!(
+                    firsts(&points, distance, NEVER).unwrap(),
+                    if joined { [0, 0] } else { [0, 1] },
+                    "{apart} {distance}"
+                );
             }
         }
     }

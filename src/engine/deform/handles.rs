@@ -73,25 +73,44 @@ impl Handles {
         check_places(&handles)?;
         let weights = weights.unwrap_or_else(|| vec![1.0; handles.len()]);
         if weights.len() != handles.len() {
-            return Err(DeformError::WeightCount { rest: handles.len(), weights: weights.len() });
+            return Err(DeformError::WeightCount {
+                rest: handles.len(),
+                weights: weights.len(),
+            });
         }
-        if let Some((handle, &value)) = weights.iter().enumerate().find(|(_, w)| !WEIGHTS.contains(w)) {
+        if let Some((handle, &value)) = weights
+            .iter()
+            .enumerate()
+            .find(|(_, w)| !WEIGHTS.contains(w))
+        {
             return Err(DeformError::BadWeight { handle, value });
         }
         let extent = extent(&handles);
         let shortest = SHORTEST_SEGMENT.max(COINCIDENT_SHARE * extent);
         for (handle, h) in handles.iter().enumerate() {
-            if let Some(segment) = h.places().windows(2).position(|ab| ab[0].distance(ab[1]) <= shortest) {
+            if let Some(segment) = h
+                .places()
+                .windows(2)
+                .position(|ab| ab[0].distance(ab[1]) <= shortest)
+            {
                 return Err(DeformError::DegenerateLine { handle, segment });
             }
         }
-        Ok(Self { handles, weights, extent })
+        Ok(Self {
+            handles,
+            weights,
+            extent,
+        })
     }
 
     /// Handles that are known to be valid, whatever the sum of their weights.
     pub(super) fn of_valid(handles: Vec<Handle>, weights: Vec<f64>) -> Self {
         let extent = extent(&handles);
-        Self { handles, weights, extent }
+        Self {
+            handles,
+            weights,
+            extent,
+        }
     }
 
     /// The handles in the client's order.
@@ -121,7 +140,9 @@ impl Handles {
     /// Whether some handle is a segment or polyline.
     #[must_use]
     pub fn has_lines(&self) -> bool {
-        self.handles.iter().any(|h| matches!(h, Handle::Polyline(_)))
+        self.handles
+            .iter()
+            .any(|h| matches!(h, Handle::Polyline(_)))
     }
 
     /// Whether some handle is a point.
@@ -133,8 +154,16 @@ impl Handles {
     /// Mean length of the segments, px; `None` without lines. The default mass of a point in a mixed set.
     #[must_use]
     pub fn mean_segment_length(&self) -> Option<f64> {
-        let lengths: Vec<f64> = self.handles.iter().flat_map(|h| h.places().windows(2)).map(|ab| ab[0].distance(ab[1])).collect();
-        #[expect(clippy::cast_precision_loss, reason = "a count of segments is far below 2^53")]
+        let lengths: Vec<f64> = self
+            .handles
+            .iter()
+            .flat_map(|h| h.places().windows(2))
+            .map(|ab| ab[0].distance(ab[1]))
+            .collect();
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "a count of segments is far below 2^53"
+        )]
         let count = lengths.len() as f64;
         (!lengths.is_empty()).then(|| lengths.iter().sum::<f64>() / count)
     }
@@ -156,7 +185,10 @@ impl Pose {
     /// or a shape that differs, by handle.
     pub fn new(rest: &Handles, posed: &[Handle]) -> Result<Self, DeformError> {
         if posed.len() != rest.handles.len() {
-            return Err(DeformError::CountMismatch { rest: rest.handles.len(), posed: posed.len() });
+            return Err(DeformError::CountMismatch {
+                rest: rest.handles.len(),
+                posed: posed.len(),
+            });
         }
         check_places(posed)?;
         let mut displacements = Vec::with_capacity(rest.columns());
@@ -171,21 +203,39 @@ impl Pose {
                 (Handle::Missing, _) => {}
                 // Its columns are in the plan: leaving it out needs another set of rest handles.
                 (_, Handle::Missing) => return Err(DeformError::MissingInPose { handle }),
-                _ => return Err(DeformError::ShapeMismatch { handle, rest: p.kind(), posed: q.kind() }),
+                _ => {
+                    return Err(DeformError::ShapeMismatch {
+                        handle,
+                        rest: p.kind(),
+                        posed: q.kind(),
+                    });
+                }
             }
         }
-        Ok(Self { displacements, contradictions: Contradictory::default() })
+        Ok(Self {
+            displacements,
+            contradictions: Contradictory::default(),
+        })
     }
 
     /// The pose that leaves every handle at rest.
     #[must_use]
     pub fn identity(rest: &Handles) -> Self {
-        Self { displacements: vec![Vec2::ZERO; rest.columns()], contradictions: Contradictory::default() }
+        Self {
+            displacements: vec![Vec2::ZERO; rest.columns()],
+            contradictions: Contradictory::default(),
+        }
     }
 
     /// The pose with these displacements and contradictions.
-    pub(super) const fn of_columns(displacements: Vec<Vec2>, contradictions: Contradictory) -> Self {
-        Self { displacements, contradictions }
+    pub(super) const fn of_columns(
+        displacements: Vec<Vec2>,
+        contradictions: Contradictory,
+    ) -> Self {
+        Self {
+            displacements,
+            contradictions,
+        }
     }
 
     /// The groups of handles that coincide at rest and move differently.
@@ -217,14 +267,21 @@ fn check_places(handles: &[Handle]) -> Result<(), DeformError> {
         if let Handle::Polyline(places) = h
             && places.len() < 2
         {
-            return Err(DeformError::TooFewPlaces { handle, places: places.len() });
+            return Err(DeformError::TooFewPlaces {
+                handle,
+                places: places.len(),
+            });
         }
         for p in h.places() {
             if !p.is_finite() {
                 return Err(DeformError::NotFinite { handle });
             }
             if let Some(value) = [p.x, p.y].into_iter().find(|c| c.abs() > MAX_COORDINATE) {
-                return Err(DeformError::OutOfRange { handle, value, limit: MAX_COORDINATE });
+                return Err(DeformError::OutOfRange {
+                    handle,
+                    value,
+                    limit: MAX_COORDINATE,
+                });
             }
         }
     }
@@ -239,7 +296,10 @@ fn extent(handles: &[Handle]) -> f64 {
         return 0.0;
     }
     let sum = places().fold(Vec2::ZERO, |s, p| s + (p - Point::default()));
-    #[expect(clippy::cast_precision_loss, reason = "a count of places is far below 2^53")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "a count of places is far below 2^53"
+    )]
     let mean = Point::default() + sum * (1.0 / count as f64);
     places().map(|p| p.distance(mean)).fold(0.0, f64::max)
 }

@@ -52,32 +52,62 @@ pub(super) struct Along<'a, const N: usize> {
 impl IncompleteBeta {
     /// `None` if the moments need a logarithm.
     pub(super) fn new(alpha: f64) -> Option<Self> {
-        if [1.0, 2.0, 3.0].iter().any(|pole| (2.0 * alpha - pole).abs() < FROM_LOGARITHM) || alpha < 0.5 {
+        if [1.0, 2.0, 3.0]
+            .iter()
+            .any(|pole| (2.0 * alpha - pole).abs() < FROM_LOGARITHM)
+            || alpha < 0.5
+        {
             return None;
         }
         let from_foot = fitted(|y| hypergeometric(0.5, 1.5 - alpha, 1.5, y));
-        let from_infinity = fitted(|y| hypergeometric(1.0, alpha, alpha + 0.5, y) / (2.0 * alpha - 1.0));
+        let from_infinity =
+            fitted(|y| hypergeometric(1.0, alpha, alpha + 0.5, y) / (2.0 * alpha - 1.0));
         // Both parts at u = h = 1.
-        let total = 0.5_f64.sqrt() * polynomial(&from_foot, 1.0) + pow(0.5, alpha) * polynomial(&from_infinity, 1.0);
-        Some(Self { alpha, from_foot, from_infinity, total })
+        let total = 0.5_f64.sqrt() * polynomial(&from_foot, 1.0)
+            + pow(0.5, alpha) * polynomial(&from_infinity, 1.0);
+        Some(Self {
+            alpha,
+            from_foot,
+            from_infinity,
+            total,
+        })
     }
 
     /// `sum w y^m`, m = 0, 1, 2, with density 1, y from the nearest position; weights relative to r2min's.
     #[inline(always)]
-    pub(super) fn moments<const N: usize>(&self, along: &Along<'_, N>, falloff: Falloff) -> [[f64; N]; 3] {
-        let Along { ends: [a, b], nearest, h, ratio } = along;
+    pub(super) fn moments<const N: usize>(
+        &self,
+        along: &Along<'_, N>,
+        falloff: Falloff,
+    ) -> [[f64; N]; 3] {
+        let Along {
+            ends: [a, b],
+            nearest,
+            h,
+            ratio,
+        } = along;
         // What both ends have in common is left out where v is so near to the extension that it would cancel.
         let mut common = [0.0; N];
         for k in 0..N {
             common[k] = ratio[k] / (h[k] * h[k]);
-            common[k] = if nearest[k].abs() < h[k] { common[k] } else { 0.0 };
+            common[k] = if nearest[k].abs() < h[k] {
+                common[k]
+            } else {
+                0.0
+            };
         }
         falloff.of_lanes(&mut common);
         for k in 0..N {
             common[k] *= h[k];
         }
-        let ([a0, a1, a2], [b0, b1, b2]) = (self.up_to(a, &common, along, falloff), self.up_to(b, &common, along, falloff));
-        let (per_first, per_second) = (1.0 / (2.0 - 2.0 * self.alpha), 1.0 / (3.0 - 2.0 * self.alpha));
+        let ([a0, a1, a2], [b0, b1, b2]) = (
+            self.up_to(a, &common, along, falloff),
+            self.up_to(b, &common, along, falloff),
+        );
+        let (per_first, per_second) = (
+            1.0 / (2.0 - 2.0 * self.alpha),
+            1.0 / (3.0 - 2.0 * self.alpha),
+        );
         let mut m = [[0.0; N]; 3];
         for k in 0..N {
             let i0 = b0[k] - a0[k];
@@ -92,7 +122,13 @@ impl IncompleteBeta {
 
     /// The integral of w from the foot to u, or from infinity where `common` is 0; `D w` and `u D w`.
     #[inline(always)]
-    fn up_to<const N: usize>(&self, u: &[f64; N], common: &[f64; N], along: &Along<'_, N>, falloff: Falloff) -> [[f64; N]; 3] {
+    fn up_to<const N: usize>(
+        &self,
+        u: &[f64; N],
+        common: &[f64; N],
+        along: &Along<'_, N>,
+        falloff: Falloff,
+    ) -> [[f64; N]; 3] {
         let Along { h, ratio, .. } = along;
         let (mut d, mut w, mut integral) = ([0.0; N], [0.0; N], [0.0; N]);
         for k in 0..N {
@@ -104,7 +140,10 @@ impl IncompleteBeta {
             let is_near = u[k].abs() < h[k];
             let y = (if is_near { u[k] * u[k] } else { h[k] * h[k] }) / d[k];
             let s = 4.0 * y - 1.0;
-            let (near, far) = (polynomial(&self.from_foot, s), polynomial(&self.from_infinity, s));
+            let (near, far) = (
+                polynomial(&self.from_foot, s),
+                polynomial(&self.from_infinity, s),
+            );
             let near = common[k] * (u[k].abs() / d[k].sqrt()) * near;
             let far = common[k] * self.total - u[k].abs() * w[k] * far;
             let size = if is_near { near } else { far };
@@ -140,7 +179,13 @@ fn hypergeometric(a: f64, b: f64, c: f64, y: f64) -> f64 {
 
 /// The polynomial in `x = 4 y - 1` that equals a function of y at the Chebyshev nodes of [0, 1/2].
 fn fitted(function: impl Fn(f64) -> f64) -> [f64; TERMS] {
-    let nodes: [f64; TERMS] = std::array::from_fn(|k| if k < TERMS / 2 { NODES[k] } else { -NODES[TERMS - 1 - k] });
+    let nodes: [f64; TERMS] = std::array::from_fn(|k| {
+        if k < TERMS / 2 {
+            NODES[k]
+        } else {
+            -NODES[TERMS - 1 - k]
+        }
+    });
     let values = nodes.map(|x| function(0.25 * (1.0 + x)));
     let mut sum = [0.0; TERMS];
     // T_n at the nodes, and its coefficients; T_(-1) is T_1.
@@ -156,7 +201,8 @@ fn fitted(function: impl Fn(f64) -> f64) -> [f64; TERMS] {
             *sum += share * t;
         }
         let next = std::array::from_fn(|k| 2.0 * nodes[k] * at[k] - before[k]);
-        let t_next = std::array::from_fn(|k| if k == 0 { 0.0 } else { 2.0 * t[k - 1] } - t_before[k]);
+        let t_next =
+            std::array::from_fn(|k| if k == 0 { 0.0 } else { 2.0 * t[k - 1] } - t_before[k]);
         (before, at, t_before, t) = (at, next, t, t_next);
     }
     sum
@@ -172,11 +218,19 @@ mod tests {
             let beta = IncompleteBeta::new(alpha).unwrap();
             for k in 0..=100 {
                 let y = f64::from(k) / 200.0;
-                let near = (polynomial(&beta.from_foot, 4.0 * y - 1.0), hypergeometric(0.5, 1.5 - alpha, 1.5, y));
-                let far =
-                    (polynomial(&beta.from_infinity, 4.0 * y - 1.0), hypergeometric(1.0, alpha, alpha + 0.5, y) / (2.0 * alpha - 1.0));
+                let near = (
+                    polynomial(&beta.from_foot, 4.0 * y - 1.0),
+                    hypergeometric(0.5, 1.5 - alpha, 1.5, y),
+                );
+                let far = (
+                    polynomial(&beta.from_infinity, 4.0 * y - 1.0),
+                    hypergeometric(1.0, alpha, alpha + 0.5, y) / (2.0 * alpha - 1.0),
+                );
                 for (got, want) in [near, far] {
-                    assert!((got - want).abs() <= 3e-14 * want.abs(), "alpha {alpha}, y {y}: {got} against {want}");
+                    assert!(
+                        (got - want).abs() <= 3e-14 * want.abs(),
+                        "alpha {alpha}, y {y}: {got} against {want}"
+                    );
                 }
             }
         }
@@ -184,14 +238,24 @@ mod tests {
 
     #[test]
     fn alphas_of_logarithms_have_none() {
-        assert!([0.5, 1.0, 1.5, 1.0001].iter().all(|alpha| IncompleteBeta::new(*alpha).is_none()));
-        assert!([0.51, 2.0, 2.5, 8.0].iter().all(|alpha| IncompleteBeta::new(*alpha).is_some()));
+        assert!(
+            [0.5, 1.0, 1.5, 1.0001]
+                .iter()
+                .all(|alpha| IncompleteBeta::new(*alpha).is_none())
+        );
+        assert!(
+            [0.51, 2.0, 2.5, 8.0]
+                .iter()
+                .all(|alpha| IncompleteBeta::new(*alpha).is_some())
+        );
     }
 
     /// Alpha 2: the integral from the foot to infinity is pi/4, and 2/3 for alpha 5/2.
     #[test]
     fn totals_are_known() {
-        assert!((IncompleteBeta::new(2.0).unwrap().total - std::f64::consts::FRAC_PI_4).abs() < 1e-14);
+        assert!(
+            (IncompleteBeta::new(2.0).unwrap().total - std::f64::consts::FRAC_PI_4).abs() < 1e-14
+        );
         assert!((IncompleteBeta::new(2.5).unwrap().total - 2.0 / 3.0).abs() < 1e-14);
     }
 }

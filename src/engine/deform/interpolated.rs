@@ -21,7 +21,10 @@ const NEXT_ORDER: f32 = 2.0;
 const SLOWEST: f32 = 0.6;
 
 /// Lagrange's polynomials at the quarters of each cell.
-#[expect(clippy::cast_possible_truncation, reason = "weights of f32 displacements")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "weights of f32 displacements"
+)]
 const fn weights() -> [[[f32; NODES]; 3]; POSITIONS] {
     let mut weights = [[[0.0; NODES]; 3]; POSITIONS];
     let mut at = 0;
@@ -84,7 +87,11 @@ impl Axis {
         let first = cell.saturating_sub(3).min(lines.checked_sub(STENCIL)?);
         let cell = cell - first;
         let nodes = cell.saturating_sub(MIDDLE).min(STENCIL - NODES);
-        (cell + 1 < STENCIL).then_some(Self { first, nodes, position: cell - nodes })
+        (cell + 1 < STENCIL).then_some(Self {
+            first,
+            nodes,
+            position: cell - nodes,
+        })
     }
 }
 
@@ -103,7 +110,10 @@ impl EvenLines {
             let is_even = count > 1 && (at(count - 1) - at(count - 2) - cell).abs() < EQUAL * cell;
             count as usize - usize::from(!is_even)
         };
-        Self { columns: even(grid.columns(), &|i| grid.x(i), grid.cell().0), rows: even(grid.rows(), &|j| grid.y(j), grid.cell().1) }
+        Self {
+            columns: even(grid.columns(), &|i| grid.x(i), grid.cell().0),
+            rows: even(grid.rows(), &|j| grid.y(j), grid.cell().1),
+        }
     }
 }
 
@@ -118,36 +128,65 @@ pub(super) struct Interpolated<'a> {
 impl<'a> Interpolated<'a> {
     /// The cell at a column and row; `None` if too few lines are at equal distances.
     pub(super) fn new(mesh: &'a Mesh, even: EvenLines, i: u32, j: u32) -> Option<Self> {
-        let (x, y) = (Axis::new(i as usize, even.columns)?, Axis::new(j as usize, even.rows)?);
+        let (x, y) = (
+            Axis::new(i as usize, even.columns)?,
+            Axis::new(j as usize, even.rows)?,
+        );
         let (d, columns) = (mesh.displacement(), mesh.grid().columns() as usize);
-        let line = |k: usize| d[(y.first + k) * columns + x.first..].first_chunk().expect("a stencil");
-        Some(Self { lines: std::array::from_fn(line), x, y })
+        let line = |k: usize| {
+            d[(y.first + k) * columns + x.first..]
+                .first_chunk()
+                .expect("a stencil")
+        };
+        Some(Self {
+            lines: std::array::from_fn(line),
+            x,
+            y,
+        })
     }
 
     /// The vertices that the first halving adds, in the order of [`group`](super::exact_rows::group), px.
     pub(super) fn halves(&self) -> [[f32; 2]; 5] {
         let [above, middle, below] = [0, 2, 4].map(|quarter| self.line(quarter));
-        [self.at(2, &above), self.at(0, &middle), self.at(2, &middle), self.at(4, &middle), self.at(2, &below)]
+        [
+            self.at(2, &above),
+            self.at(0, &middle),
+            self.at(2, &middle),
+            self.at(4, &middle),
+            self.at(2, &below),
+        ]
     }
 
     /// The vertices that the second halving adds, in the same order.
     pub(super) fn quarters(&self) -> [[f32; 2]; 16] {
         let lines: [_; 5] = std::array::from_fn(|quarter| self.line(quarter));
-        let mut added = super::exact_rows::group(2).map(|(a, b)| self.at(a as usize, &lines[b as usize]));
+        let mut added =
+            super::exact_rows::group(2).map(|(a, b)| self.at(a as usize, &lines[b as usize]));
         std::array::from_fn(|_| added.next().expect("sixteen"))
     }
 
     /// The nodes of all columns at a quarter of the cell's height.
     fn line(&self, quarter: usize) -> [[f32; 2]; NODES] {
-        let Axis { nodes, position, .. } = self.y;
-        let columns = |line: &'a [[f32; 2]; STENCIL]| -> &'a [[f32; 2]; NODES] { line[self.x.nodes..].first_chunk().expect("the nodes") };
+        let Axis {
+            nodes, position, ..
+        } = self.y;
+        let columns = |line: &'a [[f32; 2]; STENCIL]| -> &'a [[f32; 2]; NODES] {
+            line[self.x.nodes..].first_chunk().expect("the nodes")
+        };
         match quarter {
             0 => *columns(self.lines[nodes + position]),
             4 => *columns(self.lines[nodes + position + 1]),
             _ => {
                 let mut sum = [[0.0; 2]; NODES];
-                for (weight, line) in WEIGHTS[position][quarter - 1].iter().zip(&self.lines[nodes..]) {
-                    for (sum, d) in sum.as_flattened_mut().iter_mut().zip(columns(line).as_flattened()) {
+                for (weight, line) in WEIGHTS[position][quarter - 1]
+                    .iter()
+                    .zip(&self.lines[nodes..])
+                {
+                    for (sum, d) in sum
+                        .as_flattened_mut()
+                        .iter_mut()
+                        .zip(columns(line).as_flattened())
+                    {
                         *sum += weight * d;
                     }
                 }
@@ -164,16 +203,27 @@ impl<'a> Interpolated<'a> {
             4 => line[position + 1],
             _ => {
                 let weights = &WEIGHTS[position][quarter - 1];
-                weights.iter().zip(line).fold([0.0; 2], |[x, y], (weight, d)| [x + weight * d[0], y + weight * d[1]])
+                weights
+                    .iter()
+                    .zip(line)
+                    .fold([0.0; 2], |[x, y], (weight, d)| {
+                        [x + weight * d[0], y + weight * d[1]]
+                    })
             }
         }
     }
 
     /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve it.
     pub(super) fn off(&self) -> f32 {
-        let (left, top) = (self.x.nodes + self.x.position, self.y.nodes + self.y.position);
+        let (left, top) = (
+            self.x.nodes + self.x.position,
+            self.y.nodes + self.y.position,
+        );
         let rows = [top, top + 1].map(|b| differences::<2, 16>(self.lines[b].as_flattened()));
-        let (fourth_x, sixth_x) = (largest(rows.iter().flat_map(|row| &row.0[2..6])), largest(rows.iter().flat_map(|row| &row.1[..4])));
+        let (fourth_x, sixth_x) = (
+            largest(rows.iter().flat_map(|row| &row.0[2..6])),
+            largest(rows.iter().flat_map(|row| &row.1[..4])),
+        );
         // Both columns, one behind the other.
         let mut columns = [0.0; 32];
         for (column, line) in columns.chunks_exact_mut(4).zip(self.lines) {
@@ -181,7 +231,10 @@ impl<'a> Interpolated<'a> {
         }
         let columns = differences::<4, 32>(&columns);
         let (fourth_y, sixth_y) = (largest(&columns.0[4..12]), largest(&columns.1[..8]));
-        let (cubic, quintic) = (OF_FOURTH * (fourth_x + fourth_y), OF_SIXTH[MIDDLE] * (sixth_x + sixth_y));
+        let (cubic, quintic) = (
+            OF_FOURTH * (fourth_x + fourth_y),
+            OF_SIXTH[MIDDLE] * (sixth_x + sixth_y),
+        );
         if quintic > SLOWEST * cubic {
             return f32::INFINITY;
         }
@@ -196,7 +249,12 @@ impl<'a> Interpolated<'a> {
         let (above, below) = (mean(a, b), mean(c, d));
         let patch = [above, mean(a, c), mean(above, below), mean(b, d), below];
         let off = |(a, b): (&[f32; 2], [f32; 2])| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
-        halves.iter().zip(patch).map(off).fold(0.0_f32, f32::max).sqrt()
+        halves
+            .iter()
+            .zip(patch)
+            .map(off)
+            .fold(0.0_f32, f32::max)
+            .sqrt()
     }
 }
 
@@ -209,7 +267,10 @@ fn differences<const COMPONENTS: usize, const N: usize>(values: &[f32]) -> ([f32
         }
         out
     };
-    let fourth = second(&second(values.try_into().expect("eight values"), STENCIL - 2), STENCIL - 4);
+    let fourth = second(
+        &second(values.try_into().expect("eight values"), STENCIL - 2),
+        STENCIL - 4,
+    );
     let sixth = second(&fourth, STENCIL - 6);
     (fourth, sixth)
 }
@@ -231,7 +292,12 @@ mod tests {
     fn mesh(f: impl Fn(f32, f32) -> [f32; 2]) -> (Mesh, EvenLines) {
         let grid = Grid::with_counts(120.0, 100.0, 13, 11);
         let vertices = (0..11_u8).flat_map(|j| (0..13_u8).map(move |i| (i, j)));
-        let mesh = Mesh::new(grid, vertices.map(|(i, j)| f(f32::from(i), f32::from(j))).collect());
+        let mesh = Mesh::new(
+            grid,
+            vertices
+                .map(|(i, j)| f(f32::from(i), f32::from(j)))
+                .collect(),
+        );
         let even = EvenLines::of(mesh.grid());
         (mesh, even)
     }
@@ -239,7 +305,9 @@ mod tests {
     /// The largest distance between the vertices of a cell and a function of its lines.
     fn worst(cell: &Interpolated<'_>, (i, j): (u32, u32), f: impl Fn(f32, f32) -> [f32; 2]) -> f32 {
         let vertices = [cell.halves().to_vec(), cell.quarters().to_vec()];
-        let levels = (1..=2).zip(&vertices).flat_map(|(level, vertices)| group(level).map(move |at| (level, at)).zip(vertices));
+        let levels = (1..=2)
+            .zip(&vertices)
+            .flat_map(|(level, vertices)| group(level).map(move |at| (level, at)).zip(vertices));
         levels.fold(0.0, |worst, ((level, (a, b)), vertex)| {
             let share = |k: u32| k as f32 / f32::from(1_u8 << level);
             let want = f(i as f32 + share(a), j as f32 + share(b));
@@ -256,7 +324,11 @@ mod tests {
         let (mesh, even) = mesh(quintic);
         for (i, j) in (0..10).flat_map(|j| (0..12).map(move |i| (i, j))) {
             let cell = Interpolated::new(&mesh, even, i, j).unwrap();
-            assert!(worst(&cell, (i, j), quintic) < 2e-4, "{i} {j}: {}", worst(&cell, (i, j), quintic));
+            assert!(
+                worst(&cell, (i, j), quintic) < 2e-4,
+                "{i} {j}: {}",
+                worst(&cell, (i, j), quintic)
+            );
             assert!(cell.off() < 2e-4, "{i} {j}: {}", cell.off());
         }
     }
@@ -268,10 +340,19 @@ mod tests {
         for (i, j) in (0..10).flat_map(|j| (0..12).map(move |i| (i, j))) {
             let cell = Interpolated::new(&smooth, even, i, j).unwrap();
             let worst = worst(&cell, (i, j), wave);
-            assert!(worst <= cell.off() && cell.off() < 20.0 * worst, "{i} {j}: {worst} {}", cell.off());
+            assert!(
+                worst <= cell.off() && cell.off() < 20.0 * worst,
+                "{i} {j}: {worst} {}",
+                cell.off()
+            );
         }
         let steep = mesh(|x, y| [(2.5 * x).sin(), (2.9 * y).cos()]).0;
-        assert!(Interpolated::new(&steep, even, 5, 4).unwrap().off().is_infinite());
+        assert!(
+            Interpolated::new(&steep, even, 5, 4)
+                .unwrap()
+                .off()
+                .is_infinite()
+        );
     }
 
     #[test]

@@ -64,8 +64,15 @@ impl Matrix {
     /// The inverse of the matrix with these columns; `None` if the matrix is singular.
     fn inverse_of(a: Vec2, b: Vec2) -> Option<Self> {
         let determinant = a.cross(b);
-        let inverse = Self([Vec2::new(b.y, -b.x) * (1.0 / determinant), Vec2::new(-a.y, a.x) * (1.0 / determinant)]);
-        inverse.0.iter().all(|row| row.x.is_finite() && row.y.is_finite()).then_some(inverse)
+        let inverse = Self([
+            Vec2::new(b.y, -b.x) * (1.0 / determinant),
+            Vec2::new(-a.y, a.x) * (1.0 / determinant),
+        ]);
+        inverse
+            .0
+            .iter()
+            .all(|row| row.x.is_finite() && row.y.is_finite())
+            .then_some(inverse)
     }
 
     fn times(&self, v: Vec2) -> Vec2 {
@@ -75,7 +82,10 @@ impl Matrix {
     /// Broyden's update of an inverse: from now on it takes the change of f to the step.
     fn learn(&mut self, step: Vec2, change: Vec2) {
         let Self([a, b]) = *self;
-        let (off, across) = (step - self.times(change), Vec2::new(step.x * a.x + step.y * b.x, step.x * a.y + step.y * b.y));
+        let (off, across) = (
+            step - self.times(change),
+            Vec2::new(step.x * a.x + step.y * b.x, step.x * a.y + step.y * b.y),
+        );
         let per = 1.0 / across.dot(change);
         if per.is_finite() {
             *self = Self([a + across * (off.x * per), b + across * (off.y * per)]);
@@ -88,7 +98,12 @@ impl<'a> Inverse<'a> {
     /// where larger ones differ from f by more than `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
-        Self { f: field.deformation(pose), mesh, tree: CellTree::new(mesh), steps: AtomicU64::new(0) }
+        Self {
+            f: field.deformation(pose),
+            mesh,
+            tree: CellTree::new(mesh),
+            steps: AtomicU64::new(0),
+        }
     }
 
     /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture is posed. If several rest
@@ -96,7 +111,10 @@ impl<'a> Inverse<'a> {
     /// a search: one position may have many.
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
-        let mut search = Search { workspace: Workspace::new(self.f.columns()), cancelled };
+        let mut search = Search {
+            workspace: Workspace::new(self.f.columns()),
+            cancelled,
+        };
         let mut found = Vec::with_capacity(posed.len());
         for posed in posed.chunks(LANES) {
             found.extend(self.block(posed, &mut search)?);
@@ -123,7 +141,8 @@ impl<'a> Inverse<'a> {
             .map(|y| {
                 self.tree.find(*y, MARGIN, &mut cells);
                 cells.truncate(MOST_CELLS);
-                let mut starts: Vec<Start> = cells.iter().map(|cell| self.start(*cell, *y)).collect();
+                let mut starts: Vec<Start> =
+                    cells.iter().map(|cell| self.start(*cell, *y)).collect();
                 // The others only if no cell contains the position.
                 starts.sort_by_key(|start| !start.is_inside);
                 starts
@@ -132,7 +151,9 @@ impl<'a> Inverse<'a> {
         let mut found = vec![None; posed.len()];
         for attempt in 0.. {
             let at = |k: usize| starts[k].get(attempt).filter(|_| found[k].is_none());
-            let now: Vec<(usize, Start)> = (0..posed.len()).filter_map(|k| Some((k, *at(k)?))).collect();
+            let now: Vec<(usize, Start)> = (0..posed.len())
+                .filter_map(|k| Some((k, *at(k)?)))
+                .collect();
             if now.is_empty() {
                 break;
             }
@@ -150,14 +171,20 @@ impl<'a> Inverse<'a> {
     fn start(&self, cell: usize, y: Point) -> Start {
         let grid = self.mesh.grid();
         #[expect(clippy::cast_possible_truncation, reason = "columns and rows are u32")]
-        let (i, j) = ((cell % (grid.columns() as usize - 1)) as u32, (cell / (grid.columns() as usize - 1)) as u32);
-        let [a, b, c, d] = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.mesh.posed(i, j));
+        let (i, j) = (
+            (cell % (grid.columns() as usize - 1)) as u32,
+            (cell / (grid.columns() as usize - 1)) as u32,
+        );
+        let [a, b, c, d] =
+            [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.mesh.posed(i, j));
         let (e, f, twist) = (b - a, c - a, (d - b) - (c - a));
         let (mut s, mut t, mut inverse) = (0.5, 0.5, None);
         for _ in 0..8 {
             let off = y - (a + e * s + f * t + twist * (s * t));
             inverse = Matrix::inverse_of(e + twist * t, f + twist * s);
-            let Some(step) = inverse.map(|inverse| inverse.times(off)) else { break };
+            let Some(step) = inverse.map(|inverse| inverse.times(off)) else {
+                break;
+            };
             (s, t) = ((s + step.x).clamp(-1.0, 2.0), (t + step.y).clamp(-1.0, 2.0));
             if step.norm() < 1e-9 {
                 break;
@@ -176,14 +203,25 @@ impl<'a> Inverse<'a> {
     }
 
     /// Broyden's method from a start of each position; `None` for all when cancelled.
-    fn solve(&self, posed: &[Point], starts: &[(usize, Start)], search: &mut Search<'_>) -> Option<Vec<Option<Point>>> {
+    fn solve(
+        &self,
+        posed: &[Point],
+        starts: &[(usize, Start)],
+        search: &mut Search<'_>,
+    ) -> Option<Vec<Option<Point>>> {
         let (width, height) = self.mesh.grid().cell();
         let longest = LONGEST_STEP * width.max(height);
         let mut x: Vec<Point> = starts.iter().map(|(_, start)| start.x).collect();
         let mut inverses: Vec<Matrix> = starts.iter().map(|(_, start)| start.inverse).collect();
         let off = |x: &[Point], search: &mut Search<'_>| -> Option<Vec<Vec2>> {
             let f = self.f(x, search)?;
-            Some(starts.iter().zip(f).map(|((k, _), f)| posed[*k] - f).collect())
+            Some(
+                starts
+                    .iter()
+                    .zip(f)
+                    .map(|((k, _), f)| posed[*k] - f)
+                    .collect(),
+            )
         };
         let mut offs = off(&x, search)?;
         for _ in 0..STEPS {
@@ -195,7 +233,11 @@ impl<'a> Inverse<'a> {
                 if offs[k].norm() > SOLVED {
                     let whole = inverses[k].times(offs[k]);
                     let length = whole.norm();
-                    *step = if length > longest { whole * (longest / length) } else { whole };
+                    *step = if length > longest {
+                        whole * (longest / length)
+                    } else {
+                        whole
+                    };
                     x[k] = x[k] + *step;
                 }
             }
@@ -209,7 +251,10 @@ impl<'a> Inverse<'a> {
         }
         // One more step costs nothing.
         let last = x.into_iter().zip(inverses).zip(offs);
-        Some(last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off))).collect())
+        Some(
+            last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off)))
+                .collect(),
+        )
     }
 
     /// Newton's method with shorter steps where whole ones lead away. The outer `None`: cancelled.
@@ -218,18 +263,29 @@ impl<'a> Inverse<'a> {
         for _ in 0..NEWTON_STEPS {
             let (across, down) = (Vec2::new(DIFFERENCE, 0.0), Vec2::new(0.0, DIFFERENCE));
             let around = [x, x + across, x - across, x + down, x - down];
-            let [f, right, left, below, above] = <[Point; 5]>::try_from(self.f(&around, search)?).expect("five");
+            let [f, right, left, below, above] =
+                <[Point; 5]>::try_from(self.f(&around, search)?).expect("five");
             let off = y - f;
             if off.norm() <= SOLVED {
                 return Some(Some(x));
             }
             let per = 0.5 / DIFFERENCE;
-            let Some(inverse) = Matrix::inverse_of((right - left) * per, (below - above) * per) else { return Some(None) };
+            let Some(inverse) = Matrix::inverse_of((right - left) * per, (below - above) * per)
+            else {
+                return Some(None);
+            };
             let step = inverse.times(off);
-            let shorter: Vec<Point> = (0..HALVINGS).map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few"))).collect();
+            let shorter: Vec<Point> = (0..HALVINGS)
+                .map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few")))
+                .collect();
             let tried = self.f(&shorter, search)?;
-            let nearest = shorter.into_iter().zip(tried).find(|(_, f)| (y - *f).norm() < off.norm());
-            let Some((nearer, _)) = nearest else { return Some(None) };
+            let nearest = shorter
+                .into_iter()
+                .zip(tried)
+                .find(|(_, f)| (y - *f).norm() < off.norm());
+            let Some((nearer, _)) = nearest else {
+                return Some(None);
+            };
             x = nearer;
         }
         Some(None)
@@ -238,12 +294,21 @@ impl<'a> Inverse<'a> {
     /// A solution, if it lies in the picture and in the cell or beside it.
     fn within(&self, x: Point, cell: usize) -> Option<Point> {
         let grid = self.mesh.grid();
-        let inside = |value: f64, side: f64| (-BORDER..=side + BORDER).contains(&value).then_some(value.clamp(0.0, side));
+        let inside = |value: f64, side: f64| {
+            (-BORDER..=side + BORDER)
+                .contains(&value)
+                .then_some(value.clamp(0.0, side))
+        };
         let x = Point::new(inside(x.x, grid.width())?, inside(x.y, grid.height())?);
         let (width, height) = grid.cell();
         #[expect(clippy::cast_precision_loss, reason = "columns and rows are u32")]
-        let (i, j) = ((cell % (grid.columns() as usize - 1)) as f64, (cell / (grid.columns() as usize - 1)) as f64);
-        let beside = |value: f64, first: f64, side: f64| (-BESIDE..=1.0 + BESIDE).contains(&((value - first * side) / side));
+        let (i, j) = (
+            (cell % (grid.columns() as usize - 1)) as f64,
+            (cell / (grid.columns() as usize - 1)) as f64,
+        );
+        let beside = |value: f64, first: f64, side: f64| {
+            (-BESIDE..=1.0 + BESIDE).contains(&((value - first * side) / side))
+        };
         (beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
     }
 }
@@ -259,12 +324,20 @@ mod tests {
     const NEVER: IsCancelled<'static> = &|| false;
 
     fn set(method: Method, alpha: f64, count: u32, seed: u32, reach: f64) -> (Field, Pose) {
-        let noise = |k: u32, n: u32| f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
+        let noise = |k: u32, n: u32| {
+            f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8)
+                / f64::from(1_u32 << 24)
+        };
         let place = |k: u32| Point::new(20.0 + 260.0 * noise(k, 0), 20.0 + 160.0 * noise(k, 1));
-        let moved = |k: u32| Handle::Point(place(k) + Vec2::new(noise(k, 2) - 0.5, noise(k, 3) - 0.5) * reach);
-        let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
+        let moved = |k: u32| {
+            Handle::Point(place(k) + Vec2::new(noise(k, 2) - 0.5, noise(k, 3) - 0.5) * reach)
+        };
+        let rest =
+            Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
         let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
-        let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
+        let pose = field
+            .pose(&(0..count).map(moved).collect::<Vec<_>>())
+            .unwrap();
         (field, pose)
     }
 
@@ -327,8 +400,14 @@ mod tests {
         assert!(mesh.folded_cells().next().is_none() && folds_finely(&field, &pose));
         let rest = Point::new(215.095_558_834_529_53, 77.372_808_486_161_86);
         let posed = field.map(&pose, rest);
-        let found = Inverse::new(&field, &pose, &mesh).map(&[posed], NEVER).unwrap()[0].expect("a position of the picture");
-        assert!(field.map(&pose, found).distance(posed) < 2e-6 && found.distance(rest) > 1.0, "{found:?}");
+        let found = Inverse::new(&field, &pose, &mesh)
+            .map(&[posed], NEVER)
+            .unwrap()[0]
+            .expect("a position of the picture");
+        assert!(
+            field.map(&pose, found).distance(posed) < 2e-6 && found.distance(rest) > 1.0,
+            "{found:?}"
+        );
     }
 
     #[test]
@@ -336,29 +415,63 @@ mod tests {
         let (field, pose) = set(Method::Rigid, 1.0, 7, 3, 20.0);
         let mesh = mesh(&field, &pose, 5.0);
         let inverse = Inverse::new(&field, &pose, &mesh);
-        let rest: Vec<Point> = field.handles().handles().iter().map(|handle| handle.places()[0]).collect();
-        let posed: Vec<Point> = rest.iter().zip(pose.displacements()).map(|(p, d)| *p + *d).collect();
+        let rest: Vec<Point> = field
+            .handles()
+            .handles()
+            .iter()
+            .map(|handle| handle.places()[0])
+            .collect();
+        let posed: Vec<Point> = rest
+            .iter()
+            .zip(pose.displacements())
+            .map(|(p, d)| *p + *d)
+            .collect();
         for (p, found) in rest.iter().zip(inverse.map(&posed, NEVER).unwrap()) {
-            assert!(found.is_some_and(|found| found.distance(*p) < 1e-6), "{p:?}: {found:?}");
+            assert!(
+                found.is_some_and(|found| found.distance(*p) < 1e-6),
+                "{p:?}: {found:?}"
+            );
         }
-        let outside = [Point::new(-200.0, 10.0), Point::new(1e6, 1e6), Point::new(150.0, -90.0)];
+        let outside = [
+            Point::new(-200.0, 10.0),
+            Point::new(1e6, 1e6),
+            Point::new(150.0, -90.0),
+        ];
         assert_eq!(inverse.map(&outside, NEVER).unwrap(), [None; 3]);
     }
 
     /// Whatever the folds, a position where f puts something of the picture has an inverse.
     #[test]
     fn no_position_of_the_picture_is_lost_in_folds() {
-        let rest: Vec<Point> = (0..100).map(|k| Point::new(f64::from(k * 37 % 101) * 2.97, f64::from(k * 53 % 103) * 1.94)).collect();
-        for (seed, reach) in [(9, 240.0), (12, 120.0), (12, 240.0), (26, 120.0), (28, 60.0)] {
+        let rest: Vec<Point> = (0..100)
+            .map(|k| {
+                Point::new(
+                    f64::from(k * 37 % 101) * 2.97,
+                    f64::from(k * 53 % 103) * 1.94,
+                )
+            })
+            .collect();
+        for (seed, reach) in [
+            (9, 240.0),
+            (12, 120.0),
+            (12, 240.0),
+            (26, 120.0),
+            (28, 60.0),
+        ] {
             for alpha in [1.0, 2.0] {
                 let (field, pose) = set(Method::Rigid, alpha, 4 + seed % 6, seed, reach);
                 let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
                 for cell in [4.0, 5.0, 8.0] {
                     let grid = Grid::with_cell(300.0, 200.0, cell);
                     let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
-                    let found = Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap();
+                    let found = Inverse::new(&field, &pose, &mesh)
+                        .map(&posed, NEVER)
+                        .unwrap();
                     let lost = found.iter().filter(|found| found.is_none()).count();
-                    assert_eq!(lost, 0, "seed {seed}, reach {reach}, alpha {alpha}, cells of {cell} px");
+                    assert_eq!(
+                        lost, 0,
+                        "seed {seed}, reach {reach}, alpha {alpha}, cells of {cell} px"
+                    );
                 }
             }
         }

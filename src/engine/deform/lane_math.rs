@@ -23,7 +23,11 @@ pub(super) fn pow(x: f64, y: f64) -> f64 {
     let rest = (y - y_upper) * log + y * tail;
     let product = y_upper * log;
     let power = exp2(product, rest);
-    if x < f64::MIN_POSITIVE || product < -1021.0 { 0.0 } else { power }
+    if x < f64::MIN_POSITIVE || product < -1021.0 {
+        0.0
+    } else {
+        power
+    }
 }
 
 /// The natural logarithm to 2^-53 relative to the larger of it and 1, for positive normal numbers; finite for 0 and subnormal ones.
@@ -75,7 +79,8 @@ fn log2(x: f64) -> (f64, f64) {
 
     // 3/2 ln(a / beside) = 3 s + s^3 + ...
     let s2 = s * s;
-    let series = s2 * s2 * (L[0] + s2 * (L[1] + s2 * (L[2] + s2 * (L[3] + s2 * (L[4] + s2 * L[5])))));
+    let series =
+        s2 * s2 * (L[0] + s2 * (L[1] + s2 * (L[2] + s2 * (L[3] + s2 * (L[4] + s2 * L[5])))));
     let series = series + s_rest * (s_upper + s);
     let s2 = s_upper * s_upper;
     let t_upper = upper(3.0 + s2 + series);
@@ -141,13 +146,22 @@ pub(super) fn angle(y: f64, x: f64) -> f64 {
     let steep = y > across;
     let (small, large) = if steep { (across, y) } else { (y, across) };
     let turned = small > 0.414_213_562_373_095_03 * large;
-    let (over, under) = if turned { (small - large, small + large) } else { (small, large) };
+    let (over, under) = if turned {
+        (small - large, small + large)
+    } else {
+        (small, large)
+    };
     let q = over / under;
     let z = q * q;
     let series = z
         * (A[0]
             + z * (A[1]
-                + z * (A[2] + z * (A[3] + z * (A[4] + z * (A[5] + z * (A[6] + z * (A[7] + z * (A[8] + z * (A[9] + z * A[10]))))))))));
+                + z * (A[2]
+                    + z * (A[3]
+                        + z * (A[4]
+                            + z * (A[5]
+                                + z * (A[6]
+                                    + z * (A[7] + z * (A[8] + z * (A[9] + z * A[10]))))))))));
     let octant = q - q * series;
     let octant = if turned { FRAC_PI_4 + octant } else { octant };
     let quadrant = if steep { FRAC_PI_2 - octant } else { octant };
@@ -166,11 +180,22 @@ mod tests {
     fn pow_is_within_an_ulp_of_the_library() {
         let mut state = 7u64;
         for _ in 0..200_000 {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let x = f64::from_bits((state >> 12) | ONE) - 1.0;
-            let x = if state & 1 == 0 { x } else { x.powi((state >> 1 & 31) as i32 + 1) };
+            let x = if state & 1 == 0 {
+                x
+            } else {
+                x.powi((state >> 1 & 31) as i32 + 1)
+            };
             let y = 0.05 + 7.95 * (state >> 40) as f64 / f64::from(1 << 24);
-            assert!(ulps(pow(x, y), x.powf(y)) <= 1 || x.powf(y) < 1e-300, "{x:e}^{y}: {:e}, {:e}", pow(x, y), x.powf(y));
+            assert!(
+                ulps(pow(x, y), x.powf(y)) <= 1 || x.powf(y) < 1e-300,
+                "{x:e}^{y}: {:e}, {:e}",
+                pow(x, y),
+                x.powf(y)
+            );
         }
         for y in [0.1, 0.5, 1.0, 1.3, 3.0, 8.0] {
             assert_eq!(pow(1.0, y), 1.0);
@@ -186,7 +211,12 @@ mod tests {
     fn ln_is_that_of_the_library() {
         for k in -3000..3000 {
             let x = 1.1f64.powi(k) * (1.0 + 1e-3 * f64::from(k % 7));
-            assert!((ln(x) - x.ln()).abs() <= 3e-16 * x.ln().abs().max(1.0), "{x:e}: {:e}, {:e}", ln(x), x.ln());
+            assert!(
+                (ln(x) - x.ln()).abs() <= 3e-16 * x.ln().abs().max(1.0),
+                "{x:e}: {:e}, {:e}",
+                ln(x),
+                x.ln()
+            );
         }
         assert_eq!(ln(1.0), 0.0);
         assert!(ln(0.0).is_finite() && ln(5e-324).is_finite());
@@ -200,7 +230,12 @@ mod tests {
             let phi = std::f64::consts::PI * f64::from(k) / 1e5;
             let scale = 10f64.powi(k % 17 - 8);
             let (y, x) = (phi.sin() * scale, phi.cos() * scale);
-            assert!(ulps(angle(y, x), y.atan2(x)) <= 2, "{y:e}, {x:e}: {:e}, {:e}", angle(y, x), y.atan2(x));
+            assert!(
+                ulps(angle(y, x), y.atan2(x)) <= 2,
+                "{y:e}, {x:e}: {:e}, {:e}",
+                angle(y, x),
+                y.atan2(x)
+            );
         }
         for y in [1e-300, 1e-20, 1e-3] {
             assert!(ulps(angle(y, 1.0), y.atan2(1.0)) <= 1);

@@ -31,13 +31,20 @@ pub(super) struct PointMass<const N: usize> {
 impl<const N: usize> Vertices<N> {
     /// The same vertex in every lane.
     pub(super) const fn all(v: Point) -> Self {
-        Self { x: [v.x; N], y: [v.y; N] }
+        Self {
+            x: [v.x; N],
+            y: [v.y; N],
+        }
     }
 }
 
 impl<const N: usize> Rows<N> {
     pub(super) fn zeroed(columns: usize) -> Self {
-        Self { h: vec![[[0.0; N]; 2]; columns], wn: vec![[0.0; N]; columns], e: [[0.0; N]; 2] }
+        Self {
+            h: vec![[[0.0; N]; 2]; columns],
+            wn: vec![[0.0; N]; columns],
+            e: [[0.0; N]; 2],
+        }
     }
 
     pub(super) fn clear(&mut self) {
@@ -46,7 +53,11 @@ impl<const N: usize> Rows<N> {
 }
 
 impl<const N: usize> PointMass<N> {
-    pub(super) const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], w: [0.0; N] };
+    pub(super) const ZERO: Self = Self {
+        x: [0.0; N],
+        y: [0.0; N],
+        w: [0.0; N],
+    };
 }
 
 /// N vertices, by lane.

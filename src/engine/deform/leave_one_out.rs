@@ -29,7 +29,10 @@ impl Field {
     /// The column of the grouped set to which each of the client's points belongs.
     #[must_use]
     pub fn grouped_columns(&self) -> Vec<usize> {
-        self.grouped.as_ref().map_or_else(|| (0..self.handles.columns()).collect(), |grouped| grouped.1.columns())
+        self.grouped.as_ref().map_or_else(
+            || (0..self.handles.columns()).collect(),
+            |grouped| grouped.1.columns(),
+        )
     }
 
     /// For each point (coincident ones are one), its posed position less the one that the map of all others predicts, px. CPU work, in
@@ -40,12 +43,20 @@ impl Field {
     #[must_use]
     pub fn leave_one_out(&self, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Vec<Vec2>> {
         let d = pose.displacements();
-        assert!(!self.handles.has_lines() && d.len() > 1, "at least two points");
+        assert!(
+            !self.handles.has_lines() && d.len() > 1,
+            "at least two points"
+        );
         let closed = match &self.model {
-            Model::ThinPlateSpline { spline: Some(spline), .. } => {
+            Model::ThinPlateSpline {
+                spline: Some(spline),
+                ..
+            } => {
                 let of_sites = spline.left_out(d, cancelled)?;
                 let mut closed = vec![Vec2::ZERO; d.len()];
-                spline.members().for_each(|(column, site)| closed[column] = of_sites[site]);
+                spline
+                    .members()
+                    .for_each(|(column, site)| closed[column] = of_sites[site]);
                 Some(closed)
             }
             _ => None,
@@ -64,24 +75,56 @@ impl Field {
     }
 
     fn without(&self, index: usize) -> Rest {
-        let points: Vec<PointSource> = self.sources.points.iter().copied().filter(|source| source.column != index).collect();
-        let handles = points.iter().map(|source| Handle::Point(source.p)).collect();
+        let points: Vec<PointSource> = self
+            .sources
+            .points
+            .iter()
+            .copied()
+            .filter(|source| source.column != index)
+            .collect();
+        let handles = points
+            .iter()
+            .map(|source| Handle::Point(source.p))
+            .collect();
         let rank = rank(&Handles::of_valid(handles, vec![1.0; points.len()]));
-        Rest { sources: Sources { points, segments: Vec::new() }, rank }
+        Rest {
+            sources: Sources {
+                points,
+                segments: Vec::new(),
+            },
+            rank,
+        }
     }
 
     /// The displacement of a point by the map of the rest, px. `None` when cancelled.
-    fn predicted(&self, Rest { sources, rank }: &Rest, index: usize, d: &[Vec2], cancelled: IsCancelled<'_>) -> Option<Vec2> {
+    fn predicted(
+        &self,
+        Rest { sources, rank }: &Rest,
+        index: usize,
+        d: &[Vec2],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Vec2> {
         let place = self.place(index);
         let line = match rank {
             Rank::Empty | Rank::OnePlace => return Some(mean(&sources.points, d)),
             Rank::Collinear => true,
             Rank::Full => false,
         };
-        let family = if line && self.family == Method::Affine { Method::Similarity } else { self.family };
-        if let Model::ThinPlateSpline { smoothing, spline: Some(spline) } = &self.model {
+        let family = if line && self.family == Method::Affine {
+            Method::Similarity
+        } else {
+            self.family
+        };
+        if let Model::ThinPlateSpline {
+            smoothing,
+            spline: Some(spline),
+        } = &self.model
+        {
             let sites = Sites::of(&sources.points, coincidence_distance(self.handles.extent()));
-            let [[x], [y]] = spline.of_part(sites, line, *smoothing, cancelled)?.posed(d).displacements(&Vertices::all(place));
+            let [[x], [y]] = spline
+                .of_part(sites, line, *smoothing, cancelled)?
+                .posed(d)
+                .displacements(&Vertices::all(place));
             return Some(Vec2::new(x, y));
         }
         thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
@@ -90,9 +133,22 @@ impl Field {
             rows.wn.resize(d.len(), [0.0]);
             (rows.h[index], rows.wn[index]) = ([[0.0]; 2], [0.0]);
             match &self.model {
-                Model::MovingLeastSquares { falloff, point_mass, .. } => {
-                    let (extent, falloff, point_mass) = (self.handles.extent(), *falloff, *point_mass);
-                    let inputs = RowInputs { sources, extent, falloff, beta: None, point_mass, method: family, exact: true };
+                Model::MovingLeastSquares {
+                    falloff,
+                    point_mass,
+                    ..
+                } => {
+                    let (extent, falloff, point_mass) =
+                        (self.handles.extent(), *falloff, *point_mass);
+                    let inputs = RowInputs {
+                        sources,
+                        extent,
+                        falloff,
+                        beta: None,
+                        point_mass,
+                        method: family,
+                        exact: true,
+                    };
                     kernel::rows(&inputs, &Vertices::all(place), scratch, rows);
                 }
                 _ => GlobalAffine::new(sources, line).rows(&Vertices::all(place), rows),
@@ -110,5 +166,7 @@ impl Field {
 /// The mean displacement, weighted by mass.
 fn mean(points: &[PointSource], d: &[Vec2]) -> Vec2 {
     let total: f64 = points.iter().map(|source| source.mass).sum();
-    points.iter().fold(Vec2::ZERO, |sum, source| sum + d[source.column] * (source.mass / total))
+    points.iter().fold(Vec2::ZERO, |sum, source| {
+        sum + d[source.column] * (source.mass / total)
+    })
 }

@@ -32,7 +32,10 @@ pub(super) struct Measured {
 impl Cells {
     /// Nothing is known yet; `cells`: at least their number.
     pub(super) fn new(cells: usize) -> Self {
-        Self { index: vec![0; cells], known: Vec::new() }
+        Self {
+            index: vec![0; cells],
+            known: Vec::new(),
+        }
     }
 
     /// The index of a known cell.
@@ -69,7 +72,13 @@ impl Cells {
 
 impl Measured {
     pub(super) fn new(corners: [[f32; 2]; 4]) -> Self {
-        Self { vertices: corners.to_vec(), depth: 0, errors: [0.0; LEVELS], least: 0, is_exact: false }
+        Self {
+            vertices: corners.to_vec(),
+            depth: 0,
+            errors: [0.0; LEVELS],
+            least: 0,
+            is_exact: false,
+        }
     }
 
     /// Adds the vertices of one halving more, and the error of the present lattice at them.
@@ -90,7 +99,10 @@ impl Measured {
             let patch = match (a & 1, b & 1) {
                 (1, 0) => mean(old(a, b), old(a + 1, b)),
                 (0, _) => mean(old(a, b), old(a, b + 1)),
-                _ => mean(mean(old(a, b), old(a + 1, b)), mean(old(a, b + 1), old(a + 1, b + 1))),
+                _ => mean(
+                    mean(old(a, b), old(a + 1, b)),
+                    mean(old(a, b + 1), old(a + 1, b + 1)),
+                ),
             };
             worst = worst.max(distance(*d, patch));
             vertices[b * fine + a] = *d;
@@ -112,12 +124,18 @@ pub(super) fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) ->
     let (width, height) = (size[0] / (side - 1) as f32, size[1] / (side - 1) as f32);
     let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
     let mut worst = 0.0_f32;
-    for (above, below) in vertices.chunks_exact(side).zip(vertices.chunks_exact(side).skip(1)) {
+    for (above, below) in vertices
+        .chunks_exact(side)
+        .zip(vertices.chunks_exact(side).skip(1))
+    {
         for (ab, dc) in above.windows(2).zip(below.windows(2)) {
             let across = |ab: &[[f32; 2]]| [width + (ab[1][0] - ab[0][0]), ab[1][1] - ab[0][1]];
             let down = |k: usize| [dc[k][0] - ab[k][0], height + (dc[k][1] - ab[k][1])];
             let (top, bottom, left, right) = (across(ab), across(dc), down(0), down(1));
-            let least = cross(top, left).min(cross(top, right)).min(cross(bottom, left)).min(cross(bottom, right));
+            let least = cross(top, left)
+                .min(cross(top, right))
+                .min(cross(bottom, left))
+                .min(cross(bottom, right));
             if least <= 0.0 {
                 worst = worst.max(0.25 * distance(bottom, top));
             }
@@ -137,7 +155,10 @@ pub(super) fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Cow<'_,
     if step == 1 {
         return Cow::Borrowed(vertices);
     }
-    (0..side).step_by(step).flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a])).collect()
+    (0..side)
+        .step_by(step)
+        .flat_map(|b| (0..side).step_by(step).map(move |a| vertices[b * side + a]))
+        .collect()
 }
 
 /// The index of a vertex on an edge (top, right, bottom, left) of a lattice, from left to right or from top to bottom.
@@ -159,7 +180,10 @@ pub(super) fn edge_level(vertices: &[[f32; 2]], side: usize, edge: usize, tolera
         (0..side).all(|k| {
             let (from, share) = (k / step * step, (k % step) as f32 / step as f32);
             let (a, b, d) = (line(from), line((from + step).min(side - 1)), line(k));
-            distance(d, [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share]) <= tolerance
+            distance(
+                d,
+                [a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share],
+            ) <= tolerance
         })
     };
     (0..last).find(is_within).unwrap_or(last)

@@ -80,24 +80,57 @@ struct Means {
 
 impl<'a> MomentInputs<'a> {
     /// `d`: the displacements of the points, px.
-    pub(super) fn new(points: &'a [PointSource], d: &'a [Vec2], falloff: Falloff, method: Method) -> Self {
-        let sum = points.iter().fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
+    pub(super) fn new(
+        points: &'a [PointSource],
+        d: &'a [Vec2],
+        falloff: Falloff,
+        method: Method,
+    ) -> Self {
+        let sum = points
+            .iter()
+            .fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
         let (origin, shift) = (points[0].p + sum * (1.0 / points.len() as f64), d[0]);
         let terms = if method == Method::Affine {
-            let factors =
-                |p: Vec2, d: Vec2| [1.0, p.x, p.y, d.x, d.y, p.x * p.x, p.x * p.y, p.y * p.y, p.x * d.x, p.x * d.y, p.y * d.x, p.y * d.y];
+            let factors = |p: Vec2, d: Vec2| {
+                [
+                    1.0,
+                    p.x,
+                    p.y,
+                    d.x,
+                    d.y,
+                    p.x * p.x,
+                    p.x * p.y,
+                    p.y * p.y,
+                    p.x * d.x,
+                    p.x * d.y,
+                    p.y * d.x,
+                    p.y * d.y,
+                ]
+            };
             Terms::Affine(terms(points, d, |p, d| factors(p - origin, d - shift)))
         } else {
-            let factors = |p: Vec2, d: Vec2| [1.0, p.x, p.y, d.x, d.y, p.norm2(), p.dot(d), p.cross(d)];
+            let factors =
+                |p: Vec2, d: Vec2| [1.0, p.x, p.y, d.x, d.y, p.norm2(), p.dot(d), p.cross(d)];
             Terms::Similar(terms(points, d, |p, d| factors(p - origin, d - shift)))
         };
-        Self { points, d, falloff, method, origin, shift, terms }
+        Self {
+            points,
+            d,
+            falloff,
+            method,
+            origin,
+            shift,
+            terms,
+        }
     }
 
     /// `f(v) - v`, px, and |m| (rigid), else 1. The body of every instruction set's function in `kernel`; `LANES`: vertices whose sums fit
     /// into its registers.
     #[inline(always)]
-    pub(super) fn displacements<const LANES: usize, const N: usize>(&self, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    pub(super) fn displacements<const LANES: usize, const N: usize>(
+        &self,
+        v: &Vertices<N>,
+    ) -> ([[f64; N]; 2], [f64; N]) {
         let (mut moved, mut rotation) = ([[0.0; N]; 2], [1.0; N]);
         let (mut again, mut count) = ([0; N], 0);
         for first in (0..N).step_by(LANES) {
@@ -106,7 +139,9 @@ impl<'a> MomentInputs<'a> {
             let fitted: [Option<(Vec2, f64)>; LANES] = match &self.terms {
                 Terms::Similar(terms) => {
                     let sums = self.sums(terms, &x, &y);
-                    std::array::from_fn(|k| self.similar(Point::new(x[k], y[k]) - self.origin, &sums, k))
+                    std::array::from_fn(|k| {
+                        self.similar(Point::new(x[k], y[k]) - self.origin, &sums, k)
+                    })
                 }
                 Terms::Affine(terms) => {
                     let sums = self.sums(terms, &x, &y);
@@ -115,7 +150,8 @@ impl<'a> MomentInputs<'a> {
             };
             for (k, fitted) in (first..N).zip(fitted) {
                 if let Some((d, m)) = fitted {
-                    (moved[0][k], moved[1][k], rotation[k]) = (self.shift.x + d.x, self.shift.y + d.y, m);
+                    (moved[0][k], moved[1][k], rotation[k]) =
+                        (self.shift.x + d.x, self.shift.y + d.y, m);
                 } else {
                     again[count] = k;
                     count += 1;
@@ -128,8 +164,10 @@ impl<'a> MomentInputs<'a> {
             let anchor = self.anchor(&x, &y);
             let sums = self.anchored_sums(&x, &y, &anchor);
             for (k, &lane) in again.iter().enumerate() {
-                let (d, m) = self.anchored(Point::new(x[k], y[k]) - anchor.p[k], &Means::of(&sums, k));
-                (moved[0][lane], moved[1][lane], rotation[lane]) = (anchor.d[k].x + d.x, anchor.d[k].y + d.y, m);
+                let (d, m) =
+                    self.anchored(Point::new(x[k], y[k]) - anchor.p[k], &Means::of(&sums, k));
+                (moved[0][lane], moved[1][lane], rotation[lane]) =
+                    (anchor.d[k].x + d.x, anchor.d[k].y + d.y, m);
             }
         }
         (moved, rotation)
@@ -162,7 +200,12 @@ impl<'a> MomentInputs<'a> {
 
     /// The displacement of vertex k, at `v` from the origin, and |m|; `None` where the sums cancel.
     #[inline(always)]
-    fn similar<const LANES: usize>(&self, v: Vec2, sums: &[[f64; LANES]; SIMILAR], k: usize) -> Option<(Vec2, f64)> {
+    fn similar<const LANES: usize>(
+        &self,
+        v: Vec2,
+        sums: &[[f64; LANES]; SIMILAR],
+        k: usize,
+    ) -> Option<(Vec2, f64)> {
         let per_weight = 1.0 / sums[0][k];
         let mean = |n: usize| sums[n][k] * per_weight;
         let (p, d) = (Vec2::new(mean(1), mean(2)), Vec2::new(mean(3), mean(4)));
@@ -192,15 +235,33 @@ impl<'a> MomentInputs<'a> {
             }
         }
         #[expect(clippy::cast_possible_truncation, reason = "an index of the points")]
-        let (points, d) = (index.map(|n| self.points[n as usize]), index.map(|n| self.d[n as usize]));
+        let (points, d) = (
+            index.map(|n| self.points[n as usize]),
+            index.map(|n| self.d[n as usize]),
+        );
         let r2 = std::array::from_fn(|k| squared_distances(points[k].p, &[x[k]], &[y[k]])[0]);
-        Anchor { r2, mass: points.map(|point| point.mass), p: points.map(|point| point.p), d }
+        Anchor {
+            r2,
+            mass: points.map(|point| point.mass),
+            p: points.map(|point| point.p),
+            d,
+        }
     }
 
     /// The sums of affine maps, from the anchors; the anchor has the weight 1.
     #[inline(always)]
-    fn anchored_sums(&self, x: &[f64; ANCHORED], y: &[f64; ANCHORED], anchor: &Anchor) -> [[f64; ANCHORED]; AFFINE] {
-        let (x0, y0, dx0, dy0) = (anchor.p.map(|p| p.x), anchor.p.map(|p| p.y), anchor.d.map(|d| d.x), anchor.d.map(|d| d.y));
+    fn anchored_sums(
+        &self,
+        x: &[f64; ANCHORED],
+        y: &[f64; ANCHORED],
+        anchor: &Anchor,
+    ) -> [[f64; ANCHORED]; AFFINE] {
+        let (x0, y0, dx0, dy0) = (
+            anchor.p.map(|p| p.x),
+            anchor.p.map(|p| p.y),
+            anchor.d.map(|d| d.x),
+            anchor.d.map(|d| d.y),
+        );
         let mut sums = [[0.0; ANCHORED]; AFFINE];
         for (PointSource { p, mass, .. }, d) in self.points.iter().zip(self.d) {
             let mut w = squared_distances(*p, x, y);
@@ -234,7 +295,14 @@ impl<'a> MomentInputs<'a> {
         let (e, spread) = (v - means.p, means.xx + means.yy);
         if self.method == Method::Affine {
             let is_singular = means.determinant() <= SINGULAR * means.xx * means.yy;
-            return (if is_singular { means.d } else { means.affine(e) }, 1.0);
+            return (
+                if is_singular {
+                    means.d
+                } else {
+                    means.affine(e)
+                },
+                1.0,
+            );
         }
         if spread <= 0.0 {
             // Only the anchor has a weight that a number can hold.
@@ -251,8 +319,20 @@ impl Means {
         let per_weight = 1.0 / sums[0][k];
         let mean = |n: usize| sums[n][k] * per_weight;
         let (p, d) = (Vec2::new(mean(1), mean(2)), Vec2::new(mean(3), mean(4)));
-        let (xx, xy, yy) = (mean(5) - p.x * p.x, mean(6) - p.x * p.y, mean(7) - p.y * p.y);
-        Self { p, d, xx, xy, yy, x_d: Vec2::new(mean(8), mean(9)) - d * p.x, y_d: Vec2::new(mean(10), mean(11)) - d * p.y }
+        let (xx, xy, yy) = (
+            mean(5) - p.x * p.x,
+            mean(6) - p.x * p.y,
+            mean(7) - p.y * p.y,
+        );
+        Self {
+            p,
+            d,
+            xx,
+            xy,
+            yy,
+            x_d: Vec2::new(mean(8), mean(9)) - d * p.x,
+            y_d: Vec2::new(mean(10), mean(11)) - d * p.y,
+        }
     }
 
     fn determinant(&self) -> f64 {
@@ -262,14 +342,21 @@ impl Means {
     /// The affine map at e, beyond e.
     fn affine(&self, e: Vec2) -> Vec2 {
         let determinant = self.determinant();
-        let (across, down) = ((e.x * self.yy - e.y * self.xy) / determinant, (e.y * self.xx - e.x * self.xy) / determinant);
+        let (across, down) = (
+            (e.x * self.yy - e.y * self.xy) / determinant,
+            (e.y * self.xx - e.x * self.xy) / determinant,
+        );
         self.d + self.x_d * across + self.y_d * down
     }
 }
 
 /// Like [`MomentInputs::similar`] for affine maps.
 #[inline(always)]
-fn affine<const LANES: usize>(v: Vec2, sums: &[[f64; LANES]; AFFINE], k: usize) -> Option<(Vec2, f64)> {
+fn affine<const LANES: usize>(
+    v: Vec2,
+    sums: &[[f64; LANES]; AFFINE],
+    k: usize,
+) -> Option<(Vec2, f64)> {
     let means = Means::of(sums, k);
     let (e, about_origin) = (v - means.p, (sums[5][k] + sums[7][k]) / sums[0][k]);
     let least = means.determinant() / (means.xx + means.yy);
@@ -282,13 +369,25 @@ fn is_precise(e: Vec2, about_origin: f64, spread: f64) -> bool {
     spread * MOST_CANCELLED > about_origin && spread * MOST_CANCELLED_PX > about_origin * e.norm()
 }
 
-fn terms<const SUMS: usize>(points: &[PointSource], d: &[Vec2], factors: impl Fn(Point, Vec2) -> [f64; SUMS]) -> Vec<Term<SUMS>> {
+fn terms<const SUMS: usize>(
+    points: &[PointSource],
+    d: &[Vec2],
+    factors: impl Fn(Point, Vec2) -> [f64; SUMS],
+) -> Vec<Term<SUMS>> {
     let each = points.iter().zip(d);
-    each.map(|(PointSource { p, mass, .. }, d)| Term { p: *p, factors: factors(*p, *d).map(|factor| factor * mass) }).collect()
+    each.map(|(PointSource { p, mass, .. }, d)| Term {
+        p: *p,
+        factors: factors(*p, *d).map(|factor| factor * mass),
+    })
+    .collect()
 }
 
 #[inline(always)]
-fn squared_distances<const LANES: usize>(p: Point, x: &[f64; LANES], y: &[f64; LANES]) -> [f64; LANES] {
+fn squared_distances<const LANES: usize>(
+    p: Point,
+    x: &[f64; LANES],
+    y: &[f64; LANES],
+) -> [f64; LANES] {
     let mut r2 = [0.0; LANES];
     for k in 0..LANES {
         let (to_x, to_y) = (p.x - x[k], p.y - y[k]);
@@ -309,18 +408,36 @@ mod tests {
     const METHODS: [Method; 3] = [Method::Affine, Method::Similarity, Method::Rigid];
 
     fn set(method: Method, alpha: f64, count: u32, seed: u32) -> (Field, Pose) {
-        let noise = |k: u32, n: u32| f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 24);
+        let noise = |k: u32, n: u32| {
+            f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8)
+                / f64::from(1_u32 << 24)
+        };
         let place = |k: u32| Point::new((500.0 * noise(k, 0)).round(), 400.0 * noise(k, 1));
-        let moved = |k: u32| Handle::Point(place(k) + Vec2::new(30.0 * noise(k, 2), 30.0 * noise(k, 3)));
-        let weights =
-            (method != Method::Affine && seed % 2 == 1).then(|| (0..count).map(|k| 0.001 * 10f64.powf(f64::from(k % 7))).collect());
-        let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), weights).unwrap();
+        let moved =
+            |k: u32| Handle::Point(place(k) + Vec2::new(30.0 * noise(k, 2), 30.0 * noise(k, 3)));
+        let weights = (method != Method::Affine && seed % 2 == 1).then(|| {
+            (0..count)
+                .map(|k| 0.001 * 10f64.powf(f64::from(k % 7)))
+                .collect()
+        });
+        let rest = Handles::new(
+            (0..count).map(|k| Handle::Point(place(k))).collect(),
+            weights,
+        )
+        .unwrap();
         let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
-        let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
+        let pose = field
+            .pose(&(0..count).map(moved).collect::<Vec<_>>())
+            .unwrap();
         (field, pose)
     }
 
-    fn by_moments(field: &Field, pose: &Pose, places: &[Point; 16], level: Level) -> ([[f64; 16]; 2], [f64; 16]) {
+    fn by_moments(
+        field: &Field,
+        pose: &Pose,
+        places: &[Point; 16],
+        level: Level,
+    ) -> ([[f64; 16]; 2], [f64; 16]) {
         let mut v = Vertices::all(places[0]);
         for (k, place) in places.iter().enumerate() {
             (v.x[k], v.y[k]) = (place.x, place.y);
@@ -362,18 +479,34 @@ mod tests {
 
     #[test]
     fn every_level_gives_the_same_bits_and_points_are_met_exactly() {
-        for (method, alpha) in METHODS.into_iter().flat_map(|method| [0.5, 1.0, 1.3, 2.0, 8.0].map(|alpha| (method, alpha))) {
-            let alpha = if method == Method::Affine { f64::min(alpha, 2.0) } else { alpha };
+        for (method, alpha) in METHODS
+            .into_iter()
+            .flat_map(|method| [0.5, 1.0, 1.3, 2.0, 8.0].map(|alpha| (method, alpha)))
+        {
+            let alpha = if method == Method::Affine {
+                f64::min(alpha, 2.0)
+            } else {
+                alpha
+            };
             let (field, pose) = set(method, alpha, 30, 5);
-            let places: [Point; 16] = std::array::from_fn(|k| field.handles().handles()[k].places()[0]);
+            let places: [Point; 16] =
+                std::array::from_fn(|k| field.handles().handles()[k].places()[0]);
             let reference = by_moments(&field, &pose, &places, Level::Scalar);
             for (k, d) in pose.displacements()[..16].iter().enumerate() {
-                assert_eq!((reference.0[0][k], reference.0[1][k]), (d.x, d.y), "{method:?} {alpha}");
+                assert_eq!(
+                    (reference.0[0][k], reference.0[1][k]),
+                    (d.x, d.y),
+                    "{method:?} {alpha}"
+                );
             }
             let beside = places.map(|p| p + Vec2::new(3.1, -0.7));
             let reference = by_moments(&field, &pose, &beside, Level::Scalar);
             for level in Level::available() {
-                assert_eq!(by_moments(&field, &pose, &beside, *level), reference, "{level:?} {method:?} {alpha}");
+                assert_eq!(
+                    by_moments(&field, &pose, &beside, *level),
+                    reference,
+                    "{level:?} {method:?} {alpha}"
+                );
             }
         }
     }

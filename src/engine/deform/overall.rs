@@ -64,14 +64,30 @@ pub struct Fitted {
 /// The best map of a class from the handles `from` to the handles `to` of the same shapes; `weights`: one
 /// for each, default 1. `None` without handles. O(positions), without memory.
 #[must_use]
-pub fn fitted(class: Class, from: &[Handle], to: &[Handle], weights: Option<&[f64]>) -> Option<Fitted> {
+pub fn fitted(
+    class: Class,
+    from: &[Handle],
+    to: &[Handle],
+    weights: Option<&[f64]>,
+) -> Option<Fitted> {
     let sums = Sums::of(&|pair| {
         for (k, (from, to)) in from.iter().zip(to).enumerate() {
-            pairs_of(from, to, weights.and_then(|weights| weights.get(k).copied()).unwrap_or(1.0), pair);
+            pairs_of(
+                from,
+                to,
+                weights
+                    .and_then(|weights| weights.get(k).copied())
+                    .unwrap_or(1.0),
+                pair,
+            );
         }
     })?;
     let (class, map) = sums.best(class);
-    Some(Fitted { class, map, extent: sums.to_extent })
+    Some(Fitted {
+        class,
+        map,
+        extent: sums.to_extent,
+    })
 }
 
 /// Calls a function with positions that belong together, `from` and `to`, and their weight.
@@ -91,7 +107,12 @@ fn pairs_of(from: &Handle, to: &Handle, weight: f64, pair: &mut dyn FnMut(Point,
 }
 
 /// The pairs of one segment.
-pub(super) fn segment_pairs([a, b]: [Point; 2], [c, d]: [Point; 2], weight: f64, pair: &mut dyn FnMut(Point, Point, f64)) {
+pub(super) fn segment_pairs(
+    [a, b]: [Point; 2],
+    [c, d]: [Point; 2],
+    weight: f64,
+    pair: &mut dyn FnMut(Point, Point, f64),
+) {
     for k in 0..SEGMENT_SAMPLES {
         let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
         pair(a.lerp(b, t), c.lerp(d, t), weight);
@@ -172,9 +193,13 @@ impl Sums {
         pairs(&mut |a, b, w| {
             let (x, y) = ((a - self.from).dot(tau), tau.cross(a - self.from));
             (along, slope) = (along + w * x * x, slope + w * x * y);
-            (off, to_off) = (off.max(y.abs()), to_off.max(to_tau.cross(b - self.to).abs()));
+            (off, to_off) = (
+                off.max(y.abs()),
+                to_off.max(to_tau.cross(b - self.to).abs()),
+            );
         });
-        if off <= COINCIDENT_SHARE * self.from_extent || to_off <= COINCIDENT_SHARE * self.to_extent {
+        if off <= COINCIDENT_SHARE * self.from_extent || to_off <= COINCIDENT_SHARE * self.to_extent
+        {
             return None;
         }
         slope /= along;
@@ -182,13 +207,25 @@ impl Sums {
         pairs(&mut |a, b, w| {
             let (x, y) = ((a - self.from).dot(tau), tau.cross(a - self.from));
             let (y, b) = (y - slope * x, b - self.to);
-            (across, with_along, with_across) = (across + w * y * y, with_along + b * (w * x), with_across + b * (w * y));
+            (across, with_along, with_across) = (
+                across + w * y * y,
+                with_along + b * (w * x),
+                with_across + b * (w * y),
+            );
         });
         let (p, q) = (with_along * (1.0 / along), with_across * (1.0 / across));
-        let axes = [p * tau.x - q * (tau.y + slope * tau.x), p * tau.y + q * (tau.x - slope * tau.y)];
+        let axes = [
+            p * tau.x - q * (tau.y + slope * tau.x),
+            p * tau.y + q * (tau.x - slope * tau.y),
+        ];
         let residual = self.to_spread - p.dot(with_along) - q.dot(with_across);
-        let is_finite = axes.iter().all(|axis| axis.x.is_finite() && axis.y.is_finite());
-        is_finite.then_some(Affine { axes, residual: residual.max(0.0) })
+        let is_finite = axes
+            .iter()
+            .all(|axis| axis.x.is_finite() && axis.y.is_finite());
+        is_finite.then_some(Affine {
+            axes,
+            residual: residual.max(0.0),
+        })
     }
 
     /// The best map of a class, or of the next smaller one that the positions determine.
@@ -197,17 +234,30 @@ impl Sums {
         let complex = |m: Vec2| [m, Vec2::new(-m.y, m.x)];
         let (class, axes) = match (class, self.affine, self.rotation()) {
             (Class::Affine, Some(Affine { axes, .. }), _) => (Class::Affine, axes),
-            (Class::Affine | Class::Similarity, _, Some(_)) => (Class::Similarity, complex(self.turned * (1.0 / self.from_spread))),
+            (Class::Affine | Class::Similarity, _, Some(_)) => (
+                Class::Similarity,
+                complex(self.turned * (1.0 / self.from_spread)),
+            ),
             (Class::Rigid, _, Some(rotation)) => (Class::Rigid, complex(rotation)),
             _ => (Class::Translation, [x, y]),
         };
-        (class, PlaneMap { from: self.from, to: self.to, axes })
+        (
+            class,
+            PlaneMap {
+                from: self.from,
+                to: self.to,
+                axes,
+            },
+        )
     }
 
     /// The rotation of the best similarity; `None` if either side is one position, or none is better
     /// than another.
     fn rotation(&self) -> Option<Vec2> {
-        let (length, most) = (self.turned.norm(), (self.from_spread * self.to_spread).sqrt());
+        let (length, most) = (
+            self.turned.norm(),
+            (self.from_spread * self.to_spread).sqrt(),
+        );
         let has_extent = self.from_extent > ONE_PLACE && self.to_extent > ONE_PLACE;
         (has_extent && length > LEAST_CORRELATION * most).then(|| self.turned * (1.0 / length))
     }
@@ -215,7 +265,8 @@ impl Sums {
     /// Residual sums of squares: of the best rigid map, of the best similarity, of the best one with a
     /// reflection, and of the best affine map if there is one.
     pub(super) fn residuals(&self) -> Residuals {
-        let after = |correlation: Vec2| (self.to_spread - correlation.norm2() / self.from_spread).max(0.0);
+        let after =
+            |correlation: Vec2| (self.to_spread - correlation.norm2() / self.from_spread).max(0.0);
         Residuals {
             rigid: (self.from_spread + self.to_spread - 2.0 * self.turned.norm()).max(0.0),
             similarity: after(self.turned),

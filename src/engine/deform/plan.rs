@@ -53,7 +53,9 @@ impl Plan {
     /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves of each pose is O(sites).
     #[must_use]
     pub fn pays(field: &Field) -> bool {
-        field.solved().is_none_or(|spline| spline.len() <= Self::MOST_SITES)
+        field
+            .solved()
+            .is_none_or(|spline| spline.len() <= Self::MOST_SITES)
     }
 
     /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading
@@ -90,11 +92,20 @@ impl Plan {
 
     /// Fills the table for any vertices, `vertex(0..vertices)`.
     #[must_use]
-    pub fn of_vertices(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync) -> Self {
+    pub fn of_vertices(
+        field: &Field,
+        vertices: usize,
+        vertex: impl Fn(usize) -> Point + Sync,
+    ) -> Self {
         Self::fill(field, vertices, vertex, &|| false).expect("nothing gives it up")
     }
 
-    fn fill(field: &Field, vertices: usize, vertex: impl Fn(usize) -> Point + Sync, cancelled: IsCancelled<'_>) -> Option<Self> {
+    fn fill(
+        field: &Field,
+        vertices: usize,
+        vertex: impl Fn(usize) -> Point + Sync,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
         let (family, columns) = (field.family(), field.handles().columns());
         let per_block = lanes_per_block(family, columns);
         let blocks = vertices.div_ceil(LANES);
@@ -104,34 +115,57 @@ impl Plan {
             // Reserves a piece at a time, because touching the memory of a large table takes tenths of a second.
             let start = table.len();
             table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
-            table[start..].par_chunks_mut(per_block * BLOCKS_PER_TASK).enumerate().try_for_each_init(
-                || Workspace::<LANES>::new(columns),
-                |workspace, (task, blocks)| {
-                    for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
-                        if cancelled() {
-                            return None;
+            table[start..]
+                .par_chunks_mut(per_block * BLOCKS_PER_TASK)
+                .enumerate()
+                .try_for_each_init(
+                    || Workspace::<LANES>::new(columns),
+                    |workspace, (task, blocks)| {
+                        for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
+                            if cancelled() {
+                                return None;
+                            }
+                            let first = (piece + task * BLOCKS_PER_TASK + k) * LANES;
+                            // The last block repeats the last vertex.
+                            field.rows(
+                                &gather(|lane| vertex((first + lane).min(vertices - 1))),
+                                false,
+                                workspace,
+                            );
+                            store(family, &workspace.rows, block);
                         }
-                        let first = (piece + task * BLOCKS_PER_TASK + k) * LANES;
-                        // The last block repeats the last vertex.
-                        field.rows(&gather(|lane| vertex((first + lane).min(vertices - 1))), false, workspace);
-                        store(family, &workspace.rows, block);
-                    }
-                    Some(())
-                },
-            )?;
+                        Some(())
+                    },
+                )?;
         }
-        Some(Self { family, columns, vertices, table })
+        Some(Self {
+            family,
+            columns,
+            vertices,
+            table,
+        })
     }
 
     /// The displacement of every vertex, px. O(vertices x columns), one pass over the table.
     #[must_use]
     pub fn displace(&self, pose: &Pose) -> (Vec<[f32; 2]>, PoseQuality) {
-        self.displace_unless(pose, &|| false).expect("nothing gives it up")
+        self.displace_unless(pose, &|| false)
+            .expect("nothing gives it up")
     }
 
-    fn displace_unless(&self, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Vec<[f32; 2]>, PoseQuality)> {
-        assert_eq!(pose.displacements().len(), self.columns, "the pose belongs to the plan's handles");
-        let mut quality = PoseQuality { least_rotation: 1.0 };
+    fn displace_unless(
+        &self,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<(Vec<[f32; 2]>, PoseQuality)> {
+        assert_eq!(
+            pose.displacements().len(),
+            self.columns,
+            "the pose belongs to the plan's handles"
+        );
+        let mut quality = PoseQuality {
+            least_rotation: 1.0,
+        };
         if pose.is_identity() || self.columns == 0 {
             return Some((vec![[0.0; 2]; self.vertices], quality));
         }
@@ -146,7 +180,10 @@ impl Plan {
                 if cancelled() {
                     return None;
                 }
-                quality.least_rotation = quality.least_rotation.min(kernel::displace(self.family, table, &d, &mut out));
+                quality.least_rotation =
+                    quality
+                        .least_rotation
+                        .min(kernel::displace(self.family, table, &d, &mut out));
             }
         } else {
             let parts: Option<Vec<_>> = self
@@ -154,7 +191,8 @@ impl Plan {
                 .par_chunks((blocks.div_ceil(4 * threads) * per_block).min(piece))
                 .map(|table| {
                     let mut out = Vec::new();
-                    (!cancelled()).then(|| (kernel::displace(self.family, table, &d, &mut out), out))
+                    (!cancelled())
+                        .then(|| (kernel::displace(self.family, table, &d, &mut out), out))
                 })
                 .collect();
             for (least, part) in parts? {
@@ -182,29 +220,50 @@ impl Plan {
         let per_column = lanes_per_block(self.family, 1).min(3);
         (0..self.columns * per_column).map(move |plane| {
             let blocks = self.table.chunks_exact(per_block);
-            blocks.flat_map(move |block| self.plane_of_block(block, plane).0).take(self.vertices)
+            blocks
+                .flat_map(move |block| self.plane_of_block(block, plane).0)
+                .take(self.vertices)
         })
     }
 
     fn plane_of_block(&self, block: &[Lanes], plane: usize) -> Lanes {
-        let (Method::Rigid, [.., ex, ey]) = (self.family, block) else { return block[plane] };
+        let (Method::Rigid, [.., ex, ey]) = (self.family, block) else {
+            return block[plane];
+        };
         let first = plane - plane % 3;
         let product = |lane: usize| {
-            let ([re, im], [ex, ey]) = ([block[first].0[lane], block[first + 1].0[lane]], [ex.0[lane], ey.0[lane]]);
-            if plane == first { ex * re - ey * im } else { ex * im + ey * re }
+            let ([re, im], [ex, ey]) = (
+                [block[first].0[lane], block[first + 1].0[lane]],
+                [ex.0[lane], ey.0[lane]],
+            );
+            if plane == first {
+                ex * re - ey * im
+            } else {
+                ex * im + ey * re
+            }
         };
-        if plane - first == 2 { block[plane] } else { Lanes(std::array::from_fn(product)) }
+        if plane - first == 2 {
+            block[plane]
+        } else {
+            Lanes(std::array::from_fn(product))
+        }
     }
 
     /// The posed mesh of the grid that the plan was made for.
     #[must_use]
     pub fn pose(&self, grid: &Grid, pose: &Pose) -> (Mesh, PoseQuality) {
-        self.pose_unless(grid, pose, &|| false).expect("nothing gives it up")
+        self.pose_unless(grid, pose, &|| false)
+            .expect("nothing gives it up")
     }
 
     /// Like [`Plan::pose`]; `None` when cancelled.
     #[must_use]
-    pub fn pose_unless(&self, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
+    pub fn pose_unless(
+        &self,
+        grid: &Grid,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<(Mesh, PoseQuality)> {
         let (displacement, quality) = self.displace_unless(pose, cancelled)?;
         Some((Mesh::new(*grid, displacement), quality))
     }
@@ -218,7 +277,12 @@ fn blocks_per_piece(per_block: usize) -> usize {
 /// The posed mesh without a table: computes every vertex for each pose, for grids whose table would not fit or pay. O(vertices x elements)
 /// with weights. `None` when cancelled, which is checked for each block of vertices.
 #[must_use]
-pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<(Mesh, PoseQuality)> {
+pub fn pose_without_table(
+    field: &Field,
+    grid: &Grid,
+    pose: &Pose,
+    cancelled: IsCancelled<'_>,
+) -> Option<(Mesh, PoseQuality)> {
     let columns = grid.columns() as usize;
     let mut displacement = vec![[0.0f32; 2]; grid.len()];
     let mut least_rotation = 1.0;
@@ -236,7 +300,8 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: Is
                             return None;
                         }
                         let first = task * LANES * BLOCKS_PER_TASK + k * LANES;
-                        let v = gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1)));
+                        let v =
+                            gather(|lane| vertex(grid, columns, first + lane.min(out.len() - 1)));
                         let ([x, y], rotation) = f.displacements(&v, false, workspace);
                         for (out, (x, y)) in out.iter_mut().zip(x.into_iter().zip(y)) {
                             *out = to_f32(Vec2::new(x, y));
@@ -248,22 +313,34 @@ pub fn pose_without_table(field: &Field, grid: &Grid, pose: &Pose, cancelled: Is
             )
             .try_reduce(|| f32::INFINITY, |a, b| Some(a.min(b)))?;
     }
-    Some((Mesh::new(*grid, displacement), PoseQuality { least_rotation }))
+    Some((
+        Mesh::new(*grid, displacement),
+        PoseQuality { least_rotation },
+    ))
 }
 
 fn vertex(grid: &Grid, columns: usize, k: usize) -> Point {
-    #[expect(clippy::cast_possible_truncation, reason = "k < columns * rows, both u32")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "k < columns * rows, both u32"
+    )]
     grid.vertex((k % columns) as u32, (k / columns) as u32)
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "f32 is the precision of the table"
+)]
 pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
     [d.x as f32, d.y as f32]
 }
 
 /// Writes the rows of a block.
 pub(super) fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
-    #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the table")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "f32 is the precision of the table"
+    )]
     let put = |lanes: &mut Lanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match family {
         Method::Affine => {
@@ -299,11 +376,20 @@ mod tests {
     use crate::deform::{Falloff, Handle, Handles};
 
     fn field(count: u32) -> (Field, Pose) {
-        let place = |k: u32| Point::new(f64::from(k % 10) * 31.0 + 3.3, f64::from(k / 10) * 17.0 + 5.1);
+        let place = |k: u32| {
+            Point::new(
+                f64::from(k % 10) * 31.0 + 3.3,
+                f64::from(k / 10) * 17.0 + 5.1,
+            )
+        };
         let moved = |k: u32| Handle::Point(place(k) + Vec2::new(3.0, f64::from(k % 3)));
-        let rest = Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
-        let field = Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
-        let pose = field.pose(&(0..count).map(moved).collect::<Vec<_>>()).unwrap();
+        let rest =
+            Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
+        let field =
+            Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+        let pose = field
+            .pose(&(0..count).map(moved).collect::<Vec<_>>())
+            .unwrap();
         (field, pose)
     }
 
@@ -316,15 +402,25 @@ mod tests {
         assert!(plan.bytes() > PIECE_BYTES as u64);
         type GivesUp<'a> = &'a (dyn Fn(IsCancelled<'_>) -> bool + Sync);
         let works: [(&str, usize, GivesUp<'_>); 3] = [
-            ("filling", grid.len() / LANES, &|cancelled| Plan::of_grid_unless(&field, &grid, cancelled).is_none()),
-            ("posing", 2, &|cancelled| plan.pose_unless(&grid, &pose, cancelled).is_none()),
-            ("without a table", grid.len() / LANES, &|cancelled| pose_without_table(&field, &grid, &pose, cancelled).is_none()),
+            ("filling", grid.len() / LANES, &|cancelled| {
+                Plan::of_grid_unless(&field, &grid, cancelled).is_none()
+            }),
+            ("posing", 2, &|cancelled| {
+                plan.pose_unless(&grid, &pose, cancelled).is_none()
+            }),
+            ("without a table", grid.len() / LANES, &|cancelled| {
+                pose_without_table(&field, &grid, &pose, cancelled).is_none()
+            }),
         ];
-        let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let one = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .unwrap();
         for (name, looks, work) in works {
             for after in [0, 1, looks / 2, looks - 1] {
                 let asked = AtomicUsize::new(0);
-                let gave_up = one.install(|| work(&|| asked.fetch_add(1, Ordering::Relaxed) >= after));
+                let gave_up =
+                    one.install(|| work(&|| asked.fetch_add(1, Ordering::Relaxed) >= after));
                 assert!(gave_up, "{name}, after {after} of {looks}");
                 assert_eq!(asked.into_inner(), after + 1, "{name}");
             }
@@ -339,7 +435,10 @@ mod tests {
         for (k, d) in displacement.iter().enumerate() {
             let v = vertex(&grid, 200, k);
             let want = to_f32(field.map(&pose, v) - v);
-            assert!((d[0] - want[0]).abs() < 1e-3 && (d[1] - want[1]).abs() < 1e-3, "vertex {k}: {d:?} {want:?}");
+            assert!(
+                (d[0] - want[0]).abs() < 1e-3 && (d[1] - want[1]).abs() < 1e-3,
+                "vertex {k}: {d:?} {want:?}"
+            );
         }
     }
 }

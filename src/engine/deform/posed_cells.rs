@@ -12,7 +12,11 @@ pub(super) struct PosedCells<'a> {
 
 impl<'a> PosedCells<'a> {
     pub(super) const fn of(mesh: &'a Mesh) -> Self {
-        Self { mesh, columns: mesh.grid().columns() - 1, rows: mesh.grid().rows() - 1 }
+        Self {
+            mesh,
+            columns: mesh.grid().columns() - 1,
+            rows: mesh.grid().rows() - 1,
+        }
     }
 
     /// Width and height of a cell at rest.
@@ -20,7 +24,10 @@ impl<'a> PosedCells<'a> {
     pub(super) fn size(&self, cell: u32) -> [f32; 2] {
         let grid = self.mesh.grid();
         let (i, j) = (cell % self.columns, cell / self.columns);
-        [(grid.x(i + 1) - grid.x(i)) as f32, (grid.y(j + 1) - grid.y(j)) as f32]
+        [
+            (grid.x(i + 1) - grid.x(i)) as f32,
+            (grid.y(j + 1) - grid.y(j)) as f32,
+        ]
     }
 
     /// The displacements of the corners of a cell.
@@ -43,13 +50,19 @@ impl<'a> PosedCells<'a> {
     }
 
     /// The neighbours of a cell in the chosen directions.
-    pub(super) fn around<F: Fn(i32, i32) -> bool>(&self, cell: u32, is_chosen: F) -> impl Iterator<Item = u32> + use<F> {
+    pub(super) fn around<F: Fn(i32, i32) -> bool>(
+        &self,
+        cell: u32,
+        is_chosen: F,
+    ) -> impl Iterator<Item = u32> + use<F> {
         let (columns, rows) = (self.columns, self.rows);
         let (i, j) = (cell % columns, cell / columns);
         let directions = (-1..=1).flat_map(|dj| (-1..=1).map(move |di| (di, dj)));
         directions
             .filter(move |&(di, dj)| (di, dj) != (0, 0) && is_chosen(di, dj))
-            .filter_map(move |(di, dj)| Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?)))
+            .filter_map(move |(di, dj)| {
+                Some((i.checked_add_signed(di)?, j.checked_add_signed(dj)?))
+            })
             .filter(move |&(i, j)| i < columns && j < rows)
             .map(move |(i, j)| j * columns + i)
     }

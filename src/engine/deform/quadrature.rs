@@ -38,7 +38,10 @@ struct Batch {
 
 /// Mirrors positive nodes on [-1, 1] and moves them to [0, 1].
 const fn batch(half: [(f64, f64); BATCH / 2]) -> Batch {
-    let mut b = Batch { at: [0.0; BATCH], weight: [0.0; BATCH] };
+    let mut b = Batch {
+        at: [0.0; BATCH],
+        weight: [0.0; BATCH],
+    };
     let mut k = 0;
     while k < BATCH / 2 {
         let (x, omega) = half[k];

@@ -71,7 +71,10 @@ impl Refiner<'_> {
     /// Measures and halves cells of a posed mesh. `None` when cancelled.
     #[must_use]
     pub fn refine(&self, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Refined> {
-        let none = Refined { refinement: Refinement::new(self.drawn_within), exceeded: Vec::new() };
+        let none = Refined {
+            refinement: Refinement::new(self.drawn_within),
+            exceeded: Vec::new(),
+        };
         if pose.is_identity() || self.field.handles().columns() == 0 {
             return Some(none);
         }
@@ -79,9 +82,19 @@ impl Refiner<'_> {
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let bytes = Plan::bytes_for(self.field, grid.len());
         let f = (!Plan::rows_inside_cells_pay(self.field)).then(|| self.field.deformation(pose));
-        let posing = Posing { field: self.field, f: f.as_ref(), grid, d: &d, serial: Plan::is_posed_on_one_thread(bytes) };
+        let posing = Posing {
+            field: self.field,
+            f: f.as_ref(),
+            grid,
+            d: &d,
+            serial: Plan::is_posed_on_one_thread(bytes),
+        };
         let samples = Samples::of_handles(self.field, grid, pose, cancelled)?;
-        let smooth = if self.field.handles().has_lines() { SMOOTH_LINES } else { SMOOTH_POINTS };
+        let smooth = if self.field.handles().has_lines() {
+            SMOOTH_LINES
+        } else {
+            SMOOTH_POINTS
+        };
         let mut work = Work {
             refiner: self,
             mesh,
@@ -92,7 +105,10 @@ impl Refiner<'_> {
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
-            is_smooth: self.field.falloff().is_none_or(|falloff| falloff.alpha() >= smooth),
+            is_smooth: self
+                .field
+                .falloff()
+                .is_none_or(|falloff| falloff.alpha() >= smooth),
         };
         work.run(&posing, cancelled)?;
         work.exceed_torn(pose);
@@ -144,11 +160,19 @@ impl Work<'_> {
     /// The largest error of a cell between the vertices where this one was measured.
     fn between(&self, cell: u32, error: f32) -> f32 {
         let [width, height] = self.posed.size(cell);
-        error * if self.is_smooth && error <= RESOLVED * width.max(height) { BETWEEN_SMOOTH } else { BETWEEN }
+        error
+            * if self.is_smooth && error <= RESOLVED * width.max(height) {
+                BETWEEN_SMOOTH
+            } else {
+                BETWEEN
+            }
     }
 
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
-        let mut pending = bent_cells(self.mesh, SUSPECT * self.refiner.tolerance.min(SUSPECT_TOLERANCE));
+        let mut pending = bent_cells(
+            self.mesh,
+            SUSPECT * self.refiner.tolerance.min(SUSPECT_TOLERANCE),
+        );
         for (cell, samples) in self.samples.by_cell() {
             if sample_error(samples, &self.posed.corners(cell), 0) > self.tolerance() * 0.5 {
                 pending.push(cell);
@@ -160,7 +184,9 @@ impl Work<'_> {
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
             let split = ((1.0 - SUSPECT) * self.refiner.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
-            pending.extend(folded.filter(|&cell| split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split));
+            pending.extend(folded.filter(|&cell| {
+                split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split
+            }));
         }
         while !pending.is_empty() {
             pending.sort_unstable();
@@ -168,7 +194,8 @@ impl Work<'_> {
             pending.retain(|&cell| !self.interpolate(cell));
             let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
-                by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))].push(cell);
+                by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))]
+                    .push(cell);
             }
             for (depth, cells) in (0..).zip(&by_depth) {
                 self.measure(posing, depth, cells, cancelled)?;
@@ -193,19 +220,32 @@ impl Work<'_> {
                 return false;
             }
             if known.depth > 0 {
-                *known = Measured { least: known.least, ..Measured::new(corners) };
+                *known = Measured {
+                    least: known.least,
+                    ..Measured::new(corners)
+                };
                 known.is_exact = true;
                 return false;
             }
         }
         let (tolerance, size) = (self.tolerance(), self.posed.size(cell));
         let columns = self.mesh.grid().columns() - 1;
-        let is_open = self.is_smooth && self.samples.of(cell).is_empty() && split_error(&corners, 2, size) == 0.0;
-        let halved = if is_open { Interpolated::new(self.mesh, self.even, cell % columns, cell / columns) } else { None };
-        let halved = halved.map(|halved| (halved, halved.off())).filter(|(_, off)| *off <= INTERPOLATED * tolerance);
+        let is_open = self.is_smooth
+            && self.samples.of(cell).is_empty()
+            && split_error(&corners, 2, size) == 0.0;
+        let halved = if is_open {
+            Interpolated::new(self.mesh, self.even, cell % columns, cell / columns)
+        } else {
+            None
+        };
+        let halved = halved
+            .map(|halved| (halved, halved.off()))
+            .filter(|(_, off)| *off <= INTERPOLATED * tolerance);
         if let Some((halved, off)) = halved {
             let halves = halved.halves();
-            if self.cells.get(&cell).is_none() && self.between(cell, Interpolated::error(corners, &halves) + off) <= tolerance {
+            if self.cells.get(&cell).is_none()
+                && self.between(cell, Interpolated::error(corners, &halves) + off) <= tolerance
+            {
                 return true;
             }
             if self.deepen_by(cell, &halves, off) || self.deepen_by(cell, &halved.quarters(), off) {
@@ -213,7 +253,11 @@ impl Work<'_> {
             }
         }
         let known = self.cells.get_or_insert(cell, corners);
-        *known = Measured { least: known.least, is_exact: true, ..Measured::new(corners) };
+        *known = Measured {
+            least: known.least,
+            is_exact: true,
+            ..Measured::new(corners)
+        };
         false
     }
 
@@ -235,11 +279,20 @@ impl Work<'_> {
     }
 
     /// Adds the vertices of one halving more to cells of a depth, and measures the errors there.
-    fn measure(&mut self, posing: &Posing<'_>, depth: u8, cells: &[u32], cancelled: IsCancelled<'_>) -> Option<()> {
+    fn measure(
+        &mut self,
+        posing: &Posing<'_>,
+        depth: u8,
+        cells: &[u32],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<()> {
         let len = group_len(depth + 1);
         let cells = &cells[..cells.len().min(self.left / len)];
         self.left -= cells.len() * len;
-        let fresh = self.refiner.rows.displace(posing, depth + 1, cells, cancelled)?;
+        let fresh = self
+            .refiner
+            .rows
+            .displace(posing, depth + 1, cells, cancelled)?;
         for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
             let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
             self.cells.get_or_insert(cell, corners).deepen(fresh, size);
@@ -269,13 +322,22 @@ impl Work<'_> {
         let (depth, samples) = (known.depth, self.samples.of(cell));
         // The grid may not resolve f there.
         if depth == 1 && self.between(cell, known.errors[0]) > self.tolerance() {
-            next.extend(self.posed.around(cell, |_, _| true).filter(|other| self.cells.get(other).is_none()));
+            next.extend(
+                self.posed
+                    .around(cell, |_, _| true)
+                    .filter(|other| self.cells.get(other).is_none()),
+            );
         }
         // Both cells at a side must be halved for the handles beside it.
-        if !samples.is_empty() && sample_error(samples, &known.vertices, depth - 1) > self.tolerance() {
+        if !samples.is_empty()
+            && sample_error(samples, &known.vertices, depth - 1) > self.tolerance()
+        {
             let beside = |di: i32, dj: i32| {
-                let near = |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
-                samples.iter().any(|sample| near(sample.s, di) && near(sample.t, dj))
+                let near =
+                    |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
+                samples
+                    .iter()
+                    .any(|sample| near(sample.s, di) && near(sample.t, dj))
             };
             let others: Vec<u32> = self.posed.around(cell, beside).collect();
             for other in others {
@@ -292,7 +354,12 @@ impl Work<'_> {
     /// Cells whose neighbours know that a common edge must be halved more often; those that must be measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
-        let levels: Vec<u8> = self.cells.known.iter().map(|(cell, known)| self.level(*cell, known)).collect();
+        let levels: Vec<u8> = self
+            .cells
+            .known
+            .iter()
+            .map(|(cell, known)| self.level(*cell, known))
+            .collect();
         for ((cell, known), &level) in self.cells.known.iter().zip(&levels) {
             if level == 0 {
                 continue;
@@ -328,13 +395,24 @@ impl Work<'_> {
     /// No cell resolves a position at which f is torn.
     fn exceed_torn(&mut self, pose: &Pose) {
         let grid = self.mesh.grid();
-        let beside = |x: f64, y: f64| grid.locate(Point::new(x.clamp(0.0, grid.width()), y.clamp(0.0, grid.height())));
+        let beside = |x: f64, y: f64| {
+            grid.locate(Point::new(
+                x.clamp(0.0, grid.width()),
+                y.clamp(0.0, grid.height()),
+            ))
+        };
         for p in pose.contradictions().torn(TORN * self.refiner.tolerance) {
             if grid.locate(p).is_none() {
                 continue;
             }
-            let around = [-1.0, 1.0].map(|x| [-1.0, 1.0].map(|y| beside(p.x + x * SMALLEST_CELL, p.y + y * SMALLEST_CELL)));
-            let cells = around.into_iter().flatten().flatten().map(|(i, j, ..)| j * (grid.columns() - 1) + i);
+            let around = [-1.0, 1.0].map(|x| {
+                [-1.0, 1.0].map(|y| beside(p.x + x * SMALLEST_CELL, p.y + y * SMALLEST_CELL))
+            });
+            let cells = around
+                .into_iter()
+                .flatten()
+                .flatten()
+                .map(|(i, j, ..)| j * (grid.columns() - 1) + i);
             self.exceeded.extend(cells);
         }
     }
@@ -358,13 +436,18 @@ impl Work<'_> {
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
                 Ordering::Less => self.between(cell, known.errors[usize::from(level)]),
-                _ if level > 0 && self.is_smooth && (level == self.deepest || is_resolved(level)) => {
+                _ if level > 0
+                    && self.is_smooth
+                    && (level == self.deepest || is_resolved(level)) =>
+                {
                     known.errors[usize::from(level) - 1] * HALVED
                 }
                 _ if level > 0 && level == self.deepest => known.errors[usize::from(level) - 1],
                 _ => f32::INFINITY,
             };
-            if error <= self.tolerance() && sample_error(samples, &known.at_level(level), level) <= self.tolerance() {
+            if error <= self.tolerance()
+                && sample_error(samples, &known.at_level(level), level) <= self.tolerance()
+            {
                 return Decision::Draw(level);
             }
         }
@@ -392,27 +475,41 @@ impl Work<'_> {
             if !self.samples.of(index).is_empty() {
                 return cell.level;
             }
-            let vertices = self.cells.get(&index).map_or(Cow::Borrowed(&[][..]), |known| known.at_level(cell.level));
+            let vertices = self
+                .cells
+                .get(&index)
+                .map_or(Cow::Borrowed(&[][..]), |known| known.at_level(cell.level));
             edge_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
         refinement.join(grid, outer);
         self.exceeded.sort_unstable();
         self.exceeded.dedup();
-        let exceeded = self.exceeded.iter().map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1))).collect();
-        Refined { refinement, exceeded }
+        let exceeded = self
+            .exceeded
+            .iter()
+            .map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1)))
+            .collect();
+        Refined {
+            refinement,
+            exceeded,
+        }
     }
 
     /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours compute exactly.
     fn take_exact_edges(&self, cell: u32, level: u8, vertices: &mut [[f32; 2]]) {
         for (edge, other) in self.posed.beside(cell).into_iter().enumerate() {
-            let Some(known) = other.and_then(|other| self.cells.get(&other)).filter(|known| known.is_exact && known.depth > 0) else {
+            let Some(known) = other
+                .and_then(|other| self.cells.get(&other))
+                .filter(|known| known.is_exact && known.depth > 0)
+            else {
                 continue;
             };
             let common = level.min(known.depth);
             let (theirs, side) = (known.at_level(common), (1 << common) + 1);
             for k in 1..side - 1 {
-                vertices[on_edge(k << (level - common), (1 << level) + 1, edge)] = theirs[on_edge(k, side, (edge + 2) % 4)];
+                vertices[on_edge(k << (level - common), (1 << level) + 1, edge)] =
+                    theirs[on_edge(k, side, (edge + 2) % 4)];
             }
         }
     }

@@ -5,7 +5,10 @@
 //! N vertices are computed at once: every step is a branch-free loop over them, which the compiler vectorises for the enabled instruction
 //! set (`kernel`). One vertex is N = 1. A point is a mass at a position; a segment is one too, with moments along its direction.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes are written alike, whatever they index"
+)]
 
 use super::Method;
 use super::columns::{PointSource, Segment, Sources};
@@ -55,9 +58,18 @@ struct Anchor<const N: usize> {
 impl RowInputs<'_> {
     /// The rows of `v`. The body of every instruction set's function in `kernel`.
     #[inline(always)]
-    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
-        scratch.places.resize(self.sources.points.len(), PointMass::ZERO);
-        scratch.spans.resize(self.sources.segments.len(), Span::ZERO);
+    pub(super) fn rows<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        scratch: &mut Scratch<N>,
+        rows: &mut Rows<N>,
+    ) {
+        scratch
+            .places
+            .resize(self.sources.points.len(), PointMass::ZERO);
+        scratch
+            .spans
+            .resize(self.sources.segments.len(), Span::ZERO);
         let r2min = self.nearest(v, scratch);
         let mut anchor = self.weights(v, &r2min, scratch);
         self.choose_frame(&mut anchor, scratch);
@@ -91,7 +103,12 @@ impl RowInputs<'_> {
 
     /// Weights relative to the nearest source's, the ratio before the power; the heaviest source becomes the anchor.
     #[inline(always)]
-    fn weights<const N: usize>(&self, v: &Vertices<N>, r2min: &[f64; N], scratch: &mut Scratch<N>) -> Anchor<N> {
+    fn weights<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        r2min: &[f64; N],
+        scratch: &mut Scratch<N>,
+    ) -> Anchor<N> {
         let mut anchor = Anchor {
             weight: [-1.0; N],
             source: [NONE; N],
@@ -102,7 +119,9 @@ impl RowInputs<'_> {
             reach: [0.0; N],
         };
         let mut index = 0;
-        for (PointSource { p, mass, .. }, PointMass { w, .. }) in self.sources.points.iter().zip(&mut scratch.places) {
+        for (PointSource { p, mass, .. }, PointMass { w, .. }) in
+            self.sources.points.iter().zip(&mut scratch.places)
+        {
             for k in 0..N {
                 w[k] = r2min[k] / w[k];
             }
@@ -113,8 +132,19 @@ impl RowInputs<'_> {
             anchor.take_point(index, w, *p);
             index += 1;
         }
-        for (s, Span { view, place, first, second, .. }) in self.sources.segments.iter().zip(&mut scratch.spans) {
-            Moments([place.w, *first, *second]) = view.moments(s, v, (self.falloff, self.beta), r2min, self.exact);
+        for (
+            s,
+            Span {
+                view,
+                place,
+                first,
+                second,
+                ..
+            },
+        ) in self.sources.segments.iter().zip(&mut scratch.spans)
+        {
+            Moments([place.w, *first, *second]) =
+                view.moments(s, v, (self.falloff, self.beta), r2min, self.exact);
             anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
             index += 1;
         }
@@ -124,8 +154,15 @@ impl RowInputs<'_> {
     /// If a point is the anchor, the frame points from it to the position with the largest mass * distance^2.
     #[inline(always)]
     fn choose_frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
-        let mut axis = Axis { moment: [0.0; N], x: [1.0; N], y: [0.0; N], defining: [NONE; N] };
-        for ((PointSource { p, .. }, place), index) in self.sources.points.iter().zip(&scratch.places).zip(0..) {
+        let mut axis = Axis {
+            moment: [0.0; N],
+            x: [1.0; N],
+            y: [0.0; N],
+            defining: [NONE; N],
+        };
+        for ((PointSource { p, .. }, place), index) in
+            self.sources.points.iter().zip(&scratch.places).zip(0..)
+        {
             axis.consider(*p, &anchor.o, &place.w, index);
         }
         for (s, span) in self.sources.segments.iter().zip(&scratch.spans) {
@@ -135,8 +172,16 @@ impl RowInputs<'_> {
         for k in 0..N {
             let reach = (axis.x[k] * axis.x[k] + axis.y[k] * axis.y[k]).sqrt();
             let is_point = anchor.tau[0][k] == 0.0 && anchor.tau[1][k] == 0.0;
-            anchor.tau[0][k] = if is_point { axis.x[k] / reach } else { anchor.tau[0][k] };
-            anchor.tau[1][k] = if is_point { axis.y[k] / reach } else { anchor.tau[1][k] };
+            anchor.tau[0][k] = if is_point {
+                axis.x[k] / reach
+            } else {
+                anchor.tau[0][k]
+            };
+            anchor.tau[1][k] = if is_point {
+                axis.y[k] / reach
+            } else {
+                anchor.tau[1][k]
+            };
             anchor.defining[k] = if is_point { axis.defining[k] } else { NONE };
             anchor.reach[k] = reach;
         }
@@ -145,7 +190,12 @@ impl RowInputs<'_> {
     /// Transforms all positions to the anchor's frame, computed from the handles themselves: exact for whole numbers. Returns v's
     /// position.
     #[inline(always)]
-    fn in_frame<const N: usize>(&self, v: &Vertices<N>, anchor: &Anchor<N>, scratch: &mut Scratch<N>) -> [[f64; N]; 2] {
+    fn in_frame<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        anchor: &Anchor<N>,
+        scratch: &mut Scratch<N>,
+    ) -> [[f64; N]; 2] {
         let ([tx, ty], [sx, sy], o) = (&anchor.tau, &anchor.shift, &anchor.o);
         let mut index = 0;
         for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
@@ -157,11 +207,24 @@ impl RowInputs<'_> {
             }
             index += 1;
         }
-        for (s, Span { view, place, x: along_x, y: along_y, .. }) in self.sources.segments.iter().zip(&mut scratch.spans) {
+        for (
+            s,
+            Span {
+                view,
+                place,
+                x: along_x,
+                y: along_y,
+                ..
+            },
+        ) in self.sources.segments.iter().zip(&mut scratch.spans)
+        {
             let along = s.tau * s.length;
             for k in 0..N {
                 let (a, b) = (view.share_a[k], view.share_b[k]);
-                let nearest = ((s.a.x - o.x[k]) * a + (s.b.x - o.x[k]) * b, (s.a.y - o.y[k]) * a + (s.b.y - o.y[k]) * b);
+                let nearest = (
+                    (s.a.x - o.x[k]) * a + (s.b.x - o.x[k]) * b,
+                    (s.a.y - o.y[k]) * a + (s.b.y - o.y[k]) * b,
+                );
                 let (x, y) = turned(nearest.0, nearest.1, tx[k], ty[k]);
                 let (ahead, aside) = turned(along.x, along.y, tx[k], ty[k]);
                 let own = anchor.source[k] == index;
@@ -189,14 +252,22 @@ impl RowInputs<'_> {
             (h[0][k], h[1][k], wn[k]) = (0.0, 0.0, 0.0);
         }
         (rows.e[0][k], rows.e[1][k]) = (0.0, 0.0);
-        let points = self.sources.points.iter().filter(|mark| (mark.p - v).norm2() <= snap * snap);
-        let mut hits: Vec<_> = points.map(|mark| (mark.mass / self.point_mass, mark.column, [1.0, 0.0])).collect();
+        let points = self
+            .sources
+            .points
+            .iter()
+            .filter(|mark| (mark.p - v).norm2() <= snap * snap);
+        let mut hits: Vec<_> = points
+            .map(|mark| (mark.mass / self.point_mass, mark.column, [1.0, 0.0]))
+            .collect();
         let mut before: Option<&Segment> = None;
         for s in &self.sources.segments {
             let view = View::new(s, &Vertices::<1>::all(v));
             if view.r2[0] <= snap * snap {
                 // The joint of two segments of a polyline counts once.
-                if !before.is_some_and(|before| before.column + 2 == s.column && before.b == s.a && view.share_a[0] == 1.0) {
+                if !before.is_some_and(|before| {
+                    before.column + 2 == s.column && before.b == s.a && view.share_a[0] == 1.0
+                }) {
                     hits.push((s.weight, s.column, [view.share_a[0], view.share_b[0]]));
                 }
                 before = Some(s);
@@ -231,7 +302,14 @@ impl<const N: usize> Anchor<N> {
 
     /// Like [`Self::take_point`] for a segment, seen from `o = v`.
     #[inline(always)]
-    fn take_segment(&mut self, index: u64, w: &[f64; N], o: &Vertices<N>, tau: Vec2, shift: &[[f64; N]; 2]) {
+    fn take_segment(
+        &mut self,
+        index: u64,
+        w: &[f64; N],
+        o: &Vertices<N>,
+        tau: Vec2,
+        shift: &[[f64; N]; 2],
+    ) {
         for k in 0..N {
             let heavier = w[k] > self.weight[k];
             self.weight[k] = if heavier { w[k] } else { self.weight[k] };
@@ -240,8 +318,16 @@ impl<const N: usize> Anchor<N> {
             self.o.y[k] = if heavier { o.y[k] } else { self.o.y[k] };
             self.tau[0][k] = if heavier { tau.x } else { self.tau[0][k] };
             self.tau[1][k] = if heavier { tau.y } else { self.tau[1][k] };
-            self.shift[0][k] = if heavier { shift[0][k] } else { self.shift[0][k] };
-            self.shift[1][k] = if heavier { shift[1][k] } else { self.shift[1][k] };
+            self.shift[0][k] = if heavier {
+                shift[0][k]
+            } else {
+                self.shift[0][k]
+            };
+            self.shift[1][k] = if heavier {
+                shift[1][k]
+            } else {
+                self.shift[1][k]
+            };
         }
     }
 }

@@ -73,7 +73,10 @@ impl Triangle {
     /// Replaces the block beyond the first `head` rows and columns by its Cholesky factor. A pivot that rounding has taken is replaced by
     /// the smallest one that could be told from 0: the system then belongs to a kernel that differs by rounding.
     fn factorise(&mut self, rows: usize, head: usize, cancelled: IsCancelled<'_>) -> Option<()> {
-        let largest = self.0.iter().fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()));
+        let largest = self
+            .0
+            .iter()
+            .fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()));
         let least = (f64::EPSILON * largest).max(f64::MIN_POSITIVE);
         for first in (head..rows).step_by(PANEL) {
             if cancelled() {
@@ -91,10 +94,13 @@ impl Triangle {
             for i in first..last {
                 let (done, row) = panel.split_at_mut(start(i) - start(first));
                 for j in first..i {
-                    let (above, pivot) = done[start(j) - start(first) + head..][..=j - head].split_at(j - head);
+                    let (above, pivot) =
+                        done[start(j) - start(first) + head..][..=j - head].split_at(j - head);
                     row[j] = (row[j] - dot(&row[head..j], above)) / pivot[0];
                 }
-                row[i] = (row[i] - dot(&row[head..i], &row[head..i])).max(least).sqrt();
+                row[i] = (row[i] - dot(&row[head..i], &row[head..i]))
+                    .max(least)
+                    .sqrt();
             }
         }
         Some(())
@@ -115,7 +121,10 @@ impl Saddle {
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
         let n = noise.len();
-        let scale: Vec<f64> = noise.iter().map(|noise| (1.0 + noise).sqrt().recip()).collect();
+        let scale: Vec<f64> = noise
+            .iter()
+            .map(|noise| (1.0 + noise).sqrt().recip())
+            .collect();
         for column in &mut polynomials {
             column.iter_mut().zip(&scale).for_each(|(p, s)| *p *= s);
         }
@@ -133,13 +142,20 @@ impl Saddle {
             factor.reflect(reflection);
         }
         factor.factorise(n, reflections.len(), cancelled)?;
-        Some(Self { scale, reflections, r, factor })
+        Some(Self {
+            scale,
+            reflections,
+            r,
+            factor,
+        })
     }
 
     /// The first n entries of the solution with the right side `(u, m)` for N right sides: `u` becomes them.
     pub(super) fn coefficients<const N: usize>(&self, u: &mut [[f64; N]], m: &[[f64; N]; MOST]) {
         self.scaled(u);
-        self.reflections.iter().for_each(|reflection| reflect(reflection, u));
+        self.reflections
+            .iter()
+            .for_each(|reflection| reflect(reflection, u));
         let head = self.reflections.len();
         let mut y = [[0.0; N]; MOST];
         for c in 0..head {
@@ -157,7 +173,10 @@ impl Saddle {
         }
         self.solve(u);
         u[..head].copy_from_slice(&y[..head]);
-        self.reflections.iter().rev().for_each(|reflection| reflect(reflection, u));
+        self.reflections
+            .iter()
+            .rev()
+            .for_each(|reflection| reflect(reflection, u));
         self.scaled(u);
     }
 
@@ -165,7 +184,9 @@ impl Saddle {
     /// others, the coefficients of the polynomials.
     pub(super) fn weights<const N: usize>(&self, d: &mut [[f64; N]]) -> [[f64; N]; MOST] {
         self.scaled(d);
-        self.reflections.iter().for_each(|reflection| reflect(reflection, d));
+        self.reflections
+            .iter()
+            .for_each(|reflection| reflect(reflection, d));
         self.solve(d);
         let head = self.reflections.len();
         let mut a = [[0.0; N]; MOST];
@@ -183,7 +204,10 @@ impl Saddle {
             a[c].iter_mut().for_each(|a| *a /= self.r[c][c]);
         }
         d[..head].fill([0.0; N]);
-        self.reflections.iter().rev().for_each(|reflection| reflect(reflection, d));
+        self.reflections
+            .iter()
+            .rev()
+            .for_each(|reflection| reflect(reflection, d));
         self.scaled(d);
         a
     }
@@ -194,7 +218,9 @@ impl Saddle {
         let mut x = vec![[0.0]; self.scale.len()];
         x[i] = [1.0];
         self.scaled(&mut x);
-        self.reflections.iter().for_each(|reflection| reflect(reflection, &mut x));
+        self.reflections
+            .iter()
+            .for_each(|reflection| reflect(reflection, &mut x));
         let head = self.reflections.len();
         let mut solved: Vec<f64> = x.into_iter().map(|[x]| x).collect();
         for i in head..solved.len() {
@@ -245,16 +271,26 @@ fn reflections(mut columns: Vec<Vec<f64>>) -> (Vec<Reflection>, [[f64; MOST]; MO
         let pivot = if v[c] > 0.0 { -norm } else { norm };
         v[c] -= pivot;
         let norm2 = dot(&v, &v);
-        let reflection = Reflection { beta: if norm2 > 0.0 { 2.0 / norm2 } else { 0.0 }, v };
+        let reflection = Reflection {
+            beta: if norm2 > 0.0 { 2.0 / norm2 } else { 0.0 },
+            v,
+        };
         for column in rest {
             let along = reflection.beta * dot(&reflection.v, column);
-            column.iter_mut().zip(&reflection.v).for_each(|(x, v)| *x -= along * v);
+            column
+                .iter_mut()
+                .zip(&reflection.v)
+                .for_each(|(x, v)| *x -= along * v);
         }
         for (row, value) in column[..c].iter().enumerate() {
             r[row][c] = *value;
         }
         // Columns are independent; noise that differs by many orders may leave less than rounding.
-        r[c][c] = if norm > f64::EPSILON * whole { pivot } else { f64::EPSILON * whole.max(f64::MIN_POSITIVE) };
+        r[c][c] = if norm > f64::EPSILON * whole {
+            pivot
+        } else {
+            f64::EPSILON * whole.max(f64::MIN_POSITIVE)
+        };
         reflections.push(reflection);
     }
     (reflections, r)
@@ -283,7 +319,12 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     let length = a.len().min(b.len());
     let (a, b) = (a[..length].chunks_exact(8), b[..length].chunks_exact(8));
     let mut sums = [0.0; 8];
-    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(a, b)| a * b).sum();
+    let rest: f64 = a
+        .remainder()
+        .iter()
+        .zip(b.remainder())
+        .map(|(a, b)| a * b)
+        .sum();
     for (a, b) in a.zip(b) {
         for k in 0..8 {
             sums[k] += a[k] * b[k];

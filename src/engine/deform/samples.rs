@@ -20,11 +20,19 @@ pub(super) struct Samples(BTreeMap<u32, Vec<Sample>>);
 
 impl Samples {
     /// The handles inside the grid.
-    pub(super) fn of_handles(field: &Field, grid: &Grid, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Self> {
+    pub(super) fn of_handles(
+        field: &Field,
+        grid: &Grid,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
         let mut samples: BTreeMap<u32, Vec<Sample>> = BTreeMap::new();
         field.look_at_handles(pose, cancelled, |p, displacement| {
             if let Some((i, j, s, t)) = grid.locate(p) {
-                samples.entry(j * (grid.columns() - 1) + i).or_default().push(Sample { s, t, displacement });
+                samples
+                    .entry(j * (grid.columns() - 1) + i)
+                    .or_default()
+                    .push(Sample { s, t, displacement });
             }
         })?;
         Some(Self(samples))
@@ -37,7 +45,9 @@ impl Samples {
 
     /// The cells that have some.
     pub(super) fn by_cell(&self) -> impl Iterator<Item = (u32, &[Sample])> {
-        self.0.iter().map(|(cell, samples)| (*cell, samples.as_slice()))
+        self.0
+            .iter()
+            .map(|(cell, samples)| (*cell, samples.as_slice()))
     }
 }
 
@@ -49,7 +59,10 @@ pub(super) fn sample_error(samples: &[Sample], vertices: &[[f32; 2]], level: u8)
     }
     let side = vertices.len().isqrt();
     let coarse = at_level(vertices, side, level);
-    let error =
-        |sample: &Sample| (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t) - sample.displacement).norm() as f32;
+    let error = |sample: &Sample| {
+        (Refinement::displaced_in(&coarse, (1 << level) + 1, sample.s, sample.t)
+            - sample.displacement)
+            .norm() as f32
+    };
     samples.iter().map(error).fold(0.0, f32::max)
 }

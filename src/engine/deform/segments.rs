@@ -2,7 +2,10 @@
 //! by a robust closed form for alpha = 2 that replaces the paper's appendix B. Units: lengths along the segment in lengths of the segment;
 //! weights relative to `(r2min)^-alpha`.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes are written alike, whatever they index"
+)]
 
 use super::columns::Segment;
 use super::falloff::{Falloff, Power};
@@ -39,7 +42,13 @@ pub(super) struct View<const N: usize> {
 pub(super) struct Moments<const N: usize>(pub(super) [[f64; N]; 3]);
 
 impl<const N: usize> View<N> {
-    pub(super) const ZERO: Self = Self { beyond: [0.0; N], share_a: [0.0; N], share_b: [0.0; N], off: [0.0; N], r2: [0.0; N] };
+    pub(super) const ZERO: Self = Self {
+        beyond: [0.0; N],
+        share_a: [0.0; N],
+        share_b: [0.0; N],
+        off: [0.0; N],
+        r2: [0.0; N],
+    };
 
     #[inline(always)]
     pub(super) fn new(s: &Segment, v: &Vertices<N>) -> Self {
@@ -48,7 +57,10 @@ impl<const N: usize> View<N> {
         for k in 0..N {
             let (ax, ay) = (v.x[k] - s.a.x, v.y[k] - s.a.y);
             let (bx, by) = (v.x[k] - s.b.x, v.y[k] - s.b.y);
-            let (u1, u2) = (-(ax * s.tau.x + ay * s.tau.y) * per_length, -(bx * s.tau.x + by * s.tau.y) * per_length);
+            let (u1, u2) = (
+                -(ax * s.tau.x + ay * s.tau.y) * per_length,
+                -(bx * s.tau.x + by * s.tau.y) * per_length,
+            );
             let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
             // The nearer end gives the offset with the smaller rounding error.
             let (nx, ny) = if a2 <= b2 { (ax, ay) } else { (bx, by) };
@@ -110,13 +122,22 @@ impl<const N: usize> View<N> {
         let square = |lengths: f64| (lengths * s.length) * (lengths * s.length);
         let (mut m, near, far) = match beta {
             _ if exact => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
-            _ if falloff.power() == Power::Two => (self.moments_alpha_two(s, v, r2min), square(CLOSED_FROM), f64::INFINITY),
-            Some(beta) => (self.moments_by_beta(s, falloff, beta, r2min), 0.0, square(CLOSED_TO)),
+            _ if falloff.power() == Power::Two => (
+                self.moments_alpha_two(s, v, r2min),
+                square(CLOSED_FROM),
+                f64::INFINITY,
+            ),
+            Some(beta) => (
+                self.moments_by_beta(s, falloff, beta, r2min),
+                0.0,
+                square(CLOSED_TO),
+            ),
             None => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
         };
         for k in 0..N {
             if self.r2[k] <= near || self.r2[k] > far {
-                let [m0, m1, m2] = self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);
+                let [m0, m1, m2] =
+                    self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);
                 (m.0[0][k], m.0[1][k], m.0[2][k]) = (m0, m1, m2);
             }
         }
@@ -124,7 +145,13 @@ impl<const N: usize> View<N> {
     }
 
     #[inline(always)]
-    fn moments_by_beta(&self, s: &Segment, falloff: Falloff, beta: &IncompleteBeta, r2min: &[f64; N]) -> Moments<N> {
+    fn moments_by_beta(
+        &self,
+        s: &Segment,
+        falloff: Falloff,
+        beta: &IncompleteBeta,
+        r2min: &[f64; N],
+    ) -> Moments<N> {
         let (mut a, mut b, mut h, mut ratio) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
         for k in 0..N {
             a[k] = self.beyond[k] - self.share_b[k];
@@ -132,7 +159,15 @@ impl<const N: usize> View<N> {
             h[k] = self.off[k].abs() / s.length;
             ratio[k] = r2min[k] / (s.length * s.length);
         }
-        let mut m = beta.moments(&Along { ends: [a, b], nearest: &self.beyond, h, ratio }, falloff);
+        let mut m = beta.moments(
+            &Along {
+                ends: [a, b],
+                nearest: &self.beyond,
+                h,
+                ratio,
+            },
+            falloff,
+        );
         for m in m.as_flattened_mut() {
             *m *= s.weight * s.length;
         }
@@ -140,12 +175,29 @@ impl<const N: usize> View<N> {
     }
 
     #[inline(always)]
-    fn by_nodes(&self, k: usize, s: &Segment, falloff: Falloff, r2min: f64, many: bool) -> [f64; 3] {
+    fn by_nodes(
+        &self,
+        k: usize,
+        s: &Segment,
+        falloff: Falloff,
+        r2min: f64,
+        many: bool,
+    ) -> [f64; 3] {
         let h = self.off[k] / s.length;
-        let sight = Sight { beyond: self.beyond[k].abs(), h2: h * h, ratio: r2min / (s.length * s.length), falloff, many };
+        let sight = Sight {
+            beyond: self.beyond[k].abs(),
+            h2: h * h,
+            ratio: r2min / (s.length * s.length),
+            falloff,
+            many,
+        };
         let (a, b) = (sight.side(self.share_b[k]), sight.side(self.share_a[k]));
         let scale = s.weight * s.length;
-        [scale * (a[0] + b[0]), scale * (b[1] - a[1]), scale * (a[2] + b[2])]
+        [
+            scale * (a[0] + b[0]),
+            scale * (b[1] - a[1]),
+            scale * (a[2] + b[2]),
+        ]
     }
 
     /// From `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no branch on the extension (mathematics 3.2).
@@ -160,11 +212,18 @@ impl<const N: usize> View<N> {
             let per_ab = 1.0 / (a2 * b2).sqrt();
             let (cross, dot) = (self.off[k].abs() * s.length, ax * bx + ay * by);
             let phi = angle(cross, dot);
-            let (near, far) = (g_series(phi * phi), g_closed(phi, cross * per_ab, dot * per_ab));
+            let (near, far) = (
+                g_series(phi * phi),
+                g_closed(phi, cross * per_ab, dot * per_ab),
+            );
             let (g1, g2) = if phi < 0.3 { near } else { far };
             let q12 = r2min[k] * per_ab;
             let (q1, q2) = (r2min[k] / a2, r2min[k] / b2);
-            let (d00, d01, d11) = (half * g1 * q1 * q12, half * g2 * q12 * q12, half * g1 * q2 * q12);
+            let (d00, d01, d11) = (
+                half * g1 * q1 * q12,
+                half * g2 * q12 * q12,
+                half * g1 * q2 * q12,
+            );
             let (of_a, of_b) = (d00 + d01, d01 + d11);
             let b = self.share_b[k];
             m.0[0][k] = of_a + of_b;
@@ -226,15 +285,26 @@ mod tests {
 
     fn segment(a: Point, b: Point) -> Segment {
         let length = a.distance(b);
-        Segment { a, b, length, tau: (b - a) * (1.0 / length), weight: 1.0, column: 0 }
+        Segment {
+            a,
+            b,
+            length,
+            tau: (b - a) * (1.0 / length),
+            weight: 1.0,
+            column: 0,
+        }
     }
 
     /// Moments about the nearest place, and r2min = the segment's own.
     fn moments(s: &Segment, v: Point, alpha: f64, exact: bool) -> (View<1>, [f64; 3]) {
         let v = Vertices::all(v);
         let view = View::new(s, &v);
-        let (falloff, beta) = (Falloff::new(alpha, true).unwrap(), IncompleteBeta::new(alpha));
-        let Moments([[m0], [m1], [m2]]) = view.moments(s, &v, (falloff, beta.as_ref()), &view.r2, exact);
+        let (falloff, beta) = (
+            Falloff::new(alpha, true).unwrap(),
+            IncompleteBeta::new(alpha),
+        );
+        let Moments([[m0], [m1], [m2]]) =
+            view.moments(s, &v, (falloff, beta.as_ref()), &view.r2, exact);
         (view, [m0, m1, m2])
     }
 
@@ -242,7 +312,11 @@ mod tests {
     fn shares(s: &Segment, v: Point, alpha: f64, exact: bool) -> [f64; 3] {
         let (view, [m0, m1, m2]) = moments(s, v, alpha, exact);
         let (a, b) = (view.share_a[0], view.share_b[0]);
-        [a * a * m0 - 2.0 * a * m1 + m2, a * b * m0 + (a - b) * m1 - m2, b * b * m0 + 2.0 * b * m1 + m2]
+        [
+            a * a * m0 - 2.0 * a * m1 + m2,
+            a * b * m0 + (a - b) * m1 - m2,
+            b * b * m0 + 2.0 * b * m1 + m2,
+        ]
     }
 
     /// Vertices beside the foot, beyond the ends, on the extension and far away, at distances 1e-3 .. 1e5 px.
@@ -262,13 +336,19 @@ mod tests {
 
     #[test]
     fn closed_form_of_alpha_two_equals_quadrature() {
-        for s in [segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0)), segment(Point::new(7.0, 3.0), Point::new(7.5, -2.0))] {
+        for s in [
+            segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0)),
+            segment(Point::new(7.0, 3.0), Point::new(7.5, -2.0)),
+        ] {
             for v in views(&s) {
                 let (_, closed) = moments(&s, v, 2.0, false);
                 let (_, nodes) = moments(&s, v, 2.0, true);
                 let sizes = [nodes[0], (nodes[0] * nodes[2]).sqrt(), nodes[2]];
                 for ((c, n), size) in closed.iter().zip(nodes).zip(sizes) {
-                    assert!((c - n).abs() <= 1e-9 * size, "v = {v:?}: closed {closed:?}, quadrature {nodes:?}");
+                    assert!(
+                        (c - n).abs() <= 1e-9 * size,
+                        "v = {v:?}: closed {closed:?}, quadrature {nodes:?}"
+                    );
                 }
             }
         }
@@ -278,12 +358,20 @@ mod tests {
     #[test]
     fn plans_integrate_to_single_precision() {
         let s = segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0));
-        for alpha in [0.5, 0.501, 0.6, 0.9, 0.999, 1.0, 1.3, 1.501, 2.0, 3.0, 5.5, 8.0] {
+        for alpha in [
+            0.5, 0.501, 0.6, 0.9, 0.999, 1.0, 1.3, 1.501, 2.0, 3.0, 5.5, 8.0,
+        ] {
             for v in views(&s) {
                 let few = shares(&s, v, alpha, false);
                 let many = shares(&s, v, alpha, true);
-                for (few, many) in [(few[0] + few[1], many[0] + many[1]), (few[1] + few[2], many[1] + many[2])] {
-                    assert!((few - many).abs() <= 2e-8 * many, "alpha {alpha}, v = {v:?}: {few} against {many}");
+                for (few, many) in [
+                    (few[0] + few[1], many[0] + many[1]),
+                    (few[1] + few[2], many[1] + many[2]),
+                ] {
+                    assert!(
+                        (few - many).abs() <= 2e-8 * many,
+                        "alpha {alpha}, v = {v:?}: {few} against {many}"
+                    );
                 }
             }
         }
@@ -294,7 +382,13 @@ mod tests {
     fn moments_are_those_of_many_points() {
         let s = segment(Point::new(0.0, 0.0), Point::new(30.0, 40.0));
         for alpha in [0.7, 1.5, 3.0] {
-            for (along, off) in [(0.3, 5.0), (-0.2, 3.0), (1.4, 0.0), (0.5, -80.0), (30.0, 7.0)] {
+            for (along, off) in [
+                (0.3, 5.0),
+                (-0.2, 3.0),
+                (1.4, 0.0),
+                (0.5, -80.0),
+                (30.0, 7.0),
+            ] {
                 let v = s.a + s.tau * (along * s.length) + Vec2::new(-s.tau.y, s.tau.x) * off;
                 let (view, got) = moments(&s, v, alpha, true);
                 let mut expected = [0.0; 3];
@@ -302,13 +396,17 @@ mod tests {
                 for i in 0..n {
                     let t = (f64::from(i) + 0.5) / f64::from(n);
                     let y = t - view.share_b[0];
-                    let w = s.length / f64::from(n) * (view.r2[0] / (s.a + (s.b - s.a) * t - v).norm2()).powf(alpha);
+                    let w = s.length / f64::from(n)
+                        * (view.r2[0] / (s.a + (s.b - s.a) * t - v).norm2()).powf(alpha);
                     for (e, power) in expected.iter_mut().zip([1.0, y, y * y]) {
                         *e += w * power;
                     }
                 }
                 for (g, e) in got.iter().zip(expected) {
-                    assert!((g - e).abs() <= 1e-8 * e.abs().max(expected[2]), "{along}, {off}: {got:?} against {expected:?}");
+                    assert!(
+                        (g - e).abs() <= 1e-8 * e.abs().max(expected[2]),
+                        "{along}, {off}: {got:?} against {expected:?}"
+                    );
                 }
             }
         }
@@ -320,7 +418,10 @@ mod tests {
         for v in views(&s) {
             let view = View::new(&s, &Vertices::<1>::all(v));
             let (a, b) = (view.share_a[0], view.share_b[0]);
-            assert!(a >= 0.0 && b >= 0.0 && (a + b - 1.0).abs() < 1e-10, "v = {v:?}: {a}, {b}");
+            assert!(
+                a >= 0.0 && b >= 0.0 && (a + b - 1.0).abs() < 1e-10,
+                "v = {v:?}: {a}, {b}"
+            );
         }
     }
 
@@ -333,10 +434,18 @@ mod tests {
             let (u1, u2, length) = (-37.0, 63.0, 100.0);
             let (d1, d2) = (u1 * u1 + off * off, u2 * u2 + off * off);
             let phi = (off * length).atan2(u1 * u2 + off * off);
-            let expected = [phi / off, 0.5 * f64::ln(d2 / d1) / length, (length - off * phi) / (length * length)].map(|i| i * off * off);
+            let expected = [
+                phi / off,
+                0.5 * f64::ln(d2 / d1) / length,
+                (length - off * phi) / (length * length),
+            ]
+            .map(|i| i * off * off);
             let (_, got) = moments(&s, v, 1.0, true);
             for (g, e) in got.iter().zip(expected) {
-                assert!((g - e).abs() <= 1e-9 * e.abs(), "h = {off}: {got:?} against {expected:?}");
+                assert!(
+                    (g - e).abs() <= 1e-9 * e.abs(),
+                    "h = {off}: {got:?} against {expected:?}"
+                );
             }
         }
     }

@@ -15,8 +15,14 @@ pub(super) struct Span<const N: usize> {
 }
 
 impl<const N: usize> Span<N> {
-    pub(super) const ZERO: Self =
-        Self { view: View::ZERO, place: PointMass::ZERO, first: [0.0; N], second: [0.0; N], x: [0.0; N], y: [0.0; N] };
+    pub(super) const ZERO: Self = Self {
+        view: View::ZERO,
+        place: PointMass::ZERO,
+        first: [0.0; N],
+        second: [0.0; N],
+        x: [0.0; N],
+        y: [0.0; N],
+    };
 
     /// Mass and first moment along the direction, the share of end a.
     #[inline(always)]
@@ -58,6 +64,9 @@ pub(super) struct Workspace<const N: usize> {
 
 impl<const N: usize> Workspace<N> {
     pub(super) fn new(columns: usize) -> Self {
-        Self { rows: Rows::zeroed(columns), scratch: Scratch::default() }
+        Self {
+            rows: Rows::zeroed(columns),
+            scratch: Scratch::default(),
+        }
     }
 }

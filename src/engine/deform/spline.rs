@@ -5,7 +5,10 @@
 //! Two forms of the same map: coefficients of every position, `f = v + sum C_j d_j`, O(n^2) for a position, which a plan keeps; and
 //! weights of every pose, `f = v + A(v) + sum w_j U(|v - p_j|)`, O(n) for a position.
 
-#![expect(clippy::needless_range_loop, reason = "loops over lanes are written alike, whatever they index")]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes are written alike, whatever they index"
+)]
 
 use rayon::prelude::*;
 
@@ -71,31 +74,59 @@ impl Sites {
         let (mut moved, mut weights) = (Vec::new(), Vec::new());
         let mut members = Vec::with_capacity(points.len());
         for PointSource { p, mass, column } in points {
-            let site = first.iter().position(|other| (*p - *other).norm2() <= within * within).unwrap_or_else(|| {
-                first.push(*p);
-                moved.push(Vec2::ZERO);
-                weights.push(0.0);
-                first.len() - 1
-            });
+            let site = first
+                .iter()
+                .position(|other| (*p - *other).norm2() <= within * within)
+                .unwrap_or_else(|| {
+                    first.push(*p);
+                    moved.push(Vec2::ZERO);
+                    weights.push(0.0);
+                    first.len() - 1
+                });
             moved[site] += (*p - first[site]) * *mass;
             weights[site] += mass;
             members.push((site, *mass, *column));
         }
-        members.iter_mut().for_each(|(site, share, _)| *share /= weights[*site]);
-        let positions = first.iter().zip(&moved).zip(&weights).map(|((p, moved), weight)| *p + *moved * (1.0 / weight)).collect();
-        Self { positions, weights, members }
+        members
+            .iter_mut()
+            .for_each(|(site, share, _)| *share /= weights[*site]);
+        let positions = first
+            .iter()
+            .zip(&moved)
+            .zip(&weights)
+            .map(|((p, moved), weight)| *p + *moved * (1.0 / weight))
+            .collect();
+        Self {
+            positions,
+            weights,
+            members,
+        }
     }
 }
 
 impl Frame {
     /// `line`: the sites lie on one, which becomes the x axis.
-    #[expect(clippy::cast_precision_loss, reason = "a count of sites is far below 2^53")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "a count of sites is far below 2^53"
+    )]
     fn of(sites: &[Point], line: bool) -> Self {
         let (first, count) = (sites[0], sites.len() as f64);
-        let origin = first + sites.iter().fold(Vec2::ZERO, |sum, p| sum + (*p - first)) * (1.0 / count);
+        let origin =
+            first + sites.iter().fold(Vec2::ZERO, |sum, p| sum + (*p - first)) * (1.0 / count);
         let unit = (sites.iter().map(|p| (*p - origin).norm2()).sum::<f64>() / count).sqrt();
-        let farthest = sites.iter().map(|p| *p - origin).fold(Vec2::ZERO, |far, d| if d.norm2() > far.norm2() { d } else { far });
-        let tau = if line { farthest * (1.0 / farthest.norm()) } else { Vec2::new(1.0, 0.0) };
+        let farthest = sites
+            .iter()
+            .map(|p| *p - origin)
+            .fold(
+                Vec2::ZERO,
+                |far, d| if d.norm2() > far.norm2() { d } else { far },
+            );
+        let tau = if line {
+            farthest * (1.0 / farthest.norm())
+        } else {
+            Vec2::new(1.0, 0.0)
+        };
         Self { origin, tau, unit }
     }
 
@@ -104,7 +135,10 @@ impl Frame {
         let mut at = [[0.0; N]; 2];
         for k in 0..N {
             let (x, y) = (v.x[k] - origin.x, v.y[k] - origin.y);
-            (at[0][k], at[1][k]) = ((x * tau.x + y * tau.y) / unit, (y * tau.x - x * tau.y) / unit);
+            (at[0][k], at[1][k]) = (
+                (x * tau.x + y * tau.y) / unit,
+                (y * tau.x - x * tau.y) / unit,
+            );
         }
         at
     }
@@ -117,18 +151,38 @@ impl Spline {
     }
 
     /// At least two sites. `line`: they lie on one. O(n^3); `None` when cancelled.
-    pub(super) fn new(sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
+    pub(super) fn new(
+        sites: Sites,
+        line: bool,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
         let frame = Frame::of(&sites.positions, line);
         Self::in_frame(frame, sites, line, smoothing, cancelled)
     }
 
     /// The spline of some of the sites of another one, with its unit.
-    pub(super) fn of_part(&self, sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
-        let frame = Frame { unit: self.frame.unit, ..Frame::of(&sites.positions, line) };
+    pub(super) fn of_part(
+        &self,
+        sites: Sites,
+        line: bool,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
+        let frame = Frame {
+            unit: self.frame.unit,
+            ..Frame::of(&sites.positions, line)
+        };
         Self::in_frame(frame, sites, line, smoothing, cancelled)
     }
 
-    fn in_frame(frame: Frame, sites: Sites, line: bool, smoothing: f64, cancelled: IsCancelled<'_>) -> Option<Self> {
+    fn in_frame(
+        frame: Frame,
+        sites: Sites,
+        line: bool,
+        smoothing: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
         let (x, y): (Vec<f64>, Vec<f64>) = sites
             .positions
             .iter()
@@ -141,15 +195,32 @@ impl Spline {
         if !line {
             polynomials.push(y.clone());
         }
-        let kernel = |i: usize, j: usize| bending((x[i] - x[j]) * (x[i] - x[j]) + (y[i] - y[j]) * (y[i] - y[j]));
-        let noise: Vec<f64> = sites.weights.iter().map(|weight| smoothing / weight).collect();
+        let kernel = |i: usize, j: usize| {
+            bending((x[i] - x[j]) * (x[i] - x[j]) + (y[i] - y[j]) * (y[i] - y[j]))
+        };
+        let noise: Vec<f64> = sites
+            .weights
+            .iter()
+            .map(|weight| smoothing / weight)
+            .collect();
         let saddle = Saddle::new(kernel, &noise, polynomials, cancelled)?;
-        Some(Self { frame, sites, x, y, saddle, is_complex: line, interpolates: smoothing == 0.0 })
+        Some(Self {
+            frame,
+            sites,
+            x,
+            y,
+            saddle,
+            is_complex: line,
+            interpolates: smoothing == 0.0,
+        })
     }
 
     /// Position and column of every point, with its site.
     pub(super) fn members(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.sites.members.iter().map(|(site, _, column)| (*column, *site))
+        self.sites
+            .members
+            .iter()
+            .map(|(site, _, column)| (*column, *site))
     }
 
     /// The displacement of each site less the one that the spline of all other sites predicts there, px (mathematics 10.4):
@@ -201,7 +272,12 @@ impl Spline {
     }
 
     /// The coefficients of N vertices. `scratch` is for two right sides.
-    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Vec<[f64; N]>, rows: &mut Rows<N>) {
+    pub(super) fn rows<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        scratch: &mut Vec<[f64; N]>,
+        rows: &mut Rows<N>,
+    ) {
         let (n, at) = (self.len(), self.frame.take(v));
         scratch.clear();
         scratch.resize(2 * n, [0.0; N]);
@@ -215,7 +291,9 @@ impl Spline {
         }
         for (k, site) in self.hits(&at).into_iter().enumerate() {
             if let Some(site) = site {
-                re.iter_mut().zip(im.iter_mut()).for_each(|(re, im)| (re[k], im[k]) = (0.0, 0.0));
+                re.iter_mut()
+                    .zip(im.iter_mut())
+                    .for_each(|(re, im)| (re[k], im[k]) = (0.0, 0.0));
                 re[site][k] = 1.0;
             }
         }
@@ -237,7 +315,12 @@ impl Spline {
             let [re, im] = polynomials[1];
             polynomials[2] = [-im, re];
         }
-        PosedSpline { spline: self, displacements, weights, polynomials }
+        PosedSpline {
+            spline: self,
+            displacements,
+            weights,
+            polynomials,
+        }
     }
 }
 

@@ -36,8 +36,16 @@ impl Summary {
         let least = |values: &[f64], start: f64| values.iter().copied().fold(start, f64::min);
         let greatest = |values: &[f64], start: f64| values.iter().copied().fold(start, f64::max);
         // Below the upper one of two middle values, the greatest is the lower one.
-        let lower = if is_even { greatest(below, f64::NEG_INFINITY) } else { *upper };
-        Some(Self { min: least(below, *upper), median: lower + (*upper - lower) / 2.0, max: greatest(above, *upper) })
+        let lower = if is_even {
+            greatest(below, f64::NEG_INFINITY)
+        } else {
+            *upper
+        };
+        Some(Self {
+            min: least(below, *upper),
+            median: lower + (*upper - lower) / 2.0,
+            max: greatest(above, *upper),
+        })
     }
 }
 
@@ -54,7 +62,11 @@ impl Mesh {
     /// The distortion of the grid's cells in a mesh of this orientation. Memory: 16 bytes per cell. `None` when cancelled, which is checked
     /// for each row.
     #[must_use]
-    pub fn distortion(&self, orientation: Orientation, cancelled: &dyn Fn() -> bool) -> Option<Distortion> {
+    pub fn distortion(
+        &self,
+        orientation: Orientation,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<Distortion> {
         let grid = self.grid();
         let cells = (grid.columns() as usize - 1) * (grid.rows() as usize - 1);
         let (mut area_factors, mut shears) = (Vec::with_capacity(cells), Vec::with_capacity(cells));
@@ -64,17 +76,28 @@ impl Mesh {
             }
             for i in 0..grid.columns() - 1 {
                 let size = grid.vertex(i + 1, j + 1) - grid.vertex(i, j);
-                let [a, b, c, d] = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
-                let (along, down) = (((b - a) + (d - c)) * (0.5 / size.x), ((c - a) + (d - b)) * (0.5 / size.y));
+                let [a, b, c, d] =
+                    [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
+                let (along, down) = (
+                    ((b - a) + (d - c)) * (0.5 / size.x),
+                    ((c - a) + (d - b)) * (0.5 / size.y),
+                );
                 area_factors.push(along.cross(down));
                 // s1 + s2 and s1 - s2.
                 let sum = (along.x + down.y).hypot(along.y - down.x);
                 let difference = (along.x - down.y).hypot(along.y + down.x);
-                let (sum, difference) = if orientation == Orientation::Mirrored { (difference, sum) } else { (sum, difference) };
+                let (sum, difference) = if orientation == Orientation::Mirrored {
+                    (difference, sum)
+                } else {
+                    (sum, difference)
+                };
                 shears.push(2.0 * difference.atan2(sum).to_degrees());
             }
         }
-        Some(Distortion { area_factor: Summary::of(&mut area_factors), shear: Summary::of(&mut shears) })
+        Some(Distortion {
+            area_factor: Summary::of(&mut area_factors),
+            shear: Summary::of(&mut shears),
+        })
     }
 }
 
@@ -87,39 +110,86 @@ mod tests {
         let grid = Grid::with_counts(100.0, 80.0, 6, 5);
         let vertices = (0..5).flat_map(|j| (0..6).map(move |i| grid.vertex(i, j)));
         #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
-        let displacement = vertices.map(|p| map(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
+        let displacement = vertices
+            .map(|p| map(p) - p)
+            .map(|d| [d.x as f32, d.y as f32])
+            .collect();
         Mesh::new(grid, displacement)
     }
 
     fn constant(map: impl Fn(Point) -> Point) -> (f64, f64) {
         let mesh = mesh(map);
         let orientation = mesh.folding(&|| false).unwrap().orientation;
-        let Distortion { area_factor: Some(area), shear: Some(shear) } = mesh.distortion(orientation, &|| false).unwrap() else {
+        let Distortion {
+            area_factor: Some(area),
+            shear: Some(shear),
+        } = mesh.distortion(orientation, &|| false).unwrap()
+        else {
             panic!("none")
         };
-        assert!(area.max - area.min < 1e-4 && shear.max - shear.min < 1e-3, "{area:?} {shear:?}");
+        assert!(
+            area.max - area.min < 1e-4 && shear.max - shear.min < 1e-3,
+            "{area:?} {shear:?}"
+        );
         (area.median, shear.median)
     }
 
     #[test]
     fn affine_maps_have_the_distortion_of_their_matrix() {
-        let near = |(area, shear): (f64, f64), want: (f64, f64)| (area - want.0).abs() < 1e-4 && (shear - want.1).abs() < 2e-3;
+        let near = |(area, shear): (f64, f64), want: (f64, f64)| {
+            (area - want.0).abs() < 1e-4 && (shear - want.1).abs() < 2e-3
+        };
         assert_eq!(constant(|p| p), (1.0, 0.0));
-        assert!(near(constant(|p| Point::new(3.0 - p.y, 2.0 + p.x)), (1.0, 0.0)), "a rotation");
-        assert!(near(constant(|p| Point::new(0.5 * p.x, 0.5 * p.y)), (0.25, 0.0)), "a scale");
+        assert!(
+            near(constant(|p| Point::new(3.0 - p.y, 2.0 + p.x)), (1.0, 0.0)),
+            "a rotation"
+        );
+        assert!(
+            near(constant(|p| Point::new(0.5 * p.x, 0.5 * p.y)), (0.25, 0.0)),
+            "a scale"
+        );
         // The diagonals of a square become those of a rectangle of 2 x 1.
-        assert!(near(constant(|p| Point::new(2.0 * p.x, p.y)), (2.0, 90.0 - 2.0 * 0.5f64.atan().to_degrees())), "a stretch");
+        assert!(
+            near(
+                constant(|p| Point::new(2.0 * p.x, p.y)),
+                (2.0, 90.0 - 2.0 * 0.5f64.atan().to_degrees())
+            ),
+            "a stretch"
+        );
         // Singular values of a shear by k: their product is 1, their difference k.
         assert!(
-            near(constant(|p| Point::new(p.x + 0.5 * p.y, p.y)), (1.0, 2.0 * (0.5f64 / 4.25f64.sqrt()).atan().to_degrees())),
+            near(
+                constant(|p| Point::new(p.x + 0.5 * p.y, p.y)),
+                (1.0, 2.0 * (0.5f64 / 4.25f64.sqrt()).atan().to_degrees())
+            ),
             "a shear"
         );
-        assert!(near(constant(|p| Point::new(p.x, 7.0)), (0.0, 90.0)), "a line");
-        assert!(near(constant(|p| Point::new(-p.x, p.y)), (-1.0, 0.0)), "a mirror");
-        assert!(near(constant(|p| Point::new(p.y, p.x)), (-1.0, 0.0)), "a mirror that is turned");
-        assert!(near(constant(|p| Point::new(-2.0 * p.x, p.y)), (-2.0, 90.0 - 2.0 * 0.5f64.atan().to_degrees())), "a stretched mirror");
-        let upright = mesh(|p| Point::new(-p.x, p.y)).distortion(Orientation::Upright, &|| false).unwrap();
-        assert!((upright.shear.unwrap().median - 180.0).abs() < 2e-3, "a cell turned over in a mesh that is not");
+        assert!(
+            near(constant(|p| Point::new(p.x, 7.0)), (0.0, 90.0)),
+            "a line"
+        );
+        assert!(
+            near(constant(|p| Point::new(-p.x, p.y)), (-1.0, 0.0)),
+            "a mirror"
+        );
+        assert!(
+            near(constant(|p| Point::new(p.y, p.x)), (-1.0, 0.0)),
+            "a mirror that is turned"
+        );
+        assert!(
+            near(
+                constant(|p| Point::new(-2.0 * p.x, p.y)),
+                (-2.0, 90.0 - 2.0 * 0.5f64.atan().to_degrees())
+            ),
+            "a stretched mirror"
+        );
+        let upright = mesh(|p| Point::new(-p.x, p.y))
+            .distortion(Orientation::Upright, &|| false)
+            .unwrap();
+        assert!(
+            (upright.shear.unwrap().median - 180.0).abs() < 2e-3,
+            "a cell turned over in a mesh that is not"
+        );
     }
 
     #[test]
@@ -132,7 +202,11 @@ mod tests {
             (vec![], None),
         ] {
             let summary = Summary::of(&mut values.clone());
-            assert_eq!(summary.map(|summary| (summary.min, summary.median, summary.max)), want, "{values:?}");
+            assert_eq!(
+                summary.map(|summary| (summary.min, summary.median, summary.max)),
+                want,
+                "{values:?}"
+            );
         }
     }
 }

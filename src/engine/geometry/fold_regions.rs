@@ -56,14 +56,24 @@ impl UnionFind {
 }
 
 fn include(bounds: &mut [f64; 4], other: [f64; 4]) {
-    *bounds = [bounds[0].min(other[0]), bounds[1].min(other[1]), bounds[2].max(other[2]), bounds[3].max(other[3])];
+    *bounds = [
+        bounds[0].min(other[0]),
+        bounds[1].min(other[1]),
+        bounds[2].max(other[2]),
+        bounds[3].max(other[3]),
+    ];
 }
 
 impl Mesh {
     /// The regions of the cells that fold in a mesh of this orientation, of which at most `most` have boxes. Memory: at most 32 bytes per
     /// cell. `None` when cancelled, which is checked for each row.
     #[must_use]
-    pub fn fold_regions(&self, orientation: Orientation, most: usize, cancelled: &dyn Fn() -> bool) -> Option<FoldRegions> {
+    pub fn fold_regions(
+        &self,
+        orientation: Orientation,
+        most: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<FoldRegions> {
         let grid = self.grid();
         let mut components = UnionFind::default();
         let (mut above, mut runs): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
@@ -88,7 +98,11 @@ impl Mesh {
                     }
                     _ => {
                         let parent = components.0.len();
-                        components.0.push(Component { parent, cells: 1, bounds });
+                        components.0.push(Component {
+                            parent,
+                            cells: 1,
+                            bounds,
+                        });
                         runs.push((i..i + 1, parent));
                     }
                 }
@@ -97,19 +111,35 @@ impl Mesh {
                     before += 1;
                 }
                 let (_, own) = *runs.last().expect("has this cell");
-                for (_, component) in above[before..].iter().take_while(|(run, _)| run.start <= i + 1) {
+                for (_, component) in above[before..]
+                    .iter()
+                    .take_while(|(run, _)| run.start <= i + 1)
+                {
                     components.union(own, *component);
                 }
             }
             std::mem::swap(&mut above, &mut runs);
         }
-        let roots = components.0.iter().enumerate().filter(|(k, component)| component.parent == *k);
+        let roots = components
+            .0
+            .iter()
+            .enumerate()
+            .filter(|(k, component)| component.parent == *k);
         let mut roots: Vec<&Component> = roots.map(|(_, root)| root).collect();
         let regions = roots.len() as u64;
         // Stable: equal regions stay in the order of their first cells.
         roots.sort_by_key(|root| std::cmp::Reverse(root.cells));
-        let boxes = roots.into_iter().take(most).map(|root| root.bounds).collect();
-        Some(FoldRegions { cells, share: area / (grid.width() * grid.height()), regions, boxes })
+        let boxes = roots
+            .into_iter()
+            .take(most)
+            .map(|root| root.bounds)
+            .collect();
+        Some(FoldRegions {
+            cells,
+            share: area / (grid.width() * grid.height()),
+            regions,
+            boxes,
+        })
     }
 }
 
@@ -129,7 +159,10 @@ mod tests {
     }
 
     fn regions_of(mesh: &Mesh, most: usize) -> FoldRegions {
-        mesh.fold_regions(mesh.folding(&|| false).unwrap().orientation, most, &|| false).unwrap()
+        mesh.fold_regions(mesh.folding(&|| false).unwrap().orientation, most, &|| {
+            false
+        })
+        .unwrap()
     }
 
     #[test]
@@ -137,17 +170,29 @@ mod tests {
         let regions = |vertices: &[(usize, usize)], most| regions_of(&folded(vertices), most);
         assert_eq!(regions(&[], 9), FoldRegions::default());
         let one = regions(&[(3, 4)], 9);
-        assert_eq!((one.cells, one.regions, one.boxes.as_slice()), (2, 1, &[[30.0, 30.0, 44.0, 50.0]][..]));
+        assert_eq!(
+            (one.cells, one.regions, one.boxes.as_slice()),
+            (2, 1, &[[30.0, 30.0, 44.0, 50.0]][..])
+        );
         assert!((one.share - 200.0 / 20_000.0).abs() < 1e-12);
         // Cells of both meet at a corner.
         let joined = regions(&[(3, 4), (4, 6)], 9);
-        assert_eq!((joined.cells, joined.regions, joined.boxes.as_slice()), (4, 1, &[[30.0, 30.0, 54.0, 70.0]][..]));
+        assert_eq!(
+            (joined.cells, joined.regions, joined.boxes.as_slice()),
+            (4, 1, &[[30.0, 30.0, 54.0, 70.0]][..])
+        );
     }
 
     #[test]
     fn regions_are_those_of_a_flood() {
         let mut state = 7_u32;
-        for (columns, rows, reach) in [(2, 2, 30.0), (3, 9, 9.0), (40, 30, 1.2), (40, 30, 1.6), (17, 23, 3.0)] {
+        for (columns, rows, reach) in [
+            (2, 2, 30.0),
+            (3, 9, 9.0),
+            (40, 30, 1.2),
+            (40, 30, 1.6),
+            (17, 23, 3.0),
+        ] {
             let grid = Grid::with_counts(100.0, 80.0, columns, rows);
             let displacement = (0..grid.len()).map(|_| {
                 [(); 2].map(|()| {
@@ -162,15 +207,24 @@ mod tests {
                 let (mut open, mut size) = (vec![first], 0);
                 while let Some((i, j)) = open.pop() {
                     size += 1;
-                    let (near, far) = left.into_iter().partition(|(a, b)| a.abs_diff(i) <= 1 && b.abs_diff(j) <= 1);
+                    let (near, far) = left
+                        .into_iter()
+                        .partition(|(a, b)| a.abs_diff(i) <= 1 && b.abs_diff(j) <= 1);
                     left = far;
                     open.extend::<Vec<_>>(near);
                 }
                 sizes.push(size);
             }
             let found = regions_of(&mesh, usize::MAX);
-            assert_eq!((found.cells, found.regions, found.boxes.len()), (cells, sizes.len() as u64, sizes.len()), "{columns} x {rows}");
-            assert_eq!(regions_of(&mesh, 1).boxes[..], found.boxes[..found.boxes.len().min(1)]);
+            assert_eq!(
+                (found.cells, found.regions, found.boxes.len()),
+                (cells, sizes.len() as u64, sizes.len()),
+                "{columns} x {rows}"
+            );
+            assert_eq!(
+                regions_of(&mesh, 1).boxes[..],
+                found.boxes[..found.boxes.len().min(1)]
+            );
         }
     }
 
@@ -178,7 +232,13 @@ mod tests {
     fn the_largest_regions_have_boxes() {
         let three = regions_of(&folded(&[(3, 2), (14, 2), (14, 3), (3, 8)]), 2);
         assert_eq!((three.regions, three.boxes.len()), (3, 2));
-        assert!(three.boxes[0][0] >= 140.0 && three.boxes[1][1] < 30.0, "{three:?}");
-        assert_eq!(folded(&[]).fold_regions(Orientation::Upright, 2, &|| true), None);
+        assert!(
+            three.boxes[0][0] >= 140.0 && three.boxes[1][1] < 30.0,
+            "{three:?}"
+        );
+        assert_eq!(
+            folded(&[]).fold_regions(Orientation::Upright, 2, &|| true),
+            None
+        );
     }
 }

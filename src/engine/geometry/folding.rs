@@ -19,15 +19,24 @@ impl Orientation {
     #[must_use]
     pub fn is_kept(self, turns: [f64; 4]) -> bool {
         match self {
-            Self::Upright => (turns[0] > 0.0) & (turns[1] > 0.0) & (turns[2] > 0.0) & (turns[3] > 0.0),
-            Self::Mirrored => (turns[0] < 0.0) & (turns[1] < 0.0) & (turns[2] < 0.0) & (turns[3] < 0.0),
+            Self::Upright => {
+                (turns[0] > 0.0) & (turns[1] > 0.0) & (turns[2] > 0.0) & (turns[3] > 0.0)
+            }
+            Self::Mirrored => {
+                (turns[0] < 0.0) & (turns[1] < 0.0) & (turns[2] < 0.0) & (turns[3] < 0.0)
+            }
         }
     }
 
     /// The cross products at the corners of a cell with these edges: top, right, bottom, left.
     #[must_use]
     pub fn turns([top, right, bottom, left]: [Vec2; 4]) -> [f64; 4] {
-        [top.cross(left), top.cross(right), bottom.cross(right), bottom.cross(left)]
+        [
+            top.cross(left),
+            top.cross(right),
+            bottom.cross(right),
+            bottom.cross(left),
+        ]
     }
 }
 
@@ -45,8 +54,13 @@ impl Mesh {
     /// cancelled, which is checked for each row.
     #[must_use]
     pub fn folding(&self, cancelled: &dyn Fn() -> bool) -> Option<Folding> {
-        let (mut upright, all) = (0, u64::from(self.grid().columns() - 1) * u64::from(self.grid().rows() - 1));
-        self.each_cell(cancelled, |_, _, turns| upright += u64::from(Orientation::Upright.is_kept(turns)))?;
+        let (mut upright, all) = (
+            0,
+            u64::from(self.grid().columns() - 1) * u64::from(self.grid().rows() - 1),
+        );
+        self.each_cell(cancelled, |_, _, turns| {
+            upright += u64::from(Orientation::Upright.is_kept(turns))
+        })?;
         if upright == all {
             return Some(Folding::default());
         }
@@ -61,8 +75,15 @@ impl Mesh {
             }
         })?;
         let is_mirrored = mirrored_area > upright_area;
-        let (orientation, kept) = if is_mirrored { (Orientation::Mirrored, mirrored) } else { (Orientation::Upright, upright) };
-        Some(Folding { orientation, cells: all - kept })
+        let (orientation, kept) = if is_mirrored {
+            (Orientation::Mirrored, mirrored)
+        } else {
+            (Orientation::Upright, upright)
+        };
+        Some(Folding {
+            orientation,
+            cells: all - kept,
+        })
     }
 
     /// Column and row of each folded cell, row by row.
@@ -83,17 +104,29 @@ impl Mesh {
 
     /// Calls `cell` with column, row and corner cross products of every cell; computes a row of edges at a time, because each edge belongs
     /// to two cells. `None` when cancelled.
-    fn each_cell(&self, cancelled: &dyn Fn() -> bool, mut cell: impl FnMut(u32, u32, [f64; 4])) -> Option<()> {
+    fn each_cell(
+        &self,
+        cancelled: &dyn Fn() -> bool,
+        mut cell: impl FnMut(u32, u32, [f64; 4]),
+    ) -> Option<()> {
         let (grid, columns) = (self.grid(), self.grid().columns() as usize);
         let rest: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
         let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {
-            let (y, row) = (grid.y(j), &self.displacement()[j as usize * columns..][..columns]);
+            let (y, row) = (
+                grid.y(j),
+                &self.displacement()[j as usize * columns..][..columns],
+            );
             posed.clear();
-            posed.extend(rest.iter().zip(row).map(|(&x, d)| Point::new(x, y) + Vec2::new(f64::from(d[0]), f64::from(d[1]))));
+            posed.extend(
+                rest.iter()
+                    .zip(row)
+                    .map(|(&x, d)| Point::new(x, y) + Vec2::new(f64::from(d[0]), f64::from(d[1]))),
+            );
             along.clear();
             along.extend(posed.windows(2).map(|ab| ab[1] - ab[0]));
         };
-        let (mut above, mut top, mut below, mut bottom, mut across) = (vec![], vec![], vec![], vec![], vec![]);
+        let (mut above, mut top, mut below, mut bottom, mut across) =
+            (vec![], vec![], vec![], vec![], vec![]);
         line(0, &mut above, &mut top);
         for j in 1..grid.rows() {
             if cancelled() {
@@ -102,8 +135,14 @@ impl Mesh {
             line(j, &mut below, &mut bottom);
             across.clear();
             across.extend(above.iter().zip(&below).map(|(a, d)| *d - *a));
-            for ((i, (top, bottom)), sides) in (0..).zip(top.iter().zip(&bottom)).zip(across.windows(2)) {
-                cell(i, j - 1, Orientation::turns([*top, sides[1], *bottom, sides[0]]));
+            for ((i, (top, bottom)), sides) in
+                (0..).zip(top.iter().zip(&bottom)).zip(across.windows(2))
+            {
+                cell(
+                    i,
+                    j - 1,
+                    Orientation::turns([*top, sides[1], *bottom, sides[0]]),
+                );
             }
             std::mem::swap(&mut above, &mut below);
             std::mem::swap(&mut top, &mut bottom);
@@ -138,23 +177,40 @@ mod tests {
         #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
         let mirrored = vertices.map(|(i, j)| {
             let (posed, rest) = (mesh.posed(i, j), grid.vertex(i, j));
-            [(grid.width() - posed.x - rest.x) as f32, (posed.y - rest.y) as f32]
+            [
+                (grid.width() - posed.x - rest.x) as f32,
+                (posed.y - rest.y) as f32,
+            ]
         });
         Mesh::new(grid, mirrored.collect())
     }
 
     #[test]
     fn folded_cells_are_counted_as_they_are_listed() {
-        for (columns, rows, reach) in [(2, 2, 30.0), (3, 5, 4.0), (40, 30, 0.5), (40, 30, 3.0), (17, 23, 1e30), (9, 9, 0.0)] {
+        for (columns, rows, reach) in [
+            (2, 2, 30.0),
+            (3, 5, 4.0),
+            (40, 30, 0.5),
+            (40, 30, 3.0),
+            (17, 23, 1e30),
+            (9, 9, 0.0),
+        ] {
             let mut mesh = shaken(columns, rows, reach);
             let count = |mesh: &Mesh| mesh.folding(&|| false).unwrap().cells;
-            assert_eq!(count(&mesh), mesh.folded_cells().count() as u64, "{columns} x {rows}, {reach}");
+            assert_eq!(
+                count(&mesh),
+                mesh.folded_cells().count() as u64,
+                "{columns} x {rows}, {reach}"
+            );
             // A number that is none folds what it touches.
             let mut displacement = mesh.displacement().to_vec();
             displacement[0][1] = f32::NAN;
             mesh = Mesh::new(*mesh.grid(), displacement);
             assert_eq!(count(&mesh), mesh.folded_cells().count() as u64);
-            assert!(mesh.is_folded(0, 0, Orientation::Upright) && mesh.is_folded(0, 0, Orientation::Mirrored));
+            assert!(
+                mesh.is_folded(0, 0, Orientation::Upright)
+                    && mesh.is_folded(0, 0, Orientation::Mirrored)
+            );
             assert_eq!(mesh.folding(&|| true), None);
         }
     }
@@ -163,9 +219,15 @@ mod tests {
     fn a_mesh_in_a_mirror_folds_in_the_same_cells() {
         for (reach, folds) in [(0.0, false), (0.5, false), (1.5, true), (2.2, true)] {
             let mesh = shaken(40, 30, reach);
-            let (own, mirrored) = (mesh.folding(&|| false).unwrap(), mirror(&mesh).folding(&|| false).unwrap());
+            let (own, mirrored) = (
+                mesh.folding(&|| false).unwrap(),
+                mirror(&mesh).folding(&|| false).unwrap(),
+            );
             assert_eq!(own.cells > 0, folds, "{reach}");
-            assert_eq!((own.orientation, mirrored.orientation), (Orientation::Upright, Orientation::Mirrored));
+            assert_eq!(
+                (own.orientation, mirrored.orientation),
+                (Orientation::Upright, Orientation::Mirrored)
+            );
             assert_eq!(own.cells, mirrored.cells, "{reach}");
             assert!(mesh.folded_cells().eq(mirror(&mesh).folded_cells()));
         }
@@ -176,17 +238,53 @@ mod tests {
         // The columns of cells from `first` on are turned over; the last one is narrow.
         let turned = |first: f64| {
             let grid = Grid::with_cell(91.0, 40.0, 10.0);
-            let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)));
+            let vertices =
+                (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)));
             #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
             let displacement = vertices.map(|p| [(-2.0 * (p.x - first).max(0.0)) as f32, 0.0]);
-            Mesh::new(grid, displacement.collect()).folding(&|| false).unwrap()
+            Mesh::new(grid, displacement.collect())
+                .folding(&|| false)
+                .unwrap()
         };
-        assert_eq!(turned(90.0), Folding { orientation: Orientation::Upright, cells: 4 });
-        assert_eq!(turned(50.0), Folding { orientation: Orientation::Upright, cells: 20 });
-        assert_eq!(turned(40.0), Folding { orientation: Orientation::Mirrored, cells: 16 });
-        assert_eq!(turned(0.0), Folding { orientation: Orientation::Mirrored, cells: 0 });
+        assert_eq!(
+            turned(90.0),
+            Folding {
+                orientation: Orientation::Upright,
+                cells: 4
+            }
+        );
+        assert_eq!(
+            turned(50.0),
+            Folding {
+                orientation: Orientation::Upright,
+                cells: 20
+            }
+        );
+        assert_eq!(
+            turned(40.0),
+            Folding {
+                orientation: Orientation::Mirrored,
+                cells: 16
+            }
+        );
+        assert_eq!(
+            turned(0.0),
+            Folding {
+                orientation: Orientation::Mirrored,
+                cells: 0
+            }
+        );
         // Nothing has an orientation.
-        let flat = Mesh::new(Grid::with_counts(10.0, 10.0, 2, 2), vec![[0.0; 2], [-10.0, 0.0], [0.0; 2], [-10.0, 0.0]]);
-        assert_eq!(flat.folding(&|| false), Some(Folding { orientation: Orientation::Upright, cells: 1 }));
+        let flat = Mesh::new(
+            Grid::with_counts(10.0, 10.0, 2, 2),
+            vec![[0.0; 2], [-10.0, 0.0], [0.0; 2], [-10.0, 0.0]],
+        );
+        assert_eq!(
+            flat.folding(&|| false),
+            Some(Folding {
+                orientation: Orientation::Upright,
+                cells: 1
+            })
+        );
     }
 }

@@ -35,7 +35,14 @@ impl Grid {
     #[must_use]
     pub fn with_counts(width: f64, height: f64, columns: u32, rows: u32) -> Self {
         let (columns, rows) = (columns.max(2), rows.max(2));
-        Self { width, height, cell_width: width / f64::from(columns - 1), cell_height: height / f64::from(rows - 1), columns, rows }
+        Self {
+            width,
+            height,
+            cell_width: width / f64::from(columns - 1),
+            cell_height: height / f64::from(rows - 1),
+            columns,
+            rows,
+        }
     }
 
     /// Every n-th line, and the last one, along both axes; `step` is at least 1.
@@ -45,14 +52,24 @@ impl Grid {
         let lines = |lines: u32| 1 + (lines - 1).div_ceil(step);
         let cell = |cell: f64| cell * f64::from(step);
         let (columns, rows) = (lines(self.columns), lines(self.rows));
-        Self { cell_width: cell(self.cell_width), cell_height: cell(self.cell_height), columns, rows, ..*self }
+        Self {
+            cell_width: cell(self.cell_width),
+            cell_height: cell(self.cell_height),
+            columns,
+            rows,
+            ..*self
+        }
     }
 
     /// Number of cells of `cell` px that cover `length` px; saturates, so that callers can compare it with a limit.
     #[must_use]
     pub fn cells_along(length: f64, cell: f64) -> u32 {
         let cells = (length / cell - LAST_CELL_AT_LEAST).ceil().max(1.0);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates, and cells >= 1")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "float to integer saturates, and cells >= 1"
+        )]
         let cells = cells as u32;
         cells.min(u32::MAX - 1)
     }
@@ -102,13 +119,21 @@ impl Grid {
     /// x of a column, px.
     #[must_use]
     pub fn x(&self, column: u32) -> f64 {
-        if column + 1 == self.columns { self.width } else { f64::from(column) * self.cell_width }
+        if column + 1 == self.columns {
+            self.width
+        } else {
+            f64::from(column) * self.cell_width
+        }
     }
 
     /// y of a row, px.
     #[must_use]
     pub fn y(&self, row: u32) -> f64 {
-        if row + 1 == self.rows { self.height } else { f64::from(row) * self.cell_height }
+        if row + 1 == self.rows {
+            self.height
+        } else {
+            f64::from(row) * self.cell_height
+        }
     }
 
     /// A vertex at rest.
@@ -131,7 +156,11 @@ impl Grid {
 }
 
 fn locate_along(x: f64, cell: f64, lines: u32, line: impl Fn(u32) -> f64) -> (u32, f64) {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to integer saturates"
+    )]
     let k = ((x / cell) as u32).min(lines - 2);
     let (a, b) = (line(k), line(k + 1));
     (k, ((x - a) / (b - a)).clamp(0.0, 1.0))

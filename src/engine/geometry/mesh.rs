@@ -21,14 +21,26 @@ impl Mesh {
     /// If `displacement` does not hold one entry per vertex.
     #[must_use]
     pub fn new(grid: Grid, displacement: Vec<[f32; 2]>) -> Self {
-        assert_eq!(displacement.len(), grid.len(), "one displacement per vertex");
-        Self { grid, displacement, refinement: Refinement::NONE }
+        assert_eq!(
+            displacement.len(),
+            grid.len(),
+            "one displacement per vertex"
+        );
+        Self {
+            grid,
+            displacement,
+            refinement: Refinement::NONE,
+        }
     }
 
     /// The mesh that leaves every vertex at rest.
     #[must_use]
     pub fn identity(grid: Grid) -> Self {
-        Self { grid, displacement: vec![[0.0; 2]; grid.len()], refinement: Refinement::NONE }
+        Self {
+            grid,
+            displacement: vec![[0.0; 2]; grid.len()],
+            refinement: Refinement::NONE,
+        }
     }
 
     /// The same mesh, with some of its cells drawn as smaller ones.
@@ -64,7 +76,8 @@ impl Mesh {
     /// Displacement of a vertex.
     #[must_use]
     pub fn displaced(&self, column: u32, row: u32) -> Vec2 {
-        let [x, y] = self.displacement[row as usize * self.grid.columns() as usize + column as usize];
+        let [x, y] =
+            self.displacement[row as usize * self.grid.columns() as usize + column as usize];
         Vec2::new(f64::from(x), f64::from(y))
     }
 
@@ -90,13 +103,23 @@ impl Mesh {
     /// each row.
     #[must_use]
     pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
-        let mut all = bounds(self.refinement.cells().iter().flat_map(|cell| self.refinement.posed(&self.grid, cell)));
+        let mut all = bounds(
+            self.refinement
+                .cells()
+                .iter()
+                .flat_map(|cell| self.refinement.posed(&self.grid, cell)),
+        );
         for row in 0..self.grid.rows() {
             if cancelled() {
                 return None;
             }
             let of_row = bounds((0..self.grid.columns()).map(|column| self.posed(column, row)));
-            all = [all[0].min(of_row[0]), all[1].min(of_row[1]), all[2].max(of_row[2]), all[3].max(of_row[3])];
+            all = [
+                all[0].min(of_row[0]),
+                all[1].min(of_row[1]),
+                all[2].max(of_row[2]),
+                all[3].max(of_row[3]),
+            ];
         }
         Some(all)
     }
@@ -105,15 +128,25 @@ impl Mesh {
     #[must_use]
     pub fn cell_bounds(&self, column: u32, row: u32) -> [f64; 4] {
         let (i, j) = (column, row);
-        let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
-        let refined = self.refinement.find(i, j).into_iter().flat_map(|cell| self.refinement.posed(&self.grid, cell));
+        let corners =
+            [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
+        let refined = self
+            .refinement
+            .find(i, j)
+            .into_iter()
+            .flat_map(|cell| self.refinement.posed(&self.grid, cell));
         bounds(corners.into_iter().chain(refined))
     }
 
     /// The number of vertices, those of refined cells included.
     #[must_use]
     pub fn vertices(&self) -> u64 {
-        let refined: usize = self.refinement.cells().iter().map(|cell| cell.side() * cell.side()).sum();
+        let refined: usize = self
+            .refinement
+            .cells()
+            .iter()
+            .map(|cell| cell.side() * cell.side())
+            .sum();
         (self.grid.len() + refined) as u64
     }
 
@@ -128,7 +161,14 @@ impl Mesh {
         if middle.x > left && middle.x < right && middle.y > top && middle.y < bottom {
             return Some(true);
         }
-        let corners = |i, j| [self.posed(i, j), self.posed(i + 1, j), self.posed(i, j + 1), self.posed(i + 1, j + 1)];
+        let corners = |i, j| {
+            [
+                self.posed(i, j),
+                self.posed(i + 1, j),
+                self.posed(i, j + 1),
+                self.posed(i + 1, j + 1),
+            ]
+        };
         for j in 0..rows - 1 {
             if cancelled() {
                 return None;
@@ -142,20 +182,35 @@ impl Mesh {
 }
 
 fn bounds(points: impl Iterator<Item = Point>) -> [f64; 4] {
-    points.fold([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY], |[l, t, r, b], p| {
-        [l.min(p.x), t.min(p.y), r.max(p.x), b.max(p.y)]
-    })
+    points.fold(
+        [
+            f64::INFINITY,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            f64::NEG_INFINITY,
+        ],
+        |[l, t, r, b], p| [l.min(p.x), t.min(p.y), r.max(p.x), b.max(p.y)],
+    )
 }
 
 /// Whether the convex hull of four points and the rectangle with these edges (left, top, right, bottom) share more than a border: no line
 /// along an edge of either separates them.
 fn overlaps(corners: [Point; 4], [left, top, right, bottom]: [f64; 4]) -> bool {
-    let range = |values: [f64; 4]| values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
+    let range = |values: [f64; 4]| {
+        values
+            .into_iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+                (a.min(v), b.max(v))
+            })
+    };
     let apart = |(a, b): (f64, f64), (c, d): (f64, f64)| b <= c || d <= a;
-    if apart(range(corners.map(|p| p.x)), (left, right)) || apart(range(corners.map(|p| p.y)), (top, bottom)) {
+    if apart(range(corners.map(|p| p.x)), (left, right))
+        || apart(range(corners.map(|p| p.y)), (top, bottom))
+    {
         return false;
     }
-    let rectangle = [(left, top), (right, top), (left, bottom), (right, bottom)].map(|(x, y)| Point::new(x, y));
+    let rectangle =
+        [(left, top), (right, top), (left, bottom), (right, bottom)].map(|(x, y)| Point::new(x, y));
     // The edges of the hull are among the lines through two corners.
     let lines = (0..4).flat_map(|i| (0..i).map(move |k| (corners[i], corners[k])));
     let separates = |(a, b): (Point, Point)| {
@@ -175,9 +230,14 @@ mod tests {
             let grid = Grid::with_counts(100.0, 80.0, columns, rows);
             let vertices = (0..rows).flat_map(|j| (0..columns).map(move |i| grid.vertex(i, j)));
             #[expect(clippy::cast_possible_truncation, reason = "small numbers")]
-            let displacement = vertices.map(|p| map(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
+            let displacement = vertices
+                .map(|p| map(p) - p)
+                .map(|d| [d.x as f32, d.y as f32])
+                .collect();
             let picture = [0.0, 0.0, grid.width(), grid.height()];
-            Mesh::new(grid, displacement).intersects(picture, &|| false).unwrap()
+            Mesh::new(grid, displacement)
+                .intersects(picture, &|| false)
+                .unwrap()
         };
         for (columns, rows) in [(2, 2), (5, 4), (40, 30)] {
             let moved = |map: &dyn Fn(Point) -> Point| moved(columns, rows, map);
@@ -195,11 +255,17 @@ mod tests {
                 assert_eq!(shifted(x, y), meets, "{columns} x {rows} by {x}, {y}");
             }
             // The picture lies within a single cell, with no vertex in it.
-            assert!(moved(&|p| Point::new((p.x - 51.0) * 1e4, (p.y - 41.0) * 1e4)));
+            assert!(moved(&|p| Point::new(
+                (p.x - 51.0) * 1e4,
+                (p.y - 41.0) * 1e4
+            )));
             // Turned by 45 degrees beside a corner: its box overlaps the picture's, and it does not.
-            let turned = |far: f64| moved(&|p| Point::new(far + (p.x - p.y) * 0.7, far + (p.x + p.y) * 0.7 - 63.0));
+            let turned = |far: f64| {
+                moved(&|p| Point::new(far + (p.x - p.y) * 0.7, far + (p.x + p.y) * 0.7 - 63.0))
+            };
             assert!(turned(90.0));
-            let beside = |p: Point| Point::new(-40.0 + (p.x - p.y) * 0.5, -75.0 + (p.x + p.y) * 0.5);
+            let beside =
+                |p: Point| Point::new(-40.0 + (p.x - p.y) * 0.5, -75.0 + (p.x + p.y) * 0.5);
             assert!(!moved(&beside), "{columns} x {rows}");
         }
     }

@@ -47,7 +47,11 @@ impl Refinement {
     /// No cell yet, and the largest distance between what is drawn and the patch of a cell of any size, px of the source.
     #[must_use]
     pub const fn new(drawn_within: f32) -> Self {
-        Self { cells: Vec::new(), displacement: Vec::new(), drawn_within }
+        Self {
+            cells: Vec::new(),
+            displacement: Vec::new(),
+            drawn_within,
+        }
     }
 
     /// The largest distance between what is drawn and the patch of a cell, px of the source.
@@ -62,8 +66,18 @@ impl Refinement {
     /// # Panics
     /// If `vertices` does not have the size of its shape.
     pub fn push(&mut self, column: u32, row: u32, level: u8, vertices: &[[f32; 2]]) {
-        let cell = RefinedCell { column, row, level, edges: [level; 4], start: self.displacement.len() };
-        assert_eq!(vertices.len(), cell.side() * cell.side(), "one displacement per vertex");
+        let cell = RefinedCell {
+            column,
+            row,
+            level,
+            edges: [level; 4],
+            start: self.displacement.len(),
+        };
+        assert_eq!(
+            vertices.len(),
+            cell.side() * cell.side(),
+            "one displacement per vertex"
+        );
         self.cells.push(cell);
         self.displacement.extend_from_slice(vertices);
     }
@@ -74,19 +88,41 @@ impl Refinement {
         let (last_column, last_row) = (grid.columns() - 2, grid.rows() - 2);
         for index in 0..self.cells.len() {
             let cell = self.cells[index];
-            let beyond = [cell.row == 0, cell.column == last_column, cell.row == last_row, cell.column == 0];
+            let beyond = [
+                cell.row == 0,
+                cell.column == last_column,
+                cell.row == last_row,
+                cell.column == 0,
+            ];
             let beside = |edge: usize| {
                 let (i, j) = (cell.column, cell.row);
-                let (i, j) = [(i, j.wrapping_sub(1)), (i + 1, j), (i, j + 1), (i.wrapping_sub(1), j)][edge];
+                let (i, j) = [
+                    (i, j.wrapping_sub(1)),
+                    (i + 1, j),
+                    (i, j + 1),
+                    (i.wrapping_sub(1), j),
+                ][edge];
                 self.find(i, j).map_or(0, |other| other.level)
             };
-            let edges = std::array::from_fn(|edge| if beyond[edge] { outer(&cell, edge) } else { beside(edge) }.min(cell.level));
+            let edges = std::array::from_fn(|edge| {
+                if beyond[edge] {
+                    outer(&cell, edge)
+                } else {
+                    beside(edge)
+                }
+                .min(cell.level)
+            });
             self.cells[index].edges = edges;
         }
         for cell in &self.cells {
             let side = cell.side();
             let vertices = &mut self.displacement[cell.start..][..side * side];
-            for (edge, &level) in cell.edges.iter().enumerate().filter(|(_, level)| **level < cell.level) {
+            for (edge, &level) in cell
+                .edges
+                .iter()
+                .enumerate()
+                .filter(|(_, level)| **level < cell.level)
+            {
                 // Index of the k-th vertex of an edge.
                 let at = |k: usize| match edge {
                     0 => k,
@@ -100,7 +136,8 @@ impl Refinement {
                     for k in 1..step {
                         #[expect(clippy::cast_precision_loss, reason = "at most 2^level")]
                         let share = k as f32 / step as f32;
-                        vertices[at(first + k)] = [0, 1].map(|c| from[c] + (to[c] - from[c]) * share);
+                        vertices[at(first + k)] =
+                            [0, 1].map(|c| from[c] + (to[c] - from[c]) * share);
                     }
                 }
             }
@@ -126,22 +163,35 @@ impl Refinement {
     }
 
     /// The posed vertices of a cell, `[2^level + 1][2^level + 1]`.
-    pub fn posed<'a>(&'a self, grid: &'a Grid, cell: &RefinedCell) -> impl Iterator<Item = Point> + 'a {
-        let (from, to) = (grid.vertex(cell.column, cell.row), grid.vertex(cell.column + 1, cell.row + 1));
+    pub fn posed<'a>(
+        &'a self,
+        grid: &'a Grid,
+        cell: &RefinedCell,
+    ) -> impl Iterator<Item = Point> + 'a {
+        let (from, to) = (
+            grid.vertex(cell.column, cell.row),
+            grid.vertex(cell.column + 1, cell.row + 1),
+        );
         let side = cell.side();
         #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
         let share = move |k: usize| k as f64 / (side - 1) as f64;
-        self.displacement(cell).iter().enumerate().map(move |(k, d)| {
-            let (s, t) = (share(k % side), share(k / side));
-            let rest = Point::new(from.x + (to.x - from.x) * s, from.y + (to.y - from.y) * t);
-            rest + Vec2::new(f64::from(d[0]), f64::from(d[1]))
-        })
+        self.displacement(cell)
+            .iter()
+            .enumerate()
+            .map(move |(k, d)| {
+                let (s, t) = (share(k % side), share(k / side));
+                let rest = Point::new(from.x + (to.x - from.x) * s, from.y + (to.y - from.y) * t);
+                rest + Vec2::new(f64::from(d[0]), f64::from(d[1]))
+            })
     }
 
     /// The refined cell at a column and row.
     #[must_use]
     pub fn find(&self, column: u32, row: u32) -> Option<&RefinedCell> {
-        self.cells.binary_search_by_key(&(row, column), |cell| (cell.row, cell.column)).ok().map(|index| &self.cells[index])
+        self.cells
+            .binary_search_by_key(&(row, column), |cell| (cell.row, cell.column))
+            .ok()
+            .map(|index| &self.cells[index])
     }
 
     /// The displacement at `(s, t)` of a refined cell, each in [0, 1].
@@ -156,7 +206,11 @@ impl Refinement {
         #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
         let cells = (side - 1) as f64;
         let along = |share: f64| {
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "float to integer saturates"
+            )]
             let k = ((share * cells) as usize).min(side - 2);
             #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
             (k, share * cells - k as f64)
@@ -184,19 +238,30 @@ mod tests {
         for (column, row, level) in [(0_u8, 0_u8, 1_u8), (1, 0, 3), (2, 1, 2)] {
             let parts = 1_u8 << level;
             let at = |k: u8, first: u8| 10.0 * (f32::from(first) + f32::from(k) / f32::from(parts));
-            let vertices: Vec<_> = (0..=parts).flat_map(|b| (0..=parts).map(move |a| wave(at(a, column), at(b, row)))).collect();
+            let vertices: Vec<_> = (0..=parts)
+                .flat_map(|b| (0..=parts).map(move |a| wave(at(a, column), at(b, row))))
+                .collect();
             refinement.push(column.into(), row.into(), level, &vertices);
         }
         refinement.join(&grid, |cell, _| cell.level);
         let cells = refinement.cells();
-        assert_eq!(cells.iter().map(|cell| cell.edges).collect::<Vec<_>>(), [[1, 1, 0, 1], [3, 0, 0, 1], [0, 0, 2, 0]]);
+        assert_eq!(
+            cells.iter().map(|cell| cell.edges).collect::<Vec<_>>(),
+            [[1, 1, 0, 1], [3, 0, 0, 1], [0, 0, 2, 0]]
+        );
         for k in 0..=100 {
             let t = f64::from(k) / 100.0;
-            let (left, right) = (refinement.displaced(&cells[0], 1.0, t), refinement.displaced(&cells[1], 0.0, t));
+            let (left, right) = (
+                refinement.displaced(&cells[0], 1.0, t),
+                refinement.displaced(&cells[1], 0.0, t),
+            );
             assert!((left - right).norm() < 1e-6, "{left:?} {right:?}");
         }
         // An edge beside a cell that is not refined is straight.
-        let (a, b) = (refinement.displaced(&cells[2], 0.0, 0.0), refinement.displaced(&cells[2], 1.0, 0.0));
+        let (a, b) = (
+            refinement.displaced(&cells[2], 0.0, 0.0),
+            refinement.displaced(&cells[2], 1.0, 0.0),
+        );
         assert!((refinement.displaced(&cells[2], 0.25, 0.0) - (a * 0.75 + b * 0.25)).norm() < 1e-6);
         assert_eq!(refinement.find(1, 0), Some(&cells[1]));
         assert_eq!(refinement.find(3, 0), None);

@@ -31,7 +31,10 @@ impl Point {
     /// The position a fraction `t` of the way to `other`; exactly `self` at 0 and `other` at 1.
     #[must_use]
     pub fn lerp(self, other: Self, t: f64) -> Self {
-        Self::new((1.0 - t) * self.x + t * other.x, (1.0 - t) * self.y + t * other.y)
+        Self::new(
+            (1.0 - t) * self.x + t * other.x,
+            (1.0 - t) * self.y + t * other.y,
+        )
     }
 
     /// Distance to `other`, px.
@@ -90,7 +93,10 @@ impl Vec2 {
     /// The complex product.
     #[must_use]
     pub fn complex_mul(self, other: Self) -> Self {
-        Self::new(self.x * other.x - self.y * other.y, self.x * other.y + self.y * other.x)
+        Self::new(
+            self.x * other.x - self.y * other.y,
+            self.x * other.y + self.y * other.x,
+        )
     }
 }
 

@@ -137,8 +137,17 @@ impl Pixmap {
             Samples::Eight(s) => s.len(),
             Samples::Sixteen(s) => s.len(),
         };
-        assert_eq!(len as u64, extent.pixels() * channels.count() as u64, "samples fill the extent");
-        Self { extent, channels, samples, opaque }
+        assert_eq!(
+            len as u64,
+            extent.pixels() * channels.count() as u64,
+            "samples fill the extent"
+        );
+        Self {
+            extent,
+            channels,
+            samples,
+            opaque,
+        }
     }
 
     /// Size.

@@ -21,14 +21,19 @@ impl Extent {
 const MOST_IN_U16: u32 = 8;
 
 const fn ceil_shift(length: u32, k: u32) -> u32 {
-    if k >= u32::BITS { 1 } else { ((length - 1) >> k) + 1 }
+    if k >= u32::BITS {
+        1
+    } else {
+        ((length - 1) >> k) + 1
+    }
 }
 
 impl Pixmap {
     /// The picture box-reduced by `2^k` along both axes; `k` = 0 is the picture itself.
     #[must_use]
     pub fn reduced(&self, k: u32) -> Self {
-        self.reduced_unless(k, &|| false).expect("nothing gives it up")
+        self.reduced_unless(k, &|| false)
+            .expect("nothing gives it up")
     }
 
     /// Like [`Pixmap::reduced`]; `None` when cancelled, which is checked for each row.
@@ -39,11 +44,15 @@ impl Pixmap {
         }
         let extent = self.extent().reduced(k);
         let samples = match self.samples() {
-            Samples::Eight(s) if self.is_opaque() && k <= MOST_IN_U16 => {
-                Samples::Eight(reduce_opaque(s, self.extent(), self.channels(), k, cancelled)?)
+            Samples::Eight(s) if self.is_opaque() && k <= MOST_IN_U16 => Samples::Eight(
+                reduce_opaque(s, self.extent(), self.channels(), k, cancelled)?,
+            ),
+            Samples::Eight(s) => {
+                Samples::Eight(reduce(s, self.extent(), self.channels(), k, cancelled)?)
             }
-            Samples::Eight(s) => Samples::Eight(reduce(s, self.extent(), self.channels(), k, cancelled)?),
-            Samples::Sixteen(s) => Samples::Sixteen(reduce(s, self.extent(), self.channels(), k, cancelled)?),
+            Samples::Sixteen(s) => {
+                Samples::Sixteen(reduce(s, self.extent(), self.channels(), k, cancelled)?)
+            }
         };
         // A mean of opaque pixels is opaque.
         Some(if self.is_opaque() {
@@ -57,11 +66,19 @@ impl Pixmap {
 /// Memory of the samples of a picture of this shape, bytes.
 #[must_use]
 pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
-    extent.pixels().saturating_mul((channels.count() * depth.bytes()) as u64)
+    extent
+        .pixels()
+        .saturating_mul((channels.count() * depth.bytes()) as u64)
 }
 
 /// Of opaque 8-bit samples: columns are summed first, which the compiler vectorises. The weights of all colours are equal.
-fn reduce_opaque(samples: &[u8], from: Extent, channels: Channels, k: u32, cancelled: &dyn Fn() -> bool) -> Option<Vec<u8>> {
+fn reduce_opaque(
+    samples: &[u8],
+    from: Extent,
+    channels: Channels,
+    k: u32,
+    cancelled: &dyn Fn() -> bool,
+) -> Option<Vec<u8>> {
     let (width, count, side) = (from.width() as usize, channels.count(), 1_usize << k);
     let to = from.reduced(k);
     let row = width * count;
@@ -106,7 +123,11 @@ fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(
     k: u32,
     cancelled: &dyn Fn() -> bool,
 ) -> Option<Vec<S>> {
-    let (width, height, count) = (from.width() as usize, from.height() as usize, channels.count());
+    let (width, height, count) = (
+        from.width() as usize,
+        from.height() as usize,
+        channels.count(),
+    );
     let to = from.reduced(k);
     let side = 1_usize.checked_shl(k).unwrap_or(usize::MAX);
     let mut reduced = Vec::with_capacity(to.width() as usize * to.height() as usize * count);
@@ -153,17 +174,31 @@ mod tests {
     use super::*;
 
     fn pixmap(width: u32, height: u32, channels: Channels, samples: Vec<u8>) -> Pixmap {
-        Pixmap::new(Extent::new(width, height).unwrap(), channels, Samples::Eight(samples))
+        Pixmap::new(
+            Extent::new(width, height).unwrap(),
+            channels,
+            Samples::Eight(samples),
+        )
     }
 
     #[test]
     fn reduction_averages_blocks_and_what_exists_of_them() {
-        let picture = pixmap(3, 3, Channels::Rgb, (0..9_u8).flat_map(|i| [i * 10, 100, 255 - i]).collect());
+        let picture = pixmap(
+            3,
+            3,
+            Channels::Rgb,
+            (0..9_u8).flat_map(|i| [i * 10, 100, 255 - i]).collect(),
+        );
         let half = picture.reduced(1);
         assert_eq!(half.extent(), Extent::new(2, 2).unwrap());
-        let Samples::Eight(samples) = half.samples() else { panic!("depth is kept") };
+        let Samples::Eight(samples) = half.samples() else {
+            panic!("depth is kept")
+        };
         // (0 + 10 + 30 + 40) / 4, (20 + 50) / 2, (60 + 70) / 2, 80
-        assert_eq!(samples.chunks(3).map(|p| p[0]).collect::<Vec<_>>(), [20, 35, 65, 80]);
+        assert_eq!(
+            samples.chunks(3).map(|p| p[0]).collect::<Vec<_>>(),
+            [20, 35, 65, 80]
+        );
         assert!(samples.chunks(3).all(|p| p[1] == 100));
         assert_eq!(picture.reduced(2).extent(), Extent::new(1, 1).unwrap());
         assert_eq!(picture.reduced(40).extent(), Extent::new(1, 1).unwrap());
@@ -172,31 +207,59 @@ mod tests {
     #[test]
     fn reduction_weighs_colours_by_alpha() {
         let picture = pixmap(2, 1, Channels::Rgba, vec![200, 0, 0, 255, 0, 255, 0, 0]);
-        assert_eq!(picture.reduced(1).samples(), &Samples::Eight(vec![200, 0, 0, 128]));
+        assert_eq!(
+            picture.reduced(1).samples(),
+            &Samples::Eight(vec![200, 0, 0, 128])
+        );
         let nothing = pixmap(2, 1, Channels::Rgba, vec![200, 0, 0, 0, 0, 255, 0, 0]);
-        assert_eq!(nothing.reduced(1).samples(), &Samples::Eight(vec![0, 0, 0, 0]));
+        assert_eq!(
+            nothing.reduced(1).samples(),
+            &Samples::Eight(vec![0, 0, 0, 0])
+        );
     }
 
     #[test]
     fn reduction_keeps_sixteen_bits() {
         let extent = Extent::new(2, 2).unwrap();
-        let picture = Pixmap::new(extent, Channels::Rgba, Samples::Sixteen([1000, 65535, 7, 65535].repeat(4)));
-        assert_eq!(picture.reduced(1).samples(), &Samples::Sixteen(vec![1000, 65535, 7, 65535]));
+        let picture = Pixmap::new(
+            extent,
+            Channels::Rgba,
+            Samples::Sixteen([1000, 65535, 7, 65535].repeat(4)),
+        );
+        assert_eq!(
+            picture.reduced(1).samples(),
+            &Samples::Sixteen(vec![1000, 65535, 7, 65535])
+        );
     }
 
     #[test]
     fn opaque_pictures_are_reduced_as_others() {
-        for (width, height, k) in [(1, 1, 1), (7, 5, 1), (64, 33, 2), (37, 41, 3), (300, 270, 8), (5, 600, 8), (20, 20, 8)] {
+        for (width, height, k) in [
+            (1, 1, 1),
+            (7, 5, 1),
+            (64, 33, 2),
+            (37, 41, 3),
+            (300, 270, 8),
+            (5, 600, 8),
+            (20, 20, 8),
+        ] {
             for channels in [Channels::Rgb, Channels::Rgba] {
                 let pixels = width as usize * height as usize;
                 let sample = |i: usize| ((i * i * 31 + i * 7 + 250) % 256).to_le_bytes()[0];
                 let pixel = |i| [sample(3 * i), sample(3 * i + 1), sample(3 * i + 2), u8::MAX];
                 for white in [false, true] {
                     let pixel = |i| if white { [u8::MAX; 4] } else { pixel(i) };
-                    let samples: Vec<u8> = (0..pixels).flat_map(|i| pixel(i).into_iter().take(channels.count())).collect();
+                    let samples: Vec<u8> = (0..pixels)
+                        .flat_map(|i| pixel(i).into_iter().take(channels.count()))
+                        .collect();
                     let picture = pixmap(width, height, channels, samples.clone());
-                    let expected = reduce(&samples, picture.extent(), channels, k, &|| false).unwrap();
-                    assert_eq!(picture.reduced(k).samples(), &Samples::Eight(expected), "{width} x {height}, {k}, {channels:?}");
+                    let expected =
+                        reduce(&samples, picture.extent(), channels, k, &|| false).unwrap();
+                    assert_eq!(
+                        picture.reduced(k).samples(),
+                        &Samples::Eight(expected),
+                        "{width} x {height}, {k}, {channels:?}"
+                    );
                 }
             }
         }

@@ -3,7 +3,11 @@
 //! under alpha 0 never show; results beyond the range of the samples are clamped. Texels beyond the border repeat it. Integers only, so that
 //! every level gives the same bytes.
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to the range of the samples")]
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "values are clamped to the range of the samples"
+)]
 
 use super::kernel::fixed;
 use super::source::{FLIP, Packed};
@@ -44,7 +48,15 @@ fn neighbours(coordinate: f32, side: usize) -> ([usize; 4], usize) {
     let at = fixed(coordinate, ((side - 1) * STEPS) as f32);
     let (middle, share) = (at / STEPS, at % STEPS);
     let last = side - 1;
-    ([middle.saturating_sub(1), middle, (middle + 1).min(last), (middle + 2).min(last)], share)
+    (
+        [
+            middle.saturating_sub(1),
+            middle,
+            (middle + 1).min(last),
+            (middle + 2).min(last),
+        ],
+        share,
+    )
 }
 
 /// The 8-bit sample at a position, straight RGBA.
@@ -60,11 +72,16 @@ pub(super) fn narrow(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
         let mut sums = [0_i32; 3];
         for (row, weight) in rows.iter().zip(down) {
             for (channel, sum) in sums.iter_mut().enumerate() {
-                let line: i32 = row.iter().zip(across).map(|(texel, weight)| weight * i32::from(texel[channel])).sum();
+                let line: i32 = row
+                    .iter()
+                    .zip(across)
+                    .map(|(texel, weight)| weight * i32::from(texel[channel]))
+                    .sum();
                 *sum += line * weight;
             }
         }
-        let [r, g, b] = sums.map(|sum| ((sum + (1 << (2 * NARROW - 1))) >> (2 * NARROW)).clamp(0, 255) as u8);
+        let [r, g, b] =
+            sums.map(|sum| ((sum + (1 << (2 * NARROW - 1))) >> (2 * NARROW)).clamp(0, 255) as u8);
         return [r, g, b, u8::MAX];
     }
     let wide = rows.map(|row| row.map(|texel| texel.map(u16::from)));
@@ -72,16 +89,33 @@ pub(super) fn narrow(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
 }
 
 /// The 16-bit sample at a position, straight RGBA.
-pub(super) fn wide(side: (usize, usize), u: f32, v: f32, texel: impl Fn(usize, usize) -> [u16; 4]) -> [u16; 4] {
+pub(super) fn wide(
+    side: (usize, usize),
+    u: f32,
+    v: f32,
+    texel: impl Fn(usize, usize) -> [u16; 4],
+) -> [u16; 4] {
     let ((xs, fx), (ys, fy)) = (neighbours(u, side.0), neighbours(v, side.1));
     if fx == 0 && fy == 0 {
         return texel(xs[1], ys[1]);
     }
-    weighted(&ys.map(|y| xs.map(|x| texel(x, y))), &FINE_WEIGHTS[fx], &FINE_WEIGHTS[fy], WIDE, u16::MAX)
+    weighted(
+        &ys.map(|y| xs.map(|x| texel(x, y))),
+        &FINE_WEIGHTS[fx],
+        &FINE_WEIGHTS[fy],
+        WIDE,
+        u16::MAX,
+    )
 }
 
 /// The mean of 16 texels, colours weighted by alpha; `most` is the largest sample.
-fn weighted(rows: &[[[u16; 4]; 4]; 4], across: &[i32; 4], down: &[i32; 4], bits: u32, most: u16) -> [u16; 4] {
+fn weighted(
+    rows: &[[[u16; 4]; 4]; 4],
+    across: &[i32; 4],
+    down: &[i32; 4],
+    bits: u32,
+    most: u16,
+) -> [u16; 4] {
     let mut sums = [0_i64; 4];
     for (row, down) in rows.iter().zip(down) {
         for (texel, across) in row.iter().zip(across) {
@@ -96,7 +130,8 @@ fn weighted(rows: &[[[u16; 4]; 4]; 4], across: &[i32; 4], down: &[i32; 4], bits:
     if alpha <= 0 {
         return [0; 4];
     }
-    let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| ((sum.max(0) + alpha / 2) / alpha).min(most.into()) as u16);
+    let [r, g, b] = [sums[0], sums[1], sums[2]]
+        .map(|sum| ((sum.max(0) + alpha / 2) / alpha).min(most.into()) as u16);
     let rounded = (alpha + (1 << (2 * bits - 1))) >> (2 * bits);
     [r, g, b, rounded.clamp(0, most.into()) as u16]
 }
@@ -111,7 +146,11 @@ mod tests {
             let one = f64::from(1 << bits);
             for (k, w) in table.iter().enumerate() {
                 assert_eq!(w.iter().sum::<i32>(), 1 << bits, "{k}");
-                assert_eq!(w[2] - w[0] + 2 * w[3], i32::try_from(k).unwrap() << (bits - 7), "{k}");
+                assert_eq!(
+                    w[2] - w[0] + 2 * w[3],
+                    i32::try_from(k).unwrap() << (bits - 7),
+                    "{k}"
+                );
                 let t = k as f64 / 128.0;
                 let exact = [
                     (-t + 2.0 * t * t - t * t * t) / 2.0,
@@ -120,7 +159,11 @@ mod tests {
                     (t * t * t - t * t) / 2.0,
                 ];
                 for (w, exact) in w.iter().zip(exact) {
-                    assert!((f64::from(*w) - exact * one).abs() <= 2.0, "{k}: {w} {}", exact * one);
+                    assert!(
+                        (f64::from(*w) - exact * one).abs() <= 2.0,
+                        "{k}: {w} {}",
+                        exact * one
+                    );
                 }
             }
             assert_eq!(table[0], [0, 1 << bits, 0, 0]);

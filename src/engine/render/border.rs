@@ -39,15 +39,23 @@ impl Border {
     /// Clockwise (y down) at rest: top row, right column, bottom row, left column.
     pub(super) fn new(lattice: &Lattice) -> Self {
         let vertices = edges(lattice)
-            .flat_map(|((i, j), cell, edge)| std::iter::once(lattice.corner(i, j)).chain(lattice.fine.edge(cell.0, cell.1, edge)))
+            .flat_map(|((i, j), cell, edge)| {
+                std::iter::once(lattice.corner(i, j)).chain(lattice.fine.edge(cell.0, cell.1, edge))
+            })
             .chain([lattice.corner(0, 0)])
             .collect();
-        Self { vertices, boxes: Vec::new(), mirror: None }
+        Self {
+            vertices,
+            boxes: Vec::new(),
+            mirror: None,
+        }
     }
 
     /// Prepares `Outside::Reflect`.
     pub(super) fn mirror(&mut self, lattice: &Lattice) {
-        let counts: Vec<_> = edges(lattice).map(|(_, cell, edge)| 1 + lattice.fine.edge(cell.0, cell.1, edge).count()).collect();
+        let counts: Vec<_> = edges(lattice)
+            .map(|(_, cell, edge)| 1 + lattice.fine.edge(cell.0, cell.1, edge).count())
+            .collect();
         self.mirror = Some(Mirror::new(lattice, &counts));
     }
 
@@ -68,9 +76,13 @@ impl Border {
                 return false;
             }
             // Rays from the first centre to the right.
-            let crosses = |low: Corner, high: Corner| i64::from(low.y) <= top && i64::from(high.y) > top;
+            let crosses =
+                |low: Corner, high: Corner| i64::from(low.y) <= top && i64::from(high.y) > top;
             let side = || {
-                let (dx, dy) = (i128::from(b.x) - i128::from(a.x), i128::from(b.y) - i128::from(a.y));
+                let (dx, dy) = (
+                    i128::from(b.x) - i128::from(a.x),
+                    i128::from(b.y) - i128::from(a.y),
+                );
                 dx * (i128::from(top) - i128::from(a.y)) - dy * (i128::from(left) - i128::from(a.x))
             };
             if crosses(a, b) && side() > 0 {
@@ -85,16 +97,34 @@ impl Border {
     /// Builds the tree for a [`Search`].
     pub(super) fn index(&mut self) {
         let leaves = (self.vertices.len() - 1).div_ceil(LEAF).next_power_of_two();
-        let mut boxes = vec![[f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY]; 2 * leaves - 1];
+        let mut boxes = vec![
+            [
+                f64::INFINITY,
+                f64::INFINITY,
+                f64::NEG_INFINITY,
+                f64::NEG_INFINITY
+            ];
+            2 * leaves - 1
+        ];
         for (leaf, cell) in boxes[leaves - 1..].iter_mut().enumerate() {
             for vertex in self.vertices.iter().skip(leaf * LEAF).take(LEAF + 1) {
                 let (x, y) = (f64::from(vertex.x), f64::from(vertex.y));
-                *cell = [cell[0].min(x), cell[1].min(y), cell[2].max(x), cell[3].max(y)];
+                *cell = [
+                    cell[0].min(x),
+                    cell[1].min(y),
+                    cell[2].max(x),
+                    cell[3].max(y),
+                ];
             }
         }
         for k in (0..leaves - 1).rev() {
             let (a, b) = (boxes[2 * k + 1], boxes[2 * k + 2]);
-            boxes[k] = [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])];
+            boxes[k] = [
+                a[0].min(b[0]),
+                a[1].min(b[1]),
+                a[2].max(b[2]),
+                a[3].max(b[3]),
+            ];
         }
         self.boxes = boxes;
     }
@@ -114,7 +144,8 @@ impl Border {
         while (a - 1) / 2 != (b - 1) / 2 {
             (a, b) = ((a - 1) / 2, (b - 1) / 2);
         }
-        let left_is_first = box_distance(&self.boxes[a], place) <= box_distance(&self.boxes[b], place);
+        let left_is_first =
+            box_distance(&self.boxes[a], place) <= box_distance(&self.boxes[b], place);
         left_is_first == (segment < other)
     }
 }
@@ -124,9 +155,14 @@ fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usi
     let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
     let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
     let right_column = (0..bottom).map(move |j| ((right, j), (right - 1, j), 1));
-    let bottom_row = (0..right).rev().map(move |i| ((i + 1, bottom), (i, bottom - 1), 2));
+    let bottom_row = (0..right)
+        .rev()
+        .map(move |i| ((i + 1, bottom), (i, bottom - 1), 2));
     let left_column = (0..bottom).rev().map(|j| ((0, j + 1), (0, j), 3));
-    top_row.chain(right_column).chain(bottom_row).chain(left_column)
+    top_row
+        .chain(right_column)
+        .chain(bottom_row)
+        .chain(left_column)
 }
 
 /// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to `width` are filled.
@@ -166,7 +202,11 @@ pub(super) struct Search<'a> {
 impl<'a> Search<'a> {
     /// Requires an indexed border.
     pub(super) fn new(border: &'a Border) -> Self {
-        Self { border, lists: Default::default(), work: 0 }
+        Self {
+            border,
+            lists: Default::default(),
+            work: 0,
+        }
     }
 
     /// Gives every uncovered pixel the sampler's coordinates of the nearest border position; among equals, of the first segment.
@@ -178,7 +218,12 @@ impl<'a> Search<'a> {
                 self.square(0, x, y, rows);
             }
         }
-        debug_assert!(self.work - before <= self.most_work(rows), "{} of {}", self.work - before, self.most_work(rows));
+        debug_assert!(
+            self.work - before <= self.most_work(rows),
+            "{} of {}",
+            self.work - before,
+            self.most_work(rows)
+        );
     }
 
     /// Upper bound of the work for these rows: each square its parent's whole list (first the tree), each pixel the longest list of the
@@ -187,7 +232,8 @@ impl<'a> Search<'a> {
         let tree = self.border.boxes.len() + self.border.vertices.len();
         let above = [tree, SQUARES[0].1, SQUARES[1].1];
         let lists = SQUARES.iter().zip(above).map(|((side, _), above)| {
-            let squares = rows.width.div_ceil(*side) * (rows.u.len().div_ceil(rows.pitch).div_ceil(*side) + 1);
+            let squares = rows.width.div_ceil(*side)
+                * (rows.u.len().div_ceil(rows.pitch).div_ceil(*side) + 1);
             squares * (above + side * side)
         });
         let pixels = rows.u.len() * SQUARES[2].1.max(SHORT);
@@ -197,12 +243,19 @@ impl<'a> Search<'a> {
     /// Fills the uncovered pixels of a square, as far as it lies in the rows.
     fn square(&mut self, level: usize, x0: usize, y0: usize, rows: &mut Rows<'_>) {
         let (side, most) = SQUARES[level];
-        let (xs, ys) = (x0..(x0 + side).min(rows.width), y0.max(rows.first as usize)..(y0 + side).min(rows.end()));
+        let (xs, ys) = (
+            x0..(x0 + side).min(rows.width),
+            y0.max(rows.first as usize)..(y0 + side).min(rows.end()),
+        );
         self.work += (xs.len() * ys.len()) as u64;
-        if !ys.clone().any(|y| rows.u[rows.at(xs.start, y)..rows.at(xs.end, y)].contains(&UNCOVERED)) {
+        if !ys
+            .clone()
+            .any(|y| rows.u[rows.at(xs.start, y)..rows.at(xs.end, y)].contains(&UNCOVERED))
+        {
             return;
         }
-        let half = |corner: usize| column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(ONE);
+        let half =
+            |corner: usize| column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(ONE);
         let centre = Point::new(half(x0), half(y0));
         let diagonal = side as f64 * f64::from(ONE) * std::f64::consts::SQRT_2 + MARGIN;
         let (above, below) = self.lists.split_at_mut(level);
@@ -212,8 +265,11 @@ impl<'a> Search<'a> {
             None => self.border.gather(centre, diagonal, list, &mut self.work),
             Some(above) => {
                 self.work += above.len() as u64;
-                list.extend(above.iter().map(|&(_, segment)| (self.border.distance(segment as usize, centre), segment)));
-                list.iter().fold(f64::INFINITY, |nearest, candidate| nearest.min(candidate.0))
+                list.extend(above.iter().map(|&(_, segment)| {
+                    (self.border.distance(segment as usize, centre), segment)
+                }));
+                list.iter()
+                    .fold(f64::INFINITY, |nearest, candidate| nearest.min(candidate.0))
             }
         };
         list.retain(|candidate| candidate.0 <= nearest + diagonal);
@@ -277,12 +333,16 @@ impl Border {
                     *work += 1;
                     let distance = self.distance(index, place);
                     nearest = nearest.min(distance);
-                    #[expect(clippy::cast_possible_truncation, reason = "a grid has fewer than 2^32 outer vertices")]
+                    #[expect(
+                        clippy::cast_possible_truncation,
+                        reason = "a grid has fewer than 2^32 outer vertices"
+                    )]
                     list.push((distance, index as u32));
                 }
                 continue;
             }
-            let mut children = [2 * node + 1, 2 * node + 2].map(|child| (child, box_distance(&self.boxes[child], place)));
+            let mut children = [2 * node + 1, 2 * node + 2]
+                .map(|child| (child, box_distance(&self.boxes[child], place)));
             if children[0].1 <= children[1].1 {
                 children.swap(0, 1);
             }
@@ -294,7 +354,11 @@ impl Border {
 
     /// The sampler's coordinates of the position nearest to `place` on the listed segments, or mirrored beyond it.
     fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
-        let mut best = (f64::INFINITY, (self.vertices[0].u, self.vertices[0].v), usize::MAX);
+        let mut best = (
+            f64::INFINITY,
+            (self.vertices[0].u, self.vertices[0].v),
+            usize::MAX,
+        );
         for &(_, index) in list {
             let index = index as usize;
             let (a, b) = self.segment(index);
@@ -318,12 +382,22 @@ fn box_distance(&[left, top, right, bottom]: &[f64; 4], place: Point) -> f64 {
 }
 
 /// Squared distance to a segment, and the coordinates of the nearest position.
-#[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "sampler coordinates are f32"
+)]
 fn nearest_on(a: Corner, b: Corner, place: Point) -> (f64, (f32, f32)) {
-    let (from, to) = (Point::new(f64::from(a.x), f64::from(a.y)), Point::new(f64::from(b.x), f64::from(b.y)));
+    let (from, to) = (
+        Point::new(f64::from(a.x), f64::from(a.y)),
+        Point::new(f64::from(b.x), f64::from(b.y)),
+    );
     let (along, reach) = (to - from, place - from);
     let length2 = along.norm2();
-    let t = if length2 > 0.0 { (reach.dot(along) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    let t = if length2 > 0.0 {
+        (reach.dot(along) / length2).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     let distance2 = (reach - along * t).norm2();
     let blend = |a: f32, b: f32| (f64::from(a) + t * f64::from(b - a)) as f32;
     (distance2, (blend(a.u, b.u), blend(a.v, b.v)))
@@ -331,26 +405,52 @@ fn nearest_on(a: Corner, b: Corner, place: Point) -> (f64, (f32, f32)) {
 
 /// Whether a segment meets the closed rectangle `[left, right] x [top, bottom]`.
 fn meets(a: Corner, b: Corner, [left, top, right, bottom]: [i64; 4]) -> bool {
-    let apart = |a: i32, b: i32, near: i64, far: i64| i64::from(a.max(b)) < near || i64::from(a.min(b)) > far;
+    let apart = |a: i32, b: i32, near: i64, far: i64| {
+        i64::from(a.max(b)) < near || i64::from(a.min(b)) > far
+    };
     if apart(a.x, b.x, left, right) || apart(a.y, b.y, top, bottom) {
         return false;
     }
     // The boxes overlap, so they are disjoint only if the rectangle lies on one side of the line.
-    let (dx, dy) = (i128::from(b.x) - i128::from(a.x), i128::from(b.y) - i128::from(a.y));
-    let side = |x: i64, y: i64| (dx * (i128::from(y) - i128::from(a.y)) - dy * (i128::from(x) - i128::from(a.x))).signum();
-    let sides = [side(left, top), side(right, top), side(right, bottom), side(left, bottom)];
+    let (dx, dy) = (
+        i128::from(b.x) - i128::from(a.x),
+        i128::from(b.y) - i128::from(a.y),
+    );
+    let side = |x: i64, y: i64| {
+        (dx * (i128::from(y) - i128::from(a.y)) - dy * (i128::from(x) - i128::from(a.x))).signum()
+    };
+    let sides = [
+        side(left, top),
+        side(right, top),
+        side(right, bottom),
+        side(left, bottom),
+    ];
     !(sides == [1; 4] || sides == [-1; 4])
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "small numbers of the tests themselves")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "small numbers of the tests themselves"
+)]
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn polygon(vertices: &[(i32, i32)]) -> Border {
         let closed = vertices.iter().chain(vertices.first());
-        let vertices = closed.map(|&(x, y)| Corner { x: x * ONE, y: y * ONE, u: x as f32, v: y as f32 }).collect();
-        Border { vertices, boxes: Vec::new(), mirror: None }
+        let vertices = closed
+            .map(|&(x, y)| Corner {
+                x: x * ONE,
+                y: y * ONE,
+                u: x as f32,
+                v: y as f32,
+            })
+            .collect();
+        Border {
+            vertices,
+            boxes: Vec::new(),
+            mirror: None,
+        }
     }
 
     #[test]
@@ -359,13 +459,23 @@ mod tests {
         assert!(rectangle.surrounds(&(0..10), &(0..8)));
         assert!(!rectangle.surrounds(&(0..11), &(0..8)));
         assert!(!rectangle.surrounds(&(0..10), &(0..9)));
-        assert!(polygon(&[(0, 0), (0, 8), (10, 8), (10, 0)]).surrounds(&(0..10), &(0..8)), "flipped");
-        assert!(!polygon(&[(20, 0), (30, 0), (30, 8), (20, 8)]).surrounds(&(0..10), &(0..8)), "beside");
         assert!(
-            !polygon(&[(-9, -9), (40, -9), (40, -8), (-8, -8), (-8, 40), (-9, 40)]).surrounds(&(0..10), &(0..8)),
+            polygon(&[(0, 0), (0, 8), (10, 8), (10, 0)]).surrounds(&(0..10), &(0..8)),
+            "flipped"
+        );
+        assert!(
+            !polygon(&[(20, 0), (30, 0), (30, 8), (20, 8)]).surrounds(&(0..10), &(0..8)),
+            "beside"
+        );
+        assert!(
+            !polygon(&[(-9, -9), (40, -9), (40, -8), (-8, -8), (-8, 40), (-9, 40)])
+                .surrounds(&(0..10), &(0..8)),
             "around a corner only"
         );
-        assert!(polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(&(0..10), &(0..8)), "a slanted one");
+        assert!(
+            polygon(&[(-30, 4), (5, -30), (40, 4), (5, 40)]).surrounds(&(0..10), &(0..8)),
+            "a slanted one"
+        );
     }
 
     /// The nearest position by a search of the tree for this position alone; it defines the result among equals.
@@ -381,7 +491,8 @@ mod tests {
             }
             return;
         }
-        let mut children = [2 * node + 1, 2 * node + 2].map(|child| (box_distance(&border.boxes[child], place), child));
+        let mut children = [2 * node + 1, 2 * node + 2]
+            .map(|child| (box_distance(&border.boxes[child], place), child));
         if children[1].0 < children[0].0 {
             children.swap(0, 1);
         }
@@ -399,12 +510,28 @@ mod tests {
         let mut work = 0;
         for rows in [0..height / 3, height / 3..height] {
             let pitch = width + 5;
-            let (mut u, mut v) = (vec![UNCOVERED; rows.len() * pitch], vec![0.0; rows.len() * pitch]);
+            let (mut u, mut v) = (
+                vec![UNCOVERED; rows.len() * pitch],
+                vec![0.0; rows.len() * pitch],
+            );
             let mut search = Search::new(border);
-            search.fill(&mut Rows { first: rows.start as u32, left: 0, width, pitch, u: &mut u, v: &mut v });
+            search.fill(&mut Rows {
+                first: rows.start as u32,
+                left: 0,
+                width,
+                pitch,
+                u: &mut u,
+                v: &mut v,
+            });
             work += search.work;
             let pairs = u.chunks_exact(pitch).zip(v.chunks_exact(pitch));
-            found.extend(pairs.flat_map(|(u, v)| u[..width].iter().copied().zip(v[..width].iter().copied()).collect::<Vec<_>>()));
+            found.extend(pairs.flat_map(|(u, v)| {
+                u[..width]
+                    .iter()
+                    .copied()
+                    .zip(v[..width].iter().copied())
+                    .collect::<Vec<_>>()
+            }));
         }
         (found, work as f64 / (width * height) as f64)
     }
@@ -413,20 +540,37 @@ mod tests {
         let mut border = steps(vertices);
         let (found, work) = filled(&mut border, width, height);
         for (k, found) in found.iter().enumerate() {
-            let place = Point::new(column_centre(k % width), row_centre((k / width) as u32) as f64);
+            let place = Point::new(
+                column_centre(k % width),
+                row_centre((k / width) as u32) as f64,
+            );
             let mut want = (f64::INFINITY, (0.0, 0.0));
             by_the_tree(&border, 0, place, &mut want);
             assert_eq!(*found, want.1, "{name}: pixel {}, {}", k % width, k / width);
         }
-        eprintln!("{name}: {} segments, work {work:.1} a pixel", vertices.len());
+        eprintln!(
+            "{name}: {} segments, work {work:.1} a pixel",
+            vertices.len()
+        );
         work
     }
 
     /// In lattice steps; each vertex has its own coordinates.
     fn steps(vertices: &[(i32, i32)]) -> Border {
         let closed = vertices.iter().chain(vertices.first()).zip(0_u16..);
-        let vertices = closed.map(|(&(x, y), k)| Corner { x, y, u: f32::from(k), v: -f32::from(k) }).collect();
-        Border { vertices, boxes: Vec::new(), mirror: None }
+        let vertices = closed
+            .map(|(&(x, y), k)| Corner {
+                x,
+                y,
+                u: f32::from(k),
+                v: -f32::from(k),
+            })
+            .collect();
+        Border {
+            vertices,
+            boxes: Vec::new(),
+            mirror: None,
+        }
     }
 
     fn numbers(seed: u32) -> impl FnMut(i32) -> i32 {
@@ -445,14 +589,36 @@ mod tests {
             .collect();
         agrees("spiral", &spiral, 70, 50);
         agrees("one place", &[(300, 400); 50], 40, 40);
-        agrees("rectangle", &[(2560, 2560), (7680, 2560), (7680, 7680), (2560, 7680)], 45, 45);
+        agrees(
+            "rectangle",
+            &[(2560, 2560), (7680, 2560), (7680, 7680), (2560, 7680)],
+            45,
+            45,
+        );
         // Back and forth on the same line, and mirrored: every result occurs twice at equal distance.
-        agrees("there and back", &(0..40).chain((0..40).rev()).map(|k| (k * 256, 5000)).collect::<Vec<_>>(), 41, 41);
-        agrees("two sides", &(0..60).map(|k| (k * 150, if k % 2 == 0 { 256 } else { 38 * 256 })).collect::<Vec<_>>(), 40, 39);
+        agrees(
+            "there and back",
+            &(0..40)
+                .chain((0..40).rev())
+                .map(|k| (k * 256, 5000))
+                .collect::<Vec<_>>(),
+            41,
+            41,
+        );
+        agrees(
+            "two sides",
+            &(0..60)
+                .map(|k| (k * 150, if k % 2 == 0 { 256 } else { 38 * 256 }))
+                .collect::<Vec<_>>(),
+            40,
+            39,
+        );
         for seed in 0..12 {
             let mut next = numbers(seed);
             let size = [40 * 256, 400 * 256, 1 << 20][seed as usize % 3];
-            let vertices: Vec<_> = (0..90).map(|_| (next(2 * size) - size / 2, next(2 * size) - size / 2)).collect();
+            let vertices: Vec<_> = (0..90)
+                .map(|_| (next(2 * size) - size / 2, next(2 * size) - size / 2))
+                .collect();
             agrees("any", &vertices, 66, 44);
         }
     }
@@ -460,11 +626,19 @@ mod tests {
     #[test]
     fn the_work_a_pixel_is_bounded_for_every_border() {
         let mut next = numbers(7);
-        let mut chaos = |count: usize| (0..count).map(|_| (next(256 * 256), next(256 * 256))).collect::<Vec<_>>();
+        let mut chaos = |count: usize| {
+            (0..count)
+                .map(|_| (next(256 * 256), next(256 * 256)))
+                .collect::<Vec<_>>()
+        };
         let few = agrees("400 segments across the target", &chaos(400), 256, 256);
         assert!(few < 100.0, "{few}");
         // More segments than lists can hold, so the per-pixel search is no reference.
-        let comb = |count: i32, reach: i32| (0..count).map(|k| (k % 700, if k % 2 == 0 { -reach } else { reach })).collect::<Vec<_>>();
+        let comb = |count: i32, reach: i32| {
+            (0..count)
+                .map(|k| (k % 700, if k % 2 == 0 { -reach } else { reach }))
+                .collect::<Vec<_>>()
+        };
         let sets = [
             ("4,000 across", chaos(4000)),
             ("40,000 across", chaos(40_000)),
@@ -476,7 +650,10 @@ mod tests {
             let (_, work) = filled(&mut border, 256, 256);
             eprintln!("{name}: work {work:.1} a pixel");
             // 2 * 40,000 boxes and segments to 1,024 pixels, 8,192 to 64, 512 to 4, and 128.
-            assert!(work < 1.25 * (80.0 + 128.0 + 128.0 + 128.0), "{name}: {work}");
+            assert!(
+                work < 1.25 * (80.0 + 128.0 + 128.0 + 128.0),
+                "{name}: {work}"
+            );
         }
     }
 }

@@ -22,7 +22,11 @@ impl Canvas {
     /// The box of the source itself.
     #[must_use]
     pub const fn of(source: Extent) -> Self {
-        Self { x: 0, y: 0, extent: source }
+        Self {
+            x: 0,
+            y: 0,
+            extent: source,
+        }
     }
 
     /// The smallest box that contains both. Boxes beyond the range of their coordinates are cut off.
@@ -31,19 +35,31 @@ impl Canvas {
         let end = |at: i32, length: u32| i64::from(at) + i64::from(length);
         let side = |a: (i32, u32), b: (i32, u32)| {
             let (first, last) = (a.0.min(b.0), end(a.0, a.1).max(end(b.0, b.1)));
-            (first, u32::try_from(last - i64::from(first)).unwrap_or(u32::MAX))
+            (
+                first,
+                u32::try_from(last - i64::from(first)).unwrap_or(u32::MAX),
+            )
         };
         let (one, two) = (self.extent, other.extent);
         let (x, width) = side((self.x, one.width()), (other.x, two.width()));
         let (y, height) = side((self.y, one.height()), (other.y, two.height()));
-        Self { x, y, extent: Extent::new(width, height).unwrap_or(one) }
+        Self {
+            x,
+            y,
+            extent: Extent::new(width, height).unwrap_or(one),
+        }
     }
 
     /// Left, top, right and bottom edge, px.
     #[must_use]
     pub fn edges(&self) -> [f64; 4] {
         let (left, top) = (f64::from(self.x), f64::from(self.y));
-        [left, top, left + f64::from(self.extent.width()), top + f64::from(self.extent.height())]
+        [
+            left,
+            top,
+            left + f64::from(self.extent.width()),
+            top + f64::from(self.extent.height()),
+        ]
     }
 }
 
@@ -75,7 +91,10 @@ fn stretches(first: i64, length: u32) -> Vec<Stretch> {
         };
         let stop = end.min(origin + side);
         let within = |at: i64| u32::try_from(at - origin).expect("a window has few pixels");
-        stretches.push(Stretch { origin, pixels: within(at)..within(stop) });
+        stretches.push(Stretch {
+            origin,
+            pixels: within(at)..within(stop),
+        });
         at = stop;
     }
     stretches
@@ -105,44 +124,70 @@ pub(super) struct Placement {
 impl Placement {
     pub(super) fn new(canvas: Canvas, target: Extent) -> Self {
         let ratio = |target: u32, canvas: u32| f64::from(target) / f64::from(canvas);
-        let scale = [ratio(target.width(), canvas.extent.width()), ratio(target.height(), canvas.extent.height())];
-        Self { canvas, target, scale }
+        let scale = [
+            ratio(target.width(), canvas.extent.width()),
+            ratio(target.height(), canvas.extent.height()),
+        ];
+        Self {
+            canvas,
+            target,
+            scale,
+        }
     }
 
     /// The size of the whole source at this scale, px of the target.
     pub(super) fn source(&self, grid: &Grid) -> Extent {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "float to integer saturates"
+        )]
         let side = |side: f64, scale: f64| ((side * scale).round() as u32).max(1);
-        Extent::new(side(grid.width(), self.scale[0]), side(grid.height(), self.scale[1])).expect("at least one px")
+        Extent::new(
+            side(grid.width(), self.scale[0]),
+            side(grid.height(), self.scale[1]),
+        )
+        .expect("at least one px")
     }
 
     /// The windows that the canvas shows.
     pub(super) fn windows(&self) -> Vec<Window> {
-        let [across, down] = [(self.canvas.x, self.target.width(), self.scale[0]), (self.canvas.y, self.target.height(), self.scale[1])]
-            .map(|(place, length, scale)| {
-                let exact = f64::from(place) * scale;
-                // A product of whole numbers and a ratio of whole numbers.
-                let exact = if (exact - exact.round()).abs() < WHOLE { exact.round() } else { exact };
-                #[expect(clippy::cast_possible_truncation, reason = "a place times a side")]
-                let first = exact.floor() as i64;
-                // Windows are whole pixels apart from the canvas.
-                #[expect(clippy::cast_precision_loss, reason = "far below 2^52")]
-                let origin = move |window: &Stretch| (window.origin as f64 + (exact - exact.floor())) / scale;
-                let mut passed = 0;
-                let stretches = stretches(first, length).into_iter().map(move |window| {
-                    let at = passed;
-                    passed += window.pixels.end - window.pixels.start;
-                    (at, origin(&window), window.pixels)
-                });
-                stretches.collect::<Vec<_>>()
+        let [across, down] = [
+            (self.canvas.x, self.target.width(), self.scale[0]),
+            (self.canvas.y, self.target.height(), self.scale[1]),
+        ]
+        .map(|(place, length, scale)| {
+            let exact = f64::from(place) * scale;
+            // A product of whole numbers and a ratio of whole numbers.
+            let exact = if (exact - exact.round()).abs() < WHOLE {
+                exact.round()
+            } else {
+                exact
+            };
+            #[expect(clippy::cast_possible_truncation, reason = "a place times a side")]
+            let first = exact.floor() as i64;
+            // Windows are whole pixels apart from the canvas.
+            #[expect(clippy::cast_precision_loss, reason = "far below 2^52")]
+            let origin =
+                move |window: &Stretch| (window.origin as f64 + (exact - exact.floor())) / scale;
+            let mut passed = 0;
+            let stretches = stretches(first, length).into_iter().map(move |window| {
+                let at = passed;
+                passed += window.pixels.end - window.pixels.start;
+                (at, origin(&window), window.pixels)
             });
-        let window = |(y, top, rows): &(u32, f64, Range<u32>), (x, left, columns): &(u32, f64, Range<u32>)| Window {
+            stretches.collect::<Vec<_>>()
+        });
+        let window = |(y, top, rows): &(u32, f64, Range<u32>),
+                      (x, left, columns): &(u32, f64, Range<u32>)| Window {
             columns: columns.start as usize..columns.end as usize,
             rows: rows.clone(),
             first: (*x as usize, *y),
             origin: [*left, *top],
         };
-        down.iter().flat_map(|down| across.iter().map(move |across| window(down, across))).collect()
+        down.iter()
+            .flat_map(|down| across.iter().map(move |across| window(down, across)))
+            .collect()
     }
 }
 
@@ -159,17 +204,52 @@ mod tests {
     #[test]
     fn stretches_cover_a_range_once_and_have_fixed_borders() {
         let borders = [-2 * SIDE, -SIDE, -NEAR, 0, SIDE, 2 * SIDE];
-        for (first, length) in [(0, 500), (-20, 540), (-2000, 3000), (5, 1), (-1024, 1024), (16_000, 1000), (-40_000, 16_384), (-1, 1)] {
+        for (first, length) in [
+            (0, 500),
+            (-20, 540),
+            (-2000, 3000),
+            (5, 1),
+            (-1024, 1024),
+            (16_000, 1000),
+            (-40_000, 16_384),
+            (-1, 1),
+        ] {
             let mut at = first;
             for stretch in stretches(first, length) {
-                assert_eq!(stretch.origin + i64::from(stretch.pixels.start), at, "{first} {length}");
+                assert_eq!(
+                    stretch.origin + i64::from(stretch.pixels.start),
+                    at,
+                    "{first} {length}"
+                );
                 assert!(!stretch.pixels.is_empty());
-                assert!(borders.contains(&stretch.origin) || stretch.origin % SIDE == 0, "{stretch:?}");
+                assert!(
+                    borders.contains(&stretch.origin) || stretch.origin % SIDE == 0,
+                    "{stretch:?}"
+                );
                 at = stretch.origin + i64::from(stretch.pixels.end);
             }
             assert_eq!(at, first + i64::from(length));
         }
-        assert_eq!(stretches(0, 16_384), [Stretch { origin: 0, pixels: 0..16_384 }], "a picture within the usual limits has one window");
-        assert_eq!(stretches(-7, 20), [Stretch { origin: -1024, pixels: 1017..1024 }, Stretch { origin: 0, pixels: 0..13 }]);
+        assert_eq!(
+            stretches(0, 16_384),
+            [Stretch {
+                origin: 0,
+                pixels: 0..16_384
+            }],
+            "a picture within the usual limits has one window"
+        );
+        assert_eq!(
+            stretches(-7, 20),
+            [
+                Stretch {
+                    origin: -1024,
+                    pixels: 1017..1024
+                },
+                Stretch {
+                    origin: 0,
+                    pixels: 0..13
+                }
+            ]
+        );
     }
 }

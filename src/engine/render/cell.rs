@@ -48,7 +48,12 @@ pub(super) fn draw_row(
             if rows == 0 {
                 continue;
             }
-            let corners = [lattice.corner(i, j), lattice.corner(i + 1, j), lattice.corner(i + 1, j + 1), lattice.corner(i, j + 1)];
+            let corners = [
+                lattice.corner(i, j),
+                lattice.corner(i + 1, j),
+                lattice.corner(i + 1, j + 1),
+                lattice.corner(i, j + 1),
+            ];
             if seen.convex[k] == 0 {
                 draw(kernel, &corners, lattice, rows, raster);
             } else {
@@ -59,7 +64,13 @@ pub(super) fn draw_row(
 }
 
 /// Draws a refined cell as smaller ones, in the rows whose bits are set.
-fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, raster: &mut Raster<'_>) {
+fn draw_fine(
+    kernel: Kernel,
+    lattice: &Lattice,
+    cell: &FineCell,
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
     if rows & raster.open & rows_between(cell.y.top, cell.y.bottom, raster) == 0 {
         return;
     }
@@ -80,17 +91,36 @@ fn draw_fine(kernel: Kernel, lattice: &Lattice, cell: &FineCell, rows: u32, rast
     };
     if raster.over {
         slivers(raster);
-        lattice.fine.parts(cell).for_each(|corners| part(&corners, raster));
+        lattice
+            .fine
+            .parts(cell)
+            .for_each(|corners| part(&corners, raster));
     } else {
-        lattice.fine.parts(cell).rev().for_each(|corners| part(&corners, raster));
+        lattice
+            .fine
+            .parts(cell)
+            .rev()
+            .for_each(|corners| part(&corners, raster));
         slivers(raster);
     }
 }
 
 /// Draws a cell that is not convex or has long sides.
-fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, raster: &mut Raster<'_>) {
+fn draw(
+    kernel: Kernel,
+    corners: &[Corner; 4],
+    lattice: &Lattice,
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
     match shape(corners) {
-        Shape::Convex(sign) => large(corners, Some(Patch::new(corners, sign)), lattice.unit, rows, raster),
+        Shape::Convex(sign) => large(
+            corners,
+            Some(Patch::new(corners, sign)),
+            lattice.unit,
+            rows,
+            raster,
+        ),
         Shape::Other => {
             for triangle in triangles(corners).into_iter().rev() {
                 draw_triangle(kernel, &triangle, lattice, rows, raster);
@@ -100,16 +130,27 @@ fn draw(kernel: Kernel, corners: &[Corner; 4], lattice: &Lattice, rows: u32, ras
 }
 
 /// Draws a triangle, which repeats its last corner.
-fn draw_triangle(kernel: Kernel, triangle: &[Corner; 4], lattice: &Lattice, rows: u32, raster: &mut Raster<'_>) {
+fn draw_triangle(
+    kernel: Kernel,
+    triangle: &[Corner; 4],
+    lattice: &Lattice,
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
     let rows = rows & raster.open & rows_of(triangle, raster);
     let sign = turn(triangle[0], triangle[1], triangle[2]).signum();
     if rows == 0 || sign == 0 {
         return;
     }
-    let ((left, right), (top, bottom)) = (bounds(triangle.map(|c| c.x)), bounds(triangle.map(|c| c.y)));
+    let ((left, right), (top, bottom)) =
+        (bounds(triangle.map(|c| c.x)), bounds(triangle.map(|c| c.y)));
     // Vertices lie within +-LIMIT, so differences do not overflow.
     if (right - left).max(bottom - top) <= lattice.longest_side {
-        kernel.fill(&Piece::triangle(triangle, if sign > 0 { 1 } else { -1 }), rows, raster);
+        kernel.fill(
+            &Piece::triangle(triangle, if sign > 0 { 1 } else { -1 }),
+            rows,
+            raster,
+        );
     } else {
         large(triangle, None, lattice.unit, rows, raster);
     }
@@ -123,7 +164,8 @@ fn rows_of(corners: &[Corner; 4], raster: &Raster<'_>) -> u32 {
 
 /// The rows of the raster whose centres lie between two lattice y.
 fn rows_between(top: i32, bottom: i32, raster: &Raster<'_>) -> u32 {
-    let from_first = |y: i32| (first_row(y) - i64::from(raster.first)).clamp(0, i64::from(u32::BITS));
+    let from_first =
+        |y: i32| (first_row(y) - i64::from(raster.first)).clamp(0, i64::from(u32::BITS));
     #[expect(clippy::cast_possible_truncation, reason = "32 bits are kept of 64")]
     let below = |row: i64| (u64::from(u32::MAX) << row) as u32;
     below(from_first(top)) & !below(from_first(bottom))
@@ -141,15 +183,29 @@ fn triangles([a, b, c, d]: &[Corner; 4]) -> [[Corner; 4]; 2] {
 }
 
 fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
-    places.iter().fold((i32::MAX, i32::MIN), |(low, high), &p| (low.min(p), high.max(p)))
+    places.iter().fold((i32::MAX, i32::MIN), |(low, high), &p| {
+        (low.min(p), high.max(p))
+    })
 }
 
 /// Draws a polygon with long sides row by row between its exact crossings. Coordinates are linear along the row, or the exact inverse of
 /// the patch where that differs too much.
-fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, raster: &mut Raster<'_>) {
+fn large(
+    corners: &[Corner; 4],
+    patch: Option<Patch>,
+    unit: f32,
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
     // If the area vanishes in f64, the error is NaN and the patch is used.
-    let patch = patch.filter(|patch| patch.linear_error(unit).partial_cmp(&TOLERANCE).is_none_or(Ordering::is_gt));
-    let range = raster.first + rows.trailing_zeros()..raster.first + (u32::BITS - rows.leading_zeros());
+    let patch = patch.filter(|patch| {
+        patch
+            .linear_error(unit)
+            .partial_cmp(&TOLERANCE)
+            .is_none_or(Ordering::is_gt)
+    });
+    let range =
+        raster.first + rows.trailing_zeros()..raster.first + (u32::BITS - rows.leading_zeros());
     edge::walk(corners, range, |row, a, b| {
         if rows >> (row - raster.first) & 1 == 0 {
             return;
@@ -162,7 +218,9 @@ fn large(corners: &[Corner; 4], patch: Option<Patch>, unit: f32, rows: u32, rast
         }
         if let Some(patch) = &patch {
             let y = row_centre(row) as f64;
-            paint(raster, row, first..end, |pixel| patch.inverse(Point::new(column_centre(pixel), y)));
+            paint(raster, row, first..end, |pixel| {
+                patch.inverse(Point::new(column_centre(pixel), y))
+            });
         } else {
             let along = Along::new(&left, &right);
             paint(raster, row, first..end, |pixel| along.at(pixel));
@@ -183,7 +241,12 @@ impl Along {
         let breadth = right.x - left.x;
         // Crossings that only integers can distinguish: one position.
         let per_step = if breadth > 0.0 { 1.0 / breadth } else { 0.0 };
-        Self { x: left.x, per_step, u: [left.u, right.u - left.u], v: [left.v, right.v - left.v] }
+        Self {
+            x: left.x,
+            per_step,
+            u: [left.u, right.u - left.u],
+            v: [left.v, right.v - left.v],
+        }
     }
 
     fn at(&self, pixel: usize) -> (f64, f64) {
@@ -194,19 +257,33 @@ impl Along {
 }
 
 /// Paints a run of pixels, each at its own position.
-fn paint(raster: &mut Raster<'_>, row: u32, pixels: Range<usize>, place: impl Fn(usize) -> (f64, f64)) {
+fn paint(
+    raster: &mut Raster<'_>,
+    row: u32,
+    pixels: Range<usize>,
+    place: impl Fn(usize) -> (f64, f64),
+) {
     let index = (row - raster.first) as usize;
     let start = index * raster.pitch;
-    let pixels =
-        if raster.over { pixels } else { pixels.start.max(raster.uncovered[index].start)..pixels.end.min(raster.uncovered[index].end) };
+    let pixels = if raster.over {
+        pixels
+    } else {
+        pixels.start.max(raster.uncovered[index].start)..pixels.end.min(raster.uncovered[index].end)
+    };
     if pixels.is_empty() {
         return;
     }
-    let (u, v) = (&mut raster.u[start..][pixels.clone()], &mut raster.v[start..][pixels.clone()]);
+    let (u, v) = (
+        &mut raster.u[start..][pixels.clone()],
+        &mut raster.v[start..][pixels.clone()],
+    );
     for (pixel, (u, v)) in pixels.zip(u.iter_mut().zip(v)) {
         if raster.over || *u == UNCOVERED {
             let at = place(pixel);
-            #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "sampler coordinates are f32"
+            )]
             ((*u, *v) = (at.0 as f32, at.1 as f32));
         }
     }

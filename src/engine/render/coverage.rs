@@ -36,8 +36,14 @@ impl Coverage {
     /// Prepares the drawing of a target that shows `canvas`, or the box of the source.
     #[must_use]
     pub fn new(mesh: &Mesh, target: Extent, canvas: Option<Canvas>) -> Self {
-        let [x, y, right, bottom] = canvas.map_or([0.0, 0.0, mesh.grid().width(), mesh.grid().height()], |canvas| canvas.edges());
-        let scale = [f64::from(target.width()) / (right - x), f64::from(target.height()) / (bottom - y)];
+        let [x, y, right, bottom] = canvas.map_or(
+            [0.0, 0.0, mesh.grid().width(), mesh.grid().height()],
+            |canvas| canvas.edges(),
+        );
+        let scale = [
+            f64::from(target.width()) / (right - x),
+            f64::from(target.height()) / (bottom - y),
+        ];
         let mut this = Self {
             inverse: InverseMap::new(mesh, target, canvas),
             tree: CellTree::new(mesh),
@@ -89,7 +95,11 @@ impl Coverage {
                 if !std::mem::replace(&mut is_measured[index], true)
                     && let Some(share) = self.share(x, y, &mut triangles)
                 {
-                    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
+                    #[expect(
+                        clippy::cast_possible_truncation,
+                        clippy::cast_sign_loss,
+                        reason = "0 to 255"
+                    )]
                     let value = (share * 255.0).round() as u8;
                     out[index] = value;
                 }
@@ -100,12 +110,23 @@ impl Coverage {
     /// The covered share of a pixel; `None` if too many triangles are in it.
     fn share(&self, x: u32, y: u32, triangles: &mut Vec<[Point; 3]>) -> Option<f64> {
         triangles.clear();
-        let corner = |x: f64, y: f64| Point::new(self.origin.x + x / self.scale[0], self.origin.y + y / self.scale[1]);
-        let (from, to) = (corner(x.into(), y.into()), corner(f64::from(x) + 1.0, f64::from(y) + 1.0));
+        let corner = |x: f64, y: f64| {
+            Point::new(
+                self.origin.x + x / self.scale[0],
+                self.origin.y + y / self.scale[1],
+            )
+        };
+        let (from, to) = (
+            corner(x.into(), y.into()),
+            corner(f64::from(x) + 1.0, f64::from(y) + 1.0),
+        );
         let mut is_covered = false;
         let _ = self.tree.visit([from.x, from.y, to.x, to.y], &mut |cell| {
             self.quads(cell, |quad| {
-                for triangle in halves(quad.map(|p| self.on_target(p) - Point::new(x.into(), y.into())).map(|p| Point::new(p.x, p.y))) {
+                for triangle in halves(
+                    quad.map(|p| self.on_target(p) - Point::new(x.into(), y.into()))
+                        .map(|p| Point::new(p.x, p.y)),
+                ) {
                     if contains_pixel(&triangle) {
                         is_covered = true;
                     } else if meets_pixel(&triangle) {
@@ -113,7 +134,11 @@ impl Coverage {
                     }
                 }
             });
-            if is_covered || triangles.len() > MAX_TRIANGLES { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if is_covered || triangles.len() > MAX_TRIANGLES {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
         });
         match (is_covered, triangles.len() > MAX_TRIANGLES) {
             (true, _) => Some(1.0),
@@ -123,28 +148,45 @@ impl Coverage {
     }
 
     fn on_target(&self, p: Point) -> Point {
-        Point::new((p.x - self.origin.x) * self.scale[0], (p.y - self.origin.y) * self.scale[1])
+        Point::new(
+            (p.x - self.origin.x) * self.scale[0],
+            (p.y - self.origin.y) * self.scale[1],
+        )
     }
 
     /// Calls `quad` for the posed cell at an index, or for the smaller cells that it is divided into: corners 00, 10, 11, 01.
     fn quads(&self, cell: usize, mut quad: impl FnMut([Point; 4])) {
         let columns = self.mesh.grid().columns() as usize - 1;
-        #[expect(clippy::cast_possible_truncation, reason = "columns and rows of a grid are u32")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "columns and rows of a grid are u32"
+        )]
         let (i, j) = ((cell % columns) as u32, (cell / columns) as u32);
         match self.mesh.refinement().find(i, j) {
-            None => quad([(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)].map(|(i, j)| self.mesh.posed(i, j))),
+            None => quad(
+                [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+                    .map(|(i, j)| self.mesh.posed(i, j)),
+            ),
             Some(cell) => {
                 let (vertices, side) = (self.vertices(cell), cell.side());
                 for k in 0..(side - 1) * (side - 1) {
                     let at = k / (side - 1) * side + k % (side - 1);
-                    quad([vertices[at], vertices[at + 1], vertices[at + side + 1], vertices[at + side]]);
+                    quad([
+                        vertices[at],
+                        vertices[at + 1],
+                        vertices[at + side + 1],
+                        vertices[at + side],
+                    ]);
                 }
             }
         }
     }
 
     fn vertices(&self, cell: &RefinedCell) -> Vec<Point> {
-        self.mesh.refinement().posed(self.mesh.grid(), cell).collect()
+        self.mesh
+            .refinement()
+            .posed(self.mesh.grid(), cell)
+            .collect()
     }
 
     /// The border of the posed picture, and the sides and diagonals of folded cells, px of the target.
@@ -160,20 +202,39 @@ impl Coverage {
         for j in 0..rows {
             for i in 0..columns {
                 let on_border = [j == 0, i + 1 == columns, j + 1 == rows, i == 0];
-                self.quads((j as usize) * columns as usize + i as usize, |[a, b, c, d]| {
-                    if !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a])) {
-                        [(a, b), (b, c), (c, d), (d, a), (a, c), (b, d)].into_iter().for_each(|(a, b)| add(a, b));
-                    }
-                });
+                self.quads(
+                    (j as usize) * columns as usize + i as usize,
+                    |[a, b, c, d]| {
+                        if !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a])) {
+                            [(a, b), (b, c), (c, d), (d, a), (a, c), (b, d)]
+                                .into_iter()
+                                .for_each(|(a, b)| add(a, b));
+                        }
+                    },
+                );
                 if on_border.contains(&true) {
                     let (line, side) = match self.mesh.refinement().find(i, j) {
                         Some(cell) => (self.vertices(cell), cell.side()),
-                        None => ([(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.mesh.posed(i, j)).to_vec(), 2),
+                        None => (
+                            [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)]
+                                .map(|(i, j)| self.mesh.posed(i, j))
+                                .to_vec(),
+                            2,
+                        ),
                     };
                     for k in 1..side {
                         let last = side * (side - 1);
-                        let edges = [(k - 1, k), (k * side - 1, (k + 1) * side - 1), (last + k - 1, last + k), ((k - 1) * side, k * side)];
-                        edges.into_iter().zip(on_border).filter(|(_, on_border)| *on_border).for_each(|((a, b), _)| add(line[a], line[b]));
+                        let edges = [
+                            (k - 1, k),
+                            (k * side - 1, (k + 1) * side - 1),
+                            (last + k - 1, last + k),
+                            ((k - 1) * side, k * side),
+                        ];
+                        edges
+                            .into_iter()
+                            .zip(on_border)
+                            .filter(|(_, on_border)| *on_border)
+                            .for_each(|((a, b), _)| add(line[a], line[b]));
                     }
                 }
             }
@@ -183,15 +244,34 @@ impl Coverage {
 }
 
 /// Calls `pixel` for every pixel of the rows that is at most [`NEAR`] from a line segment, and perhaps for some neighbours.
-fn pixels_near([a, b]: &[Point; 2], rows: &Range<u32>, width: u32, mut pixel: impl FnMut(u32, u32)) {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+fn pixels_near(
+    [a, b]: &[Point; 2],
+    rows: &Range<u32>,
+    width: u32,
+    mut pixel: impl FnMut(u32, u32),
+) {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to integer saturates"
+    )]
     let before = |at: f64, most: u32| (at.floor().max(-1.0) + 1.0).min(f64::from(most)) as u32;
     let first = |at: f64, most: u32| before(at - 1.0, most);
     let (top, bottom) = (a.y.min(b.y) - NEAR, a.y.max(b.y) + NEAR);
     for y in first(top, rows.end).max(rows.start)..before(bottom, rows.end) {
         // The part of the line in the row.
-        let at = |y: f64| if a.y == b.y { 0.0 } else { ((y - a.y) / (b.y - a.y)).clamp(0.0, 1.0) };
-        let (s, t) = if a.y == b.y { (0.0, 1.0) } else { (at(f64::from(y) - NEAR), at(f64::from(y) + 1.0 + NEAR)) };
+        let at = |y: f64| {
+            if a.y == b.y {
+                0.0
+            } else {
+                ((y - a.y) / (b.y - a.y)).clamp(0.0, 1.0)
+            }
+        };
+        let (s, t) = if a.y == b.y {
+            (0.0, 1.0)
+        } else {
+            (at(f64::from(y) - NEAR), at(f64::from(y) + 1.0 + NEAR))
+        };
         let (s, t) = (a.x + (b.x - a.x) * s, a.x + (b.x - a.x) * t);
         for x in first(s.min(t) - NEAR, width)..before(s.max(t) + NEAR, width) {
             pixel(x, y);
@@ -213,7 +293,8 @@ fn halves([a, b, c, d]: [Point; 4]) -> [[Point; 3]; 2] {
 fn contains_pixel(&[a, b, c]: &[Point; 3]) -> bool {
     let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)].map(|(x, y)| Point::new(x, y));
     let inside = |sign: f64| {
-        let on_side = |a: Point, b: Point| corners.iter().all(|&p| sign * (b - a).cross(p - a) >= 0.0);
+        let on_side =
+            |a: Point, b: Point| corners.iter().all(|&p| sign * (b - a).cross(p - a) >= 0.0);
         on_side(a, b) && on_side(b, c) && on_side(c, a)
     };
     let area = (b - a).cross(c - a);
@@ -222,7 +303,9 @@ fn contains_pixel(&[a, b, c]: &[Point; 3]) -> bool {
 
 /// Whether the box of a triangle meets the pixel from 0 to 1 in more than a border.
 fn meets_pixel(triangle: &[Point; 3]) -> bool {
-    let meets = |at: fn(&Point) -> f64| triangle.iter().any(|p| at(p) > 0.0) && triangle.iter().any(|p| at(p) < 1.0);
+    let meets = |at: fn(&Point) -> f64| {
+        triangle.iter().any(|p| at(p) > 0.0) && triangle.iter().any(|p| at(p) < 1.0)
+    };
     meets(|p| p.x) && meets(|p| p.y)
 }
 
@@ -247,11 +330,14 @@ fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
     let mut length = |y: f64| {
         spans.clear();
         for triangle in triangles {
-            let crossings = sides(triangle).into_iter().filter(|(a, b)| (a.y <= y) != (b.y <= y));
-            let (low, high) = crossings.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (a, b)| {
-                let x = a.x + (b.x - a.x) * ((y - a.y) / (b.y - a.y));
-                (low.min(x), high.max(x))
-            });
+            let crossings = sides(triangle)
+                .into_iter()
+                .filter(|(a, b)| (a.y <= y) != (b.y <= y));
+            let (low, high) =
+                crossings.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (a, b)| {
+                    let x = a.x + (b.x - a.x) * ((y - a.y) / (b.y - a.y));
+                    (low.min(x), high.max(x))
+                });
             if low < 1.0 && high > 0.0 {
                 spans.push((low.max(0.0), high.min(1.0)));
             }
@@ -265,10 +351,20 @@ fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
         })
     };
     let slab = |from: f64, to: f64, length: &mut dyn FnMut(f64) -> f64| {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most the slices of a pixel")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "at most the slices of a pixel"
+        )]
         let slices = ((to - from) * f64::from(SLICES)).ceil() as u32;
         let height = (to - from) / f64::from(slices.max(1));
-        (0..slices).map(|k| length(from + (f64::from(k) + 0.5) * height) * height).sum::<f64>()
+        (0..slices)
+            .map(|k| length(from + (f64::from(k) + 0.5) * height) * height)
+            .sum::<f64>()
     };
-    heights.windows(2).map(|pair| slab(pair[0], pair[1], &mut length)).sum::<f64>().clamp(0.0, 1.0)
+    heights
+        .windows(2)
+        .map(|pair| slab(pair[0], pair[1], &mut length))
+        .sum::<f64>()
+        .clamp(0.0, 1.0)
 }

@@ -77,16 +77,41 @@ impl Drawing {
             }
         }
         let strategies = RowStrategies::new(&lattice, window.rows.end, source.height(), kernel);
-        Self { lattice, footprints, border, filter: options.filter, outside: options.outside, kernel, window, level, strategies, covered }
+        Self {
+            lattice,
+            footprints,
+            border,
+            filter: options.filter,
+            outside: options.outside,
+            kernel,
+            window,
+            level,
+            strategies,
+            covered,
+        }
     }
 
     /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
-    pub(super) fn band(&self, source: &Source, channels: Channels, rows: &Range<u32>, out: &mut [u8]) {
+    pub(super) fn band(
+        &self,
+        source: &Source,
+        channels: Channels,
+        rows: &Range<u32>,
+        out: &mut [u8],
+    ) {
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let pitch = out.len() / rows.len() / pixel;
-        let sampled = Sampled { kernel: self.kernel, source, level: self.level, filter: self.filter, channels };
+        let sampled = Sampled {
+            kernel: self.kernel,
+            source,
+            level: self.level,
+            filter: self.filter,
+            channels,
+        };
         let mut samples = self.footprints.is_some().then(AveragedSamples::default);
-        self.each_line(rows, |at, line, scratch| self.paint(sampled, line, scratch, samples.as_mut(), (at * pitch, out)));
+        self.each_line(rows, |at, line, scratch| {
+            self.paint(sampled, line, scratch, samples.as_mut(), (at * pitch, out))
+        });
         if let Some(samples) = &mut samples {
             samples.finish(sampled, out);
         }
@@ -97,7 +122,11 @@ impl Drawing {
     /// target]`.
     pub(super) fn positions(&self, rows: &Range<u32>, most: [f32; 2], out: &mut [[f32; 2]]) {
         debug_assert!(self.filter == Filter::Nearest && self.level == 0);
-        let Window { columns, first: (left, _), .. } = &self.window;
+        let Window {
+            columns,
+            first: (left, _),
+            ..
+        } = &self.window;
         let pitch = out.len() / rows.len();
         self.each_line(rows, |at, (_, start), scratch| {
             for run in &scratch.runs {
@@ -118,9 +147,16 @@ impl Drawing {
     /// it begins in the scratch.
     #[inline(always)]
     fn each_line(&self, rows: &Range<u32>, mut draw: impl FnMut(usize, (u32, usize), &Scratch)) {
-        let Window { rows: drawn, first: (_, top), .. } = &self.window;
+        let Window {
+            rows: drawn,
+            first: (_, top),
+            ..
+        } = &self.window;
         // The target's rows that lie in the window.
-        let (start, end) = (rows.start.max(*top), rows.end.min(top + (drawn.end - drawn.start)));
+        let (start, end) = (
+            rows.start.max(*top),
+            rows.end.min(top + (drawn.end - drawn.start)),
+        );
         if start >= end {
             return;
         }
@@ -134,8 +170,11 @@ impl Drawing {
                 self.extend(&strip, &mut scratch);
             }
             for row in strip.clone() {
-                let line =
-                    if self.is_extended() { self.extended(row, &strip, &mut scratch) } else { self.coordinates(row, &strip, &mut scratch) };
+                let line = if self.is_extended() {
+                    self.extended(row, &strip, &mut scratch)
+                } else {
+                    self.coordinates(row, &strip, &mut scratch)
+                };
                 draw(at, (row, line), &scratch);
                 at += 1;
             }
@@ -164,7 +203,14 @@ impl Drawing {
         }
         let rows = pitch..(1 + strip.len()) * pitch;
         let (u, v) = (&mut scratch.u[rows.clone()], &mut scratch.v[rows]);
-        Search::new(&self.border).fill(&mut Rows { first: strip.start, left: self.window.columns.start, width, pitch, u, v });
+        Search::new(&self.border).fill(&mut Rows {
+            first: strip.start,
+            left: self.window.columns.start,
+            width,
+            pitch,
+            u,
+            v,
+        });
     }
 
     /// Start of a row of an extended strip in the scratch: one run, as wide as the target.
@@ -191,27 +237,48 @@ impl Drawing {
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.width();
-        let all_plain = strip.clone().all(|row| self.strategies.of(row) == RowStrategy::Scanline);
+        let all_plain = strip
+            .clone()
+            .all(|row| self.strategies.of(row) == RowStrategy::Scanline);
         let pitch = width + SLACK;
         // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless they are extended; the others follow
         // it.
-        let size = if all_plain && !self.is_extended() { 1 } else { 1 + strip.len() } * pitch;
+        let size = if all_plain && !self.is_extended() {
+            1
+        } else {
+            1 + strip.len()
+        } * pitch;
         if scratch.u.len() < size {
             scratch.u.resize(size, 0.0);
             scratch.v.resize(size, 0.0);
         }
-        let rows_of =
-            |strategy: RowStrategy| strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(self.strategies.of(row) == strategy));
-        let (mended, divided) = (rows_of(RowStrategy::ScanlineWithFixups), rows_of(RowStrategy::Mixed));
-        if strip.clone().any(|row| self.strategies.of(row) != RowStrategy::Mixed || self.strategies.is_splittable(row)) {
+        let rows_of = |strategy: RowStrategy| {
+            strip.clone().rev().fold(0, |rows, row| {
+                rows << 1 | u32::from(self.strategies.of(row) == strategy)
+            })
+        };
+        let (mended, divided) = (
+            rows_of(RowStrategy::ScanlineWithFixups),
+            rows_of(RowStrategy::Mixed),
+        );
+        if strip.clone().any(|row| {
+            self.strategies.of(row) != RowStrategy::Mixed || self.strategies.is_splittable(row)
+        }) {
             scratch.x_crossings.fill(0.0);
             scratch.v_crossings.fill(0.0);
-            self.kernel.crossings(&self.lattice, strip.clone(), &mut scratch.x_crossings, &mut scratch.v_crossings);
+            self.kernel.crossings(
+                &self.lattice,
+                strip.clone(),
+                &mut scratch.x_crossings,
+                &mut scratch.v_crossings,
+            );
         }
         if all_plain {
             return;
         }
-        scratch.split.prepare(&self.lattice, &self.strategies, strip, divided);
+        scratch
+            .split
+            .prepare(&self.lattice, &self.strategies, strip, divided);
         scratch.covered.clear();
         scratch.uncovered.clear();
         for (index, row) in strip.clone().enumerate() {
@@ -219,21 +286,58 @@ impl Drawing {
             let mut uncovered = 0..0;
             match self.strategies.of(row) {
                 RowStrategy::Scanline => {}
-                RowStrategy::ScanlineWithFixups => self.spans(row, index, 0..self.lattice.columns - 1, (index + 1) * pitch, scratch),
-                RowStrategy::Mixed => uncovered = self.divided(row, index, (index + 1) * pitch, scratch),
+                RowStrategy::ScanlineWithFixups => self.spans(
+                    row,
+                    index,
+                    0..self.lattice.columns - 1,
+                    (index + 1) * pitch,
+                    scratch,
+                ),
+                RowStrategy::Mixed => {
+                    uncovered = self.divided(row, index, (index + 1) * pitch, scratch)
+                }
             }
             scratch.uncovered.push(uncovered);
-            scratch.covered.push(scratch.runs.first().cloned().unwrap_or_default());
+            scratch
+                .covered
+                .push(scratch.runs.first().cloned().unwrap_or_default());
         }
         let drawn = mended | divided;
-        let (u, v, uncovered) = (&mut scratch.u[pitch..], &mut scratch.v[pitch..], &mut scratch.uncovered);
-        let mut raster = Raster { first: strip.start, width, pitch, u, v, over: true, uncovered, open: drawn };
-        let RowSplit { per_cell, blocks, .. } = &scratch.split;
-        let ordered = |b: usize| (0..BLOCK).fold(0, |cells, k| cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k);
+        let (u, v, uncovered) = (
+            &mut scratch.u[pitch..],
+            &mut scratch.v[pitch..],
+            &mut scratch.uncovered,
+        );
+        let mut raster = Raster {
+            first: strip.start,
+            width,
+            pitch,
+            u,
+            v,
+            over: true,
+            uncovered,
+            open: drawn,
+        };
+        let RowSplit {
+            per_cell, blocks, ..
+        } = &scratch.split;
+        let ordered = |b: usize| {
+            (0..BLOCK).fold(0, |cells, k| {
+                cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k
+            })
+        };
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
         for j in self.lattice.rows_touching(strip) {
             let inaccurate = self.strategies.inaccurate(j);
-            cell::draw_row(self.kernel, &self.lattice, j, |b| inaccurate[b] & ordered[b], |i| drawn & !per_cell[i], strip, &mut raster);
+            cell::draw_row(
+                self.kernel,
+                &self.lattice,
+                j,
+                |b| inaccurate[b] & ordered[b],
+                |i| drawn & !per_cell[i],
+                strip,
+                &mut raster,
+            );
         }
         // From the last cell back and into uncovered pixels only: the same picture, without repeated work where cells overlap.
         (raster.over, raster.open) = (false, divided);
@@ -241,7 +345,15 @@ impl Drawing {
             if raster.open == 0 {
                 break;
             }
-            cell::draw_row(self.kernel, &self.lattice, j, |b| blocks[b], |i| per_cell[i], strip, &mut raster);
+            cell::draw_row(
+                self.kernel,
+                &self.lattice,
+                j,
+                |b| blocks[b],
+                |i| per_cell[i],
+                strip,
+                &mut raster,
+            );
         }
         raster.shrink();
     }
@@ -251,12 +363,22 @@ impl Drawing {
         let index = (row - strip.start) as usize;
         let width = self.width();
         let strategy = self.strategies.of(row);
-        let start = if strategy == RowStrategy::Scanline && !self.is_extended() { 0 } else { (index + 1) * (width + SLACK) };
+        let start = if strategy == RowStrategy::Scanline && !self.is_extended() {
+            0
+        } else {
+            (index + 1) * (width + SLACK)
+        };
         scratch.runs.clear();
         match strategy {
-            RowStrategy::Scanline => self.spans(row, index, 0..self.lattice.columns - 1, start, scratch),
-            RowStrategy::ScanlineWithFixups => scratch.runs.extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
-            RowStrategy::Mixed if scratch.uncovered[index].is_empty() => scratch.runs.push(0..width),
+            RowStrategy::Scanline => {
+                self.spans(row, index, 0..self.lattice.columns - 1, start, scratch)
+            }
+            RowStrategy::ScanlineWithFixups => scratch
+                .runs
+                .extend(Some(scratch.covered[index].clone()).filter(|run| !run.is_empty())),
+            RowStrategy::Mixed if scratch.uncovered[index].is_empty() => {
+                scratch.runs.push(0..width)
+            }
             RowStrategy::Mixed => runs(&scratch.u[start..start + width], &mut scratch.runs),
         }
         start
@@ -267,7 +389,9 @@ impl Drawing {
     fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
         let width = self.width();
         let stride = self.lattice.pitch + BLOCK;
-        scratch.split.split(index, &scratch.x_crossings[index * stride..]);
+        scratch
+            .split
+            .split(index, &scratch.x_crossings[index * stride..]);
         let parts = std::mem::take(&mut scratch.split.parts);
         let (mut column, mut end, mut uncovered) = (0, 0, width..0);
         let mut clear = |pixels: Range<usize>, u: &mut [f32]| {
@@ -277,7 +401,11 @@ impl Drawing {
             }
         };
         let cells = self.lattice.columns - 1;
-        for per_cell in parts.iter().map(|part| part.cells.clone()).chain(std::iter::once(cells..cells)) {
+        for per_cell in parts
+            .iter()
+            .map(|part| part.cells.clone())
+            .chain(std::iter::once(cells..cells))
+        {
             if column < per_cell.start {
                 scratch.runs.clear();
                 self.spans(row, index, column..per_cell.start, start, scratch);
@@ -296,7 +424,14 @@ impl Drawing {
 
     /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first
     /// and the last.
-    fn spans(&self, row: u32, index: usize, columns: Range<usize>, start: usize, scratch: &mut Scratch) {
+    fn spans(
+        &self,
+        row: u32,
+        index: usize,
+        columns: Range<usize>,
+        start: usize,
+        scratch: &mut Scratch,
+    ) {
         let width = self.width();
         let stride = self.lattice.pitch + BLOCK;
         let x = &scratch.x_crossings[index * stride..];
@@ -332,14 +467,16 @@ impl Drawing {
             first: &mut scratch.first,
         };
         let row = start..start + width + SLACK;
-        self.kernel.spans(&mut spans, &mut scratch.u[row.clone()], &mut scratch.v[row]);
+        self.kernel
+            .spans(&mut spans, &mut scratch.u[row.clone()], &mut scratch.v[row]);
         scratch.runs.push(covered);
     }
 
     /// The first pixel right of a column's single crossing with a row; `cell` is the row of cells to try first, and where it was found.
     fn crossing(&self, column: usize, row: u32, cell: &mut usize) -> Option<i64> {
         let y = row_centre(row);
-        let is_above = |line: usize| i64::from(self.lattice.y[line * self.lattice.pitch + column]) <= y;
+        let is_above =
+            |line: usize| i64::from(self.lattice.y[line * self.lattice.pitch + column]) <= y;
         let (mut above, mut below) = (*cell, *cell + 1);
         if !is_above(above) || is_above(below) {
             (above, below) = (0, self.lattice.rows - 1);
@@ -347,10 +484,19 @@ impl Drawing {
         // The column is above the row at `above` and below it at `below`.
         while below - above > 1 {
             let middle = above.midpoint(below);
-            if is_above(middle) { above = middle } else { below = middle }
+            if is_above(middle) {
+                above = middle
+            } else {
+                below = middle
+            }
         }
         *cell = above;
-        Edge::new(self.lattice.corner(column, above), self.lattice.corner(column, below))?.crossing(y).map(|crossing| crossing.pixel)
+        Edge::new(
+            self.lattice.corner(column, above),
+            self.lattice.corner(column, below),
+        )?
+        .crossing(y)
+        .map(|crossing| crossing.pixel)
     }
 
     /// Samples a row with known coordinates and fills what is outside. `first`: index of the row's first pixel in `out`.
@@ -362,11 +508,21 @@ impl Drawing {
         mut samples: Option<&mut AveragedSamples>,
         (first, out): (usize, &mut [u8]),
     ) {
-        let Sampled { kernel, source, level, filter, channels } = sampled;
+        let Sampled {
+            kernel,
+            source,
+            level,
+            filter,
+            channels,
+        } = sampled;
         let width = self.width();
         let depth = source.pixmap().depth();
         let pixel = channels.count() * depth.bytes();
-        let Window { columns, first: (left, _), .. } = &self.window;
+        let Window {
+            columns,
+            first: (left, _),
+            ..
+        } = &self.window;
         // What is drawn of a run, and its pixels in `out`.
         let drawn = |run: &Range<usize>| {
             let run = run.start.max(columns.start)..run.end;
@@ -375,14 +531,26 @@ impl Drawing {
         };
         if let Some(colour) = sampler::outside_pixel(self.outside, depth) {
             for (_, pixels) in gaps(&scratch.runs, width).filter_map(|gap| drawn(&gap)) {
-                sampler::fill(&mut out[pixels.start * pixel..pixels.end * pixel], &colour[..pixel]);
+                sampler::fill(
+                    &mut out[pixels.start * pixel..pixels.end * pixel],
+                    &colour[..pixel],
+                );
             }
         }
         for (run, pixels) in scratch.runs.iter().filter_map(drawn) {
-            let (u, v) = (&scratch.u[start..][run.clone()], &scratch.v[start..][run.clone()]);
+            let (u, v) = (
+                &scratch.u[start..][run.clone()],
+                &scratch.v[start..][run.clone()],
+            );
             match (&self.footprints, &mut samples) {
                 (Some(footprints), Some(samples)) => {
-                    footprints.sample(sampled, (row, run.start), (u, v), samples, (pixels.start, out));
+                    footprints.sample(
+                        sampled,
+                        (row, run.start),
+                        (u, v),
+                        samples,
+                        (pixels.start, out),
+                    );
                 }
                 _ => {
                     let out = &mut out[pixels.start * pixel..pixels.end * pixel];
@@ -424,7 +592,11 @@ impl Drawing {
         self.prepare(&strip, &mut scratch);
         let start = self.coordinates(row, &strip, &mut scratch);
         let width = self.width();
-        (scratch.u[start..start + width].to_vec(), scratch.v[start..start + width].to_vec(), scratch.runs)
+        (
+            scratch.u[start..start + width].to_vec(),
+            scratch.v[start..start + width].to_vec(),
+            scratch.runs,
+        )
     }
 }
 
@@ -433,9 +605,13 @@ fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
     let mut at = 0;
     while let Some(start) = u[at..].iter().position(|&u| u != UNCOVERED).map(|k| at + k) {
         // Whole groups first, because most runs are long.
-        let painted = |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != UNCOVERED));
+        let painted =
+            |group: &&[f32; 16]| group.iter().fold(true, |all, &u| all & (u != UNCOVERED));
         at = start + 16 * u[start..].as_chunks().0.iter().take_while(painted).count();
-        at = u[at..].iter().position(|&u| u == UNCOVERED).map_or(u.len(), |k| at + k);
+        at = u[at..]
+            .iter()
+            .position(|&u| u == UNCOVERED)
+            .map_or(u.len(), |k| at + k);
         runs.push(start..at);
     }
 }
@@ -443,6 +619,12 @@ fn runs(u: &[f32], runs: &mut Vec<Range<usize>>) {
 /// The gaps between runs.
 fn gaps(runs: &[Range<usize>], width: usize) -> impl Iterator<Item = Range<usize>> {
     let starts = std::iter::once(0).chain(runs.iter().map(|run| run.end));
-    let ends = runs.iter().map(|run| run.start).chain(std::iter::once(width));
-    starts.zip(ends).map(|(start, end)| start..end).filter(|gap| !gap.is_empty())
+    let ends = runs
+        .iter()
+        .map(|run| run.start)
+        .chain(std::iter::once(width));
+    starts
+        .zip(ends)
+        .map(|(start, end)| start..end)
+        .filter(|gap| !gap.is_empty())
 }

@@ -2,7 +2,10 @@
 //! centre is not left of its left edge and left of its right edge, and the rows from the upper end of an edge to just before its lower
 //! end. The rule is applied exactly, so polygons that share an edge neither share pixels nor leave gaps. Cost: O(1) per crossing.
 
-#![expect(clippy::cast_possible_truncation, reason = "lattice places have 30 bits, and all products fit 62")]
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "lattice places have 30 bits, and all products fit 62"
+)]
 
 use std::ops::Range;
 
@@ -66,9 +69,17 @@ impl Edge {
         let x = f64::from(self.top.x) + t * self.slope;
         let pixel = (x - f64::from(HALF)) / f64::from(ONE);
         let nearest = (pixel + 0.5 + f64::from(1 << 24)) as i64 - (1 << 24);
-        let pixel =
-            if (pixel - nearest as f64).abs() > CLOSE_CALL { nearest + i64::from(pixel > nearest as f64) } else { self.pixel_exactly(y) };
-        Crossing { pixel, x, u: f64::from(self.top.u) + t * self.slope_u, v: f64::from(self.top.v) + t * self.slope_v }
+        let pixel = if (pixel - nearest as f64).abs() > CLOSE_CALL {
+            nearest + i64::from(pixel > nearest as f64)
+        } else {
+            self.pixel_exactly(y)
+        };
+        Crossing {
+            pixel,
+            x,
+            u: f64::from(self.top.u) + t * self.slope_u,
+            v: f64::from(self.top.v) + t * self.slope_v,
+        }
     }
 
     /// The first pixel whose centre is not left of the crossing, in integers.
@@ -83,7 +94,11 @@ impl Edge {
 }
 
 /// Crossings of rows with a convex polygon (a triangle repeats a corner): left and right in any order.
-pub(super) fn walk(corners: &[Corner; 4], rows: Range<u32>, mut found: impl FnMut(u32, Crossing, Crossing)) {
+pub(super) fn walk(
+    corners: &[Corner; 4],
+    rows: Range<u32>,
+    mut found: impl FnMut(u32, Crossing, Crossing),
+) {
     let from = (0..4).min_by_key(|&k| corners[k].y).unwrap_or(0);
     let (mut one, mut other) = (Chain::new(corners, from, 1), Chain::new(corners, from, 3));
     for row in rows {
@@ -106,7 +121,13 @@ struct Chain<'a> {
 
 impl<'a> Chain<'a> {
     fn new(corners: &'a [Corner; 4], at: usize, step: usize) -> Self {
-        Self { corners, at, step, edge: None, end: i64::MIN }
+        Self {
+            corners,
+            at,
+            step,
+            edge: None,
+            end: i64::MIN,
+        }
     }
 
     /// The crossing with a row that the polygon meets. Rows must be requested from top to bottom.
@@ -135,7 +156,12 @@ mod tests {
     use proptest::prelude::*;
 
     fn corner(x: i32, y: i32) -> Corner {
-        Corner { x, y, u: x as f32, v: y as f32 }
+        Corner {
+            x,
+            y,
+            u: x as f32,
+            v: y as f32,
+        }
     }
 
     proptest! {

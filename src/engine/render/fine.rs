@@ -39,7 +39,11 @@ impl FineCells {
 
     /// The refined cells of a row of cells.
     pub(super) fn row(&self, j: usize) -> &[FineCell] {
-        if self.cells.is_empty() { &[] } else { &self.cells[self.rows[j]..self.rows[j + 1]] }
+        if self.cells.is_empty() {
+            &[]
+        } else {
+            &self.cells[self.rows[j]..self.rows[j + 1]]
+        }
     }
 
     /// The refined cell at a column and row.
@@ -48,39 +52,64 @@ impl FineCells {
             return None;
         }
         let row = self.row(j);
-        row.binary_search_by_key(&i, |cell| cell.i).ok().map(|index| &row[index])
+        row.binary_search_by_key(&i, |cell| cell.i)
+            .ok()
+            .map(|index| &row[index])
     }
 
     /// The cells that a refined cell is drawn as, in drawing order, corners in the order 00, 10, 11, 01.
-    pub(super) fn parts(&self, cell: &FineCell) -> impl DoubleEndedIterator<Item = [Corner; 4]> + '_ {
+    pub(super) fn parts(
+        &self,
+        cell: &FineCell,
+    ) -> impl DoubleEndedIterator<Item = [Corner; 4]> + '_ {
         let cells = 1_usize << cell.level;
         let corners = &self.corners[cell.start..][..(cells + 1) * (cells + 1)];
         (0..cells * cells).map(move |k| {
             let at = k / cells * (cells + 1) + k % cells;
-            [corners[at], corners[at + 1], corners[at + cells + 2], corners[at + cells + 1]]
+            [
+                corners[at],
+                corners[at + 1],
+                corners[at + cells + 2],
+                corners[at + cells + 1],
+            ]
         })
     }
 
     /// The slivers between a refined cell and the straight parts of its edges, as triangles of either orientation. `under`: whether the
     /// whole cell is painted under it, which covers those at edges that are straight as a whole.
-    pub(super) fn slivers(&self, cell: &FineCell, under: bool) -> impl Iterator<Item = [Corner; 3]> + '_ {
+    pub(super) fn slivers(
+        &self,
+        cell: &FineCell,
+        under: bool,
+    ) -> impl Iterator<Item = [Corner; 3]> + '_ {
         let side = (1_usize << cell.level) + 1;
         let corners = &self.corners[cell.start..][..side * side];
         let (level, edges) = (cell.level, cell.edges);
-        let coarse = (0..4).filter(move |&edge| edges[edge] < level && !(under && edges[edge] == 0));
+        let coarse =
+            (0..4).filter(move |&edge| edges[edge] < level && !(under && edges[edge] == 0));
         coarse.flat_map(move |edge| {
             let step = 1_usize << (level - edges[edge]);
-            let part = move |first: usize| (first + 1..first + step).map(move |k| [first, k, k + 1].map(|k| corners[along(edge, k, side)]));
+            let part = move |first: usize| {
+                (first + 1..first + step)
+                    .map(move |k| [first, k, k + 1].map(|k| corners[along(edge, k, side)]))
+            };
             (0..side - 1).step_by(step).flat_map(part)
         })
     }
 
     /// The vertices inside an edge of a cell, clockwise; none if the edge is straight.
-    pub(super) fn edge(&self, i: usize, j: usize, edge: usize) -> impl Iterator<Item = Corner> + '_ {
+    pub(super) fn edge(
+        &self,
+        i: usize,
+        j: usize,
+        edge: usize,
+    ) -> impl Iterator<Item = Corner> + '_ {
         self.find(i, j).into_iter().flat_map(move |cell| {
             let side = (1_usize << cell.level) + 1;
             let step = 1_usize << (cell.level - cell.edges[edge]);
-            (step..side - 1).step_by(step).map(move |k| self.corners[cell.start + along(edge, k, side)])
+            (step..side - 1)
+                .step_by(step)
+                .map(move |k| self.corners[cell.start + along(edge, k, side)])
         })
     }
 }

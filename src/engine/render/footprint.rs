@@ -7,7 +7,10 @@
 use std::ops::Range;
 
 use super::Filter;
-use super::kernel::{Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, Kernel, MOST, TOGETHER, jacobian, one_sample_up_to};
+use super::kernel::{
+    Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, Kernel, MOST, TOGETHER, jacobian,
+    one_sample_up_to,
+};
 use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
 use super::source::Source;
@@ -52,26 +55,48 @@ pub(super) struct AveragedSamples {
 /// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there
 /// are none.
 /// `sampled`: px of the sampled picture for a px of the source, along each axis; `scale`: px of the target.
-pub(super) fn shrinking_cells(mesh: &Mesh, sampled: [f64; 2], scale: [f64; 2], kernel: Kernel) -> Vec<u8> {
+pub(super) fn shrinking_cells(
+    mesh: &Mesh,
+    sampled: [f64; 2],
+    scale: [f64; 2],
+    kernel: Kernel,
+) -> Vec<u8> {
     let grid = mesh.grid();
     let columns = grid.columns() as usize;
     let (width, height) = grid.cell();
-    #[expect(clippy::cast_possible_truncation, reason = "f32 is enough to compare with")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "f32 is enough to compare with"
+    )]
     let (per, limit) = (
         [(1.0 / width) as f32, (1.0 / height) as f32],
         MARGIN * one_sample_up_to((sampled[0].max(sampled[1]) / scale[0].min(scale[1])) as f32),
     );
     let mut found = vec![0; (grid.rows() as usize - 1) * (columns - 1)];
     let lines = mesh.displacement().chunks_exact(columns);
-    for ((above, below), found) in lines.clone().zip(lines.skip(1)).zip(found.chunks_exact_mut(columns - 1)) {
+    for ((above, below), found) in lines
+        .clone()
+        .zip(lines.skip(1))
+        .zip(found.chunks_exact_mut(columns - 1))
+    {
         kernel.shrinks((above, below), per, limit, found);
     }
-    if found.iter().fold(0, |any, cell| any | cell) == 0 { Vec::new() } else { found }
+    if found.iter().fold(0, |any, cell| any | cell) == 0 {
+        Vec::new()
+    } else {
+        found
+    }
 }
 
 impl Footprints {
     /// `shrinking`: what [`shrinking_cells`] found. `scale`: px of the target per px of the source. `columns`, `height`: of the target.
-    pub(super) fn new(mesh: &Mesh, shrinking: &[u8], lattice: &Lattice, scale: [f64; 2], (width, height): (usize, u32)) -> Self {
+    pub(super) fn new(
+        mesh: &Mesh,
+        shrinking: &[u8],
+        lattice: &Lattice,
+        scale: [f64; 2],
+        (width, height): (usize, u32),
+    ) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
         let mut marked = vec![0; columns * rows];
@@ -84,10 +109,21 @@ impl Footprints {
         for j in 0..rows - 1 {
             // Cells beside those that shrink the source are marked too.
             let marked = &mut marked[j * columns..][..cells];
-            for line in shrinking[j.saturating_sub(1) * cells..(j + 2).min(rows - 1) * cells].chunks_exact(cells) {
-                marked.iter_mut().zip(line).for_each(|(marked, cell)| *marked |= cell);
-                marked[1..].iter_mut().zip(line).for_each(|(marked, cell)| *marked |= cell);
-                marked.iter_mut().zip(&line[1..]).for_each(|(marked, cell)| *marked |= cell);
+            for line in shrinking[j.saturating_sub(1) * cells..(j + 2).min(rows - 1) * cells]
+                .chunks_exact(cells)
+            {
+                marked
+                    .iter_mut()
+                    .zip(line)
+                    .for_each(|(marked, cell)| *marked |= cell);
+                marked[1..]
+                    .iter_mut()
+                    .zip(line)
+                    .for_each(|(marked, cell)| *marked |= cell);
+                marked
+                    .iter_mut()
+                    .zip(&line[1..])
+                    .for_each(|(marked, cell)| *marked |= cell);
             }
             if marked.iter().fold(0, |any, cell| any | cell) == 0 {
                 continue;
@@ -95,8 +131,16 @@ impl Footprints {
             for i in (0..cells).filter(|i| marked[*i] != 0) {
                 drawn.add(lattice.cell_extent(i, j), lattice.cell_range(i, j));
             }
-            for j in [j, j + 1].into_iter().filter(|j| last == usize::MAX || *j > last) {
-                jacobians_of_line(mesh, j, (&per_x, per_y[j]), &mut jacobians[j * columns..][..columns]);
+            for j in [j, j + 1]
+                .into_iter()
+                .filter(|j| last == usize::MAX || *j > last)
+            {
+                jacobians_of_line(
+                    mesh,
+                    j,
+                    (&per_x, per_y[j]),
+                    &mut jacobians[j * columns..][..columns],
+                );
             }
             last = j + 1;
         }
@@ -106,13 +150,40 @@ impl Footprints {
             f64::from(lattice.u[columns - 1] - lattice.u[0]) / grid.width(),
             f64::from(lattice.v[rows - 1] - lattice.v[0]) / grid.height(),
         ];
-        #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "sampler coordinates are f32"
+        )]
         let scale = scale.map(|scale| units.map(|unit| (unit / scale) as f32));
-        let largest = scale.iter().flatten().fold(0.0_f32, |largest, scale| largest.max(*scale));
-        #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
-        let cells = [(1.0 / (units[0] * cell.0)) as f32, (1.0 / (units[1] * cell.1)) as f32];
-        let (origin, limit) = ([lattice.u[0], lattice.v[0]], one_sample_up_to(largest / 128.0));
-        Self { grid: FootprintGrid { columns, rows, jacobians, marked, origin, cells, scale, limit }, drawn }
+        let largest = scale
+            .iter()
+            .flatten()
+            .fold(0.0_f32, |largest, scale| largest.max(*scale));
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "sampler coordinates are f32"
+        )]
+        let cells = [
+            (1.0 / (units[0] * cell.0)) as f32,
+            (1.0 / (units[1] * cell.1)) as f32,
+        ];
+        let (origin, limit) = (
+            [lattice.u[0], lattice.v[0]],
+            one_sample_up_to(largest / 128.0),
+        );
+        Self {
+            grid: FootprintGrid {
+                columns,
+                rows,
+                jacobians,
+                marked,
+                origin,
+                cells,
+                scale,
+                limit,
+            },
+            drawn,
+        }
     }
 
     /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first
@@ -125,15 +196,35 @@ impl Footprints {
         samples: &mut AveragedSamples,
         (first, out): (usize, &mut [u8]),
     ) {
-        let Sampled { kernel, source, level, filter, channels } = sampled;
+        let Sampled {
+            kernel,
+            source,
+            level,
+            filter,
+            channels,
+        } = sampled;
         let pixel = channels.count() * source.pixmap().depth().bytes();
-        sampler::sample(kernel, source.level(level), filter, u, v, channels, &mut out[first * pixel..][..u.len() * pixel]);
+        sampler::sample(
+            kernel,
+            source.level(level),
+            filter,
+            u,
+            v,
+            channels,
+            &mut out[first * pixel..][..u.len() * pixel],
+        );
         for marked in self.drawn.runs(row as usize) {
             let at = |column_of: usize| column_of.saturating_sub(column).min(u.len());
             let (mut start, end) = (at(marked.start), at(marked.end));
             while start < end {
                 let next = end.min(start + TOGETHER);
-                kernel.footprints(&self.grid, &u[start..next], &v[start..next], first + start, &mut samples.batch);
+                kernel.footprints(
+                    &self.grid,
+                    &u[start..next],
+                    &v[start..next],
+                    first + start,
+                    &mut samples.batch,
+                );
                 start = next;
                 samples.average(BATCH - TOGETHER + 1, sampled, out);
             }
@@ -169,15 +260,32 @@ impl AveragedSamples {
 
     /// Reads the samples of all pixels of a kind: the first of each, then the second ones.
     fn read(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, channels: Channels) {
-        let Sampled { kernel, source, level, filter, .. } = sampled;
+        let Sampled {
+            kernel,
+            source,
+            level,
+            filter,
+            ..
+        } = sampled;
         let alike = &self.batch.alike[kind];
         let count = alike.len << log;
         self.u.resize(BATCH * MOST, 0.0);
         self.v.resize(BATCH * MOST, 0.0);
         kernel.positions(alike, log, &mut self.u, &mut self.v);
         let source = source.level(level + alike.reductions[0]);
-        self.bytes.resize(count * channels.count() * source.pixmap().depth().bytes(), 0);
-        sampler::sample(kernel, source, filter, &self.u[..count], &self.v[..count], channels, &mut self.bytes);
+        self.bytes.resize(
+            count * channels.count() * source.pixmap().depth().bytes(),
+            0,
+        );
+        sampler::sample(
+            kernel,
+            source,
+            filter,
+            &self.u[..count],
+            &self.v[..count],
+            channels,
+            &mut self.bytes,
+        );
     }
 
     /// Averages the samples of pixels of a kind, 8 bit.
@@ -188,18 +296,29 @@ impl AveragedSamples {
         self.sums.clear();
         self.sums.resize(4 * alike.len, 0);
         for line in self.bytes.chunks_exact(4 * alike.len) {
-            self.sums.iter_mut().zip(line).for_each(|(sum, byte)| *sum += u16::from(*byte));
+            self.sums
+                .iter_mut()
+                .zip(line)
+                .for_each(|(sum, byte)| *sum += u16::from(*byte));
         }
         let all_opaque = sampled.source.pixmap().is_opaque();
         let (sums, half) = (self.sums.as_chunks::<4>().0, 1 << (log - 1));
         for (k, (index, sums)) in alike.pixels.iter().zip(sums).enumerate() {
             let out = &mut out[index * pixel..][..pixel];
             if all_opaque || sums[3] == 255 << log {
-                #[expect(clippy::cast_possible_truncation, reason = "means stay in the range of the samples")]
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "means stay in the range of the samples"
+                )]
                 let mean = sums.map(|sum| ((sum + half) >> log) as u8);
                 out.copy_from_slice(&mean[..pixel]);
             } else {
-                average(self.bytes.chunks_exact(4).skip(k).step_by(alike.len), out, Depth::Eight, false);
+                average(
+                    self.bytes.chunks_exact(4).skip(k).step_by(alike.len),
+                    out,
+                    Depth::Eight,
+                    false,
+                );
             }
         }
     }
@@ -210,26 +329,44 @@ impl AveragedSamples {
         let (alike, pixel) = (&self.batch.alike[kind], 2 * sampled.channels.count());
         for (k, index) in alike.pixels[..alike.len].iter().enumerate() {
             let opaque = sampled.source.pixmap().channels() == Channels::Rgb;
-            average(self.bytes.chunks_exact(pixel).skip(k).step_by(alike.len), &mut out[index * pixel..][..pixel], Depth::Sixteen, opaque);
+            average(
+                self.bytes.chunks_exact(pixel).skip(k).step_by(alike.len),
+                &mut out[index * pixel..][..pixel],
+                Depth::Sixteen,
+                opaque,
+            );
         }
     }
 }
 
 /// The reciprocals of the distances between the lines before and behind each line.
-#[expect(clippy::cast_possible_truncation, reason = "f32 is enough for derivatives")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "f32 is enough for derivatives"
+)]
 fn per_px(lines: &[f64]) -> Vec<f32> {
-    (0..lines.len()).map(|k| (1.0 / (lines[(k + 1).min(lines.len() - 1)] - lines[k.saturating_sub(1)])) as f32).collect()
+    (0..lines.len())
+        .map(|k| (1.0 / (lines[(k + 1).min(lines.len() - 1)] - lines[k.saturating_sub(1)])) as f32)
+        .collect()
 }
 
 /// The Jacobians at the vertices of a line by central differences.
 fn jacobians_of_line(mesh: &Mesh, j: usize, (per_x, per_y): (&[f32], f32), out: &mut [[f32; 4]]) {
     let (columns, rows) = (mesh.grid().columns() as usize, mesh.grid().rows() as usize);
     let line = |j: usize| &mesh.displacement()[j * columns..][..columns];
-    let (above, here, below) = (line(j.saturating_sub(1)), line(j), line((j + 1).min(rows - 1)));
+    let (above, here, below) = (
+        line(j.saturating_sub(1)),
+        line(j),
+        line((j + 1).min(rows - 1)),
+    );
     for (i, out) in out.iter_mut().enumerate() {
         let (left, right) = (here[i.saturating_sub(1)], here[(i + 1).min(columns - 1)]);
         let minus = |a: [f32; 2], b: [f32; 2]| [a[0] - b[0], a[1] - b[1]];
-        *out = jacobian(minus(right, left), minus(below[i], above[i]), [per_x[i], per_y]);
+        *out = jacobian(
+            minus(right, left),
+            minus(below[i], above[i]),
+            [per_x[i], per_y],
+        );
     }
 }
 
@@ -245,17 +382,28 @@ struct DrawnColumns {
 
 impl DrawnColumns {
     /// No rows; joined with others, those.
-    const NONE: Range<usize> = Range { start: usize::MAX, end: 0 };
+    const NONE: Range<usize> = Range {
+        start: usize::MAX,
+        end: 0,
+    };
 
     fn new(width: usize, height: usize) -> Self {
-        let block = width.div_ceil(u64::BITS as usize).next_multiple_of(8).max(8);
-        Self { block, lines: vec![0; height], high: (Self::NONE, 0) }
+        let block = width
+            .div_ceil(u64::BITS as usize)
+            .next_multiple_of(8)
+            .max(8);
+        Self {
+            block,
+            lines: vec![0; height],
+            high: (Self::NONE, 0),
+        }
     }
 
     /// Adds a cell, and a pixel more on every side.
     fn add(&mut self, (left, right): (i32, i32), range: YRange) {
         let pixel = |at: i32| usize::try_from(at.div_euclid(ONE)).unwrap_or(0);
-        let lines = pixel(range.top).saturating_sub(1)..(pixel(range.bottom) + 2).min(self.lines.len());
+        let lines =
+            pixel(range.top).saturating_sub(1)..(pixel(range.bottom) + 2).min(self.lines.len());
         let first = pixel(left).saturating_sub(1) / self.block;
         let last = ((pixel(right) + 1) / self.block).min(63);
         if first > last {
@@ -264,15 +412,26 @@ impl DrawnColumns {
         let blocks = u64::MAX >> (63 - (last - first)) << first;
         if lines.len() > HIGH {
             let (rows, high) = &self.high;
-            self.high = (rows.start.min(lines.start)..rows.end.max(lines.end), high | blocks);
+            self.high = (
+                rows.start.min(lines.start)..rows.end.max(lines.end),
+                high | blocks,
+            );
         } else {
-            self.lines.get_mut(lines).unwrap_or_default().iter_mut().for_each(|line| *line |= blocks);
+            self.lines
+                .get_mut(lines)
+                .unwrap_or_default()
+                .iter_mut()
+                .for_each(|line| *line |= blocks);
         }
     }
 
     fn finish(&mut self) {
         let (lines, blocks) = &self.high;
-        self.lines.get_mut(lines.clone()).unwrap_or_default().iter_mut().for_each(|line| *line |= blocks);
+        self.lines
+            .get_mut(lines.clone())
+            .unwrap_or_default()
+            .iter_mut()
+            .for_each(|line| *line |= blocks);
     }
 
     /// Ranges of columns of a row.
@@ -288,8 +447,16 @@ impl DrawnColumns {
 }
 
 /// The mean of pixels with the channels of `out`; colours weighted by alpha.
-#[expect(clippy::cast_possible_truncation, reason = "means stay in the range of the samples")]
-fn average<'a>(samples: impl Iterator<Item = &'a [u8]>, out: &mut [u8], depth: Depth, opaque: bool) {
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "means stay in the range of the samples"
+)]
+fn average<'a>(
+    samples: impl Iterator<Item = &'a [u8]>,
+    out: &mut [u8],
+    depth: Depth,
+    opaque: bool,
+) {
     let read = |bytes: &[u8], k: usize| match depth {
         Depth::Eight => u64::from(bytes[k]),
         Depth::Sixteen => u64::from(u16::from_be_bytes([bytes[2 * k], bytes[2 * k + 1]])),
@@ -300,7 +467,11 @@ fn average<'a>(samples: impl Iterator<Item = &'a [u8]>, out: &mut [u8], depth: D
         count += 1;
         let alpha = if opaque { 1 } else { read(pixel, 3) };
         for (k, sum) in sums.iter_mut().enumerate().take(channels) {
-            *sum += if k == 3 { read(pixel, 3) } else { alpha * read(pixel, k) };
+            *sum += if k == 3 {
+                read(pixel, 3)
+            } else {
+                alpha * read(pixel, k)
+            };
         }
     }
     let weight = if opaque { count } else { sums[3] };

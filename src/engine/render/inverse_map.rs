@@ -41,22 +41,53 @@ impl InverseMap {
     #[must_use]
     pub fn with_level(mesh: &Mesh, target: Extent, canvas: Option<Canvas>, level: Level) -> Self {
         let grid = mesh.grid();
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a grid is as large as its source")]
-        let extent = Extent::new(grid.width() as u32, grid.height() as u32).expect("a source has pixels");
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a grid is as large as its source"
+        )]
+        let extent =
+            Extent::new(grid.width() as u32, grid.height() as u32).expect("a source has pixels");
         let canvas = canvas.unwrap_or(Canvas::of(extent));
         let work = if target == canvas.extent && mesh.is_identity() {
-            Work::Identity { x: canvas.x, y: canvas.y }
+            Work::Identity {
+                x: canvas.x,
+                y: canvas.y,
+            }
         } else {
             let (kernel, placement) = (Kernel::new(level), Placement::new(canvas, target));
-            let options =
-                RenderOptions { target, canvas: Some(canvas), filter: Filter::Nearest, outside: Outside::Transparent, force_alpha: false };
+            let options = RenderOptions {
+                target,
+                canvas: Some(canvas),
+                filter: Filter::Nearest,
+                outside: Outside::Transparent,
+                force_alpha: false,
+            };
             let draw = |window: Window| {
-                let lattice = Lattice::new(mesh, extent, 0, Filter::Nearest, (placement.scale, window.origin), kernel);
-                Drawing::new((lattice, None), window, placement.source(grid), options, 0, kernel)
+                let lattice = Lattice::new(
+                    mesh,
+                    extent,
+                    0,
+                    Filter::Nearest,
+                    (placement.scale, window.origin),
+                    kernel,
+                );
+                Drawing::new(
+                    (lattice, None),
+                    window,
+                    placement.source(grid),
+                    options,
+                    0,
+                    kernel,
+                )
             };
             Work::Draw(placement.windows().into_iter().map(draw).collect())
         };
-        Self { target, source: [grid.width(), grid.height()], work }
+        Self {
+            target,
+            source: [grid.width(), grid.height()],
+            work,
+        }
     }
 
     /// Size of the target.
@@ -80,7 +111,11 @@ impl InverseMap {
     /// If `rows` leave the target or `out` does not have the size of its shape.
     pub fn rows(&self, rows: Range<u32>, out: &mut [[f32; 2]]) {
         assert!(rows.end <= self.target.height(), "rows lie in the target");
-        assert_eq!(out.len(), self.target.width() as usize * rows.len(), "one position for each pixel");
+        assert_eq!(
+            out.len(),
+            self.target.width() as usize * rows.len(),
+            "one position for each pixel"
+        );
         match &self.work {
             Work::Identity { x, y } => {
                 let [width, height] = self.source;
@@ -88,15 +123,22 @@ impl InverseMap {
                     let down = f64::from(*y) + f64::from(row) + PIXEL_CENTER;
                     for (column, out) in (0..).zip(out) {
                         let across = f64::from(*x) + f64::from(column) + PIXEL_CENTER;
-                        let is_inside = (0.0..width).contains(&across) && (0.0..height).contains(&down);
-                        #[expect(clippy::cast_possible_truncation, reason = "halves of px within a source are exact")]
+                        let is_inside =
+                            (0.0..width).contains(&across) && (0.0..height).contains(&down);
+                        #[expect(
+                            clippy::cast_possible_truncation,
+                            reason = "halves of px within a source are exact"
+                        )]
                         let position = [across as f32, down as f32];
                         *out = if is_inside { position } else { [f32::NAN; 2] };
                     }
                 }
             }
             Work::Draw(drawings) => {
-                #[expect(clippy::cast_possible_truncation, reason = "a side is a whole number of px")]
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "a side is a whole number of px"
+                )]
                 let most = self.source.map(|side| side as f32);
                 out.fill([f32::NAN; 2]);
                 for drawing in drawings {

@@ -4,7 +4,10 @@
 //! cells that it meets. Memory and time: O(vertices).
 
 use super::fine::FineCells;
-pub(super) use super::steps::{BLOCK, Corner, HALF, LIMIT, LONGEST_SIDE, ONE, STEP, YRange, column_centre, first_row, row_centre};
+pub(super) use super::steps::{
+    BLOCK, Corner, HALF, LIMIT, LONGEST_SIDE, ONE, STEP, YRange, column_centre, first_row,
+    row_centre,
+};
 
 /// The posed grid on the lattice.
 #[derive(Debug)]
@@ -42,7 +45,10 @@ impl Lattice {
     pub(super) fn cover_fine_cells(&mut self) {
         let blocks = self.pitch / BLOCK;
         for cell in self.fine.cells() {
-            let (row, block) = (&mut self.row_ranges[cell.j], &mut self.block_ranges[cell.j * blocks + cell.i / BLOCK]);
+            let (row, block) = (
+                &mut self.row_ranges[cell.j],
+                &mut self.block_ranges[cell.j * blocks + cell.i / BLOCK],
+            );
             (*row, *block) = (row.join(cell.y), block.join(cell.y));
         }
     }
@@ -50,27 +56,55 @@ impl Lattice {
     /// The vertex at a column and row.
     pub(super) fn corner(&self, column: usize, row: usize) -> Corner {
         let index = row * self.pitch + column;
-        Corner { x: self.x[index], y: self.y[index], u: self.u[column], v: self.v[row] }
+        Corner {
+            x: self.x[index],
+            y: self.y[index],
+            u: self.u[column],
+            v: self.v[row],
+        }
     }
 
     /// Range of y of a cell.
     pub(super) fn cell_range(&self, i: usize, j: usize) -> YRange {
         let above = j * self.pitch + i;
         let below = above + self.pitch;
-        let (a, b, c, d) = (self.y[above], self.y[above + 1], self.y[below], self.y[below + 1]);
-        let range = YRange { top: a.min(b).min(c).min(d), bottom: a.max(b).max(c).max(d) };
-        self.fine.find(i, j).map_or(range, |cell| range.join(cell.y))
+        let (a, b, c, d) = (
+            self.y[above],
+            self.y[above + 1],
+            self.y[below],
+            self.y[below + 1],
+        );
+        let range = YRange {
+            top: a.min(b).min(c).min(d),
+            bottom: a.max(b).max(c).max(d),
+        };
+        self.fine
+            .find(i, j)
+            .map_or(range, |cell| range.join(cell.y))
     }
 
     /// Extent of a cell in x.
     pub(super) fn cell_extent(&self, i: usize, j: usize) -> (i32, i32) {
-        let x = [self.corner(i, j), self.corner(i + 1, j), self.corner(i + 1, j + 1), self.corner(i, j + 1)].map(|c| c.x);
-        let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| (left.min(x), right.max(x)));
-        self.fine.find(i, j).map_or((left, right), |cell| (left.min(cell.x.0), right.max(cell.x.1)))
+        let x = [
+            self.corner(i, j),
+            self.corner(i + 1, j),
+            self.corner(i + 1, j + 1),
+            self.corner(i, j + 1),
+        ]
+        .map(|c| c.x);
+        let (left, right) = x.iter().fold((i32::MAX, i32::MIN), |(left, right), &x| {
+            (left.min(x), right.max(x))
+        });
+        self.fine.find(i, j).map_or((left, right), |cell| {
+            (left.min(cell.x.0), right.max(cell.x.1))
+        })
     }
 
     /// The rows of cells that may touch target rows.
-    pub(super) fn rows_touching(&self, rows: &std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = usize> + '_ {
+    pub(super) fn rows_touching(
+        &self,
+        rows: &std::ops::Range<u32>,
+    ) -> impl DoubleEndedIterator<Item = usize> + '_ {
         let rows = rows.clone();
         (0..self.rows - 1).filter(move |&j| self.row_ranges[j].meets(&rows))
     }
@@ -81,22 +115,34 @@ impl Lattice {
     }
 
     /// Whether some cell of a block may touch target rows.
-    pub(super) fn block_touches(&self, j: usize, block: usize, rows: &std::ops::Range<u32>) -> bool {
+    pub(super) fn block_touches(
+        &self,
+        j: usize,
+        block: usize,
+        rows: &std::ops::Range<u32>,
+    ) -> bool {
         self.block_ranges[j * (self.pitch / BLOCK) + block].meets(rows)
     }
 
     #[cfg(test)]
     /// The cells that may touch target rows, in drawing order: row by row, `(column, row)`.
-    pub(super) fn cells_touching(&self, rows: std::ops::Range<u32>) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
+    pub(super) fn cells_touching(
+        &self,
+        rows: std::ops::Range<u32>,
+    ) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
         let blocks = self.pitch / BLOCK;
         let meets = move |range: &YRange| range.meets(&rows);
         let rows = meets.clone();
-        (0..self.rows - 1).filter(move |&j| rows(&self.row_ranges[j])).flat_map(move |j| {
-            let meets = meets.clone();
-            let cells = self.columns - 1;
-            (0..blocks)
-                .filter(move |&b| meets(&self.block_ranges[j * blocks + b]))
-                .flat_map(move |b| (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j)))
-        })
+        (0..self.rows - 1)
+            .filter(move |&j| rows(&self.row_ranges[j]))
+            .flat_map(move |j| {
+                let meets = meets.clone();
+                let cells = self.columns - 1;
+                (0..blocks)
+                    .filter(move |&b| meets(&self.block_ranges[j * blocks + b]))
+                    .flat_map(move |b| {
+                        (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j))
+                    })
+            })
     }
 }

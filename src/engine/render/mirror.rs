@@ -33,48 +33,78 @@ impl Mirror {
         let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
         // A vertex of the border and the next one inwards.
         let depth = |outer: (usize, usize), inner: (usize, usize)| {
-            let (a, b) = (lattice.corner(outer.0, outer.1), lattice.corner(inner.0, inner.1));
+            let (a, b) = (
+                lattice.corner(outer.0, outer.1),
+                lattice.corner(inner.0, inner.1),
+            );
             let height = f64::from((a.u - b.u).abs().max((a.v - b.v).abs()));
             height / (place(b) - place(a)).norm().max(1.0)
         };
         let top = (0..right).map(|i| (0, [i, i + 1].map(|i| depth((i, 0), (i, 1)))));
         let east = (0..bottom).map(|j| (1, [j, j + 1].map(|j| depth((right, j), (right - 1, j)))));
-        let low = (0..right).rev().map(|i| (2, [i + 1, i].map(|i| depth((i, bottom), (i, bottom - 1)))));
-        let west = (0..bottom).rev().map(|j| (3, [j + 1, j].map(|j| depth((0, j), (1, j)))));
+        let low = (0..right)
+            .rev()
+            .map(|i| (2, [i + 1, i].map(|i| depth((i, bottom), (i, bottom - 1)))));
+        let west = (0..bottom)
+            .rev()
+            .map(|j| (3, [j + 1, j].map(|j| depth((0, j), (1, j)))));
         let mut segments = Vec::new();
         for ((side, [from, to]), &count) in top.chain(east).chain(low).chain(west).zip(counts) {
             let at = |k: usize| from + (to - from) * (k as f64 / count as f64);
-            segments.extend((0..count).map(|k| Segment { side, depth: [at(k), at(k + 1)] }));
+            segments.extend((0..count).map(|k| Segment {
+                side,
+                depth: [at(k), at(k + 1)],
+            }));
         }
         let ends = |line: &[f32], last: usize| [f64::from(line[0]), f64::from(line[last])];
-        Self { segments, ends: [ends(&lattice.u, right), ends(&lattice.v, bottom)] }
+        Self {
+            segments,
+            ends: [ends(&lattice.u, right), ends(&lattice.v, bottom)],
+        }
     }
 
     /// The sampler's coordinates for `place`, whose nearest border position lies on the segment `index`. `vertices` are closed.
-    #[expect(clippy::cast_possible_truncation, reason = "sampler coordinates are f32")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "sampler coordinates are f32"
+    )]
     pub(super) fn at(&self, vertices: &[Corner], index: usize, pixel: Point) -> (f32, f32) {
         let (a, b) = (vertices[index], vertices[index + 1]);
         let (along, reach) = (place(b) - place(a), pixel - place(a));
         let length2 = along.norm2();
-        let t = if length2 > 0.0 { (reach.dot(along) / length2).clamp(0.0, 1.0) } else { 0.0 };
+        let t = if length2 > 0.0 {
+            (reach.dot(along) / length2).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         let reach = reach - along * t;
         let distance = reach.norm();
         let segment = self.segments[index];
         let mut outwards = [[0.0; 2]; 2];
         let depth = segment.depth[0] + t * (segment.depth[1] - segment.depth[0]);
         let count = self.segments.len();
-        let other = if t <= 0.0 { (index + count - 1) % count } else { (index + 1) % count };
+        let other = if t <= 0.0 {
+            (index + count - 1) % count
+        } else {
+            (index + 1) % count
+        };
         if (t > 0.0 && t < 1.0) || self.segments[other].side == segment.side {
             outwards[0] = beyond(segment.side, distance * depth);
         } else {
             let next = self.segments[other];
             let next_along = place(vertices[other + 1]) - place(vertices[other]);
             let shares = shares(reach, normal(along), normal(next_along), distance);
-            outwards = [beyond(segment.side, shares[0] * depth), beyond(next.side, shares[1] * next.depth[usize::from(t <= 0.0)])];
+            outwards = [
+                beyond(segment.side, shares[0] * depth),
+                beyond(next.side, shares[1] * next.depth[usize::from(t <= 0.0)]),
+            ];
         }
         let at = |from: f32, to: f32, axis: usize| {
             let border = f64::from(from) + t * (f64::from(to) - f64::from(from));
-            folded(border + outwards[0][axis] + outwards[1][axis], self.ends[axis]) as f32
+            folded(
+                border + outwards[0][axis] + outwards[1][axis],
+                self.ends[axis],
+            ) as f32
         };
         (at(a.u, b.u, 0), at(a.v, b.v, 1))
     }
@@ -93,7 +123,11 @@ fn beyond(side: usize, distance: f64) -> [f64; 2] {
 
 fn normal(along: Vec2) -> Vec2 {
     let length = along.norm();
-    if length > 0.0 { Vec2::new(along.y / length, -along.x / length) } else { Vec2::new(0.0, 0.0) }
+    if length > 0.0 {
+        Vec2::new(along.y / length, -along.x / length)
+    } else {
+        Vec2::new(0.0, 0.0)
+    }
 }
 
 /// The distances along two normals that add up to `reach`; neither exceeds its length.
@@ -124,13 +158,18 @@ mod tests {
 
     #[test]
     fn pixels_are_mirrored_with_the_edge_repeated() {
-        let shown: String = (-13..14).map(|at| char::from(b'a' + u8::try_from(mirrored(at, 6)).unwrap())).collect();
+        let shown: String = (-13..14)
+            .map(|at| char::from(b'a' + u8::try_from(mirrored(at, 6)).unwrap()))
+            .collect();
         assert_eq!(shown, "aabcdeffedcbaabcdeffedcbaab");
         assert!((-5..5).all(|at| mirrored(at, 1) == 0));
         for at in [-13.75_f64, -6.5, -0.25, 0.0, 2.5, 6.0, 6.25, 12.5] {
             #[expect(clippy::cast_possible_truncation, reason = "a few pixels")]
             let pixel = mirrored(at.floor() as i64, 6);
-            assert!((folded(at, [0.0, 6.0]) - (pixel as f64 + 0.5)).abs() <= 0.5, "{at}");
+            assert!(
+                (folded(at, [0.0, 6.0]) - (pixel as f64 + 0.5)).abs() <= 0.5,
+                "{at}"
+            );
         }
     }
 }

@@ -129,14 +129,24 @@ impl RenderOptions {
     /// Whether this drawing of a source has to make copies of it first (packed, reduced). They are kept for later drawings.
     #[must_use]
     pub fn lacks_copies(&self, source: &Source, mesh: &Mesh) -> bool {
-        !self.is_copy(source, mesh) && source.lacks_copies(self.placement(source).source(mesh.grid()), self.is_packed())
+        !self.is_copy(source, mesh)
+            && source.lacks_copies(self.placement(source).source(mesh.grid()), self.is_packed())
     }
 
     /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond or two per pixel of the source. `None`
     /// when cancelled.
-    pub fn make_copies(&self, source: &Source, mesh: &Mesh, cancelled: &dyn Fn() -> bool) -> Option<()> {
+    pub fn make_copies(
+        &self,
+        source: &Source,
+        mesh: &Mesh,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<()> {
         if !self.is_copy(source, mesh) {
-            source.make_copies(self.placement(source).source(mesh.grid()), self.is_packed(), cancelled)?;
+            source.make_copies(
+                self.placement(source).source(mesh.grid()),
+                self.is_packed(),
+                cancelled,
+            )?;
         }
         Some(())
     }
@@ -188,30 +198,62 @@ impl Renderer {
 
     /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All levels give the same bytes.
     #[must_use]
-    pub fn with_level(source: Arc<Source>, mesh: &Mesh, options: RenderOptions, level: Level) -> Self {
+    pub fn with_level(
+        source: Arc<Source>,
+        mesh: &Mesh,
+        options: RenderOptions,
+        level: Level,
+    ) -> Self {
         let kernel = Kernel::new(level);
         let pixmap = source.pixmap();
         let (work, uncovered) = if options.is_copy(&source, mesh) {
             let canvas = options.canvas_on(&source);
-            (Work::Copy { x: canvas.x, y: canvas.y }, !sampler::covers(pixmap.extent(), canvas))
+            (
+                Work::Copy {
+                    x: canvas.x,
+                    y: canvas.y,
+                },
+                !sampler::covers(pixmap.extent(), canvas),
+            )
         } else {
             let placement = options.placement(&source);
             // Not in the first band.
-            let copies = source.make_copies(placement.source(mesh.grid()), options.is_packed(), &|| false);
+            let copies =
+                source.make_copies(placement.source(mesh.grid()), options.is_packed(), &|| {
+                    false
+                });
             let k = copies.expect("nothing gives it up");
             let shrinking = if options.filter == Filter::Nearest {
                 Vec::new()
             } else {
                 let (whole, sampled) = (pixmap.extent(), source.level(k).pixmap().extent());
-                let sampled = [(sampled.width(), whole.width()), (sampled.height(), whole.height())];
+                let sampled = [
+                    (sampled.width(), whole.width()),
+                    (sampled.height(), whole.height()),
+                ];
                 let sampled = sampled.map(|(sampled, whole)| f64::from(sampled) / f64::from(whole));
                 footprint::shrinking_cells(mesh, sampled, placement.scale, kernel)
             };
             let draw = |window: Window| {
-                let lattice = Lattice::new(mesh, pixmap.extent(), k, options.filter, (placement.scale, window.origin), kernel);
+                let lattice = Lattice::new(
+                    mesh,
+                    pixmap.extent(),
+                    k,
+                    options.filter,
+                    (placement.scale, window.origin),
+                    kernel,
+                );
                 let size = (window.columns.end, window.rows.end);
-                let footprints = (!shrinking.is_empty()).then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, size));
-                Drawing::new((lattice, footprints), window, placement.source(mesh.grid()), options, k, kernel)
+                let footprints = (!shrinking.is_empty())
+                    .then(|| Footprints::new(mesh, &shrinking, &lattice, placement.scale, size));
+                Drawing::new(
+                    (lattice, footprints),
+                    window,
+                    placement.source(mesh.grid()),
+                    options,
+                    k,
+                    kernel,
+                )
             };
             let drawings: Vec<_> = placement.windows().into_iter().map(draw).collect();
             let uncovered = drawings.iter().any(|drawing| !drawing.covered);
@@ -222,8 +264,18 @@ impl Renderer {
             Outside::Colour(colour) => uncovered && colour[3] < u8::MAX,
             Outside::Edge | Outside::Reflect | Outside::Value(_) => false,
         };
-        let channels = if clear || options.force_alpha { Channels::Rgba } else { pixmap.channels() };
-        Self { source, options, channels, level: kernel.level(), work }
+        let channels = if clear || options.force_alpha {
+            Channels::Rgba
+        } else {
+            pixmap.channels()
+        };
+        Self {
+            source,
+            options,
+            channels,
+            level: kernel.level(),
+            work,
+        }
     }
 
     /// Samples points from now on, also where the source is shrunk.
@@ -278,15 +330,31 @@ impl Renderer {
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
     pub fn band(&self, rows: Range<u32>, out: &mut [u8]) {
-        assert!(rows.end <= self.options.target.height(), "rows lie in the target");
-        let size = self.options.target.width() as usize * self.channels.count() * self.depth().bytes() * rows.len();
+        assert!(
+            rows.end <= self.options.target.height(),
+            "rows lie in the target"
+        );
+        let size = self.options.target.width() as usize
+            * self.channels.count()
+            * self.depth().bytes()
+            * rows.len();
         assert_eq!(out.len(), size, "one sample for each channel of each pixel");
         let pixmap = self.source.pixmap();
         match &self.work {
-            Work::Copy { x: 0, y: 0 } if self.options.target == pixmap.extent() && !self.adds_alpha() => sampler::copy(pixmap, rows, out),
+            Work::Copy { x: 0, y: 0 }
+                if self.options.target == pixmap.extent() && !self.adds_alpha() =>
+            {
+                sampler::copy(pixmap, rows, out)
+            }
             Work::Copy { x, y } => {
                 for (row, out) in rows.clone().zip(out.chunks_exact_mut(size / rows.len())) {
-                    sampler::copy_row(pixmap, (i64::from(*x), i64::from(*y) + i64::from(row)), self.options.outside, self.channels, out);
+                    sampler::copy_row(
+                        pixmap,
+                        (i64::from(*x), i64::from(*y) + i64::from(row)),
+                        self.options.outside,
+                        self.channels,
+                        out,
+                    );
                 }
             }
             Work::Draw(drawings) => {
@@ -307,5 +375,9 @@ pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
 
 /// Upper bound of the pixels whose source positions are computed to draw a row.
 fn computed_width(drawings: &[Drawing]) -> u32 {
-    drawings.iter().map(Drawing::width).max().map_or(0, |width| u32::try_from(width).unwrap_or(u32::MAX))
+    drawings
+        .iter()
+        .map(Drawing::width)
+        .max()
+        .map_or(0, |width| u32::try_from(width).unwrap_or(u32::MAX))
 }

@@ -32,8 +32,14 @@ pub(super) fn shape(corners: &[Corner; 4]) -> Shape {
 
 /// Twice the signed area of a triangle, exactly.
 pub(super) fn turn(a: Corner, b: Corner, c: Corner) -> i64 {
-    let (abx, aby) = (i64::from(b.x) - i64::from(a.x), i64::from(b.y) - i64::from(a.y));
-    let (bcx, bcy) = (i64::from(c.x) - i64::from(b.x), i64::from(c.y) - i64::from(b.y));
+    let (abx, aby) = (
+        i64::from(b.x) - i64::from(a.x),
+        i64::from(b.y) - i64::from(a.y),
+    );
+    let (bcx, bcy) = (
+        i64::from(c.x) - i64::from(b.x),
+        i64::from(c.y) - i64::from(b.y),
+    );
     abx * bcy - aby * bcx
 }
 
@@ -68,14 +74,29 @@ impl Patch {
     /// The sampler's coordinates at a position inside the cell.
     pub(super) fn inverse(&self, place: Point) -> (f64, f64) {
         let h = place - self.origin;
-        let (a, b, c) = (-self.f.cross(self.d), h.cross(self.d) + self.e.cross(self.f), h.cross(self.e));
+        let (a, b, c) = (
+            -self.f.cross(self.d),
+            h.cross(self.d) + self.e.cross(self.f),
+            h.cross(self.e),
+        );
         let root = self.sign * (b * b - 4.0 * a * c).max(0.0).sqrt();
-        let t = if b * root >= 0.0 { -2.0 * c / (b + root) } else { (root - b) / (2.0 * a) };
+        let t = if b * root >= 0.0 {
+            -2.0 * c / (b + root)
+        } else {
+            (root - b) / (2.0 * a)
+        };
         let t = within(t);
         let (along, rest) = (self.e + self.d * t, h - self.f * t);
-        let s = if along.x.abs() > along.y.abs() { rest.x / along.x } else { rest.y / along.y };
+        let s = if along.x.abs() > along.y.abs() {
+            rest.x / along.x
+        } else {
+            rest.y / along.y
+        };
         let s = within(s);
-        (self.u[0] + s * (self.u[1] - self.u[0]), self.v[0] + t * (self.v[1] - self.v[0]))
+        (
+            self.u[0] + s * (self.u[1] - self.u[0]),
+            self.v[0] + t * (self.v[1] - self.v[0]),
+        )
     }
 
     /// Bounds the error, px of the sampled picture, of coordinates interpolated linearly between two border positions. Between parameters
@@ -83,17 +104,33 @@ impl Patch {
     pub(super) fn linear_error(&self, unit: f32) -> f64 {
         let (e, f, d) = (self.e, self.f, self.d);
         let (e1, f1) = (e + d, f + d);
-        let area =
-            [e.cross(f), e.cross(f1), e1.cross(f), e1.cross(f1)].map(|cross| cross * self.sign).into_iter().fold(f64::INFINITY, f64::min);
-        let lowest = |a: f64, b: f64| if a * b > 0.0 { a.abs().min(b.abs()) } else { 0.0 };
+        let area = [e.cross(f), e.cross(f1), e1.cross(f), e1.cross(f1)]
+            .map(|cross| cross * self.sign)
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        let lowest = |a: f64, b: f64| {
+            if a * b > 0.0 {
+                a.abs().min(b.abs())
+            } else {
+                0.0
+            }
+        };
         let slant = (e.y.abs().max(e1.y.abs()) / lowest(f.y, f1.y)).min(1.0);
-        let (width, height) = ((self.u[1] - self.u[0]) / f64::from(unit), (self.v[1] - self.v[0]) / f64::from(unit));
-        let reach2 = (f.norm2().max(f1.norm2()) * width * width).max(e.norm2().max(e1.norm2()) * height * height);
+        let (width, height) = (
+            (self.u[1] - self.u[0]) / f64::from(unit),
+            (self.v[1] - self.v[0]) / f64::from(unit),
+        );
+        let reach2 = (f.norm2().max(f1.norm2()) * width * width)
+            .max(e.norm2().max(e1.norm2()) * height * height);
         0.25 * slant * (d.norm2() * reach2).sqrt() / area
     }
 }
 
 /// Clamps to [0, 1]. A cell whose area vanishes in f64 gives 0/0, which becomes a border position and never NaN.
 fn within(share: f64) -> f64 {
-    if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
+    if share.is_nan() {
+        0.0
+    } else {
+        share.clamp(0.0, 1.0)
+    }
 }

@@ -13,7 +13,10 @@ use super::row_strategy::RowStrategies;
 pub(super) const DOUBT: f32 = 1.0 / 32.0;
 
 /// The identity of a union of ranges.
-const EMPTY: Range<i32> = Range { start: i32::MAX, end: i32::MIN };
+const EMPTY: Range<i32> = Range {
+    start: i32::MAX,
+    end: i32::MIN,
+};
 
 /// The split rows of a strip.
 #[derive(Debug, Default)]
@@ -45,7 +48,13 @@ pub(super) struct Part {
 
 impl RowSplit {
     /// Prepares the split rows of a strip.
-    pub(super) fn prepare(&mut self, lattice: &Lattice, strategies: &RowStrategies, strip: &Range<u32>, mixed: u32) {
+    pub(super) fn prepare(
+        &mut self,
+        lattice: &Lattice,
+        strategies: &RowStrategies,
+        strip: &Range<u32>,
+        mixed: u32,
+    ) {
         let (cells, pitch) = (lattice.columns - 1, lattice.pitch);
         self.blocks.clear();
         self.blocks.resize(lattice.blocks(), 0);
@@ -61,7 +70,9 @@ impl RowSplit {
             return;
         }
         // Rows that do not cross every column are not split.
-        let unsplit = strip.clone().rev().fold(0, |rows, row| rows << 1 | u32::from(!strategies.is_splittable(row))) & mixed;
+        let unsplit = strip.clone().rev().fold(0, |rows, row| {
+            rows << 1 | u32::from(!strategies.is_splittable(row))
+        }) & mixed;
         self.unsplit = unsplit;
         if unsplit != 0 {
             self.per_cell[..cells].fill(unsplit);
@@ -88,12 +99,15 @@ impl RowSplit {
                 }
             }
             for cell in lattice.fine.row(j) {
-                let [_, right, _, left] = cell.edges.map(|level| if level > 0 { rows_of(cell.y) } else { 0 });
+                let [_, right, _, left] = cell
+                    .edges
+                    .map(|level| if level > 0 { rows_of(cell.y) } else { 0 });
                 self.bent[cell.i] |= left;
                 self.bent[cell.i + 1] |= right;
             }
         }
-        self.columns.extend((0..cells).filter(|&i| self.folded[i] != 0));
+        self.columns
+            .extend((0..cells).filter(|&i| self.folded[i] != 0));
         if self.columns.is_empty() {
             return;
         }
@@ -123,7 +137,10 @@ impl RowSplit {
         let (bit, cells) = (1_u32 << index, self.folded.len());
         self.parts.clear();
         if self.unsplit & bit != 0 {
-            self.parts.push(Part { cells: 0..cells, across: i32::MIN..i32::MAX });
+            self.parts.push(Part {
+                cells: 0..cells,
+                across: i32::MIN..i32::MAX,
+            });
             return;
         }
         let px = |place: i32| place as f32 * STEP;
@@ -132,12 +149,16 @@ impl RowSplit {
         while let Some(n) = next {
             next = (n + 1..self.columns.len()).find(folded);
             let i = self.columns[n];
-            let mut part = Part { cells: i..i + 1, across: self.across[n][index].clone() };
+            let mut part = Part {
+                cells: i..i + 1,
+                across: self.across[n][index].clone(),
+            };
             loop {
                 // The column at the left end lies left of all folded cells, and the cell left of it is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
-                let end =
-                    (before + 1..=part.cells.start).rev().find(|c| x[*c] + DOUBT <= px(part.across.start) && self.bent[*c] & bit == 0);
+                let end = (before + 1..=part.cells.start)
+                    .rev()
+                    .find(|c| x[*c] + DOUBT <= px(part.across.start) && self.bent[*c] & bit == 0);
                 match (end, self.parts.pop()) {
                     (Some(end), last) => {
                         part.cells.start = end;
@@ -146,7 +167,8 @@ impl RowSplit {
                     }
                     (None, Some(last)) => {
                         part.cells.start = last.cells.start;
-                        part.across = last.across.start.min(part.across.start)..last.across.end.max(part.across.end);
+                        part.across = last.across.start.min(part.across.start)
+                            ..last.across.end.max(part.across.end);
                     }
                     (None, None) => {
                         part.cells.start = 0;
@@ -155,7 +177,8 @@ impl RowSplit {
                 }
             }
             let last = next.map_or(cells, |next| self.columns[next]);
-            let end = (part.cells.end..last).find(|c| x[*c] - DOUBT >= px(part.across.end) && self.bent[*c] & bit == 0);
+            let end = (part.cells.end..last)
+                .find(|c| x[*c] - DOUBT >= px(part.across.end) && self.bent[*c] & bit == 0);
             part.cells.end = end.unwrap_or(last);
             self.parts.push(part);
         }

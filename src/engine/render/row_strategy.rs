@@ -49,13 +49,27 @@ impl RowStrategies {
     pub(super) fn new(lattice: &Lattice, height: u32, source: u32, kernel: Kernel) -> Self {
         let blocks = lattice.blocks();
         let none = vec![0; (lattice.rows - 1) * blocks];
-        let mut strategies =
-            Self { rows: vec![RowStrategy::Mixed; height as usize], blocks, inaccurate: none.clone(), folded: none, splittable: 0..0 };
+        let mut strategies = Self {
+            rows: vec![RowStrategy::Mixed; height as usize],
+            blocks,
+            inaccurate: none.clone(),
+            folded: none,
+            splittable: 0..0,
+        };
         let crossing = rows_that_cross(lattice, height);
-        strategies.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize].fill(RowStrategy::Scanline);
+        strategies.rows[crossing.start as usize..crossing.end.max(crossing.start) as usize]
+            .fill(RowStrategy::Scanline);
         strategies.classify(lattice, kernel);
-        let folded: u32 = strategies.folded.iter().map(|cells| cells.count_ones()).sum();
-        let met: u64 = lattice.block_ranges.iter().map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs())).sum();
+        let folded: u32 = strategies
+            .folded
+            .iter()
+            .map(|cells| cells.count_ones())
+            .sum();
+        let met: u64 = lattice
+            .block_ranges
+            .iter()
+            .map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs()))
+            .sum();
         let are_few = folded as usize * FOLDED <= strategies.folded.len() * BLOCK;
         if are_few && met <= SHARES * u64::from(source) * blocks as u64 {
             strategies.splittable = crossing;
@@ -88,10 +102,17 @@ impl RowStrategies {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
         let mut classifier = CellClassifier::new(lattice, kernel);
         // The number of cells of a kind that begin at a row, minus those that end there.
-        let (mut fixups, mut mixed) = (vec![0_i32; self.rows.len() + 1], vec![0_i32; self.rows.len() + 1]);
+        let (mut fixups, mut mixed) = (
+            vec![0_i32; self.rows.len() + 1],
+            vec![0_i32; self.rows.len() + 1],
+        );
         for j in 0..lattice.rows - 1 {
             for (b, soundness) in classifier.at(j).chunks(BLOCK).enumerate() {
-                let not = |kind: u8| soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| cells | u8::from(seen & kind == 0) << k);
+                let not = |kind: u8| {
+                    soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| {
+                        cells | u8::from(seen & kind == 0) << k
+                    })
+                };
                 let mut left = not(SOUND);
                 if left == 0 {
                     continue;
@@ -103,7 +124,14 @@ impl RowStrategies {
                     let k = left.trailing_zeros() as usize;
                     left &= left - 1;
                     let (i, range) = (b * BLOCK + k, lattice.cell_range(b * BLOCK + k, j));
-                    let (rows, known) = (range.rows(&target), if folded >> k & 1 == 1 { &mut mixed } else { &mut fixups });
+                    let (rows, known) = (
+                        range.rows(&target),
+                        if folded >> k & 1 == 1 {
+                            &mut mixed
+                        } else {
+                            &mut fixups
+                        },
+                    );
                     known[rows.start as usize] += 1;
                     known[rows.end.max(rows.start) as usize] -= 1;
                     if soundness[k] & STEEP != 0 {
@@ -117,7 +145,14 @@ impl RowStrategies {
             self.inaccurate[at] |= bit;
             // Where the border is not straight, crossings would paint beyond it.
             self.folded[at] |= if cell.is_ragged { bit } else { 0 };
-            let (rows, known) = (lattice.cell_range(cell.i, cell.j).rows(&target), if cell.is_ragged { &mut mixed } else { &mut fixups });
+            let (rows, known) = (
+                lattice.cell_range(cell.i, cell.j).rows(&target),
+                if cell.is_ragged {
+                    &mut mixed
+                } else {
+                    &mut fixups
+                },
+            );
             known[rows.start as usize] += 1;
             known[rows.end.max(rows.start) as usize] -= 1;
         }
@@ -140,7 +175,11 @@ impl RowStrategies {
             let other = lattice.cell_range(i, *k);
             other.top < range.bottom && range.top < other.bottom
         };
-        for k in (0..j).rev().take_while(shares).chain((j + 1..lattice.rows - 1).take_while(shares)) {
+        for k in (0..j)
+            .rev()
+            .take_while(shares)
+            .chain((j + 1..lattice.rows - 1).take_while(shares))
+        {
             self.inaccurate[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
         }
     }
@@ -159,9 +198,21 @@ struct CellClassifier<'a> {
 
 impl<'a> CellClassifier<'a> {
     fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
-        let edges = || Edges { x: vec![0.0; lattice.columns], y: vec![0.0; lattice.columns] };
-        let (lines, columns) = (std::array::from_fn(|_| edges()), std::array::from_fn(|_| edges()));
-        let mut classifier = Self { lattice, kernel, lines, columns, soundness: vec![0; lattice.columns - 1] };
+        let edges = || Edges {
+            x: vec![0.0; lattice.columns],
+            y: vec![0.0; lattice.columns],
+        };
+        let (lines, columns) = (
+            std::array::from_fn(|_| edges()),
+            std::array::from_fn(|_| edges()),
+        );
+        let mut classifier = Self {
+            lattice,
+            kernel,
+            lines,
+            columns,
+            soundness: vec![0; lattice.columns - 1],
+        };
         classifier.line(0);
         classifier.column(0);
         classifier.line(1);
@@ -172,14 +223,16 @@ impl<'a> CellClassifier<'a> {
     fn line(&mut self, j: usize) {
         let (x, y) = self.vertices(j);
         self.lines.rotate_left(1);
-        self.kernel.edges((x, y), (&x[1..], &y[1..]), 1.0, &mut self.lines[3]);
+        self.kernel
+            .edges((x, y), (&x[1..], &y[1..]), 1.0, &mut self.lines[3]);
     }
 
     /// Appends the columns of a row of cells.
     fn column(&mut self, j: usize) {
         let (above, below, per_px) = (self.vertices(j), self.vertices(j + 1), 1.0 / self.height(j));
         self.columns.rotate_left(1);
-        self.kernel.edges(above, below, per_px, &mut self.columns[2]);
+        self.kernel
+            .edges(above, below, per_px, &mut self.columns[2]);
     }
 
     fn vertices(&self, j: usize) -> (&'a [i32], &'a [i32]) {
@@ -205,16 +258,38 @@ impl<'a> CellClassifier<'a> {
         }
         let [over, top, bottom, under] = &self.lines;
         let [above, columns, below] = &self.columns;
-        let (over, above, before) = if j > 0 { (over, above, j - 1) } else { (top, columns, j) };
-        let (under, below, behind) = if j < last { (under, below, j + 1) } else { (bottom, columns, j) };
-        let height = self.height(before).min(self.height(j)).min(self.height(behind));
+        let (over, above, before) = if j > 0 {
+            (over, above, j - 1)
+        } else {
+            (top, columns, j)
+        };
+        let (under, below, behind) = if j < last {
+            (under, below, j + 1)
+        } else {
+            (bottom, columns, j)
+        };
+        let height = self
+            .height(before)
+            .min(self.height(j))
+            .min(self.height(behind));
         let (lines, columns) = ([over, top, bottom, under], [above, columns, below]);
         self.kernel.soundness(
-            &Neighbours { lines, columns, height, u: &lattice.u, unit: lattice.unit.recip(), tolerance: lattice.crossing_error },
+            &Neighbours {
+                lines,
+                columns,
+                height,
+                u: &lattice.u,
+                unit: lattice.unit.recip(),
+                tolerance: lattice.crossing_error,
+            },
             &mut self.soundness,
         );
         let is_far = |line: (&[i32], &[i32])| {
-            [line.0, line.1].into_iter().flatten().fold(0, |far, place| far.max(place.unsigned_abs())) >= FARTHEST * ONE.unsigned_abs()
+            [line.0, line.1]
+                .into_iter()
+                .flatten()
+                .fold(0, |far, place| far.max(place.unsigned_abs()))
+                >= FARTHEST * ONE.unsigned_abs()
         };
         if height < LEAST_HEIGHT || is_far(self.vertices(j)) || is_far(self.vertices(j + 1)) {
             self.soundness.fill(0);
@@ -244,9 +319,19 @@ impl<'a> CellClassifier<'a> {
             self.kernel.bends(&row(j), &row(j + 1), &mut below);
         }
         let mut steepness = vec![0; self.soundness.len()];
-        self.kernel.steepness(&row(j), &above, &below, &mut steepness);
-        for (seen, steep) in self.soundness.iter_mut().zip(&steepness).filter(|(seen, _)| **seen & STEEP != 0) {
-            *seen = if *steep == SOUND { SOUND } else { *steep | STEEP };
+        self.kernel
+            .steepness(&row(j), &above, &below, &mut steepness);
+        for (seen, steep) in self
+            .soundness
+            .iter_mut()
+            .zip(&steepness)
+            .filter(|(seen, _)| **seen & STEEP != 0)
+        {
+            *seen = if *steep == SOUND {
+                SOUND
+            } else {
+                *steep | STEEP
+            };
         }
     }
 }
@@ -255,6 +340,8 @@ impl<'a> CellClassifier<'a> {
 fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));
-    let bottom = line(lattice.rows - 1).iter().fold(i32::MAX, |bottom, &y| bottom.min(y));
+    let bottom = line(lattice.rows - 1)
+        .iter()
+        .fold(i32::MAX, |bottom, &y| bottom.min(y));
     YRange { top, bottom }.rows(&(0..height))
 }

@@ -1,7 +1,10 @@
 //! Sampling without hand-written kernels: nearest at any depth, bilinear at 16 bit (as defined in `kernel::scalar`, with wider integers),
 //! and the plain copy of the identity. Coordinates are scaled for the filter; output is straight samples, 16 bit big-endian.
 
-#![expect(clippy::cast_possible_truncation, reason = "weighted means stay in the range of the samples")]
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "weighted means stay in the range of the samples"
+)]
 
 use std::ops::Range;
 
@@ -13,35 +16,89 @@ use super::{Canvas, Filter, Outside};
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 
 /// Samples a run of pixels; `out` has `channels` samples for each of `u`.
-pub(super) fn sample(kernel: Kernel, source: &Source, filter: Filter, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+pub(super) fn sample(
+    kernel: Kernel,
+    source: &Source,
+    filter: Filter,
+    u: &[f32],
+    v: &[f32],
+    channels: Channels,
+    out: &mut [u8],
+) {
     match (filter, source.packed(), source.pixmap().samples()) {
         (Filter::Bilinear, Some(packed), _) => kernel.sample(packed, u, v, channels, out),
         (Filter::Bilinear, None, Samples::Sixteen(samples)) => {
             let picture = Texels::new(source.pixmap(), samples);
-            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(picture.bilinear(u, v), pixel), Depth::Sixteen);
+            each(
+                u,
+                v,
+                channels,
+                out,
+                |u, v, pixel: &mut [u8]| put_wide(picture.bilinear(u, v), pixel),
+                Depth::Sixteen,
+            );
         }
         (Filter::Bicubic, Some(packed), _) => {
-            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put(bicubic::narrow(packed, u, v), pixel), Depth::Eight);
+            each(
+                u,
+                v,
+                channels,
+                out,
+                |u, v, pixel: &mut [u8]| put(bicubic::narrow(packed, u, v), pixel),
+                Depth::Eight,
+            );
         }
         (Filter::Bicubic, None, Samples::Sixteen(samples)) => {
             let picture = Texels::new(source.pixmap(), samples);
             let side = (picture.width, picture.height);
             let sample = |u, v| bicubic::wide(side, u, v, |x, y| picture.at(x, y));
-            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(sample(u, v), pixel), Depth::Sixteen);
+            each(
+                u,
+                v,
+                channels,
+                out,
+                |u, v, pixel: &mut [u8]| put_wide(sample(u, v), pixel),
+                Depth::Sixteen,
+            );
         }
         (_, _, Samples::Eight(samples)) => {
             let picture = Texels::new(source.pixmap(), samples);
-            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put(picture.nearest(u, v), pixel), Depth::Eight);
+            each(
+                u,
+                v,
+                channels,
+                out,
+                |u, v, pixel: &mut [u8]| put(picture.nearest(u, v), pixel),
+                Depth::Eight,
+            );
         }
         (Filter::Nearest, _, Samples::Sixteen(samples)) => {
             let picture = Texels::new(source.pixmap(), samples);
-            each(u, v, channels, out, |u, v, pixel: &mut [u8]| put_wide(picture.nearest(u, v), pixel), Depth::Sixteen);
+            each(
+                u,
+                v,
+                channels,
+                out,
+                |u, v, pixel: &mut [u8]| put_wide(picture.nearest(u, v), pixel),
+                Depth::Sixteen,
+            );
         }
     }
 }
 
-fn each(u: &[f32], v: &[f32], channels: Channels, out: &mut [u8], mut put: impl FnMut(f32, f32, &mut [u8]), depth: Depth) {
-    for ((u, v), pixel) in u.iter().zip(v).zip(out.chunks_exact_mut(channels.count() * depth.bytes())) {
+fn each(
+    u: &[f32],
+    v: &[f32],
+    channels: Channels,
+    out: &mut [u8],
+    mut put: impl FnMut(f32, f32, &mut [u8]),
+    depth: Depth,
+) {
+    for ((u, v), pixel) in u
+        .iter()
+        .zip(v)
+        .zip(out.chunks_exact_mut(channels.count() * depth.bytes()))
+    {
         put(*u, *v, pixel);
     }
 }
@@ -69,7 +126,13 @@ impl<'a, S: Copy + Sample> Texels<'a, S> {
     fn new(pixmap: &Pixmap, samples: &'a [S]) -> Self {
         let extent = pixmap.extent();
         let (width, height) = (extent.width() as usize, extent.height() as usize);
-        Self { samples, width, height, channels: pixmap.channels(), opaque: pixmap.is_opaque() }
+        Self {
+            samples,
+            width,
+            height,
+            channels: pixmap.channels(),
+            opaque: pixmap.is_opaque(),
+        }
     }
 
     fn at(&self, x: usize, y: usize) -> [S; 4] {
@@ -88,19 +151,35 @@ impl<'a, S: Copy + Sample> Texels<'a, S> {
 
     /// The pixel that contains the position.
     fn nearest(&self, u: f32, v: f32) -> [S; 4] {
-        self.at(fixed(u, (self.width - 1) as f32), fixed(v, (self.height - 1) as f32))
+        self.at(
+            fixed(u, (self.width - 1) as f32),
+            fixed(v, (self.height - 1) as f32),
+        )
     }
 }
 
 impl Texels<'_, u16> {
     fn bilinear(&self, u: f32, v: f32) -> [u16; 4] {
-        let (u, v) = (fixed(u, ((self.width - 1) * 128) as f32), fixed(v, ((self.height - 1) * 128) as f32));
+        let (u, v) = (
+            fixed(u, ((self.width - 1) * 128) as f32),
+            fixed(v, ((self.height - 1) * 128) as f32),
+        );
         let (x, y, fx, fy) = (u >> 7, v >> 7, (u & 127) as u64, (v & 127) as u64);
         if fx == 0 && fy == 0 {
             return self.at(x, y);
         }
-        let texels = [self.at(x, y), self.at(x + 1, y), self.at(x, y + 1), self.at(x + 1, y + 1)];
-        let weights = [(128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy];
+        let texels = [
+            self.at(x, y),
+            self.at(x + 1, y),
+            self.at(x, y + 1),
+            self.at(x + 1, y + 1),
+        ];
+        let weights = [
+            (128 - fx) * (128 - fy),
+            fx * (128 - fy),
+            (128 - fx) * fy,
+            fx * fy,
+        ];
         let mut sums = [0_u64; 4];
         for (weight, texel) in weights.into_iter().zip(texels) {
             // At most 2^14 * 65535^2 < 2^46 in total.
@@ -111,8 +190,18 @@ impl Texels<'_, u16> {
             sums[3] += alpha;
         }
         let alpha = sums[3];
-        let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u16);
-        [r, g, b, if self.opaque { u16::MAX } else { ((alpha + ROUND_SAMPLE) >> 14) as u16 }]
+        let [r, g, b] = [sums[0], sums[1], sums[2]]
+            .map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u16);
+        [
+            r,
+            g,
+            b,
+            if self.opaque {
+                u16::MAX
+            } else {
+                ((alpha + ROUND_SAMPLE) >> 14) as u16
+            },
+        ]
     }
 }
 
@@ -140,7 +229,12 @@ pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     match depth {
         Depth::Eight => bytes[..4].copy_from_slice(&colour),
         // 257 c is c as 16 bit, and both its bytes are c.
-        Depth::Sixteen => bytes = [colour[0], colour[0], colour[1], colour[1], colour[2], colour[2], colour[3], colour[3]],
+        Depth::Sixteen => {
+            bytes = [
+                colour[0], colour[0], colour[1], colour[1], colour[2], colour[2], colour[3],
+                colour[3],
+            ]
+        }
     }
     Some(bytes)
 }
@@ -164,14 +258,20 @@ pub(super) fn fill(out: &mut [u8], pixel: &[u8]) {
     match (pixel.iter().all(|byte| byte == &pixel[0]), pixel) {
         (true, _) => out.fill(pixel[0]),
         (false, &[r, g, b, a]) => out.as_chunks_mut().0.fill([r, g, b, a]),
-        (false, _) => out.chunks_exact_mut(pixel.len()).for_each(|out| out.copy_from_slice(pixel)),
+        (false, _) => out
+            .chunks_exact_mut(pixel.len())
+            .for_each(|out| out.copy_from_slice(pixel)),
     }
 }
 
 /// Copies rows of the source as they are.
 pub(super) fn copy(pixmap: &Pixmap, rows: Range<u32>, out: &mut [u8]) {
     let row = pixmap.extent().width() as usize * pixmap.channels().count();
-    put_samples(pixmap, rows.start as usize * row..rows.end as usize * row, out);
+    put_samples(
+        pixmap,
+        rows.start as usize * row..rows.end as usize * row,
+        out,
+    );
 }
 
 /// Writes samples of the source as they are.
@@ -188,13 +288,25 @@ fn put_samples(pixmap: &Pixmap, samples: Range<usize>, out: &mut [u8]) {
 
 /// Whether a canvas lies in a picture of this size.
 pub(super) fn covers(picture: Extent, canvas: Canvas) -> bool {
-    let within = |at: i32, length: u32, side: u32| at >= 0 && i64::from(at) + i64::from(length) <= i64::from(side);
-    within(canvas.x, canvas.extent.width(), picture.width()) && within(canvas.y, canvas.extent.height(), picture.height())
+    let within = |at: i32, length: u32, side: u32| {
+        at >= 0 && i64::from(at) + i64::from(length) <= i64::from(side)
+    };
+    within(canvas.x, canvas.extent.width(), picture.width())
+        && within(canvas.y, canvas.extent.height(), picture.height())
 }
 
 /// Copies a row of the source's plane that begins at `(x, y)`, of which a part may lie outside the source.
-pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, channels: Channels, out: &mut [u8]) {
-    let (width, height) = (i64::from(pixmap.extent().width()), i64::from(pixmap.extent().height()));
+pub(super) fn copy_row(
+    pixmap: &Pixmap,
+    (x, y): (i64, i64),
+    outside: Outside,
+    channels: Channels,
+    out: &mut [u8],
+) {
+    let (width, height) = (
+        i64::from(pixmap.extent().width()),
+        i64::from(pixmap.extent().height()),
+    );
     let (count, bytes) = (channels.count(), pixmap.depth().bytes());
     let pixel = count * bytes;
     let pixels = out.len() / pixel;
@@ -208,18 +320,29 @@ pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, ch
     let before = |x: i64| usize::try_from(x).unwrap_or(0).min(pixels);
     let (first, end) = (before(-x), before(width - x));
     let is_mirrored = outside == Outside::Reflect;
-    let line = if is_mirrored { mirrored(y, height) } else { y.clamp(0, height - 1) };
+    let line = if is_mirrored {
+        mirrored(y, height)
+    } else {
+        y.clamp(0, height - 1)
+    };
     let source = line as usize * width as usize;
     let put = |from: usize, out: &mut [u8]| {
         let stored = pixmap.channels().count();
         for (k, out) in out.chunks_exact_mut(pixel).enumerate() {
             let (samples, opaque) = out.split_at_mut(stored.min(count) * bytes);
-            put_samples(pixmap, (from + k) * stored..(from + k) * stored + stored.min(count), samples);
+            put_samples(
+                pixmap,
+                (from + k) * stored..(from + k) * stored + stored.min(count),
+                samples,
+            );
             opaque.fill(u8::MAX);
         }
     };
     if first < end {
-        put(source + usize::try_from(x).unwrap_or(0), &mut out[first * pixel..end * pixel]);
+        put(
+            source + usize::try_from(x).unwrap_or(0),
+            &mut out[first * pixel..end * pixel],
+        );
     }
     for (range, nearest) in [(0..first, 0), (end.max(first)..pixels, width as usize - 1)] {
         let out = &mut out[range.start * pixel..range.end * pixel];
@@ -230,7 +353,9 @@ pub(super) fn copy_row(pixmap: &Pixmap, (x, y): (i64, i64), outside: Outside, ch
                     put(source + mirrored(at, width) as usize, out);
                 }
             }
-            None => out.chunks_exact_mut(pixel).for_each(|out| put(source + nearest, out)),
+            None => out
+                .chunks_exact_mut(pixel)
+                .for_each(|out| put(source + nearest, out)),
         }
     }
 }

@@ -1,6 +1,9 @@
 //! Conversion of a posed mesh to the lattice: snaps every vertex and bounds the cells by ranges of y. Cost: O(vertices).
 
-#![expect(clippy::cast_possible_truncation, reason = "coordinates of the sampler are kept as f32")]
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "coordinates of the sampler are kept as f32"
+)]
 
 use super::Filter;
 use super::fine::FineCells;
@@ -26,9 +29,15 @@ impl Axis {
     fn new(filter: Filter, source: u32, grid: f64, k: u32) -> Self {
         let pixels = f64::from(source) / grid / f64::from(k).exp2();
         match filter {
-            Filter::Nearest => Self { scale: pixels, offset: 0.0 },
+            Filter::Nearest => Self {
+                scale: pixels,
+                offset: 0.0,
+            },
             // 1/128 px from the first pixel's centre; the half turns truncation into rounding.
-            Filter::Bilinear | Filter::Bicubic => Self { scale: 128.0 * pixels, offset: 0.5 - 128.0 * PIXEL_CENTER },
+            Filter::Bilinear | Filter::Bicubic => Self {
+                scale: 128.0 * pixels,
+                offset: 0.5 - 128.0 * PIXEL_CENTER,
+            },
         }
     }
 
@@ -56,22 +65,39 @@ impl Sampled for Axes {
 impl Lattice {
     /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by `2^k`. `scale`: px of the target per px of
     /// the source; `origin`: the position of the window that is drawn, px of the source.
-    pub(super) fn new(mesh: &Mesh, source: Extent, k: u32, filter: Filter, (scale, origin): ([f64; 2], [f64; 2]), kernel: Kernel) -> Self {
+    pub(super) fn new(
+        mesh: &Mesh,
+        source: Extent,
+        k: u32,
+        filter: Filter,
+        (scale, origin): ([f64; 2], [f64; 2]),
+        kernel: Kernel,
+    ) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
         let pitch = columns.next_multiple_of(BLOCK);
-        let axes =
-            Axes { across: Axis::new(filter, source.width(), grid.width(), k), down: Axis::new(filter, source.height(), grid.height(), k) };
+        let axes = Axes {
+            across: Axis::new(filter, source.width(), grid.width(), k),
+            down: Axis::new(filter, source.height(), grid.height(), k),
+        };
         let scale = scale.map(|s| s * f64::from(ONE));
         let mut u: Vec<f32> = (0..grid.columns()).map(|i| axes.u(grid.x(i))).collect();
         let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i) - origin[0]).collect();
         u.resize(pitch + BLOCK, axes.u(grid.width()));
         let v: Vec<f32> = (0..grid.rows()).map(|j| axes.v(grid.y(j))).collect();
         let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
-        for ((j, displacement), (x, y)) in
-            (0..).zip(mesh.displacement().chunks_exact(columns)).zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
+        for ((j, displacement), (x, y)) in (0..)
+            .zip(mesh.displacement().chunks_exact(columns))
+            .zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
         {
-            kernel.snap(&rest_x, grid.y(j) - origin[1], displacement, scale, &mut x[..columns], &mut y[..columns]);
+            kernel.snap(
+                &rest_x,
+                grid.y(j) - origin[1],
+                displacement,
+                scale,
+                &mut x[..columns],
+                &mut y[..columns],
+            );
             let last = (x[columns - 1], y[columns - 1]);
             x[columns..].fill(last.0);
             y[columns..].fill(last.1);
@@ -82,11 +108,33 @@ impl Lattice {
             Filter::Bilinear | Filter::Bicubic => 128.0,
         };
         // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
-        let widest = u.windows(2).chain(v.windows(2)).map(|ab| (ab[1] - ab[0]).abs()).fold(0.0, f32::max);
-        let longest_side = if widest <= WIDEST * unit { LONGEST_SIDE } else { 0 };
+        let widest = u
+            .windows(2)
+            .chain(v.windows(2))
+            .map(|ab| (ab[1] - ab[0]).abs())
+            .fold(0.0, f32::max);
+        let longest_side = if widest <= WIDEST * unit {
+            LONGEST_SIDE
+        } else {
+            0
+        };
         let crossing_error = CROSSING_SHARE * mesh.refinement().drawn_within();
         let fine = FineCells::new(mesh, (scale, origin), &axes, kernel);
-        let mut lattice = Self { columns, rows, pitch, x, y, u, v, unit, longest_side, crossing_error, row_ranges, block_ranges, fine };
+        let mut lattice = Self {
+            columns,
+            rows,
+            pitch,
+            x,
+            y,
+            u,
+            v,
+            unit,
+            longest_side,
+            crossing_error,
+            row_ranges,
+            block_ranges,
+            fine,
+        };
         lattice.cover_fine_cells();
         lattice
     }
@@ -99,7 +147,14 @@ fn y_ranges(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange
     for (y, y_ranges) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
         kernel.y_ranges(y, y_ranges);
     }
-    let block_ranges: Vec<YRange> = lines.iter().zip(&lines[blocks..]).map(|(above, below)| above.join(*below)).collect();
-    let row_ranges = block_ranges.chunks_exact(blocks).map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join)).collect();
+    let block_ranges: Vec<YRange> = lines
+        .iter()
+        .zip(&lines[blocks..])
+        .map(|(above, below)| above.join(*below))
+        .collect();
+    let row_ranges = block_ranges
+        .chunks_exact(blocks)
+        .map(|row| row.iter().copied().fold(YRange::NOWHERE, YRange::join))
+        .collect();
     (row_ranges, block_ranges)
 }

@@ -13,14 +13,26 @@ pub(super) trait Sampled {
 
 impl FineCells {
     /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of the window, px of the source.
-    pub(super) fn new(mesh: &Mesh, (scale, origin): ([f64; 2], [f64; 2]), sampled: &impl Sampled, kernel: Kernel) -> Self {
+    pub(super) fn new(
+        mesh: &Mesh,
+        (scale, origin): ([f64; 2], [f64; 2]),
+        sampled: &impl Sampled,
+        kernel: Kernel,
+    ) -> Self {
         let refinement = mesh.refinement();
         if refinement.is_empty() {
             return Self::default();
         }
         let grid = mesh.grid();
-        let (cell_rows, blocks) = (grid.rows() as usize - 1, (grid.columns() as usize).div_ceil(BLOCK));
-        let mut fine = Self { blocks, bits: vec![0; cell_rows * blocks], ..Self::default() };
+        let (cell_rows, blocks) = (
+            grid.rows() as usize - 1,
+            (grid.columns() as usize).div_ceil(BLOCK),
+        );
+        let mut fine = Self {
+            blocks,
+            bits: vec![0; cell_rows * blocks],
+            ..Self::default()
+        };
         let (mut rest_x, mut u, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for cell in refinement.cells() {
             let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
@@ -37,7 +49,14 @@ impl FineCells {
             y.resize(side, 0);
             for (b, displacement) in refinement.displacement(cell).chunks_exact(side).enumerate() {
                 let rest_y = between(grid.y(cell.row), grid.y(cell.row + 1), b, side);
-                kernel.snap(&rest_x, rest_y - origin[1], displacement, scale, &mut x, &mut y);
+                kernel.snap(
+                    &rest_x,
+                    rest_y - origin[1],
+                    displacement,
+                    scale,
+                    &mut x,
+                    &mut y,
+                );
                 let v = sampled.v(rest_y);
                 for ((&u, &x), &y) in u.iter().zip(&x).zip(&y) {
                     fine.corners.push(Corner { x, y, u, v });
@@ -45,8 +64,19 @@ impl FineCells {
                     across = (across.0.min(x), across.1.max(x));
                 }
             }
-            let is_ragged = outer_edges(grid, cell).zip(cell.edges).any(|(is_outer, level)| is_outer && level > 0);
-            fine.cells.push(FineCell { i, j, level: cell.level, edges: cell.edges, y: range, x: across, is_ragged, start });
+            let is_ragged = outer_edges(grid, cell)
+                .zip(cell.edges)
+                .any(|(is_outer, level)| is_outer && level > 0);
+            fine.cells.push(FineCell {
+                i,
+                j,
+                level: cell.level,
+                edges: cell.edges,
+                y: range,
+                x: across,
+                is_ragged,
+                start,
+            });
         }
         fine.rows.resize(cell_rows + 1, fine.cells.len());
         fine
@@ -57,10 +87,20 @@ impl FineCells {
 fn between(from: f64, to: f64, k: usize, side: usize) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "a few vertices")]
     let share = k as f64 / (side - 1) as f64;
-    if k + 1 == side { to } else { from + (to - from) * share }
+    if k + 1 == side {
+        to
+    } else {
+        from + (to - from) * share
+    }
 }
 
 /// Whether each edge lies on the border of the grid.
 fn outer_edges(grid: &Grid, cell: &RefinedCell) -> std::array::IntoIter<bool, 4> {
-    [cell.row == 0, cell.column + 2 == grid.columns(), cell.row + 2 == grid.rows(), cell.column == 0].into_iter()
+    [
+        cell.row == 0,
+        cell.column + 2 == grid.columns(),
+        cell.row + 2 == grid.rows(),
+        cell.column == 0,
+    ]
+    .into_iter()
 }

@@ -26,8 +26,15 @@ impl Source {
     /// Wraps a decoded picture.
     #[must_use]
     pub fn new(pixmap: Pixmap) -> Self {
-        let reduced = (0..deepest(pixmap.extent())).map(|_| OnceLock::new()).collect();
-        Self { pixmap, packed: OnceLock::new(), reduced, making: Mutex::new(()) }
+        let reduced = (0..deepest(pixmap.extent()))
+            .map(|_| OnceLock::new())
+            .collect();
+        Self {
+            pixmap,
+            packed: OnceLock::new(),
+            reduced,
+            making: Mutex::new(()),
+        }
     }
 
     /// The picture as decoded.
@@ -54,7 +61,9 @@ impl Source {
     /// Number of halvings for a target: the reduced picture is not smaller than the target along either axis.
     pub(super) fn level_for(&self, target: Extent) -> u32 {
         let extent = self.pixmap.extent();
-        let fits = |k: &u32| target.width() <= extent.width() >> k && target.height() <= extent.reduced(*k).height();
+        let fits = |k: &u32| {
+            target.width() <= extent.width() >> k && target.height() <= extent.reduced(*k).height()
+        };
         (1..=deepest(extent)).take_while(fits).last().unwrap_or(0)
     }
 
@@ -65,16 +74,30 @@ impl Source {
 
     /// Like [`Source::level`]; `None` when cancelled.
     fn level_unless(&self, k: u32, cancelled: &dyn Fn() -> bool) -> Option<&Self> {
-        let Some(cell) = (k as usize).checked_sub(1).and_then(|index| self.reduced.get(index)) else { return Some(self) };
+        let Some(cell) = (k as usize)
+            .checked_sub(1)
+            .and_then(|index| self.reduced.get(index))
+        else {
+            return Some(self);
+        };
         let level = self.copy(cell, || {
             let pixmap = self.pixmap.reduced_unless(k, cancelled)?;
-            Some(Box::new(Self { pixmap, packed: OnceLock::new(), reduced: Vec::new(), making: Mutex::new(()) }))
+            Some(Box::new(Self {
+                pixmap,
+                packed: OnceLock::new(),
+                reduced: Vec::new(),
+                making: Mutex::new(()),
+            }))
         })?;
         Some(level)
     }
 
     /// A copy, made now if it has not been made.
-    fn copy<'a, T>(&self, cell: &'a OnceLock<T>, make: impl FnOnce() -> Option<T>) -> Option<&'a T> {
+    fn copy<'a, T>(
+        &self,
+        cell: &'a OnceLock<T>,
+        make: impl FnOnce() -> Option<T>,
+    ) -> Option<&'a T> {
         if let Some(copy) = cell.get() {
             return Some(copy);
         }
@@ -90,7 +113,11 @@ impl Source {
     pub(super) fn lacks_copies(&self, size: Extent, is_packed: bool) -> bool {
         let reduced = match self.level_for(size) as usize {
             0 => Some(self),
-            k => self.reduced.get(k - 1).and_then(OnceLock::get).map(|reduced| &**reduced),
+            k => self
+                .reduced
+                .get(k - 1)
+                .and_then(OnceLock::get)
+                .map(|reduced| &**reduced),
         };
         let is_packed = is_packed && self.pixmap.depth() == Depth::Eight;
         reduced.is_none_or(|reduced| is_packed && reduced.packed.get().is_none())
@@ -98,11 +125,18 @@ impl Source {
 
     /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number of halvings; `None` when cancelled,
     /// which is checked for each row.
-    pub(super) fn make_copies(&self, size: Extent, is_packed: bool, cancelled: &dyn Fn() -> bool) -> Option<u32> {
+    pub(super) fn make_copies(
+        &self,
+        size: Extent,
+        is_packed: bool,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<u32> {
         let k = self.level_for(size);
         let reduced = self.level_unless(k, cancelled)?;
         if let (true, Samples::Eight(samples)) = (is_packed, reduced.pixmap.samples()) {
-            reduced.copy(&reduced.packed, || Packed::new(&reduced.pixmap, samples, cancelled))?;
+            reduced.copy(&reduced.packed, || {
+                Packed::new(&reduced.pixmap, samples, cancelled)
+            })?;
         }
         Some(k)
     }
@@ -110,7 +144,9 @@ impl Source {
     /// The packed texels; `None` at 16 bit.
     pub(super) fn packed(&self) -> Option<&Packed> {
         match self.pixmap.samples() {
-            Samples::Eight(samples) => self.copy(&self.packed, || Packed::new(&self.pixmap, samples, NEVER)),
+            Samples::Eight(samples) => {
+                self.copy(&self.packed, || Packed::new(&self.pixmap, samples, NEVER))
+            }
             Samples::Sixteen(_) => None,
         }
     }
@@ -118,7 +154,11 @@ impl Source {
 
 /// Number of halvings until a picture is one pixel.
 const fn deepest(extent: Extent) -> u32 {
-    let longest = if extent.width() > extent.height() { extent.width() } else { extent.height() };
+    let longest = if extent.width() > extent.height() {
+        extent.width()
+    } else {
+        extent.height()
+    };
     u32::BITS - (longest - 1).leading_zeros()
 }
 
@@ -133,7 +173,10 @@ pub(super) struct Packed {
 
 impl Packed {
     fn new(pixmap: &Pixmap, samples: &[u8], cancelled: &dyn Fn() -> bool) -> Option<Self> {
-        let (width, height) = (pixmap.extent().width() as usize, pixmap.extent().height() as usize);
+        let (width, height) = (
+            pixmap.extent().width() as usize,
+            pixmap.extent().height() as usize,
+        );
         let stride = width + 1;
         let mut texels = Vec::with_capacity(stride * (height + 1));
         let count = pixmap.channels().count();
@@ -142,13 +185,24 @@ impl Packed {
                 return None;
             }
             match pixmap.channels() {
-                Channels::Rgb => texels.extend(row.chunks_exact(3).map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ FLIP)),
-                Channels::Rgba => texels.extend(row.chunks_exact(4).map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ FLIP)),
+                Channels::Rgb => texels.extend(
+                    row.chunks_exact(3)
+                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ FLIP),
+                ),
+                Channels::Rgba => texels.extend(
+                    row.chunks_exact(4)
+                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ FLIP),
+                ),
             }
             texels.extend(texels.last().copied());
         }
         texels.extend_from_within(texels.len() - stride..);
-        Some(Self { texels, width, height, opaque: pixmap.is_opaque() })
+        Some(Self {
+            texels,
+            width,
+            height,
+            opaque: pixmap.is_opaque(),
+        })
     }
 
     /// Texels per row, including the repeated one.

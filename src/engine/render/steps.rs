@@ -22,21 +22,34 @@ pub(super) struct YRange {
 }
 
 impl YRange {
-    pub(super) const NOWHERE: Self = Self { top: i32::MAX, bottom: i32::MIN };
+    pub(super) const NOWHERE: Self = Self {
+        top: i32::MAX,
+        bottom: i32::MIN,
+    };
 
     pub(super) fn join(self, other: Self) -> Self {
-        Self { top: self.top.min(other.top), bottom: self.bottom.max(other.bottom) }
+        Self {
+            top: self.top.min(other.top),
+            bottom: self.bottom.max(other.bottom),
+        }
     }
 
     /// The rows of `rows` whose pixel centres may lie inside.
     pub(super) fn rows(self, rows: &std::ops::Range<u32>) -> std::ops::Range<u32> {
-        let clip = |y: i32| u32::try_from(first_row(y).max(0)).unwrap_or(u32::MAX).clamp(rows.start, rows.end);
+        let clip = |y: i32| {
+            u32::try_from(first_row(y).max(0))
+                .unwrap_or(u32::MAX)
+                .clamp(rows.start, rows.end)
+        };
         clip(self.top)..clip(self.bottom)
     }
 
     /// Whether some row of pixel centres of `rows` may lie inside.
     pub(super) fn meets(self, rows: &std::ops::Range<u32>) -> bool {
-        let (first, last) = (row_centre(rows.start), row_centre(rows.end) - i64::from(ONE));
+        let (first, last) = (
+            row_centre(rows.start),
+            row_centre(rows.end) - i64::from(ONE),
+        );
         i64::from(self.top) <= last && i64::from(self.bottom) > first
     }
 }

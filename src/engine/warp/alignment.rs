@@ -40,13 +40,21 @@ impl RestSpec {
     /// at 1 is exactly q. Handles of another shape than those of `p`, or out of range, stay as they are:
     /// posing them is refused.
     #[must_use]
-    pub fn posed(&self, q: Vec<Handle>, strength: f64, extent: Extent) -> (Vec<Handle>, Option<Alignment>) {
+    pub fn posed(
+        &self,
+        q: Vec<Handle>,
+        strength: f64,
+        extent: Extent,
+    ) -> (Vec<Handle>, Option<Alignment>) {
         let fitted = self.fit_of(&q, extent);
         let q = match &fitted {
             Some(fitted) => self.aligned(&q, fitted, extent),
             None => q,
         };
-        (self.at_strength(strength, q), fitted.map(|Fitted { class, map, .. }| Alignment { class, map }))
+        (
+            self.at_strength(strength, q),
+            fitted.map(|Fitted { class, map, .. }| Alignment { class, map }),
+        )
     }
 
     fn fit_of(&self, q: &[Handle], extent: Extent) -> Option<Fitted> {
@@ -59,26 +67,57 @@ impl RestSpec {
             _ => false,
         };
         let unit = self.unit(extent);
-        let in_range = |p: &Point| (p.x * unit.0).abs() <= MAX_COORDINATE && (p.y * unit.1).abs() <= MAX_COORDINATE;
-        let is_valid =
-            q.len() == self.p.len() && self.p.iter().zip(q).all(is_alike) && self.p.iter().chain(q).flat_map(Handle::places).all(in_range);
+        let in_range = |p: &Point| {
+            (p.x * unit.0).abs() <= MAX_COORDINATE && (p.y * unit.1).abs() <= MAX_COORDINATE
+        };
+        let is_valid = q.len() == self.p.len()
+            && self.p.iter().zip(q).all(is_alike)
+            && self
+                .p
+                .iter()
+                .chain(q)
+                .flat_map(Handle::places)
+                .all(in_range);
         if !is_valid {
             return None;
         }
-        fitted(class, &to_px(q, unit), &to_px(&self.p, unit), self.weights.as_deref())
+        fitted(
+            class,
+            &to_px(q, unit),
+            &to_px(&self.p, unit),
+            self.weights.as_deref(),
+        )
     }
 
-    fn aligned(&self, q: &[Handle], Fitted { map, extent: size, .. }: &Fitted, extent: Extent) -> Vec<Handle> {
+    fn aligned(
+        &self,
+        q: &[Handle],
+        Fitted {
+            map, extent: size, ..
+        }: &Fitted,
+        extent: Extent,
+    ) -> Vec<Handle> {
         let unit = self.unit(extent);
         let moved = |p: &Point, q: &Point| {
             let moved = map.map(Point::new(q.x * unit.0, q.y * unit.1));
-            let is_at_rest = moved.distance(Point::new(p.x * unit.0, p.y * unit.1)) <= AT_REST * size;
-            if is_at_rest { *p } else { Point::new(moved.x / unit.0, moved.y / unit.1) }
+            let is_at_rest =
+                moved.distance(Point::new(p.x * unit.0, p.y * unit.1)) <= AT_REST * size;
+            if is_at_rest {
+                *p
+            } else {
+                Point::new(moved.x / unit.0, moved.y / unit.1)
+            }
         };
         let handle = |(p, q): (&Handle, &Handle)| match (p, q) {
             (Handle::Missing, _) => Handle::Missing,
             (Handle::Point(p), Handle::Point(q)) => Handle::Point(moved(p, q)),
-            (p, q) => Handle::Polyline(p.places().iter().zip(q.places()).map(|(p, q)| moved(p, q)).collect()),
+            (p, q) => Handle::Polyline(
+                p.places()
+                    .iter()
+                    .zip(q.places())
+                    .map(|(p, q)| moved(p, q))
+                    .collect(),
+            ),
         };
         self.p.iter().zip(q).map(handle).collect()
     }
@@ -102,6 +141,10 @@ impl RestSpec {
             (_, q) => q,
         };
         // The sum of a position and a difference is rounded.
-        if strength.to_bits() == 1.0_f64.to_bits() { q } else { q.into_iter().enumerate().map(handle).collect() }
+        if strength.to_bits() == 1.0_f64.to_bits() {
+            q
+        } else {
+            q.into_iter().enumerate().map(handle).collect()
+        }
     }
 }

@@ -41,7 +41,12 @@ impl CompactLattice {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn new(setup: &Setup, plan: &Plan, tolerance: f64, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+    pub fn new(
+        setup: &Setup,
+        plan: &Plan,
+        tolerance: f64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         let grid = setup.lines();
         let mut steps = steps(grid);
         let mut errors = vec![0.0_f64; steps.len()];
@@ -60,10 +65,20 @@ impl CompactLattice {
             is_measured = true;
         }
         if has_handles && !is_measured {
-            return Ok(Self { grid: *grid, step: steps[0], tolerance, error: None });
+            return Ok(Self {
+                grid: *grid,
+                step: steps[0],
+                tolerance,
+                error: None,
+            });
         }
         let coarsest = steps.len() - 1;
-        Ok(Self { grid: *grid, step: steps[coarsest], tolerance, error: Some(errors[coarsest]) })
+        Ok(Self {
+            grid: *grid,
+            step: steps[coarsest],
+            tolerance,
+            error: Some(errors[coarsest]),
+        })
     }
 
     /// The lines at rest.
@@ -89,7 +104,11 @@ impl CompactLattice {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn numbers(&self, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<(Vec<u8>, f64), WarpError> {
+    pub fn numbers(
+        &self,
+        posed: &Posed,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(Vec<u8>, f64), WarpError> {
         let quantized = Quantized::new(posed.mesh(), self.step);
         let (units, displacement) = quantized.displacement();
         let error = distance(posed.mesh(), self.step, &displacement, cancelled)?;
@@ -103,9 +122,18 @@ impl CompactLattice {
 /// Steps between lines, ascending: those of lattices that have few enough vertices. With the largest the lattice is a single cell.
 fn steps(grid: &Grid) -> Vec<usize> {
     let cells = grid.columns().max(grid.rows()) as usize - 1;
-    let first = (1..cells).find(|&step| grid.thinned(step).len() <= MOST_VERTICES).unwrap_or(cells);
-    let more = if grid.len() > COMPARED_VERTICES { first } else { cells };
-    std::iter::successors(Some(first), |&step| (step < more).then(|| (step * 3 / 2).max(step + 1).min(cells))).collect()
+    let first = (1..cells)
+        .find(|&step| grid.thinned(step).len() <= MOST_VERTICES)
+        .unwrap_or(cells);
+    let more = if grid.len() > COMPARED_VERTICES {
+        first
+    } else {
+        cells
+    };
+    std::iter::successors(Some(first), |&step| {
+        (step < more).then(|| (step * 3 / 2).max(step + 1).min(cells))
+    })
+    .collect()
 }
 
 /// See [`CompactLattice::new`].
@@ -119,18 +147,26 @@ fn reference_poses(setup: &Setup) -> impl Iterator<Item = Pose> + '_ {
         }
     }
     let columns: usize = handles.iter().map(|handle| handle.places().len()).sum();
-    let sets = (WORK / grid.len().saturating_mul(columns + CANDIDATES) / 2).clamp(1, MOST_POSES / 2).min(handles.len());
+    let sets = (WORK / grid.len().saturating_mul(columns + CANDIDATES) / 2)
+        .clamp(1, MOST_POSES / 2)
+        .min(handles.len());
     let middle = Point::new(grid.width() / 2.0, grid.height() / 2.0);
     let far = MOVED * grid.width().min(grid.height());
     let towards = move |from: f64, to: f64| if from > to { -far } else { far };
     (0..2 * sets).filter_map(move |pose| {
         let posed = handles.iter().zip(&leader).map(|(handle, &leader)| {
             let first = handles[leader].places().first().copied().unwrap_or(middle);
-            let along = if pose % 2 == 0 { Vec2::new(towards(first.x, middle.x), 0.0) } else { Vec2::new(0.0, towards(first.y, middle.y)) };
+            let along = if pose % 2 == 0 {
+                Vec2::new(towards(first.x, middle.x), 0.0)
+            } else {
+                Vec2::new(0.0, towards(first.y, middle.y))
+            };
             match handle {
                 moved if leader % sets != pose / 2 => moved.clone(),
                 Handle::Point(p) => Handle::Point(*p + along),
-                Handle::Polyline(places) => Handle::Polyline(places.iter().map(|p| *p + along).collect()),
+                Handle::Polyline(places) => {
+                    Handle::Polyline(places.iter().map(|p| *p + along).collect())
+                }
                 Handle::Missing => Handle::Missing,
             }
         });
@@ -152,16 +188,31 @@ impl Quantized {
             lines(columns, step).map(|i| row[i])
         };
         let displacement: Vec<_> = lines(rows, step).flat_map(row).collect();
-        let largest = displacement.iter().flatten().fold(0.0_f32, |largest, d| largest.max(d.abs()));
-        Self { displacement, scale: largest.min(f32::MAX) / LARGEST }
+        let largest = displacement
+            .iter()
+            .flatten()
+            .fold(0.0_f32, |largest, d| largest.max(d.abs()));
+        Self {
+            displacement,
+            scale: largest.min(f32::MAX) / LARGEST,
+        }
     }
 
     /// In units of the scale, and as they are read again, px.
     fn displacement(&self) -> (Vec<[i16; 2]>, Vec<[f32; 2]>) {
-        let Self { displacement, scale } = self;
+        let Self {
+            displacement,
+            scale,
+        } = self;
         #[expect(clippy::cast_possible_truncation, reason = "clamped; 0 / 0 is 0")]
-        let units = displacement.iter().map(|d| d.map(|d| (d / scale).round().clamp(-LARGEST, LARGEST) as i16)).collect::<Vec<_>>();
-        let read = units.iter().map(|units| units.map(|unit| f32::from(unit) * scale)).collect();
+        let units = displacement
+            .iter()
+            .map(|d| d.map(|d| (d / scale).round().clamp(-LARGEST, LARGEST) as i16))
+            .collect::<Vec<_>>();
+        let read = units
+            .iter()
+            .map(|units| units.map(|unit| f32::from(unit) * scale))
+            .collect();
         (units, read)
     }
 }
@@ -186,11 +237,19 @@ fn between(count: usize, step: usize, at: impl Fn(usize) -> f64) -> Vec<(usize, 
 
 /// The largest distance between a mesh and the one with `displacement` at every n-th line, px. Their difference is bilinear in the cells of
 /// the full mesh, so it is largest at a vertex.
-fn distance(mesh: &Mesh, step: usize, displacement: &[[f32; 2]], cancelled: IsCancelled<'_>) -> Result<f64, WarpError> {
+fn distance(
+    mesh: &Mesh,
+    step: usize,
+    displacement: &[[f32; 2]],
+    cancelled: IsCancelled<'_>,
+) -> Result<f64, WarpError> {
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
     #[expect(clippy::cast_possible_truncation, reason = "lines of a grid are u32")]
-    let (across, down) = (between(columns, step, |i| grid.x(i as u32)), between(rows, step, |j| grid.y(j as u32)));
+    let (across, down) = (
+        between(columns, step, |i| grid.x(i as u32)),
+        between(rows, step, |j| grid.y(j as u32)),
+    );
     let mix = |a: [f32; 2], b: [f32; 2], t: f32| [0, 1].map(|k| a[k] + t * (b[k] - a[k]));
     let coarse = displacement.len() / ((rows - 1).div_ceil(step) + 1);
     let mut line = Vec::with_capacity(coarse);
@@ -199,7 +258,10 @@ fn distance(mesh: &Mesh, step: usize, displacement: &[[f32; 2]], cancelled: IsCa
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        let (top, bottom) = (&displacement[above * coarse..][..coarse], &displacement[(above + 1) * coarse..][..coarse]);
+        let (top, bottom) = (
+            &displacement[above * coarse..][..coarse],
+            &displacement[(above + 1) * coarse..][..coarse],
+        );
         line.clear();
         line.extend(top.iter().zip(bottom).map(|(a, b)| mix(*a, *b, t)));
         for (full, &(left, s)) in full.iter().zip(&across) {

@@ -68,14 +68,24 @@ pub struct MapSpec {
 
 impl MapSpec {
     fn output(&self) -> OutputSpec {
-        OutputSpec { canvas: self.canvas, width: self.width, ..OutputSpec::default() }
+        OutputSpec {
+            canvas: self.canvas,
+            width: self.width,
+            ..OutputSpec::default()
+        }
     }
 
     /// The target of a posed grid.
     ///
     /// # Errors
     /// Over the limits of pictures; nothing to show on the canvas `fit`; cancelled.
-    pub fn target(&self, posed: &Posed, source: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Target, WarpError> {
+    pub fn target(
+        &self,
+        posed: &Posed,
+        source: Extent,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Target, WarpError> {
         self.check(source, limits)?;
         self.output().target(source, posed, limits, cancelled)
     }
@@ -87,7 +97,11 @@ impl MapSpec {
     pub fn check(&self, source: Extent, limits: &Limits) -> Result<(), WarpError> {
         if self.canvas == CanvasSpec::Same && self.width.is_none() {
             // There need not be a picture that was checked.
-            at_most("map_side", limits.image.max_side.into(), source.width().max(source.height()).into())?;
+            at_most(
+                "map_side",
+                limits.image.max_side.into(),
+                source.width().max(source.height()).into(),
+            )?;
             at_most("map_pixels", limits.image.max_pixels, source.pixels())?;
         }
         self.output().check(source, limits)
@@ -123,18 +137,35 @@ impl CoordinateMap {
                 let computed = inverse.computed_width();
                 (Positions::Inverse(inverse), computed)
             }
-            MapDirection::Forward => (Positions::Forward { mesh: posed.mesh().clone(), canvas: target.canvas }, target.extent.width()),
+            MapDirection::Forward => (
+                Positions::Forward {
+                    mesh: posed.mesh().clone(),
+                    canvas: target.canvas,
+                },
+                target.extent.width(),
+            ),
         };
         let band_rows = band_rows(BAND, computed);
         let tiff = match spec.format {
             MapFormat::Npy => None,
             MapFormat::Tiff => {
                 let limit = u64::from(u32::MAX) / (POSITION + 1);
-                let too_large = WarpError::TooLarge { what: "map_pixels", limit, actual: target.extent.pixels() };
+                let too_large = WarpError::TooLarge {
+                    what: "map_pixels",
+                    limit,
+                    actual: target.extent.pixels(),
+                };
                 Some(FloatTiff::new(target.extent, SAMPLES, band_rows).ok_or(too_large)?)
             }
         };
-        Ok(Self { positions, target, format: spec.format, tiff, band_rows, etag: etag(spec, posed, target) })
+        Ok(Self {
+            positions,
+            target,
+            format: spec.format,
+            tiff,
+            band_rows,
+            etag: etag(spec, posed, target),
+        })
     }
 
     /// The part of the plane that it covers, and its size.
@@ -190,13 +221,18 @@ impl CoordinateMap {
         let mut positions = vec![[0.0; 2]; rows.len() * self.target.extent.width() as usize];
         match &self.positions {
             Positions::Inverse(inverse) => inverse.rows(rows, &mut positions),
-            Positions::Forward { mesh, canvas } => forward(mesh, *canvas, self.target.extent, rows, &mut positions),
+            Positions::Forward { mesh, canvas } => {
+                forward(mesh, *canvas, self.target.extent, rows, &mut positions)
+            }
         }
         let mut bytes = if band == 0 { self.head() } else { Vec::new() };
         bytes.reserve_exact(8 * positions.len());
         // Indices of an array: the centre of the first pixel is 0, 0.
         #[expect(clippy::cast_possible_truncation, reason = "1/2")]
-        let indices = positions.as_flattened().iter().map(|c| c - PIXEL_CENTER as f32);
+        let indices = positions
+            .as_flattened()
+            .iter()
+            .map(|c| c - PIXEL_CENTER as f32);
         match self.format {
             MapFormat::Npy => bytes.extend(indices.flat_map(f32::to_le_bytes)),
             MapFormat::Tiff => bytes.extend(indices.flat_map(f32::to_be_bytes)),
@@ -218,11 +254,32 @@ impl CoordinateMap {
 }
 
 fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent, .. }: Target) -> Digest {
-    let kind = [spec.direction == MapDirection::Forward, spec.format == MapFormat::Tiff, canvas.is_some()].map(u8::from);
-    let Canvas { x, y, extent: shown } = canvas.unwrap_or(Canvas::of(extent));
-    let digest = Collector::new("mlswarp map 1").bytes(&posed.digest().0).bytes(&kind).bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes());
-    let sides = [extent.width(), extent.height(), shown.width(), shown.height()];
-    sides.into_iter().fold(digest, |digest, side| digest.integer(side.into())).finish()
+    let kind = [
+        spec.direction == MapDirection::Forward,
+        spec.format == MapFormat::Tiff,
+        canvas.is_some(),
+    ]
+    .map(u8::from);
+    let Canvas {
+        x,
+        y,
+        extent: shown,
+    } = canvas.unwrap_or(Canvas::of(extent));
+    let digest = Collector::new("mlswarp map 1")
+        .bytes(&posed.digest().0)
+        .bytes(&kind)
+        .bytes(&x.to_le_bytes())
+        .bytes(&y.to_le_bytes());
+    let sides = [
+        extent.width(),
+        extent.height(),
+        shown.width(),
+        shown.height(),
+    ];
+    sides
+        .into_iter()
+        .fold(digest, |digest, side| digest.integer(side.into()))
+        .finish()
 }
 
 /// The head of an array of f32 in NumPy's format, version 1: its length is a multiple of 64.
@@ -234,19 +291,39 @@ fn npy_head(extent: Extent) -> Vec<u8> {
     header.extend(std::iter::repeat_n(' ', padded - header.len() - 1));
     header.push('\n');
     let length = u16::try_from(header.len()).expect("a short text");
-    [b"\x93NUMPY\x01\0", length.to_le_bytes().as_slice(), header.as_bytes()].concat()
+    [
+        b"\x93NUMPY\x01\0",
+        length.to_le_bytes().as_slice(),
+        header.as_bytes(),
+    ]
+    .concat()
 }
 
 /// The posed positions of the pixel centres of a canvas at rest.
-fn forward(mesh: &Mesh, canvas: Option<Canvas>, target: Extent, rows: Range<u32>, out: &mut [[f32; 2]]) {
-    let [left, top, right, bottom] = canvas.map_or([0.0, 0.0, mesh.grid().width(), mesh.grid().height()], |canvas| canvas.edges());
+fn forward(
+    mesh: &Mesh,
+    canvas: Option<Canvas>,
+    target: Extent,
+    rows: Range<u32>,
+    out: &mut [[f32; 2]],
+) {
+    let [left, top, right, bottom] = canvas.map_or(
+        [0.0, 0.0, mesh.grid().width(), mesh.grid().height()],
+        |canvas| canvas.edges(),
+    );
     let px = (right - left) / f64::from(target.width());
     let py = (bottom - top) / f64::from(target.height());
     for (row, out) in rows.zip(out.chunks_exact_mut(target.width() as usize)) {
         let y = top + (f64::from(row) + PIXEL_CENTER) * py;
         for (column, out) in (0..target.width()).zip(out) {
-            let posed = mesh.map(Point::new(left + (f64::from(column) + PIXEL_CENTER) * px, y));
-            #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
+            let posed = mesh.map(Point::new(
+                left + (f64::from(column) + PIXEL_CENTER) * px,
+                y,
+            ));
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "the format of the contract is f32"
+            )]
             let position = posed.map_or([f32::NAN; 2], |p| [p.x as f32, p.y as f32]);
             *out = position;
         }

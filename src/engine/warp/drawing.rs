@@ -26,9 +26,19 @@ impl Warp {
     ///
     /// # Errors
     /// Those of [`OutputSpec::target`] and [`Subject::check`].
-    pub fn new(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, limits: &Limits) -> Result<Self, WarpError> {
+    pub fn new(
+        subject: Subject<'_>,
+        posed: &Posed,
+        output: &OutputSpec,
+        limits: &Limits,
+    ) -> Result<Self, WarpError> {
         subject.check(output)?;
-        Ok(Self::onto(output.target(subject.extent(), posed, limits, &|| false)?, subject, posed, output))
+        Ok(Self::onto(
+            output.target(subject.extent(), posed, limits, &|| false)?,
+            subject,
+            posed,
+            output,
+        ))
     }
 
     /// Prepares the drawing of a target of `output`.
@@ -39,7 +49,13 @@ impl Warp {
     pub fn onto(target: Target, subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Self {
         let drawer = subject.drawer(target, posed, output);
         let writer = drawer.writer(output.encoding(subject.depth()));
-        Self { drawer, writer, format: output.format, etag: etag(subject, posed, output, target), target }
+        Self {
+            drawer,
+            writer,
+            format: output.format,
+            etag: etag(subject, posed, output, target),
+            target,
+        }
     }
 
     /// Digest of subject, resolved request and version: the ETag.
@@ -107,17 +123,39 @@ impl Warp {
             }
             work();
         });
-        if ended.into_inner() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        if ended.into_inner() {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
     }
 }
 
-fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canvas, extent, force_alpha, is_preview }: Target) -> Digest {
+fn etag(
+    subject: Subject<'_>,
+    posed: &Posed,
+    output: &OutputSpec,
+    Target {
+        canvas,
+        extent,
+        force_alpha,
+        is_preview,
+    }: Target,
+) -> Digest {
     let encoding = match output.encoding(subject.depth()) {
         Encoding::Png(Compression::None) => [0; 5],
         Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
         Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
-        Encoding::Jpeg { quality, subsampling: Subsampling::Half, ground: [r, g, b] } => [3, quality, r, g, b],
-        Encoding::Jpeg { quality, subsampling: Subsampling::Full, ground: [r, g, b] } => [8, quality, r, g, b],
+        Encoding::Jpeg {
+            quality,
+            subsampling: Subsampling::Half,
+            ground: [r, g, b],
+        } => [3, quality, r, g, b],
+        Encoding::Jpeg {
+            quality,
+            subsampling: Subsampling::Full,
+            ground: [r, g, b],
+        } => [8, quality, r, g, b],
         Encoding::WebP => [4, 0, 0, 0, 0],
         Encoding::Gif => [9, 0, 0, 0, 0],
         Encoding::Tiff(Compression::None) => [5, 0, 0, 0, 0],
@@ -134,7 +172,10 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         Outside::Edge => vec![1, 0, 0, 0, 0],
         Outside::Colour([r, g, b, a]) => vec![2, r, g, b, a],
         Outside::Reflect => vec![3, 0, 0, 0, 0],
-        Outside::Value(value) => value.iter().flat_map(|sample| sample.to_be_bytes()).collect(),
+        Outside::Value(value) => value
+            .iter()
+            .flat_map(|sample| sample.to_be_bytes())
+            .collect(),
     };
     let digest = Collector::new("mlswarp answer 6")
         .bytes(&subject.digest().0)
@@ -144,8 +185,16 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
         .bytes(&outside)
         .integer(extent.width().into())
         .integer(extent.height().into());
-    let digest = if force_alpha { digest.bytes(b"alpha") } else { digest };
-    let digest = if is_preview { digest.bytes(b"preview") } else { digest };
+    let digest = if force_alpha {
+        digest.bytes(b"alpha")
+    } else {
+        digest
+    };
+    let digest = if is_preview {
+        digest.bytes(b"preview")
+    } else {
+        digest
+    };
     let digest = match (posed.region(), output.holes) {
         (None, _) => digest,
         (Some(region), Holes::Keep) => digest.integer(0).bytes(&region.digest().0),
@@ -154,7 +203,9 @@ fn etag(subject: Subject<'_>, posed: &Posed, output: &OutputSpec, Target { canva
     let digest = match canvas {
         None => digest,
         Some(Canvas { x, y, extent }) => {
-            let sides = digest.integer(extent.width().into()).integer(extent.height().into());
+            let sides = digest
+                .integer(extent.width().into())
+                .integer(extent.height().into());
             sides.bytes(&x.to_le_bytes()).bytes(&y.to_le_bytes())
         }
     };

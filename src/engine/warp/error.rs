@@ -76,7 +76,10 @@ pub enum WarpError {
         actual: usize,
     },
     /// A thin-plate spline of too many points.
-    #[error("a thin-plate spline of more than {} points is evaluated without a table of coefficients", deform::Plan::MOST_SITES)]
+    #[error(
+        "a thin-plate spline of more than {} points is evaluated without a table of coefficients",
+        deform::Plan::MOST_SITES
+    )]
     NoTable,
     /// An invalid grid.
     #[error("{0}")]
@@ -147,10 +150,14 @@ impl Task {
             Self::Spline => "send fewer handles, or another method than `tps`",
             Self::Grid => "send fewer handles or a coarser `grid`",
             Self::Positions => "send fewer positions in a request, or fewer handles",
-            Self::Outlines => "send fewer or shorter outlines in a request, `\"refine\": false`, or fewer handles",
+            Self::Outlines => {
+                "send fewer or shorter outlines in a request, `\"refine\": false`, or fewer handles"
+            }
             Self::Comparison => "send fewer candidates in a request, or fewer points",
             Self::Quality => "send a coarser `grid`",
-            Self::Survey => "send fewer frames in a request, fewer handles, or an opaque `output.outside`",
+            Self::Survey => {
+                "send fewer frames in a request, fewer handles, or an opaque `output.outside`"
+            }
         }
     }
 }
@@ -223,7 +230,10 @@ impl Warning {
     /// Whether it is about the file of the picture, whatever the pose.
     #[must_use]
     pub const fn is_of_file(&self) -> bool {
-        matches!(self, Self::ProfileDropped | Self::MetadataDropped(_) | Self::FileRepaired(_))
+        matches!(
+            self,
+            Self::ProfileDropped | Self::MetadataDropped(_) | Self::FileRepaired(_)
+        )
     }
 
     /// The stable code in responses.
@@ -251,7 +261,9 @@ impl Warning {
     #[must_use]
     pub fn figures(&self) -> Vec<(&'static str, Figure)> {
         match self {
-            Self::MirroredUseAffine { determinant } => vec![("determinant", Figure::Number(*determinant))],
+            Self::MirroredUseAffine { determinant } => {
+                vec![("determinant", Figure::Number(*determinant))]
+            }
             Self::ScaledUseSimilarity { scale } => vec![("scale", Figure::Number(*scale))],
             Self::HandlesMissing { handles } => vec![("handles", Figure::Indices(handles.clone()))],
             Self::Deform(_)
@@ -299,16 +311,22 @@ fn foreign(parameter: &str) -> String {
 /// Describes the requested value; `what` as in [`WarpError::TooLarge`].
 fn measured(what: &str, actual: u64) -> String {
     match what {
-        "handle_columns" => format!("the handles need {actual} columns (1 for each point, 2 for each segment)"),
+        "handle_columns" => {
+            format!("the handles need {actual} columns (1 for each point, 2 for each segment)")
+        }
         "spline_handles" => format!("the method `tps` would have {actual} handles"),
         "fit_handles" => format!("methods would be compared on {actual} handles"),
-        "outline_samples" => format!("the outlines would be examined at {actual} positions or more"),
+        "outline_samples" => {
+            format!("the outlines would be examined at {actual} positions or more")
+        }
         "grid_vertices" => format!("the grid would have {actual} vertices"),
         "grid_columns" => format!("the grid would have {actual} columns"),
         "grid_rows" => format!("the grid would have {actual} rows"),
         "output_side" => format!("the longer side of the output would be {actual} px"),
         "output_pixels" => format!("the output would have {actual} pixels"),
-        "scaled_source_side" => format!("at this scale the longer side of the whole source would be {actual} px"),
+        "scaled_source_side" => {
+            format!("at this scale the longer side of the whole source would be {actual} px")
+        }
         "map_side" => format!("the longer side of the map would be {actual} px"),
         "map_pixels" => format!("the map would have {actual} pixels"),
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),

@@ -36,17 +36,36 @@ impl Candidate {
     #[must_use]
     pub fn defaults() -> Vec<Self> {
         let families = [Method::Affine, Method::Similarity, Method::Rigid];
-        let families = families.into_iter().flat_map(|method| ALPHAS.map(|alpha| Self { method, alpha: Some(alpha), smoothing: None }));
-        let spline = |smoothing| Self { method: Method::ThinPlateSpline, alpha: None, smoothing: Some(smoothing) };
-        let affine = Self { method: Method::GlobalAffine, alpha: None, smoothing: None };
-        families.chain(SMOOTHINGS.map(spline)).chain([affine]).collect()
+        let families = families.into_iter().flat_map(|method| {
+            ALPHAS.map(|alpha| Self {
+                method,
+                alpha: Some(alpha),
+                smoothing: None,
+            })
+        });
+        let spline = |smoothing| Self {
+            method: Method::ThinPlateSpline,
+            alpha: None,
+            smoothing: Some(smoothing),
+        };
+        let affine = Self {
+            method: Method::GlobalAffine,
+            alpha: None,
+            smoothing: None,
+        };
+        families
+            .chain(SMOOTHINGS.map(spline))
+            .chain([affine])
+            .collect()
     }
 
     /// With the defaults of its parameters.
     fn resolved(self) -> Self {
         Self {
             alpha: self.alpha.or_else(|| self.method.family().map(|_| ALPHA)),
-            smoothing: self.smoothing.or((self.method == Method::ThinPlateSpline).then_some(0.0)),
+            smoothing: self
+                .smoothing
+                .or((self.method == Method::ThinPlateSpline).then_some(0.0)),
             ..self
         }
     }
@@ -54,7 +73,12 @@ impl Candidate {
     /// `rest` with this method.
     #[must_use]
     pub fn applied_to(&self, rest: RestSpec) -> RestSpec {
-        RestSpec { method: self.method, alpha: self.alpha, smoothing: self.smoothing, ..rest }
+        RestSpec {
+            method: self.method,
+            alpha: self.alpha,
+            smoothing: self.smoothing,
+            ..rest
+        }
     }
 }
 
@@ -88,24 +112,56 @@ impl Fit {
     ///
     /// # Errors
     /// Lines, too many points, too few distinct ones, invalid handles, cancelled.
-    pub fn new(rest: &RestSpec, q: &[Handle], extent: Extent, most: u64, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
-        if let Some(handle) = rest.p.iter().position(|handle| matches!(handle, Handle::Polyline(_))) {
+    pub fn new(
+        rest: &RestSpec,
+        q: &[Handle],
+        extent: Extent,
+        most: u64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        if let Some(handle) = rest
+            .p
+            .iter()
+            .position(|handle| matches!(handle, Handle::Polyline(_)))
+        {
             return Err(WarpError::LineInFit { handle });
         }
         at_most("fit_handles", most, rest.p.len() as u64)?;
         let unit = rest.unit(extent);
-        let handles = Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
-        let rest =
-            Candidate { method: Method::GlobalAffine, alpha: None, smoothing: None }.applied_to(RestSpec { p: Vec::new(), ..rest.clone() });
-        let mut fit = Self { rest, handles, q: to_px(q, unit), columns: Vec::new() };
+        let handles =
+            Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
+        let rest = Candidate {
+            method: Method::GlobalAffine,
+            alpha: None,
+            smoothing: None,
+        }
+        .applied_to(RestSpec {
+            p: Vec::new(),
+            ..rest.clone()
+        });
+        let mut fit = Self {
+            rest,
+            handles,
+            q: to_px(q, unit),
+            columns: Vec::new(),
+        };
         let field = fit.field(&fit.rest, cancelled)?;
         field.pose(&fit.q).map_err(WarpError::Posed)?;
         let distinct = field.handles().columns();
         if distinct < LEAST {
-            return Err(WarpError::TooFewPoints { least: LEAST, actual: distinct });
+            return Err(WarpError::TooFewPoints {
+                least: LEAST,
+                actual: distinct,
+            });
         }
         let mut columns = field.grouped_columns().into_iter();
-        let column = |handle: &Handle| if handle.columns() > 0 { columns.next() } else { None };
+        let column = |handle: &Handle| {
+            if handle.columns() > 0 {
+                columns.next()
+            } else {
+                None
+            }
+        };
         fit.columns = fit.handles.handles().iter().map(column).collect();
         Ok(fit)
     }
@@ -121,23 +177,38 @@ impl Fit {
     ///
     /// # Errors
     /// A parameter of another method or out of range, cancelled.
-    pub fn predict(&self, candidate: Candidate, cancelled: IsCancelled<'_>) -> Result<Prediction, WarpError> {
+    pub fn predict(
+        &self,
+        candidate: Candidate,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Prediction, WarpError> {
         let rest = candidate.applied_to(self.rest.clone());
         check_parameters(&rest)?;
         let candidate = candidate.resolved();
         let field = self.field(&candidate.applied_to(rest), cancelled)?;
         let pose = field.pose(&self.q).map_err(WarpError::Posed)?;
-        let distinct = field.leave_one_out(&pose, cancelled).ok_or(WarpError::Cancelled)?;
+        let distinct = field
+            .leave_one_out(&pose, cancelled)
+            .ok_or(WarpError::Cancelled)?;
         let lengths: Vec<f64> = distinct.iter().map(|residual| residual.norm()).collect();
-        #[expect(clippy::cast_precision_loss, reason = "a count of points is far below 2^53")]
+        #[expect(
+            clippy::cast_precision_loss,
+            reason = "a count of points is far below 2^53"
+        )]
         let mean = lengths.iter().map(|length| length * length).sum::<f64>() / lengths.len() as f64;
         let limit = outlier_length(&lengths);
         Ok(Prediction {
             candidate,
             rms: mean.sqrt(),
             max: lengths.iter().copied().fold(0.0, f64::max),
-            residuals: self.columns.iter().map(|column| Some(distinct[(*column)?])).collect(),
-            outliers: (0..self.columns.len()).filter(|&k| self.columns[k].is_some_and(|k| lengths[k] > limit)).collect(),
+            residuals: self
+                .columns
+                .iter()
+                .map(|column| Some(distinct[(*column)?]))
+                .collect(),
+            outliers: (0..self.columns.len())
+                .filter(|&k| self.columns[k].is_some_and(|k| lengths[k] > limit))
+                .collect(),
         })
     }
 }
@@ -145,35 +216,66 @@ impl Fit {
 /// Residuals longer than this are outliers.
 fn outlier_length(lengths: &[f64]) -> f64 {
     let middle = median(lengths.to_vec());
-    let deviation = median(lengths.iter().map(|length| (length - middle).abs()).collect());
+    let deviation = median(
+        lengths
+            .iter()
+            .map(|length| (length - middle).abs())
+            .collect(),
+    );
     middle + (FAR * NORMAL * deviation).max(LEAST_FAR)
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     let half = values.len() / 2;
-    if values.len().is_multiple_of(2) { 0.5 * (values[half - 1] + values[half]) } else { values[half] }
+    if values.len().is_multiple_of(2) {
+        0.5 * (values[half - 1] + values[half])
+    } else {
+        values[half]
+    }
 }
 
 /// Checks the work of comparing candidates on so many points.
 ///
 /// # Errors
 /// More than the limit.
-pub fn check_comparison(points: usize, candidates: &[Candidate], limits: &Limits) -> Result<(), WarpError> {
-    work::at_most(Task::Comparison, limits.work, work::of_comparison(points as u64, candidates))
+pub fn check_comparison(
+    points: usize,
+    candidates: &[Candidate],
+    limits: &Limits,
+) -> Result<(), WarpError> {
+    work::at_most(
+        Task::Comparison,
+        limits.work,
+        work::of_comparison(points as u64, candidates),
+    )
 }
 
 /// The default candidate that predicts the points best; rigid moving least squares if they are too few to compare methods.
 ///
 /// # Errors
 /// Those of [`Fit::new`] and [`Fit::predict`].
-pub fn choose(rest: &RestSpec, q: &[Handle], extent: Extent, most: u64, cancelled: IsCancelled<'_>) -> Result<Candidate, WarpError> {
-    let rigid = Candidate { method: Method::Rigid, alpha: None, smoothing: None }.resolved();
+pub fn choose(
+    rest: &RestSpec,
+    q: &[Handle],
+    extent: Extent,
+    most: u64,
+    cancelled: IsCancelled<'_>,
+) -> Result<Candidate, WarpError> {
+    let rigid = Candidate {
+        method: Method::Rigid,
+        alpha: None,
+        smoothing: None,
+    }
+    .resolved();
     let fit = match Fit::new(rest, q, extent, most, cancelled) {
         Err(WarpError::TooFewPoints { .. }) => return Ok(rigid),
         fit => fit?,
     };
-    let predictions: Result<Vec<_>, _> = Candidate::defaults().into_iter().map(|candidate| fit.predict(candidate, cancelled)).collect();
+    let predictions: Result<Vec<_>, _> = Candidate::defaults()
+        .into_iter()
+        .map(|candidate| fit.predict(candidate, cancelled))
+        .collect();
     Ok(best(&predictions?).map_or(rigid, |best| best.candidate))
 }
 
@@ -190,51 +292,134 @@ mod tests {
 
     #[test]
     fn outliers_exceed_the_median_by_the_deviation_and_by_a_length() {
-        assert!((outlier_length(&[1.0, 2.0, 3.0, 4.0, 100.0]) - (3.0 + FAR * NORMAL)).abs() < 1e-12);
-        assert!((outlier_length(&[2.0; 6]) - 2.001).abs() < 1e-12, "equal lengths: rounding is no outlier");
+        assert!(
+            (outlier_length(&[1.0, 2.0, 3.0, 4.0, 100.0]) - (3.0 + FAR * NORMAL)).abs() < 1e-12
+        );
+        assert!(
+            (outlier_length(&[2.0; 6]) - 2.001).abs() < 1e-12,
+            "equal lengths: rounding is no outlier"
+        );
     }
 
     fn points(places: &[(f64, f64)]) -> Vec<Handle> {
-        places.iter().map(|&(x, y)| Handle::Point(Point::new(x, y))).collect()
+        places
+            .iter()
+            .map(|&(x, y)| Handle::Point(Point::new(x, y)))
+            .collect()
     }
 
     #[test]
     fn a_wrong_landmark_is_found_and_the_right_method_chosen() {
         // An affine map of scattered points, one of which is wrong by 40 px.
-        let p: Vec<(f64, f64)> = (0..15).map(|k| (f64::from(k * 37 % 200), f64::from(k * 59 % 190))).collect();
-        let mut q: Vec<(f64, f64)> = p.iter().map(|(x, y)| (1.1 * x + 0.2 * y + 3.0, 0.9 * y - 0.1 * x + 20.0)).collect();
+        let p: Vec<(f64, f64)> = (0..15)
+            .map(|k| (f64::from(k * 37 % 200), f64::from(k * 59 % 190)))
+            .collect();
+        let mut q: Vec<(f64, f64)> = p
+            .iter()
+            .map(|(x, y)| (1.1 * x + 0.2 * y + 3.0, 0.9 * y - 0.1 * x + 20.0))
+            .collect();
         let extent = Extent::new(200, 200).unwrap();
-        let rest = RestSpec { p: points(&p), ..RestSpec::default() };
+        let rest = RestSpec {
+            p: points(&p),
+            ..RestSpec::default()
+        };
         let all = |q: &[(f64, f64)]| {
             let fit = Fit::new(&rest, &points(q), extent, 2000, &|| false).unwrap();
-            Candidate::defaults().into_iter().map(|candidate| fit.predict(candidate, &|| false).unwrap()).collect::<Vec<_>>()
+            Candidate::defaults()
+                .into_iter()
+                .map(|candidate| fit.predict(candidate, &|| false).unwrap())
+                .collect::<Vec<_>>()
         };
         let exact = all(&q);
         assert!(best(&exact).unwrap().rms < 1e-9);
-        assert_eq!(exact.iter().filter(|prediction| prediction.rms < 1e-9).count(), 4 + 4 + 1, "affine, splines, one map");
+        assert_eq!(
+            exact
+                .iter()
+                .filter(|prediction| prediction.rms < 1e-9)
+                .count(),
+            4 + 4 + 1,
+            "affine, splines, one map"
+        );
         q[4].0 += 40.0;
         let wrong = all(&q);
-        let one_map = wrong.iter().find(|prediction| prediction.candidate.method == Method::GlobalAffine).unwrap();
+        let one_map = wrong
+            .iter()
+            .find(|prediction| prediction.candidate.method == Method::GlobalAffine)
+            .unwrap();
         assert_eq!(one_map.outliers, [4]);
-        assert_eq!(best(&wrong).unwrap().candidate.method, Method::GlobalAffine, "it is affected least by one wrong point");
+        assert_eq!(
+            best(&wrong).unwrap().candidate.method,
+            Method::GlobalAffine,
+            "it is affected least by one wrong point"
+        );
     }
 
     #[test]
     fn coincident_points_are_one_and_few_points_are_refused() {
         let extent = Extent::new(100, 100).unwrap();
         let fit = |p: &[(f64, f64)], q: &[(f64, f64)]| {
-            let rest = RestSpec { p: points(p), ..RestSpec::default() };
+            let rest = RestSpec {
+                p: points(p),
+                ..RestSpec::default()
+            };
             let fit = Fit::new(&rest, &points(q), extent, 6, &|| false)?;
-            fit.predict(Candidate { method: Method::Rigid, alpha: None, smoothing: None }, &|| false)
+            fit.predict(
+                Candidate {
+                    method: Method::Rigid,
+                    alpha: None,
+                    smoothing: None,
+                },
+                &|| false,
+            )
         };
-        let p = [(1.0, 2.0), (80.0, 3.0), (50.0, 70.0), (1.0, 2.0), (20.0, 60.0)];
-        let q = [(1.0, 2.0), (85.0, 3.0), (50.0, 74.0), (3.0, 2.0), (20.0, 60.0)];
+        let p = [
+            (1.0, 2.0),
+            (80.0, 3.0),
+            (50.0, 70.0),
+            (1.0, 2.0),
+            (20.0, 60.0),
+        ];
+        let q = [
+            (1.0, 2.0),
+            (85.0, 3.0),
+            (50.0, 74.0),
+            (3.0, 2.0),
+            (20.0, 60.0),
+        ];
         let prediction = fit(&p, &q).unwrap();
         assert_eq!(prediction.residuals.len(), 5);
         assert_eq!(prediction.residuals[0], prediction.residuals[3]);
-        assert_eq!(prediction.candidate, Candidate { method: Method::Rigid, alpha: Some(1.0), smoothing: None });
-        assert_eq!(fit(&p[..4], &q[..4]).unwrap_err(), WarpError::TooFewPoints { least: 4, actual: 3 });
-        let seven = [(1.0, 2.0), (80.0, 3.0), (50.0, 70.0), (1.0, 2.0), (20.0, 60.0), (9.0, 9.0), (8.0, 1.0)];
-        assert_eq!(fit(&seven, &seven).unwrap_err(), WarpError::TooLarge { what: "fit_handles", limit: 6, actual: 7 });
+        assert_eq!(
+            prediction.candidate,
+            Candidate {
+                method: Method::Rigid,
+                alpha: Some(1.0),
+                smoothing: None
+            }
+        );
+        assert_eq!(
+            fit(&p[..4], &q[..4]).unwrap_err(),
+            WarpError::TooFewPoints {
+                least: 4,
+                actual: 3
+            }
+        );
+        let seven = [
+            (1.0, 2.0),
+            (80.0, 3.0),
+            (50.0, 70.0),
+            (1.0, 2.0),
+            (20.0, 60.0),
+            (9.0, 9.0),
+            (8.0, 1.0),
+        ];
+        assert_eq!(
+            fit(&seven, &seven).unwrap_err(),
+            WarpError::TooLarge {
+                what: "fit_handles",
+                limit: 6,
+                actual: 7
+            }
+        );
     }
 }

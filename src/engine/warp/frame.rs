@@ -19,27 +19,46 @@ impl Frame {
     /// The frame of the source.
     #[must_use]
     pub const fn of_source(source: Extent, units: Units) -> Self {
-        Self { canvas: Canvas::of(source), image: source, units }
+        Self {
+            canvas: Canvas::of(source),
+            image: source,
+            units,
+        }
     }
 
     /// The frame of a picture.
     #[must_use]
     pub fn of_target(target: Target, source: Extent, units: Units) -> Self {
         let canvas = target.canvas.unwrap_or(Canvas::of(source));
-        Self { canvas, image: target.extent, units }
+        Self {
+            canvas,
+            image: target.extent,
+            units,
+        }
     }
 
     /// The frame of the picture that is requested, as far as it is known before anything is posed:
     /// the canvas `fit` counts as the box of the source.
     #[must_use]
     pub fn requested(output: &OutputSpec, source: Extent, units: Units) -> Self {
-        Self::on_canvas(output.canvas.before_pose(source).unwrap_or(Canvas::of(source)), output, units)
+        Self::on_canvas(
+            output
+                .canvas
+                .before_pose(source)
+                .unwrap_or(Canvas::of(source)),
+            output,
+            units,
+        )
     }
 
     /// The frame of a picture that shows this part of the plane.
     #[must_use]
     pub fn on_canvas(canvas: Canvas, output: &OutputSpec, units: Units) -> Self {
-        Self { canvas, image: output.size_of(canvas), units }
+        Self {
+            canvas,
+            image: output.size_of(canvas),
+            units,
+        }
     }
 
     /// px of the image in a px of the source, along each axis.
@@ -47,7 +66,10 @@ impl Frame {
     pub fn scale(&self) -> [f64; 2] {
         let ratio = |image: u32, canvas: u32| f64::from(image) / f64::from(canvas);
         let (image, canvas) = (self.image, self.canvas.extent);
-        [ratio(image.width(), canvas.width()), ratio(image.height(), canvas.height())]
+        [
+            ratio(image.width(), canvas.width()),
+            ratio(image.height(), canvas.height()),
+        ]
     }
 
     /// px of the plane in one unit.
@@ -57,7 +79,10 @@ impl Frame {
             Units::Normalized => f64::from(canvas),
         };
         let (image, canvas) = (self.image, self.canvas.extent);
-        [side(canvas.width(), image.width()), side(canvas.height(), image.height())]
+        [
+            side(canvas.width(), image.width()),
+            side(canvas.height(), image.height()),
+        ]
     }
 
     /// The place of a position in the plane, px.
@@ -127,18 +152,35 @@ mod tests {
     use super::*;
 
     fn frame(canvas: Canvas, image: (u32, u32), units: Units) -> Frame {
-        Frame { canvas, image: Extent::new(image.0, image.1).unwrap(), units }
+        Frame {
+            canvas,
+            image: Extent::new(image.0, image.1).unwrap(),
+            units,
+        }
     }
 
     #[test]
     fn positions_of_an_image_are_where_its_pixels_lie() {
-        let canvas = Canvas { x: -20, y: 10, extent: Extent::new(200, 100).unwrap() };
+        let canvas = Canvas {
+            x: -20,
+            y: 10,
+            extent: Extent::new(200, 100).unwrap(),
+        };
         let half = frame(canvas, (100, 50), Units::Px);
         assert_eq!(half.to_plane(Point::new(0.0, 0.0)), Point::new(-20.0, 10.0));
-        assert_eq!(half.to_plane(Point::new(100.0, 50.0)), Point::new(180.0, 110.0));
-        assert_eq!((half.scale(), half.size(), half.in_plane(0.1)), ([0.5; 2], [100.0, 50.0], 0.2));
+        assert_eq!(
+            half.to_plane(Point::new(100.0, 50.0)),
+            Point::new(180.0, 110.0)
+        );
+        assert_eq!(
+            (half.scale(), half.size(), half.in_plane(0.1)),
+            ([0.5; 2], [100.0, 50.0], 0.2)
+        );
         let shares = frame(canvas, (100, 50), Units::Normalized);
-        assert_eq!(shares.to_plane(Point::new(0.5, 1.0)), Point::new(80.0, 110.0));
+        assert_eq!(
+            shares.to_plane(Point::new(0.5, 1.0)),
+            Point::new(80.0, 110.0)
+        );
         assert_eq!((shares.scale(), shares.size()), ([0.5; 2], [1.0; 2]));
         for frame in [half, shares, frame(canvas, (333, 17), Units::Px)] {
             let place = Point::new(37.25, -4.5);
@@ -150,7 +192,10 @@ mod tests {
     fn positions_of_the_source_are_the_plane_bit_for_bit() {
         let source = Frame::of_source(Extent::new(301, 97).unwrap(), Units::Px);
         for place in [Point::new(0.1 + 0.2, -1e-300), Point::new(1e6, 77.7)] {
-            assert_eq!((source.to_plane(place), source.from_plane(place)), (place, place));
+            assert_eq!(
+                (source.to_plane(place), source.from_plane(place)),
+                (place, place)
+            );
         }
     }
 }

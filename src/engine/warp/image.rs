@@ -34,7 +34,10 @@ impl Image {
     pub fn peak_bytes(opened: &Opened<'_>) -> u64 {
         let header = opened.header();
         let used = used_bytes(header.extent, header.channels, header.depth);
-        header.decode_bytes.max(used).saturating_add(codec::PROFILE_BYTES + codec::METADATA_BYTES)
+        header
+            .decode_bytes
+            .max(used)
+            .saturating_add(codec::PROFILE_BYTES + codec::METADATA_BYTES)
     }
 
     /// Decodes a file within limits. CPU work; do not call it on async threads.
@@ -42,7 +45,10 @@ impl Image {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(Self::digest_of(file), &codec::open(file, limits, &StepCounter::new(&|| false))?)
+        Self::decode_as(
+            Self::digest_of(file),
+            &codec::open(file, limits, &StepCounter::new(&|| false))?,
+        )
     }
 
     /// Like [`Self::decode`], for an opened file whose digest is known.
@@ -64,8 +70,19 @@ impl Image {
     /// A picture that no file has. `name`: of its digest.
     #[cfg(test)]
     pub(super) fn of_pixmap(name: &str, pixmap: crate::pixmap::Pixmap, grey: bool) -> Self {
-        let (digest, metadata, repairs) = (Digest::of(name.as_bytes()), Arc::default(), Repairs::default());
-        Self { digest, source: Arc::new(Source::new(pixmap)), occupied: Arc::default(), metadata, repairs, grey }
+        let (digest, metadata, repairs) = (
+            Digest::of(name.as_bytes()),
+            Arc::default(),
+            Repairs::default(),
+        );
+        Self {
+            digest,
+            source: Arc::new(Source::new(pixmap)),
+            occupied: Arc::default(),
+            metadata,
+            repairs,
+            grey,
+        }
     }
 
     /// What an output has of the file's metadata.
@@ -95,7 +112,8 @@ impl Image {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
-        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth()) + self.metadata.bytes() as u64
+        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth())
+            + self.metadata.bytes() as u64
     }
 }
 

@@ -25,7 +25,10 @@ impl LabelImage {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
-        Self::decode_as(Digest::of(file), &codec::open_labels(file, &limits.image, &StepCounter::new(&|| false))?)
+        Self::decode_as(
+            Digest::of(file),
+            &codec::open_labels(file, &limits.image, &StepCounter::new(&|| false))?,
+        )
     }
 
     /// Like [`Self::decode`], for a file opened by [`codec::open_labels`] whose digest is known.
@@ -33,13 +36,19 @@ impl LabelImage {
     /// # Errors
     /// See [`codec::CodecError`].
     pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
-        Ok(Self { digest, labels: Arc::new(opened.decode_labels()?) })
+        Ok(Self {
+            digest,
+            labels: Arc::new(opened.decode_labels()?),
+        })
     }
 
     /// Labels that no file has.
     #[cfg(test)]
     pub(super) fn of(labels: Labels) -> Self {
-        Self { digest: Digest::of(&labels.values), labels: Arc::new(labels) }
+        Self {
+            digest: Digest::of(&labels.values),
+            labels: Arc::new(labels),
+        }
     }
 
     /// The digest of the file.

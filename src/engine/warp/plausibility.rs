@@ -25,10 +25,15 @@ pub(super) fn of_rest(handles: &Handles, grid: &Grid, units: Units) -> Vec<Warni
     let places = || handles.handles().iter().flat_map(Handle::places);
     let looks_normalized = match units {
         // Whole numbers may be the corner of the picture: the pose decides.
-        Units::Px => places().all(|p| is_share(*p)) && places().any(|p| !is_whole(*p)) && has_room(grid.width(), grid.height()),
+        Units::Px => {
+            places().all(|p| is_share(*p))
+                && places().any(|p| !is_whole(*p))
+                && has_room(grid.width(), grid.height())
+        }
         Units::Normalized => places().any(|p| is_beyond_normalized(*p, grid)),
     };
-    let is_outside = places().any(|p| is_far(*p, grid, FAR_AT_REST)) || looks_swapped(handles, grid);
+    let is_outside =
+        places().any(|p| is_far(*p, grid, FAR_AT_REST)) || looks_swapped(handles, grid);
     list(is_outside, looks_normalized)
 }
 
@@ -36,7 +41,10 @@ pub(super) fn of_rest(handles: &Handles, grid: &Grid, units: Units) -> Vec<Warni
 fn looks_swapped(handles: &Handles, grid: &Grid) -> bool {
     let places = || handles.handles().iter().flat_map(Handle::places);
     let margin = MARGIN * grid.width().max(grid.height());
-    let is_inside = |x: f64, y: f64| (-margin..=grid.width() + margin).contains(&x) && (-margin..=grid.height() + margin).contains(&y);
+    let is_inside = |x: f64, y: f64| {
+        (-margin..=grid.width() + margin).contains(&x)
+            && (-margin..=grid.height() + margin).contains(&y)
+    };
     places().any(|p| !is_inside(p.x, p.y)) && places().all(|p| is_inside(p.y, p.x))
 }
 
@@ -74,8 +82,15 @@ impl PosedHandles {
                 Handle::Missing => {}
             }
         }
-        let looks_like_shares = count > 0 && all_shares && (count > 1 || !all_whole) && has_room(grid.width(), grid.height());
-        Self { far, beyond, looks_like_shares }
+        let looks_like_shares = count > 0
+            && all_shares
+            && (count > 1 || !all_whole)
+            && has_room(grid.width(), grid.height());
+        Self {
+            far,
+            beyond,
+            looks_like_shares,
+        }
     }
 
     /// The warnings. Handles on the canvas, or near to it, are where the client wants to see them.
@@ -83,8 +98,15 @@ impl PosedHandles {
         let is_meant = |[left, top, right, bottom]: [f64; 4]| {
             canvas.is_some_and(|canvas| {
                 let [x, y, ..] = canvas.edges();
-                let size = [f64::from(canvas.extent.width()), f64::from(canvas.extent.height())];
-                !is_beyond([left - x, top - y, right - x, bottom - y], size, FAR_FROM_CANVAS)
+                let size = [
+                    f64::from(canvas.extent.width()),
+                    f64::from(canvas.extent.height()),
+                ];
+                !is_beyond(
+                    [left - x, top - y, right - x, bottom - y],
+                    size,
+                    FAR_FROM_CANVAS,
+                )
             })
         };
         let is_outside = |places: Option<[f64; 4]>| places.is_some_and(|places| !is_meant(places));
@@ -106,7 +128,10 @@ pub struct Seen {
 
 impl Default for Seen {
     fn default() -> Self {
-        Self { bounds: None, all_halves: true }
+        Self {
+            bounds: None,
+            all_halves: true,
+        }
     }
 }
 
@@ -131,7 +156,8 @@ impl Seen {
             }
             Units::Normalized => bounds.iter().any(|c| c.abs() > LARGEST_NORMALIZED),
         };
-        warnings.extend((is_outside || is_other_unit).then_some(Warning::AnnotationsOutsidePicture));
+        warnings
+            .extend((is_outside || is_other_unit).then_some(Warning::AnnotationsOutsidePicture));
         warnings.extend(is_other_unit.then_some(Warning::LooksNormalized));
         *warnings = Warning::in_order(std::mem::take(warnings));
     }
@@ -149,8 +175,13 @@ fn has_room(width: f64, height: f64) -> bool {
 }
 
 fn list(is_outside: bool, looks_normalized: bool) -> Vec<Warning> {
-    let all = [(is_outside, Warning::HandlesOutsidePicture), (looks_normalized, Warning::LooksNormalized)];
-    all.into_iter().filter_map(|(applies, warning)| applies.then_some(warning)).collect()
+    let all = [
+        (is_outside, Warning::HandlesOutsidePicture),
+        (looks_normalized, Warning::LooksNormalized),
+    ];
+    all.into_iter()
+        .filter_map(|(applies, warning)| applies.then_some(warning))
+        .collect()
 }
 
 fn is_share(p: Point) -> bool {
@@ -173,6 +204,8 @@ fn is_far(p: Point, grid: &Grid, sizes: f64) -> bool {
 /// Whether a box extends farther from a picture than `sizes` times its width or height.
 fn is_beyond([left, top, right, bottom]: [f64; 4], [width, height]: [f64; 2], sizes: f64) -> bool {
     let least = LEAST_SIZE * width.max(height);
-    let beyond = |low: f64, high: f64, side: f64| low < -sizes * side.max(least) || high > side + sizes * side.max(least);
+    let beyond = |low: f64, high: f64, side: f64| {
+        low < -sizes * side.max(least) || high > side + sizes * side.max(least)
+    };
     beyond(left, right, width) || beyond(top, bottom, height)
 }

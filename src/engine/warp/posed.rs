@@ -3,7 +3,9 @@
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
 use super::setup::FINE_BYTES;
-use super::{Digest, Folds, OutputSpec, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError};
+use super::{
+    Digest, Folds, OutputSpec, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError,
+};
 use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
@@ -57,9 +59,17 @@ impl Posed {
     ///
     /// # Errors
     /// `folds: reject` and the grid folds; cancelled.
-    pub fn new(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+    pub fn new(
+        setup: &Setup,
+        plan: &Plan,
+        pose: &Pose,
+        folds: Folds,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
-        if let Some(refined) = setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)? {
+        if let Some(refined) =
+            setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)?
+        {
             posed.mesh = posed.mesh.refined(refined.refinement);
             posed.report.residual = residual(setup.field(), pose, &posed.mesh, cancelled)?;
             posed.report.exceeded = refined.exceeded.len() as u64;
@@ -67,8 +77,10 @@ impl Posed {
             if !posed.exceeded.is_empty() {
                 posed.report.warn(Warning::ToleranceExceeded);
             }
-            posed.digest =
-                Collector::new("mlswarp refined pose 1").bytes(&posed.digest.0).float(setup.tolerance().unwrap_or_default()).finish();
+            posed.digest = Collector::new("mlswarp refined pose 1")
+                .bytes(&posed.digest.0)
+                .float(setup.tolerance().unwrap_or_default())
+                .finish();
         }
         Ok(posed)
     }
@@ -77,7 +89,13 @@ impl Posed {
     ///
     /// # Errors
     /// Those of [`Posed::new`].
-    pub fn coarse(setup: &Setup, plan: &Plan, pose: &Pose, folds: Folds, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+    pub fn coarse(
+        setup: &Setup,
+        plan: &Plan,
+        pose: &Pose,
+        folds: Folds,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         let (mesh, quality) = setup.mesh(plan, pose, cancelled)?;
         let Folding { orientation, cells } = mesh.folding(cancelled).ok_or(WarpError::Cancelled)?;
         if folds == Folds::Reject && cells > 0 {
@@ -86,7 +104,14 @@ impl Posed {
         let residual = residual(setup.field(), pose, &mesh, cancelled)?;
         let warnings = setup.warnings_anywhere(pose);
         let coincident = pose.contradictions().listed.clone();
-        let mut report = Report { warnings, folds: cells, orientation, residual, coincident, exceeded: 0 };
+        let mut report = Report {
+            warnings,
+            folds: cells,
+            orientation,
+            residual,
+            coincident,
+            exceeded: 0,
+        };
         if quality.least_rotation < LEAST_ROTATION {
             report.warn(Warning::Deform(deform::Warning::RotationUndefined));
         }
@@ -95,13 +120,25 @@ impl Posed {
         }
         let (units, handles) = (setup.units(), setup.posed_handles(pose));
         let (digest, unit) = (digest(setup, pose), setup.unit());
-        Ok(Self { mesh, report, digest, unit, units, handles, exceeded: Vec::new(), region: None })
+        Ok(Self {
+            mesh,
+            report,
+            digest,
+            unit,
+            units,
+            handles,
+            exceeded: Vec::new(),
+            region: None,
+        })
     }
 
     /// The same pose, of which only the content of a region moves. Its mask has the size of the picture.
     #[must_use]
     pub fn within(self, region: Region) -> Self {
-        Self { region: Some(region), ..self }
+        Self {
+            region: Some(region),
+            ..self
+        }
     }
 
     /// The region that moves, if it is not the whole picture.
@@ -151,14 +188,25 @@ impl Posed {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn into_report(mut self, canvas: Option<Canvas>, cancelled: IsCancelled<'_>) -> Result<Report, WarpError> {
+    pub fn into_report(
+        mut self,
+        canvas: Option<Canvas>,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Report, WarpError> {
         let shows_source = |canvas: Canvas| {
             let ([left, top, right, bottom], grid) = (canvas.edges(), self.mesh.grid());
-            self.region.is_some() && left < grid.width() && right > 0.0 && top < grid.height() && bottom > 0.0
+            self.region.is_some()
+                && left < grid.width()
+                && right > 0.0
+                && top < grid.height()
+                && bottom > 0.0
         };
         let is_visible = match canvas {
             Some(canvas) if shows_source(canvas) => true,
-            Some(canvas) => self.mesh.intersects(canvas.edges(), cancelled).ok_or(WarpError::Cancelled)?,
+            Some(canvas) => self
+                .mesh
+                .intersects(canvas.edges(), cancelled)
+                .ok_or(WarpError::Cancelled)?,
             None => false,
         };
         for warning in self.handles.warnings(self.units, canvas) {
@@ -186,7 +234,10 @@ impl Posed {
         (target, output): (&Target, &OutputSpec),
         cancelled: IsCancelled<'_>,
     ) -> Result<Report, WarpError> {
-        let mut report = self.into_report(Some(target.canvas.unwrap_or(Canvas::of(subject.extent()))), cancelled)?;
+        let mut report = self.into_report(
+            Some(target.canvas.unwrap_or(Canvas::of(subject.extent()))),
+            cancelled,
+        )?;
         report.warnings.extend(subject.warnings(target, output));
         Ok(report)
     }
@@ -215,8 +266,16 @@ impl Posed {
                 return Err(WarpError::Cancelled);
             }
             for vertex in self.row(row) {
-                #[expect(clippy::cast_possible_truncation, reason = "the format of the contract is f32")]
-                out.extend(vertex.map(|c| c as f32).iter().flat_map(|c| c.to_le_bytes()));
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "the format of the contract is f32"
+                )]
+                out.extend(
+                    vertex
+                        .map(|c| c as f32)
+                        .iter()
+                        .flat_map(|c| c.to_le_bytes()),
+                );
             }
         }
         Ok(out)
@@ -224,15 +283,24 @@ impl Posed {
 }
 
 /// Largest distance between a handle under f and its position in the mesh.
-fn residual(field: &Field, pose: &Pose, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Result<f64, WarpError> {
+fn residual(
+    field: &Field,
+    pose: &Pose,
+    mesh: &Mesh,
+    cancelled: IsCancelled<'_>,
+) -> Result<f64, WarpError> {
     let mut worst = 0.0f64;
     let mut look = |p: Point, displacement: Vec2| {
         if let Some(drawn) = mesh.map(p) {
             worst = worst.max(drawn.distance(p + displacement));
         }
     };
-    field.look_at_handles(pose, cancelled, &mut look).ok_or(WarpError::Cancelled)?;
-    field.look_at_grouped_points(pose, cancelled, &mut look).ok_or(WarpError::Cancelled)?;
+    field
+        .look_at_handles(pose, cancelled, &mut look)
+        .ok_or(WarpError::Cancelled)?;
+    field
+        .look_at_grouped_points(pose, cancelled, &mut look)
+        .ok_or(WarpError::Cancelled)?;
     Ok(worst)
 }
 

@@ -75,7 +75,9 @@ impl Quality {
     /// Memory for measuring a pose beside that of its grid, bytes.
     #[must_use]
     pub fn bytes(posed: &Posed, canvas: Option<Canvas>) -> u64 {
-        canvas.map_or(0, |canvas| Target::of(Some(canvas), counted(canvas)).window_bytes(posed))
+        canvas.map_or(0, |canvas| {
+            Target::of(Some(canvas), counted(canvas)).window_bytes(posed)
+        })
     }
 
     /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of [`Setup::to_invert`], in which the
@@ -95,19 +97,31 @@ impl Quality {
         let (mesh, orientation) = (posed.mesh(), posed.report().orientation);
         Ok(Self {
             residuals: residuals(setup, q, mesh, cancelled)?,
-            folds: mesh.fold_regions(orientation, MOST_REGIONS, cancelled).ok_or(WarpError::Cancelled)?,
+            folds: mesh
+                .fold_regions(orientation, MOST_REGIONS, cancelled)
+                .ok_or(WarpError::Cancelled)?,
             orientation,
-            distortion: mesh.distortion(orientation, cancelled).ok_or(WarpError::Cancelled)?,
+            distortion: mesh
+                .distortion(orientation, cancelled)
+                .ok_or(WarpError::Cancelled)?,
             canvas,
             covered: canvas.map_or(Ok(0.0), |canvas| covered(mesh, canvas, cancelled))?,
-            tolerance: setup.tolerance().map(|px| ToleranceQuality { px, exceeded: posed.report().exceeded }),
+            tolerance: setup.tolerance().map(|px| ToleranceQuality {
+                px,
+                exceeded: posed.report().exceeded,
+            }),
             coincident: pose.contradictions().listed.clone(),
             round_trip: round_trip(setup, pose, to_invert, cancelled)?,
         })
     }
 }
 
-fn residuals(setup: &Setup, q: &[Handle], mesh: &Mesh, cancelled: IsCancelled<'_>) -> Result<Vec<Option<f64>>, WarpError> {
+fn residuals(
+    setup: &Setup,
+    q: &[Handle],
+    mesh: &Mesh,
+    cancelled: IsCancelled<'_>,
+) -> Result<Vec<Option<f64>>, WarpError> {
     let residual = |p: Point, q: Point| mesh.map(p).map(|drawn| drawn.distance(q));
     let of_handle = |(p, q): (&Handle, &Handle)| match (p, q) {
         (Handle::Point(p), Handle::Point(q)) => residual(*p, *q),
@@ -124,7 +138,14 @@ fn residuals(setup: &Setup, q: &[Handle], mesh: &Mesh, cancelled: IsCancelled<'_
     };
     let q = to_px(q, setup.unit());
     let each = setup.field().given().handles().iter().zip(&q);
-    each.map(|handles| if cancelled() { Err(WarpError::Cancelled) } else { Ok(of_handle(handles)) }).collect()
+    each.map(|handles| {
+        if cancelled() {
+            Err(WarpError::Cancelled)
+        } else {
+            Ok(of_handle(handles))
+        }
+    })
+    .collect()
 }
 
 /// The size at which what a canvas covers is counted.
@@ -148,41 +169,83 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
         let rows = y..height.min(y + STRIP);
         let places = &mut places[..width as usize * rows.len()];
         map.rows(rows, places);
-        covered += places.iter().map(|[x, _]| u32::from(!x.is_nan())).sum::<u32>();
+        covered += places
+            .iter()
+            .map(|[x, _]| u32::from(!x.is_nan()))
+            .sum::<u32>();
     }
     Ok(f64::from(covered) / f64::from(width * height))
 }
 
-fn round_trip(setup: &Setup, pose: &Pose, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<RoundTrip, WarpError> {
-    let (mesh, grid, orientation) = (posed.mesh(), posed.mesh().grid(), posed.report().orientation);
+fn round_trip(
+    setup: &Setup,
+    pose: &Pose,
+    posed: &Posed,
+    cancelled: IsCancelled<'_>,
+) -> Result<RoundTrip, WarpError> {
+    let (mesh, grid, orientation) = (
+        posed.mesh(),
+        posed.mesh().grid(),
+        posed.report().orientation,
+    );
     let centres = |side: f64| {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of pixels")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a number of pixels"
+        )]
         let parts = LATTICE.min(side as u32).max(1);
         (0..parts).map(move |k| (f64::from(k) + 0.5) * side / f64::from(parts))
     };
-    let lattice = centres(grid.height()).flat_map(|y| centres(grid.width()).map(move |x| Point::new(x, y)));
+    let lattice =
+        centres(grid.height()).flat_map(|y| centres(grid.width()).map(move |x| Point::new(x, y)));
     // Beside a fold, f may fold in a cell whose corners do not show it.
     let is_folded = |p: Point| {
         grid.locate(p).is_some_and(|(i, j, ..)| {
             let around = |k: u32, lines: u32| k.saturating_sub(1)..=(k + 1).min(lines - 2);
-            around(j, grid.rows()).any(|j| around(i, grid.columns()).any(|i| mesh.is_folded(i, j, orientation)))
+            around(j, grid.rows())
+                .any(|j| around(i, grid.columns()).any(|i| mesh.is_folded(i, j, orientation)))
         })
     };
     let in_range = |p: &Point| [p.x, p.y].iter().all(|c| c.abs() <= MAX_COORDINATE);
-    let (folded, places): (Vec<Point>, Vec<Point>) = lattice.filter(in_range).partition(|p| is_folded(*p));
-    let (f, inverse) = (setup.transform(pose).in_px(), setup.inverse(pose, mesh).in_px());
-    let there = f.map(&places, cancelled)?.into_iter().map(|there| there.filter(in_range));
-    let (places, there): (Vec<Point>, Vec<Point>) =
-        places.into_iter().zip(there).filter_map(|(place, there)| Some((place, there?))).unzip();
+    let (folded, places): (Vec<Point>, Vec<Point>) =
+        lattice.filter(in_range).partition(|p| is_folded(*p));
+    let (f, inverse) = (
+        setup.transform(pose).in_px(),
+        setup.inverse(pose, mesh).in_px(),
+    );
+    let there = f
+        .map(&places, cancelled)?
+        .into_iter()
+        .map(|there| there.filter(in_range));
+    let (places, there): (Vec<Point>, Vec<Point>) = places
+        .into_iter()
+        .zip(there)
+        .filter_map(|(place, there)| Some((place, there?)))
+        .unzip();
     let back = inverse.map(&there, cancelled)?;
-    let again = f.map(&back.iter().zip(&places).map(|(back, place)| back.unwrap_or(*place)).collect::<Vec<_>>(), cancelled)?;
-    let mut trip = RoundTrip { in_folds: folded.len() as u64, ..RoundTrip::default() };
+    let again = f.map(
+        &back
+            .iter()
+            .zip(&places)
+            .map(|(back, place)| back.unwrap_or(*place))
+            .collect::<Vec<_>>(),
+        cancelled,
+    )?;
+    let mut trip = RoundTrip {
+        in_folds: folded.len() as u64,
+        ..RoundTrip::default()
+    };
     let mut distances = Vec::new();
     for (((place, there), back), again) in places.into_iter().zip(there).zip(back).zip(again) {
         match back.map(|back| back.distance(place)) {
             None => trip.missing += 1,
             // Another part of the picture is drawn there; beside handles, f may fold within a cell.
-            Some(distance) if distance > APART && again.is_some_and(|again| again.distance(there) < SAME) => trip.in_folds += 1,
+            Some(distance)
+                if distance > APART && again.is_some_and(|again| again.distance(there) < SAME) =>
+            {
+                trip.in_folds += 1
+            }
             Some(distance) => distances.push(distance),
         }
     }

@@ -74,8 +74,17 @@ impl Region {
     /// A picture as a mask: its alpha if it has transparent pixels, otherwise its luma; white, or opaque, moves.
     #[must_use]
     pub fn new(mask: &Image) -> Self {
-        let channel = if mask.source.pixmap().is_opaque() { MaskChannel::Luma } else { MaskChannel::Alpha };
-        Self { mask: Arc::clone(&mask.source), channel, digest: mask.digest(), occupied: Arc::clone(&mask.occupied) }
+        let channel = if mask.source.pixmap().is_opaque() {
+            MaskChannel::Luma
+        } else {
+            MaskChannel::Alpha
+        };
+        Self {
+            mask: Arc::clone(&mask.source),
+            channel,
+            digest: mask.digest(),
+            occupied: Arc::clone(&mask.occupied),
+        }
     }
 
     pub(super) fn mask(&self) -> &Source {
@@ -99,7 +108,10 @@ impl Region {
     pub(super) fn bounds(&self, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Option<[f64; 4]> {
         let occupied = self.occupied(cancelled)?;
         let grid = mesh.grid();
-        let (width, height) = (self.extent().width() as usize, self.extent().height() as usize);
+        let (width, height) = (
+            self.extent().width() as usize,
+            self.extent().height() as usize,
+        );
         let mut bounds = [0.0, 0.0, grid.width(), grid.height()];
         // The columns of the mask that have some of it in the rows of the cells.
         let mut columns = vec![0_u64; width.div_ceil(WORD)];
@@ -109,13 +121,26 @@ impl Region {
             }
             let rows = pixels(grid.vertex(0, j).y, grid.vertex(0, j + 1).y, height);
             columns.fill(0);
-            for row in occupied[rows.start * columns.len()..rows.end * columns.len()].chunks_exact(columns.len()) {
-                columns.iter_mut().zip(row).for_each(|(column, row)| *column |= row);
+            for row in occupied[rows.start * columns.len()..rows.end * columns.len()]
+                .chunks_exact(columns.len())
+            {
+                columns
+                    .iter_mut()
+                    .zip(row)
+                    .for_each(|(column, row)| *column |= row);
             }
             for i in 0..grid.columns() - 1 {
-                if has_bit(&columns, pixels(grid.vertex(i, j).x, grid.vertex(i + 1, j).x, width)) {
+                if has_bit(
+                    &columns,
+                    pixels(grid.vertex(i, j).x, grid.vertex(i + 1, j).x, width),
+                ) {
                     let [left, top, right, bottom] = mesh.cell_bounds(i, j);
-                    bounds = [bounds[0].min(left), bounds[1].min(top), bounds[2].max(right), bounds[3].max(bottom)];
+                    bounds = [
+                        bounds[0].min(left),
+                        bounds[1].min(top),
+                        bounds[2].max(right),
+                        bounds[3].max(bottom),
+                    ];
                 }
             }
         }
@@ -128,8 +153,14 @@ impl Region {
             let pixmap = self.mask.pixmap();
             let row = pixmap.extent().width() as usize * pixmap.channels().count();
             let occupied = match pixmap.samples() {
-                Samples::Eight(samples) => self.occupied_rows(samples.chunks_exact(row), |sample| widened(*sample), cancelled)?,
-                Samples::Sixteen(samples) => self.occupied_rows(samples.chunks_exact(row), |sample| *sample, cancelled)?,
+                Samples::Eight(samples) => self.occupied_rows(
+                    samples.chunks_exact(row),
+                    |sample| widened(*sample),
+                    cancelled,
+                )?,
+                Samples::Sixteen(samples) => {
+                    self.occupied_rows(samples.chunks_exact(row), |sample| *sample, cancelled)?
+                }
             };
             // Another request may have been first, with the same.
             let _ = self.occupied.set(occupied);
@@ -151,10 +182,18 @@ impl Region {
             }
             let has_some = |pixel: &[S]| {
                 let mut values = [FULL_WEIGHT; 4];
-                values.iter_mut().zip(pixel).for_each(|(value, sample)| *value = widen(sample));
+                values
+                    .iter_mut()
+                    .zip(pixel)
+                    .for_each(|(value, sample)| *value = widen(sample));
                 self.channel.weight(&values) > 0
             };
-            let word = |pixels: &[S]| pixels.chunks_exact(count).rev().fold(0, |word, pixel| word << 1 | u64::from(has_some(pixel)));
+            let word = |pixels: &[S]| {
+                pixels
+                    .chunks_exact(count)
+                    .rev()
+                    .fold(0, |word, pixel| word << 1 | u64::from(has_some(pixel)))
+            };
             occupied.extend(row.chunks(WORD * count).map(word));
         }
         Some(occupied)
@@ -162,16 +201,32 @@ impl Region {
 
     /// The mask through a mesh, 0 outside.
     pub(super) fn drawer(&self, mesh: &Mesh, options: RenderOptions) -> MaskDrawer {
-        let alpha = if self.channel == MaskChannel::Alpha { 0 } else { u8::MAX };
-        let options = RenderOptions { outside: Outside::Colour([0, 0, 0, alpha]), force_alpha: false, ..options };
-        MaskDrawer { renderer: Renderer::new(Arc::clone(&self.mask), mesh, options), channel: self.channel }
+        let alpha = if self.channel == MaskChannel::Alpha {
+            0
+        } else {
+            u8::MAX
+        };
+        let options = RenderOptions {
+            outside: Outside::Colour([0, 0, 0, alpha]),
+            force_alpha: false,
+            ..options
+        };
+        MaskDrawer {
+            renderer: Renderer::new(Arc::clone(&self.mask), mesh, options),
+            channel: self.channel,
+        }
     }
 }
 
 /// The pixels of a mask, of `side` px, that a cell between these coordinates may show.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "float to integer saturates"
+)]
 fn pixels(from: f64, to: f64, side: usize) -> Range<usize> {
-    ((from - FILTER_REACH).floor() as usize).min(side - 1)..((to + FILTER_REACH).ceil() as usize).min(side)
+    ((from - FILTER_REACH).floor() as usize).min(side - 1)
+        ..((to + FILTER_REACH).ceil() as usize).min(side)
 }
 
 /// Words of the bits of a picture.
@@ -182,11 +237,16 @@ pub(super) fn occupied_words(extent: Extent) -> usize {
 /// Whether a bit of this range is set.
 fn has_bit(words: &[u64], bits: Range<usize>) -> bool {
     let (first, last) = (bits.start / WORD, (bits.end - 1) / WORD);
-    let (from, to) = (u64::MAX << (bits.start % WORD), u64::MAX >> (WORD - 1 - (bits.end - 1) % WORD));
+    let (from, to) = (
+        u64::MAX << (bits.start % WORD),
+        u64::MAX >> (WORD - 1 - (bits.end - 1) % WORD),
+    );
     if first == last {
         return words[first] & from & to != 0;
     }
-    words[first] & from != 0 || words[last] & to != 0 || words[first + 1..last].iter().any(|word| *word != 0)
+    words[first] & from != 0
+        || words[last] & to != 0
+        || words[first + 1..last].iter().any(|word| *word != 0)
 }
 
 const fn widened(sample: u8) -> u16 {
@@ -209,15 +269,22 @@ impl MaskDrawer {
     /// The weights of the pixels of target rows, 0 to [`FULL_WEIGHT`].
     pub(super) fn weights(&self, rows: Range<u32>) -> Vec<u16> {
         let (count, depth) = (self.renderer.channels().count(), self.renderer.depth());
-        let mut samples = vec![0; rows.len() * self.renderer.target().width() as usize * count * depth.bytes()];
+        let mut samples =
+            vec![0; rows.len() * self.renderer.target().width() as usize * count * depth.bytes()];
         self.renderer.band(rows, &mut samples);
         let pixels = samples.chunks_exact(count * depth.bytes());
         let weight = |pixel: &[u8]| {
             let mut values = [FULL_WEIGHT; 4];
             match depth {
-                Depth::Eight => values.iter_mut().zip(pixel).for_each(|(value, sample)| *value = widened(*sample)),
+                Depth::Eight => values
+                    .iter_mut()
+                    .zip(pixel)
+                    .for_each(|(value, sample)| *value = widened(*sample)),
                 Depth::Sixteen => {
-                    values.iter_mut().zip(pixel.as_chunks().0).for_each(|(value, sample)| *value = u16::from_be_bytes(*sample));
+                    values
+                        .iter_mut()
+                        .zip(pixel.as_chunks().0)
+                        .for_each(|(value, sample)| *value = u16::from_be_bytes(*sample));
                 }
             }
             self.channel.weight(&values)

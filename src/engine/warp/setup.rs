@@ -8,8 +8,8 @@ use super::plausibility::{self, PosedHandles};
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
 use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, work};
 use crate::deform::{
-    self, DeformError, Demand, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose, PoseQuality, Refined, Refiner,
-    pose_without_table,
+    self, DeformError, Demand, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose,
+    PoseQuality, Refined, Refiner, pose_without_table,
 };
 use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
@@ -88,7 +88,12 @@ impl Setup {
     ///
     /// # Errors
     /// Those of [`Setup::new`]; cancelled.
-    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+    pub fn new_unless(
+        rest: &RestSpec,
+        extent: Extent,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         Self::resolve(rest, extent, limits, true, cancelled)
     }
 
@@ -105,10 +110,18 @@ impl Setup {
         check_parameters(rest)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
         let grid = resolve_grid(rest.grid, width, height, limits)?;
-        let handles = Handles::new(to_px(&rest.p, unit(rest.units, &grid)), rest.weights.clone()).map_err(WarpError::Rest)?;
+        let handles = Handles::new(
+            to_px(&rest.p, unit(rest.units, &grid)),
+            rest.weights.clone(),
+        )
+        .map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
         if rest.method == Method::ThinPlateSpline && is_solved {
-            work::at_most(Task::Spline, limits.work, work::of_spline(rest.p.len() as u64))?;
+            work::at_most(
+                Task::Spline,
+                limits.work,
+                work::of_spline(rest.p.len() as u64),
+            )?;
         }
         let field = match rest.method {
             Method::ThinPlateSpline if !is_solved => {
@@ -121,24 +134,57 @@ impl Setup {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })?;
-        work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&field)))?;
+        work::at_most(
+            Task::Grid,
+            limits.work,
+            (grid.len() as u64).saturating_mul(work::of_vertex(&field)),
+        )?;
         let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         warnings.extend(rest.left_out());
-        Ok(Self::on_grid(Arc::new(field), grid, rest.grid, (rest.units, rest.method, mixed, warnings), limits))
+        Ok(Self::on_grid(
+            Arc::new(field),
+            grid,
+            rest.grid,
+            (rest.units, rest.method, mixed, warnings),
+            limits,
+        ))
     }
 
     /// `field` on a resolved grid.
-    fn on_grid(field: Arc<Field>, grid: Grid, spec: GridSpec, rest: (Units, Method, bool, Vec<Warning>), limits: &Limits) -> Self {
+    fn on_grid(
+        field: Arc<Field>,
+        grid: Grid,
+        spec: GridSpec,
+        rest: (Units, Method, bool, Vec<Warning>),
+        limits: &Limits,
+    ) -> Self {
         let (units, method, mixed, warnings) = rest;
         let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
         let bytes = deform::Plan::bytes_for(&field, grid.len());
-        let table_bytes = (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
-        let left = |bytes: u64| (EXACT_PER_BYTE * bytes).min(bytes.max(EXACT_ALWAYS)).min(limits.plan_bytes - bytes);
+        let table_bytes =
+            (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
+        let left = |bytes: u64| {
+            (EXACT_PER_BYTE * bytes)
+                .min(bytes.max(EXACT_ALWAYS))
+                .min(limits.plan_bytes - bytes)
+        };
         let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
         let max_work = limits.work;
-        Self { field, grid, units, method, mixed, warnings, tolerance, plan_key, table_bytes, exact_bytes, max_work }
+        Self {
+            field,
+            grid,
+            units,
+            method,
+            mixed,
+            warnings,
+            tolerance,
+            plan_key,
+            table_bytes,
+            exact_bytes,
+            max_work,
+        }
     }
 
     /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a
@@ -148,13 +194,31 @@ impl Setup {
     /// The grid exceeds a limit.
     pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
         let (width, height) = self.grid.cell();
-        if [width, height].iter().all(|side| (AUTO_CELL.0..=AUTO_CELL.1).contains(side)) {
+        if [width, height]
+            .iter()
+            .all(|side| (AUTO_CELL.0..=AUTO_CELL.1).contains(side))
+        {
             return Ok(self.clone());
         }
-        let grid = resolve_grid(GridSpec::Auto, self.grid.width(), self.grid.height(), limits)?;
-        work::at_most(Task::Grid, limits.work, (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)))?;
+        let grid = resolve_grid(
+            GridSpec::Auto,
+            self.grid.width(),
+            self.grid.height(),
+            limits,
+        )?;
+        work::at_most(
+            Task::Grid,
+            limits.work,
+            (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)),
+        )?;
         let rest = (self.units, self.method, self.mixed, self.warnings.clone());
-        Ok(Self::on_grid(Arc::clone(&self.field), grid, GridSpec::Auto, rest, limits))
+        Ok(Self::on_grid(
+            Arc::clone(&self.field),
+            grid,
+            GridSpec::Auto,
+            rest,
+            limits,
+        ))
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, the method and its effective parameters,
@@ -175,8 +239,18 @@ impl Setup {
     /// # Errors
     /// More than the limit.
     pub fn check_frames(&self, frames: u64) -> Result<(), WarpError> {
-        let of_vertex = if self.table_bytes.is_some() { work::of_table(&self.field) } else { work::of_position(&self.field) };
-        work::at_most(Task::Survey, self.max_work, frames.saturating_mul(self.grid.len() as u64).saturating_mul(of_vertex))
+        let of_vertex = if self.table_bytes.is_some() {
+            work::of_table(&self.field)
+        } else {
+            work::of_position(&self.field)
+        };
+        work::at_most(
+            Task::Survey,
+            self.max_work,
+            frames
+                .saturating_mul(self.grid.len() as u64)
+                .saturating_mul(of_vertex),
+        )
     }
 
     /// Checks the work of measuring a posed grid.
@@ -184,7 +258,11 @@ impl Setup {
     /// # Errors
     /// More than the limit.
     pub fn check_quality(&self) -> Result<(), WarpError> {
-        work::at_most(Task::Quality, self.max_work, (self.grid.len() as u64).saturating_mul(work::CELL))
+        work::at_most(
+            Task::Quality,
+            self.max_work,
+            (self.grid.len() as u64).saturating_mul(work::CELL),
+        )
     }
 
     pub(super) const fn max_work(&self) -> u64 {
@@ -209,20 +287,27 @@ impl Setup {
     /// is what a pose has used of it.
     #[must_use]
     pub fn most_halved_bytes(&self) -> u64 {
-        if self.tolerance.is_some() { self.fine_vertices() as u64 * FINE_BYTES } else { 0 }
+        if self.tolerance.is_some() {
+            self.fine_vertices() as u64 * FINE_BYTES
+        } else {
+            0
+        }
     }
 
     /// Most vertices inside cells.
     pub(super) fn fine_vertices(&self) -> usize {
         let all = self.grid.len();
         let affordable = (FINE_COEFFICIENTS / self.field.handles().columns().max(1)).max(all);
-        (FINE_PER_VERTEX * all + FINE_ALWAYS).min(FINE_PER_CELL * all).min(affordable)
+        (FINE_PER_VERTEX * all + FINE_ALWAYS)
+            .min(FINE_PER_CELL * all)
+            .min(affordable)
     }
 
     /// Whether posing is split over the current rayon pool.
     #[must_use]
     pub fn is_wide(&self) -> bool {
-        self.table_bytes.is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
+        self.table_bytes
+            .is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
     }
 
     /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
@@ -236,9 +321,16 @@ impl Setup {
     /// # Errors
     /// Cancelled.
     pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
-        let fill = |_| deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled);
+        let fill = |_| {
+            deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled)
+                .ok_or(WarpError::Cancelled)
+        };
         let table = self.table_bytes.map(fill).transpose()?;
-        Ok(Plan { table, exact: ExactRows::new(self.exact_bytes), exact_bytes: self.exact_bytes })
+        Ok(Plan {
+            table,
+            exact: ExactRows::new(self.exact_bytes),
+            exact_bytes: self.exact_bytes,
+        })
     }
 
     /// Validates posed handles against the rest handles.
@@ -246,7 +338,11 @@ impl Setup {
     /// # Errors
     /// Shapes, numbers, contradictory targets.
     pub fn pose(&self, q: &[Handle]) -> Result<Pose, WarpError> {
-        let posed = if self.units == Units::Px { self.field.pose(q) } else { self.field.pose(&to_px(q, self.unit())) };
+        let posed = if self.units == Units::Px {
+            self.field.pose(q)
+        } else {
+            self.field.pose(&to_px(q, self.unit()))
+        };
         posed.map_err(WarpError::Posed)
     }
 
@@ -308,7 +404,12 @@ impl Setup {
 
     /// Those that do not depend on the canvas.
     pub(super) fn warnings_anywhere(&self, pose: &Pose) -> Vec<Warning> {
-        let mut warnings: Vec<_> = self.field.warnings(pose).into_iter().map(Warning::Deform).collect();
+        let mut warnings: Vec<_> = self
+            .field
+            .warnings(pose)
+            .into_iter()
+            .map(Warning::Deform)
+            .collect();
         warnings.extend_from_slice(&self.warnings);
         warnings.extend(self.unmet(pose));
         Warning::in_order(warnings)
@@ -324,8 +425,12 @@ impl Setup {
             return None;
         }
         match self.field.demand(pose)? {
-            Demand::Mirrored { determinant } => (!self.method.can_mirror()).then_some(Warning::MirroredUseAffine { determinant }),
-            Demand::Scaled { scale } => (!self.method.can_scale()).then_some(Warning::ScaledUseSimilarity { scale }),
+            Demand::Mirrored { determinant } => {
+                (!self.method.can_mirror()).then_some(Warning::MirroredUseAffine { determinant })
+            }
+            Demand::Scaled { scale } => {
+                (!self.method.can_scale()).then_some(Warning::ScaledUseSimilarity { scale })
+            }
         }
     }
 
@@ -345,7 +450,11 @@ impl Setup {
     /// Never: a grid has the size of a picture.
     #[must_use]
     pub fn source(&self) -> Extent {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the sides of an extent")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "the sides of an extent"
+        )]
         let [width, height] = [self.grid.width(), self.grid.height()].map(|side| side as u32);
         Extent::new(width, height).expect("a grid has the size of a picture")
     }
@@ -360,7 +469,12 @@ impl Setup {
     }
 
     /// The posed mesh; without a table every row is computed again, which may take long. Stops when `cancelled` returns true.
-    pub(super) fn mesh(&self, plan: &Plan, pose: &Pose, cancelled: IsCancelled<'_>) -> Result<(Mesh, PoseQuality), WarpError> {
+    pub(super) fn mesh(
+        &self,
+        plan: &Plan,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(Mesh, PoseQuality), WarpError> {
         let posed = match &plan.table {
             Some(table) => table.pose_unless(&self.grid, pose, cancelled),
             None => pose_without_table(&self.field, &self.grid, pose, cancelled),
@@ -381,8 +495,17 @@ impl Setup {
             let drawn_within = DRAWN_WITHIN.min(tolerance / 2.0);
             let (field, rows, vertices) = (&*self.field, &plan.exact, self.fine_vertices());
             #[expect(clippy::cast_possible_truncation, reason = "at most 1/16")]
-            let refiner = Refiner { field, rows, tolerance: tolerance - drawn_within, drawn_within: drawn_within as f32, folds, vertices };
-            refiner.refine(mesh, pose, cancelled).ok_or(WarpError::Cancelled)
+            let refiner = Refiner {
+                field,
+                rows,
+                tolerance: tolerance - drawn_within,
+                drawn_within: drawn_within as f32,
+                folds,
+                vertices,
+            };
+            refiner
+                .refine(mesh, pose, cancelled)
+                .ok_or(WarpError::Cancelled)
         };
         self.tolerance.map(refine).transpose()
     }
@@ -392,65 +515,111 @@ impl Setup {
 pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
     let is_spline = rest.method == Method::ThinPlateSpline;
     let given = [
-        ("alpha", rest.alpha.is_some() && rest.method.family().is_none()),
+        (
+            "alpha",
+            rest.alpha.is_some() && rest.method.family().is_none(),
+        ),
         ("point_mass", rest.point_mass.is_some() && is_spline),
         ("smoothing", rest.smoothing.is_some() && !is_spline),
     ];
     if let Some((parameter, _)) = given.into_iter().find(|(_, is_foreign)| *is_foreign) {
         return Err(WarpError::ForeignParameter { parameter });
     }
-    if is_spline { at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64) } else { Ok(()) }
+    if is_spline {
+        at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64)
+    } else {
+        Ok(())
+    }
 }
 
-pub(super) fn field(handles: Handles, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, DeformError> {
+pub(super) fn field(
+    handles: Handles,
+    rest: &RestSpec,
+    cancelled: IsCancelled<'_>,
+) -> Result<Field, DeformError> {
     let coincident = rest.coincident;
-    let point_mass = rest.point_mass.unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
+    let point_mass = rest
+        .point_mass
+        .unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
     let family = match rest.method {
-        Method::ThinPlateSpline => return Field::spline_unless(handles, coincident, rest.smoothing.unwrap_or(0.0), cancelled),
-        Method::GlobalAffine => return Field::global_affine_unless(handles, coincident, point_mass, cancelled),
+        Method::ThinPlateSpline => {
+            return Field::spline_unless(
+                handles,
+                coincident,
+                rest.smoothing.unwrap_or(0.0),
+                cancelled,
+            );
+        }
+        Method::GlobalAffine => {
+            return Field::global_affine_unless(handles, coincident, point_mass, cancelled);
+        }
         Method::Rigid => deform::Method::Rigid,
         Method::Similarity => deform::Method::Similarity,
         Method::Affine => deform::Method::Affine,
     };
-    let alpha = rest.alpha.unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
+    let alpha = rest
+        .alpha
+        .unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
     let falloff = Falloff::new(alpha, handles.has_lines())?;
     Field::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
 }
 
-pub(super) fn resolve_grid(spec: GridSpec, width: f64, height: f64, limits: &Limits) -> Result<Grid, WarpError> {
+pub(super) fn resolve_grid(
+    spec: GridSpec,
+    width: f64,
+    height: f64,
+    limits: &Limits,
+) -> Result<Grid, WarpError> {
     // Per axis too, because the working memory of a row, one per thread, grows with its columns.
     let along = |what, length: f64, count: u32| {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a side is at most 2^32")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a side is at most 2^32"
+        )]
         let limit = (length * LINES_PER_PX).max(LINES_ALWAYS) as u64 + 1;
         at_most(what, limit, count.into())
     };
     let check = |columns: u32, rows: u32| {
         along("grid_columns", width, columns)?;
         along("grid_rows", height, rows)?;
-        at_most("grid_vertices", limits.plan_bytes / MESH_BYTES_PER_VERTEX, u64::from(columns) * u64::from(rows))
+        at_most(
+            "grid_vertices",
+            limits.plan_bytes / MESH_BYTES_PER_VERTEX,
+            u64::from(columns) * u64::from(rows),
+        )
     };
     let with_cell = |cell: f64| {
-        check(1 + Grid::cells_along(width, cell), 1 + Grid::cells_along(height, cell))?;
+        check(
+            1 + Grid::cells_along(width, cell),
+            1 + Grid::cells_along(height, cell),
+        )?;
         Ok(Grid::with_cell(width, height, cell))
     };
     match spec {
         GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCES.contains(&tolerance) => {
             let (least, most) = GridSpec::TOLERANCES.into_inner();
-            Err(WarpError::BadGrid(format!("the tolerance of a grid must be {least} to {most} px; found {}", Compact(tolerance))))
+            Err(WarpError::BadGrid(format!(
+                "the tolerance of a grid must be {least} to {most} px; found {}",
+                Compact(tolerance)
+            )))
         }
-        GridSpec::Auto | GridSpec::Tolerance(_) => with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1)),
+        GridSpec::Auto | GridSpec::Tolerance(_) => {
+            with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1))
+        }
         GridSpec::Pixel => with_cell(1.0),
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
-        GridSpec::Cell(cell) => {
-            Err(WarpError::BadGrid(format!("the cell of a grid must be a positive number of pixels; found {}", Compact(cell))))
-        }
+        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!(
+            "the cell of a grid must be a positive number of pixels; found {}",
+            Compact(cell)
+        ))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
             check(columns, rows)?;
             Ok(Grid::with_counts(width, height, columns, rows))
         }
-        GridSpec::Counts { columns, rows } => {
-            Err(WarpError::BadGrid(format!("a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}")))
-        }
+        GridSpec::Counts { columns, rows } => Err(WarpError::BadGrid(format!(
+            "a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}"
+        ))),
     }
 }
 
@@ -499,7 +668,12 @@ fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest
         .integer(grid.rows().into())
         // Plans of refined grids may keep more rows.
         .integer(is_refined.into());
-    for (handle, &weight) in field.handles().handles().iter().zip(field.handles().weights()) {
+    for (handle, &weight) in field
+        .handles()
+        .handles()
+        .iter()
+        .zip(field.handles().weights())
+    {
         key = key.float(weight).integer(handle.places().len() as u64);
         for p in handle.places() {
             key = key.float(p.x).float(p.y);

@@ -24,7 +24,12 @@ pub struct Limits {
 impl Default for Limits {
     /// 50 MP and 16,384 px a side, 10,000 columns, 512 MiB, 12 thousand million operations.
     fn default() -> Self {
-        Self { image: ImageLimits::default(), columns: 10_000, plan_bytes: 512 << 20, work: 12_000_000_000 }
+        Self {
+            image: ImageLimits::default(),
+            columns: 10_000,
+            plan_bytes: 512 << 20,
+            work: 12_000_000_000,
+        }
     }
 }
 
@@ -208,10 +213,16 @@ impl RestSpec {
 
     /// What was left out of the handles.
     pub fn left_out(&self) -> impl Iterator<Item = Warning> {
-        let missing = self.p.iter().enumerate().filter(|(_, handle)| **handle == Handle::Missing);
+        let missing = self
+            .p
+            .iter()
+            .enumerate()
+            .filter(|(_, handle)| **handle == Handle::Missing);
         let handles: Vec<usize> = missing.map(|(index, _)| index).collect();
         let missing = (!handles.is_empty()).then_some(Warning::HandlesMissing { handles });
-        missing.into_iter().chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
+        missing
+            .into_iter()
+            .chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
     }
 
     /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
@@ -294,7 +305,11 @@ impl OutputSpec {
                     None if self.quality < FULL_COLOURS => Subsampling::Half,
                     None => Subsampling::Full,
                 };
-                Encoding::Jpeg { quality: self.quality, subsampling, ground }
+                Encoding::Jpeg {
+                    quality: self.quality,
+                    subsampling,
+                    ground,
+                }
             }
             Format::WebP => Encoding::WebP,
             Format::Tiff => Encoding::Tiff(self.compression),
@@ -311,5 +326,13 @@ fn in_eight(sample: u16, depth: Depth) -> u8 {
 
 /// Returns an error if a number exceeds a limit.
 pub(super) fn at_most(what: &'static str, limit: u64, actual: u64) -> Result<(), WarpError> {
-    if actual > limit { Err(WarpError::TooLarge { what, limit, actual }) } else { Ok(()) }
+    if actual > limit {
+        Err(WarpError::TooLarge {
+            what,
+            limit,
+            actual,
+        })
+    } else {
+        Ok(())
+    }
 }

@@ -69,8 +69,17 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
     /// Creates a scheduler; nothing is drawn yet.
     pub fn new(warp: W, sink: S) -> Self {
         let strips = warp.writer.strips();
-        let queue = Queue { waiting: vec![None; strips], checksums: Vec::with_capacity(strips), sink };
-        Self { warp, next: AtomicUsize::new(0), cancelled: AtomicBool::new(false), queue: Mutex::new(queue) }
+        let queue = Queue {
+            waiting: vec![None; strips],
+            checksums: Vec::with_capacity(strips),
+            sink,
+        };
+        Self {
+            warp,
+            next: AtomicUsize::new(0),
+            cancelled: AtomicBool::new(false),
+            queue: Mutex::new(queue),
+        }
     }
 
     /// The number of strips.
@@ -93,19 +102,29 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
             let step = band_rows(BAND, drawer.computed_width());
-            let bands = (rows.start..rows.end).step_by(step as usize).zip(samples.chunks_mut(step as usize * row));
+            let bands = (rows.start..rows.end)
+                .step_by(step as usize)
+                .zip(samples.chunks_mut(step as usize * row));
             for (first, band) in bands {
                 if watch.is_wanted() {
-                    watch.around(Stage::Render, &mut || drawer.band(first..rows.end.min(first + step), band));
+                    watch.around(Stage::Render, &mut || {
+                        drawer.band(first..rows.end.min(first + step), band)
+                    });
                 }
             }
             if !watch.is_wanted() {
                 self.cancelled.store(true, Ordering::Relaxed);
                 break;
             }
-            let mut bytes = if index == 0 { writer.head() } else { Vec::new() };
+            let mut bytes = if index == 0 {
+                writer.head()
+            } else {
+                Vec::new()
+            };
             let mut checksum = (0, 0);
-            watch.around(Stage::Encode, &mut || checksum = writer.strip_into(index, &mut samples, &mut bytes, &|| watch.is_wanted()));
+            watch.around(Stage::Encode, &mut || {
+                checksum = writer.strip_into(index, &mut samples, &mut bytes, &|| watch.is_wanted())
+            });
             if !watch.is_wanted() {
                 self.cancelled.store(true, Ordering::Relaxed);
                 break;
@@ -127,7 +146,11 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
 impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
     /// Passes on every strip that is next in order; returns whether the last one was among them.
     fn flush(&mut self, writer: &Writer) -> ControlFlow<(), bool> {
-        while let Some((mut bytes, checksum)) = self.waiting.get_mut(self.checksums.len()).and_then(Option::take) {
+        while let Some((mut bytes, checksum)) = self
+            .waiting
+            .get_mut(self.checksums.len())
+            .and_then(Option::take)
+        {
             self.checksums.push(checksum);
             let last = self.checksums.len() == self.waiting.len();
             if last {

@@ -39,10 +39,16 @@ impl Subject<'_> {
     #[must_use]
     pub fn warnings(self, target: &Target, output: &OutputSpec) -> Vec<Warning> {
         let (carried, grey, repairs) = match self {
-            Self::Image(image) => {
-                (image.carried(target), image.grey && output.outside.is_grey() && output.encoding(self.depth()).is_grey(), image.repairs)
-            }
-            Self::Labels(labels) => (labels.carried(target), labels.labels.is_grey(), labels.labels.repairs),
+            Self::Image(image) => (
+                image.carried(target),
+                image.grey && output.outside.is_grey() && output.encoding(self.depth()).is_grey(),
+                image.repairs,
+            ),
+            Self::Labels(labels) => (
+                labels.carried(target),
+                labels.labels.is_grey(),
+                labels.labels.repairs,
+            ),
             Self::Coverage(_) | Self::Holes(_) => return Vec::new(),
         };
         let (profile, dropped) = carried.losses(output.format, grey);
@@ -51,7 +57,9 @@ impl Subject<'_> {
             (!dropped.is_empty(), Warning::MetadataDropped(dropped)),
             (!repairs.is_empty(), Warning::FileRepaired(repairs)),
         ];
-        all.into_iter().filter_map(|(applies, warning)| applies.then_some(warning)).collect()
+        all.into_iter()
+            .filter_map(|(applies, warning)| applies.then_some(warning))
+            .collect()
     }
 
     /// The depth of its samples.
@@ -70,11 +78,21 @@ impl Subject<'_> {
     /// Labels in a format that would change them, or with a value outside; a value that the picture's samples cannot have.
     pub fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
         match (self, output.format, output.outside) {
-            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif), _) => Err(WarpError::LabelFormat { format }),
+            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif), _) => {
+                Err(WarpError::LabelFormat { format })
+            }
             (Self::Labels(_), _, Outside::Value(_)) => Err(WarpError::OutsideOfLabels),
             (Self::Image(_), _, Outside::Value(value)) => {
-                let (largest, most) = (value.into_iter().max().unwrap_or(0), self.depth().largest());
-                if largest > most { Err(WarpError::OutsideBeyondDepth { value: largest, most }) } else { Ok(()) }
+                let (largest, most) =
+                    (value.into_iter().max().unwrap_or(0), self.depth().largest());
+                if largest > most {
+                    Err(WarpError::OutsideBeyondDepth {
+                        value: largest,
+                        most,
+                    })
+                } else {
+                    Ok(())
+                }
             }
             _ => Ok(()),
         }
@@ -86,7 +104,9 @@ impl Subject<'_> {
         match self {
             Self::Image(_) | Self::Labels(_) | Self::Holes(_) => 0,
             // With a region, that of the picture at rest as well.
-            Self::Coverage(_) => Coverage::bytes(posed.mesh()) * if posed.region().is_some() { 2 } else { 1 },
+            Self::Coverage(_) => {
+                Coverage::bytes(posed.mesh()) * if posed.region().is_some() { 2 } else { 1 }
+            }
         }
     }
 
@@ -94,24 +114,40 @@ impl Subject<'_> {
     pub(super) fn digest(self) -> Digest {
         match self {
             Self::Image(image) => image.digest(),
-            Self::Labels(labels) => Collector::new("mlswarp labels 1").bytes(&labels.digest().0).finish(),
+            Self::Labels(labels) => Collector::new("mlswarp labels 1")
+                .bytes(&labels.digest().0)
+                .finish(),
             Self::Coverage(_) => Collector::new("mlswarp coverage 1").finish(),
-            Self::Holes(region) => Collector::new("mlswarp holes 1").bytes(&region.digest().0).finish(),
+            Self::Holes(region) => Collector::new("mlswarp holes 1")
+                .bytes(&region.digest().0)
+                .finish(),
         }
     }
 
     /// Whether drawing has to make copies of a source first (packed, reduced), which are kept for later drawings.
     #[must_use]
     pub fn lacks_copies(self, target: Target, posed: &Posed, output: &OutputSpec) -> bool {
-        self.sources(posed).any(|source| target.options(output).lacks_copies(source, posed.mesh()))
+        self.sources(posed)
+            .any(|source| target.options(output).lacks_copies(source, posed.mesh()))
     }
 
     /// Makes the copies, for which [`Warp::onto`](super::Warp::onto) otherwise takes the time.
     ///
     /// # Errors
     /// Cancelled.
-    pub fn make_copies(self, target: Target, posed: &Posed, output: &OutputSpec, cancelled: IsCancelled<'_>) -> Result<(), WarpError> {
-        let make = |source| target.options(output).make_copies(source, posed.mesh(), cancelled).ok_or(WarpError::Cancelled);
+    pub fn make_copies(
+        self,
+        target: Target,
+        posed: &Posed,
+        output: &OutputSpec,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(), WarpError> {
+        let make = |source| {
+            target
+                .options(output)
+                .make_copies(source, posed.mesh(), cancelled)
+                .ok_or(WarpError::Cancelled)
+        };
         self.sources(posed).try_for_each(make)
     }
 
@@ -129,9 +165,9 @@ impl Subject<'_> {
         let options = target.options(output);
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
-            Some(region) if !matches!(self, Self::Holes(_)) => {
-                Drawer::Region(Box::new(RegionDrawer::new(self, (&target, region), posed.mesh(), options, output.holes)))
-            }
+            Some(region) if !matches!(self, Self::Holes(_)) => Drawer::Region(Box::new(
+                RegionDrawer::new(self, (&target, region), posed.mesh(), options, output.holes),
+            )),
             _ => Drawer::new(self, &target, posed.mesh(), options),
         }
     }

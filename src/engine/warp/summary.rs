@@ -31,7 +31,12 @@ impl RestSummary {
     ///
     /// # Errors
     /// Those of [`Setup::new`]; cancelled.
-    pub fn new_unless(rest: &RestSpec, extent: Extent, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Self, WarpError> {
+    pub fn new_unless(
+        rest: &RestSpec,
+        extent: Extent,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
         Setup::resolve(rest, extent, limits, false, cancelled).map(|setup| Self::of(&setup))
     }
 
@@ -62,14 +67,33 @@ mod tests {
     fn a_summary_without_the_system_of_a_spline_says_the_same() {
         let (extent, limits) = (Extent::new(300, 200).unwrap(), Limits::default());
         let place = |k: u32| Point::new(f64::from(k % 17) * 7.0, f64::from(k % 5) * 9.0 + 1.0);
-        let points = |count: u32| (0..count).map(|k| Handle::Point(place(k))).collect::<Vec<_>>();
+        let points = |count: u32| {
+            (0..count)
+                .map(|k| Handle::Point(place(k)))
+                .collect::<Vec<_>>()
+        };
         // With groups of points at one place, on a line, at one place, none.
-        for p in [points(200), points(3), points(1), vec![Handle::Point(place(1)); 4], vec![]] {
+        for p in [
+            points(200),
+            points(3),
+            points(1),
+            vec![Handle::Point(place(1)); 4],
+            vec![],
+        ] {
             for method in [Method::ThinPlateSpline, Method::Rigid, Method::GlobalAffine] {
-                let rest = RestSpec { p: p.clone(), method, ..RestSpec::default() };
+                let rest = RestSpec {
+                    p: p.clone(),
+                    method,
+                    ..RestSpec::default()
+                };
                 let setup = Setup::new(&rest, extent, &limits).unwrap();
                 let summary = RestSummary::new_unless(&rest, extent, &limits, &|| false).unwrap();
-                assert_eq!(summary, RestSummary::of(&setup), "{method:?}, {} points", p.len());
+                assert_eq!(
+                    summary,
+                    RestSummary::of(&setup),
+                    "{method:?}, {} points",
+                    p.len()
+                );
             }
         }
     }

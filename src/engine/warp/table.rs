@@ -28,7 +28,9 @@ impl Setup {
             .integer((units == Units::Normalized).into())
             .integer(field.family() as u64);
         for parameter in [self.alpha(), self.point_mass(), self.smoothing()] {
-            key = key.integer(parameter.is_some().into()).float(parameter.unwrap_or_default());
+            key = key
+                .integer(parameter.is_some().into())
+                .float(parameter.unwrap_or_default());
         }
         for (handle, &weight) in field.given().handles().iter().zip(field.given().weights()) {
             key = key.float(weight).integer(handle.places().len() as u64);
@@ -37,7 +39,11 @@ impl Setup {
             }
         }
         // Handles are grouped by a distance that the client may choose.
-        field.column_members().iter().fold(key, |key, member| key.integer(member.column as u64)).finish()
+        field
+            .column_members()
+            .iter()
+            .fold(key, |key, member| key.integer(member.column as u64))
+            .finish()
     }
 }
 
@@ -49,7 +55,11 @@ impl Table {
     pub fn new(setup: &Setup, columns: u32, rows: u32, limits: &Limits) -> Result<Self, WarpError> {
         let (width, height, _) = setup.on();
         let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
-        let table = Self { field: Arc::clone(setup.field()), grid, rest: setup.rest_digest() };
+        let table = Self {
+            field: Arc::clone(setup.field()),
+            grid,
+            rest: setup.rest_digest(),
+        };
         if !Plan::pays(&table.field) {
             return Err(WarpError::NoTable);
         }

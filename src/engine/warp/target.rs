@@ -45,8 +45,16 @@ impl CanvasSpec {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn of(self, source: Extent, posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Option<Canvas>, WarpError> {
-        match self.before_pose(source).map_or_else(|| fit(posed, cancelled), Ok) {
+    pub fn of(
+        self,
+        source: Extent,
+        posed: &Posed,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Option<Canvas>, WarpError> {
+        match self
+            .before_pose(source)
+            .map_or_else(|| fit(posed, cancelled), Ok)
+        {
             Err(WarpError::Cancelled) => Err(WarpError::Cancelled),
             canvas => Ok(canvas.ok()),
         }
@@ -55,17 +63,41 @@ impl CanvasSpec {
 
 /// Errors: A result without area, or one that extends beyond [`FARTHEST`]; cancelled.
 fn fit(posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpError> {
-    let [left, top, right, bottom] = posed.bounds(cancelled)?.map(|edge| (edge * STEPS).round() / STEPS);
-    let farthest = [left, top, right, bottom].into_iter().fold(0.0, |far: f64, edge| far.max(edge.abs()));
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "float to integer saturates")]
+    let [left, top, right, bottom] = posed
+        .bounds(cancelled)?
+        .map(|edge| (edge * STEPS).round() / STEPS);
+    let farthest = [left, top, right, bottom]
+        .into_iter()
+        .fold(0.0, |far: f64, edge| far.max(edge.abs()));
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "float to integer saturates"
+    )]
     if farthest > f64::from(FARTHEST) {
-        return Err(WarpError::TooLarge { what: "canvas_edge", limit: FARTHEST.unsigned_abs().into(), actual: farthest.ceil() as u64 });
+        return Err(WarpError::TooLarge {
+            what: "canvas_edge",
+            limit: FARTHEST.unsigned_abs().into(),
+            actual: farthest.ceil() as u64,
+        });
     }
     #[expect(clippy::cast_possible_truncation, reason = "at most the farthest edge")]
     let (x, y) = (left.floor() as i32, top.floor() as i32);
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most twice the farthest edge")]
-    let side = |low: f64, high: f64| if high > low { (high.ceil() - low.floor()) as u32 } else { 0 };
-    Extent::new(side(left, right), side(top, bottom)).map(|extent| Canvas { x, y, extent }).ok_or(WarpError::NothingVisible)
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "at most twice the farthest edge"
+    )]
+    let side = |low: f64, high: f64| {
+        if high > low {
+            (high.ceil() - low.floor()) as u32
+        } else {
+            0
+        }
+    };
+    Extent::new(side(left, right), side(top, bottom))
+        .map(|extent| Canvas { x, y, extent })
+        .ok_or(WarpError::NothingVisible)
 }
 
 /// The part of the posed plane that a target picture shows, and the size of the picture.
@@ -85,27 +117,53 @@ impl Target {
     /// A picture of this size of a part of the posed plane, or of the box of the source.
     #[must_use]
     pub const fn of(canvas: Option<Canvas>, extent: Extent) -> Self {
-        Self { canvas, extent, force_alpha: false, is_preview: false }
+        Self {
+            canvas,
+            extent,
+            force_alpha: false,
+            is_preview: false,
+        }
     }
 
     /// What the picture has of the metadata of a source of this size.
     pub(super) fn carried(&self, metadata: &Arc<Metadata>, source: Extent) -> Carried {
-        let carried = Carried::new(metadata, self.extent, self.canvas.map_or(source, |canvas| canvas.extent));
-        if self.is_preview { carried.colour_only() } else { carried }
+        let carried = Carried::new(
+            metadata,
+            self.extent,
+            self.canvas.map_or(source, |canvas| canvas.extent),
+        );
+        if self.is_preview {
+            carried.colour_only()
+        } else {
+            carried
+        }
     }
 
     /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows, and with a
     /// region, picture and mask are drawn posed and at rest.
     #[must_use]
     pub fn window_bytes(&self, posed: &Posed) -> u64 {
-        let windows = self.canvas.map_or(1, |canvas| window_count(canvas, self.extent));
+        let windows = self
+            .canvas
+            .map_or(1, |canvas| window_count(canvas, self.extent));
         let drawings = if posed.region().is_some() { 4 } else { 1 };
         (windows * drawings - 1) * posed.mesh().vertices() * WINDOW_BYTES_PER_VERTEX
     }
 
     pub(super) fn options(self, output: &OutputSpec) -> RenderOptions {
-        let Self { canvas, extent, force_alpha, .. } = self;
-        RenderOptions { target: extent, canvas, filter: output.filter, outside: output.outside, force_alpha }
+        let Self {
+            canvas,
+            extent,
+            force_alpha,
+            ..
+        } = self;
+        RenderOptions {
+            target: extent,
+            canvas,
+            filter: output.filter,
+            outside: output.outside,
+            force_alpha,
+        }
     }
 }
 
@@ -122,35 +180,68 @@ impl OutputSpec {
     ///
     /// # Errors
     /// Over the limits.
-    pub fn target_before_pose(&self, source: Extent, limits: &Limits) -> Result<Option<Target>, WarpError> {
+    pub fn target_before_pose(
+        &self,
+        source: Extent,
+        limits: &Limits,
+    ) -> Result<Option<Target>, WarpError> {
         let canvas = self.canvas.before_pose(source);
-        canvas.map(|canvas| self.target_of(canvas, source, limits)).transpose()
+        canvas
+            .map(|canvas| self.target_of(canvas, source, limits))
+            .transpose()
     }
 
     /// The target of a pose.
     ///
     /// # Errors
     /// Over the limits; nothing to show; cancelled.
-    pub fn target(&self, source: Extent, posed: &Posed, limits: &Limits, cancelled: IsCancelled<'_>) -> Result<Target, WarpError> {
-        let canvas = self.canvas.before_pose(source).map_or_else(|| fit(posed, cancelled), Ok)?;
+    pub fn target(
+        &self,
+        source: Extent,
+        posed: &Posed,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Target, WarpError> {
+        let canvas = self
+            .canvas
+            .before_pose(source)
+            .map_or_else(|| fit(posed, cancelled), Ok)?;
         self.target_of(canvas, source, limits)
     }
 
-    fn target_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Target, WarpError> {
+    fn target_of(
+        &self,
+        canvas: Canvas,
+        source: Extent,
+        limits: &Limits,
+    ) -> Result<Target, WarpError> {
         let extent = self.extent_of(canvas, source, limits)?;
-        Ok(Target::of((self.canvas != CanvasSpec::Same).then_some(canvas), extent))
+        Ok(Target::of(
+            (self.canvas != CanvasSpec::Same).then_some(canvas),
+            extent,
+        ))
     }
 
     /// The size of the target on this canvas, whatever the limits.
     pub(super) fn size_of(&self, canvas: Canvas) -> Extent {
-        let Some(width) = self.width else { return canvas.extent };
+        let Some(width) = self.width else {
+            return canvas.extent;
+        };
         let height = u32::try_from(height_of(canvas, width)).unwrap_or(u32::MAX);
         Extent::new(width, height).unwrap_or(canvas.extent)
     }
 
     /// The size of the target: `width` with the height that keeps the proportions.
-    fn extent_of(&self, canvas: Canvas, source: Extent, limits: &Limits) -> Result<Extent, WarpError> {
-        let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
+    fn extent_of(
+        &self,
+        canvas: Canvas,
+        source: Extent,
+        limits: &Limits,
+    ) -> Result<Extent, WarpError> {
+        let (w, h) = (
+            u64::from(canvas.extent.width()),
+            u64::from(canvas.extent.height()),
+        );
         let max_side = u64::from(limits.image.max_side.min(self.format.max_side()));
         let max_pixels = limits.image.max_pixels.min(self.format.max_pixels());
         let Some(width) = self.width else {
@@ -168,14 +259,25 @@ impl OutputSpec {
         let height = height_of(canvas, width);
         at_most("output_side", max_side, height)?;
         at_most("output_pixels", max_pixels, height * u64::from(width))?;
-        at_most("scaled_source_side", LONGEST_SCALED_SOURCE, u64::from(source.width().max(source.height())) * u64::from(width) / w)?;
+        at_most(
+            "scaled_source_side",
+            LONGEST_SCALED_SOURCE,
+            u64::from(source.width().max(source.height())) * u64::from(width) / w,
+        )?;
         let height = u32::try_from(height).expect("at most max_side");
-        Extent::new(width, height).ok_or(WarpError::TooLarge { what: "output_side", limit: max_side, actual: 0 })
+        Extent::new(width, height).ok_or(WarpError::TooLarge {
+            what: "output_side",
+            limit: max_side,
+            actual: 0,
+        })
     }
 }
 
 /// The height that keeps the proportions, max(1, round(H w / W)).
 fn height_of(canvas: Canvas, width: u32) -> u64 {
-    let (w, h) = (u64::from(canvas.extent.width()), u64::from(canvas.extent.height()));
+    let (w, h) = (
+        u64::from(canvas.extent.width()),
+        u64::from(canvas.extent.height()),
+    );
     ((2 * h * u64::from(width) + w) / (2 * w)).max(1)
 }

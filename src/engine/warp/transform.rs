@@ -65,7 +65,10 @@ pub struct MappedOutline {
 
 impl MappedOutline {
     fn with_capacity(vertices: usize) -> Self {
-        Self { places: Vec::with_capacity(vertices), at: Vec::with_capacity(vertices) }
+        Self {
+            places: Vec::with_capacity(vertices),
+            at: Vec::with_capacity(vertices),
+        }
     }
 }
 
@@ -109,7 +112,14 @@ impl<'a> Transform<'a> {
     fn new(map: Map<'a>, setup: &Setup) -> Self {
         let (per_position, max_work) = (work::of_position(setup.field()), setup.max_work());
         let source = setup.source_frame();
-        Self { map, rest: source, posed: source, samples: AtomicUsize::new(0), per_position, max_work }
+        Self {
+            map,
+            rest: source,
+            posed: source,
+            samples: AtomicUsize::new(0),
+            per_position,
+            max_work,
+        }
     }
 
     /// Checks the work of this number of positions, for those that are mapped part by part.
@@ -122,20 +132,37 @@ impl<'a> Transform<'a> {
 
     /// Errors: More positions than may be mapped.
     fn check_work(&self, task: Task, positions: usize) -> Result<(), WarpError> {
-        let times = if matches!(self.map, Map::Inverse(_)) { work::INVERSE } else { 1 };
-        work::at_most(task, self.max_work, (positions as u64).saturating_mul(self.per_position).saturating_mul(times))
+        let times = if matches!(self.map, Map::Inverse(_)) {
+            work::INVERSE
+        } else {
+            1
+        };
+        work::at_most(
+            task,
+            self.max_work,
+            (positions as u64)
+                .saturating_mul(self.per_position)
+                .saturating_mul(times),
+        )
     }
 
     /// The same map, where posed positions are those of a picture; without this, they are those of the plane.
     #[must_use]
     pub fn onto(self, picture: Frame) -> Self {
-        Self { posed: picture, ..self }
+        Self {
+            posed: picture,
+            ..self
+        }
     }
 
     /// The same map between positions in px of the plane.
     pub(super) fn in_px(self) -> Self {
         let plane = Frame::of_source(self.rest.image(), Units::Px);
-        Self { rest: plane, posed: plane, ..self }
+        Self {
+            rest: plane,
+            posed: plane,
+            ..self
+        }
     }
 
     const fn frames(&self) -> (&Frame, &Frame) {
@@ -149,11 +176,18 @@ impl<'a> Transform<'a> {
     ///
     /// # Errors
     /// A coordinate that is not finite or out of range; cancelled.
-    pub fn map(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+    pub fn map(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
         self.check_work(Task::Positions, places.len())?;
         let mut mapped = self.map_px(&self.to_px(places, 0)?, cancelled)?;
         let (_, to) = self.frames();
-        mapped.iter_mut().flatten().for_each(|place| *place = to.from_plane(*place));
+        mapped
+            .iter_mut()
+            .flatten()
+            .for_each(|place| *place = to.from_plane(*place));
         Ok(mapped)
     }
 
@@ -183,7 +217,10 @@ impl<'a> Transform<'a> {
             start += count;
         }
         if tolerance.is_some() {
-            let parts: usize = edges.iter().map(|&(a, b)| 2 * pairs(places[a], places[b])).sum();
+            let parts: usize = edges
+                .iter()
+                .map(|&(a, b)| 2 * pairs(places[a], places[b]))
+                .sum();
             self.check_work(Task::Outlines, places.len() + parts)?;
         }
         let mapped = self.map_px(&places, cancelled)?;
@@ -198,7 +235,11 @@ impl<'a> Transform<'a> {
             for k in 0..outline.places.len() {
                 let vertex = mapped.next().expect("each vertex");
                 let has_edge = k < outline.edge_count();
-                let inserted = if has_edge { bent.next().expect("each edge") } else { Some(Vec::new()) };
+                let inserted = if has_edge {
+                    bent.next().expect("each edge")
+                } else {
+                    Some(Vec::new())
+                };
                 refined = match (refined, vertex, inserted) {
                     (Some(mut refined), Some(vertex), Some(inserted)) => {
                         for (t, place) in [(0.0, vertex)].into_iter().chain(inserted) {
@@ -226,10 +267,15 @@ impl<'a> Transform<'a> {
     ) -> Result<Vec<Option<Bend>>, WarpError> {
         let task = |edges: &[(usize, usize)]| {
             let bend = |&(a, b): &(usize, usize)| match (mapped[a], mapped[b]) {
-                (Some(fa), Some(fb)) => self.bend([(places[a], fa), (places[b], fb)], tolerance, cancelled),
+                (Some(fa), Some(fb)) => {
+                    self.bend([(places[a], fa), (places[b], fb)], tolerance, cancelled)
+                }
                 _ => Ok(None),
             };
-            edges.iter().map(bend).collect::<Result<Vec<_>, WarpError>>()
+            edges
+                .iter()
+                .map(bend)
+                .collect::<Result<Vec<_>, WarpError>>()
         };
         let tasks: Result<Vec<_>, WarpError> = edges.par_chunks(EDGES_PER_TASK).map(task).collect();
         Ok(tasks?.into_iter().flatten().collect())
@@ -246,27 +292,42 @@ impl<'a> Transform<'a> {
         let at = |k: usize| k as f64 / (2 * pairs) as f64;
         let inner: Vec<f64> = (1..2 * pairs).map(at).collect();
         let beyond_one = inner.len() - 1;
-        let Some(inner) = self.samples(a, b, inner, beyond_one, cancelled)? else { return Ok(None) };
+        let Some(inner) = self.samples(a, b, inner, beyond_one, cancelled)? else {
+            return Ok(None);
+        };
         let mut samples = vec![(0.0, fa)];
         samples.extend(inner);
         samples.push((1.0, fb));
         // A quarter of the distance of the middle of three remains if both halves are straight.
-        let is_bent = |[a, m, b]: [(f64, Point); 3]| to_segment(m.1, a.1, b.1) > 4.0 * (tolerance / 2.0);
-        let mut triples: Vec<[(f64, Point); 3]> = (0..pairs).map(|k| [samples[2 * k], samples[2 * k + 1], samples[2 * k + 2]]).collect();
+        let is_bent =
+            |[a, m, b]: [(f64, Point); 3]| to_segment(m.1, a.1, b.1) > 4.0 * (tolerance / 2.0);
+        let mut triples: Vec<[(f64, Point); 3]> = (0..pairs)
+            .map(|k| [samples[2 * k], samples[2 * k + 1], samples[2 * k + 2]])
+            .collect();
         for _ in 0..HALVINGS {
             triples.retain(|triple| is_bent(*triple));
             if triples.is_empty() {
                 break;
             }
-            let halves: Vec<f64> = triples.iter().flat_map(|[a, m, b]| [0.5 * (a.0 + m.0), 0.5 * (m.0 + b.0)]).collect();
+            let halves: Vec<f64> = triples
+                .iter()
+                .flat_map(|[a, m, b]| [0.5 * (a.0 + m.0), 0.5 * (m.0 + b.0)])
+                .collect();
             let count = halves.len();
-            let Some(halves) = self.samples(a, b, halves, count, cancelled)? else { return Ok(None) };
-            let smaller = triples.iter().zip(halves.as_chunks::<2>().0).flat_map(|([a, m, b], [am, mb])| [[*a, *am, *m], [*m, *mb, *b]]);
+            let Some(halves) = self.samples(a, b, halves, count, cancelled)? else {
+                return Ok(None);
+            };
+            let smaller = triples
+                .iter()
+                .zip(halves.as_chunks::<2>().0)
+                .flat_map(|([a, m, b], [am, mb])| [[*a, *am, *m], [*m, *mb, *b]]);
             triples = smaller.collect();
             samples.extend(halves);
         }
         samples.sort_by(|a, b| a.0.total_cmp(&b.0));
-        simplified(&samples, tolerance / 2.0, cancelled).map(Some).ok_or(WarpError::Cancelled)
+        simplified(&samples, tolerance / 2.0, cancelled)
+            .map(Some)
+            .ok_or(WarpError::Cancelled)
     }
 
     /// The images of positions on an edge, of which `count` count.
@@ -283,20 +344,37 @@ impl<'a> Transform<'a> {
         }
         let samples = self.samples.fetch_add(count, Ordering::Relaxed) + count;
         if samples > SAMPLES {
-            return Err(WarpError::TooLarge { what: "outline_samples", limit: SAMPLES as u64, actual: SAMPLES as u64 + 1 });
+            return Err(WarpError::TooLarge {
+                what: "outline_samples",
+                limit: SAMPLES as u64,
+                actual: SAMPLES as u64 + 1,
+            });
         }
         self.check_work(Task::Outlines, samples)?;
         let places: Vec<Point> = at.iter().map(|t| a.lerp(b, *t)).collect();
         let mapped = self.map_block(&places, cancelled)?;
-        Ok(at.into_iter().zip(mapped).map(|(t, place)| Some((t, place?))).collect())
+        Ok(at
+            .into_iter()
+            .zip(mapped)
+            .map(|(t, place)| Some((t, place?)))
+            .collect())
     }
 
-    fn map_block(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+    fn map_block(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
         let mapped = match &self.map {
-            Map::Forward(f) => f.map_all(places, cancelled).map(|mapped| mapped.into_iter().map(Some).collect()),
+            Map::Forward(f) => f
+                .map_all(places, cancelled)
+                .map(|mapped| mapped.into_iter().map(Some).collect()),
             Map::Inverse(inverse) => {
                 // Beside folds, a search may take a hundred times as long as elsewhere.
-                let taken = inverse.steps().saturating_mul(LANES as u64).saturating_mul(self.per_position);
+                let taken = inverse
+                    .steps()
+                    .saturating_mul(LANES as u64)
+                    .saturating_mul(self.per_position);
                 work::at_most(Task::Positions, self.max_work, taken)?;
                 inverse.map(places, cancelled)
             }
@@ -304,9 +382,14 @@ impl<'a> Transform<'a> {
         mapped.ok_or(WarpError::Cancelled)
     }
 
-    fn map_px(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Result<Vec<Option<Point>>, WarpError> {
+    fn map_px(
+        &self,
+        places: &[Point],
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Vec<Option<Point>>, WarpError> {
         let task = |places: &[Point]| self.map_block(places, cancelled);
-        let tasks: Result<Vec<_>, WarpError> = places.par_chunks(PLACES_PER_TASK).map(task).collect();
+        let tasks: Result<Vec<_>, WarpError> =
+            places.par_chunks(PLACES_PER_TASK).map(task).collect();
         Ok(tasks?.into_iter().flatten().collect())
     }
 
@@ -315,8 +398,15 @@ impl<'a> Transform<'a> {
         let (from, _) = self.frames();
         let to_px = |(index, place): (usize, &Point)| {
             let px = from.to_plane(*place);
-            match [px.x, px.y].into_iter().find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE) {
-                Some(value) => Err(WarpError::BadPlace { index: before + index, value, limit: MAX_COORDINATE }),
+            match [px.x, px.y]
+                .into_iter()
+                .find(|c| !c.is_finite() || c.abs() > MAX_COORDINATE)
+            {
+                Some(value) => Err(WarpError::BadPlace {
+                    index: before + index,
+                    value,
+                    limit: MAX_COORDINATE,
+                }),
                 None => Ok(px),
             }
         };
@@ -331,22 +421,36 @@ pub fn samples_of(a: Point, b: Point) -> usize {
 }
 
 /// Pairs of parts at whose ends an edge is first examined.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a bounded number, at least 1")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a bounded number, at least 1"
+)]
 fn pairs(a: Point, b: Point) -> usize {
-    (a.distance(b) / (2.0 * SPACING)).ceil().clamp(1.0, MOST_PARTS as f64 / 2.0) as usize
+    (a.distance(b) / (2.0 * SPACING))
+        .ceil()
+        .clamp(1.0, MOST_PARTS as f64 / 2.0) as usize
 }
 
 /// The distance of a position from a segment.
 fn to_segment(p: Point, a: Point, b: Point) -> f64 {
     let (along, to) = (b - a, p - a);
     let squared = along.dot(along);
-    let t = if squared > 0.0 { (to.dot(along) / squared).clamp(0.0, 1.0) } else { 0.0 };
+    let t = if squared > 0.0 {
+        (to.dot(along) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
     p.distance(a.lerp(b, t))
 }
 
 /// The fewest samples between the first and the last by the method of Douglas and Peucker: the others are within the tolerance of the lines
 /// between them. Takes the squared number of samples if each part is split near its end. `None` when cancelled.
-fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'_>) -> Option<Vec<(f64, Point)>> {
+fn simplified(
+    samples: &[(f64, Point)],
+    tolerance: f64,
+    cancelled: IsCancelled<'_>,
+) -> Option<Vec<(f64, Point)>> {
     let mut kept = vec![false; samples.len()];
     let mut parts = vec![(0, samples.len() - 1)];
     while let Some((first, last)) = parts.pop() {
@@ -354,7 +458,9 @@ fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'
             return None;
         }
         let distance = |k: usize| to_segment(samples[k].1, samples[first].1, samples[last].1);
-        let farthest = (first + 1..last).map(|k| (distance(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let farthest = (first + 1..last)
+            .map(|k| (distance(k), k))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((distance, k)) = farthest
             && distance > tolerance
         {
@@ -362,7 +468,14 @@ fn simplified(samples: &[(f64, Point)], tolerance: f64, cancelled: IsCancelled<'
             parts.extend([(first, k), (k, last)]);
         }
     }
-    Some(samples.iter().zip(kept).filter(|(_, kept)| *kept).map(|(sample, _)| *sample).collect())
+    Some(
+        samples
+            .iter()
+            .zip(kept)
+            .filter(|(_, kept)| *kept)
+            .map(|(sample, _)| *sample)
+            .collect(),
+    )
 }
 
 #[cfg(test)]
@@ -374,18 +487,44 @@ mod tests {
 
     const NEVER: IsCancelled<'static> = &|| false;
 
-    const P: [(f64, f64); 7] = [(40.0, 30.0), (250.0, 40.0), (150.0, 100.0), (60.0, 160.0), (230.0, 170.0), (120.0, 60.0), (180.0, 140.0)];
-    const D: [(f64, f64); 7] = [(8.0, -6.0), (-5.0, 9.0), (12.0, 4.0), (-7.0, -8.0), (4.0, -12.0), (-9.0, 3.0), (6.0, 11.0)];
+    const P: [(f64, f64); 7] = [
+        (40.0, 30.0),
+        (250.0, 40.0),
+        (150.0, 100.0),
+        (60.0, 160.0),
+        (230.0, 170.0),
+        (120.0, 60.0),
+        (180.0, 140.0),
+    ];
+    const D: [(f64, f64); 7] = [
+        (8.0, -6.0),
+        (-5.0, 9.0),
+        (12.0, 4.0),
+        (-7.0, -8.0),
+        (4.0, -12.0),
+        (-9.0, 3.0),
+        (6.0, 11.0),
+    ];
 
     /// Seven handles, each moved by its displacement times `strength`.
     fn set(strength: f64) -> (Setup, Vec<Handle>) {
-        let rest = RestSpec { p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(), ..RestSpec::default() };
-        let q = P.iter().zip(D).map(|((x, y), (dx, dy))| Handle::Point(Point::new(x + strength * dx, y + strength * dy)));
-        (Setup::new(&rest, Extent::new(300, 200).unwrap(), &Limits::default()).unwrap(), q.collect())
+        let rest = RestSpec {
+            p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(),
+            ..RestSpec::default()
+        };
+        let q = P.iter().zip(D).map(|((x, y), (dx, dy))| {
+            Handle::Point(Point::new(x + strength * dx, y + strength * dy))
+        });
+        (
+            Setup::new(&rest, Extent::new(300, 200).unwrap(), &Limits::default()).unwrap(),
+            q.collect(),
+        )
     }
 
     fn square(from: f64, to: f64) -> Vec<Point> {
-        [(from, from), (to, from), (to, to), (from, to)].map(|(x, y)| Point::new(x, y)).to_vec()
+        [(from, from), (to, from), (to, to), (from, to)]
+            .map(|(x, y)| Point::new(x, y))
+            .to_vec()
     }
 
     #[test]
@@ -394,30 +533,79 @@ mod tests {
         let pose = setup.pose(&q).unwrap();
         let f = setup.transform(&pose);
         let places = square(20.0, 180.0);
-        let outline = Outline { places: &places, edges: Edges::Closed };
-        let bare = f.map_outlines(&[outline], None, NEVER).unwrap().remove(0).unwrap().places;
-        assert_eq!(bare.iter().copied().map(Some).collect::<Vec<_>>(), f.map(&places, NEVER).unwrap());
+        let outline = Outline {
+            places: &places,
+            edges: Edges::Closed,
+        };
+        let bare = f
+            .map_outlines(&[outline], None, NEVER)
+            .unwrap()
+            .remove(0)
+            .unwrap()
+            .places;
+        assert_eq!(
+            bare.iter().copied().map(Some).collect::<Vec<_>>(),
+            f.map(&places, NEVER).unwrap()
+        );
         for tolerance in [1.0, 0.1, 0.01] {
-            let MappedOutline { places: refined, at } = f.map_outlines(&[outline], Some(tolerance), NEVER).unwrap().remove(0).unwrap();
+            let MappedOutline {
+                places: refined,
+                at,
+            } = f
+                .map_outlines(&[outline], Some(tolerance), NEVER)
+                .unwrap()
+                .remove(0)
+                .unwrap();
             #[expect(clippy::cast_possible_truncation, reason = "the index of a corner")]
-            let of_edge = |at: f64| places[at as usize].lerp(places[(at as usize + 1) % 4], at.fract());
-            let there = f.map(&at.into_iter().map(of_edge).collect::<Vec<_>>(), NEVER).unwrap();
-            assert!(there.into_iter().zip(&refined).all(|(there, vertex)| there.unwrap().distance(*vertex) < 1e-9));
+            let of_edge =
+                |at: f64| places[at as usize].lerp(places[(at as usize + 1) % 4], at.fract());
+            let there = f
+                .map(&at.into_iter().map(of_edge).collect::<Vec<_>>(), NEVER)
+                .unwrap();
+            assert!(
+                there
+                    .into_iter()
+                    .zip(&refined)
+                    .all(|(there, vertex)| there.unwrap().distance(*vertex) < 1e-9)
+            );
             assert!(refined.len() > 8, "{}", refined.len());
             assert!(bare.iter().all(|vertex| refined.contains(vertex)));
-            let segments: Vec<(Point, Point)> = (0..refined.len()).map(|k| (refined[k], refined[(k + 1) % refined.len()])).collect();
+            let segments: Vec<(Point, Point)> = (0..refined.len())
+                .map(|k| (refined[k], refined[(k + 1) % refined.len()]))
+                .collect();
             for k in 0..4 {
                 for step in 0..=1000 {
-                    let y = f.map(&[places[k].lerp(places[(k + 1) % 4], f64::from(step) / 1000.0)], NEVER).unwrap()[0].unwrap();
-                    let nearest = segments.iter().map(|(a, b)| to_segment(y, *a, *b)).fold(f64::INFINITY, f64::min);
-                    assert!(nearest <= tolerance, "{tolerance}: {y:?} is {nearest} px away");
+                    let y = f
+                        .map(
+                            &[places[k].lerp(places[(k + 1) % 4], f64::from(step) / 1000.0)],
+                            NEVER,
+                        )
+                        .unwrap()[0]
+                        .unwrap();
+                    let nearest = segments
+                        .iter()
+                        .map(|(a, b)| to_segment(y, *a, *b))
+                        .fold(f64::INFINITY, f64::min);
+                    assert!(
+                        nearest <= tolerance,
+                        "{tolerance}: {y:?} is {nearest} px away"
+                    );
                 }
             }
         }
         let still = setup.pose(&set(0.0).1).unwrap();
-        let straight = setup.transform(&still).map_outlines(&[outline], Some(0.1), NEVER).unwrap();
+        let straight = setup
+            .transform(&still)
+            .map_outlines(&[outline], Some(0.1), NEVER)
+            .unwrap();
         let at = vec![0.0, 1.0, 2.0, 3.0];
-        assert_eq!(straight, [Some(MappedOutline { places: places.clone(), at })]);
+        assert_eq!(
+            straight,
+            [Some(MappedOutline {
+                places: places.clone(),
+                at
+            })]
+        );
     }
 
     #[test]
@@ -427,32 +615,102 @@ mod tests {
         let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
         let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
         let places = square(30.0, 170.0);
-        let there =
-            f.map_outlines(&[Outline { places: &places, edges: Edges::Closed }], Some(0.1), NEVER).unwrap().remove(0).unwrap().places;
-        let again = back.map_outlines(&[Outline { places: &there, edges: Edges::Closed }], None, NEVER).unwrap().remove(0).unwrap().places;
+        let there = f
+            .map_outlines(
+                &[Outline {
+                    places: &places,
+                    edges: Edges::Closed,
+                }],
+                Some(0.1),
+                NEVER,
+            )
+            .unwrap()
+            .remove(0)
+            .unwrap()
+            .places;
+        let again = back
+            .map_outlines(
+                &[Outline {
+                    places: &there,
+                    edges: Edges::Closed,
+                }],
+                None,
+                NEVER,
+            )
+            .unwrap()
+            .remove(0)
+            .unwrap()
+            .places;
         for place in again {
-            let nearest = (0..4).map(|k| to_segment(place, places[k], places[(k + 1) % 4])).fold(f64::INFINITY, f64::min);
+            let nearest = (0..4)
+                .map(|k| to_segment(place, places[k], places[(k + 1) % 4]))
+                .fold(f64::INFINITY, f64::min);
             assert!(nearest < 1e-6, "{place:?}");
         }
         let outside = [Point::new(100.0, 100.0), Point::new(-5000.0, 0.0)];
-        assert_eq!(back.map_outlines(&[Outline { places: &outside, edges: Edges::Open }], Some(0.1), NEVER).unwrap(), [None]);
+        assert_eq!(
+            back.map_outlines(
+                &[Outline {
+                    places: &outside,
+                    edges: Edges::Open
+                }],
+                Some(0.1),
+                NEVER
+            )
+            .unwrap(),
+            [None]
+        );
     }
 
     #[test]
     fn the_inverse_is_found_whatever_size_the_cells_have() {
-        let rest = |grid| RestSpec { p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(), grid, ..RestSpec::default() };
+        let rest = |grid| RestSpec {
+            p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(),
+            grid,
+            ..RestSpec::default()
+        };
         let (extent, limits) = (Extent::new(300, 200).unwrap(), Limits::default());
-        let places: Vec<Point> = (0..200).map(|k| Point::new(f64::from(k * 37 % 101) * 2.97, f64::from(k * 53 % 103) * 1.94)).collect();
-        for grid in [GridSpec::Counts { columns: 2, rows: 2 }, GridSpec::Cell(50.0), GridSpec::Pixel, GridSpec::Cell(6.0)] {
+        let places: Vec<Point> = (0..200)
+            .map(|k| {
+                Point::new(
+                    f64::from(k * 37 % 101) * 2.97,
+                    f64::from(k * 53 % 103) * 1.94,
+                )
+            })
+            .collect();
+        for grid in [
+            GridSpec::Counts {
+                columns: 2,
+                rows: 2,
+            },
+            GridSpec::Cell(50.0),
+            GridSpec::Pixel,
+            GridSpec::Cell(6.0),
+        ] {
             let client = Setup::new(&rest(grid), extent, &limits).unwrap();
             let setup = client.to_invert(&limits).unwrap();
-            assert_eq!(setup.plan_key() == client.plan_key(), grid == GridSpec::Cell(6.0));
+            assert_eq!(
+                setup.plan_key() == client.plan_key(),
+                grid == GridSpec::Cell(6.0)
+            );
             let pose = setup.pose(&set(1.0).1).unwrap();
             let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
-            let there: Vec<Point> = client.transform(&pose).map(&places, NEVER).unwrap().into_iter().flatten().collect();
-            let back = setup.inverse(&pose, posed.mesh()).map(&there, NEVER).unwrap();
+            let there: Vec<Point> = client
+                .transform(&pose)
+                .map(&places, NEVER)
+                .unwrap()
+                .into_iter()
+                .flatten()
+                .collect();
+            let back = setup
+                .inverse(&pose, posed.mesh())
+                .map(&there, NEVER)
+                .unwrap();
             for (place, back) in places.iter().zip(back) {
-                assert!(back.is_some_and(|back| back.distance(*place) < 1e-6), "{grid:?}: {place:?} {back:?}");
+                assert!(
+                    back.is_some_and(|back| back.distance(*place) < 1e-6),
+                    "{grid:?}: {place:?} {back:?}"
+                );
             }
         }
     }
@@ -462,13 +720,54 @@ mod tests {
         let (setup, q) = set(1.0);
         let pose = setup.pose(&q).unwrap();
         let f = setup.transform(&pose);
-        let far: Vec<Point> = (0..3000).map(|k| Point::new(if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k))).collect();
-        let error = f.map_outlines(&[Outline { places: &far, edges: Edges::Closed }], Some(0.1), NEVER).unwrap_err();
-        assert!(matches!(error, WarpError::TooLarge { what: "outline_samples", .. }), "{error}");
-        let (near, bad) = (square(1.0, 9.0), [Point::new(0.0, 0.0), Point::new(0.0, 2e6)]);
-        let outlines = [Outline { places: &near, edges: Edges::Closed }, Outline { places: &bad, edges: Edges::Open }];
-        let error = setup.transform(&pose).map_outlines(&outlines, None, NEVER).unwrap_err();
-        assert!(matches!(error, WarpError::BadPlace { index: 5, .. }), "{error}");
-        assert_eq!(setup.transform(&pose).map(&near, &|| true), Err(WarpError::Cancelled));
+        let far: Vec<Point> = (0..3000)
+            .map(|k| Point::new(if k % 2 == 0 { -9e5 } else { 9e5 }, f64::from(k)))
+            .collect();
+        let error = f
+            .map_outlines(
+                &[Outline {
+                    places: &far,
+                    edges: Edges::Closed,
+                }],
+                Some(0.1),
+                NEVER,
+            )
+            .unwrap_err();
+        assert!(
+            matches!(
+                error,
+                WarpError::TooLarge {
+                    what: "outline_samples",
+                    ..
+                }
+            ),
+            "{error}"
+        );
+        let (near, bad) = (
+            square(1.0, 9.0),
+            [Point::new(0.0, 0.0), Point::new(0.0, 2e6)],
+        );
+        let outlines = [
+            Outline {
+                places: &near,
+                edges: Edges::Closed,
+            },
+            Outline {
+                places: &bad,
+                edges: Edges::Open,
+            },
+        ];
+        let error = setup
+            .transform(&pose)
+            .map_outlines(&outlines, None, NEVER)
+            .unwrap_err();
+        assert!(
+            matches!(error, WarpError::BadPlace { index: 5, .. }),
+            "{error}"
+        );
+        assert_eq!(
+            setup.transform(&pose).map(&near, &|| true),
+            Err(WarpError::Cancelled)
+        );
     }
 }

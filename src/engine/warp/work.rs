@@ -19,7 +19,15 @@ pub(super) const CELL: u64 = 40;
 
 /// Errors: More operations than the limit.
 pub(super) const fn at_most(task: Task, limit: u64, actual: u64) -> Result<(), WarpError> {
-    if actual > limit { Err(WarpError::TooMuchWork { task, limit, actual }) } else { Ok(()) }
+    if actual > limit {
+        Err(WarpError::TooMuchWork {
+            task,
+            limit,
+            actual,
+        })
+    } else {
+        Ok(())
+    }
 }
 
 /// Operations of f at a position.
@@ -36,7 +44,11 @@ pub(super) fn of_position(field: &Field) -> u64 {
 pub(super) fn of_vertex(field: &Field) -> u64 {
     let columns = field.handles().columns() as u64;
     // The rows of a spline take the square of its sites.
-    let solved = if field.smoothing().is_some() && Plan::pays(field) { columns * columns / MULTIPLICATIONS } else { 0 };
+    let solved = if field.smoothing().is_some() && Plan::pays(field) {
+        columns * columns / MULTIPLICATIONS
+    } else {
+        0
+    };
     of_position(field) + solved
 }
 

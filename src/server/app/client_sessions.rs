@@ -92,7 +92,9 @@ impl Counted {
             total.sessions -= 1;
             total.bytes -= session.record;
             for (digest, len) in &session.files {
-                let Some(names) = total.files.get_mut(digest) else { continue };
+                let Some(names) = total.files.get_mut(digest) else {
+                    continue;
+                };
                 *names -= 1;
                 if *names == 0 {
                     total.files.remove(digest);
@@ -107,8 +109,12 @@ impl Counted {
     }
 
     fn sweep(&mut self, idle: Duration) {
-        let expired: Vec<SessionId> =
-            self.sessions.iter().filter(|(_, session)| session.used.elapsed() >= idle).map(|(id, _)| *id).collect();
+        let expired: Vec<SessionId> = self
+            .sessions
+            .iter()
+            .filter(|(_, session)| session.used.elapsed() >= idle)
+            .map(|(id, _)| *id)
+            .collect();
         for id in expired {
             self.remove(id);
         }
@@ -116,7 +122,11 @@ impl Counted {
 
     /// Undoes a claim, unless another claim has followed, which then says what is stored.
     fn restore(&mut self, Claim { id, number, before }: Claim) {
-        if self.sessions.get(&id).is_some_and(|session| session.claim == number) {
+        if self
+            .sessions
+            .get(&id)
+            .is_some_and(|session| session.claim == number)
+        {
             self.remove(id);
             if let Some(before) = before {
                 self.add(id, before);
@@ -128,36 +138,77 @@ impl Counted {
 impl ClientSessions {
     /// The sessions in a store with these bounds; `of_client` gives one client's share of a total.
     pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> ClientLimit) -> Self {
-        let (max_sessions, max_bytes) = (of_client(bounds.sessions as u64), of_client(bounds.bytes));
-        Self(Arc::new(Shared { idle: bounds.idle, max_sessions, max_bytes, counted: Mutex::default() }))
+        let (max_sessions, max_bytes) =
+            (of_client(bounds.sessions as u64), of_client(bounds.bytes));
+        Self(Arc::new(Shared {
+            idle: bounds.idle,
+            max_sessions,
+            max_bytes,
+            counted: Mutex::default(),
+        }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Counted> {
         // No change panics half-way.
-        self.0.counted.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0
+            .counted
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Counts a session that is about to be stored, instead of the one with the same id.
     /// Errors: [`Code::RateLimited`]: the client has reached a limit.
-    pub fn claim(&self, tenant: Tenant, record: &Record, files: &[NamedFile]) -> Result<Claim, Problem> {
+    pub fn claim(
+        &self,
+        tenant: Tenant,
+        record: &Record,
+        files: &[NamedFile],
+    ) -> Result<Claim, Problem> {
         let (files, used) = (files.iter().map(sized).collect::<Vec<_>>(), Instant::now());
         self.change(record.id, |_| {
-            Some(CountedSession { tenant, files: files.clone(), record: record_bytes(record), used, claim: 0, is_pending: true })
+            Some(CountedSession {
+                tenant,
+                files: files.clone(),
+                record: record_bytes(record),
+                used,
+                claim: 0,
+                is_pending: true,
+            })
         })
     }
 
     /// Counts a record that is about to replace another one of its session. `layer`: the file that only this one names.
     /// Errors: As [`ClientSessions::claim`].
-    pub fn claim_revision(&self, record: &Record, layer: Option<&NamedFile>) -> Result<Claim, Problem> {
+    pub fn claim_revision(
+        &self,
+        record: &Record,
+        layer: Option<&NamedFile>,
+    ) -> Result<Claim, Problem> {
         self.change(record.id, |before| {
             let before = before?;
-            let known: HashMap<Digest, u64> = before.files.iter().copied().chain(layer.map(sized)).collect();
-            let files = record.files().filter_map(|digest| Some((digest, *known.get(&digest)?))).collect();
-            Some(CountedSession { files, record: record_bytes(record), ..before.clone() })
+            let known: HashMap<Digest, u64> = before
+                .files
+                .iter()
+                .copied()
+                .chain(layer.map(sized))
+                .collect();
+            let files = record
+                .files()
+                .filter_map(|digest| Some((digest, *known.get(&digest)?)))
+                .collect();
+            Some(CountedSession {
+                files,
+                record: record_bytes(record),
+                ..before.clone()
+            })
         })
     }
 
-    fn change(&self, id: SessionId, to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>) -> Result<Claim, Problem> {
+    fn change(
+        &self,
+        id: SessionId,
+        to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>,
+    ) -> Result<Claim, Problem> {
         let mut counted = self.lock();
         self.try_change(&mut counted, id, &to).or_else(|_| {
             counted.sweep(self.0.idle);
@@ -173,27 +224,62 @@ impl ClientSessions {
     ) -> Result<Claim, Problem> {
         counted.claims += 1;
         let before = counted.remove(id);
-        let claim = Claim { id, number: counted.claims, before };
-        let Some(session) = to(claim.before.as_ref()) else { return Ok(claim) };
+        let claim = Claim {
+            id,
+            number: counted.claims,
+            before,
+        };
+        let Some(session) = to(claim.before.as_ref()) else {
+            return Ok(claim);
+        };
         let tenant = session.tenant;
-        counted.add(id, CountedSession { claim: claim.number, is_pending: true, ..session });
+        counted.add(
+            id,
+            CountedSession {
+                claim: claim.number,
+                is_pending: true,
+                ..session
+            },
+        );
         let total = &counted.totals[&tenant];
         let limits = [
-            ("client_sessions", "sessions", self.0.max_sessions.get(), total.sessions),
-            ("client_store_bytes", "bytes", self.0.max_bytes.get(), total.bytes),
+            (
+                "client_sessions",
+                "sessions",
+                self.0.max_sessions.get(),
+                total.sessions,
+            ),
+            (
+                "client_store_bytes",
+                "bytes",
+                self.0.max_bytes.get(),
+                total.bytes,
+            ),
         ];
-        let Some((what, unit, limit, actual)) = limits.into_iter().find(|(.., limit, actual)| actual > limit) else { return Ok(claim) };
+        let Some((what, unit, limit, actual)) = limits
+            .into_iter()
+            .find(|(.., limit, actual)| actual > limit)
+        else {
+            return Ok(claim);
+        };
         counted.restore(claim);
         let detail = format!(
             "this client would store {actual} {unit}; the limit of one client is {limit} (--max-client-share). \
              Delete sessions, or let them expire"
         );
-        Err(Problem::new(Code::RateLimited, detail).limit(what, limit, actual).retry_after(RETRY))
+        Err(Problem::new(Code::RateLimited, detail)
+            .limit(what, limit, actual)
+            .retry_after(RETRY))
     }
 
     /// The claimed session is stored.
     pub fn confirm(&self, claim: &Claim) {
-        if let Some(session) = self.lock().sessions.get_mut(&claim.id).filter(|session| session.claim == claim.number) {
+        if let Some(session) = self
+            .lock()
+            .sessions
+            .get_mut(&claim.id)
+            .filter(|session| session.claim == claim.number)
+        {
             session.is_pending = false;
         }
     }
@@ -202,10 +288,20 @@ impl ClientSessions {
     pub fn confirm_same(&self, claim: &Claim) {
         let mut counted = self.lock();
         if let Some(before) = &claim.before
-            && counted.sessions.get(&claim.id).is_some_and(|session| session.claim == claim.number)
+            && counted
+                .sessions
+                .get(&claim.id)
+                .is_some_and(|session| session.claim == claim.number)
             && let Some(session) = counted.remove(claim.id)
         {
-            counted.add(claim.id, CountedSession { files: before.files.clone(), record: before.record, ..session });
+            counted.add(
+                claim.id,
+                CountedSession {
+                    files: before.files.clone(),
+                    record: before.record,
+                    ..session
+                },
+            );
         }
         drop(counted);
         self.confirm(claim);
@@ -231,7 +327,11 @@ impl ClientSessions {
     /// The session with this claim has ended. A session that has been stored since with the same id, or is being stored, stays counted.
     pub fn ended(&self, id: SessionId, claim: Option<u64>) {
         let mut counted = self.lock();
-        if counted.sessions.get(&id).is_some_and(|session| Some(session.claim) == claim && !session.is_pending) {
+        if counted
+            .sessions
+            .get(&id)
+            .is_some_and(|session| Some(session.claim) == claim && !session.is_pending)
+        {
             counted.remove(id);
         }
     }
@@ -260,11 +360,18 @@ mod tests {
 
     /// The picture's file of a record, with that many bytes.
     fn file(record: &Record, len: u64) -> [NamedFile; 1] {
-        [NamedFile { digest: record.image, bytes: vec![0; usize::try_from(len).unwrap()].into() }]
+        [NamedFile {
+            digest: record.image,
+            bytes: vec![0; usize::try_from(len).unwrap()].into(),
+        }]
     }
 
     fn tenant(n: u8) -> Tenant {
-        Client { address: IpAddr::from([192, 0, 2, n]), ..Client::default() }.tenant()
+        Client {
+            address: IpAddr::from([192, 0, 2, n]),
+            ..Client::default()
+        }
+        .tenant()
     }
 
     /// The session of that number, on a picture of its own.
@@ -285,11 +392,22 @@ mod tests {
     }
 
     fn client_sessions(idle: Duration, sessions: usize, bytes: u64) -> ClientSessions {
-        ClientSessions::new(Bounds { idle, sessions, bytes }, |total| (total / 2).into())
+        ClientSessions::new(
+            Bounds {
+                idle,
+                sessions,
+                bytes,
+            },
+            |total| (total / 2).into(),
+        )
     }
 
     fn sum(client_sessions: &ClientSessions, n: u8) -> (u64, u64) {
-        client_sessions.lock().totals.get(&tenant(n)).map_or((0, 0), |sum| (sum.sessions, sum.bytes))
+        client_sessions
+            .lock()
+            .totals
+            .get(&tenant(n))
+            .map_or((0, 0), |sum| (sum.sessions, sum.bytes))
     }
 
     /// The session was stored, and is gone.
@@ -306,20 +424,37 @@ mod tests {
     fn a_client_keeps_its_part_and_another_client_keeps_as_much() {
         let held = client_sessions(Duration::from_secs(60), 4, 1 << 20);
         let records: Vec<_> = (1..6).map(record).collect();
-        held.claim(tenant(1), &records[0], &file(&records[0], FILE)).unwrap();
-        held.claim(tenant(1), &records[1], &file(&records[1], FILE)).unwrap();
-        let refused = held.claim(tenant(1), &records[2], &file(&records[2], FILE)).unwrap_err();
-        assert_eq!((refused.code, refused.what, refused.retry_after), (Code::RateLimited, Some("client_sessions"), Some(RETRY)));
-        held.claim(tenant(2), &records[3], &file(&records[3], FILE)).unwrap();
+        held.claim(tenant(1), &records[0], &file(&records[0], FILE))
+            .unwrap();
+        held.claim(tenant(1), &records[1], &file(&records[1], FILE))
+            .unwrap();
+        let refused = held
+            .claim(tenant(1), &records[2], &file(&records[2], FILE))
+            .unwrap_err();
+        assert_eq!(
+            (refused.code, refused.what, refused.retry_after),
+            (Code::RateLimited, Some("client_sessions"), Some(RETRY))
+        );
+        held.claim(tenant(2), &records[3], &file(&records[3], FILE))
+            .unwrap();
         // The same name again is the same session, also with another picture.
-        let other = Record { image: records[4].image, ..records[0].clone() };
-        held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap();
+        let other = Record {
+            image: records[4].image,
+            ..records[0].clone()
+        };
+        held.claim(tenant(1), &other, &file(&other, 2 * FILE))
+            .unwrap();
         let each = record_bytes(&records[0]);
-        assert_eq!((sum(&held, 1), sum(&held, 2)), ((2, 3 * FILE + 2 * each), (1, FILE + each)));
+        assert_eq!(
+            (sum(&held, 1), sum(&held, 2)),
+            ((2, 3 * FILE + 2 * each), (1, FILE + each))
+        );
         end(&held, records[1].id);
-        held.claim(tenant(1), &records[2], &file(&records[2], FILE)).unwrap();
+        held.claim(tenant(1), &records[2], &file(&records[2], FILE))
+            .unwrap();
         // Of another address now: it counts there.
-        held.claim(tenant(2), &records[2], &file(&records[2], FILE)).unwrap();
+        held.claim(tenant(2), &records[2], &file(&records[2], FILE))
+            .unwrap();
         assert_eq!((sum(&held, 1).0, sum(&held, 2).0), (1, 2));
         records.iter().for_each(|ended| end(&held, ended.id));
         assert!(held.lock().totals.is_empty() && held.lock().sessions.is_empty());
@@ -327,20 +462,33 @@ mod tests {
 
     #[test]
     fn bytes_are_counted_once_a_file_and_with_their_records() {
-        let record = |n: u8| Record { image: Digest([9; 32]), ..record(n) };
+        let record = |n: u8| Record {
+            image: Digest([9; 32]),
+            ..record(n)
+        };
         let each = record_bytes(&record(0));
         let held = client_sessions(Duration::from_secs(60), 1000, 2 * (FILE + 3 * each));
         for n in 0..3 {
-            held.claim(tenant(1), &record(n), &file(&record(n), FILE)).unwrap();
+            held.claim(tenant(1), &record(n), &file(&record(n), FILE))
+                .unwrap();
         }
-        let refused = held.claim(tenant(1), &record(3), &file(&record(3), FILE)).unwrap_err();
+        let refused = held
+            .claim(tenant(1), &record(3), &file(&record(3), FILE))
+            .unwrap_err();
         assert_eq!(
             (refused.what, refused.limit, refused.actual),
-            (Some("client_store_bytes"), Some((FILE + 3 * each).into()), Some((FILE + 4 * each).into()))
+            (
+                Some("client_store_bytes"),
+                Some((FILE + 3 * each).into()),
+                Some((FILE + 4 * each).into())
+            )
         );
         let mut larger = record(0);
         larger.rest.weights = Some(vec![1.0; 100]);
-        assert_eq!(held.claim_revision(&larger, None).unwrap_err().what, Some("client_store_bytes"));
+        assert_eq!(
+            held.claim_revision(&larger, None).unwrap_err().what,
+            Some("client_store_bytes")
+        );
         assert_eq!(sum(&held, 1), (3, FILE + 3 * each));
         end(&held, record(1).id);
         end(&held, record(2).id);
@@ -356,11 +504,23 @@ mod tests {
         let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let plain = record(1);
         held.claim(tenant(1), &plain, &file(&plain, FILE)).unwrap();
-        let layer = |n: u8| NamedFile { digest: Digest([n; 32]), bytes: vec![0; 300].into() };
+        let layer = |n: u8| NamedFile {
+            digest: Digest([n; 32]),
+            bytes: vec![0; 300].into(),
+        };
         let with = |names: &[(&str, u8)]| {
-            let stored = |n: u8| StoredLayer { kind: LayerKind::Image, digest: layer(n).digest };
-            let layers = names.iter().map(|(name, n)| (LayerName::parse(name).unwrap(), stored(*n))).collect();
-            Record { layers, ..plain.clone() }
+            let stored = |n: u8| StoredLayer {
+                kind: LayerKind::Image,
+                digest: layer(n).digest,
+            };
+            let layers = names
+                .iter()
+                .map(|(name, n)| (LayerName::parse(name).unwrap(), stored(*n)))
+                .collect();
+            Record {
+                layers,
+                ..plain.clone()
+            }
         };
         let bytes = |record: &Record, files: u64| (1, record_bytes(record) + FILE + files);
         let (one, two) = (with(&[("a", 2)]), with(&[("a", 2), ("b", 2)]));
@@ -386,13 +546,17 @@ mod tests {
         let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let record = record(1);
         let end = |claim| held.ended(record.id, claim);
-        let first = held.claim(tenant(1), &record, &file(&record, FILE)).unwrap();
+        let first = held
+            .claim(tenant(1), &record, &file(&record, FILE))
+            .unwrap();
         end(held.claim_of(record.id));
         assert_eq!(sum(&held, 1).0, 1, "it is pending");
         held.confirm(&first);
         let before = held.claim_of(record.id);
         // A delete is under way, and the same name is stored again before it is counted.
-        let second = held.claim(tenant(1), &record, &file(&record, FILE)).unwrap();
+        let second = held
+            .claim(tenant(1), &record, &file(&record, FILE))
+            .unwrap();
         held.confirm(&second);
         end(before);
         assert_eq!(sum(&held, 1).0, 1, "it was stored since");
@@ -404,15 +568,23 @@ mod tests {
     fn what_was_not_stored_is_not_counted() {
         let held = client_sessions(Duration::from_secs(60), 100, 1 << 20);
         let (a, b) = (record(1), record(2));
-        let other = Record { image: b.image, ..a.clone() };
+        let other = Record {
+            image: b.image,
+            ..a.clone()
+        };
         held.undo(held.claim(tenant(1), &a, &file(&a, FILE)).unwrap());
         assert_eq!(sum(&held, 1), (0, 0));
         held.claim(tenant(1), &a, &file(&a, FILE)).unwrap();
         let before = sum(&held, 1);
-        held.undo(held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap());
+        held.undo(
+            held.claim(tenant(1), &other, &file(&other, 2 * FILE))
+                .unwrap(),
+        );
         assert_eq!(sum(&held, 1), before);
         // The first of two fails when the second is there already.
-        let first = held.claim(tenant(1), &other, &file(&other, 2 * FILE)).unwrap();
+        let first = held
+            .claim(tenant(1), &other, &file(&other, 2 * FILE))
+            .unwrap();
         held.claim(tenant(1), &a, &file(&a, 3 * FILE)).unwrap();
         held.undo(first);
         assert_eq!(sum(&held, 1), (1, 3 * FILE + record_bytes(&a)));
@@ -423,12 +595,17 @@ mod tests {
         let idle = Duration::from_secs(60);
         let held = client_sessions(idle, 2, 1 << 20);
         let unused = |n: u8| held.lock().sessions.get_mut(&record(n).id).unwrap().used -= idle;
-        held.claim(tenant(1), &record(1), &file(&record(1), FILE)).unwrap();
+        held.claim(tenant(1), &record(1), &file(&record(1), FILE))
+            .unwrap();
         unused(1);
         held.used(record(1).id);
-        assert!(held.claim(tenant(1), &record(2), &file(&record(2), FILE)).is_err());
+        assert!(
+            held.claim(tenant(1), &record(2), &file(&record(2), FILE))
+                .is_err()
+        );
         unused(1);
-        held.claim(tenant(1), &record(3), &file(&record(3), FILE)).unwrap();
+        held.claim(tenant(1), &record(3), &file(&record(3), FILE))
+            .unwrap();
         assert_eq!(sum(&held, 1).0, 1);
         unused(3);
         held.sweep();

@@ -11,7 +11,8 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::warp::{
-    Digest, Folds, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target, Warp, WarpError, WriteObserver,
+    Digest, Folds, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target,
+    Warp, WarpError, WriteObserver,
 };
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
@@ -84,12 +85,28 @@ pub(crate) struct DrawJob {
 }
 
 impl DrawJob {
-    fn pose(&self, limits: &Limits, is_cancelled: IsCancelled<'_>) -> Result<(Posed, Target), WarpError> {
-        let Self { content, planned: Planned { setup, plan, .. }, q, folds, output, preview, .. } = self;
+    fn pose(
+        &self,
+        limits: &Limits,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<(Posed, Target), WarpError> {
+        let Self {
+            content,
+            planned: Planned { setup, plan, .. },
+            q,
+            folds,
+            output,
+            preview,
+            ..
+        } = self;
         let extent = content.subject().extent();
         content.subject().check(output)?;
         output.check(extent, limits)?;
-        let pose_as = if preview.is_some() { Posed::coarse } else { Posed::new };
+        let pose_as = if preview.is_some() {
+            Posed::coarse
+        } else {
+            Posed::new
+        };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
         let posed = match content.region() {
             Some(region) => posed.within(region.clone()),
@@ -97,13 +114,22 @@ impl DrawJob {
         };
         let target = output.target(extent, &posed, limits, is_cancelled)?;
         let target = match *preview {
-            Some(width) if width < target.extent.width() => {
-                OutputSpec { width: Some(width), ..*output }.target(extent, &posed, limits, is_cancelled)?
+            Some(width) if width < target.extent.width() => OutputSpec {
+                width: Some(width),
+                ..*output
             }
+            .target(extent, &posed, limits, is_cancelled)?,
             _ => target,
         };
         let is_preview = preview.is_some();
-        Ok((posed, Target { force_alpha: self.force_alpha, is_preview, ..target }))
+        Ok((
+            posed,
+            Target {
+                force_alpha: self.force_alpha,
+                is_preview,
+                ..target
+            },
+        ))
     }
 }
 
@@ -164,7 +190,11 @@ struct StageTimer {
 
 impl StageTimer {
     const fn new() -> Self {
-        Self { spent: AtomicU64::new(0), first: AtomicU64::new(u64::MAX), last: AtomicU64::new(0) }
+        Self {
+            spent: AtomicU64::new(0),
+            first: AtomicU64::new(u64::MAX),
+            last: AtomicU64::new(0),
+        }
     }
 }
 
@@ -172,12 +202,22 @@ impl Meter {
     fn new(app: App) -> Self {
         app.metrics().pictures_begun.inc();
         let (render, encode) = (StageTimer::new(), StageTimer::new());
-        Self { app, render, encode, began: Instant::now(), scope: Scope::current(), is_finished: AtomicBool::new(false) }
+        Self {
+            app,
+            render,
+            encode,
+            began: Instant::now(),
+            scope: Scope::current(),
+            is_finished: AtomicBool::new(false),
+        }
     }
 
     fn cost(&self) -> Cost {
         let spent = |timer: &StageTimer| Duration::from_nanos(timer.spent.load(Ordering::Relaxed));
-        Cost { render: spent(&self.render), encode: spent(&self.encode) }
+        Cost {
+            render: spent(&self.render),
+            encode: spent(&self.encode),
+        }
     }
 
     /// Counts the image, and adds the stages to the trace: each from its beginning on the first thread to its end on the last.
@@ -186,10 +226,16 @@ impl Meter {
             return;
         }
         self.app.metrics().drawn(self.cost());
-        for (name, StageTimer { first, last, .. }) in [("render", &self.render), ("encode", &self.encode)] {
+        for (name, StageTimer { first, last, .. }) in
+            [("render", &self.render), ("encode", &self.encode)]
+        {
             let (first, last) = (first.load(Ordering::Relaxed), last.load(Ordering::Relaxed));
             if first <= last {
-                self.scope.stage(name, self.began + Duration::from_nanos(first), self.began + Duration::from_nanos(last));
+                self.scope.stage(
+                    name,
+                    self.began + Duration::from_nanos(first),
+                    self.began + Duration::from_nanos(last),
+                );
             }
         }
         self.app.metrics().pictures_finished.inc();
@@ -240,7 +286,8 @@ impl WriteObserver for Observer<'_> {
     }
 
     fn goes_on(&self) -> bool {
-        self.helps.is_none_or(|ticket| !ticket.is_thread_wanted() && !ticket.is_paused())
+        self.helps
+            .is_none_or(|ticket| !ticket.is_thread_wanted() && !ticket.is_paused())
     }
 }
 
@@ -260,12 +307,20 @@ impl SharedDrawing {
     /// Draws strips.
     fn draw(&self, ticket: &Ticket) {
         let is_closed = || ticket.is_over(&|| self.pieces.is_closed());
-        self.strips.work(&Observer { meter: &self.meter, is_cancelled: &is_closed, helps: None });
+        self.strips.work(&Observer {
+            meter: &self.meter,
+            is_cancelled: &is_closed,
+            helps: None,
+        });
     }
 
     /// Draws strips beside the job's own thread.
     fn help(&self, ticket: &Ticket) {
-        self.strips.work(&Observer { meter: &self.meter, is_cancelled: &|| self.pieces.is_closed(), helps: Some(ticket) });
+        self.strips.work(&Observer {
+            meter: &self.meter,
+            is_cancelled: &|| self.pieces.is_closed(),
+            helps: Some(ticket),
+        });
     }
 }
 
@@ -284,7 +339,13 @@ impl App {
     pub(crate) async fn draw(&self, ticket: Ticket, job: DrawJob) -> Result<Drawn, Problem> {
         let (answer, result) = oneshot::channel();
         let (timing, plan_built) = (job.planned.timing, job.planned.is_built);
-        let task = DrawTask { app: self.clone(), ticket: ticket.clone(), timing, plan_built, answer };
+        let task = DrawTask {
+            app: self.clone(),
+            ticket: ticket.clone(),
+            timing,
+            plan_built,
+            answer,
+        };
         self.0.pool.start(&ticket, move || task.draw(&job));
         // The task always answers, unless it panics.
         result.await.map_err(|_| PoolError::Panicked)?
@@ -292,11 +353,24 @@ impl App {
 
     /// Poses and draws a whole file on this compute thread alone.
     /// Errors: As of [`App::draw`]; cancelled.
-    pub(crate) fn draw_file(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<DrawnFile, Problem> {
-        let Prepared { warp, report, reservation, timing } = self.prepare_drawing(job, is_cancelled)?;
+    pub(crate) fn draw_file(
+        &self,
+        job: &DrawJob,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<DrawnFile, Problem> {
+        let Prepared {
+            warp,
+            report,
+            reservation,
+            timing,
+        } = self.prepare_drawing(job, is_cancelled)?;
         self.metrics().prepared(&timing);
         let (bytes, _) = self.write_whole(&warp, reservation, is_cancelled)?;
-        Ok(DrawnFile { report, target: warp.target(), bytes })
+        Ok(DrawnFile {
+            report,
+            target: warp.target(),
+            bytes,
+        })
     }
 
     /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most bytes of halved cells, reserved until
@@ -309,20 +383,36 @@ impl App {
         pose: impl FnOnce() -> Result<T, WarpError> + Send,
     ) -> Result<(T, Reservation), Problem> {
         let reservation = self.reserve_for(Purpose::Frame, quota, setup.posed_bytes())?;
-        let _halved = (most_halved > 0).then(|| self.reserve(Purpose::Frame, most_halved)).transpose()?;
-        let posed = if setup.is_wide() { self.0.pool.run_parallel(pose) } else { pose() }?;
+        let _halved = (most_halved > 0)
+            .then(|| self.reserve(Purpose::Frame, most_halved))
+            .transpose()?;
+        let posed = if setup.is_wide() {
+            self.0.pool.run_parallel(pose)
+        } else {
+            pose()
+        }?;
         Ok((posed, reservation))
     }
 
     /// Poses, and reserves the memory of the picture.
-    pub(super) fn prepare_drawing(&self, job: &DrawJob, is_cancelled: IsCancelled<'_>) -> Result<Prepared, Problem> {
+    pub(super) fn prepare_drawing(
+        &self,
+        job: &DrawJob,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<Prepared, Problem> {
         let (began, mut timing) = (Instant::now(), job.planned.timing);
         let (setup, limits) = (&job.planned.setup, self.config().limits());
-        let most_halved = if job.preview.is_some() { 0 } else { setup.most_halved_bytes() };
+        let most_halved = if job.preview.is_some() {
+            0
+        } else {
+            setup.most_halved_bytes()
+        };
         let pose = || job.pose(&limits, is_cancelled);
-        let ((posed, target), mut reservation) = self.reserve_and_pose(setup, &job.quota, most_halved, pose)?;
+        let ((posed, target), mut reservation) =
+            self.reserve_and_pose(setup, &job.quota, most_halved, pose)?;
         let subject = job.content.subject();
-        let bytes = posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
+        let bytes =
+            posed.halved_bytes() + target.window_bytes(&posed) + subject.prepared_bytes(&posed);
         self.reserve_more(&mut reservation, bytes)?;
         if subject.lacks_copies(target, &posed, &job.output) {
             let began = Instant::now();
@@ -335,16 +425,34 @@ impl App {
         self.reserve_more(&mut reservation, warp.work_bytes())?;
         timing.deform = began.elapsed().saturating_sub(timing.reduce);
         stage("deform", began);
-        Ok(Prepared { warp, report, reservation, timing })
+        Ok(Prepared {
+            warp,
+            report,
+            reservation,
+            timing,
+        })
     }
 
     /// Draws a whole file on this thread.
-    fn write_whole(&self, warp: &Warp, mut reservation: Reservation, is_cancelled: IsCancelled<'_>) -> Result<(Bytes, Cost), Problem> {
+    fn write_whole(
+        &self,
+        warp: &Warp,
+        mut reservation: Reservation,
+        is_cancelled: IsCancelled<'_>,
+    ) -> Result<(Bytes, Cost), Problem> {
         let (meter, mut pieces) = (Meter::new(self.clone()), Vec::new());
-        let observer = Observer { meter: &meter, is_cancelled, helps: None };
+        let observer = Observer {
+            meter: &meter,
+            is_cancelled,
+            helps: None,
+        };
         let flow = warp.write(0, &observer, &mut |bytes| {
             pieces.push(bytes);
-            if is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if is_cancelled() {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
         });
         if flow.is_break() {
             return Err(WarpError::Cancelled.into());
@@ -364,14 +472,21 @@ impl App {
 
 impl DrawTask {
     fn draw(mut self, job: &DrawJob) {
-        let Prepared { warp, report, reservation, timing } =
-            match self.app.prepare_drawing(job, &|| self.ticket.is_over(&|| self.answer.is_closed())) {
-                Ok(prepared) => prepared,
-                Err(problem) => {
-                    let _ = self.answer.send(Err(problem));
-                    return;
-                }
-            };
+        let Prepared {
+            warp,
+            report,
+            reservation,
+            timing,
+        } = match self
+            .app
+            .prepare_drawing(job, &|| self.ticket.is_over(&|| self.answer.is_closed()))
+        {
+            Ok(prepared) => prepared,
+            Err(problem) => {
+                let _ = self.answer.send(Err(problem));
+                return;
+            }
+        };
         self.timing = timing;
         self.app.metrics().prepared(&timing);
         if warp.is_one_piece() || warp.max_bytes() <= MAX_WHOLE {
@@ -382,18 +497,54 @@ impl DrawTask {
     }
 
     fn draw_whole(self, warp: &Warp, report: Report, reservation: Reservation) {
-        let Self { app, ticket, timing, plan_built, answer } = self;
+        let Self {
+            app,
+            ticket,
+            timing,
+            plan_built,
+            answer,
+        } = self;
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
-        let written = app.write_whole(warp, reservation, &|| ticket.is_over(&|| answer.is_closed()));
-        let drawn = |(bytes, cost)| Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Whole { bytes, cost } };
+        let written = app.write_whole(warp, reservation, &|| {
+            ticket.is_over(&|| answer.is_closed())
+        });
+        let drawn = |(bytes, cost)| Drawn {
+            report,
+            etag,
+            target,
+            format,
+            timing,
+            plan_built,
+            picture: Picture::Whole { bytes, cost },
+        };
         let _ = answer.send(written.map(drawn));
     }
 
-    fn draw_strips(self, warp: Warp, report: Report, mut reservation: Reservation, content: Content) {
-        let Self { app, ticket, timing, plan_built, answer } = self;
+    fn draw_strips(
+        self,
+        warp: Warp,
+        report: Report,
+        mut reservation: Reservation,
+        content: Content,
+    ) {
+        let Self {
+            app,
+            ticket,
+            timing,
+            plan_built,
+            answer,
+        } = self;
         let (pieces, strips) = unbounded_channel();
         let (etag, target, format) = (warp.etag(), warp.target(), warp.format());
-        let drawn = Drawn { report, etag, target, format, timing, plan_built, picture: Picture::Strips(strips) };
+        let drawn = Drawn {
+            report,
+            etag,
+            target,
+            format,
+            timing,
+            plan_built,
+            picture: Picture::Strips(strips),
+        };
         let (meter, mut first) = (Arc::new(Meter::new(app.clone())), Some((answer, drawn)));
         let sink: Sink = Box::new({
             let (meter, pieces) = (Arc::clone(&meter), pieces.clone());
@@ -403,17 +554,36 @@ impl DrawTask {
                 }
                 // With the last strip, so that its end is sent with it; all strips are drawn by then.
                 let end = is_last.then(|| meter.cost());
-                let is_sent = pieces.send(Piece { bytes: reservation.split(bytes.len() as u64).attach(bytes), end }).is_ok();
+                let is_sent = pieces
+                    .send(Piece {
+                        bytes: reservation.split(bytes.len() as u64).attach(bytes),
+                        end,
+                    })
+                    .is_ok();
                 // The head of the response is sent with the first strip: one wake-up instead of two.
-                let is_sent = is_sent && first.take().is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
-                if is_sent { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+                let is_sent = is_sent
+                    && first
+                        .take()
+                        .is_none_or(|(answer, drawn)| answer.send(Ok(drawn)).is_ok());
+                if is_sent {
+                    ControlFlow::Continue(())
+                } else {
+                    ControlFlow::Break(())
+                }
             }
         });
         let strips = StripScheduler::new(Box::new(warp), sink);
         let helpers = app.0.pool.helpers().min(strips.strips() - 1);
-        let drawing = Arc::new(SharedDrawing { strips, pieces, _content: content, meter });
+        let drawing = Arc::new(SharedDrawing {
+            strips,
+            pieces,
+            _content: content,
+            meter,
+        });
         let (shared, helpers_ticket) = (Arc::clone(&drawing), ticket.clone());
-        app.0.pool.offer(&ticket, helpers, move || shared.help(&helpers_ticket));
+        app.0
+            .pool
+            .offer(&ticket, helpers, move || shared.help(&helpers_ticket));
         drawing.draw(&ticket);
     }
 }

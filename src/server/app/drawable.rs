@@ -9,7 +9,9 @@ use bytes::Bytes;
 use mlswarp::codec::{self, CodecError, Format, StepCounter};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::Outside;
-use mlswarp::warp::{CanvasSpec, Digest, Image, LabelImage, OutputSpec, Region, Subject, WarpError};
+use mlswarp::warp::{
+    CanvasSpec, Digest, Image, LabelImage, OutputSpec, Region, Subject, WarpError,
+};
 
 use super::{App, MIN_WEIGHT, build_aborted};
 use crate::cache::{CacheEntry, Fetched, Key};
@@ -59,14 +61,23 @@ impl Drawable {
 
 impl Mask {
     fn new(image: Arc<CacheEntry<Image>>) -> Self {
-        Self { region: Region::new(&image), _image: image }
+        Self {
+            region: Region::new(&image),
+            _image: image,
+        }
     }
 }
 
 impl Content {
     /// A picture, and the mask of what moves.
-    pub(super) fn image(image: &Arc<CacheEntry<Image>>, mask: Option<&Arc<CacheEntry<Image>>>) -> Self {
-        Self { drawable: Drawable::Image(Arc::clone(image)), mask: mask.map(|mask| Mask::new(Arc::clone(mask))) }
+    pub(super) fn image(
+        image: &Arc<CacheEntry<Image>>,
+        mask: Option<&Arc<CacheEntry<Image>>>,
+    ) -> Self {
+        Self {
+            drawable: Drawable::Image(Arc::clone(image)),
+            mask: mask.map(|mask| Mask::new(Arc::clone(mask))),
+        }
     }
 
     /// What the engine draws.
@@ -85,9 +96,21 @@ impl Content {
         if matches!(self.drawable, Drawable::Image(_)) {
             return pictures;
         }
-        let format = if pictures.format == Format::Tiff { Format::Tiff } else { Format::Png };
-        let outside = if matches!(pictures.outside, Outside::Value(_)) { Outside::Transparent } else { pictures.outside };
-        OutputSpec { format, outside, ..pictures }
+        let format = if pictures.format == Format::Tiff {
+            Format::Tiff
+        } else {
+            Format::Png
+        };
+        let outside = if matches!(pictures.outside, Outside::Value(_)) {
+            Outside::Transparent
+        } else {
+            pictures.outside
+        };
+        OutputSpec {
+            format,
+            outside,
+            ..pictures
+        }
     }
 
     /// Whether alpha is added where nothing is drawn.
@@ -99,7 +122,11 @@ impl Content {
 /// A drawable, or the file that it has to be decoded from.
 enum DrawableSource {
     Decoded(Drawable),
-    File { kind: LayerKind, digest: Digest, file: Arc<CacheEntry<Bytes>> },
+    File {
+        kind: LayerKind,
+        digest: Digest,
+        file: Arc<CacheEntry<Bytes>>,
+    },
 }
 
 /// The sources of a [`Content`].
@@ -112,7 +139,10 @@ pub(crate) struct ContentSources {
 impl ContentSources {
     /// Whether nothing has to be decoded.
     pub(crate) fn is_decoded(&self) -> bool {
-        [&self.drawn, &self.region].into_iter().flatten().all(|source| matches!(source, DrawableSource::Decoded(_)))
+        [&self.drawn, &self.region]
+            .into_iter()
+            .flatten()
+            .all(|source| matches!(source, DrawableSource::Decoded(_)))
     }
 }
 
@@ -128,40 +158,77 @@ impl AsRef<[u8]> for CachedFile {
 impl App {
     /// The sources of a session's picture or of a layer, and those of its region.
     /// Errors: There is no such layer; holes without a region; too little capacity.
-    pub(crate) async fn fetch_sources(&self, client: Client, record: &Record, layer: Option<&LayerRef>) -> Result<ContentSources, Problem> {
+    pub(crate) async fn fetch_sources(
+        &self,
+        client: Client,
+        record: &Record,
+        layer: Option<&LayerRef>,
+    ) -> Result<ContentSources, Problem> {
         let region = record.layers.get(&LayerName::region());
         let drawn = match layer {
-            None => Some(self.fetch_source(client, record, LayerKind::Image, record.image).await?),
-            Some(LayerRef::Coverage) => Some(DrawableSource::Decoded(Drawable::Coverage(record.extent))),
+            None => Some(
+                self.fetch_source(client, record, LayerKind::Image, record.image)
+                    .await?,
+            ),
+            Some(LayerRef::Coverage) => {
+                Some(DrawableSource::Decoded(Drawable::Coverage(record.extent)))
+            }
             Some(LayerRef::Holes) if region.is_none() => {
-                let detail = "`@holes` needs a region; store its mask with PUT /sessions/{id}/layers/region";
+                let detail =
+                    "`@holes` needs a region; store its mask with PUT /sessions/{id}/layers/region";
                 return Err(Problem::new(Code::BadValue, detail).pointer("/layer"));
             }
             Some(LayerRef::Holes) => None,
             Some(LayerRef::Stored(name)) => {
-                let (_, layer) = find_layer(record, name.as_str()).map_err(|problem| problem.pointer("/layer"))?;
-                Some(self.fetch_source(client, record, layer.kind, layer.digest).await?)
+                let (_, layer) = find_layer(record, name.as_str())
+                    .map_err(|problem| problem.pointer("/layer"))?;
+                Some(
+                    self.fetch_source(client, record, layer.kind, layer.digest)
+                        .await?,
+                )
             }
         };
         let region = match region {
-            Some(region) => Some(self.fetch_source(client, record, LayerKind::Image, region.digest).await?),
+            Some(region) => Some(
+                self.fetch_source(client, record, LayerKind::Image, region.digest)
+                    .await?,
+            ),
             None => None,
         };
         Ok(ContentSources { drawn, region })
     }
 
     /// Something with the region of a session, if there is one and the canvas depends on it: with a region, `fit` contains what stays.
-    pub(crate) async fn region_of(&self, client: Client, record: &Record, canvas: CanvasSpec) -> Result<Option<Content>, Problem> {
+    pub(crate) async fn region_of(
+        &self,
+        client: Client,
+        record: &Record,
+        canvas: CanvasSpec,
+    ) -> Result<Option<Content>, Problem> {
         if canvas != CanvasSpec::Fit || !record.layers.contains_key(&LayerName::region()) {
             return Ok(None);
         }
-        let sources = self.fetch_sources(client, record, Some(&LayerRef::Holes)).await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
-        self.decode_content(client, &ticket, sources).await.map(Some)
+        let sources = self
+            .fetch_sources(client, record, Some(&LayerRef::Holes))
+            .await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::session(client, record.id))
+            .await?;
+        self.decode_content(client, &ticket, sources)
+            .await
+            .map(Some)
     }
 
     /// A file of a session in decoded form, if that is cached, or its bytes.
-    async fn fetch_source(&self, client: Client, record: &Record, kind: LayerKind, digest: Digest) -> Result<DrawableSource, Problem> {
+    async fn fetch_source(
+        &self,
+        client: Client,
+        record: &Record,
+        kind: LayerKind,
+        digest: Digest,
+    ) -> Result<DrawableSource, Problem> {
         let key = Key::new(record.id.owner(), digest);
         let cached = match kind {
             LayerKind::Image => self.0.images.peek(key).map(Drawable::Image),
@@ -170,27 +237,55 @@ impl App {
         if let Some(drawable) = cached {
             return Ok(DrawableSource::Decoded(drawable));
         }
-        Ok(DrawableSource::File { kind, digest, file: self.fetch_file(client, record, digest).await? })
+        Ok(DrawableSource::File {
+            kind,
+            digest,
+            file: self.fetch_file(client, record, digest).await?,
+        })
     }
 
     /// The bytes of a file of a session.
-    async fn fetch_file(&self, client: Client, record: &Record, digest: Digest) -> Result<Arc<CacheEntry<Bytes>>, Problem> {
+    async fn fetch_file(
+        &self,
+        client: Client,
+        record: &Record,
+        digest: Digest,
+    ) -> Result<Arc<CacheEntry<Bytes>>, Problem> {
         let (app, id) = (self.clone(), record.id);
         let fetch = async move {
-            let _ticket = app.0.pool.admit(WorkClass::Transfer, QueueKey::session(client, id)).await?;
+            let _ticket = app
+                .0
+                .pool
+                .admit(WorkClass::Transfer, QueueKey::session(client, id))
+                .await?;
             let bytes = in_stage("store", app.0.store.file_bytes(id, digest)).await?;
             let bytes = bytes.max(MIN_WEIGHT);
-            let mut reservation = app.reserve_aside(|budget| budget.take(Purpose::Image, bytes)).await?;
+            let mut reservation = app
+                .reserve_aside(|budget| budget.take(Purpose::Image, bytes))
+                .await?;
             let file = in_stage("store", app.0.store.file(id, digest)).await?;
             reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
             Ok(CacheEntry::new(file, reservation))
         };
-        let key = Key::new(id.owner(), Digest::of(&[&id.to_bytes()[..], &digest.0].concat()));
-        Ok(self.0.files.get(key, client.tenant(), fetch, build_aborted).await?.value)
+        let key = Key::new(
+            id.owner(),
+            Digest::of(&[&id.to_bytes()[..], &digest.0].concat()),
+        );
+        Ok(self
+            .0
+            .files
+            .get(key, client.tenant(), fetch, build_aborted)
+            .await?
+            .value)
     }
 
     /// Decodes what is not decoded yet.
-    pub(crate) async fn decode_content(&self, client: Client, ticket: &Ticket, sources: ContentSources) -> Result<Content, Problem> {
+    pub(crate) async fn decode_content(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        sources: ContentSources,
+    ) -> Result<Content, Problem> {
         let mask = match sources.region {
             Some(source) => match self.decode_source(client, ticket, source).await? {
                 Drawable::Image(image) => Some(Mask::new(image)),
@@ -206,15 +301,28 @@ impl App {
         Ok(Content { drawable, mask })
     }
 
-    async fn decode_source(&self, client: Client, ticket: &Ticket, source: DrawableSource) -> Result<Drawable, Problem> {
+    async fn decode_source(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        source: DrawableSource,
+    ) -> Result<Drawable, Problem> {
         match source {
             DrawableSource::Decoded(drawable) => Ok(drawable),
-            DrawableSource::File { kind, digest, file } => self.decode_file(client, ticket, kind, digest, CachedFile(file)).await,
+            DrawableSource::File { kind, digest, file } => {
+                self.decode_file(client, ticket, kind, digest, CachedFile(file))
+                    .await
+            }
         }
     }
 
     /// Checks the size of a layer's file by its header, before it is decoded; returns its digest.
-    pub(super) async fn check_layer(&self, ticket: &Ticket, file: Bytes, expected: Extent) -> Result<Digest, Problem> {
+    pub(super) async fn check_layer(
+        &self,
+        ticket: &Ticket,
+        file: Bytes,
+        expected: Extent,
+    ) -> Result<Digest, Problem> {
         let limits = self.0.config.limits().image;
         let open = move |cancel: &Cancel| {
             let is_cancelled = || cancel.is_cancelled();
@@ -237,21 +345,31 @@ impl App {
         file: impl AsRef<[u8]> + Send + 'static,
     ) -> Result<Drawable, Problem> {
         match kind {
-            LayerKind::Image => Ok(Drawable::Image(self.decode_image(client, ticket, digest, file).await?.value)),
+            LayerKind::Image => Ok(Drawable::Image(
+                self.decode_image(client, ticket, digest, file).await?.value,
+            )),
             LayerKind::Labels => {
                 let limits = self.0.config.limits().image;
                 let decode = move |app: &Self, cancel: &Cancel| {
                     let is_cancelled = || cancel.is_cancelled();
                     let steps = StepCounter::new(&is_cancelled);
-                    let opened = codec::open_labels(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
-                    let mut reservation = app.reserve(Purpose::Image, LabelImage::peak_bytes(&opened))?;
+                    let opened = codec::open_labels(file.as_ref(), &limits, &steps)
+                        .map_err(WarpError::from)?;
+                    let mut reservation =
+                        app.reserve(Purpose::Image, LabelImage::peak_bytes(&opened))?;
                     let labels = LabelImage::decode_as(digest, &opened)?;
                     reservation.shrink_to(labels.bytes());
                     Ok(CacheEntry::new(labels, reservation))
                 };
                 let build = self.decoding(ticket, decode);
                 let key = Key::new(client.owner, digest);
-                Ok(Drawable::Labels(self.0.labels.get(key, client.tenant(), build, build_aborted).await?.value))
+                Ok(Drawable::Labels(
+                    self.0
+                        .labels
+                        .get(key, client.tenant(), build, build_aborted)
+                        .await?
+                        .value,
+                ))
             }
         }
     }
@@ -274,12 +392,22 @@ impl App {
             reservation.shrink_to(image.bytes());
             Ok(CacheEntry::new(image, reservation))
         };
-        let (key, build) = (Key::new(client.owner, digest), self.decoding(ticket, decode));
-        self.0.images.get(key, client.tenant(), build, build_aborted).await
+        let (key, build) = (
+            Key::new(client.owner, digest),
+            self.decoding(ticket, decode),
+        );
+        self.0
+            .images
+            .get(key, client.tenant(), build, build_aborted)
+            .await
     }
 
     /// Runs a decoder on the pool.
-    fn decoding<T, F>(&self, ticket: &Ticket, decode: F) -> impl Future<Output = Result<T, Problem>> + Send + use<T, F>
+    fn decoding<T, F>(
+        &self,
+        ticket: &Ticket,
+        decode: F,
+    ) -> impl Future<Output = Result<T, Problem>> + Send + use<T, F>
     where
         T: Send + 'static,
         F: FnOnce(&Self, &Cancel) -> Result<T, Problem> + Send + 'static,
@@ -287,11 +415,16 @@ impl App {
         let (app, ticket) = (self.clone(), ticket.clone());
         async move {
             let pool = app.0.pool.clone();
-            match pool.run(&ticket, move |cancel: &Cancel| decode(&app, cancel)).await {
+            match pool
+                .run(&ticket, move |cancel: &Cancel| decode(&app, cancel))
+                .await
+            {
                 // Decoders may panic on a malicious file: then the file is at fault.
-                Err(PoolError::Panicked) => {
-                    Err(WarpError::Codec(CodecError::Bad { format: "image", detail: "the decoder failed".to_owned() }).into())
-                }
+                Err(PoolError::Panicked) => Err(WarpError::Codec(CodecError::Bad {
+                    format: "image",
+                    detail: "the decoder failed".to_owned(),
+                })
+                .into()),
                 Err(error) => Err(error.into()),
                 Ok(decoded) => decoded,
             }
@@ -301,11 +434,23 @@ impl App {
 
 /// The stored layer of that name.
 pub(super) fn find_layer(record: &Record, name: &str) -> Result<(LayerName, StoredLayer), Problem> {
-    let found = LayerName::parse(name).and_then(|name| record.layers.get_key_value(&name).map(|(name, layer)| (name.clone(), *layer)));
+    let found = LayerName::parse(name).and_then(|name| {
+        record
+            .layers
+            .get_key_value(&name)
+            .map(|(name, layer)| (name.clone(), *layer))
+    });
     found.ok_or_else(|| {
         let names: Vec<&str> = record.layers.keys().map(LayerName::as_str).collect();
-        let stored = if names.is_empty() { "it has no layers".to_owned() } else { format!("its layers: {}", list(&names)) };
-        Problem::new(Code::NoSuchLayer, format!("the session has no stored layer {}; {stored}", quote(name)))
+        let stored = if names.is_empty() {
+            "it has no layers".to_owned()
+        } else {
+            format!("its layers: {}", list(&names))
+        };
+        Problem::new(
+            Code::NoSuchLayer,
+            format!("the session has no stored layer {}; {stored}", quote(name)),
+        )
     })
 }
 
@@ -314,8 +459,10 @@ pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Proble
     if found == expected {
         return Ok(());
     }
-    let [found, expected] = [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
-    let detail =
-        format!("the file has {found} px after EXIF orientation; a layer or region must have the size of the picture, {expected} px");
+    let [found, expected] =
+        [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
+    let detail = format!(
+        "the file has {found} px after EXIF orientation; a layer or region must have the size of the picture, {expected} px"
+    );
     Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }

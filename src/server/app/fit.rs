@@ -6,7 +6,9 @@ use bytes::Bytes;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Fit, Prediction, RestSpec, Warning, WarpError, check_comparison, choose};
+use mlswarp::warp::{
+    Candidate, Fit, Prediction, RestSpec, Warning, WarpError, check_comparison, choose,
+};
 
 use super::App;
 use super::json_text::json_unless;
@@ -32,7 +34,8 @@ fn predictions(
 ) -> Result<Vec<Prediction>, Problem> {
     let fit = Fit::new(rest, q, extent, most, cancelled)?;
     let predict = |(index, candidate): (usize, &Candidate)| {
-        fit.predict(*candidate, cancelled).map_err(|error: WarpError| in_candidate(index, error.into()))
+        fit.predict(*candidate, cancelled)
+            .map_err(|error: WarpError| in_candidate(index, error.into()))
     };
     candidates.iter().enumerate().map(predict).collect()
 }
@@ -67,32 +70,81 @@ impl App {
     /// Compares methods on the points of the body.
     /// Errors: Wrong points or candidates, or too little capacity.
     pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<ComparedFit, Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let reserve = self.reserving(Purpose::Upload, client);
-        let mut object = self.0.pool.run(&ticket, move |_| Reserved::<FitObject, _>::parse(&json, reserve)).await??;
+        let mut object = self
+            .0
+            .pool
+            .run(&ticket, move |_| {
+                Reserved::<FitObject, _>::parse(&json, reserve)
+            })
+            .await??;
         let rest = part(&mut object, |object| object.rest.take());
-        let rest = rest.try_map(|rest| rest.ok_or_else(|| Problem::new(Code::Internal, "a fit without points")))?;
-        self.fit(&ticket, self.response_quota(client), FitRest::Request(rest), object).await
+        let rest = rest.try_map(|rest| {
+            rest.ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))
+        })?;
+        self.fit(
+            &ticket,
+            self.response_quota(client),
+            FitRest::Request(rest),
+            object,
+        )
+        .await
     }
 
     /// Compares methods on the points of a session.
     /// Errors: Unknown session, wrong `q` or candidates, lines, or too little capacity.
-    pub async fn fit_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<ComparedFit, Problem> {
+    pub async fn fit_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+    ) -> Result<ComparedFit, Problem> {
         let record = self.touch(id, None).await?.record;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::session(client, id))
+            .await?;
         let reserve = self.reserving_pose(Purpose::Upload, client, &record);
-        let object = self.0.pool.run(&ticket, move |_| Reserved::<FitObject, _>::parse_posed(&json, reserve)).await??;
-        self.fit(&ticket, self.response_quota(client), FitRest::Session(record), object).await
+        let object = self
+            .0
+            .pool
+            .run(&ticket, move |_| {
+                Reserved::<FitObject, _>::parse_posed(&json, reserve)
+            })
+            .await??;
+        self.fit(
+            &ticket,
+            self.response_quota(client),
+            FitRest::Session(record),
+            object,
+        )
+        .await
     }
 
-    async fn fit(&self, ticket: &Ticket, quota: ClientQuota, rest: FitRest, object: Held<FitObject>) -> Result<ComparedFit, Problem> {
+    async fn fit(
+        &self,
+        ticket: &Ticket,
+        quota: ClientQuota,
+        rest: FitRest,
+        object: Held<FitObject>,
+    ) -> Result<ComparedFit, Problem> {
         let (app, warnings) = (self.clone(), rest.parts().0.left_out().collect());
         let work = move |cancel: &Cancel| {
             let (rest, extent, session) = rest.parts();
-            let FitObject { pose, candidates, .. } = &*object;
+            let FitObject {
+                pose, candidates, ..
+            } = &*object;
             let (q, _) = rest.posed(pose.clone().onto(session)?.q, 1.0, extent);
-            let text =
-                candidates.len() * (CANDIDATE_TEXT + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.0.config.max_fit_handles));
+            let text = candidates.len()
+                * (CANDIDATE_TEXT
+                    + (RESIDUAL_TEXT + OUTLIER_TEXT)
+                        * rest.p.len().min(app.0.config.max_fit_handles));
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, text as u64)?;
             let predictions = app.predict(rest, &q, extent, candidates, cancel)?;
             let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
@@ -113,29 +165,62 @@ impl App {
         candidates: &[Candidate],
         cancel: &Cancel,
     ) -> Result<Vec<Prediction>, Problem> {
-        check_comparison(rest.p.len().min(self.0.config.max_fit_handles), candidates, &self.0.config.limits())?;
+        check_comparison(
+            rest.p.len().min(self.0.config.max_fit_handles),
+            candidates,
+            &self.0.config.limits(),
+        )?;
         let _held = self.reserve_comparison(rest, candidates)?;
         let is_cancelled = || cancel.is_cancelled();
         let most = self.0.config.max_fit_handles as u64;
-        self.0.pool.run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
+        self.0
+            .pool
+            .run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
     }
 
     /// The memory of a comparison: one system at a time, and all residuals.
-    fn reserve_comparison(&self, rest: &RestSpec, candidates: &[Candidate]) -> Result<Reservation, Problem> {
+    fn reserve_comparison(
+        &self,
+        rest: &RestSpec,
+        candidates: &[Candidate],
+    ) -> Result<Reservation, Problem> {
         let count = (rest.p.len() as u64).min(self.0.config.max_fit_handles as u64);
-        let system = candidates.iter().map(|candidate| candidate.method.field_bytes(count)).max().unwrap_or_default();
-        self.reserve(Purpose::Plan, system + candidates.len() as u64 * count * size_of::<Vec2>() as u64)
+        let system = candidates
+            .iter()
+            .map(|candidate| candidate.method.field_bytes(count))
+            .max()
+            .unwrap_or_default();
+        self.reserve(
+            Purpose::Plan,
+            system + candidates.len() as u64 * count * size_of::<Vec2>() as u64,
+        )
     }
 
     /// Replaces the method `auto` by the one that fits best. Runs on the pool.
     /// Errors: No `q`, lines, too many points, or too little memory.
-    pub(crate) fn choose_method(&self, object: &mut WarpObject, extent: Extent, cancel: &Cancel) -> Result<(), Problem> {
+    pub(crate) fn choose_method(
+        &self,
+        object: &mut WarpObject,
+        extent: Extent,
+        cancel: &Cancel,
+    ) -> Result<(), Problem> {
         if object.is_auto {
             object.require_choice()?;
-            check_comparison(object.rest.p.len().min(self.0.config.max_fit_handles), &Candidate::defaults(), &self.0.config.limits())?;
+            check_comparison(
+                object.rest.p.len().min(self.0.config.max_fit_handles),
+                &Candidate::defaults(),
+                &self.0.config.limits(),
+            )?;
             let _held = self.reserve_comparison(&object.rest, &Candidate::defaults())?;
-            let (rest, q, most) = (&object.rest, object.posed()?, self.0.config.max_fit_handles as u64);
-            let chosen = self.0.pool.run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;
+            let (rest, q, most) = (
+                &object.rest,
+                object.posed()?,
+                self.0.config.max_fit_handles as u64,
+            );
+            let chosen = self
+                .0
+                .pool
+                .run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;
             object.choose(chosen);
         }
         Ok(())

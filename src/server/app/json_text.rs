@@ -8,7 +8,11 @@ use serde::Serialize;
 use crate::pool::Cancel;
 
 /// Serialises a value to JSON in a buffer of this initial capacity, unless it is cancelled.
-pub(crate) fn json_unless(cancel: &Cancel, value: &impl Serialize, capacity: usize) -> Result<Vec<u8>, WarpError> {
+pub(crate) fn json_unless(
+    cancel: &Cancel,
+    value: &impl Serialize,
+    capacity: usize,
+) -> Result<Vec<u8>, WarpError> {
     struct Text<'a>(Vec<u8>, &'a Cancel);
     impl io::Write for Text<'_> {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {

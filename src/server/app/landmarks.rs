@@ -19,8 +19,17 @@ const EMPTY_TEXT: usize = 256;
 impl App {
     /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read of them.
     /// Errors: A file that cannot be read, or too little capacity.
-    pub(crate) async fn read_landmarks(&self, client: Client, mut files: LandmarkFiles, warp: Bytes) -> Result<Held<Landmarks>, Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+    pub(crate) async fn read_landmarks(
+        &self,
+        client: Client,
+        mut files: LandmarkFiles,
+        warp: Bytes,
+    ) -> Result<Held<Landmarks>, Problem> {
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let columns = self.0.config.limits().columns;
         let reserve = self.reserving(Purpose::Upload, client);
         let read = move |cancel: &Cancel| {
@@ -32,15 +41,38 @@ impl App {
 
     /// The JSON of a request with the handles of its landmark files as fields.
     /// Errors: As [`App::read_landmarks`]; a field that the files give, too.
-    pub async fn with_landmarks(&self, client: Client, mut files: LandmarkFiles, json: Bytes, target: Target) -> Result<Bytes, Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (app, quota, columns) = (self.clone(), self.request_quota(client), self.0.config.limits().columns);
+    pub async fn with_landmarks(
+        &self,
+        client: Client,
+        mut files: LandmarkFiles,
+        json: Bytes,
+        target: Target,
+    ) -> Result<Bytes, Problem> {
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
+        let (app, quota, columns) = (
+            self.clone(),
+            self.request_quota(client),
+            self.0.config.limits().columns,
+        );
         let reserve = self.reserving(Purpose::Upload, client);
         let write = move |cancel: &Cancel| {
             files.choice.add(Choice::of_warp(&json)?)?;
-            let landmarks = Reserved::of_files_for(&files, target, columns, &|| cancel.is_cancelled(), reserve)?;
+            let landmarks = Reserved::of_files_for(
+                &files,
+                target,
+                columns,
+                &|| cancel.is_cancelled(),
+                reserve,
+            )?;
             // The handles alone, and among the other fields.
-            let length = json.len() + EMPTY_TEXT + 4 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
+            let length = json.len()
+                + EMPTY_TEXT
+                + 4 * NUMBER_TEXT * landmarks.numbers()
+                + landmarks.names_length();
             let mut reservation = app.reserve_for(Purpose::Upload, &quota, length as u64)?;
             let (landmarks, _held) = landmarks.into_parts();
             let mut body = landmarks.into_fields(&json, target)?;
@@ -53,12 +85,23 @@ impl App {
 
     /// Reads landmark files; returns the JSON of the response.
     /// Errors: As [`App::read_landmarks`].
-    pub async fn convert_landmarks(&self, client: Client, files: LandmarkFiles) -> Result<Bytes, Problem> {
-        let landmarks = self.read_landmarks(client, files, Bytes::from_static(b"{}")).await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+    pub async fn convert_landmarks(
+        &self,
+        client: Client,
+        files: LandmarkFiles,
+    ) -> Result<Bytes, Problem> {
+        let landmarks = self
+            .read_landmarks(client, files, Bytes::from_static(b"{}"))
+            .await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let (app, quota) = (self.clone(), self.response_quota(client));
         let write = self.0.pool.run(&ticket, move |cancel| {
-            let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
+            let length =
+                EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
             let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, length as u64)?;
             let mut body = json_unless(cancel, &*landmarks, length)?;

@@ -77,12 +77,20 @@ impl App {
 
     /// Fails once the service is leaving.
     pub(crate) fn require_serving(&self) -> Result<(), Problem> {
-        if self.is_leaving() { Err(stopping()) } else { Ok(()) }
+        if self.is_leaving() {
+            Err(stopping())
+        } else {
+            Ok(())
+        }
     }
 
     /// Fails once the service is stopping. A leaving service still opens drag sockets: closing one soon is better than refusing it.
     pub(crate) fn require_running(&self) -> Result<(), Problem> {
-        if self.0.lifecycle.is_at_least(Phase::Stopping) { Err(stopping()) } else { Ok(()) }
+        if self.0.lifecycle.is_at_least(Phase::Stopping) {
+            Err(stopping())
+        } else {
+            Ok(())
+        }
     }
 }
 

@@ -120,7 +120,11 @@ impl App {
     /// Errors: See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.url, config.store.bounds())?;
-        let tracer = config.telemetry.otlp_endpoint.as_ref().map(|collector| Tracer::new(collector, config.telemetry.otlp_sample));
+        let tracer = config
+            .telemetry
+            .otlp_endpoint
+            .as_ref()
+            .map(|collector| Tracer::new(collector, config.telemetry.otlp_sample));
         let tracer = tracer.transpose().map_err(NotStarted::Traces)?;
         let (work, auth, clients) = (config.work, &config.auth, &config.clients);
         let access = AccessControl::new(
@@ -129,14 +133,31 @@ impl App {
             clients.rate_per_key,
             ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
         );
-        let of_client = |total| ClientLimit::new(clients.client_share.of(total), access.sole_client());
-        let WorkConfig { workers, drag_wait, upload_wait, .. } = work;
+        let of_client =
+            |total| ClientLimit::new(clients.client_share.of(total), access.sole_client());
+        let WorkConfig {
+            workers,
+            drag_wait,
+            upload_wait,
+            ..
+        } = work;
         let queue = work.queue();
-        let shape = Shape { workers, queue, drag_wait, upload_wait };
+        let shape = Shape {
+            workers,
+            queue,
+            drag_wait,
+            upload_wait,
+        };
         Ok(Self(Arc::new(AppState {
             budget: Budget::new(work.memory_bytes),
-            response_quotas: ClientQuotas::new(QuotaKind::Responses, work.memory_bytes / UNREAD_DIVISOR),
-            request_quotas: ClientQuotas::new(QuotaKind::Requests, of_client(Purpose::Upload.share(work.memory_bytes))),
+            response_quotas: ClientQuotas::new(
+                QuotaKind::Responses,
+                work.memory_bytes / UNREAD_DIVISOR,
+            ),
+            request_quotas: ClientQuotas::new(
+                QuotaKind::Requests,
+                of_client(Purpose::Upload.share(work.memory_bytes)),
+            ),
             client_sessions: ClientSessions::new(config.store.bounds(), of_client),
             pool: Pool::new(shape)?,
             images: Cache::new(work.image_cache_bytes),
@@ -149,7 +170,11 @@ impl App {
             sequencer: Sequencer::default(),
             lifecycle: Lifecycle::default(),
             // The frames of one client may use half of the queue, its requests the other half.
-            sockets: SocketSlots::new(clients.max_sockets, of_client(clients.max_sockets as u64), workers.max(queue / 2)),
+            sockets: SocketSlots::new(
+                clients.max_sockets,
+                of_client(clients.max_sockets as u64),
+                workers.max(queue / 2),
+            ),
             metrics: Metrics::default(),
             access,
             tracer,
@@ -185,7 +210,12 @@ impl App {
 
     /// As [`App::reserve`], for memory that counts in the quota of a client. Errors: As [`App::reserve`]; [`Code::Overloaded`] for a client
     /// with too many unread responses, [`Code::RateLimited`] for one whose requests use too much.
-    pub fn reserve_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, Problem> {
+    pub fn reserve_for(
+        &self,
+        purpose: Purpose,
+        quota: &ClientQuota,
+        bytes: u64,
+    ) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take_for(purpose, quota, bytes))
     }
 
@@ -205,7 +235,10 @@ impl App {
         self.evicting_idle(|| reservation.grow(more))
     }
 
-    fn evicting_idle<T>(&self, mut take: impl FnMut() -> Result<T, BudgetExceeded>) -> Result<T, Problem> {
+    fn evicting_idle<T>(
+        &self,
+        mut take: impl FnMut() -> Result<T, BudgetExceeded>,
+    ) -> Result<T, Problem> {
         loop {
             match take() {
                 Ok(taken) => return Ok(taken),
@@ -221,7 +254,10 @@ impl App {
     }
 
     /// As [`App::reserve`] and the others, for the runtime's thread: what is evicted is freed elsewhere, before memory is taken again.
-    pub(crate) async fn reserve_aside<T>(&self, mut take: impl FnMut(&Budget) -> Result<T, BudgetExceeded>) -> Result<T, Problem> {
+    pub(crate) async fn reserve_aside<T>(
+        &self,
+        mut take: impl FnMut(&Budget) -> Result<T, BudgetExceeded>,
+    ) -> Result<T, Problem> {
         loop {
             match take(&self.0.budget) {
                 Ok(taken) => return Ok(taken),
@@ -247,7 +283,14 @@ impl App {
 
     /// Evicts an idle entry of the largest cache that has one. False if there is none.
     fn evict_idle(&self) -> bool {
-        let AppState { images, labels, plans, setups, texts, .. } = &*self.0;
+        let AppState {
+            images,
+            labels,
+            plans,
+            setups,
+            texts,
+            ..
+        } = &*self.0;
         let mut caches: [(u64, &dyn Fn() -> bool); 5] = [
             (labels.usage().bytes, &|| labels.evict_idle()),
             (images.usage().bytes, &|| images.evict_idle()),
@@ -283,7 +326,10 @@ impl App {
     /// sessions that continue without it. Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.require_serving()?;
-        if [WorkClass::Drag, WorkClass::Upload].into_iter().any(|class| self.0.pool.is_full(class)) {
+        if [WorkClass::Drag, WorkClass::Upload]
+            .into_iter()
+            .any(|class| self.0.pool.is_full(class))
+        {
             return Err(PoolError::Full.into());
         }
         if self.0.budget.has(Purpose::Upload, MIN_FREE) || self.has_idle_entry() {
@@ -293,19 +339,35 @@ impl App {
                 Err(error) => Err(error.into()),
             };
         }
-        Err(Problem::new(Code::Overloaded, "the server has no memory for another image").retry_after(RETRY))
+        Err(Problem::new(
+            Code::Overloaded,
+            "the server has no memory for another image",
+        )
+        .retry_after(RETRY))
     }
 
     /// Rejects an upload before its body is read, if the queue would reject it.
     /// Errors: [`Code::Overloaded`].
     pub fn require_queue_place(&self, client: Client) -> Result<(), Problem> {
-        if self.0.pool.rejects(WorkClass::Upload, QueueKey::client(client)) { Err(PoolError::Full.into()) } else { Ok(()) }
+        if self
+            .0
+            .pool
+            .rejects(WorkClass::Upload, QueueKey::client(client))
+        {
+            Err(PoolError::Full.into())
+        } else {
+            Ok(())
+        }
     }
 
     /// Deletes expired sessions periodically until the application is dropped. Needs a runtime.
     pub fn spawn_sweeper(&self) {
-        let (store, client_sessions) = (Arc::downgrade(&self.0.store), self.0.client_sessions.clone());
-        let pause = (self.0.config.store.bounds().idle / 4).clamp(Duration::from_millis(50), Duration::from_secs(30));
+        let (store, client_sessions) = (
+            Arc::downgrade(&self.0.store),
+            self.0.client_sessions.clone(),
+        );
+        let pause = (self.0.config.store.bounds().idle / 4)
+            .clamp(Duration::from_millis(50), Duration::from_secs(30));
         tokio::spawn(async move {
             loop {
                 tokio::time::sleep(pause).await;
@@ -329,7 +391,9 @@ fn build_aborted() -> Problem {
 impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
-            PoolError::Full | PoolError::Late { .. } => Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY),
+            PoolError::Full | PoolError::Late { .. } => {
+                Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY)
+            }
             PoolError::Panicked => Self::new(Code::Internal, "internal error"),
         }
     }

@@ -50,21 +50,39 @@ impl App {
         with_content: bool,
     ) -> Result<PlanFile, Problem> {
         let record = self.peek_session(id).await?.record;
-        let PlanQuery { columns, rows, precision } = query;
+        let PlanQuery {
+            columns,
+            rows,
+            precision,
+        } = query;
         let rest = self.revision_text(client, &record).await?.rest_digest;
-        let shape = format!("{} {rest} {columns} {rows} {precision:?}", env!("CARGO_PKG_VERSION"));
+        let shape = format!(
+            "{} {rest} {columns} {rows} {precision:?}",
+            env!("CARGO_PKG_VERSION")
+        );
         let etag = format!("\"{}\"", Digest::of(shape.as_bytes()));
         // Nobody has the tag of a table that is refused.
         if is_known(&etag) {
-            return Ok(PlanFile { etag, content: PlanContent::Known });
+            return Ok(PlanFile {
+                etag,
+                content: PlanContent::Known,
+            });
         }
         let setup = self.session_setup(client, &record).await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::session(client, id))
+            .await?;
+        let mut timing = Timing {
+            queue: ticket.waited(),
+            ..Timing::default()
+        };
         let (app, quota, extent) = (self.clone(), self.response_quota(client), record.extent);
         let fill = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-            let table = Table::new(&setup, columns, rows, &app.0.config.limits()).map_err(in_query)?;
+            let table =
+                Table::new(&setup, columns, rows, &app.0.config.limits()).map_err(in_query)?;
             let bytes = plan_file_bytes(&table, precision);
             if bytes > MAX_FILE_BYTES {
                 return Err(too_large(bytes));
@@ -73,8 +91,12 @@ impl App {
                 return Ok(PlanContent::Length(bytes));
             }
             let mut reservation = app.reserve_for(Purpose::Frame, &quota, bytes + table.bytes())?;
-            let plan = app.0.pool.run_parallel(|| table.fill_unless(&is_cancelled))?;
-            let file = plan_file(&table, &plan, precision, extent, &is_cancelled)?.ok_or_else(|| too_imprecise(precision))?;
+            let plan = app
+                .0
+                .pool
+                .run_parallel(|| table.fill_unless(&is_cancelled))?;
+            let file = plan_file(&table, &plan, precision, extent, &is_cancelled)?
+                .ok_or_else(|| too_imprecise(precision))?;
             drop(plan);
             timing.plan = began.elapsed();
             stage("plan", began);
@@ -87,17 +109,24 @@ impl App {
 }
 
 fn too_large(bytes: u64) -> Problem {
-    let detail = format!("the coefficients would take {bytes} bytes; the limit is {MAX_FILE_BYTES}; request fewer vertices");
+    let detail = format!(
+        "the coefficients would take {bytes} bytes; the limit is {MAX_FILE_BYTES}; request fewer vertices"
+    );
     Problem::new(Code::TooLarge, detail).limit("plan_file_bytes", MAX_FILE_BYTES, bytes)
 }
 
 /// The lattice is in the query, to which no JSON pointer points.
 fn in_query(error: WarpError) -> Problem {
     let problem = Problem::from(error);
-    Problem { pointer: None, ..problem }
+    Problem {
+        pointer: None,
+        ..problem
+    }
 }
 
 fn too_imprecise(precision: Precision) -> Problem {
-    let detail = format!("`precision` in the query must be `f32` for these handles: a coefficient is too large for {precision:?}");
+    let detail = format!(
+        "`precision` in the query must be `f32` for these handles: a coefficient is too large for {precision:?}"
+    );
     Problem::new(Code::BadValue, detail.to_lowercase())
 }

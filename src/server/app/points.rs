@@ -79,7 +79,11 @@ impl MappedParts {
             }
         };
         let (app, job) = (self.app.clone(), Arc::clone(&self.job));
-        self.app.0.pool.run(&ticket, move |cancel| job.part(&app, cursor, cancel)).await?
+        self.app
+            .0
+            .pool
+            .run(&ticket, move |cancel| job.part(&app, cursor, cancel))
+            .await?
     }
 }
 
@@ -100,7 +104,12 @@ struct MappingJob {
 
 impl MappingJob {
     /// Maps a part in memory that counts for the client until it is sent.
-    fn part(&self, app: &App, mut cursor: Cursor, cancel: &Cancel) -> Result<(Bytes, Option<Cursor>), Problem> {
+    fn part(
+        &self,
+        app: &App,
+        mut cursor: Cursor,
+        cancel: &Cancel,
+    ) -> Result<(Bytes, Option<Cursor>), Problem> {
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
         let mut reservation = app.reserve_for(Purpose::Frame, &self.quota, 0)?;
         let mut reserve = |bytes| app.reserve_more(&mut reservation, bytes);
@@ -110,10 +119,20 @@ impl MappingJob {
                 None => self.setup.transform(&self.pose),
             };
             let (transform, mut out) = (transform.onto(self.picture), Vec::new());
-            let more = self.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut out)?;
+            let more = self.annotations.map_part(
+                &mut cursor,
+                &transform,
+                &is_cancelled,
+                &mut reserve,
+                &mut out,
+            )?;
             Ok::<_, Problem>((out, more))
         };
-        let (mut out, more) = if self.is_long { app.0.pool.run_parallel(map) } else { map() }?;
+        let (mut out, more) = if self.is_long {
+            app.0.pool.run_parallel(map)
+        } else {
+            map()
+        }?;
         stage("deform", began);
         // The client may read it slowly.
         out.shrink_to_fit();
@@ -147,71 +166,155 @@ impl PointsJob {
 impl App {
     /// Maps points. `cursor`: a new one.
     /// Errors: Wrong handles, or too little capacity.
-    pub async fn points_once(&self, client: Client, json: Bytes, cursor: Cursor) -> Result<MappedFile, Problem> {
+    pub async fn points_once(
+        &self,
+        client: Client,
+        json: Bytes,
+        cursor: Cursor,
+    ) -> Result<MappedFile, Problem> {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
+        let (is_long, most_bytes) = (
+            json.len() > MAX_SEQUENTIAL,
+            self.0.config.max_warp_json_bytes,
+        );
         let reserve = self.reserving(Purpose::Upload, client);
         let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
         let mut object = self.0.pool.run(&ticket, parse).await??;
         let warp = part(&mut object, |object| object.warp.take());
-        let warp = warp.try_map(|warp| warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp")))?;
+        let warp = warp.try_map(|warp| {
+            warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))
+        })?;
         let (extent, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
         if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
             // The exact deformation needs no grid; this one is within all limits.
-            warp.rest.grid = GridSpec::Counts { columns: 2, rows: 2 };
+            warp.rest.grid = GridSpec::Counts {
+                columns: 2,
+                rows: 2,
+            };
         }
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, object: warp, q, .. } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved {
+            setup,
+            object: warp,
+            q,
+            ..
+        } = self.0.pool.run(&ticket, resolve).await??;
         let method = warp.is_auto.then(|| method_text(&warp.rest));
         let quota = self.response_quota(client);
-        let job = PointsJob { client, setup, q, object, folds: warp.folds, region: None, cursor, is_long, key, quota };
-        Ok(MappedFile { method, ..self.map_points(&ticket, job).await? })
+        let job = PointsJob {
+            client,
+            setup,
+            q,
+            object,
+            folds: warp.folds,
+            region: None,
+            cursor,
+            is_long,
+            key,
+            quota,
+        };
+        Ok(MappedFile {
+            method,
+            ..self.map_points(&ticket, job).await?
+        })
     }
 
     /// Maps points by the deformation of a session.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn points_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<MappedFile, Problem> {
+    pub async fn points_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+    ) -> Result<MappedFile, Problem> {
         let record = self.touch(id, None).await?.record;
         let setup = self.session_setup(client, &record).await?;
         let key = QueueKey::session(client, id);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (is_long, most_bytes) = (json.len() > MAX_SEQUENTIAL, self.0.config.max_warp_json_bytes);
-        let (of_session, reserve) = (Arc::clone(&record), self.reserving_pose(Purpose::Upload, client, &record));
+        let (is_long, most_bytes) = (
+            json.len() > MAX_SEQUENTIAL,
+            self.0.config.max_warp_json_bytes,
+        );
+        let (of_session, reserve) = (
+            Arc::clone(&record),
+            self.reserving_pose(Purpose::Upload, client, &record),
+        );
         let parse = move |_: &_| {
             let (rest, size) = (&of_session.rest, of_session.extent);
             let source = (size, rest.units);
-            let mut object = Reserved::<PointsObject, _>::parse_posed(&json, most_bytes, source, &of_session.output, reserve)?;
-            let Pose { q, strength } = std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+            let mut object = Reserved::<PointsObject, _>::parse_posed(
+                &json,
+                most_bytes,
+                source,
+                &of_session.output,
+                reserve,
+            )?;
+            let Pose { q, strength } =
+                std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
             let q = part(&mut object, |_| rest.posed(q, strength, size).0);
             Ok::<_, Problem>((object, q))
         };
         let (object, q) = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
-        let region = self.region_of(client, &record, object.output.canvas).await?;
+        let region = self
+            .region_of(client, &record, object.output.canvas)
+            .await?;
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (quota, folds) = (self.response_quota(client), record.folds);
-        let job = PointsJob { client, setup, q, object, folds, region, cursor: Cursor::default(), is_long, key, quota };
+        let job = PointsJob {
+            client,
+            setup,
+            q,
+            object,
+            folds,
+            region,
+            cursor: Cursor::default(),
+            is_long,
+            key,
+            quota,
+        };
         self.map_points(&ticket, job).await
     }
 
     /// The setup whose grid shows where to look for the inverse.
-    pub(super) async fn to_invert(&self, ticket: &Ticket, setup: &HeldSetup) -> Result<HeldSetup, Problem> {
+    pub(super) async fn to_invert(
+        &self,
+        ticket: &Ticket,
+        setup: &HeldSetup,
+    ) -> Result<HeldSetup, Problem> {
         let (app, setup) = (self.clone(), Arc::clone(setup));
         let resolve = move |_: &_| {
             // It shares most of its memory with the other one, and may outlive it.
             let held = app.reserve(Purpose::Plan, setup.bytes())?;
-            Ok(Arc::new(CacheEntry::new(setup.to_invert(&app.0.config.limits())?, held)))
+            Ok(Arc::new(CacheEntry::new(
+                setup.to_invert(&app.0.config.limits())?,
+                held,
+            )))
         };
         self.0.pool.run(ticket, resolve).await?
     }
 
     /// Finds the picture, and maps the first part.
     async fn map_points(&self, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
-        let PointsJob { client, setup, q, object, folds, region, cursor, is_long, key, quota } = job;
-        let drawn =
-            if PointsJob::needs_grid(&object, folds) { Some(self.plan(client, ticket, &setup, Timing::default()).await?) } else { None };
+        let PointsJob {
+            client,
+            setup,
+            q,
+            object,
+            folds,
+            region,
+            cursor,
+            is_long,
+            key,
+            quota,
+        } = job;
+        let drawn = if PointsJob::needs_grid(&object, folds) {
+            Some(self.plan(client, ticket, &setup, Timing::default()).await?)
+        } else {
+            None
+        };
         let to_invert = if object.annotations.is_inverse {
             let setup = self.to_invert(ticket, &setup).await?;
             Some(self.plan(client, ticket, &setup, Timing::default()).await?)
@@ -220,15 +323,28 @@ impl App {
         };
         let app = self.clone();
         let prepare = move |cancel: &Cancel| {
-            let (PointsObject { output, annotations, .. }, _held) = object.into_parts();
+            let (
+                PointsObject {
+                    output,
+                    annotations,
+                    ..
+                },
+                _held,
+            ) = object.into_parts();
             let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
             let target = match drawn {
                 Some(drawn) => {
                     let pose = || Posed::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
-                    let (posed, _held) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+                    let (posed, _held) =
+                        app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
                     let region = region.as_ref().and_then(Content::region).cloned();
                     let posed = region.into_iter().fold(posed, Posed::within);
-                    output.target(setup.source(), &posed, &app.0.config.limits(), &is_cancelled)?
+                    output.target(
+                        setup.source(),
+                        &posed,
+                        &app.0.config.limits(),
+                        &is_cancelled,
+                    )?
                 }
                 None => match output.target_before_pose(setup.source(), &app.0.config.limits())? {
                     Some(target) => target,
@@ -237,18 +353,44 @@ impl App {
             };
             let (picture, source) = (setup.frame_of(target), setup.source_frame());
             let mut warnings = setup.warnings(&pose, Some(picture.canvas()));
-            annotations.add_warnings(if annotations.is_inverse { &picture } else { &source }, &mut warnings);
+            annotations.add_warnings(
+                if annotations.is_inverse {
+                    &picture
+                } else {
+                    &source
+                },
+                &mut warnings,
+            );
             let posed = to_invert.map(|Planned { setup, plan, .. }| {
                 let coarse = || Posed::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
                 app.reserve_and_pose(&setup, &quota, 0, coarse)
             });
             let posed = posed.transpose()?;
             let is_long = is_long || posed.is_some();
-            let job = Arc::new(MappingJob { setup, pose, posed, picture, annotations, is_long, key, quota });
+            let job = Arc::new(MappingJob {
+                setup,
+                pose,
+                posed,
+                picture,
+                annotations,
+                is_long,
+                key,
+                quota,
+            });
             let (first, cursor) = job.part(&app, cursor, cancel)?;
-            let rest = cursor.map(|cursor| MappedParts { app, job, cursor: Some(cursor) });
+            let rest = cursor.map(|cursor| MappedParts {
+                app,
+                job,
+                cursor: Some(cursor),
+            });
             let Target { canvas, .. } = target;
-            Ok(MappedFile { warnings, canvas, method: None, first, rest })
+            Ok(MappedFile {
+                warnings,
+                canvas,
+                method: None,
+                first,
+                rest,
+            })
         };
         self.0.pool.run(ticket, prepare).await?
     }

@@ -12,7 +12,11 @@ pub(crate) type Held<T> = Reserved<T, Reservation>;
 
 impl App {
     /// Takes the memory of what is read from a request, which counts for the client.
-    pub(crate) fn reserving(&self, purpose: Purpose, client: Client) -> impl FnOnce(u64) -> Result<Reservation, Problem> + Send + use<> {
+    pub(crate) fn reserving(
+        &self,
+        purpose: Purpose,
+        client: Client,
+    ) -> impl FnOnce(u64) -> Result<Reservation, Problem> + Send + use<> {
         let (app, quota) = (self.clone(), self.request_quota(client));
         move |bytes| app.reserve_for(purpose, &quota, bytes)
     }
@@ -24,7 +28,10 @@ impl App {
         client: Client,
         record: &Record,
     ) -> impl FnOnce(u64) -> Result<Reservation, Problem> + Send + use<> {
-        let (copied, reserve) = (record.pose.as_ref().map_or(0, |_| 2 * record_bytes(record)), self.reserving(purpose, client));
+        let (copied, reserve) = (
+            record.pose.as_ref().map_or(0, |_| 2 * record_bytes(record)),
+            self.reserving(purpose, client),
+        );
         move |bytes| reserve(bytes + copied)
     }
 }

@@ -22,7 +22,9 @@ use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::Problem;
 use crate::session::SessionId;
-use crate::wire::{DragObject, Pose, ReportAnswer, ReportObject, Reserved, WarningEntry, method_text};
+use crate::wire::{
+    DragObject, Pose, ReportAnswer, ReportObject, Reserved, WarningEntry, method_text,
+};
 
 /// The quality of a pose.
 #[derive(Debug)]
@@ -54,36 +56,80 @@ struct ReportJob {
 impl App {
     /// Measures the pose of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
     /// Errors: Wrong handles, or too little capacity.
-    pub(crate) async fn report_once(&self, client: Client, json: Bytes) -> Result<(QualityReport, Option<String>), Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+    pub(crate) async fn report_once(
+        &self,
+        client: Client,
+        json: Bytes,
+    ) -> Result<(QualityReport, Option<String>), Problem> {
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let reserve = self.reserving(Purpose::Upload, client);
-        let object = self.0.pool.run(&ticket, move |_| Reserved::<ReportObject, _>::parse(&json, reserve)).await??;
+        let object = self
+            .0
+            .pool
+            .run(&ticket, move |_| {
+                Reserved::<ReportObject, _>::parse(&json, reserve)
+            })
+            .await??;
         let (extent, warp) = (object.extent, object.map(|object| object.warp));
         let app = self.clone();
         let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved { setup, object, q, alignment, .. } = self.0.pool.run(&ticket, resolve).await??;
+        let Resolved {
+            setup,
+            object,
+            q,
+            alignment,
+            ..
+        } = self.0.pool.run(&ticket, resolve).await??;
         let method = object.is_auto.then(|| method_text(&object.rest));
         let (output, quota) = (object.output, self.response_quota(client));
-        let job = ReportJob { client, setup, q, alignment, output, region: None, drawn: None, quota };
+        let job = ReportJob {
+            client,
+            setup,
+            q,
+            alignment,
+            output,
+            region: None,
+            drawn: None,
+            quota,
+        };
         Ok((self.report(&ticket, job).await?, method))
     }
 
     /// Measures a pose of a session.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub(crate) async fn report_session(&self, client: Client, id: SessionId, json: Bytes) -> Result<QualityReport, Problem> {
+    pub(crate) async fn report_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+    ) -> Result<QualityReport, Problem> {
         let record = self.touch(id, None).await?.record;
         // Before the plan is built.
         self.session_setup(client, &record).await?.check_quality()?;
         // What is lost of the file depends on the file.
-        let (record, content, AdmittedPlan { planned, .. }) = self.admit_newest(client, record, None).await?;
+        let (record, content, AdmittedPlan { planned, .. }) =
+            self.admit_newest(client, record, None).await?;
         let setup = planned.setup;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::session(client, id))
+            .await?;
         let limits = self.0.config.limits();
         let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
         let reserve = self.reserving_pose(Purpose::Upload, client, &record);
         let parse = move |_: &_| {
-            let mut drag = Reserved::<DragObject, _>::parse_for_report(&json, of_session.rest.p.len(), reserve)?;
-            let Pose { q, strength } = std::mem::take(&mut drag.pose).onto(of_session.pose.as_ref())?;
+            let mut drag = Reserved::<DragObject, _>::parse_for_report(
+                &json,
+                of_session.rest.p.len(),
+                reserve,
+            )?;
+            let Pose { q, strength } =
+                std::mem::take(&mut drag.pose).onto(of_session.pose.as_ref())?;
             let output = drag.output.merge_onto(&of_session.output);
             output.check(of_session.extent, &limits)?;
             let (q, alignment) = of_session.rest.posed(q, strength, of_session.extent);
@@ -92,50 +138,115 @@ impl App {
         let (q, alignment, output) = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         let region = self.region_of(client, &record, output.canvas).await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
-        let job = ReportJob { client, setup, q, alignment, output, region, drawn: Some(content), quota };
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::session(client, id))
+            .await?;
+        let job = ReportJob {
+            client,
+            setup,
+            q,
+            alignment,
+            output,
+            region,
+            drawn: Some(content),
+            quota,
+        };
         self.report(&ticket, job).await
     }
 
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
-        let ReportJob { client, setup, q, alignment, output, region, drawn, quota } = job;
-        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let ReportJob {
+            client,
+            setup,
+            q,
+            alignment,
+            output,
+            region,
+            drawn,
+            quota,
+        } = job;
+        let timing = Timing {
+            queue: ticket.waited(),
+            ..Timing::default()
+        };
         setup.check_quality()?;
-        let Planned { plan, mut timing, is_built, .. } = self.plan(client, ticket, &setup, timing).await?;
+        let Planned {
+            plan,
+            mut timing,
+            is_built,
+            ..
+        } = self.plan(client, ticket, &setup, timing).await?;
         // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
         let to_invert = self.to_invert(ticket, &setup).await?;
         let to_invert = if to_invert.plan_key() == setup.plan_key() {
             None
         } else {
-            Some(self.plan(client, ticket, &to_invert, Timing::default()).await?)
+            Some(
+                self.plan(client, ticket, &to_invert, Timing::default())
+                    .await?,
+            )
         };
         let app = self.clone();
         let measure = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
             let pose = setup.pose(&q)?;
             let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
-            let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
+            let (posed, mut reservation) =
+                app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
             let region = region.as_ref().and_then(Content::region).cloned();
             let posed = region.into_iter().fold(posed, Posed::within);
             let canvas = output.canvas.of(setup.source(), &posed, &is_cancelled)?;
-            let inverse_bytes = to_invert.as_ref().map_or(0, |planned| planned.setup.posed_bytes());
-            app.reserve_more(&mut reservation, posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes)?;
+            let inverse_bytes = to_invert
+                .as_ref()
+                .map_or(0, |planned| planned.setup.posed_bytes());
+            app.reserve_more(
+                &mut reservation,
+                posed.halved_bytes() + Quality::bytes(&posed, canvas) + inverse_bytes,
+            )?;
             let quality = app.0.pool.run_parallel(|| {
-                let coarse = |planned: &Planned| Posed::coarse(&planned.setup, &planned.plan, &pose, Folds::Report, &is_cancelled);
+                let coarse = |planned: &Planned| {
+                    Posed::coarse(
+                        &planned.setup,
+                        &planned.plan,
+                        &pose,
+                        Folds::Report,
+                        &is_cancelled,
+                    )
+                };
                 let inverse = to_invert.as_ref().map(coarse).transpose()?;
-                Quality::of(&setup, &q, &pose, &posed, inverse.as_ref().unwrap_or(&posed), canvas, &is_cancelled)
+                Quality::of(
+                    &setup,
+                    &q,
+                    &pose,
+                    &posed,
+                    inverse.as_ref().unwrap_or(&posed),
+                    canvas,
+                    &is_cancelled,
+                )
             })?;
             let mut report = posed.into_report(canvas, &is_cancelled)?;
             if let Some(content) = drawn {
                 let shown = canvas.map_or(setup.source(), |canvas| canvas.extent);
-                report.warnings.extend(content.subject().warnings(&Target::of(canvas, shown), &output));
+                report.warnings.extend(
+                    content
+                        .subject()
+                        .warnings(&Target::of(canvas, shown), &output),
+                );
             }
             timing.deform = began.elapsed();
             stage("deform", began);
             app.metrics().prepared(&timing);
-            let warnings: Vec<WarningEntry> = report.warnings.iter().map(WarningEntry::from).collect();
+            let warnings: Vec<WarningEntry> =
+                report.warnings.iter().map(WarningEntry::from).collect();
             let picture = canvas.map(|canvas| Frame::on_canvas(canvas, &output, Units::Px));
-            let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings, picture };
+            let answer = ReportAnswer {
+                quality: &quality,
+                alignment,
+                warnings: &warnings,
+                picture,
+            };
             let text = answer.text_bytes();
             app.reserve_more(&mut reservation, text as u64)?;
             let mut body = json_unless(cancel, &answer, text)?;
@@ -143,7 +254,12 @@ impl App {
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);
             let body = reservation.attach(body);
-            Ok::<_, Problem>(QualityReport { report, timing, plan_built: is_built, body })
+            Ok::<_, Problem>(QualityReport {
+                report,
+                timing,
+                plan_built: is_built,
+                body,
+            })
         };
         self.0.pool.run(ticket, measure).await?
     }

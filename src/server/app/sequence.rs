@@ -37,14 +37,24 @@ pub struct SequencePosition {
 impl Sequencer {
     /// Enters a request, which supersedes those with lower numbers.
     pub fn enter(&self, incarnation: Incarnation, seq: u64) -> SequencePosition {
-        let new = || Arc::new(SessionSequence { newest: watch::Sender::new(seq), builds: Retained::default() });
+        let new = || {
+            Arc::new(SessionSequence {
+                newest: watch::Sender::new(seq),
+                builds: Retained::default(),
+            })
+        };
         let sequence = Arc::clone(self.lock().entry(incarnation).or_insert_with(new));
         sequence.newest.send_if_modified(|newest| {
             let higher = seq > *newest;
             *newest = seq.max(*newest);
             higher
         });
-        SequencePosition { sequencer: self.clone(), incarnation, sequence, seq }
+        SequencePosition {
+            sequencer: self.clone(),
+            incarnation,
+            sequence,
+            seq,
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<Incarnation, Arc<SessionSequence>>> {
@@ -107,7 +117,12 @@ mod tests {
         });
         let new = sequencer.enter(id, 5);
         assert_eq!(waiting.await.unwrap(), 4);
-        assert!(retry.is_superseded() && !new.is_superseded() && !other.is_superseded() && !replaced.is_superseded());
+        assert!(
+            retry.is_superseded()
+                && !new.is_superseded()
+                && !other.is_superseded()
+                && !replaced.is_superseded()
+        );
         assert!(sequencer.enter(id, 3).is_superseded());
     }
 

@@ -26,21 +26,36 @@ pub(crate) type Resulting = (ShownSession, Option<String>);
 impl App {
     /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn create_session(&self, client: Client, upload: Upload) -> Result<Resulting, Problem> {
-        let (_, shown, method) = self.put_upload(client, SessionId::random(client.owner), upload).await?;
+    pub async fn create_session(
+        &self,
+        client: Client,
+        upload: Upload,
+    ) -> Result<Resulting, Problem> {
+        let (_, shown, method) = self
+            .put_upload(client, SessionId::random(client.owner), upload)
+            .await?;
         Ok((shown, method))
     }
 
     /// Opens or replaces a session with an id that the client has chosen. The first result: whether there was none.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn put_session(&self, client: Client, id: SessionId, upload: Upload) -> Result<(bool, Resulting), Problem> {
+    pub async fn put_session(
+        &self,
+        client: Client,
+        id: SessionId,
+        upload: Upload,
+    ) -> Result<(bool, Resulting), Problem> {
         let (is_new, shown, method) = self.put_upload(client, id, upload).await?;
         Ok((is_new, (shown, method)))
     }
 
     /// Opens a session from an upload that was already prepared.
     /// Errors: Too little capacity.
-    pub(crate) async fn create_session_from(&self, client: Client, prepared: PreparedWarp) -> Result<SessionId, Problem> {
+    pub(crate) async fn create_session_from(
+        &self,
+        client: Client,
+        prepared: PreparedWarp,
+    ) -> Result<SessionId, Problem> {
         // Undoes the demotion of an image that is warped once.
         for digest in prepared.files() {
             let _ = self.0.images.touch(Key::new(client.owner, digest));
@@ -52,9 +67,18 @@ impl App {
     }
 
     /// Builds image and plan, and stores the session. What shows it is made before: afterwards nothing may fail.
-    async fn put_upload(&self, client: Client, id: SessionId, upload: Upload) -> Result<(bool, ShownSession, Option<String>), Problem> {
+    async fn put_upload(
+        &self,
+        client: Client,
+        id: SessionId,
+        upload: Upload,
+    ) -> Result<(bool, ShownSession, Option<String>), Problem> {
         // The ticket is not held while the store works.
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let (prepared, _planned) = self.prepare(client, &ticket, upload, None).await?;
         let method = prepared.chosen_method();
         let app = self.clone();
@@ -69,22 +93,45 @@ impl App {
         Ok(match self.store_session(client, new).await? {
             Put::Same(session) => (false, self.read_session(client, session).await?, method),
             Put::Created(session) => (true, self.show_new(client, &record, shown, session), method),
-            Put::Replaced(session, _) => (false, self.show_new(client, &record, shown, session), method),
+            Put::Replaced(session, _) => (
+                false,
+                self.show_new(client, &record, shown, session),
+                method,
+            ),
         })
     }
 
     /// The object of a session that was stored with a new revision; its text is kept.
-    pub(super) fn show_new(&self, client: Client, record: &Record, shown: Shown, session: Session) -> ShownSession {
-        self.0.texts.put(revision_key(record), client.tenant(), shown.text());
+    pub(super) fn show_new(
+        &self,
+        client: Client,
+        record: &Record,
+        shown: Shown,
+        session: Session,
+    ) -> ShownSession {
+        self.0
+            .texts
+            .put(revision_key(record), client.tenant(), shown.text());
         shown.of(session)
     }
 
     /// Stores a session, counted for its client, and keeps its setup.
     async fn store_session(&self, client: Client, new: NewSession) -> Result<Put, Problem> {
-        let NewSession { record, files, setup } = new;
+        let NewSession {
+            record,
+            files,
+            setup,
+        } = new;
         // Limits the simultaneous transfers, fairly between clients.
-        let ticket = self.0.pool.admit(WorkClass::Transfer, QueueKey::client(client)).await?;
-        let claim = self.0.client_sessions.claim(client.tenant(), &record, &files)?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Transfer, QueueKey::client(client))
+            .await?;
+        let claim = self
+            .0
+            .client_sessions
+            .claim(client.tenant(), &record, &files)?;
         // If this future is dropped while the store works, the session may have been stored: it stays counted.
         let put = in_stage("store", self.0.store.put(record, files)).await;
         drop(ticket);
@@ -104,30 +151,75 @@ impl App {
 
     /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
     /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub(crate) async fn replace_handles(&self, client: Client, id: SessionId, json: Bytes) -> Result<Resulting, Problem> {
+    pub(crate) async fn replace_handles(
+        &self,
+        client: Client,
+        id: SessionId,
+        json: Bytes,
+    ) -> Result<Resulting, Problem> {
         for _ in 0..ATTEMPTS {
             let old = self.touch(id, None).await?.record;
-            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::session(client, id)).await?;
+            let ticket = self
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::session(client, id))
+                .await?;
             let reserve = self.reserving_pose(Purpose::Upload, client, &old);
             let (app, json, before) = (self.clone(), json.clone(), Arc::clone(&old));
             let resolve = move |cancel: &Cancel| {
-                let patch = Reserved::<WarpPatch, _>::parse(&json, reserve)?.try_map(WarpPatch::without_files)?;
-                let (q, strength) = before.pose.clone().map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
+                let patch = Reserved::<WarpPatch, _>::parse(&json, reserve)?
+                    .try_map(WarpPatch::without_files)?;
+                let (q, strength) = before
+                    .pose
+                    .clone()
+                    .map_or((None, 1.0), |pose| (Some(pose.q), pose.strength));
                 let (rest, folds, output) = (before.rest.clone(), before.folds, before.output);
-                let base = WarpObject { rest, q, folds, output, strength, is_auto: false };
-                app.resolve(patch.map(|patch| patch.merge_onto(base)), before.extent, cancel)
+                let base = WarpObject {
+                    rest,
+                    q,
+                    folds,
+                    output,
+                    strength,
+                    is_auto: false,
+                };
+                app.resolve(
+                    patch.map(|patch| patch.merge_onto(base)),
+                    before.extent,
+                    cancel,
+                )
             };
-            let Resolved { object, pose, setup, .. } = self.0.pool.run(&ticket, resolve).await??;
+            let Resolved {
+                object,
+                pose,
+                setup,
+                ..
+            } = self.0.pool.run(&ticket, resolve).await??;
             // A picture that is not in memory is looked at when it is drawn.
             if let Some(image) = self.0.images.peek(Key::new(id.owner(), old.image)) {
                 Subject::Image(&image).check(&object.output)?;
             }
-            self.plan(client, &ticket, &setup, Timing::default()).await?;
+            self.plan(client, &ticket, &setup, Timing::default())
+                .await?;
             let (app, before, summarized) = (self.clone(), Arc::clone(&old), Arc::clone(&setup));
             let write = move |cancel: &Cancel| {
                 let method = object.is_auto.then(|| method_text(&object.rest));
-                let (WarpObject { rest, folds, output, .. }, _held) = object.into_parts();
-                let new = Arc::new(Record { revision: Revision::random(), rest, pose, folds, output, ..(*before).clone() });
+                let (
+                    WarpObject {
+                        rest,
+                        folds,
+                        output,
+                        ..
+                    },
+                    _held,
+                ) = object.into_parts();
+                let new = Arc::new(Record {
+                    revision: Revision::random(),
+                    rest,
+                    pose,
+                    folds,
+                    output,
+                    ..(*before).clone()
+                });
                 let text = app.write_text(&new, Some(RestSummary::of(&summarized)), cancel)?;
                 Ok::<_, Problem>((new, app.shown(client, Arc::new(text))?, method))
             };
@@ -135,7 +227,11 @@ impl App {
             // The ticket is not held while the store works.
             drop(ticket);
             let claim = self.0.client_sessions.claim_revision(&new, None)?;
-            let revised = in_stage("store", self.0.store.revise(old.revision, Arc::clone(&new), None)).await;
+            let revised = in_stage(
+                "store",
+                self.0.store.revise(old.revision, Arc::clone(&new), None),
+            )
+            .await;
             match revised {
                 Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
                 _ => self.0.client_sessions.undo(claim),
@@ -153,12 +249,18 @@ impl App {
     /// Reads the session and extends its life; see [`Store::touch`].
     ///
     /// [`Store::touch`]: crate::store::Store::touch
-    pub(crate) async fn touch(&self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
+    pub(crate) async fn touch(
+        &self,
+        id: SessionId,
+        seq: Option<u64>,
+    ) -> Result<Session, StoreError> {
         let claim = self.0.client_sessions.claim_of(id);
         let touched = in_stage("store", self.0.store.touch(id, seq)).await;
         match &touched {
             Ok(_) => self.0.client_sessions.used(id),
-            Err(StoreError::NoSuchSession | StoreError::Expired { .. }) => self.0.client_sessions.ended(id, claim),
+            Err(StoreError::NoSuchSession | StoreError::Expired { .. }) => {
+                self.0.client_sessions.ended(id, claim)
+            }
             Err(_) => {}
         }
         touched
@@ -166,7 +268,9 @@ impl App {
 
     /// Keeps the setup of a record for the next drag.
     pub(super) fn cache_setup(&self, client: Client, record: &Record, setup: &HeldSetup) {
-        self.0.setups.put(revision_key(record), client.tenant(), setup);
+        self.0
+            .setups
+            .put(revision_key(record), client.tenant(), setup);
     }
 
     /// Evicts what was cached for a revision that no session has any more; returns its setup.
@@ -210,7 +314,10 @@ impl App {
     /// Closes the session. If it was deleted recently, or another version of the program stored it, nothing is cached for it here.
     /// Errors: Unknown or expired.
     pub async fn delete_session(&self, id: SessionId) -> Result<(), Problem> {
-        let (session, claim) = (in_stage("store", self.0.store.peek(id)).await, self.0.client_sessions.claim_of(id));
+        let (session, claim) = (
+            in_stage("store", self.0.store.peek(id)).await,
+            self.0.client_sessions.claim_of(id),
+        );
         in_stage("store", self.0.store.delete(id)).await?;
         self.0.client_sessions.ended(id, claim);
         if let Ok(session) = session {
@@ -238,7 +345,12 @@ mod tests {
         fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
             self.0.put(record, files)
         }
-        fn revise(&self, _: Revision, _: Arc<Record>, _: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+        fn revise(
+            &self,
+            _: Revision,
+            _: Arc<Record>,
+            _: Option<NamedFile>,
+        ) -> Answer<'_, Option<Session>> {
             self.1.fetch_add(1, Ordering::Relaxed);
             Box::pin(std::future::ready(Ok(None)))
         }
@@ -277,12 +389,30 @@ mod tests {
         let shared = Arc::get_mut(&mut app.0).unwrap();
         let contended = Arc::new(Contended(Arc::clone(&shared.store), AtomicUsize::new(0)));
         shared.store = Arc::clone(&contended) as Arc<dyn Store>;
-        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let client = Client {
+            owner: Owner::ANYBODY,
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+        };
         let mut file = std::io::Cursor::new(Vec::new());
-        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
-        let (shown, _) = app.create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#)).await.unwrap();
-        let refused = app.replace_handles(client, shown.session.record.id, Bytes::from_static(br#"{"p": [[6, 6]]}"#)).await.unwrap_err();
-        assert_eq!((refused.code, refused.retry_after), (Code::Overloaded, Some(1)));
+        image::DynamicImage::new_rgb8(40, 30)
+            .write_to(&mut file, image::ImageFormat::Png)
+            .unwrap();
+        let (shown, _) = app
+            .create_session(client, Upload::new(file.into_inner(), r#"{"p": [[5, 5]]}"#))
+            .await
+            .unwrap();
+        let refused = app
+            .replace_handles(
+                client,
+                shown.session.record.id,
+                Bytes::from_static(br#"{"p": [[6, 6]]}"#),
+            )
+            .await
+            .unwrap_err();
+        assert_eq!(
+            (refused.code, refused.retry_after),
+            (Code::Overloaded, Some(1))
+        );
         assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
         // The last computation gives its turn back by itself.
         while app.pool().load(WorkClass::Upload).running > 0 {
@@ -295,19 +425,31 @@ mod tests {
         let mut config = Config::default();
         config.work.memory_bytes = 64 << 20;
         let app = App::new(config).unwrap();
-        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let client = Client {
+            owner: Owner::ANYBODY,
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+        };
         let mut file = std::io::Cursor::new(Vec::new());
-        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        image::DynamicImage::new_rgb8(40, 30)
+            .write_to(&mut file, image::ImageFormat::Png)
+            .unwrap();
         let file = Bytes::from(file.into_inner());
         let open = || app.create_session(client, Upload::new(file.clone(), r#"{"p": [[5, 5]]}"#));
         let (shown, _) = open().await.unwrap();
         let record = &shown.session.record;
         // Somebody draws from them, and everything else is taken.
         let setup = app.session_setup(client, record).await.unwrap();
-        let _used =
-            (app.0.images.peek(Key::new(client.owner, record.image)).unwrap(), app.0.plans.peek(Key::new(client.owner, setup.plan_key())));
+        let _used = (
+            app.0
+                .images
+                .peek(Key::new(client.owner, record.image))
+                .unwrap(),
+            app.0.plans.peek(Key::new(client.owner, setup.plan_key())),
+        );
         let budget = app.budget();
-        let mut rest = budget.take(Purpose::Frame, budget.total() - budget.taken()).unwrap();
+        let mut rest = budget
+            .take(Purpose::Frame, budget.total() - budget.taken())
+            .unwrap();
         while app.evict_idle() {}
         rest.grow(budget.total() - budget.taken()).unwrap();
         let sessions = || app.0.store.figures().sessions;
@@ -329,17 +471,31 @@ mod tests {
         let mut config = Config::default();
         config.work.memory_bytes = 64 << 20;
         let app = App::new(config).unwrap();
-        let client = Client { owner: Owner::ANYBODY, address: IpAddr::V4(Ipv4Addr::LOCALHOST) };
+        let client = Client {
+            owner: Owner::ANYBODY,
+            address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+        };
         let mut file = std::io::Cursor::new(Vec::new());
-        image::DynamicImage::new_rgb8(40, 30).write_to(&mut file, image::ImageFormat::Png).unwrap();
+        image::DynamicImage::new_rgb8(40, 30)
+            .write_to(&mut file, image::ImageFormat::Png)
+            .unwrap();
         let file = Bytes::from(file.into_inner());
         let open = |points: u32| {
-            let p: Vec<[f64; 2]> = (0..points).map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2]).collect();
-            app.create_session(client, Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)))
+            let p: Vec<[f64; 2]> = (0..points)
+                .map(|k| [f64::from(k % 25), f64::from(k / 25) * 1.2])
+                .collect();
+            app.create_session(
+                client,
+                Upload::new(file.clone(), format!(r#"{{"p": {p:?}, "method": "tps"}}"#)),
+            )
         };
         let (shown, _) = open(3).await.unwrap();
         // The picture stays decoded.
-        let _used = app.0.images.peek(Key::new(client.owner, shown.session.record.image)).unwrap();
+        let _used = app
+            .0
+            .images
+            .peek(Key::new(client.owner, shown.session.record.image))
+            .unwrap();
         let budget = app.budget();
         let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
         // An upload has room, and a plan 8 MiB more: 1,500 points have a system of 9 MB, 100 one of 40 kB.

@@ -19,7 +19,10 @@ use crate::limits::memory::{Purpose, Reservation};
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::store::{Record, Session};
-use crate::wire::{AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision, session_tail};
+use crate::wire::{
+    AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision,
+    session_tail,
+};
 
 /// Maximum length of a number and its comma in JSON, and of what precedes the numbers of a handle.
 const NUMBER: u64 = 25;
@@ -79,7 +82,10 @@ impl ShownSession {
 
     /// The JSON of the object, in two pieces.
     pub(crate) fn into_json(self) -> [Bytes; 2] {
-        let Self { session, shown: Shown { text, mut held } } = self;
+        let Self {
+            session,
+            shown: Shown { text, mut held },
+        } = self;
         let tail = session_tail(&rfc3339(session.expires), session.seq);
         held.shrink_to((text.text.len() + tail.len()) as u64);
         [held.attach(Kept(text)), tail.into()]
@@ -89,7 +95,10 @@ impl ShownSession {
 impl Shown {
     /// The object of a session whose record the text is of.
     pub(super) const fn of(self, session: Session) -> ShownSession {
-        ShownSession { session, shown: self }
+        ShownSession {
+            session,
+            shown: self,
+        }
     }
 
     /// The text.
@@ -101,29 +110,57 @@ impl Shown {
 impl App {
     /// A session with its object. Reading does not extend the session's life.
     /// Errors: Unknown or expired, or too little capacity.
-    pub(crate) async fn read_session(&self, client: Client, session: Session) -> Result<ShownSession, Problem> {
+    pub(crate) async fn read_session(
+        &self,
+        client: Client,
+        session: Session,
+    ) -> Result<ShownSession, Problem> {
         let text = self.revision_text(client, &session.record).await?;
         let (quota, bytes) = (self.response_quota(client), text.response_bytes());
-        let held = self.reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes)).await?;
+        let held = self
+            .reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes))
+            .await?;
         Ok(Shown { text, held }.of(session))
     }
 
     /// What a session's object says of its revision, from the cache or written now.
     /// Errors: Too little capacity.
-    pub(crate) async fn revision_text(&self, client: Client, record: &Arc<Record>) -> Result<Arc<CacheEntry<RevisionText>>, Problem> {
+    pub(crate) async fn revision_text(
+        &self,
+        client: Client,
+        record: &Arc<Record>,
+    ) -> Result<Arc<CacheEntry<RevisionText>>, Problem> {
         let (app, written) = (self.clone(), Arc::clone(record));
         let write = async move {
-            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, written.id)).await?;
+            let ticket = app
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::session(client, written.id))
+                .await?;
             let pool = app.0.pool.clone();
-            pool.run(&ticket, move |cancel| app.write_text(&written, None, cancel)).await?
+            pool.run(&ticket, move |cancel| {
+                app.write_text(&written, None, cancel)
+            })
+            .await?
         };
         let texts = &self.0.texts;
-        Ok(texts.get(revision_key(record), client.tenant(), write, build_aborted).await?.value)
+        Ok(texts
+            .get(revision_key(record), client.tenant(), write, build_aborted)
+            .await?
+            .value)
     }
 
     /// A response with this text. Runs on the pool. Errors: Too little memory.
-    pub(super) fn shown(&self, client: Client, text: Arc<CacheEntry<RevisionText>>) -> Result<Shown, Problem> {
-        let held = self.reserve_for(Purpose::Frame, &self.response_quota(client), text.response_bytes())?;
+    pub(super) fn shown(
+        &self,
+        client: Client,
+        text: Arc<CacheEntry<RevisionText>>,
+    ) -> Result<Shown, Problem> {
+        let held = self.reserve_for(
+            Purpose::Frame,
+            &self.response_quota(client),
+            text.response_bytes(),
+        )?;
         Ok(Shown { text, held })
     }
 
@@ -140,13 +177,26 @@ impl App {
         let mut held = self.reserve(Purpose::Plan, length + 256 * columns(record))?;
         let new = || {
             let limits = self.0.config.limits();
-            RestSummary::new_unless(&record.rest, record.extent, &limits, &|| cancel.is_cancelled())
+            RestSummary::new_unless(&record.rest, record.extent, &limits, &|| {
+                cancel.is_cancelled()
+            })
         };
         let summary = summary.map_or_else(new, Ok)?;
         let text = text(record, &summary, length, cancel)?;
         held.shrink_to((size_of::<RevisionText>() + text.len()) as u64);
-        let RestSummary { rest_digest, warnings, .. } = summary;
-        Ok(CacheEntry::new(RevisionText { text, rest_digest, warnings }, held))
+        let RestSummary {
+            rest_digest,
+            warnings,
+            ..
+        } = summary;
+        Ok(CacheEntry::new(
+            RevisionText {
+                text,
+                rest_digest,
+                warnings,
+            },
+            held,
+        ))
     }
 }
 
@@ -154,31 +204,65 @@ impl App {
 /// coincident points.
 fn longest_text(record: &Record) -> u64 {
     let posed = record.pose.iter().flat_map(|pose| &pose.q);
-    let places: usize = record.rest.p.iter().chain(posed).map(|handle| 1 + handle.places().len()).sum();
+    let places: usize = record
+        .rest
+        .p
+        .iter()
+        .chain(posed)
+        .map(|handle| 1 + handle.places().len())
+        .sum();
     FIXED_PART + (2 * NUMBER + BRACKETS) * places as u64 + 2 * NUMBER * record.rest.p.len() as u64
 }
 
-fn text(record: &Record, summary: &RestSummary, length: u64, cancel: &Cancel) -> Result<Vec<u8>, Problem> {
+fn text(
+    record: &Record,
+    summary: &RestSummary,
+    length: u64,
+    cancel: &Cancel,
+) -> Result<Vec<u8>, Problem> {
     let ((columns, rows), rest) = (summary.grid, &record.rest);
-    let groups = summary.groups.iter().map(|handles| CoincidentGroup { handles: handles.clone() });
-    let layers = record.layers.iter().map(|(name, layer)| (name.as_str(), SessionLayer { kind: AsJson(layer.kind) }));
+    let groups = summary.groups.iter().map(|handles| CoincidentGroup {
+        handles: handles.clone(),
+    });
+    let layers = record.layers.iter().map(|(name, layer)| {
+        (
+            name.as_str(),
+            SessionLayer {
+                kind: AsJson(layer.kind),
+            },
+        )
+    });
     let (width, height) = (record.extent.width(), record.extent.height());
     let object = SessionObject {
         id: &record.id.to_string(),
-        image: SessionImage { width, height, digest: AsJson(record.image) },
+        image: SessionImage {
+            width,
+            height,
+            digest: AsJson(record.image),
+        },
         p: AsJson(&rest.p),
         q: record.pose.as_ref().map(|pose| AsJson(pose.q.as_slice())),
-        strength: record.pose.as_ref().map(|pose| pose.strength).filter(|strength| strength.to_bits() != 1.0_f64.to_bits()),
+        strength: record
+            .pose
+            .as_ref()
+            .map(|pose| pose.strength)
+            .filter(|strength| strength.to_bits() != 1.0_f64.to_bits()),
         weights: rest.weights.as_deref(),
         method: AsJson(rest.method),
         alpha: summary.alpha,
         point_mass: summary.point_mass,
         smoothing: summary.smoothing,
-        coincident_policy: (rest.coincident != Coincident::default()).then_some(AsJson(rest.coincident)),
+        coincident_policy: (rest.coincident != Coincident::default())
+            .then_some(AsJson(rest.coincident)),
         coincident: groups.collect(),
         units: AsJson(rest.units),
         align: (rest.align != Align::None).then_some(AsJson(rest.align)),
-        grid: SessionGrid { columns, rows, cell: summary.cell.into(), requested: AsJson(rest.grid) },
+        grid: SessionGrid {
+            columns,
+            rows,
+            cell: summary.cell.into(),
+            requested: AsJson(rest.grid),
+        },
         rest_revision: &HEXLOWER.encode(&rest_revision(summary.rest_digest)),
         folds: AsJson(record.folds),
         output: AsJson(&record.output),
@@ -213,8 +297,14 @@ mod tests {
             (4_107_542_400, "2100-03-01T00:00:00.000Z"),
             (1_798_761_599, "2026-12-31T23:59:59.000Z"),
         ] {
-            assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)), date);
+            assert_eq!(
+                rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)),
+                date
+            );
         }
-        assert_eq!(rfc3339(SystemTime::UNIX_EPOCH + Duration::from_millis(86_400_125)), "1970-01-02T00:00:00.125Z");
+        assert_eq!(
+            rfc3339(SystemTime::UNIX_EPOCH + Duration::from_millis(86_400_125)),
+            "1970-01-02T00:00:00.125Z"
+        );
     }
 }

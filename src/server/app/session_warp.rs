@@ -81,19 +81,42 @@ impl MeshForm {
     fn check_size(&self, (columns, rows): (u32, u32)) -> Result<(), Problem> {
         let vertices = u64::from(columns) * u64::from(rows);
         if *self == Self::Json && vertices > MAX_JSON_VERTICES {
-            let detail = format!("a mesh of {vertices} vertices is too large for JSON; send `Accept: application/octet-stream`");
-            return Err(Problem::new(Code::TooLarge, detail).limit("mesh_json_vertices", MAX_JSON_VERTICES, vertices));
+            let detail = format!(
+                "a mesh of {vertices} vertices is too large for JSON; send `Accept: application/octet-stream`"
+            );
+            return Err(Problem::new(Code::TooLarge, detail).limit(
+                "mesh_json_vertices",
+                MAX_JSON_VERTICES,
+                vertices,
+            ));
         }
         Ok(())
     }
 
     /// The mesh, and the error of a compact one.
-    fn write(&self, posed: &Posed, shape: MeshShape, cancel: &Cancel) -> Result<(Vec<u8>, Option<f64>), WarpError> {
+    fn write(
+        &self,
+        posed: &Posed,
+        shape: MeshShape,
+        cancel: &Cancel,
+    ) -> Result<(Vec<u8>, Option<f64>), WarpError> {
         let cancelled = || cancel.is_cancelled();
         match self {
-            Self::Json => Ok((json_unless(cancel, &MeshObject { shape, vertices: AsJson(posed) }, 0)?, None)),
+            Self::Json => Ok((
+                json_unless(
+                    cancel,
+                    &MeshObject {
+                        shape,
+                        vertices: AsJson(posed),
+                    },
+                    0,
+                )?,
+                None,
+            )),
             Self::F32 => Ok((posed.numbers(&cancelled)?, None)),
-            Self::Compact(lattice) => lattice.numbers(posed, &cancelled).map(|(bytes, error)| (bytes, Some(error))),
+            Self::Compact(lattice) => lattice
+                .numbers(posed, &cancelled)
+                .map(|(bytes, error)| (bytes, Some(error))),
         }
     }
 }
@@ -124,7 +147,10 @@ impl App {
         json: Bytes,
         route: DragRoute,
     ) -> Result<Held<DragObject>, Problem> {
-        let (at_rest, reserve) = (record.rest.p.len(), self.reserving_pose(Purpose::Frame, client, record));
+        let (at_rest, reserve) = (
+            record.rest.p.len(),
+            self.reserving_pose(Purpose::Frame, client, record),
+        );
         let is_short = json.len() <= MAX_INLINE;
         let parse = move || match route {
             DragRoute::Picture => Reserved::<DragObject, _>::parse(&json, at_rest, reserve),
@@ -133,7 +159,11 @@ impl App {
         if is_short {
             return parse();
         }
-        let ticket = self.0.pool.admit(WorkClass::Drag, QueueKey::session(client, record.id)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Drag, QueueKey::session(client, record.id))
+            .await?;
         self.0.pool.run(&ticket, move |_| parse()).await?
     }
 
@@ -151,11 +181,27 @@ impl App {
         let (record, content, plan) = self.unless_superseded(&request, plan).await?;
         let base = content.output_beside(record.output);
         let format = formats.choose(drag.output.format, base.format)?;
-        let output = OutputSpec { format, ..drag.output.merge_onto(&base) };
+        let output = OutputSpec {
+            format,
+            ..drag.output.merge_onto(&base)
+        };
         let AdmittedPlan { ticket, planned } = plan;
         let (folds, quota) = (record.folds, self.response_quota(client));
         let q = self.posed(&ticket, &record, drag).await?;
-        self.draw(ticket, DrawJob { content, planned, q, folds, output, preview: None, force_alpha: false, quota }).await
+        self.draw(
+            ticket,
+            DrawJob {
+                content,
+                planned,
+                q,
+                folds,
+                output,
+                preview: None,
+                force_alpha: false,
+                quota,
+            },
+        )
+        .await
     }
 
     /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
@@ -168,23 +214,39 @@ impl App {
         form: MeshForm,
     ) -> Result<PosedMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
-        let plan = self.unless_superseded(&request, self.admit_mesh(client, &request.record, &form)).await?;
+        let plan = self
+            .unless_superseded(&request, self.admit_mesh(client, &request.record, &form))
+            .await?;
         let q = self.posed(&plan.ticket, &request.record, drag).await?;
-        self.pose_mesh(plan, q, &request.record, form, self.response_quota(client)).await
+        self.pose_mesh(plan, q, &request.record, form, self.response_quota(client))
+            .await
     }
 
     /// The handles that a drag means (see [`RestSpec::posed`](mlswarp::warp::RestSpec::posed)).
     /// Errors: `bad_value` at `/q` if neither the request nor the session has one.
-    async fn posed(&self, ticket: &Ticket, record: &Arc<Record>, drag: Held<DragObject>) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
+    async fn posed(
+        &self,
+        ticket: &Ticket,
+        record: &Arc<Record>,
+        drag: Held<DragObject>,
+    ) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
         let strength = drag.pose.strength.unwrap_or(1.0);
-        let is_as_given = drag.pose.q.is_some() && record.rest.align == Align::None && strength.to_bits() == 1.0_f64.to_bits();
+        let is_as_given = drag.pose.q.is_some()
+            && record.rest.align == Align::None
+            && strength.to_bits() == 1.0_f64.to_bits();
         let is_here = is_as_given || columns(record) <= MOST_POSED_HERE;
         let record = Arc::clone(record);
         let posed = move || {
             let pose = drag.try_map(|drag| drag.pose.onto(record.pose.as_ref()))?;
-            Ok(Arc::new(pose.map(|Pose { q, strength }| record.rest.posed(q, strength, record.extent).0)))
+            Ok(Arc::new(pose.map(|Pose { q, strength }| {
+                record.rest.posed(q, strength, record.extent).0
+            })))
         };
-        if is_here { posed() } else { self.0.pool.run(ticket, move |_| posed()).await? }
+        if is_here {
+            posed()
+        } else {
+            self.0.pool.run(ticket, move |_| posed()).await?
+        }
     }
 
     /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the
@@ -207,12 +269,20 @@ impl App {
     /// The record by which files are read again after `problem`: another request may have replaced those of `record` since it was read, and
     /// the session lives. Every reader of a session's files asks this, so that a 404 means that the session has ended.
     /// Errors: `problem`, if it is about something else or the session has no newer record.
-    pub(crate) async fn newer_record(&self, record: &Record, problem: Problem) -> Result<Arc<Record>, Problem> {
+    pub(crate) async fn newer_record(
+        &self,
+        record: &Record,
+        problem: Problem,
+    ) -> Result<Arc<Record>, Problem> {
         if problem.code != Code::NoSuchSession {
             return Err(problem);
         }
         let newest = self.peek_session(record.id).await?.record;
-        if newest.revision == record.revision { Err(problem) } else { Ok(newest) }
+        if newest.revision == record.revision {
+            Err(problem)
+        } else {
+            Ok(newest)
+        }
     }
 
     async fn admit_drawing(
@@ -223,8 +293,13 @@ impl App {
     ) -> Result<(Content, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
         let sources = self.fetch_sources(client, record, layer).await?;
-        let ticket = self.admit_step(client, record, &setup, sources.is_decoded()).await?;
-        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let ticket = self
+            .admit_step(client, record, &setup, sources.is_decoded())
+            .await?;
+        let mut timing = Timing {
+            queue: ticket.waited(),
+            ..Timing::default()
+        };
         let began = Instant::now();
         let content = self.decode_content(client, &ticket, sources).await?;
         timing.decode = began.elapsed();
@@ -234,20 +309,47 @@ impl App {
     }
 
     /// The plan of a session for a mesh.
-    pub(crate) async fn admit_mesh(&self, client: Client, record: &Arc<Record>, form: &MeshForm) -> Result<AdmittedPlan, Problem> {
+    pub(crate) async fn admit_mesh(
+        &self,
+        client: Client,
+        record: &Arc<Record>,
+        form: &MeshForm,
+    ) -> Result<AdmittedPlan, Problem> {
         let setup = self.session_setup(client, record).await?;
         form.check_size(setup.grid())?;
         let ticket = self.admit_step(client, record, &setup, true).await?;
-        let timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let timing = Timing {
+            queue: ticket.waited(),
+            ..Timing::default()
+        };
         let planned = self.plan(client, &ticket, &setup, timing).await?;
         Ok(AdmittedPlan { ticket, planned })
     }
 
     /// Admits a step of a drag: as a drag if everything that it uses is cached and the plan has a table, otherwise as an upload.
-    async fn admit_step(&self, client: Client, record: &Record, setup: &Setup, has_image: bool) -> Result<Ticket, Problem> {
-        let is_cached = has_image && self.0.plans.touch(Key::new(record.id.owner(), setup.plan_key())) && setup.plan_bytes().is_some();
-        let class = if is_cached { WorkClass::Drag } else { WorkClass::Upload };
-        Ok(self.0.pool.admit(class, QueueKey::session(client, record.id)).await?)
+    async fn admit_step(
+        &self,
+        client: Client,
+        record: &Record,
+        setup: &Setup,
+        has_image: bool,
+    ) -> Result<Ticket, Problem> {
+        let is_cached = has_image
+            && self
+                .0
+                .plans
+                .touch(Key::new(record.id.owner(), setup.plan_key()))
+            && setup.plan_bytes().is_some();
+        let class = if is_cached {
+            WorkClass::Drag
+        } else {
+            WorkClass::Upload
+        };
+        Ok(self
+            .0
+            .pool
+            .admit(class, QueueKey::session(client, record.id))
+            .await?)
     }
 
     /// Poses the grid and encodes it.
@@ -259,8 +361,22 @@ impl App {
         form: MeshForm,
         quota: ClientQuota,
     ) -> Result<PosedMesh, Problem> {
-        let AdmittedPlan { ticket, planned: Planned { setup, plan, mut timing, is_built } } = plan;
-        let (app, folds, extent, canvas) = (self.clone(), record.folds, record.extent, record.output.canvas);
+        let AdmittedPlan {
+            ticket,
+            planned:
+                Planned {
+                    setup,
+                    plan,
+                    mut timing,
+                    is_built,
+                },
+        } = plan;
+        let (app, folds, extent, canvas) = (
+            self.clone(),
+            record.folds,
+            record.extent,
+            record.output.canvas,
+        );
         let pose = move |cancel: &Cancel| {
             let began = Instant::now();
             let is_cancelled = || cancel.is_cancelled();
@@ -274,17 +390,32 @@ impl App {
             let body = reservation.attach(body);
             let canvas = canvas.of(extent, &posed, &is_cancelled)?;
             let report = posed.into_report(canvas, &is_cancelled)?;
-            Ok::<_, Problem>(PosedMesh { report, timing, plan_built: is_built, body, error })
+            Ok::<_, Problem>(PosedMesh {
+                report,
+                timing,
+                plan_built: is_built,
+                body,
+                error,
+            })
         };
         self.0.pool.run(&ticket, pose).await?
     }
 
     /// Chooses the lattice of compact meshes.
-    pub(crate) async fn compact_lattice(&self, plan: &AdmittedPlan, tolerance: f64, quota: ClientQuota) -> Result<CompactLattice, Problem> {
-        let (setup, table) = (Arc::clone(&plan.planned.setup), Arc::clone(&plan.planned.plan));
+    pub(crate) async fn compact_lattice(
+        &self,
+        plan: &AdmittedPlan,
+        tolerance: f64,
+        quota: ClientQuota,
+    ) -> Result<CompactLattice, Problem> {
+        let (setup, table) = (
+            Arc::clone(&plan.planned.setup),
+            Arc::clone(&plan.planned.plan),
+        );
         let app = self.clone();
         let choose = move |cancel: &Cancel| {
-            let choose = || CompactLattice::new(&setup, &table, tolerance, &|| cancel.is_cancelled());
+            let choose =
+                || CompactLattice::new(&setup, &table, tolerance, &|| cancel.is_cancelled());
             let (lattice, _reservation) = app.reserve_and_pose(&setup, &quota, 0, choose)?;
             Ok::<_, Problem>(lattice)
         };
@@ -293,19 +424,33 @@ impl App {
 
     /// Touches the session, and enters a numbered request into its sequence.
     async fn sequence(&self, id: SessionId, seq: Option<u64>) -> Result<SequencedRequest, Problem> {
-        let Session { record, seq: newest, .. } = self.touch(id, seq).await?;
+        let Session {
+            record,
+            seq: newest,
+            ..
+        } = self.touch(id, seq).await?;
         match seq {
             Some(seq) if newest > Some(seq) => Err(self.superseded(seq, newest.unwrap_or(seq))),
             Some(seq) => {
                 let position = self.0.sequencer.enter((id, record.created), seq);
-                Ok(SequencedRequest { record, position: Some((position, seq)) })
+                Ok(SequencedRequest {
+                    record,
+                    position: Some((position, seq)),
+                })
             }
-            None => Ok(SequencedRequest { record, position: None }),
+            None => Ok(SequencedRequest {
+                record,
+                position: None,
+            }),
         }
     }
 
     /// Stops `work` when a newer request of the same session arrives.
-    async fn unless_superseded<T>(&self, request: &SequencedRequest, work: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+    async fn unless_superseded<T>(
+        &self,
+        request: &SequencedRequest,
+        work: impl Future<Output = Result<T, Problem>>,
+    ) -> Result<T, Problem> {
         match &request.position {
             None => work.await,
             Some((position, seq)) => tokio::select! {
@@ -319,7 +464,11 @@ impl App {
 
     fn superseded(&self, seq: u64, newest: u64) -> Problem {
         self.0.metrics.requests_superseded.inc();
-        let detail = format!("seq {seq} is lower than {newest}, the highest that this session has seen");
-        Problem::new(Code::Superseded, detail).pointer("/seq").actual(seq).extra("newest", newest)
+        let detail =
+            format!("seq {seq} is lower than {newest}, the highest that this session has seen");
+        Problem::new(Code::Superseded, detail)
+            .pointer("/seq")
+            .actual(seq)
+            .extra("newest", newest)
     }
 }

@@ -47,7 +47,12 @@ pub struct Upload {
 impl Upload {
     /// An image file and a warp object.
     pub fn new(image: impl Into<Bytes>, warp: impl Into<Bytes>) -> Self {
-        Self { image: image.into(), warp: warp.into(), region: None, landmarks: None }
+        Self {
+            image: image.into(),
+            warp: warp.into(),
+            region: None,
+            landmarks: None,
+        }
     }
 }
 
@@ -87,11 +92,28 @@ impl PreparedWarp {
 
     /// The record, files and setup of a session.
     pub(crate) fn into_session(self, id: SessionId) -> NewSession {
-        let Self { file, digest, object, pose, image, region, setup, .. } = self;
+        let Self {
+            file,
+            digest,
+            object,
+            pose,
+            image,
+            region,
+            setup,
+            ..
+        } = self;
         let (object, _held) = object.into_parts();
         let region = region.map(|(file, _)| file);
         let made_with_region = region.as_ref().map(|file| file.digest);
-        let layer = |digest| (LayerName::region(), StoredLayer { kind: LayerKind::Image, digest });
+        let layer = |digest| {
+            (
+                LayerName::region(),
+                StoredLayer {
+                    kind: LayerKind::Image,
+                    digest,
+                },
+            )
+        };
         let record = Record {
             id,
             revision: Revision::random(),
@@ -105,8 +127,17 @@ impl PreparedWarp {
             output: object.output,
             created: SystemTime::now(),
         };
-        let files = std::iter::once(NamedFile { digest, bytes: file }).chain(region).collect();
-        NewSession { record: Arc::new(record), files, setup }
+        let files = std::iter::once(NamedFile {
+            digest,
+            bytes: file,
+        })
+        .chain(region)
+        .collect();
+        NewSession {
+            record: Arc::new(record),
+            files,
+            setup,
+        }
     }
 }
 
@@ -114,36 +145,75 @@ impl App {
     /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
     /// pool.
     /// Errors: Wrong handles, or too little memory.
-    pub(crate) fn resolve(&self, mut object: Held<WarpObject>, extent: Extent, cancel: &Cancel) -> Result<Resolved, Problem> {
+    pub(crate) fn resolve(
+        &self,
+        mut object: Held<WarpObject>,
+        extent: Extent,
+        cancel: &Cancel,
+    ) -> Result<Resolved, Problem> {
         object.output.check(extent, &self.0.config.limits())?;
         object.leave_out_missing();
         let q = object.q.clone().filter(|_| !object.rest.p.is_empty());
-        let pose = q.map(|q| Pose { q, strength: object.strength });
+        let pose = q.map(|q| Pose {
+            q,
+            strength: object.strength,
+        });
         let alignment = object.settle_pose(extent)?;
         self.choose_method(&mut object, extent, cancel)?;
         let setup = self.new_setup(&object.rest, extent, cancel)?;
         object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
         let q = part(&mut object, |object| object.q.take().unwrap_or_default());
-        Ok(Resolved { object, pose, q, alignment, setup: Arc::new(setup) })
+        Ok(Resolved {
+            object,
+            pose,
+            q,
+            alignment,
+            setup: Arc::new(setup),
+        })
     }
 
     /// Resolves rest handles in memory that is reserved before. Runs on the pool.
     /// Errors: Wrong handles, or too little memory.
-    pub(crate) fn new_setup(&self, rest: &RestSpec, extent: Extent, cancel: &Cancel) -> Result<CacheEntry<Setup>, Problem> {
+    pub(crate) fn new_setup(
+        &self,
+        rest: &RestSpec,
+        extent: Extent,
+        cancel: &Cancel,
+    ) -> Result<CacheEntry<Setup>, Problem> {
         let held = self.reserve(Purpose::Plan, setup_weight(rest))?;
-        let setup = Setup::new_unless(rest, extent, &self.0.config.limits(), &|| cancel.is_cancelled())?;
+        let setup = Setup::new_unless(rest, extent, &self.0.config.limits(), &|| {
+            cancel.is_cancelled()
+        })?;
         Ok(CacheEntry::new(setup, held))
     }
 
     /// Draws an image from a file and a warp object with `q`.
     /// Errors: A wrong file or object, or too little capacity.
-    pub async fn warp_once(&self, client: Client, upload: Upload, formats: Formats) -> Result<(Drawn, PreparedWarp), Problem> {
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+    pub async fn warp_once(
+        &self,
+        client: Client,
+        upload: Upload,
+        formats: Formats,
+    ) -> Result<(Drawn, PreparedWarp), Problem> {
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let (prepared, planned) = self.prepare(client, &ticket, upload, Some(formats)).await?;
         let q = Arc::clone(&prepared.q);
-        let (folds, output) = (prepared.object.folds, OutputSpec { format: prepared.format, ..prepared.object.output });
+        let (folds, output) = (
+            prepared.object.folds,
+            OutputSpec {
+                format: prepared.format,
+                ..prepared.object.output
+            },
+        );
         let job = DrawJob {
-            content: Content::image(&prepared.image, prepared.region.as_ref().map(|(_, mask)| mask)),
+            content: Content::image(
+                &prepared.image,
+                prepared.region.as_ref().map(|(_, mask)| mask),
+            ),
             planned,
             q,
             folds,
@@ -157,15 +227,30 @@ impl App {
 
     /// The resolved setup of a session.
     /// Errors: Too little capacity.
-    pub(crate) async fn session_setup(&self, client: Client, record: &Arc<Record>) -> Result<HeldSetup, Problem> {
+    pub(crate) async fn session_setup(
+        &self,
+        client: Client,
+        record: &Arc<Record>,
+    ) -> Result<HeldSetup, Problem> {
         let (app, build_record) = (self.clone(), Arc::clone(record));
         let build = async move {
             let record = build_record;
-            let ticket = app.0.pool.admit(WorkClass::Upload, QueueKey::session(client, record.id)).await?;
+            let ticket = app
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::session(client, record.id))
+                .await?;
             let pool = app.0.pool.clone();
-            pool.run(&ticket, move |cancel| app.new_setup(&record.rest, record.extent, cancel)).await?
+            pool.run(&ticket, move |cancel| {
+                app.new_setup(&record.rest, record.extent, cancel)
+            })
+            .await?
         };
-        let setup = self.0.setups.get(revision_key(record), client.tenant(), build, build_aborted).await?;
+        let setup = self
+            .0
+            .setups
+            .get(revision_key(record), client.tenant(), build, build_aborted)
+            .await?;
         Ok(setup.value)
     }
 
@@ -178,19 +263,30 @@ impl App {
         upload: Upload,
         formats: Option<Formats>,
     ) -> Result<(PreparedWarp, Planned), Problem> {
-        let Upload { image: file, warp: json, region, landmarks } = upload;
+        let Upload {
+            image: file,
+            warp: json,
+            region,
+            landmarks,
+        } = upload;
         let has_landmarks = landmarks.is_some();
-        let mut timing = Timing { queue: ticket.waited(), ..Timing::default() };
+        let mut timing = Timing {
+            queue: ticket.waited(),
+            ..Timing::default()
+        };
         let began = Instant::now();
         let (hashed_file, reserve) = (file.clone(), self.reserving(Purpose::Upload, client));
         let parse = move |_: &_| {
-            let mut patch = Reserved::<WarpPatch, _>::parse(&json, reserve).map_err(in_part_warp)?;
+            let mut patch =
+                Reserved::<WarpPatch, _>::parse(&json, reserve).map_err(in_part_warp)?;
             if has_landmarks {
                 patch.require_no_handles()?;
             }
             let requested = patch.output.format;
             let object = patch.try_map(WarpPatch::into_object)?;
-            let format = formats.unwrap_or(Formats::ANY).choose(requested, object.output.format)?;
+            let format = formats
+                .unwrap_or(Formats::ANY)
+                .choose(requested, object.output.format)?;
             Ok::<_, Problem>((object, format, Image::digest_of(&hashed_file)))
         };
         let (object, format, digest) = self.0.pool.run(ticket, parse).await??;
@@ -200,16 +296,26 @@ impl App {
                 None => drop(object.posed()?),
             }
         }
-        let Fetched { value: image, built } = self.decode_image(client, ticket, digest, file.clone()).await?;
+        let Fetched {
+            value: image,
+            built,
+        } = self
+            .decode_image(client, ticket, digest, file.clone())
+            .await?;
         if formats.is_some() && built {
             // An image that is warped once, and its mask, are evicted before those of sessions.
             self.0.images.demote(Key::new(client.owner, digest));
         }
         let region = match region {
             Some(bytes) => {
-                let digest = self.check_layer(ticket, bytes.clone(), image.extent()).await.map_err(in_part_region)?;
-                let Fetched { value: mask, built } =
-                    self.decode_image(client, ticket, digest, bytes.clone()).await.map_err(in_part_region)?;
+                let digest = self
+                    .check_layer(ticket, bytes.clone(), image.extent())
+                    .await
+                    .map_err(in_part_region)?;
+                let Fetched { value: mask, built } = self
+                    .decode_image(client, ticket, digest, bytes.clone())
+                    .await
+                    .map_err(in_part_region)?;
                 check_extent(mask.extent(), image.extent()).map_err(in_part_region)?;
                 if formats.is_some() && built {
                     self.0.images.demote(Key::new(client.owner, digest));
@@ -229,30 +335,68 @@ impl App {
             }
             app.resolve(object, extent, cancel)
         };
-        let Resolved { object, pose, q, setup, .. } = self.0.pool.run(ticket, resolve).await??;
+        let Resolved {
+            object,
+            pose,
+            q,
+            setup,
+            ..
+        } = self.0.pool.run(ticket, resolve).await??;
         let planned = self.plan(client, ticket, &setup, timing).await?;
         let q = Arc::new(q);
-        Ok((PreparedWarp { file, digest, object, pose, q, format, image, region, setup }, planned))
+        Ok((
+            PreparedWarp {
+                file,
+                digest,
+                object,
+                pose,
+                q,
+                format,
+                image,
+                region,
+                setup,
+            },
+            planned,
+        ))
     }
 
     /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
-    pub(crate) async fn plan(&self, client: Client, ticket: &Ticket, setup: &HeldSetup, mut timing: Timing) -> Result<Planned, Problem> {
+    pub(crate) async fn plan(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        setup: &HeldSetup,
+        mut timing: Timing,
+    ) -> Result<Planned, Problem> {
         let began = Instant::now();
         let (app, ticket, build_setup) = (self.clone(), ticket.clone(), Arc::clone(setup));
         let build = async move {
             let bytes = build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT);
-            let reservation = app.reserve_aside(|budget| budget.take(Purpose::Plan, bytes)).await?;
+            let reservation = app
+                .reserve_aside(|budget| budget.take(Purpose::Plan, bytes))
+                .await?;
             let threads = app.0.pool.clone();
-            let fill = move |cancel: &Cancel| threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()));
+            let fill = move |cancel: &Cancel| {
+                threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()))
+            };
             let plan = app.0.pool.run(&ticket, fill).await??;
             tracing::debug!("a plan was built");
             Ok(CacheEntry::new(plan, reservation))
         };
         let key = Key::new(client.owner, setup.plan_key());
-        let Fetched { value: plan, built } = self.0.plans.get(key, client.tenant(), build, build_aborted).await?;
+        let Fetched { value: plan, built } = self
+            .0
+            .plans
+            .get(key, client.tenant(), build, build_aborted)
+            .await?;
         timing.plan = began.elapsed();
         stage("plan", began);
-        Ok(Planned { setup: Arc::clone(setup), plan, timing, is_built: built })
+        Ok(Planned {
+            setup: Arc::clone(setup),
+            plan,
+            timing,
+            is_built: built,
+        })
     }
 }
 
@@ -271,7 +415,11 @@ fn in_part_region(mut problem: Problem) -> Problem {
 }
 
 /// Puts landmarks into a warp object; their memory follows them.
-fn place_in(landmarks: Held<Landmarks>, object: Held<WarpObject>, extent: Extent) -> Result<Held<WarpObject>, Problem> {
+fn place_in(
+    landmarks: Held<Landmarks>,
+    object: Held<WarpObject>,
+    extent: Extent,
+) -> Result<Held<WarpObject>, Problem> {
     // The text had no handles.
     let (mut object, _) = object.into_parts();
     landmarks.try_map(|landmarks| landmarks.place_in(&mut object, extent).map(|()| object))
@@ -291,7 +439,10 @@ pub(crate) struct Resolved {
 
 /// The cache key of what belongs to one revision of a session: its setup. Records never change.
 pub(crate) fn revision_key(record: &Record) -> Key {
-    Key::new(record.id.owner(), Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()))
+    Key::new(
+        record.id.owner(),
+        Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()),
+    )
 }
 
 /// The number of columns of a session's plan, which limits the size of its drags.

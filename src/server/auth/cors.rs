@@ -12,13 +12,21 @@ pub(crate) enum Origins {
 impl Origins {
     /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the port unless it is the default.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let listed: Vec<&str> = text.split(',').map(str::trim).filter(|origin| !origin.is_empty()).collect();
+        let listed: Vec<&str> = text
+            .split(',')
+            .map(str::trim)
+            .filter(|origin| !origin.is_empty())
+            .collect();
         match listed.as_slice() {
             [] => Ok(Self::Own),
             ["*"] => Ok(Self::Any),
             listed => match listed.iter().find(|origin| !is_origin(origin)) {
-                Some(wrong) => Err(format!("`{wrong}` is no origin such as https://warp.example or http://127.0.0.1:3000")),
-                None => Ok(Self::Listed(listed.iter().map(ToString::to_string).collect())),
+                Some(wrong) => Err(format!(
+                    "`{wrong}` is no origin such as https://warp.example or http://127.0.0.1:3000"
+                )),
+                None => Ok(Self::Listed(
+                    listed.iter().map(ToString::to_string).collect(),
+                )),
             },
         }
     }
@@ -51,14 +59,26 @@ mod tests {
     fn origins_are_compared_exactly() {
         let listed = Origins::parse("https://warp.example, http://127.0.0.1:3000").unwrap();
         assert!(listed.has("https://warp.example") && listed.has("http://127.0.0.1:3000"));
-        for other in ["http://warp.example", "https://warp.example.evil", "https://warp.example:8443", "null", ""] {
+        for other in [
+            "http://warp.example",
+            "https://warp.example.evil",
+            "https://warp.example:8443",
+            "null",
+            "",
+        ] {
             assert!(!listed.has(other), "{other}");
         }
         assert!(Origins::parse("*").unwrap().has("null"));
         assert_eq!(Origins::parse("").unwrap(), Origins::Own);
-        for wrong in
-            ["warp.example", "https://warp.example/", "https://Warp.example", "https://a.example,*", "https://a:443", "ftp://a", "null"]
-        {
+        for wrong in [
+            "warp.example",
+            "https://warp.example/",
+            "https://Warp.example",
+            "https://a.example,*",
+            "https://a:443",
+            "ftp://a",
+            "null",
+        ] {
             assert!(Origins::parse(wrong).is_err(), "{wrong}");
         }
     }

@@ -27,7 +27,11 @@ impl Credential {
 
 impl fmt::Debug for Credential {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Credential({})", if self.0.is_some() { "a key" } else { "anybody" })
+        write!(
+            f,
+            "Credential({})",
+            if self.0.is_some() { "a key" } else { "anybody" }
+        )
     }
 }
 
@@ -45,8 +49,15 @@ impl Keys {
     /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and `#` lines are ignored. Errors never hold the key.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
-        for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim_start().starts_with('#')) {
-            for pair in text.split(',').map(str::trim).filter(|pair| !pair.is_empty()) {
+        for (line, text) in (1..)
+            .zip(text.lines())
+            .filter(|(_, text)| !text.trim_start().starts_with('#'))
+        {
+            for pair in text
+                .split(',')
+                .map(str::trim)
+                .filter(|pair| !pair.is_empty())
+            {
                 let key = parse_key(pair).map_err(|cause| format!("line {line}: {cause}"))?;
                 if keys.has(&key) {
                     return Err(format!("line {line}: the key is there already"));
@@ -62,7 +73,12 @@ impl Keys {
 
     /// These keys and others; a key that is in both keeps its owner here.
     pub(crate) fn and(mut self, others: &Self) -> Self {
-        let new: Vec<Key> = others.0.iter().filter(|key| !self.has(key)).copied().collect();
+        let new: Vec<Key> = others
+            .0
+            .iter()
+            .filter(|key| !self.has(key))
+            .copied()
+            .collect();
         self.0.extend(new);
         self
     }
@@ -90,7 +106,10 @@ impl Keys {
     pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
-        let key = Key { digest, owner: Owner::from_bytes(owner) };
+        let key = Key {
+            digest,
+            owner: Owner::from_bytes(owner),
+        };
         bool::from(found).then_some(Credential(Some(key)))
     }
 
@@ -100,7 +119,11 @@ impl Keys {
     }
 
     fn search(&self, digest: &[u8; 32]) -> Search {
-        let mut search = Search { found: Choice::from(0), owner: [0; 16], visited: 0 };
+        let mut search = Search {
+            found: Choice::from(0),
+            owner: [0; 16],
+            visited: 0,
+        };
         for key in &self.0 {
             let is_equal = key.digest.ct_eq(digest);
             for (byte, other) in search.owner.iter_mut().zip(key.owner.to_bytes()) {
@@ -131,22 +154,40 @@ fn parse_key(pair: &str) -> Result<Key, String> {
     let (Some(name), Some(key), None) = (words.next(), words.next(), words.next()) else {
         return Err("a name and a key were expected, with a space between".to_owned());
     };
-    if name.len() > MAX_NAME || !name.bytes().all(|b| b.is_ascii_alphanumeric() || b"._@-".contains(&b)) {
-        return Err(format!("a name has at most {MAX_NAME} of A-Z a-z 0-9 . _ @ -"));
+    if name.len() > MAX_NAME
+        || !name
+            .bytes()
+            .all(|b| b.is_ascii_alphanumeric() || b"._@-".contains(&b))
+    {
+        return Err(format!(
+            "a name has at most {MAX_NAME} of A-Z a-z 0-9 . _ @ -"
+        ));
     }
     if !(MIN_KEY..=MAX_KEY).contains(&key.len()) {
-        return Err(format!("the key has {} characters; {MIN_KEY} to {MAX_KEY} were expected", key.len()));
+        return Err(format!(
+            "the key has {} characters; {MIN_KEY} to {MAX_KEY} were expected",
+            key.len()
+        ));
     }
     // The characters of a bearer token (RFC 6750, section 2.1).
-    if !key.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._~+/=".contains(&b)) {
+    if !key
+        .bytes()
+        .all(|b| b.is_ascii_alphanumeric() || b"-._~+/=".contains(&b))
+    {
         return Err("a key has A-Z a-z 0-9 and -._~+/= only".to_owned());
     }
-    Ok(Key { digest: Sha256::digest(key).into(), owner: owner_of_name(name) })
+    Ok(Key {
+        digest: Sha256::digest(key).into(),
+        owner: owner_of_name(name),
+    })
 }
 
 /// The owner of a name, the same in every process.
 fn owner_of_name(name: &str) -> Owner {
-    let digest = Sha256::new().chain_update(b"mlswarp owner\0").chain_update(name).finalize();
+    let digest = Sha256::new()
+        .chain_update(b"mlswarp owner\0")
+        .chain_update(name)
+        .finalize();
     Owner::from_bytes(digest[..16].try_into().expect("16 of 32 bytes"))
 }
 
@@ -165,7 +206,10 @@ mod tests {
 
     #[test]
     fn keys_of_one_name_are_one_owner() {
-        let keys = Keys::parse(&format!("# rotation, 2026\nann {ONE}\n\n  ann   {TWO}\nbob {ONE}{TWO}\n")).unwrap();
+        let keys = Keys::parse(&format!(
+            "# rotation, 2026\nann {ONE}\n\n  ann   {TWO}\nbob {ONE}{TWO}\n"
+        ))
+        .unwrap();
         assert_eq!(keys.len(), 3);
         assert_eq!(keys.owner_of(ONE), keys.owner_of(TWO));
         assert_ne!(keys.owner_of(ONE), keys.owner_of(&format!("{ONE}{TWO}")));
@@ -174,15 +218,34 @@ mod tests {
             assert_eq!(keys.owner_of(wrong), None);
         }
         let two = Keys::parse(&format!("ann {ONE},bob {TWO}")).unwrap();
-        assert_eq!((two.len(), two.have_one_owner(), Keys::default().have_one_owner()), (2, false, false));
-        assert!(Keys::parse(&format!("ann {ONE},ann {TWO}")).unwrap().have_one_owner());
+        assert_eq!(
+            (
+                two.len(),
+                two.have_one_owner(),
+                Keys::default().have_one_owner()
+            ),
+            (2, false, false)
+        );
+        assert!(
+            Keys::parse(&format!("ann {ONE},ann {TWO}"))
+                .unwrap()
+                .have_one_owner()
+        );
     }
 
     #[test]
     fn every_key_is_compared_wherever_the_right_one_stands() {
-        let text: String = (0..50).map(|n| format!("name{n} key-number-{n:09}\n")).collect();
+        let text: String = (0..50)
+            .map(|n| format!("name{n} key-number-{n:09}\n"))
+            .collect();
         let keys = Keys::parse(&text).unwrap();
-        for key in ["key-number-000000000", "key-number-000000049", "key-number-000000025", "key-number-000000050", ""] {
+        for key in [
+            "key-number-000000000",
+            "key-number-000000049",
+            "key-number-000000025",
+            "key-number-000000050",
+            "",
+        ] {
             let search = keys.search(&Sha256::digest(key).into());
             assert_eq!(search.visited, 50);
             assert_eq!(bool::from(search.found), keys.owner_of(key).is_some());
@@ -197,13 +260,19 @@ mod tests {
             ("ann 0123456789abcdef extra", "line 1: a name and a key"),
             ("a/b 0123456789abcdef", "line 1: a name has"),
             ("ann 0123456789abcde$", "line 1: a key has"),
-            ("ann 0123456789abcdef\nbob 0123456789abcdef", "line 2: the key is there already"),
+            (
+                "ann 0123456789abcdef\nbob 0123456789abcdef",
+                "line 2: the key is there already",
+            ),
         ] {
             let mistake = Keys::parse(text).unwrap_err();
             assert!(mistake.starts_with(told), "{mistake}");
             assert!(!mistake.contains("0123456789"), "{mistake}");
         }
-        assert_eq!(format!("{:?}", Keys::parse("ann 0123456789abcdef").unwrap()), "1 keys");
+        assert_eq!(
+            format!("{:?}", Keys::parse("ann 0123456789abcdef").unwrap()),
+            "1 keys"
+        );
     }
 
     #[test]
@@ -216,6 +285,9 @@ mod tests {
             assert!(!keys(others).is_valid(credential), "{others}");
             assert!(keys(others).is_valid(Credential::ANYBODY));
         }
-        assert_eq!(format!("{credential:?} {:?}", Credential::ANYBODY), "Credential(a key) Credential(anybody)");
+        assert_eq!(
+            format!("{credential:?} {:?}", Credential::ANYBODY),
+            "Credential(a key) Credential(anybody)"
+        );
     }
 }

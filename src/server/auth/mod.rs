@@ -38,7 +38,12 @@ pub struct AccessControl {
 
 impl AccessControl {
     /// Access control with these limits.
-    pub fn new(keys: Option<Keys>, rate_per_address: Option<u32>, rate_per_key: Option<u32>, connections: ConnectionLimiter) -> Self {
+    pub fn new(
+        keys: Option<Keys>,
+        rate_per_address: Option<u32>,
+        rate_per_key: Option<u32>,
+        connections: ConnectionLimiter,
+    ) -> Self {
         let sole = SoleClient::default();
         sole.set(keys.as_ref().is_some_and(Keys::have_one_owner));
         Self {
@@ -72,7 +77,11 @@ impl AccessControl {
     pub async fn revoked(&self, credential: Credential) {
         match &self.keys {
             // The wait cannot fail: `self` owns the sender.
-            Some(keys) => drop(keys.subscribe().wait_for(|keys| !keys.is_valid(credential)).await),
+            Some(keys) => drop(
+                keys.subscribe()
+                    .wait_for(|keys| !keys.is_valid(credential))
+                    .await,
+            ),
             None => pending().await,
         }
     }
@@ -83,18 +92,30 @@ impl AccessControl {
         let now = Instant::now();
         // Before the key, so that guesses count.
         take(self.by_address.as_ref(), Tenant::of_address(address), now)?;
-        let Some(keys) = &self.keys else { return Ok(Credential::ANYBODY) };
+        let Some(keys) = &self.keys else {
+            return Ok(Credential::ANYBODY);
+        };
         let keys = Arc::clone(&keys.borrow());
-        let key = key.ok_or_else(|| Problem::new(Code::Unauthorized, "API key required: send `Authorization: Bearer <key>`"))?;
-        let credential = keys.look_up(key).ok_or_else(|| Problem::new(Code::Forbidden, "invalid API key"))?;
+        let key = key.ok_or_else(|| {
+            Problem::new(
+                Code::Unauthorized,
+                "API key required: send `Authorization: Bearer <key>`",
+            )
+        })?;
+        let credential = keys
+            .look_up(key)
+            .ok_or_else(|| Problem::new(Code::Forbidden, "invalid API key"))?;
         take(self.by_owner.as_ref(), Tenant::Key(credential.owner()), now)?;
         Ok(credential)
     }
 }
 
 fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Result<(), Problem> {
-    let too_fast = |seconds| Problem::new(Code::RateLimited, "request rate limit exceeded").retry_after(seconds);
-    rate.map_or(Ok(()), |rate| rate.take(tenant, now)).map_err(too_fast)
+    let too_fast = |seconds| {
+        Problem::new(Code::RateLimited, "request rate limit exceeded").retry_after(seconds)
+    };
+    rate.map_or(Ok(()), |rate| rate.take(tenant, now))
+        .map_err(too_fast)
 }
 
 /// Reads a small file.
@@ -102,6 +123,12 @@ fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Resul
 pub fn read_bounded(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let file = std::fs::File::open(path).map_err(|e| e.to_string())?;
-    file.take(limit + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-    if bytes.len() as u64 > limit { Err(format!("larger than {limit} bytes")) } else { Ok(bytes) }
+    file.take(limit + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|e| e.to_string())?;
+    if bytes.len() as u64 > limit {
+        Err(format!("larger than {limit} bytes"))
+    } else {
+        Ok(bytes)
+    }
 }

@@ -9,11 +9,18 @@ use std::sync::Arc;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_rustls::TlsAcceptor;
 pub(crate) use tokio_rustls::rustls::ServerConfig;
-use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
-use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
+use tokio_rustls::rustls::client::danger::{
+    HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier,
+};
+use tokio_rustls::rustls::crypto::{
+    CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature,
+};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
-use tokio_rustls::rustls::{CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error, SignatureScheme, StreamOwned};
+use tokio_rustls::rustls::{
+    CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, Error,
+    SignatureScheme, StreamOwned,
+};
 pub(crate) use tokio_rustls::server::TlsStream;
 #[cfg(feature = "otlp")]
 use tokio_rustls::{TlsConnector, rustls::RootCertStore};
@@ -39,8 +46,15 @@ impl TlsFiles {
     pub fn load(&self) -> Result<Arc<ServerConfig>, String> {
         let chain = certificates(&self.cert)?;
         let key = read(&self.key)?;
-        let key = PrivateKeyDer::from_pem_slice(&key).map_err(|e| mistake(&self.key, &format!("no private key in PEM: {e}")))?;
-        let mismatch = |e: Error| format!("{} and {} do not go together: {e}", self.cert.display(), self.key.display());
+        let key = PrivateKeyDer::from_pem_slice(&key)
+            .map_err(|e| mistake(&self.key, &format!("no private key in PEM: {e}")))?;
+        let mismatch = |e: Error| {
+            format!(
+                "{} and {} do not go together: {e}",
+                self.cert.display(),
+                self.key.display()
+            )
+        };
         let mut config = ServerConfig::builder_with_provider(provider())
             .with_safe_default_protocol_versions()
             .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, key))
@@ -53,22 +67,36 @@ impl TlsFiles {
     /// Errors: the file and the cause.
     pub fn trusting_it_alone(&self) -> Result<Arc<ClientConfig>, String> {
         let certificate = certificates(&self.cert)?.swap_remove(0);
-        let verifier = Arc::new(PinnedCertificate { certificate, provider: provider() });
-        let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
-        Ok(Arc::new(builder.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth()))
+        let verifier = Arc::new(PinnedCertificate {
+            certificate,
+            provider: provider(),
+        });
+        let builder = ClientConfig::builder_with_provider(provider())
+            .with_safe_default_protocol_versions()
+            .map_err(|e| e.to_string())?;
+        Ok(Arc::new(
+            builder
+                .dangerous()
+                .with_custom_certificate_verifier(verifier)
+                .with_no_client_auth(),
+        ))
     }
 
     /// The client's side of a connection to `ip` that trusts this certificate alone.
     /// Errors: the file and why.
     pub fn connect(&self, stream: TcpStream, ip: IpAddr) -> io::Result<impl Read + Write + use<>> {
         let client = self.trusting_it_alone().map_err(io::Error::other)?;
-        let connection = ClientConnection::new(client, ServerName::IpAddress(ip.into())).map_err(io::Error::other)?;
+        let connection = ClientConnection::new(client, ServerName::IpAddress(ip.into()))
+            .map_err(io::Error::other)?;
         Ok(StreamOwned::new(connection, stream))
     }
 }
 
 /// The server's side of a handshake, and whether HTTP/2 was agreed on.
-pub(crate) async fn accept<S>(config: Arc<ServerConfig>, stream: S) -> io::Result<(TlsStream<S>, bool)>
+pub(crate) async fn accept<S>(
+    config: Arc<ServerConfig>,
+    stream: S,
+) -> io::Result<(TlsStream<S>, bool)>
 where
     S: AsyncRead + AsyncWrite + Unpin,
 {
@@ -97,13 +125,23 @@ impl Connector {
         let found = rustls_native_certs::load_native_certs();
         let mut roots = RootCertStore::empty();
         if roots.add_parsable_certificates(found.certs).0 == 0 {
-            let why = found.errors.first().map_or_else(String::new, |error| format!(" ({error})"));
-            return Err(format!("this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"));
+            let why = found
+                .errors
+                .first()
+                .map_or_else(String::new, |error| format!(" ({error})"));
+            return Err(format!(
+                "this system has no root certificates; SSL_CERT_FILE may name a file of them{why}"
+            ));
         }
-        let builder = ClientConfig::builder_with_provider(provider()).with_safe_default_protocol_versions().map_err(|e| e.to_string())?;
+        let builder = ClientConfig::builder_with_provider(provider())
+            .with_safe_default_protocol_versions()
+            .map_err(|e| e.to_string())?;
         let mut config = builder.with_root_certificates(roots).with_no_client_auth();
         config.alpn_protocols = vec![HTTP_1_1.to_vec()];
-        Ok(Self { connector: TlsConnector::from(Arc::new(config)), host })
+        Ok(Self {
+            connector: TlsConnector::from(Arc::new(config)),
+            host,
+        })
     }
 
     pub(crate) async fn connect<S: AsyncRead + AsyncWrite + Unpin>(
@@ -130,7 +168,11 @@ fn read(path: &Path) -> Result<Vec<u8>, String> {
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, String> {
     let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&read(path)?).collect();
     let chain = chain.map_err(|e| mistake(path, &format!("no certificate in PEM: {e}")))?;
-    if chain.is_empty() { Err(mistake(path, &"no certificate in PEM")) } else { Ok(chain) }
+    if chain.is_empty() {
+        Err(mistake(path, &"no certificate in PEM"))
+    } else {
+        Ok(chain)
+    }
 }
 
 /// Accepts one certificate, byte for byte. The signature of the handshake is verified as usual.
@@ -152,7 +194,9 @@ impl ServerCertVerifier for PinnedCertificate {
         if *end_entity == self.certificate {
             return Ok(ServerCertVerified::assertion());
         }
-        Err(Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
+        Err(Error::InvalidCertificate(
+            CertificateError::ApplicationVerificationFailure,
+        ))
     }
 
     fn verify_tls12_signature(
@@ -161,7 +205,12 @@ impl ServerCertVerifier for PinnedCertificate {
         cert: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls12_signature(message, cert, signed, &self.provider.signature_verification_algorithms)
+        verify_tls12_signature(
+            message,
+            cert,
+            signed,
+            &self.provider.signature_verification_algorithms,
+        )
     }
 
     fn verify_tls13_signature(
@@ -170,10 +219,17 @@ impl ServerCertVerifier for PinnedCertificate {
         cert: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, Error> {
-        verify_tls13_signature(message, cert, signed, &self.provider.signature_verification_algorithms)
+        verify_tls13_signature(
+            message,
+            cert,
+            signed,
+            &self.provider.signature_verification_algorithms,
+        )
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider.signature_verification_algorithms.supported_schemes()
+        self.provider
+            .signature_verification_algorithms
+            .supported_schemes()
     }
 }

@@ -43,7 +43,12 @@ pub(super) struct Holdings<T> {
 
 impl<T> Default for Holdings<T> {
     fn default() -> Self {
-        Self { values: LruCache::unbounded(), shares: HashMap::new(), by_bytes: BTreeSet::new(), bytes: 0 }
+        Self {
+            values: LruCache::unbounded(),
+            shares: HashMap::new(),
+            by_bytes: BTreeSet::new(),
+            bytes: 0,
+        }
     }
 }
 
@@ -69,7 +74,9 @@ impl<T> Holdings<T> {
 
     /// Makes the value the next to go.
     pub(super) fn demote(&mut self, key: Key) {
-        let Some(holding) = self.values.peek_mut(&key) else { return };
+        let Some(holding) = self.values.peek_mut(&key) else {
+            return;
+        };
         holding.used = None;
         if let Some(share) = self.shares.get_mut(&holding.holder) {
             share.keys.demote(&key);
@@ -78,17 +85,43 @@ impl<T> Holdings<T> {
     }
 
     /// Inserts a value that takes the place of an old one.
-    pub(super) fn insert(&mut self, key: Key, holder: Tenant, (value, bytes): (T, u64), now: Instant) -> Option<T> {
+    pub(super) fn insert(
+        &mut self,
+        key: Key,
+        holder: Tenant,
+        (value, bytes): (T, u64),
+        now: Instant,
+    ) -> Option<T> {
         let old = self.remove(key);
-        self.values.put(key, Holding { value, bytes, holder, used: Some(now) });
-        let new = || Share { bytes: 0, keys: LruCache::unbounded() };
-        self.shares.entry(holder).or_insert_with(new).keys.put(key, ());
+        self.values.put(
+            key,
+            Holding {
+                value,
+                bytes,
+                holder,
+                used: Some(now),
+            },
+        );
+        let new = || Share {
+            bytes: 0,
+            keys: LruCache::unbounded(),
+        };
+        self.shares
+            .entry(holder)
+            .or_insert_with(new)
+            .keys
+            .put(key, ());
         self.change(holder, bytes, 0);
         old
     }
 
     pub(super) fn remove(&mut self, key: Key) -> Option<T> {
-        let Holding { value, bytes, holder, .. } = self.values.pop(&key)?;
+        let Holding {
+            value,
+            bytes,
+            holder,
+            ..
+        } = self.values.pop(&key)?;
         if let Some(share) = self.shares.get_mut(&holder) {
             share.keys.pop(&key);
         }
@@ -99,7 +132,9 @@ impl<T> Holdings<T> {
     /// Adds to what a client holds, and subtracts from it. Who holds nothing is forgotten.
     fn change(&mut self, holder: Tenant, more: u64, less: u64) {
         self.bytes = self.bytes + more - less;
-        let Some(share) = self.shares.get_mut(&holder) else { return };
+        let Some(share) = self.shares.get_mut(&holder) else {
+            return;
+        };
         self.by_bytes.remove(&(share.bytes, holder));
         share.bytes = share.bytes + more - less;
         if share.keys.is_empty() {
@@ -116,12 +151,33 @@ impl<T> Holdings<T> {
 
     /// The value that makes room, of those that `may_go`.
     pub(super) fn next_to_go(&self, now: Instant, may_go: impl Fn(Key, &T) -> bool) -> Option<Key> {
-        let is_unused = |holding: &Holding<T>| holding.used.is_none_or(|used| now.saturating_duration_since(used) >= UNUSED);
-        let unused = self.values.iter().rev().take_while(|(_, holding)| is_unused(holding));
-        let unused = unused.filter(|(key, holding)| may_go(**key, &holding.value)).map(|(key, _)| *key).next();
+        let is_unused = |holding: &Holding<T>| {
+            holding
+                .used
+                .is_none_or(|used| now.saturating_duration_since(used) >= UNUSED)
+        };
+        let unused = self
+            .values
+            .iter()
+            .rev()
+            .take_while(|(_, holding)| is_unused(holding));
+        let unused = unused
+            .filter(|(key, holding)| may_go(**key, &holding.value))
+            .map(|(key, _)| *key)
+            .next();
         let of_share = |(_, holder): &(u64, Tenant)| {
-            let mut keys = self.shares.get(holder)?.keys.iter().rev().map(|(key, ())| *key);
-            keys.find(|key| self.values.peek(key).is_some_and(|holding| may_go(*key, &holding.value)))
+            let mut keys = self
+                .shares
+                .get(holder)?
+                .keys
+                .iter()
+                .rev()
+                .map(|(key, ())| *key);
+            keys.find(|key| {
+                self.values
+                    .peek(key)
+                    .is_some_and(|holding| may_go(*key, &holding.value))
+            })
         };
         unused.or_else(|| self.by_bytes.iter().rev().find_map(of_share))
     }
@@ -151,15 +207,22 @@ mod tests {
 
     impl Full {
         fn new() -> Self {
-            Self { holdings: Holdings::default(), now: Instant::now() }
+            Self {
+                holdings: Holdings::default(),
+                now: Instant::now(),
+            }
         }
 
         /// Inserts a value, and removes what must go for it.
         fn put(&mut self, n: u8, holder: u8, bytes: u64) -> Vec<u8> {
-            self.holdings.insert(key(n), client(holder), (n, bytes), self.now);
+            self.holdings
+                .insert(key(n), client(holder), (n, bytes), self.now);
             let mut gone = Vec::new();
             while self.holdings.bytes() > 100 {
-                let next = self.holdings.next_to_go(self.now, |other, _| other != key(n)).unwrap();
+                let next = self
+                    .holdings
+                    .next_to_go(self.now, |other, _| other != key(n))
+                    .unwrap();
                 gone.extend(self.holdings.remove(next));
             }
             gone
@@ -184,16 +247,31 @@ mod tests {
             full.put(n, 1, 10);
         }
         // Another client needs room: that of the first, until both hold as much.
-        assert_eq!((full.put(20, 2, 10), full.put(21, 2, 20)), (vec![], vec![0, 1]));
+        assert_eq!(
+            (full.put(20, 2, 10), full.put(21, 2, 20)),
+            (vec![], vec![0, 1])
+        );
         assert_eq!(full.put(22, 2, 20), [2, 3]);
-        assert_eq!(full.put(23, 2, 10), [20], "both hold half; now its own make room");
+        assert_eq!(
+            full.put(23, 2, 10),
+            [20],
+            "both hold half; now its own make room"
+        );
         for n in 24..200 {
-            assert!(full.put(n, 2, 10).iter().all(|gone| *gone > 20), "the first keeps its half");
+            assert!(
+                full.put(n, 2, 10).iter().all(|gone| *gone > 20),
+                "the first keeps its half"
+            );
         }
         // A third one gets a third.
         let gone: Vec<u8> = (200..210).flat_map(|n| full.put(n, 3, 10)).collect();
         assert!(gone.iter().filter(|gone| (200..).contains(*gone)).count() >= 6);
-        assert!((4..9).filter(|n| full.holdings.get(key(*n), full.now).is_some()).count() >= 3);
+        assert!(
+            (4..9)
+                .filter(|n| full.holdings.get(key(*n), full.now).is_some())
+                .count()
+                >= 3
+        );
     }
 
     #[test]
@@ -203,7 +281,11 @@ mod tests {
         full.put(2, 2, 80);
         full.now += UNUSED;
         full.holdings.get(key(2), full.now);
-        assert_eq!(full.put(3, 2, 15), [1], "its holder has the least, and does not use it");
+        assert_eq!(
+            full.put(3, 2, 15),
+            [1],
+            "its holder has the least, and does not use it"
+        );
         full.put(4, 3, 5);
         full.holdings.demote(key(4));
         assert_eq!(full.put(5, 2, 5), [4], "a demoted value is the next to go");
@@ -218,8 +300,16 @@ mod tests {
         let mut full = Full::new();
         full.put(1, 1, 50);
         full.put(2, 2, 20);
-        assert_eq!(full.holdings.next_to_go(full.now, |key, _| key != self::key(1)), Some(key(2)));
-        assert_eq!(full.holdings.next_to_go(full.now + UNUSED, |_, value| *value == 2), Some(key(2)));
+        assert_eq!(
+            full.holdings
+                .next_to_go(full.now, |key, _| key != self::key(1)),
+            Some(key(2))
+        );
+        assert_eq!(
+            full.holdings
+                .next_to_go(full.now + UNUSED, |_, value| *value == 2),
+            Some(key(2))
+        );
         assert_eq!(full.holdings.next_to_go(full.now, |_, _| false), None);
     }
 

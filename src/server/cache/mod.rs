@@ -173,8 +173,14 @@ impl<V> Entries<V> {
     }
 
     /// Removes the value that makes room, of those that `may_go`.
-    fn evict(&mut self, may_go: impl Fn(Key, &Arc<CacheEntry<V>>) -> bool) -> Option<Arc<CacheEntry<V>>> {
-        let evicted = self.values.next_to_go(Instant::now(), may_go).and_then(|key| self.values.remove(key));
+    fn evict(
+        &mut self,
+        may_go: impl Fn(Key, &Arc<CacheEntry<V>>) -> bool,
+    ) -> Option<Arc<CacheEntry<V>>> {
+        let evicted = self
+            .values
+            .next_to_go(Instant::now(), may_go)
+            .and_then(|key| self.values.remove(key));
         self.stats.evicted += u64::from(evicted.is_some());
         evicted
     }
@@ -183,19 +189,33 @@ impl<V> Entries<V> {
 impl<V> Cache<V> {
     /// A cache of `capacity` bytes.
     pub fn new(capacity: u64) -> Self {
-        let entries = Entries { values: Holdings::default(), builds: HashMap::new(), stats: CacheStats::default() };
-        Self(Arc::new(CacheState { capacity, entries: Mutex::new(entries) }))
+        let entries = Entries {
+            values: Holdings::default(),
+            builds: HashMap::new(),
+            stats: CacheStats::default(),
+        };
+        Self(Arc::new(CacheState {
+            capacity,
+            entries: Mutex::new(entries),
+        }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Entries<V>> {
         // No operation leaves the entries half-changed where it could panic.
-        self.0.entries.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0
+            .entries
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// What it has done and what it holds.
     pub fn usage(&self) -> CacheStats {
         let entries = self.lock();
-        CacheStats { values: entries.values.len() as u64, bytes: entries.values.bytes(), ..entries.stats }
+        CacheStats {
+            values: entries.values.len() as u64,
+            bytes: entries.values.bytes(),
+            ..entries.stats
+        }
     }
 
     /// Whether the value is cached. It counts as used, not as found.
@@ -227,7 +247,10 @@ impl<V> Cache<V> {
 
     /// Whether [`Cache::evict_idle`] would find a value.
     pub fn is_any_idle(&self) -> bool {
-        self.lock().values.iter().any(|value| Arc::strong_count(value) == 1)
+        self.lock()
+            .values
+            .iter()
+            .any(|value| Arc::strong_count(value) == 1)
     }
 }
 
@@ -254,9 +277,16 @@ impl<V: Send + Sync + 'static> Cache<V> {
         }
         let mut entries = self.lock();
         // Dropped after the lock.
-        let mut removed = Vec::from_iter(entries.values.insert(key, holder, (Arc::clone(value), bytes), Instant::now()));
+        let mut removed = Vec::from_iter(entries.values.insert(
+            key,
+            holder,
+            (Arc::clone(value), bytes),
+            Instant::now(),
+        ));
         while entries.values.bytes() > self.0.capacity {
-            let Some(evicted) = entries.evict(|other, _| other != key) else { break };
+            let Some(evicted) = entries.evict(|other, _| other != key) else {
+                break;
+            };
             removed.push(evicted);
         }
         drop(entries);
@@ -265,16 +295,28 @@ impl<V: Send + Sync + 'static> Cache<V> {
 
     /// The value of `key`. `build` runs if the value is neither cached nor being built; then `holder` holds the value.
     /// Errors: Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
-    pub async fn get<B>(&self, key: Key, holder: Tenant, build: B, lost: impl FnOnce() -> Problem) -> Result<Fetched<V>, Problem>
+    pub async fn get<B>(
+        &self,
+        key: Key,
+        holder: Tenant,
+        build: B,
+        lost: impl FnOnce() -> Problem,
+    ) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,
     {
         let (mut outcome, interest, task) = {
             let mut entries = self.lock();
             if let Some(value) = entries.get(key) {
-                return Ok(Fetched { value, built: false });
+                return Ok(Fetched {
+                    value,
+                    built: false,
+                });
             }
-            let running = entries.builds.get(&key).and_then(|build| Some((build.outcome.clone(), build.interest.upgrade()?)));
+            let running = entries
+                .builds
+                .get(&key)
+                .and_then(|build| Some((build.outcome.clone(), build.interest.upgrade()?)));
             match running {
                 Some((outcome, interest)) => (outcome, interest, None),
                 None => {
@@ -282,8 +324,21 @@ impl<V: Send + Sync + 'static> Cache<V> {
                     let (interest, abandoned) = oneshot::channel();
                     let interest = Arc::new(interest);
                     let weak = Arc::downgrade(&interest);
-                    entries.builds.insert(key, Build { outcome: outcome.clone(), interest: weak.clone() });
-                    let task = BuildTask { cache: self.clone(), key, holder, outcome: sender, interest: weak, abandoned };
+                    entries.builds.insert(
+                        key,
+                        Build {
+                            outcome: outcome.clone(),
+                            interest: weak.clone(),
+                        },
+                    );
+                    let task = BuildTask {
+                        cache: self.clone(),
+                        key,
+                        holder,
+                        outcome: sender,
+                        interest: weak,
+                        abandoned,
+                    };
                     (outcome, interest, Some(task))
                 }
             }
@@ -295,7 +350,10 @@ impl<V: Send + Sync + 'static> Cache<V> {
             None => drop(build),
         }
         // The sender is dropped without an outcome when the build was torn down.
-        let outcome = outcome.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
+        let outcome = outcome
+            .wait_for(Option::is_some)
+            .await
+            .map(|outcome| outcome.clone());
         let value = outcome.ok().flatten().ok_or_else(lost)??;
         drop(interest);
         Ok(Fetched { value, built })
@@ -321,7 +379,11 @@ impl<V> Drop for BuildTask<V> {
     fn drop(&mut self) {
         let mut entries = self.cache.lock();
         // A build that was stopped may have been replaced by a new one.
-        if entries.builds.get(&self.key).is_some_and(|build| build.interest.ptr_eq(&self.interest)) {
+        if entries
+            .builds
+            .get(&self.key)
+            .is_some_and(|build| build.interest.ptr_eq(&self.interest))
+        {
             entries.builds.remove(&self.key);
         }
     }

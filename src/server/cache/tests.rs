@@ -23,7 +23,10 @@ fn budget() -> Budget {
 }
 
 fn kept(budget: &Budget, bytes: u64) -> Result<CacheEntry<u64>, Problem> {
-    Ok(CacheEntry::new(bytes, budget.take(Purpose::Plan, bytes).unwrap()))
+    Ok(CacheEntry::new(
+        bytes,
+        budget.take(Purpose::Plan, bytes).unwrap(),
+    ))
 }
 
 fn lost() -> Problem {
@@ -32,7 +35,11 @@ fn lost() -> Problem {
 
 async fn put(cache: &Cache<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<CacheEntry<u64>> {
     let built = kept(budget, bytes);
-    cache.get(self::key(key), holder(), async { built }, lost).await.unwrap().value
+    cache
+        .get(self::key(key), holder(), async { built }, lost)
+        .await
+        .unwrap()
+        .value
 }
 
 #[tokio::test]
@@ -45,7 +52,16 @@ async fn many_requests_share_one_build() {
     let fetched = futures_util::future::try_join_all(requests).await.unwrap();
     assert!(fetched.iter().all(|f| **f.value == 7));
     assert_eq!(fetched.iter().filter(|f| f.built).count(), 1);
-    assert_eq!(cache.usage(), CacheStats { hits: 0, built: 1, evicted: 0, bytes: 7, values: 1 });
+    assert_eq!(
+        cache.usage(),
+        CacheStats {
+            hits: 0,
+            built: 1,
+            evicted: 0,
+            bytes: 7,
+            values: 1
+        }
+    );
     assert_eq!(budget.taken(), 7);
     assert!(cache.lock().builds.is_empty());
 }
@@ -59,8 +75,15 @@ async fn owners_share_neither_values_nor_builds() {
         cache.get(key, holder(), async { built }, lost)
     });
     let fetched = futures_util::future::try_join_all(requests).await.unwrap();
-    assert_eq!(fetched.iter().map(|f| f.built).collect::<Vec<_>>(), [true, true, false, true]);
-    assert_eq!((cache.usage().bytes, budget.taken()), (21, 21), "what two have is there twice, and counted twice");
+    assert_eq!(
+        fetched.iter().map(|f| f.built).collect::<Vec<_>>(),
+        [true, true, false, true]
+    );
+    assert_eq!(
+        (cache.usage().bytes, budget.taken()),
+        (21, 21),
+        "what two have is there twice, and counted twice"
+    );
     cache.remove(owner(1));
     assert!(!cache.touch(owner(1)) && cache.touch(owner(2)) && cache.touch(KEY));
 }
@@ -83,7 +106,12 @@ async fn a_builder_that_leaves_serves_those_who_wait() {
     tokio::task::yield_now().await;
     let second = tokio::spawn({
         let (cache, built) = (cache.clone(), kept(&budget, 8));
-        async move { cache.get(KEY, holder(), async { built }, lost).await.map(|f| **f.value) }
+        async move {
+            cache
+                .get(KEY, holder(), async { built }, lost)
+                .await
+                .map(|f| **f.value)
+        }
     });
     tokio::task::yield_now().await;
     first.abort();
@@ -93,7 +121,9 @@ async fn a_builder_that_leaves_serves_those_who_wait() {
 }
 
 /// A build that never ends by itself, and says so when it begins and when it is dropped.
-fn endless(said: &mpsc::UnboundedSender<&'static str>) -> impl Future<Output = Result<CacheEntry<u64>, Problem>> + Send + use<> {
+fn endless(
+    said: &mpsc::UnboundedSender<&'static str>,
+) -> impl Future<Output = Result<CacheEntry<u64>, Problem>> + Send + use<> {
     struct Dropped(mpsc::UnboundedSender<&'static str>);
     impl Drop for Dropped {
         fn drop(&mut self) {
@@ -119,7 +149,10 @@ async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
     assert_eq!(hears.recv().await, Some("began"));
     let others = [wait(), wait()];
     // Builds that are not needed are dropped at once.
-    assert_eq!([hears.recv().await, hears.recv().await], [Some("dropped"); 2]);
+    assert_eq!(
+        [hears.recv().await, hears.recv().await],
+        [Some("dropped"); 2]
+    );
     for left in [first].into_iter().chain(others) {
         assert!(hears.try_recv().is_err(), "one still waits");
         left.abort();
@@ -155,7 +188,13 @@ async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own()
     let mut third = Box::pin(cache.get(KEY, holder(), async { Err(lost()) }, lost));
     assert!((&mut third).now_or_never().is_none());
     gate.add_permits(1);
-    assert_eq!((next.await.map(|f| (**f.value, f.built)), third.await.map(|f| (**f.value, f.built))), (Ok((7, true)), Ok((7, false))));
+    assert_eq!(
+        (
+            next.await.map(|f| (**f.value, f.built)),
+            third.await.map(|f| (**f.value, f.built))
+        ),
+        (Ok((7, true)), Ok((7, false)))
+    );
     assert!(cache.lock().builds.is_empty());
 }
 
@@ -169,7 +208,12 @@ async fn a_request_that_stays_gets_the_value_while_others_come_and_leave() {
                 tokio::task::yield_now().await;
                 built
             };
-            tokio::spawn(async move { cache.get(KEY, holder(), build, lost).await.map(|f| **f.value) })
+            tokio::spawn(async move {
+                cache
+                    .get(KEY, holder(), build, lost)
+                    .await
+                    .map(|f| **f.value)
+            })
         };
         let leaves = wait();
         if round % 3 == 0 {
@@ -201,12 +245,20 @@ async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
 async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
     let long = std::time::Duration::from_secs(600);
-    let pool = Pool::new(Shape { workers: 1, queue: 4, drag_wait: long, upload_wait: long }).unwrap();
+    let pool = Pool::new(Shape {
+        workers: 1,
+        queue: 4,
+        drag_wait: long,
+        upload_wait: long,
+    })
+    .unwrap();
     let admit = || pool.admit(WorkClass::Upload, QueueKey::client(Client::default()));
     let build = || {
         let (pool, built) = (pool.clone(), kept(&budget, 7));
         async move {
-            let ticket = pool.admit(WorkClass::Upload, QueueKey::client(Client::default())).await?;
+            let ticket = pool
+                .admit(WorkClass::Upload, QueueKey::client(Client::default()))
+                .await?;
             let until_cancelled = |cancel: &Cancel| {
                 while !cancel.is_cancelled() {
                     std::thread::yield_now();
@@ -249,7 +301,16 @@ async fn the_least_recently_used_goes_first_and_a_newcomer_is_kept() {
     put(&cache, &budget, 9, 1024).await;
     assert!(cache.touch(key(9)), "the newcomer is kept");
     assert!(!cache.touch(key(0)), "the oldest has gone");
-    assert_eq!(cache.usage(), CacheStats { hits: 3, built: 5, evicted: 1, bytes: 4096, values: 4 });
+    assert_eq!(
+        cache.usage(),
+        CacheStats {
+            hits: 3,
+            built: 5,
+            evicted: 1,
+            bytes: 4096,
+            values: 4
+        }
+    );
     assert_eq!(budget.taken(), 4096);
     cache.remove(key(9));
     assert_eq!((cache.usage().bytes, budget.taken()), (3072, 3072));
@@ -278,7 +339,11 @@ async fn an_entry_larger_than_the_cache_is_used_but_not_kept() {
     let large = put(&cache, &budget, 1, 1 << 20).await;
     assert_eq!(**large, 1 << 20);
     assert!(!cache.touch(KEY) && cache.touch(key(2)));
-    assert_eq!(budget.taken(), 1024 + (1 << 20), "what is used is in the account, cached or not");
+    assert_eq!(
+        budget.taken(),
+        1024 + (1 << 20),
+        "what is used is in the account, cached or not"
+    );
     drop(large);
     assert_eq!(budget.taken(), 1024);
 }
@@ -301,7 +366,19 @@ async fn a_build_that_fails_or_panics_is_told_and_forgotten() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
     let no = Problem::new(Code::BadImage, "no");
     let theirs = no.clone();
-    assert_eq!(cache.get(KEY, holder(), async { Err(theirs) }, lost).await.unwrap_err(), no);
-    assert_eq!(cache.get(KEY, holder(), async { panic!("on purpose") }, lost).await.unwrap_err(), lost());
+    assert_eq!(
+        cache
+            .get(KEY, holder(), async { Err(theirs) }, lost)
+            .await
+            .unwrap_err(),
+        no
+    );
+    assert_eq!(
+        cache
+            .get(KEY, holder(), async { panic!("on purpose") }, lost)
+            .await
+            .unwrap_err(),
+        lost()
+    );
     assert_eq!(**put(&cache, &budget, 1, 3).await, 3);
 }

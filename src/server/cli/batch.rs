@@ -36,18 +36,41 @@ enum Out {
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
-    let BatchArgs { image, input: handles, batch, region, out, quiet, .. } = args;
-    let layers = args.layers.iter().map(|text| Layer::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let BatchArgs {
+        image,
+        input: handles,
+        batch,
+        region,
+        out,
+        quiet,
+        ..
+    } = args;
+    let layers = args
+        .layers
+        .iter()
+        .map(|text| Layer::parse(text))
+        .collect::<Result<Vec<_>, _>>()?;
     let of_layers = layers.iter().filter_map(|layer| layer.file.clone());
     let others = [Some(image), batch.as_ref(), region.as_ref()];
-    let read: Vec<PathBuf> = handles.files().into_iter().chain(others).flatten().cloned().chain(of_layers).collect();
+    let read: Vec<PathBuf> = handles
+        .files()
+        .into_iter()
+        .chain(others)
+        .flatten()
+        .cloned()
+        .chain(of_layers)
+        .collect();
     input::require_one_stdin(read.iter().map(Some))?;
     let kind = kind_of(out)?;
     output::require_directory(out)?;
     output::require_other(out, &read)?;
     let merged = input::merge(&sources(config, args)?)?;
-    if !["steps", "frames", "jitter"].iter().any(|poses| merged.has(poses)) {
-        let detail = "the poses are missing: give --steps N, or `steps`, `frames` or `jitter` in the JSON";
+    if !["steps", "frames", "jitter"]
+        .iter()
+        .any(|poses| merged.has(poses))
+    {
+        let detail =
+            "the poses are missing: give --steps N, or `steps`, `frames` or `jitter` in the JSON";
         return Err(Problem::new(Code::BadValue, detail).into());
     }
     let located = |problem| input::located(&merged, problem);
@@ -57,13 +80,28 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let whole = Bytes::from(merged.with("layers", drawn));
     let files = handles.landmarks.read_files(config)?;
     let file = input::read("image", image, Limit::body(config))?;
-    let mask = region.as_deref().map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from)).transpose()?;
-    let layers = layers.into_iter().filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
-    let layers = layers.map(|(name, kind, path)| Ok((name, kind, input::read("layer", &path, Limit::body(config))?)));
+    let mask = region
+        .as_deref()
+        .map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from))
+        .transpose()?;
+    let layers = layers
+        .into_iter()
+        .filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
+    let layers = layers.map(|(name, kind, path)| {
+        Ok((
+            name,
+            kind,
+            input::read("layer", &path, Limit::body(config))?,
+        ))
+    });
     let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
     let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
-    let form = if let Out::File(form) = kind { form } else { BatchForm::Zip };
+    let form = if let Out::File(form) = kind {
+        form
+    } else {
+        BatchForm::Zip
+    };
     let landmarks = match files {
         Some(files) => {
             let read = service.run(app.read_landmarks(client, files, whole.clone()));
@@ -72,33 +110,55 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         None => None,
     };
     // Those of one side are handles at rest: the pose of the JSON is the batch's.
-    let has_rest_only = landmarks.as_ref().is_some_and(|read| read.require_q().is_err());
+    let has_rest_only = landmarks
+        .as_ref()
+        .is_some_and(|read| read.require_q().is_err());
     let [warp, batch] = split_batch(&whole, !has_rest_only)?;
-    let upload = Upload { image: file.into(), warp: warp.into(), region: mask, landmarks };
+    let upload = Upload {
+        image: file.into(),
+        warp: warp.into(),
+        region: mask,
+        landmarks,
+    };
     let session = service.run(app.create_session(client, upload));
-    let (shown, method) = session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
+    let (shown, method) =
+        session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
     let id = shown.session.record.id;
     let made = service.run(async {
         for (name, kind, file) in layers {
             let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
-            app.put_layer(client, id, &name, kind, file.into()).await.map_err(|mut problem| {
-                problem.detail.insert_str(0, &format!("--layer {}: ", name.as_str()));
-                problem
-            })?;
+            app.put_layer(client, id, &name, kind, file.into())
+                .await
+                .map_err(|mut problem| {
+                    problem
+                        .detail
+                        .insert_str(0, &format!("--layer {}: ", name.as_str()));
+                    problem
+                })?;
         }
-        app.batch(client, id, batch.into(), form, |_| u64::MAX).await
+        app.batch(client, id, batch.into(), form, |_| u64::MAX)
+            .await
     });
-    let made = made.map_err(|problem| match has_rest_only && !merged.has("q") && problem.pointer.as_deref() == Some("/q") {
-        true => handles.landmarks.without_q(problem),
-        false => located(problem),
+    let made = made.map_err(|problem| {
+        match has_rest_only && !merged.has("q") && problem.pointer.as_deref() == Some("/q") {
+            true => handles.landmarks.without_q(problem),
+            false => located(problem),
+        }
     })?;
     let (frames, warnings) = (made.frames, [shown.warnings(), &made.warnings].concat());
-    let progress = Progress { frames, is_shown: !quiet && io::stderr().is_terminal() };
+    let progress = Progress {
+        frames,
+        is_shown: !quiet && io::stderr().is_terminal(),
+    };
     match kind {
-        Out::File(_) => output::write(out, |sink| each(&service, made, &progress, |bytes| sink.put(&bytes)))?,
+        Out::File(_) => output::write(out, |sink| {
+            each(&service, made, &progress, |bytes| sink.put(&bytes))
+        })?,
         Out::Directory => {
             output::create_directory(out)?;
-            each(&service, made, &progress, |bytes| extract(out, &bytes, &read))?;
+            each(&service, made, &progress, |bytes| {
+                extract(out, &bytes, &read)
+            })?;
         }
     }
     let what = if frames == 1 { "frame" } else { "frames" };
@@ -109,8 +169,19 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
 /// The files and options with fields of the request.
 /// Errors: A file that cannot be read; no poses.
 fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
-    let BatchArgs { input: handles, batch, frames, pose, frame, file, .. } = args;
-    let batch = batch.as_deref().map(|path| input::source("batch", path, Limit::body(config))).transpose()?;
+    let BatchArgs {
+        input: handles,
+        batch,
+        frames,
+        pose,
+        frame,
+        file,
+        ..
+    } = args;
+    let batch = batch
+        .as_deref()
+        .map(|path| input::source("batch", path, Limit::body(config)))
+        .transpose()?;
     let mut sources: Vec<Source> = handles.source(config)?.into_iter().chain(batch).collect();
     sources.extend(frames.sources());
     sources.extend(pose.sources());
@@ -121,54 +192,106 @@ fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
 
 /// The format of the pictures, and how they become JPEG. A wrong name is left to its parser.
 fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
-    let output: Value = merged.value("output").and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default();
-    let of_name = |name| Format::ALL.into_iter().find(|format| format.as_str() == name).unwrap_or(Format::Jpeg);
+    let output: Value = merged
+        .value("output")
+        .and_then(|text| serde_json::from_str(text).ok())
+        .unwrap_or_default();
+    let of_name = |name| {
+        Format::ALL
+            .into_iter()
+            .find(|format| format.as_str() == name)
+            .unwrap_or(Format::Jpeg)
+    };
     let named = output["format"].as_str().map_or(Format::Png, of_name);
     match kind {
-        Out::File(BatchForm::Gif) => (Format::Gif, "leave it out, or give a .zip or a folder and --format jpeg"),
-        Out::File(BatchForm::Apng) => (Format::Png, "leave it out, or give a .zip or a folder and --format jpeg"),
+        Out::File(BatchForm::Gif) => (
+            Format::Gif,
+            "leave it out, or give a .zip or a folder and --format jpeg",
+        ),
+        Out::File(BatchForm::Apng) => (
+            Format::Png,
+            "leave it out, or give a .zip or a folder and --format jpeg",
+        ),
         Out::File(BatchForm::Zip) | Out::Directory => (named, "give --format jpeg"),
     }
 }
 
 /// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the options, among which the JSON selects.
 /// Errors: A layer without a file; names that a folder does not tell apart.
-fn selected(layers: Vec<Layer>, merged: &Merged, has_region: bool, is_directory: bool) -> Result<(Vec<Layer>, Option<String>), Failure> {
+fn selected(
+    layers: Vec<Layer>,
+    merged: &Merged,
+    has_region: bool,
+    is_directory: bool,
+) -> Result<(Vec<Layer>, Option<String>), Failure> {
     let has = |name: &str| layers.iter().any(|layer| layer.name == name);
-    let named: Option<Vec<String>> = merged.value("layers").and_then(|text| serde_json::from_str(text).ok());
-    let drawn: Vec<&str> =
-        named.as_ref().map_or_else(|| layers.iter().map(|l| &*l.name).collect(), |names| names.iter().map(|n| &**n).collect());
-    if let Some(name) = drawn.iter().find(|name| !name.starts_with('@') && !has(name)) {
-        let detail = format!("{} has no file: give it as --layer {name}=FILE", quote(name));
-        return Err(input::located(merged, Problem::new(Code::NoSuchLayer, detail).pointer("/layers")));
+    let named: Option<Vec<String>> = merged
+        .value("layers")
+        .and_then(|text| serde_json::from_str(text).ok());
+    let drawn: Vec<&str> = named.as_ref().map_or_else(
+        || layers.iter().map(|l| &*l.name).collect(),
+        |names| names.iter().map(|n| &**n).collect(),
+    );
+    if let Some(name) = drawn
+        .iter()
+        .find(|name| !name.starts_with('@') && !has(name))
+    {
+        let detail = format!(
+            "{} has no file: give it as --layer {name}=FILE",
+            quote(name)
+        );
+        return Err(input::located(
+            merged,
+            Problem::new(Code::NoSuchLayer, detail).pointer("/layers"),
+        ));
     }
     if drawn.contains(&"@holes") && !has_region && !has("region") {
-        return Err(Failure::Local("the layer @holes needs a --region".to_owned()));
+        return Err(Failure::Local(
+            "the layer @holes needs a --region".to_owned(),
+        ));
     }
     let is_same = |a: &&str, b: &&str| a != b && a.to_lowercase() == b.to_lowercase();
-    let pair = drawn.iter().find_map(|name| Some((name, drawn.iter().find(|other| is_same(name, other))?)));
+    let pair = drawn
+        .iter()
+        .find_map(|name| Some((name, drawn.iter().find(|other| is_same(name, other))?)));
     if let Some((one, other)) = pair.filter(|_| is_directory) {
-        let detail = format!("the layers {one} and {other} would be one file where upper and lower case are not told apart; rename one");
+        let detail = format!(
+            "the layers {one} and {other} would be one file where upper and lower case are not told apart; rename one"
+        );
         return Err(Failure::Local(detail));
     }
     let field = (named.is_none() && !drawn.is_empty()).then(|| json!(drawn).to_string());
     let is_used = |layer: &Layer| layer.name == "region" || drawn.contains(&&*layer.name);
     for layer in layers.iter().filter(|layer| !is_used(layer)) {
-        eprintln!("the layer {} is not drawn: `layers` in {} does not name it", layer.name, merged.place("/layers").unwrap_or_default());
+        eprintln!(
+            "the layer {} is not drawn: `layers` in {} does not name it",
+            layer.name,
+            merged.place("/layers").unwrap_or_default()
+        );
     }
     let used = layers.iter().map(is_used).collect::<Vec<_>>();
-    Ok((layers.into_iter().zip(used).filter_map(|(layer, is_used)| is_used.then_some(layer)).collect(), field))
+    Ok((
+        layers
+            .into_iter()
+            .zip(used)
+            .filter_map(|(layer, is_used)| is_used.then_some(layer))
+            .collect(),
+        field,
+    ))
 }
 
 /// A problem with a file of the session, with its name.
 fn blame(failure: Failure, image: &Path, region: Option<&Path>) -> Failure {
-    let Failure::Problem(mut problem, None) = failure else { return failure };
-    if let (Some(rest), Some(region)) = (problem.detail.strip_prefix("the part `region`: "), region) {
+    let Failure::Problem(mut problem, None) = failure else {
+        return failure;
+    };
+    if let (Some(rest), Some(region)) = (problem.detail.strip_prefix("the part `region`: "), region)
+    {
         problem.detail = rest.to_owned();
         return Failure::Problem(problem, Some(name_of(region)));
     }
-    let is_image =
-        matches!(problem.code, Code::UnsupportedFormat | Code::BadImage) || problem.what.is_some_and(|what| what.starts_with("image_"));
+    let is_image = matches!(problem.code, Code::UnsupportedFormat | Code::BadImage)
+        || problem.what.is_some_and(|what| what.starts_with("image_"));
     let name = is_image.then(|| name_of(image));
     Failure::Problem(problem, name)
 }
@@ -184,18 +307,38 @@ impl Layer {
     fn parse(text: &str) -> Result<Self, Failure> {
         let Some((name, file)) = text.split_once('=') else {
             let name = text.to_owned();
-            let built_in = text.starts_with('@').then_some(Self { name, kind: LayerKind::Image, file: None });
-            return built_in
-                .ok_or_else(|| Failure::Local(format!("--layer {text:?}: expected NAME=FILE, NAME=FILE:labels, @coverage or @holes")));
+            let built_in = text.starts_with('@').then_some(Self {
+                name,
+                kind: LayerKind::Image,
+                file: None,
+            });
+            return built_in.ok_or_else(|| {
+                Failure::Local(format!(
+                    "--layer {text:?}: expected NAME=FILE, NAME=FILE:labels, @coverage or @holes"
+                ))
+            });
         };
-        let (file, kind) = file.strip_suffix(":labels").map_or((file, LayerKind::Image), |file| (file, LayerKind::Labels));
-        Ok(Self { name: name.to_owned(), kind, file: Some(file.into()) })
+        let (file, kind) = file
+            .strip_suffix(":labels")
+            .map_or((file, LayerKind::Image), |file| (file, LayerKind::Labels));
+        Ok(Self {
+            name: name.to_owned(),
+            kind,
+            file: Some(file.into()),
+        })
     }
 }
 
 /// Hands over the bytes of the file, frame by frame.
-fn each(service: &Service, made: Batch, progress: &Progress, mut take: impl FnMut(Bytes) -> Result<(), Failure>) -> Result<(), Failure> {
-    let Batch { first, mut rest, .. } = made;
+fn each(
+    service: &Service,
+    made: Batch,
+    progress: &Progress,
+    mut take: impl FnMut(Bytes) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let Batch {
+        first, mut rest, ..
+    } = made;
     let (mut done, mut next) = (0, Some(first));
     while let Some(bytes) = next {
         take(bytes)?;
@@ -211,8 +354,13 @@ fn extract(directory: &Path, part: &[u8], inputs: &[PathBuf]) -> Result<(), Fail
     let broken = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot read the batch: {e}"));
     let mut part = Cursor::new(part);
     while part.position() < part.get_ref().len() as u64 {
-        let Some(mut entry) = read_zipfile_from_stream(&mut part).map_err(|e| broken(&e))? else { return Ok(()) };
-        let (name, mut bytes) = (entry.name().map_err(|e| broken(&e))?.into_owned(), Vec::new());
+        let Some(mut entry) = read_zipfile_from_stream(&mut part).map_err(|e| broken(&e))? else {
+            return Ok(());
+        };
+        let (name, mut bytes) = (
+            entry.name().map_err(|e| broken(&e))?.into_owned(),
+            Vec::new(),
+        );
         entry.read_to_end(&mut bytes).map_err(|e| broken(&e))?;
         let file = directory.join(name);
         output::require_other(&file, inputs)?;
@@ -230,7 +378,12 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
     if is_directory {
         return Ok(Out::Directory);
     }
-    let known = [("zip", BatchForm::Zip), ("png", BatchForm::Apng), ("apng", BatchForm::Apng), ("gif", BatchForm::Gif)];
+    let known = [
+        ("zip", BatchForm::Zip),
+        ("png", BatchForm::Apng),
+        ("apng", BatchForm::Apng),
+        ("gif", BatchForm::Gif),
+    ];
     Ok(output::by_extension(out, &known, ", or a folder")?.map_or(Out::Directory, Out::File))
 }
 
@@ -246,7 +399,13 @@ impl Progress {
         let done = done.min(self.frames);
         if self.is_shown {
             let full = BAR * done as usize / self.frames.max(1) as usize;
-            let _ = write!(io::stderr(), "\r[{}{}] {done} of {} frames", "=".repeat(full), " ".repeat(BAR - full), self.frames);
+            let _ = write!(
+                io::stderr(),
+                "\r[{}{}] {done} of {} frames",
+                "=".repeat(full),
+                " ".repeat(BAR - full),
+                self.frames
+            );
         }
     }
 }

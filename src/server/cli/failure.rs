@@ -34,13 +34,26 @@ pub(super) fn name_of(path: &Path) -> String {
         return "standard input".to_owned();
     }
     let name = path.to_string_lossy();
-    if name.contains(is_unseen) { format!("{path:?}") } else { name.into_owned() }
+    if name.contains(is_unseen) {
+        format!("{path:?}")
+    } else {
+        name.into_owned()
+    }
 }
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Problem(Problem { code, detail, pointer, what, .. }, name) => {
+            Self::Problem(
+                Problem {
+                    code,
+                    detail,
+                    pointer,
+                    what,
+                    ..
+                },
+                name,
+            ) => {
                 write!(f, "{}: ", code.as_str())?;
                 name.as_ref().map_or(Ok(()), |name| write!(f, "{name}: "))?;
                 write!(f, "{detail}")?;
@@ -49,7 +62,10 @@ impl fmt::Display for Failure {
                 }
                 // An option is its own place.
                 let is_option = name.as_ref().is_some_and(|name| name.starts_with("--"));
-                pointer.as_ref().filter(|_| !is_option).map_or(Ok(()), |pointer| write!(f, " ({pointer})"))
+                pointer
+                    .as_ref()
+                    .filter(|_| !is_option)
+                    .map_or(Ok(()), |pointer| write!(f, " ({pointer})"))
             }
             Self::Local(sentence) => write!(f, "error: {sentence}"),
         }
@@ -61,7 +77,9 @@ fn flag(what: &str) -> Option<&'static str> {
     match what {
         "body_bytes" => Some("--max-body-bytes"),
         "json_bytes" | "warp_json_bytes" => Some("--max-warp-json-bytes"),
-        "image_pixels" | "map_pixels" | "output_pixels" | "canvas_pixels" => Some("--max-image-pixels"),
+        "image_pixels" | "map_pixels" | "output_pixels" | "canvas_pixels" => {
+            Some("--max-image-pixels")
+        }
         "image_side" | "map_side" | "output_side" | "canvas_side" => Some("--max-image-side"),
         "handle_columns" => Some("--max-columns"),
         "fit_handles" => Some("--max-fit-handles"),

@@ -11,28 +11,49 @@ use crate::config::{Config, FitArgs};
 use crate::wire::of_fit;
 
 /// The columns of the table.
-const HEADS: [&str; 6] = ["method", "alpha", "smoothing", "rms px", "max px", "outliers"];
+const HEADS: [&str; 6] = [
+    "method",
+    "alpha",
+    "smoothing",
+    "rms px",
+    "max px",
+    "outliers",
+];
 
 /// Compares methods. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &FitArgs) -> Result<Option<String>, Failure> {
-    let FitArgs { input, extent, align, out } = args;
+    let FitArgs {
+        input,
+        extent,
+        align,
+        out,
+    } = args;
     let files = || input.files().into_iter().chain([extent.image.as_ref()]);
     require_one_stdin(files())?;
     if let Some(out) = out {
         output::require_directory(out)?;
         output::require_other(out, files().flatten())?;
     }
-    let Body { json, merged } = Body::read(config, input, extent, options::align(align.as_ref()).into_iter().collect())?;
+    let Body { json, merged } = Body::read(
+        config,
+        input,
+        extent,
+        options::align(align.as_ref()).into_iter().collect(),
+    )?;
     // The same file is for `mlswarp warp`, which needs a method.
     let json = of_fit(&json)?;
-    let names = serde_json::from_slice(&json).map(|body: Value| body["names"].clone()).unwrap_or_default();
+    let names = serde_json::from_slice(&json)
+        .map(|body: Value| body["names"].clone())
+        .unwrap_or_default();
     let service = Service::start(config)?;
     let compared = service.run(service.app.fit_once(service.client, json.into()));
     let (answer, warnings) = compared.map_err(|problem| input::located(&merged, problem))?;
     match out {
         Some(out) => output::write_text(out, &answer)?,
-        None => output::write("-".as_ref(), |sink| sink.put(table(&answer, &names).as_bytes()))?,
+        None => output::write("-".as_ref(), |sink| {
+            sink.put(table(&answer, &names).as_bytes())
+        })?,
     }
     Ok(summary(None, &warnings))
 }
@@ -40,33 +61,70 @@ pub fn run(config: &Config, args: &FitArgs) -> Result<Option<String>, Failure> {
 /// The candidates as lines of text, the best first. `names`: of the handles, or null.
 fn table(answer: &[u8], names: &Value) -> String {
     let answer: Value = serde_json::from_slice(answer).unwrap_or_default();
-    let mut candidates: Vec<&Value> = answer["candidates"].as_array().into_iter().flatten().collect();
+    let mut candidates: Vec<&Value> = answer["candidates"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .collect();
     // Of those that are alike, the one that `/fit` lists first; one without a number is the last.
-    candidates.sort_by(|a, b| a["rms"].as_f64().unwrap_or(f64::MAX).total_cmp(&b["rms"].as_f64().unwrap_or(f64::MAX)));
+    candidates.sort_by(|a, b| {
+        a["rms"]
+            .as_f64()
+            .unwrap_or(f64::MAX)
+            .total_cmp(&b["rms"].as_f64().unwrap_or(f64::MAX))
+    });
     let mut rows = vec![HEADS.map(str::to_owned)];
-    rows.extend(candidates.into_iter().map(|candidate| row(candidate, names)));
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    rows.extend(
+        candidates
+            .into_iter()
+            .map(|candidate| row(candidate, names)),
+    );
+    let width = |column: usize| {
+        rows.iter()
+            .map(|row| row[column].chars().count())
+            .max()
+            .unwrap_or(0)
+    };
     let widths: [usize; HEADS.len()] = std::array::from_fn(width);
     let line = |row: &[String; HEADS.len()]| {
-        let cells = row.iter().zip(widths).enumerate().map(|(column, (cell, width))| match column {
-            // Words on the left, numbers on the right.
-            0 => format!("{cell:<width$}"),
-            1..=4 => format!("{cell:>width$}"),
-            _ => cell.clone(),
-        });
+        let cells =
+            row.iter()
+                .zip(widths)
+                .enumerate()
+                .map(|(column, (cell, width))| match column {
+                    // Words on the left, numbers on the right.
+                    0 => format!("{cell:<width$}"),
+                    1..=4 => format!("{cell:>width$}"),
+                    _ => cell.clone(),
+                });
         format!("{}\n", cells.collect::<Vec<_>>().join("  ").trim_end())
     };
     rows.iter().map(line).collect()
 }
 
 fn row(candidate: &Value, names: &Value) -> [String; HEADS.len()] {
-    let number = |value: &Value| value.as_f64().map_or_else(String::new, |number| number.to_string());
-    let length = |value: &Value| value.as_f64().map_or_else(String::new, |length| format!("{length:.2}"));
+    let number = |value: &Value| {
+        value
+            .as_f64()
+            .map_or_else(String::new, |number| number.to_string())
+    };
+    let length = |value: &Value| {
+        value
+            .as_f64()
+            .map_or_else(String::new, |length| format!("{length:.2}"))
+    };
     let outlier = |index: &Value| {
-        let name = index.as_u64().and_then(|index| names.get(usize::try_from(index).ok()?)?.as_str());
+        let name = index
+            .as_u64()
+            .and_then(|index| names.get(usize::try_from(index).ok()?)?.as_str());
         name.map_or_else(|| index.to_string(), |name| format!("{index} ({name})"))
     };
-    let outliers: Vec<String> = candidate["outliers"].as_array().into_iter().flatten().map(outlier).collect();
+    let outliers: Vec<String> = candidate["outliers"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(outlier)
+        .collect();
     [
         candidate["method"].as_str().unwrap_or_default().to_owned(),
         number(&candidate["alpha"]),
@@ -94,7 +152,10 @@ mod tests {
             "rigid       1              12.35  100.00  2, 0 (a)",
             "affine    1.5",
         ];
-        assert_eq!(table(answer, &names), lines.map(|line| format!("{line}\n")).concat());
+        assert_eq!(
+            table(answer, &names),
+            lines.map(|line| format!("{line}\n")).concat()
+        );
         assert!(table(answer, &Value::Null).contains("2, 0\n"));
     }
 }

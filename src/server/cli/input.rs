@@ -41,13 +41,29 @@ impl Limit {
 pub(super) fn read(what: &str, path: &Path, Limit(limit, flag): Limit) -> Result<Vec<u8>, Failure> {
     let cannot = |e: io::Error| Failure::Local(format!("cannot read the {what} {path:?}: {e}"));
     if path.is_dir() {
-        return Err(Failure::Local(format!("{path:?} is a folder; the {what} {} one file", is(what))));
+        return Err(Failure::Local(format!(
+            "{path:?} is a folder; the {what} {} one file",
+            is(what)
+        )));
     }
-    let source: Box<dyn Read> = if is_stdio(path) { Box::new(io::stdin().lock()) } else { Box::new(File::open(path).map_err(cannot)?) };
+    let source: Box<dyn Read> = if is_stdio(path) {
+        Box::new(io::stdin().lock())
+    } else {
+        Box::new(File::open(path).map_err(cannot)?)
+    };
     let mut bytes = Vec::new();
-    source.take(limit.saturating_add(1)).read_to_end(&mut bytes).map_err(cannot)?;
+    source
+        .take(limit.saturating_add(1))
+        .read_to_end(&mut bytes)
+        .map_err(cannot)?;
     if bytes.len() as u64 > limit {
-        let problem = Problem::new(Code::TooLarge, format!("the {what} {} larger than {limit} bytes; {flag} raises the limit", is(what)));
+        let problem = Problem::new(
+            Code::TooLarge,
+            format!(
+                "the {what} {} larger than {limit} bytes; {flag} raises the limit",
+                is(what)
+            ),
+        );
         return Err(Failure::from(problem).about(name_of(path)));
     }
     Ok(bytes)
@@ -62,31 +78,56 @@ fn is(what: &str) -> &'static str {
 pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Failure> {
     let (name, json) = (name_of(path), read(what, path, limit)?);
     if SourceFormat::of(&json).is_ok() {
-        return Err(Failure::Local(format!("{name} is an image; the {what} {} JSON, and there is one image", is(what))));
+        return Err(Failure::Local(format!(
+            "{name} is an image; the {what} {} JSON, and there is one image",
+            is(what)
+        )));
     }
-    Ok(Source { name, json, is_option: false })
+    Ok(Source {
+        name,
+        json,
+        is_option: false,
+    })
 }
 
 /// The fields of all sources; says on standard error which of them do not count.
 /// Errors: A text that is not a JSON object.
 pub(super) fn merge(sources: &[Source]) -> Result<Merged, Failure> {
-    let merged = Merged::of(sources).map_err(|(index, problem)| Failure::from(problem).about(&*sources[index].name))?;
-    merged.replaced.iter().for_each(|sentence| eprintln!("{sentence}"));
+    let merged = Merged::of(sources)
+        .map_err(|(index, problem)| Failure::from(problem).about(&*sources[index].name))?;
+    merged
+        .replaced
+        .iter()
+        .for_each(|sentence| eprintln!("{sentence}"));
     Ok(merged)
 }
 
 /// A problem with a field, with the file or option that gives it.
 pub(super) fn located(merged: &Merged, problem: Problem) -> Failure {
-    let place = problem.pointer.as_deref().and_then(|pointer| merged.place(pointer)).map(str::to_owned);
+    let place = problem
+        .pointer
+        .as_deref()
+        .and_then(|pointer| merged.place(pointer))
+        .map(str::to_owned);
     Failure::Problem(problem, place)
 }
 
 /// Errors: Standard input is more than one of the files.
-pub(super) fn require_one_stdin<'a>(files: impl IntoIterator<Item = Option<&'a PathBuf>>) -> Result<(), Failure> {
-    if files.into_iter().flatten().filter(|path| is_stdio(path)).count() < 2 {
+pub(super) fn require_one_stdin<'a>(
+    files: impl IntoIterator<Item = Option<&'a PathBuf>>,
+) -> Result<(), Failure> {
+    if files
+        .into_iter()
+        .flatten()
+        .filter(|path| is_stdio(path))
+        .count()
+        < 2
+    {
         return Ok(());
     }
-    Err(Failure::Local("standard input can be one of the input files only".to_owned()))
+    Err(Failure::Local(
+        "standard input can be one of the input files only".to_owned(),
+    ))
 }
 
 impl LandmarkInput {
@@ -98,12 +139,17 @@ impl LandmarkInput {
     /// The landmark files, if there are any.
     /// Errors: A file that cannot be read.
     pub(super) fn read_files(&self, config: &Config) -> Result<Option<LandmarkFiles>, Failure> {
-        let Some(path) = &self.landmarks else { return Ok(None) };
+        let Some(path) = &self.landmarks else {
+            return Ok(None);
+        };
         let file = |path: &Path| read("landmark file", path, Limit::body(config)).map(Bytes::from);
-        let extent = |name: &str, text: &Option<String>| text.as_ref().map(|text| extent(name, text)).transpose();
+        let extent = |name: &str, text: &Option<String>| {
+            text.as_ref().map(|text| extent(name, text)).transpose()
+        };
         let mut choice = Choice::default();
         for (name, text) in [("match", &self.matching), ("item", &self.item)] {
-            text.as_ref().map_or(Ok(()), |text| choice.add_text(name, text))?;
+            text.as_ref()
+                .map_or(Ok(()), |text| choice.add_text(name, text))?;
         }
         let extents = LandmarkFiles {
             extent_p: extent("--extent-p", &self.extent_p)?,
@@ -112,36 +158,60 @@ impl LandmarkInput {
             ..LandmarkFiles::default()
         };
         Ok(Some(match &self.landmarks_q {
-            Some(q) => LandmarkFiles { p: Some(file(path)?), q: Some(file(q)?), ..extents },
-            None => LandmarkFiles { both: Some(file(path)?), ..extents },
+            Some(q) => LandmarkFiles {
+                p: Some(file(path)?),
+                q: Some(file(q)?),
+                ..extents
+            },
+            None => LandmarkFiles {
+                both: Some(file(path)?),
+                ..extents
+            },
         }))
     }
 
     /// Landmarks of both sides, if there are landmark files. `warp`: the text of the warp object, which may choose what is read of them.
     /// Errors: As [`Self::read_files`]; landmarks of one side.
     pub(super) fn read(&self, config: &Config, warp: &[u8]) -> Result<Option<Landmarks>, Failure> {
-        let Some(mut files) = self.read_files(config)? else { return Ok(None) };
+        let Some(mut files) = self.read_files(config)? else {
+            return Ok(None);
+        };
         let Choice { matching, item } = Choice::of_warp(warp)?;
         files.choice.matching = files.choice.matching.or(matching);
         files.choice.item = files.choice.item.or(item);
         // Nobody shares this machine's memory with other clients.
         let landmarks = Reserved::of_files(&files, config.limits().columns, &|| false, |_| Ok(()));
-        let (landmarks, ()) = landmarks.map_err(|problem| self.blame(problem))?.into_parts();
-        landmarks.require_q().map_err(|problem| self.without_q(problem))?;
+        let (landmarks, ()) = landmarks
+            .map_err(|problem| self.blame(problem))?
+            .into_parts();
+        landmarks
+            .require_q()
+            .map_err(|problem| self.without_q(problem))?;
         Ok(Some(landmarks))
     }
 
     /// A problem with landmarks of one side, in the words of the command line.
     pub(super) fn without_q(&self, mut problem: Problem) -> Failure {
-        "it has no posed positions: give a file with both sides, or --landmarks-q FILE".clone_into(&mut problem.detail);
+        "it has no posed positions: give a file with both sides, or --landmarks-q FILE"
+            .clone_into(&mut problem.detail);
         problem.pointer = None;
         Failure::from(problem).about(self.landmarks.as_deref().map(name_of).unwrap_or_default())
     }
 
     /// A problem with a landmark file, with its name in place of that of the part.
     pub(super) fn blame(&self, mut problem: Problem) -> Failure {
-        for (part, path) in [("landmarks", &self.landmarks), ("landmarks_p", &self.landmarks), ("landmarks_q", &self.landmarks_q)] {
-            let Some(rest) = problem.detail.strip_prefix(part).filter(|rest| rest.starts_with([',', ':'])) else { continue };
+        for (part, path) in [
+            ("landmarks", &self.landmarks),
+            ("landmarks_p", &self.landmarks),
+            ("landmarks_q", &self.landmarks_q),
+        ] {
+            let Some(rest) = problem
+                .detail
+                .strip_prefix(part)
+                .filter(|rest| rest.starts_with([',', ':']))
+            else {
+                continue;
+            };
             problem.detail = rest[1..].trim_start().to_owned();
             return Failure::Problem(problem, path.as_deref().map(name_of));
         }
@@ -159,7 +229,10 @@ impl WarpInput {
     /// The warp object, if there is one.
     /// Errors: As [`read`].
     pub(super) fn source(&self, config: &Config) -> Result<Option<Source>, Failure> {
-        self.warp.as_deref().map(|path| source("warp object", path, Limit::json(config))).transpose()
+        self.warp
+            .as_deref()
+            .map(|path| source("warp object", path, Limit::json(config)))
+            .transpose()
     }
 }
 
@@ -170,9 +243,13 @@ impl ExtentInput {
         if let Some(text) = &self.extent {
             return Ok(Some(extent("--extent", text)?));
         }
-        let Some(path) = &self.image else { return Ok(None) };
+        let Some(path) = &self.image else {
+            return Ok(None);
+        };
         let size = extent_of(config, &read("image", path, Limit::body(config))?);
-        Ok(Some(size.map_err(|error| Failure::from(error).about(name_of(path)))?))
+        Ok(Some(size.map_err(|error| {
+            Failure::from(error).about(name_of(path))
+        })?))
     }
 }
 
@@ -195,34 +272,64 @@ pub(super) struct Body {
 impl Body {
     /// Reads all of it; `more`: further objects with fields of the request.
     /// Errors: A file that cannot be read, or no size.
-    pub(super) fn read(config: &Config, input: &WarpInput, size: &ExtentInput, more: Vec<Source>) -> Result<Self, Failure> {
+    pub(super) fn read(
+        config: &Config,
+        input: &WarpInput,
+        size: &ExtentInput,
+        more: Vec<Source>,
+    ) -> Result<Self, Failure> {
         let mut sources: Vec<Source> = input.source(config)?.into_iter().chain(more).collect();
-        let of = |name: &str, json: String| Source { name: name.to_owned(), json: json.into_bytes(), is_option: true };
+        let of = |name: &str, json: String| Source {
+            name: name.to_owned(),
+            json: json.into_bytes(),
+            is_option: true,
+        };
         let given = size.read(config)?;
-        sources.extend(given.map(|size| of("the size", json!({"extent": [size.width(), size.height()]}).to_string())));
+        sources.extend(given.map(|size| {
+            of(
+                "the size",
+                json!({"extent": [size.width(), size.height()]}).to_string(),
+            )
+        }));
         let mut merged = merge(&sources)?;
         let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
         let extent = extent_in(&merged.json).map_err(|problem| located(&merged, problem))?;
         extent.ok_or_else(|| Failure::Local(missing.to_owned()))?;
         let mut json = std::mem::take(&mut merged.json);
         if let Some(landmarks) = input.landmarks.read(config, &json)? {
-            merged.require_no_handles().map_err(|problem| located(&merged, problem))?;
+            merged
+                .require_no_handles()
+                .map_err(|problem| located(&merged, problem))?;
             json = landmarks.into_fields(&json, Target::Request)?;
         }
-        Ok(Self { json: json.into(), merged })
+        Ok(Self {
+            json: json.into(),
+            merged,
+        })
     }
 }
 
 /// Resolves a warp object as the server does: places the handles of landmark files, applies the strength and chooses the method.
 /// Errors: Wrong handles.
-pub(super) fn resolve(config: &Config, object: &mut WarpObject, landmarks: Option<Landmarks>, extent: Extent) -> Result<Setup, Failure> {
+pub(super) fn resolve(
+    config: &Config,
+    object: &mut WarpObject,
+    landmarks: Option<Landmarks>,
+    extent: Extent,
+) -> Result<Setup, Failure> {
     if let Some(landmarks) = landmarks {
         landmarks.place_in(object, extent)?;
     }
     object.settle_pose(extent)?;
     if object.is_auto {
         object.require_choice()?;
-        let chosen = choose(&object.rest, object.posed()?, extent, config.max_fit_handles as u64, &|| false)?;
+        let chosen = choose(
+            &object.rest,
+            object.posed()?,
+            extent,
+            config.max_fit_handles as u64,
+            &|| false,
+        )?;
         object.choose(chosen);
     }
     Ok(Setup::new(&object.rest, extent, &config.limits())?)
@@ -231,6 +338,8 @@ pub(super) fn resolve(config: &Config, object: &mut WarpObject, landmarks: Optio
 /// The compute threads.
 /// Errors: They cannot be started.
 pub(super) fn threads(config: &Config) -> Result<ThreadPool, Failure> {
-    let threads = rayon::ThreadPoolBuilder::new().num_threads(config.work.workers).build();
+    let threads = rayon::ThreadPoolBuilder::new()
+        .num_threads(config.work.workers)
+        .build();
     threads.map_err(|e| Failure::Local(format!("cannot start compute threads: {e}")))
 }

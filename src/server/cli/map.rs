@@ -13,16 +13,31 @@ use crate::config::{Config, MapArgs};
 /// Writes a coordinate map. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
-    let MapArgs { input, extent, direction, pose, frame, out } = args;
+    let MapArgs {
+        input,
+        extent,
+        direction,
+        pose,
+        frame,
+        out,
+    } = args;
     let files = || input.files().into_iter().chain([extent.image.as_ref()]);
     require_one_stdin(files())?;
-    let known = [("npy", MapFormat::Npy), ("tif", MapFormat::Tiff), ("tiff", MapFormat::Tiff)];
+    let known = [
+        ("npy", MapFormat::Npy),
+        ("tif", MapFormat::Tiff),
+        ("tiff", MapFormat::Tiff),
+    ];
     let format = output::by_extension(out, &known, "")?.unwrap_or_default();
     output::require_directory(out)?;
     output::require_other(out, files().flatten())?;
     let mut more = pose.sources();
     more.extend(frame.of_map()?);
-    more.extend(source("--direction", "direction", direction.as_ref().map(|direction| json!(direction))));
+    more.extend(source(
+        "--direction",
+        "direction",
+        direction.as_ref().map(|direction| json!(direction)),
+    ));
     let Body { json, merged } = Body::read(config, input, extent, more)?;
     let service = Service::start(config)?;
     let made = service.run(service.app.map_once(service.client, json, format));

@@ -11,7 +11,11 @@ use crate::wire::{AsJson, Source, canvas_from_text};
 /// The object of an option that was given.
 pub(super) fn source(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
     let json = json!({field: value?}).to_string().into_bytes();
-    Some(Source { name: flag.to_owned(), json, is_option: true })
+    Some(Source {
+        name: flag.to_owned(),
+        json,
+        is_option: true,
+    })
 }
 
 /// The same for a field of `output`.
@@ -23,7 +27,16 @@ fn of_output(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
 fn number(text: Option<&String>) -> Option<Value> {
     let text = text?;
     let whole = text.parse::<i64>().map(Value::from).ok();
-    Some(whole.or_else(|| text.parse::<f64>().ok().filter(|number| number.is_finite()).map(Value::from)).unwrap_or_else(|| json!(text)))
+    Some(
+        whole
+            .or_else(|| {
+                text.parse::<f64>()
+                    .ok()
+                    .filter(|number| number.is_finite())
+                    .map(Value::from)
+            })
+            .unwrap_or_else(|| json!(text)),
+    )
 }
 
 fn name(text: Option<&String>) -> Option<Value> {
@@ -33,7 +46,9 @@ fn name(text: Option<&String>) -> Option<Value> {
 /// `--canvas`, as the value of a field.
 pub(super) fn canvas(text: Option<&String>) -> Result<Option<Value>, Failure> {
     let canvas = text.map(|text| canvas_from_text(text).map(|canvas| json!(AsJson(canvas))));
-    canvas.transpose().map_err(|expected| Failure::Local(format!("--canvas: {expected}")))
+    canvas
+        .transpose()
+        .map_err(|expected| Failure::Local(format!("--canvas: {expected}")))
 }
 
 pub(super) fn align(text: Option<&String>) -> Option<Source> {
@@ -42,7 +57,12 @@ pub(super) fn align(text: Option<&String>) -> Option<Source> {
 
 impl PoseOptions {
     pub(super) fn sources(&self) -> Vec<Source> {
-        let Self { method, alpha, strength, align } = self;
+        let Self {
+            method,
+            alpha,
+            strength,
+            align,
+        } = self;
         let sources = [
             source("--method", "method", name(method.as_ref())),
             source("--alpha", "alpha", number(alpha.as_ref())),
@@ -58,27 +78,51 @@ impl FrameOptions {
     /// Errors: A canvas in another form.
     pub(super) fn sources(&self) -> Result<Vec<Source>, Failure> {
         let canvas = of_output("--canvas", "canvas", canvas(self.canvas.as_ref())?);
-        Ok([canvas, of_output("--width", "width", number(self.width.as_ref()))].into_iter().flatten().collect())
+        Ok([
+            canvas,
+            of_output("--width", "width", number(self.width.as_ref())),
+        ]
+        .into_iter()
+        .flatten()
+        .collect())
     }
 
     /// As fields of a map.
     /// Errors: A canvas in another form.
     pub(super) fn of_map(&self) -> Result<Vec<Source>, Failure> {
         let canvas = source("--canvas", "canvas", canvas(self.canvas.as_ref())?);
-        Ok([canvas, source("--width", "width", number(self.width.as_ref()))].into_iter().flatten().collect())
+        Ok([
+            canvas,
+            source("--width", "width", number(self.width.as_ref())),
+        ]
+        .into_iter()
+        .flatten()
+        .collect())
     }
 }
 
 impl FileOptions {
     pub(super) fn sources(&self) -> Vec<Source> {
         let format = of_output("--format", "format", name(self.format.as_ref()));
-        [format, of_output("--quality", "quality", number(self.quality.as_ref()))].into_iter().flatten().collect()
+        [
+            format,
+            of_output("--quality", "quality", number(self.quality.as_ref())),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
     }
 }
 
 impl FramesOptions {
     pub(super) fn sources(&self) -> Vec<Source> {
-        let Self { steps, easing, and_back, plays, delay } = self;
+        let Self {
+            steps,
+            easing,
+            and_back,
+            plays,
+            delay,
+        } = self;
         let sources = [
             source("--steps", "steps", number(steps.as_ref())),
             source("--easing", "easing", name(easing.as_ref())),
@@ -91,16 +135,25 @@ impl FramesOptions {
 }
 
 /// Errors: `--quality` without effect. `cure`: what gives it one.
-pub(super) fn require_quality_of_jpeg(options: &FileOptions, format: Format, cure: &str) -> Result<(), Failure> {
+pub(super) fn require_quality_of_jpeg(
+    options: &FileOptions,
+    format: Format,
+    cure: &str,
+) -> Result<(), Failure> {
     if options.quality.is_none() || format == Format::Jpeg {
         return Ok(());
     }
-    let detail = format!("it applies to JPEG; the output is {}: {cure}", format.name());
+    let detail = format!(
+        "it applies to JPEG; the output is {}: {cure}",
+        format.name()
+    );
     Err(Failure::from(Problem::new(Code::BadValue, detail)).about("--quality"))
 }
 
 /// `--canvas` of a report.
 /// Errors: A canvas in another form.
 pub(super) fn of_report(text: Option<&String>) -> Result<Vec<Source>, Failure> {
-    Ok(of_output("--canvas", "canvas", canvas(text)?).into_iter().collect())
+    Ok(of_output("--canvas", "canvas", canvas(text)?)
+        .into_iter()
+        .collect())
 }

@@ -21,7 +21,9 @@ static PART: Mutex<Option<PathBuf>> = Mutex::new(None);
 pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
     match out.parent() {
         Some(directory) if !directory.as_os_str().is_empty() && !directory.is_dir() => {
-            Err(Failure::Local(format!("cannot write {out:?}: there is no directory {directory:?}")))
+            Err(Failure::Local(format!(
+                "cannot write {out:?}: there is no directory {directory:?}"
+            )))
         }
         _ => Ok(()),
     }
@@ -39,7 +41,10 @@ pub(super) fn create_directory(out: &Path) -> Result<(), Failure> {
 }
 
 /// Errors: The output is the same file as an input, which it would replace.
-pub(super) fn require_other<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Failure> {
+pub(super) fn require_other<'a>(
+    out: &Path,
+    inputs: impl IntoIterator<Item = &'a PathBuf>,
+) -> Result<(), Failure> {
     require_others([out], inputs)
 }
 
@@ -50,28 +55,42 @@ pub(super) fn require_others<'a, 'b>(
     inputs: impl IntoIterator<Item = &'b PathBuf>,
 ) -> Result<(), Failure> {
     let file = |path: &Path| fs::canonicalize(path).ok().filter(|path| path.is_file());
-    let mut written = outs.into_iter().filter_map(|out| Some((out, file(out)?))).peekable();
+    let mut written = outs
+        .into_iter()
+        .filter_map(|out| Some((out, file(out)?)))
+        .peekable();
     if written.peek().is_none() {
         return Ok(());
     }
     let read: HashSet<PathBuf> = inputs.into_iter().filter_map(|input| file(input)).collect();
     match written.find(|(_, file)| read.contains(file)) {
-        Some((out, _)) => Err(Failure::Local(format!("{out:?} is an input and would be replaced: give another output"))),
+        Some((out, _)) => Err(Failure::Local(format!(
+            "{out:?} is an input and would be replaced: give another output"
+        ))),
         None => Ok(()),
     }
 }
 
 /// The value of the file's extension in `known`; `None` without an extension.
 /// Errors: An extension that is not known; `more` is appended to the list of those that are.
-pub(super) fn by_extension<T: Copy>(out: &Path, known: &[(&str, T)], more: &str) -> Result<Option<T>, Problem> {
-    let Some(extension) = out.extension() else { return Ok(None) };
+pub(super) fn by_extension<T: Copy>(
+    out: &Path,
+    known: &[(&str, T)],
+    more: &str,
+) -> Result<Option<T>, Problem> {
+    let Some(extension) = out.extension() else {
+        return Ok(None);
+    };
     let extension = extension.to_string_lossy().to_ascii_lowercase();
     if let Some((_, value)) = known.iter().find(|(name, _)| *name == extension) {
         return Ok(Some(*value));
     }
     let extensions: Vec<String> = known.iter().map(|(name, _)| format!(".{name}")).collect();
     let extension = quote(&format!(".{extension}"));
-    let detail = format!("cannot write {out:?}: {extension} is not supported; supported: {}{more}", extensions.join(", "));
+    let detail = format!(
+        "cannot write {out:?}: {extension} is not supported; supported: {}{more}",
+        extensions.join(", ")
+    );
     Err(Problem::new(Code::UnsupportedFormat, detail))
 }
 
@@ -85,18 +104,28 @@ impl Sink<'_> {
     /// Appends bytes.
     /// Errors: They cannot be written.
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Failure> {
-        self.file.write_all(bytes).map_err(|e| cannot_write(self.out, &e))
+        self.file
+            .write_all(bytes)
+            .map_err(|e| cannot_write(self.out, &e))
     }
 
     /// Ends the line of a terminal.
     /// Errors: As [`Self::put`].
     pub(super) fn end_line(&mut self) -> Result<(), Failure> {
-        if is_stdio(self.out) && io::stdout().is_terminal() { self.put(b"\n") } else { Ok(()) }
+        if is_stdio(self.out) && io::stdout().is_terminal() {
+            self.put(b"\n")
+        } else {
+            Ok(())
+        }
     }
 }
 
 fn cannot_write(out: &Path, e: &io::Error) -> Failure {
-    let name = if is_stdio(out) { "standard output".to_owned() } else { format!("{out:?}") };
+    let name = if is_stdio(out) {
+        "standard output".to_owned()
+    } else {
+        format!("{out:?}")
+    };
     Failure::Local(format!("cannot write {name}: {e}"))
 }
 
@@ -110,20 +139,38 @@ pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
 
 /// Writes a file or standard output by `content`.
 /// Errors: It cannot be written, or those of `content`.
-pub(super) fn write(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn write(
+    out: &Path,
+    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     if is_stdio(out) {
         return fill(out, Box::new(io::stdout()), content);
     }
     if out.exists() && !out.is_file() || out.is_symlink() {
         // A device, a pipe or a link that is named is meant, and not replaced.
-        let file = File::options().write(true).create(true).truncate(true).open(out);
-        return fill(out, Box::new(file.map_err(|e| cannot_write(out, &e))?), content);
+        let file = File::options()
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .open(out);
+        return fill(
+            out,
+            Box::new(file.map_err(|e| cannot_write(out, &e))?),
+            content,
+        );
     }
     replace(out, content)
 }
 
-fn fill(out: &Path, file: Box<dyn Write + Send>, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
-    let mut sink = Sink { out, file: BufWriter::new(file) };
+fn fill(
+    out: &Path,
+    file: Box<dyn Write + Send>,
+    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut sink = Sink {
+        out,
+        file: BufWriter::new(file),
+    };
     content(&mut sink)?;
     sink.file.flush().map_err(|e| cannot_write(out, &e))
 }
@@ -131,7 +178,10 @@ fn fill(out: &Path, file: Box<dyn Write + Send>, content: impl FnOnce(&mut Sink<
 /// Writes a file of a folder by `content`. What has its name is replaced, and never written through: who else may write the folder could
 /// have put a link there.
 /// Errors: It cannot be written, or those of `content`.
-pub(super) fn replace(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>) -> Result<(), Failure> {
+pub(super) fn replace(
+    out: &Path,
+    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     // A file beside it is renamed when it is complete.
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -145,7 +195,9 @@ pub(super) fn replace(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<
         let _ = fs::remove_file(&path);
         File::create_new(&path)
     };
-    let written = created.map_err(|e| cannot_write(out, &e)).and_then(|file| fill(out, Box::new(file), content));
+    let written = created
+        .map_err(|e| cannot_write(out, &e))
+        .and_then(|file| fill(out, Box::new(file), content));
     let mut part = part();
     *part = None;
     let renamed = written.and_then(|()| fs::rename(&path, out).map_err(|e| cannot_write(out, &e)));
@@ -157,7 +209,12 @@ pub(super) fn replace(out: &Path, content: impl FnOnce(&mut Sink<'_>) -> Result<
 fn watch_signals() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
-        let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
+        let Ok(runtime) = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+        else {
+            return;
+        };
         let signals = {
             let _entered = runtime.enter();
             Signals::stop()
@@ -169,7 +226,10 @@ fn watch_signals() {
             if let Some(path) = &*part {
                 let _ = fs::remove_file(path);
             }
-            #[expect(clippy::exit, reason = "this thread has no caller that could end the program")]
+            #[expect(
+                clippy::exit,
+                reason = "this thread has no caller that could end the program"
+            )]
             std::process::exit(INTERRUPTED);
         });
     });

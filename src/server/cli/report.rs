@@ -10,7 +10,13 @@ use crate::config::{Config, ReportArgs};
 /// Measures a pose. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &ReportArgs) -> Result<Option<String>, Failure> {
-    let ReportArgs { input, extent, pose, canvas, out } = args;
+    let ReportArgs {
+        input,
+        extent,
+        pose,
+        canvas,
+        out,
+    } = args;
     let files = || input.files().into_iter().chain([extent.image.as_ref()]);
     require_one_stdin(files())?;
     output::require_directory(out)?;

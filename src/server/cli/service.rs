@@ -21,21 +21,36 @@ pub(super) struct Service {
 impl Service {
     /// Errors: Its threads cannot be started.
     pub(super) fn start(config: &Config) -> Result<Self, Failure> {
-        let cannot = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot start compute threads: {e}"));
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|e| cannot(&e))?;
+        let cannot = |e: &dyn std::fmt::Display| {
+            Failure::Local(format!("cannot start compute threads: {e}"))
+        };
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|e| cannot(&e))?;
         let app = App::new(config.offline()).map_err(|e| cannot(&e))?;
-        Ok(Self { app, client: Client::default(), runtime })
+        Ok(Self {
+            app,
+            client: Client::default(),
+            runtime,
+        })
     }
 
     /// Waits for a use case.
     /// Errors: Those of the use case.
-    pub(super) fn run<T>(&self, use_case: impl Future<Output = Result<T, Problem>>) -> Result<T, Problem> {
+    pub(super) fn run<T>(
+        &self,
+        use_case: impl Future<Output = Result<T, Problem>>,
+    ) -> Result<T, Problem> {
         self.runtime.block_on(use_case)
     }
 
     /// Waits for the next part of a file; `None` at its end.
     /// Errors: Those of the use case.
-    pub(super) fn next<T>(&self, part: impl Future<Output = Option<Result<T, Problem>>>) -> Result<Option<T>, Failure> {
+    pub(super) fn next<T>(
+        &self,
+        part: impl Future<Output = Option<Result<T, Problem>>>,
+    ) -> Result<Option<T>, Failure> {
         Ok(self.runtime.block_on(part).transpose()?)
     }
 }

@@ -22,8 +22,20 @@ use crate::wire::{canvas_text, method_text};
 /// Errors: See [`Failure`]; an image of several that failed, after the others.
 pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let config = &config.offline();
-    let WarpArgs { files, landmarks, region, out, .. } = args;
-    input::require_one_stdin(files.iter().map(Some).chain(landmarks.files()).chain([region.as_ref()]))?;
+    let WarpArgs {
+        files,
+        landmarks,
+        region,
+        out,
+        ..
+    } = args;
+    input::require_one_stdin(
+        files
+            .iter()
+            .map(Some)
+            .chain(landmarks.files())
+            .chain([region.as_ref()]),
+    )?;
     let inputs = Inputs::of(files, Limit::body(config))?;
     let merged = input::merge(&sources(config, args, &inputs)?)?;
     let located = |problem| input::located(&merged, problem);
@@ -33,24 +45,47 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
         return Err(no_region());
     }
     let outputs = Outputs::of(out, &inputs, patch.output.format)?;
-    require_quality_of_jpeg(&args.file, outputs.format(), "give --format jpeg, or a file that ends in .jpg")?;
+    require_quality_of_jpeg(
+        &args.file,
+        outputs.format(),
+        "give --format jpeg, or a file that ends in .jpg",
+    )?;
     if landmarks.landmarks.is_some() {
         patch.require_no_handles().map_err(located)?;
     }
     let mut object = patch.into_object().map_err(located)?;
     object.output.format = outputs.format();
-    let others: Vec<&PathBuf> = landmarks.files().into_iter().chain([region.as_ref()]).flatten().collect();
+    let others: Vec<&PathBuf> = landmarks
+        .files()
+        .into_iter()
+        .chain([region.as_ref()])
+        .flatten()
+        .collect();
     let files = outputs.files(&inputs, &others)?;
     let (shared_landmarks, shared_region) = shared(config, args, &merged.json)?;
-    let mut job = Job { config, args, merged: &merged, object, shared_landmarks, shared_region, prepared: None };
+    let mut job = Job {
+        config,
+        args,
+        merged: &merged,
+        object,
+        shared_landmarks,
+        shared_region,
+        prepared: None,
+    };
     let threads = input::threads(config)?;
     let Outputs::Folder(folder, _) = outputs else {
-        return threads.install(|| job.draw(&inputs.images[0], |file| output::write(out, |sink| file(sink))));
+        return threads.install(|| {
+            job.draw(&inputs.images[0], |file| {
+                output::write(out, |sink| file(sink))
+            })
+        });
     };
     output::create_directory(&folder)?;
     let mut failed = 0;
     for (image, file) in inputs.images.iter().zip(&files) {
-        match threads.install(|| job.draw(image, |content| output::replace(file, |sink| content(sink)))) {
+        match threads
+            .install(|| job.draw(image, |content| output::replace(file, |sink| content(sink))))
+        {
             Ok(summary) => eprintln!("{}: {summary}", name_of(file)),
             Err(failure) => {
                 failed += 1;
@@ -61,35 +96,66 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let (count, folder) = (files.len(), name_of(&folder));
     match failed {
         0 => Ok(format!("{count} images in {folder}")),
-        _ => Err(Failure::Local(format!("{failed} of {count} images failed; {} are in {folder}", count - failed))),
+        _ => Err(Failure::Local(format!(
+            "{failed} of {count} images failed; {} are in {folder}",
+            count - failed
+        ))),
     }
 }
 
 /// The landmarks and the region of all images, unless each has its own in a folder.
-fn shared(config: &Config, args: &WarpArgs, warp: &[u8]) -> Result<(Option<Landmarks>, Option<Region>), Failure> {
-    let landmarks = if has_own_landmarks(args) { None } else { args.landmarks.read(config, warp)? };
-    let region = args.region.as_deref().filter(|path| !path.is_dir()).map(|path| region(config, path)).transpose()?;
+fn shared(
+    config: &Config,
+    args: &WarpArgs,
+    warp: &[u8],
+) -> Result<(Option<Landmarks>, Option<Region>), Failure> {
+    let landmarks = if has_own_landmarks(args) {
+        None
+    } else {
+        args.landmarks.read(config, warp)?
+    };
+    let region = args
+        .region
+        .as_deref()
+        .filter(|path| !path.is_dir())
+        .map(|path| region(config, path))
+        .transpose()?;
     Ok((landmarks, region))
 }
 
 fn has_own_landmarks(args: &WarpArgs) -> bool {
-    args.landmarks.files().into_iter().flatten().any(|path| path.is_dir())
+    args.landmarks
+        .files()
+        .into_iter()
+        .flatten()
+        .any(|path| path.is_dir())
 }
 
 fn region(config: &Config, path: &Path) -> Result<Region, Failure> {
     let mask = input::read("region", path, Limit::body(config))?;
-    let mask = Image::decode(&mask, &config.limits().image).map_err(|error| Failure::from(error).about(name_of(path)))?;
+    let mask = Image::decode(&mask, &config.limits().image)
+        .map_err(|error| Failure::from(error).about(name_of(path)))?;
     Ok(Region::new(&mask))
 }
 
 /// The warp object and the options.
 fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Source>, Failure> {
-    let WarpArgs { landmarks, pose, frame, file, .. } = args;
+    let WarpArgs {
+        landmarks,
+        pose,
+        frame,
+        file,
+        ..
+    } = args;
     let mut sources = Vec::new();
     match &inputs.warp {
         Some(warp) => {
             let json = warp.read("warp object", Limit::json(config))?;
-            sources.push(Source { name: name_of(&warp.path), json, is_option: false });
+            sources.push(Source {
+                name: name_of(&warp.path),
+                json,
+                is_option: false,
+            });
         }
         None if landmarks.landmarks.is_none() => {
             let missing = "the handles are missing: give a warp object, a file that ends in .json or begins with `{`, or --landmarks FILE";
@@ -133,7 +199,11 @@ type Content<'a> = &'a mut dyn FnMut(&mut output::Sink<'_>) -> Result<(), Failur
 
 impl Job<'_> {
     /// Draws one image. `write`: to its output file. The result: what a server sends in response headers.
-    fn draw(&mut self, image: &InputFile, write: impl FnOnce(Content<'_>) -> Result<(), Failure>) -> Result<String, Failure> {
+    fn draw(
+        &mut self,
+        image: &InputFile,
+        write: impl FnOnce(Content<'_>) -> Result<(), Failure>,
+    ) -> Result<String, Failure> {
         let (config, args) = (self.config, self.args);
         let about = |failure: Failure| failure.about(name_of(&image.path));
         let landmarks = self.landmarks_of(&image.path)?;
@@ -143,7 +213,8 @@ impl Job<'_> {
         let region = self.region_of(&image.path)?;
         if let Some((region, name)) = &region {
             let extent = input::extent_of(config, &file).map_err(|error| about(error.into()))?;
-            check_extent(region.extent(), extent).map_err(|problem| Failure::from(problem).about(&**name))?;
+            check_extent(region.extent(), extent)
+                .map_err(|problem| Failure::from(problem).about(&**name))?;
         }
         let region = region.map(|(region, _)| region);
         let (picture, labels);
@@ -153,10 +224,13 @@ impl Job<'_> {
                 Subject::Image(&picture)
             }
             (WarpKind::Labels, _) => {
-                labels = LabelImage::decode(&file, &config.limits()).map_err(|error| about(error.into()))?;
+                labels = LabelImage::decode(&file, &config.limits())
+                    .map_err(|error| about(error.into()))?;
                 Subject::Labels(&labels)
             }
-            (WarpKind::Coverage, _) => Subject::Coverage(input::extent_of(config, &file).map_err(|error| about(error.into()))?),
+            (WarpKind::Coverage, _) => Subject::Coverage(
+                input::extent_of(config, &file).map_err(|error| about(error.into()))?,
+            ),
             (WarpKind::Holes, Some(region)) => Subject::Holes(region),
             (WarpKind::Holes, None) => return Err(no_region()),
         };
@@ -169,14 +243,24 @@ impl Job<'_> {
         if !has_own_landmarks(self.args) {
             return Ok(self.shared_landmarks.clone());
         }
-        let own = |path: Option<&PathBuf>| path.map(|path| companion("landmark file", path, image, false)).transpose();
+        let own = |path: Option<&PathBuf>| {
+            path.map(|path| companion("landmark file", path, image, false))
+                .transpose()
+        };
         let [p, q] = self.args.landmarks.files();
-        LandmarkInput { landmarks: own(p)?, landmarks_q: own(q)?, ..self.args.landmarks.clone() }.read(self.config, &self.merged.json)
+        LandmarkInput {
+            landmarks: own(p)?,
+            landmarks_q: own(q)?,
+            ..self.args.landmarks.clone()
+        }
+        .read(self.config, &self.merged.json)
     }
 
     /// The region of an image, and the name of its file.
     fn region_of(&self, image: &Path) -> Result<Option<(Region, String)>, Failure> {
-        let Some(path) = &self.args.region else { return Ok(None) };
+        let Some(path) = &self.args.region else {
+            return Ok(None);
+        };
         if let Some(shared) = &self.shared_region {
             return Ok(Some((shared.clone(), name_of(path))));
         }
@@ -186,7 +270,12 @@ impl Job<'_> {
 
     /// Resolves the handles on an image of this size, unless they are those of the last one.
     fn prepare(&mut self, extent: Extent, landmarks: Option<Landmarks>) -> Result<(), Failure> {
-        if !has_own_landmarks(self.args) && self.prepared.as_ref().is_some_and(|prepared| prepared.extent == extent) {
+        if !has_own_landmarks(self.args)
+            && self
+                .prepared
+                .as_ref()
+                .is_some_and(|prepared| prepared.extent == extent)
+        {
             return Ok(());
         }
         let located = |failure: Failure| match failure {
@@ -197,7 +286,12 @@ impl Job<'_> {
         let setup = input::resolve(self.config, &mut object, landmarks, extent).map_err(located)?;
         object.posed().map_err(|problem| located(problem.into()))?;
         let plan = setup.plan();
-        self.prepared = Some(Prepared { extent, object, setup, plan });
+        self.prepared = Some(Prepared {
+            extent,
+            object,
+            setup,
+            plan,
+        });
         Ok(())
     }
 
@@ -209,10 +303,25 @@ impl Job<'_> {
     ) -> Result<String, Failure> {
         let limits = self.config.limits();
         let located = |problem| input::located(self.merged, problem);
-        let Some(Prepared { object, setup, plan, .. }) = &self.prepared else { return Ok(String::new()) };
-        let pose = setup.pose(object.posed()?).map_err(|error| located(error.into()))?;
-        subject.check(&object.output).map_err(|error| located(error.into()))?;
-        object.output.check(subject.extent(), &limits).map_err(|error| located(error.into()))?;
+        let Some(Prepared {
+            object,
+            setup,
+            plan,
+            ..
+        }) = &self.prepared
+        else {
+            return Ok(String::new());
+        };
+        let pose = setup
+            .pose(object.posed()?)
+            .map_err(|error| located(error.into()))?;
+        subject
+            .check(&object.output)
+            .map_err(|error| located(error.into()))?;
+        object
+            .output
+            .check(subject.extent(), &limits)
+            .map_err(|error| located(error.into()))?;
         let posed = Posed::new(setup, plan, &pose, object.folds, &|| false)?;
         let posed = match region {
             Some(region) => posed.within(region.clone()),
@@ -221,19 +330,45 @@ impl Job<'_> {
         let warp = Warp::new(subject, &posed, &object.output, &limits)?;
         write(&mut |sink| {
             let mut written = Ok(());
-            let _ = warp.write(self.config.work.workers.saturating_sub(1), &(), &mut |bytes| {
-                written = sink.put(&bytes);
-                if written.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
-            });
+            let _ = warp.write(
+                self.config.work.workers.saturating_sub(1),
+                &(),
+                &mut |bytes| {
+                    written = sink.put(&bytes);
+                    if written.is_ok() {
+                        ControlFlow::Continue(())
+                    } else {
+                        ControlFlow::Break(())
+                    }
+                },
+            );
             written
         })?;
         let target = warp.target();
-        let Report { warnings, folds, residual, exceeded, .. } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
+        let Report {
+            warnings,
+            folds,
+            residual,
+            exceeded,
+            ..
+        } = posed.into_report_on(subject, (&target, &object.output), &|| false)?;
         let (width, height) = (target.extent.width(), target.extent.height());
-        let canvas = target.canvas.map_or_else(String::new, |canvas| format!(", canvas {}", canvas_text(canvas)));
-        let method = if object.is_auto { format!(", method {}", method_text(&object.rest)) } else { String::new() };
-        let summary = format!("{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px");
-        let summary = if exceeded > 0 { format!("{summary}, {exceeded} cells over the tolerance") } else { summary };
+        let canvas = target.canvas.map_or_else(String::new, |canvas| {
+            format!(", canvas {}", canvas_text(canvas))
+        });
+        let method = if object.is_auto {
+            format!(", method {}", method_text(&object.rest))
+        } else {
+            String::new()
+        };
+        let summary = format!(
+            "{width} x {height} px{canvas}{method}, {folds} folded cells, residual {residual:.4} px"
+        );
+        let summary = if exceeded > 0 {
+            format!("{summary}, {exceeded} cells over the tolerance")
+        } else {
+            summary
+        };
         let warnings = warnings.iter().map(|warning| warning.code());
         Ok(warnings.fold(summary, |summary, warning| format!("{summary}, {warning}")))
     }

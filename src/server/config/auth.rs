@@ -75,7 +75,9 @@ pub(crate) struct KeysConfig {
 impl KeysConfig {
     /// Reads the file and returns all keys.
     pub(crate) fn read(&self) -> Result<Keys, String> {
-        let Some(path) = &self.file else { return Ok(self.fixed.clone()) };
+        let Some(path) = &self.file else {
+            return Ok(self.fixed.clone());
+        };
         let in_file = |why: String| format!("{}: {why}", path.display());
         let bytes = read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?;
         let text = String::from_utf8(bytes).map_err(|_| in_file("not UTF-8".to_owned()))?;
@@ -96,7 +98,10 @@ impl AuthConfig {
     /// The hosts that the service serves; `None`: all.
     pub(crate) fn hosts(&self, listen: SocketAddr) -> Option<&Hosts> {
         let listed = Some(&self.allowed_hosts).filter(|hosts| !hosts.is_empty());
-        listed.or_else(|| self.hosts_without_keys(listen).filter(|_| self.keys.is_none()))
+        listed.or_else(|| {
+            self.hosts_without_keys(listen)
+                .filter(|_| self.keys.is_none())
+        })
     }
 
     /// Whether keys travel unencrypted to a listener that other machines can reach.
@@ -107,8 +112,16 @@ impl AuthConfig {
     /// Reads the files of keys and TLS.
     pub(super) fn load(&mut self) {
         if self.keys_file.is_some() || !self.fixed_keys.is_empty() {
-            let flag = if self.keys_file.is_some() { "keys-file" } else { "keys" };
-            let keys = KeysConfig { fixed: self.fixed_keys.clone(), file: self.keys_file.clone(), all: Keys::default() };
+            let flag = if self.keys_file.is_some() {
+                "keys-file"
+            } else {
+                "keys"
+            };
+            let keys = KeysConfig {
+                fixed: self.fixed_keys.clone(),
+                file: self.keys_file.clone(),
+                all: Keys::default(),
+            };
             self.keys = report(flag, keys.read()).map(|all| KeysConfig { all, ..keys });
         }
         match (self.tls_cert.clone(), self.tls_key.clone()) {
@@ -117,8 +130,14 @@ impl AuthConfig {
                 let files = TlsFiles { cert, key };
                 self.tls = report("tls-cert", files.load().map(|_| files));
             }
-            (None, Some(_)) => drop(report::<()>("tls-cert", Err("missing: --tls-key needs it".to_owned()))),
-            (Some(_), None) => drop(report::<()>("tls-key", Err("missing: --tls-cert needs it".to_owned()))),
+            (None, Some(_)) => drop(report::<()>(
+                "tls-cert",
+                Err("missing: --tls-key needs it".to_owned()),
+            )),
+            (Some(_), None) => drop(report::<()>(
+                "tls-key",
+                Err("missing: --tls-cert needs it".to_owned()),
+            )),
         }
     }
 
@@ -129,7 +148,12 @@ impl AuthConfig {
         if !is_loopback(listen) && !has_keys && !self.allow_anonymous {
             let ways = "give --keys-file (MLSWARP_KEYS_FILE) or MLSWARP_KEYS='NAME KEY', \
                         or allow everybody with --allow-anonymous (MLSWARP_ALLOW_ANONYMOUS=true)";
-            report::<()>("listen", Err(format!("{listen} is not a loopback address and there are no keys; {ways}")));
+            report::<()>(
+                "listen",
+                Err(format!(
+                    "{listen} is not a loopback address and there are no keys; {ways}"
+                )),
+            );
         }
     }
 }
@@ -137,7 +161,11 @@ impl AuthConfig {
 /// Keys; a text without any is a mistake.
 fn given_keys(text: &str) -> Result<Keys, String> {
     let keys = Keys::parse(text)?;
-    if keys.is_empty() && !text.trim().is_empty() { Err("there is no key in it".to_owned()) } else { Ok(keys) }
+    if keys.is_empty() && !text.trim().is_empty() {
+        Err("there is no key in it".to_owned())
+    } else {
+        Ok(keys)
+    }
 }
 
 fn is_loopback(listen: SocketAddr) -> bool {
@@ -145,7 +173,8 @@ fn is_loopback(listen: SocketAddr) -> bool {
 }
 
 fn boolean(text: &str) -> Result<bool, String> {
-    text.parse().map_err(|_| format!("`{text}` is neither true nor false"))
+    text.parse()
+        .map_err(|_| format!("`{text}` is neither true nor false"))
 }
 
 fn path(text: &str) -> Result<PathBuf, String> {
@@ -153,7 +182,11 @@ fn path(text: &str) -> Result<PathBuf, String> {
 }
 
 fn networks(text: &str) -> Result<Networks, String> {
-    text.split(',').map(str::trim).filter(|network| !network.is_empty()).map(Network::parse).collect()
+    text.split(',')
+        .map(str::trim)
+        .filter(|network| !network.is_empty())
+        .map(Network::parse)
+        .collect()
 }
 
 #[cfg(test)]
@@ -167,30 +200,66 @@ mod tests {
     #[test]
     fn everybody_is_let_in_only_on_purpose() {
         let refused = serve(&["--listen", "0.0.0.0:80"]).unwrap_err();
-        assert!(refused.contains("--listen (MLSWARP_LISTEN)") && refused.contains("--allow-anonymous"), "{refused}");
+        assert!(
+            refused.contains("--listen (MLSWARP_LISTEN)") && refused.contains("--allow-anonymous"),
+            "{refused}"
+        );
         assert!(serve(&["--listen", "[::]:80"]).is_err());
         assert!(serve(&["--listen", "0.0.0.0:80", "--allow-anonymous=false"]).is_err());
         assert!(serve(&["--listen", "192.0.2.1:80", "--allow-anonymous"]).is_ok());
         assert!(serve(&["--listen", "0.0.0.0:80", "--allow-anonymous=true"]).is_ok());
         assert!(serve(&["--listen", "0.0.0.0:80", "--keys", "ann 0123456789abcdef"]).is_ok());
-        for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80", "localhost:80"] {
+        for loopback in [
+            "127.0.0.1:80",
+            "127.8.8.8:80",
+            "[::1]:80",
+            "[::ffff:127.0.0.1]:80",
+            "localhost:80",
+        ] {
             assert!(serve(&["--listen", loopback]).is_ok(), "{loopback}");
         }
         // Keys with a mistake admit nobody, and only the mistake is reported.
         let refused = serve(&["--listen", "0.0.0.0:80", "--keys", "ann short"]).unwrap_err();
-        assert!(refused.contains("--keys (MLSWARP_KEYS): line 1") && !refused.contains("--listen"), "{refused}");
+        assert!(
+            refused.contains("--keys (MLSWARP_KEYS): line 1") && !refused.contains("--listen"),
+            "{refused}"
+        );
     }
 
     #[test]
     fn mistakes_name_the_file_and_never_the_key() {
-        let refused = serve(&["--keys-file", "/nonexistent/keys", "--tls-cert", "/nonexistent/cert", "--cors-origin", "x"]).unwrap_err();
-        for told in ["--keys-file (MLSWARP_KEYS_FILE): /nonexistent/keys: No such file", "--tls-key (MLSWARP_TLS_KEY): missing"] {
+        let refused = serve(&[
+            "--keys-file",
+            "/nonexistent/keys",
+            "--tls-cert",
+            "/nonexistent/cert",
+            "--cors-origin",
+            "x",
+        ])
+        .unwrap_err();
+        for told in [
+            "--keys-file (MLSWARP_KEYS_FILE): /nonexistent/keys: No such file",
+            "--tls-key (MLSWARP_TLS_KEY): missing",
+        ] {
             assert!(refused.contains(told), "{refused}");
         }
-        let refused = serve(&["--tls-cert", "/nonexistent/cert", "--tls-key", "/nonexistent/key"]).unwrap_err();
-        assert!(refused.contains("--tls-cert (MLSWARP_TLS_CERT): /nonexistent/cert: No such file"), "{refused}");
+        let refused = serve(&[
+            "--tls-cert",
+            "/nonexistent/cert",
+            "--tls-key",
+            "/nonexistent/key",
+        ])
+        .unwrap_err();
+        assert!(
+            refused.contains("--tls-cert (MLSWARP_TLS_CERT): /nonexistent/cert: No such file"),
+            "{refused}"
+        );
         for nothing in [",", "# ann 0123456789abcdef"] {
-            assert!(serve(&["--keys", nothing]).unwrap_err().contains("--keys (MLSWARP_KEYS): there is no key in it"));
+            assert!(
+                serve(&["--keys", nothing])
+                    .unwrap_err()
+                    .contains("--keys (MLSWARP_KEYS): there is no key in it")
+            );
         }
         let refused = serve(&["--keys", "ann 0123456789abcdef$"]).unwrap_err();
         assert!(!refused.contains("0123456789"), "{refused}");
@@ -200,15 +269,31 @@ mod tests {
 
     #[test]
     fn a_client_has_its_percentage_of_a_total() {
-        let share = |percent: &str| serve(&["--max-client-share", percent]).map(|config| config.clients.client_share);
-        assert_eq!(Config::default().clients.client_share, share("50%").unwrap());
-        assert_eq!([0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)), [u64::MAX, u64::MAX, 1, 2, 5001, 1 << 39]);
+        let share = |percent: &str| {
+            serve(&["--max-client-share", percent]).map(|config| config.clients.client_share)
+        };
         assert_eq!(
-            (share("1").unwrap().of(7), share("99").unwrap().of(u64::MAX) < u64::MAX, share("100").unwrap().of(7)),
+            Config::default().clients.client_share,
+            share("50%").unwrap()
+        );
+        assert_eq!(
+            [0, 1, 2, 3, 10_001, 1 << 40].map(|total| share("50").unwrap().of(total)),
+            [u64::MAX, u64::MAX, 1, 2, 5001, 1 << 39]
+        );
+        assert_eq!(
+            (
+                share("1").unwrap().of(7),
+                share("99").unwrap().of(u64::MAX) < u64::MAX,
+                share("100").unwrap().of(7)
+            ),
             (1, true, u64::MAX)
         );
         for wrong in ["0", "101", "half", ""] {
-            assert!(share(wrong).unwrap_err().contains("--max-client-share (MLSWARP_MAX_CLIENT_SHARE)"));
+            assert!(
+                share(wrong)
+                    .unwrap_err()
+                    .contains("--max-client-share (MLSWARP_MAX_CLIENT_SHARE)")
+            );
         }
     }
 
@@ -220,38 +305,86 @@ mod tests {
             let config = serve(&args.concat()).unwrap();
             config.auth.hosts(config.listen).is_some()
         };
-        for loopback in ["127.0.0.1:80", "127.8.8.8:80", "[::1]:80", "[::ffff:127.0.0.1]:80"] {
+        for loopback in [
+            "127.0.0.1:80",
+            "127.8.8.8:80",
+            "[::1]:80",
+            "[::ffff:127.0.0.1]:80",
+        ] {
             let listen = ["--listen", loopback];
             assert!(
-                are_checked(&[&listen]) && are_checked(&[&listen, &["--allow-anonymous"]]) && are_checked(&[&listen, &LIST]),
+                are_checked(&[&listen])
+                    && are_checked(&[&listen, &["--allow-anonymous"]])
+                    && are_checked(&[&listen, &LIST]),
                 "{loopback}"
             );
-            assert!(!are_checked(&[&listen, &KEYS]) && are_checked(&[&listen, &KEYS, &LIST]), "{loopback}");
+            assert!(
+                !are_checked(&[&listen, &KEYS]) && are_checked(&[&listen, &KEYS, &LIST]),
+                "{loopback}"
+            );
         }
         let open = ["--listen", "0.0.0.0:80", "--allow-anonymous"];
         assert!(!are_checked(&[&open]) && are_checked(&[&open, &LIST]));
         assert!(!are_checked(&[&open, &KEYS]) && are_checked(&[&open, &KEYS, &LIST]));
-        assert!(serve(&["--allowed-hosts", "a b"]).unwrap_err().contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS)"));
+        assert!(
+            serve(&["--allowed-hosts", "a b"])
+                .unwrap_err()
+                .contains("--allowed-hosts (MLSWARP_ALLOWED_HOSTS)")
+        );
     }
 
     #[test]
     fn keys_in_plain_are_those_of_a_listener_that_others_reach_without_tls() {
         const KEYS: &[&str] = &["--keys", "ann 0123456789abcdef"];
         let in_plain = |listen: &str, has_keys: bool| {
-            let config = serve(&[&["--listen", listen, "--allow-anonymous"][..], if has_keys { KEYS } else { &[] }].concat()).unwrap();
+            let config = serve(
+                &[
+                    &["--listen", listen, "--allow-anonymous"][..],
+                    if has_keys { KEYS } else { &[] },
+                ]
+                .concat(),
+            )
+            .unwrap();
             config.auth.has_keys_in_plain(config.listen)
         };
-        assert!(in_plain("0.0.0.0:80", true) && in_plain("192.0.2.1:80", true) && in_plain("[::]:80", true));
-        assert!(!in_plain("0.0.0.0:80", false) && !in_plain("127.0.0.1:80", true) && !in_plain("[::1]:80", true));
+        assert!(
+            in_plain("0.0.0.0:80", true)
+                && in_plain("192.0.2.1:80", true)
+                && in_plain("[::]:80", true)
+        );
+        assert!(
+            !in_plain("0.0.0.0:80", false)
+                && !in_plain("127.0.0.1:80", true)
+                && !in_plain("[::1]:80", true)
+        );
     }
 
     #[test]
     fn rates_and_proxies_are_off_unless_given() {
         let config = Config::default();
-        assert_eq!((config.clients.rate_per_key, config.clients.rate_per_address, config.auth.trusted_proxies.len()), (None, None, 0));
-        let config = serve(&["--rate-per-key", "20", "--rate-per-address", "50", "--trusted-proxies", "10.0.0.0/8, ::1"]).unwrap();
         assert_eq!(
-            (config.clients.rate_per_key, config.clients.rate_per_address, config.auth.trusted_proxies.len()),
+            (
+                config.clients.rate_per_key,
+                config.clients.rate_per_address,
+                config.auth.trusted_proxies.len()
+            ),
+            (None, None, 0)
+        );
+        let config = serve(&[
+            "--rate-per-key",
+            "20",
+            "--rate-per-address",
+            "50",
+            "--trusted-proxies",
+            "10.0.0.0/8, ::1",
+        ])
+        .unwrap();
+        assert_eq!(
+            (
+                config.clients.rate_per_key,
+                config.clients.rate_per_address,
+                config.auth.trusted_proxies.len()
+            ),
             (Some(20), Some(50), 2)
         );
         assert!(serve(&["--rate-per-key", "0"]).is_err());

@@ -41,7 +41,12 @@ pub struct LandmarkInput {
     #[arg(long, value_name = "W,H", requires = "landmarks", display_order = 3)]
     pub extent_q: Option<String>,
     /// How two landmark files are matched: name or order. Default: by name if the names explain them.
-    #[arg(long = "match", value_name = "HOW", requires = "landmarks_q", display_order = 3)]
+    #[arg(
+        long = "match",
+        value_name = "HOW",
+        requires = "landmarks_q",
+        display_order = 3
+    )]
     pub matching: Option<String>,
     /// Which specimen, image, person or row of a landmark file is read: an index from 0, or a name.
     #[arg(long, value_name = "ITEM", requires = "landmarks", display_order = 3)]
@@ -80,7 +85,12 @@ pub struct PoseOptions {
 #[derive(Args, Clone, Debug)]
 pub struct FrameOptions {
     /// Part of the result: `same` (that of the image), `fit` (all of it), or a box X,Y,WIDTH,HEIGHT in pixels.
-    #[arg(long, value_name = "BOX", allow_hyphen_values = true, display_order = 6)]
+    #[arg(
+        long,
+        value_name = "BOX",
+        allow_hyphen_values = true,
+        display_order = 6
+    )]
     pub canvas: Option<String>,
     /// Width of the result, px; the height follows.
     #[arg(long, value_name = "PX", allow_hyphen_values = true, display_order = 6)]
@@ -111,7 +121,12 @@ pub struct FramesOptions {
     #[arg(long, display_order = 4)]
     pub and_back: bool,
     /// How often an animation is played; 0 (default) is without end.
-    #[arg(long = "loop", value_name = "N", allow_hyphen_values = true, display_order = 4)]
+    #[arg(
+        long = "loop",
+        value_name = "N",
+        allow_hyphen_values = true,
+        display_order = 4
+    )]
     pub plays: Option<String>,
     /// How long an animation shows each frame, ms (default 40).
     #[arg(long, value_name = "MS", allow_hyphen_values = true, display_order = 4)]
@@ -167,7 +182,14 @@ pub struct WarpArgs {
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
     /// image (default); labels (values are not interpolated); coverage or holes: where the result covers the picture, or the region left it.
-    #[arg(long, value_enum, default_value_t, hide_possible_values = true, hide_default_value = true, display_order = 4)]
+    #[arg(
+        long,
+        value_enum,
+        default_value_t,
+        hide_possible_values = true,
+        hide_default_value = true,
+        display_order = 4
+    )]
     pub kind: WarpKind,
     /// Output file (.png, .jpg, .webp, .tif), `-` for standard output; for several images a folder, which is created: the names stay, with
     /// the extension of the format.
@@ -198,7 +220,13 @@ pub struct PointsArgs {
     #[command(flatten)]
     pub frame: FrameOptions,
     /// Output file (JSON); `-` writes standard output.
-    #[arg(short, long, value_name = "FILE", default_value = "-", display_order = 8)]
+    #[arg(
+        short,
+        long,
+        value_name = "FILE",
+        default_value = "-",
+        display_order = 8
+    )]
     pub out: PathBuf,
 }
 
@@ -240,10 +268,21 @@ pub struct ReportArgs {
     #[command(flatten)]
     pub pose: PoseOptions,
     /// Part of the result whose coverage is measured: `same`, `fit`, or a box X,Y,WIDTH,HEIGHT in pixels.
-    #[arg(long, value_name = "BOX", allow_hyphen_values = true, display_order = 6)]
+    #[arg(
+        long,
+        value_name = "BOX",
+        allow_hyphen_values = true,
+        display_order = 6
+    )]
     pub canvas: Option<String>,
     /// Output file (JSON); `-` writes standard output.
-    #[arg(short, long, value_name = "FILE", default_value = "-", display_order = 8)]
+    #[arg(
+        short,
+        long,
+        value_name = "FILE",
+        default_value = "-",
+        display_order = 8
+    )]
     pub out: PathBuf,
 }
 

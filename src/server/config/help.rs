@@ -11,7 +11,8 @@ use super::option::{report, variable};
 /// The option that shows the limits of a subcommand.
 const HELP_LIMITS: &str = "help-limits";
 /// Examples before everything else.
-const TEMPLATE: &str = "{about-with-newline}\n{before-help}{usage-heading} {usage}\n\n{all-args}{after-help}";
+const TEMPLATE: &str =
+    "{about-with-newline}\n{before-help}{usage-heading} {usage}\n\n{all-args}{after-help}";
 
 const ROOT: &str = r"Examples:
   mlswarp                                            # the server, at http://127.0.0.1:8080
@@ -62,23 +63,33 @@ const HEALTH_CHECK: &str = "Examples:
   mlswarp health --listen 127.0.0.1:9000 || systemctl restart mlswarp
   MLSWARP_TLS_CERT=cert.pem MLSWARP_TLS_KEY=key.pem mlswarp health --listen 127.0.0.1:8443";
 
-const VALUES: &str =
-    "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names.";
+const VALUES: &str = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names.";
 
 /// The options that limit the work of a subcommand. An empty help text stands for that of the server.
 const LIMITS: [(&str, &str); 8] = [
-    ("workers", "Number of compute threads. auto = number of cores"),
-    ("max-body-bytes", "Maximum size of the image file, of a landmark file, and of the annotations"),
+    (
+        "workers",
+        "Number of compute threads. auto = number of cores",
+    ),
+    (
+        "max-body-bytes",
+        "Maximum size of the image file, of a landmark file, and of the annotations",
+    ),
     ("max-warp-json-bytes", "Maximum size of the warp object"),
     ("max-image-pixels", ""),
     ("max-image-side", ""),
     ("max-columns", ""),
-    ("max-fit-handles", "Maximum number of handles on which the method auto compares methods; the time grows with its cube"),
+    (
+        "max-fit-handles",
+        "Maximum number of handles on which the method auto compares methods; the time grows with its cube",
+    ),
     ("max-plan-bytes", ""),
 ];
 
-const MEMORY: (&str, &str) =
-    ("memory-bytes", "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the control group");
+const MEMORY: (&str, &str) = (
+    "memory-bytes",
+    "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the control group",
+);
 /// [`LIMITS`] and [`MEMORY`]: the options of the subcommands that run the use cases of the server, which reserve memory.
 const SERVICE: [(&str, &str); 9] = {
     let mut options = [MEMORY; 9];
@@ -88,9 +99,18 @@ const SERVICE: [(&str, &str); 9] = {
 };
 const HEALTH: [(&str, &str); 4] = [
     ("listen", "Address and port of the server"),
-    ("metrics-listen", "Metrics address and port of the server; if this is set, it is the one that is asked"),
-    ("tls-cert", "Certificate of the server, PEM: the only one that is trusted"),
-    ("tls-key", "Private key of the certificate (not used, but required with --tls-cert)"),
+    (
+        "metrics-listen",
+        "Metrics address and port of the server; if this is set, it is the one that is asked",
+    ),
+    (
+        "tls-cert",
+        "Certificate of the server, PEM: the only one that is trusted",
+    ),
+    (
+        "tls-key",
+        "Private key of the certificate (not used, but required with --tls-cert)",
+    ),
 ];
 
 /// A subcommand other than `serve`.
@@ -104,24 +124,64 @@ struct Subcommand {
 }
 
 const SUBCOMMANDS: [Subcommand; 7] = [
-    Subcommand { name: "warp", examples: WARP, effective: &LIMITS, has_limits: true },
-    Subcommand { name: "points", examples: POINTS, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "map", examples: MAP, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "batch", examples: BATCH, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "report", examples: REPORT, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "fit", examples: FIT, effective: &SERVICE, has_limits: true },
-    Subcommand { name: "health", examples: HEALTH_CHECK, effective: &HEALTH, has_limits: false },
+    Subcommand {
+        name: "warp",
+        examples: WARP,
+        effective: &LIMITS,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "points",
+        examples: POINTS,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "map",
+        examples: MAP,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "batch",
+        examples: BATCH,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "report",
+        examples: REPORT,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "fit",
+        examples: FIT,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "health",
+        examples: HEALTH_CHECK,
+        effective: &HEALTH,
+        has_limits: false,
+    },
 ];
 
 impl Subcommand {
     /// The first one that the arguments name.
     fn of(args: &[OsString]) -> Option<&'static Self> {
-        args.iter().skip(1).find_map(|arg| SUBCOMMANDS.iter().find(|subcommand| arg == subcommand.name))
+        args.iter()
+            .skip(1)
+            .find_map(|arg| SUBCOMMANDS.iter().find(|subcommand| arg == subcommand.name))
     }
 
     /// The help text of an option of the server; `None` if the option has no effect.
     fn help_of(&self, option: &Arg) -> Option<&'static str> {
-        self.effective.iter().find(|(flag, _)| option.get_long() == Some(flag)).map(|(_, help)| *help)
+        self.effective
+            .iter()
+            .find(|(flag, _)| option.get_long() == Some(flag))
+            .map(|(_, help)| *help)
     }
 }
 
@@ -138,18 +198,38 @@ fn command_with(shows_limits: bool) -> Command {
     let command = command.help_template(TEMPLATE).before_help(ROOT);
     SUBCOMMANDS.iter().fold(command, |command, subcommand| {
         let is_hidden = subcommand.has_limits && !shows_limits;
-        let limits = options.iter().cloned().map(|option| match subcommand.help_of(&option) {
-            None => option.hide(true),
-            Some("") => option.help_heading(None).hide(is_hidden),
-            Some(help) => option.help_heading(None).help(help).hide(is_hidden),
-        });
-        let help_limits = Arg::new(HELP_LIMITS).long(HELP_LIMITS).action(ArgAction::SetTrue).display_order(9);
-        let help_limits = help_limits.help("Print the options that limit sizes, memory and threads").hide(!subcommand.has_limits);
+        let limits = options
+            .iter()
+            .cloned()
+            .map(|option| match subcommand.help_of(&option) {
+                None => option.hide(true),
+                Some("") => option.help_heading(None).hide(is_hidden),
+                Some(help) => option.help_heading(None).help(help).hide(is_hidden),
+            });
+        let help_limits = Arg::new(HELP_LIMITS)
+            .long(HELP_LIMITS)
+            .action(ArgAction::SetTrue)
+            .display_order(9);
+        let help_limits = help_limits
+            .help("Print the options that limit sizes, memory and threads")
+            .hide(!subcommand.has_limits);
         command.mut_subcommand(subcommand.name, |own| {
-            let own = if shows_limits { own.mut_args(|arg| arg.hide(true)) } else { own };
-            let own = if subcommand.has_limits { own.arg(help_limits.hide(shows_limits)) } else { own };
+            let own = if shows_limits {
+                own.mut_args(|arg| arg.hide(true))
+            } else {
+                own
+            };
+            let own = if subcommand.has_limits {
+                own.arg(help_limits.hide(shows_limits))
+            } else {
+                own
+            };
             let own = own.args(limits).help_template(TEMPLATE);
-            if shows_limits { own } else { own.before_help(subcommand.examples) }
+            if shows_limits {
+                own
+            } else {
+                own.before_help(subcommand.examples)
+            }
         })
     })
 }
@@ -162,26 +242,53 @@ pub fn command() -> Command {
 /// Whether the arguments ask for the limits of a subcommand: then their help, as an error of clap.
 pub(super) fn limits_help(args: &[OsString]) -> Option<Error> {
     let subcommand = Subcommand::of(args).filter(|subcommand| subcommand.has_limits)?;
-    let is_asked = args.iter().any(|arg| arg.to_str().and_then(|arg| arg.strip_prefix("--")) == Some(HELP_LIMITS));
-    is_asked.then(|| command_with(true).try_get_matches_from(["mlswarp", subcommand.name, "--help"]).err())?
+    let is_asked = args
+        .iter()
+        .any(|arg| arg.to_str().and_then(|arg| arg.strip_prefix("--")) == Some(HELP_LIMITS));
+    is_asked.then(|| {
+        command_with(true)
+            .try_get_matches_from(["mlswarp", subcommand.name, "--help"])
+            .err()
+    })?
 }
 
 /// The options that have an effect on the subcommand that the arguments name; those of the server without one.
 pub(super) fn effective_flags(args: &[OsString]) -> Vec<String> {
     let command = Cli::command();
     let subcommand = Subcommand::of(args);
-    let own = subcommand.and_then(|subcommand| command.find_subcommand(subcommand.name)).into_iter().flat_map(Command::get_arguments);
-    let of_server = command.get_arguments().filter(|option| subcommand.is_none_or(|own| own.help_of(option).is_some()));
-    own.chain(of_server).filter_map(Arg::get_long).map(str::to_owned).collect()
+    let own = subcommand
+        .and_then(|subcommand| command.find_subcommand(subcommand.name))
+        .into_iter()
+        .flat_map(Command::get_arguments);
+    let of_server = command
+        .get_arguments()
+        .filter(|option| subcommand.is_none_or(|own| own.help_of(option).is_some()));
+    own.chain(of_server)
+        .filter_map(Arg::get_long)
+        .map(str::to_owned)
+        .collect()
 }
 
 /// Notes the options of the command line that have no effect on the subcommand. A variable may be meant for another command.
 pub(super) fn report_without_effect(matches: &ArgMatches, command: &Command) {
-    let Some((name, given)) = matches.subcommand() else { return };
-    let Some(subcommand) = SUBCOMMANDS.iter().find(|subcommand| subcommand.name == name) else { return };
-    for option in command.get_arguments().filter(|option| subcommand.help_of(option).is_none()) {
+    let Some((name, given)) = matches.subcommand() else {
+        return;
+    };
+    let Some(subcommand) = SUBCOMMANDS
+        .iter()
+        .find(|subcommand| subcommand.name == name)
+    else {
+        return;
+    };
+    for option in command
+        .get_arguments()
+        .filter(|option| subcommand.help_of(option).is_none())
+    {
         if given.value_source(option.get_id().as_str()) == Some(ValueSource::CommandLine) {
-            report::<()>(option.get_long().unwrap_or_default(), Err(format!("has no effect on `mlswarp {name}`; leave it out")));
+            report::<()>(
+                option.get_long().unwrap_or_default(),
+                Err(format!("has no effect on `mlswarp {name}`; leave it out")),
+            );
         }
     }
 }

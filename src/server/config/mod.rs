@@ -24,8 +24,8 @@ pub use auth::AuthConfig;
 pub(crate) use auth::KeysConfig;
 pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use command::{
-    BatchArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions, LandmarkInput, MapArgs, PointsArgs, PoseOptions,
-    ReportArgs, WarpArgs, WarpInput, WarpKind,
+    BatchArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions,
+    LandmarkInput, MapArgs, PointsArgs, PoseOptions, ReportArgs, WarpArgs, WarpInput, WarpKind,
 };
 pub use help::command;
 pub use store::StoreConfig;
@@ -37,7 +37,9 @@ pub use work::WorkConfig;
 /// The command line.
 #[derive(Debug, Parser)]
 #[command(name = "mlswarp", version, args_override_self = true)]
-#[command(about = "Warps images with control points, lines and polylines (moving least squares): as an HTTP service, or offline.")]
+#[command(
+    about = "Warps images with control points, lines and polylines (moving least squares): as an HTTP service, or offline."
+)]
 pub struct Cli {
     /// The command; without one the server starts.
     #[command(subcommand)]
@@ -107,7 +109,9 @@ pub struct Config {
 impl Cli {
     /// Reads a command line and the environment.
     /// Errors: All mistakes at once, one per line. Without `--allow-anonymous`, a server that others can reach without keys is one.
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(
+        args: I,
+    ) -> Result<Self, clap::Error> {
         let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
         match help::limits_help(&args) {
             Some(limits) => Err(limits),
@@ -118,7 +122,8 @@ impl Cli {
     fn read_with(command: clap::Command, args: Vec<OsString>) -> Result<Self, clap::Error> {
         clear_mistakes();
         let matches = command.clone().try_get_matches_from(&args);
-        let matches = matches.map_err(|error| suggest_effective(error, &help::effective_flags(&args)))?;
+        let matches =
+            matches.map_err(|error| suggest_effective(error, &help::effective_flags(&args)))?;
         let mut cli = Self::from_arg_matches(&matches)?;
         keep_final(&matches, &command);
         help::report_without_effect(&matches, &command);
@@ -131,7 +136,10 @@ impl Cli {
         if mistakes.is_empty() {
             return Ok(cli);
         }
-        let text = format!("{}\nmlswarp serve --help lists the options with their defaults\n", mistakes.join("\nerror: "));
+        let text = format!(
+            "{}\nmlswarp serve --help lists the options with their defaults\n",
+            mistakes.join("\nerror: ")
+        );
         Err(clap::Error::raw(ErrorKind::ValueValidation, text))
     }
 }
@@ -139,14 +147,28 @@ impl Cli {
 impl Config {
     /// Reads the options of a command line.
     /// Errors: As [`Cli::read`].
-    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(args: I) -> Result<Self, clap::Error> {
+    pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(
+        args: I,
+    ) -> Result<Self, clap::Error> {
         Cli::read(args).map(|cli| cli.config)
     }
 
     /// The options that have an effect without a server, and the defaults of all others.
     pub fn offline(&self) -> Self {
-        let Self { max_body_bytes, max_warp_json_bytes, max_image_pixels, max_image_side, max_columns, max_fit_handles, .. } = *self;
-        let Self { max_plan_bytes, work, .. } = *self;
+        let Self {
+            max_body_bytes,
+            max_warp_json_bytes,
+            max_image_pixels,
+            max_image_side,
+            max_columns,
+            max_fit_handles,
+            ..
+        } = *self;
+        let Self {
+            max_plan_bytes,
+            work,
+            ..
+        } = *self;
         let mut offline = Self::default();
         // Nobody waits for a response.
         offline.timeouts.request = std::time::Duration::from_secs(u64::from(u32::MAX));
@@ -168,15 +190,25 @@ impl Config {
 
     /// What one warp may use.
     pub const fn limits(&self) -> Limits {
-        let image = ImageLimits { max_pixels: self.max_image_pixels, max_side: self.max_image_side };
-        Limits { image, columns: self.max_columns, plan_bytes: self.max_plan_bytes, work: self.max_work }
+        let image = ImageLimits {
+            max_pixels: self.max_image_pixels,
+            max_side: self.max_image_side,
+        };
+        Limits {
+            image,
+            columns: self.max_columns,
+            plan_bytes: self.max_plan_bytes,
+            work: self.max_work,
+        }
     }
 }
 
 impl Default for Config {
     /// The defaults of all options, without the environment.
     fn default() -> Self {
-        Cli::read_with(Cli::command(), vec!["mlswarp".into()]).expect("a test reads the defaults").config
+        Cli::read_with(Cli::command(), vec!["mlswarp".into()])
+            .expect("a test reads the defaults")
+            .config
     }
 }
 
@@ -190,12 +222,21 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 fn public_path(text: &str) -> Result<String, String> {
     let path = text.strip_suffix('/').unwrap_or(text);
     let is_segment = |segment: &str| {
-        let is_plain = segment.bytes().all(|b| b.is_ascii_alphanumeric() || b"-._~".contains(&b));
+        let is_plain = segment
+            .bytes()
+            .all(|b| b.is_ascii_alphanumeric() || b"-._~".contains(&b));
         is_plain && !["", ".", ".."].contains(&segment)
     };
-    let is_path = path.strip_prefix('/').is_some_and(|segments| segments.split('/').all(is_segment));
-    let wrong = || format!("`{text}` is not a path such as /tools/warp, of letters, digits and -._~");
-    if path.is_empty() || is_path { Ok(path.to_owned()) } else { Err(wrong()) }
+    let is_path = path
+        .strip_prefix('/')
+        .is_some_and(|segments| segments.split('/').all(is_segment));
+    let wrong =
+        || format!("`{text}` is not a path such as /tools/warp, of letters, digits and -._~");
+    if path.is_empty() || is_path {
+        Ok(path.to_owned())
+    } else {
+        Err(wrong())
+    }
 }
 
 #[cfg(test)]
@@ -213,63 +254,150 @@ mod tests {
         assert_eq!(config.max_body_bytes, 32 << 20);
         assert_eq!(config.max_warp_json_bytes, 4 << 20);
         assert_eq!(config.limits().image, ImageLimits::default());
-        assert_eq!((config.limits().columns, config.limits().plan_bytes), (10_000, 512 << 20));
-        assert_eq!(config.work.queue(), (4 * config.work.workers).max(work::MIN_QUEUE));
+        assert_eq!(
+            (config.limits().columns, config.limits().plan_bytes),
+            (10_000, 512 << 20)
+        );
+        assert_eq!(
+            config.work.queue(),
+            (4 * config.work.workers).max(work::MIN_QUEUE)
+        );
         assert_eq!(
             (config.work.drag_wait, config.work.upload_wait),
-            (std::time::Duration::from_millis(200), std::time::Duration::from_secs(5))
+            (
+                std::time::Duration::from_millis(200),
+                std::time::Duration::from_secs(5)
+            )
         );
-        assert_eq!(config.store.session_idle, std::time::Duration::from_secs(900));
+        assert_eq!(
+            config.store.session_idle,
+            std::time::Duration::from_secs(900)
+        );
     }
 
     #[test]
     fn a_public_path_is_plain_and_has_no_slash_at_its_end() {
-        for (given, path) in [("", ""), ("/", ""), ("/warp", "/warp"), ("/tools/warp/", "/tools/warp"), ("/~a/b.c-d_e", "/~a/b.c-d_e")] {
-            assert_eq!(resolve(&["--public-path", given]).unwrap().public_path, path, "{given}");
+        for (given, path) in [
+            ("", ""),
+            ("/", ""),
+            ("/warp", "/warp"),
+            ("/tools/warp/", "/tools/warp"),
+            ("/~a/b.c-d_e", "/~a/b.c-d_e"),
+        ] {
+            assert_eq!(
+                resolve(&["--public-path", given]).unwrap().public_path,
+                path,
+                "{given}"
+            );
         }
-        for wrong in
-            ["warp", "//", "//host/warp", "/a//b", "/a/../b", "/.", "/a b", "/a%2fb", "/a?b", "/a\nb", "https://host/warp", "/\u{e4}"]
-        {
+        for wrong in [
+            "warp",
+            "//",
+            "//host/warp",
+            "/a//b",
+            "/a/../b",
+            "/.",
+            "/a b",
+            "/a%2fb",
+            "/a?b",
+            "/a\nb",
+            "https://host/warp",
+            "/\u{e4}",
+        ] {
             let told = resolve(&["--public-path", wrong]).unwrap_err().to_string();
-            assert!(told.contains("--public-path (MLSWARP_PUBLIC_PATH)"), "{wrong:?}: {told}");
+            assert!(
+                told.contains("--public-path (MLSWARP_PUBLIC_PATH)"),
+                "{wrong:?}: {told}"
+            );
         }
     }
 
     #[test]
     fn mistakes_are_told_all_at_once() {
-        let mistakes =
-            resolve(&["--listen", "here", "--workers", "none", "--max-body-bytes", "0", "--body-timeout", "30", "--log-format", "xml"])
-                .expect_err("five mistakes");
+        let mistakes = resolve(&[
+            "--listen",
+            "here",
+            "--workers",
+            "none",
+            "--max-body-bytes",
+            "0",
+            "--body-timeout",
+            "30",
+            "--log-format",
+            "xml",
+        ])
+        .expect_err("five mistakes");
         let text = mistakes.to_string();
-        let mistakes: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
+        let mistakes: Vec<_> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("error: "))
+            .collect();
         assert_eq!(mistakes.len(), 5, "{mistakes:?}");
-        for flag in ["--listen (MLSWARP_LISTEN)", "--workers", "--max-body-bytes", "--body-timeout", "--log-format"] {
-            assert!(mistakes.iter().any(|m| m.starts_with(flag)), "{flag} in {mistakes:?}");
+        for flag in [
+            "--listen (MLSWARP_LISTEN)",
+            "--workers",
+            "--max-body-bytes",
+            "--body-timeout",
+            "--log-format",
+        ] {
+            assert!(
+                mistakes.iter().any(|m| m.starts_with(flag)),
+                "{flag} in {mistakes:?}"
+            );
         }
     }
 
     #[test]
     fn options_may_stand_before_and_after_the_subcommand() {
-        assert_eq!(resolve(&["--workers", "30", "serve"]).expect("valid").work.queue(), 120);
-        assert_eq!(resolve(&["serve", "--workers", "30"]).expect("valid").work.queue(), 120);
+        assert_eq!(
+            resolve(&["--workers", "30", "serve"])
+                .expect("valid")
+                .work
+                .queue(),
+            120
+        );
+        assert_eq!(
+            resolve(&["serve", "--workers", "30"])
+                .expect("valid")
+                .work
+                .queue(),
+            120
+        );
     }
 
     #[test]
     fn only_the_value_that_counts_can_be_wrong() {
-        assert_eq!(resolve(&["--workers", "none", "--workers", "2"]).expect("the last one counts").work.workers, 2);
-        let text = resolve(&["--listen", "0.0.0.0:80", "--workers", "none", "serve"]).expect_err("two mistakes").to_string();
-        assert!(text.contains("--listen") && text.matches("--workers").count() == 1, "{text}");
+        assert_eq!(
+            resolve(&["--workers", "none", "--workers", "2"])
+                .expect("the last one counts")
+                .work
+                .workers,
+            2
+        );
+        let text = resolve(&["--listen", "0.0.0.0:80", "--workers", "none", "serve"])
+            .expect_err("two mistakes")
+            .to_string();
+        assert!(
+            text.contains("--listen") && text.matches("--workers").count() == 1,
+            "{text}"
+        );
     }
 
     #[test]
     fn every_flag_has_the_variable_of_its_name() {
         let command = command();
-        let options: Vec<_> = command.get_arguments().filter(|a| !["help", "version"].contains(&a.get_id().as_str())).collect();
+        let options: Vec<_> = command
+            .get_arguments()
+            .filter(|a| !["help", "version"].contains(&a.get_id().as_str()))
+            .collect();
         assert!(options.len() > 15);
         for option in options {
             let flag = option.get_long().expect("a long flag");
             let expected = format!("MLSWARP_{}", flag.to_uppercase().replace('-', "_"));
-            assert_eq!(option.get_env().and_then(|e| e.to_str()), Some(expected.as_str()));
+            assert_eq!(
+                option.get_env().and_then(|e| e.to_str()),
+                Some(expected.as_str())
+            );
         }
     }
 }

@@ -26,7 +26,13 @@ struct Mistake {
 }
 
 fn note(flag: &str, value: Option<&OsStr>, why: String) {
-    MISTAKES.with_borrow_mut(|all| all.push(Mistake { flag: flag.to_owned(), value: value.map(OsStr::to_owned), why }));
+    MISTAKES.with_borrow_mut(|all| {
+        all.push(Mistake {
+            flag: flag.to_owned(),
+            value: value.map(OsStr::to_owned),
+            why,
+        })
+    });
 }
 
 /// A clap value parser that notes a mistake and returns the option's default instead.
@@ -44,9 +50,15 @@ where
         let parse = |value: &OsStr| (self.0)(&value.to_string_lossy());
         match parse(value) {
             Ok(parsed) => return Ok(parsed),
-            Err(why) => note(arg.and_then(Arg::get_long).unwrap_or_default(), Some(value), why),
+            Err(why) => note(
+                arg.and_then(Arg::get_long).unwrap_or_default(),
+                Some(value),
+                why,
+            ),
         }
-        let default = arg.and_then(|arg| arg.get_default_values().first()).ok_or_else(|| Error::new(ErrorKind::InvalidValue))?;
+        let default = arg
+            .and_then(|arg| arg.get_default_values().first())
+            .ok_or_else(|| Error::new(ErrorKind::InvalidValue))?;
         parse(default).map_err(|mistake| Error::raw(ErrorKind::InvalidValue, mistake))
     }
 }
@@ -64,10 +76,20 @@ pub(super) fn clear_mistakes() {
 /// Keeps the mistakes in values that count: clap parses each variable once per subcommand, and values that are overridden.
 pub(super) fn keep_final(matches: &ArgMatches, command: &Command) {
     let is_final = |mistake: &Mistake, value: &OsStr| {
-        let arg = command.get_arguments().find(|arg| arg.get_long() == Some(&mistake.flag));
-        arg.and_then(|arg| matches.get_raw(arg.get_id().as_str())).is_some_and(|mut raw| raw.any(|raw| raw == value))
+        let arg = command
+            .get_arguments()
+            .find(|arg| arg.get_long() == Some(&mistake.flag));
+        arg.and_then(|arg| matches.get_raw(arg.get_id().as_str()))
+            .is_some_and(|mut raw| raw.any(|raw| raw == value))
     };
-    MISTAKES.with_borrow_mut(|all| all.retain(|mistake| mistake.value.as_deref().is_none_or(|value| is_final(mistake, value))));
+    MISTAKES.with_borrow_mut(|all| {
+        all.retain(|mistake| {
+            mistake
+                .value
+                .as_deref()
+                .is_none_or(|value| is_final(mistake, value))
+        })
+    });
 }
 
 /// Whether a mistake in this option was noted.
@@ -93,7 +115,10 @@ pub(super) fn variable(flag: &str) -> String {
 }
 
 /// A whole number of `least..=most`.
-pub(super) fn whole<T: TryFrom<u64>>(least: u64, most: u64) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
+pub(super) fn whole<T: TryFrom<u64>>(
+    least: u64,
+    most: u64,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
     move |text| {
         let n = count(text)?;
         let number = T::try_from(n).ok().filter(|_| (least..=most).contains(&n));
@@ -106,12 +131,24 @@ pub(super) fn unless<T>(
     word: &'static str,
     parse: impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static,
 ) -> impl Fn(&str) -> Result<Maybe<T>, String> + Clone + Send + Sync + 'static {
-    move |text| if text == word { Ok(None) } else { parse(text).map(Some) }
+    move |text| {
+        if text == word {
+            Ok(None)
+        } else {
+            parse(text).map(Some)
+        }
+    }
 }
 
 /// A size of at least one byte: a limit of zero would refuse everything.
 pub(super) fn size(text: &str) -> Result<u64, String> {
-    bytes(text).and_then(|n| if n == 0 { Err("0 would reject every request; the least is 1".to_owned()) } else { Ok(n) })
+    bytes(text).and_then(|n| {
+        if n == 0 {
+            Err("0 would reject every request; the least is 1".to_owned())
+        } else {
+            Ok(n)
+        }
+    })
 }
 
 /// A size: K, M, G and KiB, MiB, GiB are powers of 1024 alike; KB, MB, GB are powers of 1000.
@@ -127,7 +164,8 @@ pub(super) fn bytes(text: &str) -> Result<u64, String> {
         "gb" => 1_000_000_000,
         _ => 0,
     };
-    scaled(&number, scale).ok_or_else(|| format!("`{text}` is not a size such as 32MiB, 512K or 1048576"))
+    scaled(&number, scale)
+        .ok_or_else(|| format!("`{text}` is not a size such as 32MiB, 512K or 1048576"))
 }
 
 /// A number of things: `50M` is fifty million.
@@ -140,7 +178,8 @@ fn count(text: &str) -> Result<u64, String> {
         "g" | "G" => 1_000_000_000,
         _ => 0,
     };
-    scaled(&number, scale).ok_or_else(|| format!("`{text}` is not a whole number such as 10000 or 50M"))
+    scaled(&number, scale)
+        .ok_or_else(|| format!("`{text}` is not a whole number such as 10000 or 50M"))
 }
 
 /// A span of time, longer than nothing and at most a year.
@@ -163,22 +202,34 @@ pub(super) fn span(text: &str) -> Result<Duration, String> {
 
 /// A span of time that may also be nothing.
 pub(super) fn pause(text: &str) -> Result<Duration, String> {
-    if text.trim() == "0s" { Ok(Duration::ZERO) } else { span(text) }
+    if text.trim() == "0s" {
+        Ok(Duration::ZERO)
+    } else {
+        span(text)
+    }
 }
 
 /// The number and the unit of `1_000 KiB`.
 fn split(text: &str) -> (String, &str) {
     let text = text.trim();
-    let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '_')).unwrap_or(text.len());
+    let end = text
+        .find(|c: char| !(c.is_ascii_digit() || c == '.' || c == '_'))
+        .unwrap_or(text.len());
     (text[..end].replace('_', ""), text[end..].trim_start())
 }
 
 /// Exact; a fraction is rounded down. A scale of 0 is an unknown unit.
 fn scaled(number: &str, scale: u64) -> Option<u64> {
     let (whole, fraction) = number.split_once('.').unwrap_or((number, "0"));
-    let digits = u32::try_from(fraction.len()).ok().filter(|digits| (1..=9).contains(digits) && scale > 0)?;
+    let digits = u32::try_from(fraction.len())
+        .ok()
+        .filter(|digits| (1..=9).contains(digits) && scale > 0)?;
     let part = fraction.parse::<u64>().ok()? * scale / 10_u64.pow(digits);
-    whole.parse::<u64>().ok()?.checked_mul(scale)?.checked_add(part)
+    whole
+        .parse::<u64>()
+        .ok()?
+        .checked_mul(scale)?
+        .checked_add(part)
 }
 
 #[cfg(test)]
@@ -187,12 +238,27 @@ mod tests {
 
     #[test]
     fn sizes_are_read_as_people_write_them() {
-        for (text, value) in [("0", 0), ("1_000", 1000), ("32MiB", 32 << 20), ("512M", 512 << 20), ("64 KiB", 64 << 10), ("1.5g", 3 << 29)]
-        {
+        for (text, value) in [
+            ("0", 0),
+            ("1_000", 1000),
+            ("32MiB", 32 << 20),
+            ("512M", 512 << 20),
+            ("64 KiB", 64 << 10),
+            ("1.5g", 3 << 29),
+        ] {
             assert_eq!(bytes(text), Ok(value), "{text}");
         }
         assert_eq!(bytes("2MB"), Ok(2_000_000));
-        for text in ["", "MiB", "-1", "1e6", "12x", "1.", "99999999999G", "1.2.3M"] {
+        for text in [
+            "",
+            "MiB",
+            "-1",
+            "1e6",
+            "12x",
+            "1.",
+            "99999999999G",
+            "1.2.3M",
+        ] {
             assert!(bytes(text).is_err(), "{text}");
         }
     }
@@ -206,7 +272,10 @@ mod tests {
 
     #[test]
     fn spans_need_a_unit() {
-        assert_eq!((pause("0s"), pause("5s")), (Ok(Duration::ZERO), Ok(Duration::from_secs(5))));
+        assert_eq!(
+            (pause("0s"), pause("5s")),
+            (Ok(Duration::ZERO), Ok(Duration::from_secs(5)))
+        );
         assert_eq!(span("15m"), Ok(Duration::from_secs(900)));
         assert_eq!(span("2.5s"), Ok(Duration::from_millis(2500)));
         assert_eq!(span("500ms"), Ok(Duration::from_millis(500)));

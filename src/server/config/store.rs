@@ -10,7 +10,12 @@ use crate::store::{Bounds, StoreUrl};
 #[command(next_help_heading = "Sessions")]
 pub struct StoreConfig {
     /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
-    #[arg(long = "store", value_name = "STORE", default_value = "memory", hide_env_values = true)]
+    #[arg(
+        long = "store",
+        value_name = "STORE",
+        default_value = "memory",
+        hide_env_values = true
+    )]
     #[arg(value_parser = Checked(str::parse::<StoreUrl>))]
     pub url: StoreUrl,
     /// Time after which an unused session expires.
@@ -28,6 +33,10 @@ pub struct StoreConfig {
 impl StoreConfig {
     /// The limits of the store.
     pub const fn bounds(&self) -> Bounds {
-        Bounds { idle: self.session_idle, sessions: self.max_sessions, bytes: self.store_bytes }
+        Bounds {
+            idle: self.session_idle,
+            sessions: self.max_sessions,
+            bytes: self.store_bytes,
+        }
     }
 }

@@ -37,16 +37,26 @@ impl TelemetryConfig {
         let is_taken = |other: &SocketAddr| {
             let (theirs, ours) = (other.ip().to_canonical(), listen.ip().to_canonical());
             // Port 0 is a different one each time.
-            other.port() == listen.port() && other.port() != 0 && (theirs == ours || theirs.is_unspecified() || ours.is_unspecified())
+            other.port() == listen.port()
+                && other.port() != 0
+                && (theirs == ours || theirs.is_unspecified() || ours.is_unspecified())
         };
         if let Some(taken) = self.metrics_listen.filter(is_taken) {
-            report::<()>("metrics-listen", Err(format!("{taken} is the address of the service (--listen); choose another port")));
+            report::<()>(
+                "metrics-listen",
+                Err(format!(
+                    "{taken} is the address of the service (--listen); choose another port"
+                )),
+            );
         }
     }
 }
 
 fn ratio(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|ratio| (0.0..=1.0).contains(ratio)).ok_or_else(|| format!("`{text}` is not a number from 0 to 1"))
+    text.parse()
+        .ok()
+        .filter(|ratio| (0.0..=1.0).contains(ratio))
+        .ok_or_else(|| format!("`{text}` is not a number from 0 to 1"))
 }
 
 fn filter(text: &str) -> Result<String, String> {
@@ -76,11 +86,19 @@ mod tests {
     fn nothing_is_told_to_anybody_unless_asked() {
         let nothing = (None, None, 1.0);
         let telemetry = |args: &[&str]| {
-            let TelemetryConfig { metrics_listen, otlp_endpoint, otlp_sample, .. } = resolve(args).unwrap().telemetry;
+            let TelemetryConfig {
+                metrics_listen,
+                otlp_endpoint,
+                otlp_sample,
+                ..
+            } = resolve(args).unwrap().telemetry;
             (metrics_listen, otlp_endpoint, otlp_sample)
         };
         assert_eq!(telemetry(&[]), nothing);
-        assert_eq!(telemetry(&["--metrics-listen", "", "--otlp-endpoint", ""]), nothing);
+        assert_eq!(
+            telemetry(&["--metrics-listen", "", "--otlp-endpoint", ""]),
+            nothing
+        );
     }
 
     #[test]
@@ -88,20 +106,41 @@ mod tests {
         for (text, url) in [
             ("http://127.0.0.1:4318", "http://127.0.0.1:4318/v1/traces"),
             ("http://collector:4318/", "http://collector:4318/v1/traces"),
-            ("http://[::1]:4318/otlp/", "http://[::1]:4318/otlp/v1/traces"),
-            ("http://collector.example", "http://collector.example:80/v1/traces"),
+            (
+                "http://[::1]:4318/otlp/",
+                "http://[::1]:4318/otlp/v1/traces",
+            ),
+            (
+                "http://collector.example",
+                "http://collector.example:80/v1/traces",
+            ),
             ("http://[::1]", "http://[::1]:80/v1/traces"),
-            ("https://collector.example", "https://collector.example:443/v1/traces"),
-            ("https://[::1]:4318/otlp", "https://[::1]:4318/otlp/v1/traces"),
+            (
+                "https://collector.example",
+                "https://collector.example:443/v1/traces",
+            ),
+            (
+                "https://[::1]:4318/otlp",
+                "https://[::1]:4318/otlp/v1/traces",
+            ),
         ] {
             let config = resolve(&["--otlp-endpoint", text]).unwrap().telemetry;
             assert_eq!(config.otlp_endpoint.unwrap().to_string(), url);
         }
-        for bad in
-            ["ftp://collector:4318", "collector:4318", "http://", "http://:4318", "http://a:b", "http://u:p@host:1", "http://host:1/a b"]
-        {
+        for bad in [
+            "ftp://collector:4318",
+            "collector:4318",
+            "http://",
+            "http://:4318",
+            "http://a:b",
+            "http://u:p@host:1",
+            "http://host:1/a b",
+        ] {
             let refused = resolve(&["--otlp-endpoint", bad]).unwrap_err();
-            assert!(refused.contains("--otlp-endpoint (MLSWARP_OTLP_ENDPOINT)"), "{bad}: {refused}");
+            assert!(
+                refused.contains("--otlp-endpoint (MLSWARP_OTLP_ENDPOINT)"),
+                "{bad}: {refused}"
+            );
         }
     }
 
@@ -114,20 +153,41 @@ mod tests {
             ("127.0.0.1:80", "localhost:80"),
         ] {
             let refused = resolve(&["--listen", listen, "--metrics-listen", metrics]).unwrap_err();
-            assert!(refused.contains("--metrics-listen (MLSWARP_METRICS_LISTEN)") && refused.contains("--listen)"), "{refused}");
+            assert!(
+                refused.contains("--metrics-listen (MLSWARP_METRICS_LISTEN)")
+                    && refused.contains("--listen)"),
+                "{refused}"
+            );
         }
-        for (listen, metrics) in [("127.0.0.1:80", "127.0.0.1:81"), ("127.0.0.1:80", "127.0.0.2:80"), ("127.0.0.1:0", "127.0.0.1:0")] {
+        for (listen, metrics) in [
+            ("127.0.0.1:80", "127.0.0.1:81"),
+            ("127.0.0.1:80", "127.0.0.2:80"),
+            ("127.0.0.1:0", "127.0.0.1:0"),
+        ] {
             let config = resolve(&["--listen", listen, "--metrics-listen", metrics]).unwrap();
-            assert_eq!(config.telemetry.metrics_listen, Some(metrics.parse().unwrap()));
+            assert_eq!(
+                config.telemetry.metrics_listen,
+                Some(metrics.parse().unwrap())
+            );
         }
         assert!(resolve(&["--metrics-listen", "9000"]).is_err());
     }
 
     #[test]
     fn a_share_lies_between_nothing_and_all() {
-        assert_eq!(resolve(&["--otlp-sample=0.05"]).unwrap().telemetry.otlp_sample.to_string(), "0.05");
+        assert_eq!(
+            resolve(&["--otlp-sample=0.05"])
+                .unwrap()
+                .telemetry
+                .otlp_sample
+                .to_string(),
+            "0.05"
+        );
         for bad in ["2", "-0.1", "NaN", "all", ""] {
-            assert!(resolve(&[&format!("--otlp-sample={bad}")]).is_err(), "{bad}");
+            assert!(
+                resolve(&[&format!("--otlp-sample={bad}")]).is_err(),
+                "{bad}"
+            );
         }
     }
 }

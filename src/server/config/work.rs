@@ -44,13 +44,18 @@ pub struct WorkConfig {
 impl WorkConfig {
     /// Number of drags, and of uploads, that may wait for a worker.
     pub fn queue(&self) -> usize {
-        self.queue.unwrap_or_else(|| (4 * self.workers).max(MIN_QUEUE))
+        self.queue
+            .unwrap_or_else(|| (4 * self.workers).max(MIN_QUEUE))
     }
 }
 
 fn workers(text: &str) -> Result<usize, String> {
     let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    if text == "auto" { Ok(cores()) } else { whole(1, 1024)(text) }
+    if text == "auto" {
+        Ok(cores())
+    } else {
+        whole(1, 1024)(text)
+    }
 }
 
 fn memory_bytes(text: &str) -> Result<u64, String> {
@@ -58,5 +63,9 @@ fn memory_bytes(text: &str) -> Result<u64, String> {
         return Ok((available_memory::bytes() / 10 * TENTHS).max(MIN_MEMORY));
     }
     let bytes = bytes(text)?;
-    if bytes < MIN_MEMORY { Err(format!("`{text}` is less than {} MiB", MIN_MEMORY >> 20)) } else { Ok(bytes) }
+    if bytes < MIN_MEMORY {
+        Err(format!("`{text}` is less than {} MiB", MIN_MEMORY >> 20))
+    } else {
+        Ok(bytes)
+    }
 }

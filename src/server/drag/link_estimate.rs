@@ -96,7 +96,12 @@ impl LinkEstimate {
     /// A frame is sent. `is_alone`: every earlier one was acknowledged.
     pub fn sent(&mut self, now: Instant, bytes: u64, is_alone: bool) -> SendMark {
         let delivered_at = self.delivered_at.filter(|_| !is_alone).unwrap_or(now);
-        SendMark { at: now, bytes, delivered: self.delivered, delivered_at }
+        SendMark {
+            at: now,
+            bytes,
+            delivered: self.delivered,
+            delivered_at,
+        }
     }
 
     /// Frames were acknowledged: the newest of them, and the bytes of all.
@@ -105,27 +110,59 @@ impl LinkEstimate {
         self.delivered_at = Some(now);
         let seconds = |from: Instant| now.saturating_duration_since(from).as_secs_f64().max(1e-6);
         let size = newest.bytes.max(1) as f64;
-        let sample = (self.delivered - newest.delivered).max(1) as f64 / seconds(newest.delivered_at);
+        let sample =
+            (self.delivered - newest.delivered).max(1) as f64 / seconds(newest.delivered_at);
         self.rates.push_back((now, sample));
-        while self.rates.len() > RATES || self.rates.front().is_some_and(|(at, _)| now.saturating_duration_since(*at) > RATE_MEMORY) {
+        while self.rates.len() > RATES
+            || self
+                .rates
+                .front()
+                .is_some_and(|(at, _)| now.saturating_duration_since(*at) > RATE_MEMORY)
+        {
             self.rates.pop_front();
         }
-        let rate = self.rates.iter().fold(sample, |most, (_, rate)| most.max(*rate));
-        let time = FrameTime { at: now, took: seconds(newest.at), bytes: size };
+        let rate = self
+            .rates
+            .iter()
+            .fold(sample, |most, (_, rate)| most.max(*rate));
+        let time = FrameTime {
+            at: now,
+            took: seconds(newest.at),
+            bytes: size,
+        };
         self.keep(time, rate);
         self.by_size = self.compare(size).or(self.by_size);
-        let base = self.times.iter().fold(time.took, |least, kept| least.min(kept.of(size, rate)));
+        let base = self
+            .times
+            .iter()
+            .fold(time.took, |least, kept| least.min(kept.of(size, rate)));
         let queue = time.took - base;
         self.jitter += NEWEST * ((queue - self.queue).abs() - self.jitter);
         self.queue = queue;
-        Measured { took: time.took, queue, jitter: self.jitter, frame: size / rate, fits: base * sample / size }
+        Measured {
+            took: time.took,
+            queue,
+            jitter: self.jitter,
+            frame: size / rate,
+            fits: base * sample / size,
+        }
     }
 
     fn keep(&mut self, time: FrameTime, rate: f64) {
-        let recent = self.times.iter_mut().rev().take_while(|kept| time.at.saturating_duration_since(kept.at) < THIN);
-        let mut equal = recent.filter(|kept| kept.bytes.min(time.bytes) > SMALLER * kept.bytes.max(time.bytes));
+        let recent = self
+            .times
+            .iter_mut()
+            .rev()
+            .take_while(|kept| time.at.saturating_duration_since(kept.at) < THIN);
+        let mut equal =
+            recent.filter(|kept| kept.bytes.min(time.bytes) > SMALLER * kept.bytes.max(time.bytes));
         match equal.next() {
-            Some(kept) if time.took <= kept.of(time.bytes, rate) => *kept = FrameTime { at: kept.at, ..time },
+            Some(kept) if time.took <= kept.of(time.bytes, rate) => {
+                *kept = FrameTime {
+                    at: kept.at,
+                    ..time
+                }
+            }
             Some(_) => (),
             None => self.times.push_back(time),
         }
@@ -138,27 +175,40 @@ impl LinkEstimate {
     /// The rate by the fastest frames of this size and of smaller ones: infinite if they were as fast.
     fn compare(&self, size: f64) -> Option<f64> {
         let fastest = |least: f64, most: f64| {
-            let of_size = self.times.iter().filter(|kept| kept.bytes >= least && kept.bytes <= most);
+            let of_size = self
+                .times
+                .iter()
+                .filter(|kept| kept.bytes >= least && kept.bytes <= most);
             of_size.min_by(|a, b| a.took.total_cmp(&b.took))
         };
-        let (small, same) = (fastest(0.0, SMALLER * size)?, fastest((1.0 - EQUAL) * size, (1.0 + EQUAL) * size)?);
+        let (small, same) = (
+            fastest(0.0, SMALLER * size)?,
+            fastest((1.0 - EQUAL) * size, (1.0 + EQUAL) * size)?,
+        );
         Some((same.bytes - small.bytes) / (same.took - small.took).max(1e-9))
     }
 
     /// Bytes per second that the connection would carry, by both estimates.
     pub fn possible_rate(&self) -> Option<f64> {
-        self.rate().map(|rate| rate.max(self.by_size.unwrap_or(0.0)))
+        self.rate()
+            .map(|rate| rate.max(self.by_size.unwrap_or(0.0)))
     }
 
     /// Bytes per second that the connection has carried at most; `None` before the first acknowledgement.
     pub fn rate(&self) -> Option<f64> {
-        self.rates.iter().map(|(_, rate)| *rate).max_by(f64::total_cmp)
+        self.rates
+            .iter()
+            .map(|(_, rate)| *rate)
+            .max_by(f64::total_cmp)
     }
 
     /// Seconds that a frame of this size takes from sending to its acknowledgement if nothing is in front of it.
     pub fn frame_time(&self, bytes: u64) -> Option<f64> {
         let rate = self.rate()?;
-        self.times.iter().map(|kept| kept.of(bytes as f64, rate)).min_by(f64::total_cmp)
+        self.times
+            .iter()
+            .map(|kept| kept.of(bytes as f64, rate))
+            .min_by(f64::total_cmp)
     }
 }
 

@@ -97,7 +97,15 @@ impl PictureLadder {
     pub fn new((width, height): (u32, u32), fixed: Option<u32>) -> Self {
         let widths = fixed.map_or_else(|| preview_widths(width), |fixed| vec![fixed]);
         let aspect = f64::from(height) / f64::from(width);
-        Self { full: width, widths, aspect, budget: LEAST_BUDGET, jpeg: FIRST_JPEG, png: FIRST_PNG, draw: 0.0 }
+        Self {
+            full: width,
+            widths,
+            aspect,
+            budget: LEAST_BUDGET,
+            jpeg: FIRST_JPEG,
+            png: FIRST_PNG,
+            draw: 0.0,
+        }
     }
 
     fn pixels(&self, width: u32) -> f64 {
@@ -108,7 +116,9 @@ impl PictureLadder {
     fn bytes(&self, width: u32, encoding: Encoding) -> f64 {
         match encoding {
             Encoding::Png => self.png * self.pixels(width),
-            Encoding::Jpeg(quality) => self.jpeg * self.pixels(width) * curve(quality) * self.sharpness(width),
+            Encoding::Jpeg(quality) => {
+                self.jpeg * self.pixels(width) * curve(quality) * self.sharpness(width)
+            }
         }
     }
 
@@ -120,7 +130,8 @@ impl PictureLadder {
     /// Maximum bytes of a moving JPEG picture. `possible`: bytes per second that the connection would carry.
     fn most(&self, possible: Option<f64>) -> f64 {
         let narrowest = self.widths[self.widths.len() - 1];
-        self.bytes(narrowest, Encoding::Jpeg(MOST_QUALITY)).max(possible.unwrap_or(0.0) * MAX_SEND)
+        self.bytes(narrowest, Encoding::Jpeg(MOST_QUALITY))
+            .max(possible.unwrap_or(0.0) * MAX_SEND)
     }
 
     /// Width and encoding of the next moving picture. `rate`: bytes per second that the connection has carried; `possible`: those that it
@@ -136,15 +147,25 @@ impl PictureLadder {
         let budget = self.budget.max(rate * MAX_SEND).min(self.most(possible));
         let fits = |width: u32, quality: u8| self.bytes(width, Encoding::Jpeg(quality)) <= budget;
         let narrower = self.widths.iter().copied().filter(|width| *width <= widest);
-        let width = narrower.clone().find(|width| fits(*width, LEAST_QUALITY)).unwrap_or(least);
-        let quality = (NARROWEST_QUALITY..=MOST_QUALITY).rev().find(|quality| fits(width, *quality)).unwrap_or(NARROWEST_QUALITY);
+        let width = narrower
+            .clone()
+            .find(|width| fits(*width, LEAST_QUALITY))
+            .unwrap_or(least);
+        let quality = (NARROWEST_QUALITY..=MOST_QUALITY)
+            .rev()
+            .find(|quality| fits(width, *quality))
+            .unwrap_or(NARROWEST_QUALITY);
         (width, Encoding::Jpeg(quality))
     }
 
     /// The encoding of a picture of full width of a resting pointer.
     pub fn at_rest(&self, rate: Option<f64>) -> Encoding {
         let bytes = self.bytes(self.full, Encoding::Png);
-        if rate.is_some_and(|rate| bytes <= rate * REST_SECONDS) { Encoding::Png } else { Encoding::Jpeg(REST_QUALITY) }
+        if rate.is_some_and(|rate| bytes <= rate * REST_SECONDS) {
+            Encoding::Png
+        } else {
+            Encoding::Jpeg(REST_QUALITY)
+        }
     }
 
     /// A picture of this width was drawn; `None`: a full one.
@@ -165,7 +186,10 @@ impl PictureLadder {
     /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the connection would carry.
     pub fn possible_steps(&self, possible: Option<f64>) -> PossibleSteps {
         let widest = self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY));
-        PossibleSteps { larger: self.budget < widest.min(self.most(possible)), smaller: self.budget > LEAST_BUDGET }
+        PossibleSteps {
+            larger: self.budget < widest.min(self.most(possible)),
+            smaller: self.budget > LEAST_BUDGET,
+        }
     }
 
     /// Follows the advice of the window.
@@ -181,10 +205,22 @@ impl PictureLadder {
 
 /// Bytes of a JPEG file relative to quality 50: a fit for photographs.
 fn curve(quality: u8) -> f64 {
-    const POINTS: [(f64, f64); 8] =
-        [(20.0, 0.55), (40.0, 0.85), (50.0, 1.0), (60.0, 1.15), (70.0, 1.4), (80.0, 1.8), (85.0, 2.2), (95.0, 5.0)];
+    const POINTS: [(f64, f64); 8] = [
+        (20.0, 0.55),
+        (40.0, 0.85),
+        (50.0, 1.0),
+        (60.0, 1.15),
+        (70.0, 1.4),
+        (80.0, 1.8),
+        (85.0, 2.2),
+        (95.0, 5.0),
+    ];
     let quality = f64::from(quality);
-    let next = POINTS.iter().position(|point| point.0 >= quality).unwrap_or(POINTS.len() - 1).max(1);
+    let next = POINTS
+        .iter()
+        .position(|point| point.0 >= quality)
+        .unwrap_or(POINTS.len() - 1)
+        .max(1);
     let ((a, low), (b, high)) = (POINTS[next - 1], POINTS[next]);
     low + (high - low) * (quality - a) / (b - a)
 }
@@ -202,8 +238,13 @@ mod tests {
         let mut seen = Vec::new();
         for budget in (8..60).rev() {
             ladder.budget = f64::from(budget) * 1e3;
-            let (width, Encoding::Jpeg(quality)) = ladder.next(None, Some(1e9)) else { panic!("a fast connection is not known") };
-            assert!(width < last.0 || (width == last.0 && quality <= last.1), "{budget} kB: {width}, {quality} after {last:?}");
+            let (width, Encoding::Jpeg(quality)) = ladder.next(None, Some(1e9)) else {
+                panic!("a fast connection is not known")
+            };
+            assert!(
+                width < last.0 || (width == last.0 && quality <= last.1),
+                "{budget} kB: {width}, {quality} after {last:?}"
+            );
             last = (width, quality);
             seen.push(width);
         }
@@ -218,8 +259,14 @@ mod tests {
         ladder.drawn(Some(3840), Encoding::Png, 12_000_000, 40 * MS);
         assert_eq!(ladder.next(Some(2e9), Some(2e9)), (1920, Encoding::Png));
         assert_eq!(ladder.next(Some(1e6), Some(1e6)).0, 480);
-        assert_eq!(PictureLadder::new((512, 512), Some(300)).next(Some(2e9), Some(2e9)), (300, Encoding::Png));
-        assert_eq!(PictureLadder::new((1, 1), None).next(None, None), (1, Encoding::Jpeg(MOST_QUALITY)));
+        assert_eq!(
+            PictureLadder::new((512, 512), Some(300)).next(Some(2e9), Some(2e9)),
+            (300, Encoding::Png)
+        );
+        assert_eq!(
+            PictureLadder::new((1, 1), None).next(None, None),
+            (1, Encoding::Jpeg(MOST_QUALITY))
+        );
     }
 
     #[test]
@@ -229,13 +276,23 @@ mod tests {
         for _ in 0..20 {
             let (width, encoding) = ladder.next(None, None);
             // Four times as large as expected.
-            let Encoding::Jpeg(quality) = encoding else { panic!() };
-            let bytes = 4.0 * FIRST_JPEG * ladder.pixels(width) * curve(quality) * ladder.sharpness(width);
+            let Encoding::Jpeg(quality) = encoding else {
+                panic!()
+            };
+            let bytes =
+                4.0 * FIRST_JPEG * ladder.pixels(width) * curve(quality) * ladder.sharpness(width);
             ladder.drawn(Some(width), encoding, bytes as u64, MS);
         }
         let (width, encoding) = ladder.next(None, None);
-        assert!(width < 512 && (ladder.jpeg / FIRST_JPEG - 4.0).abs() < 0.1, "{width}, {encoding:?}, {}", ladder.jpeg);
-        assert_eq!((ladder.at_rest(Some(1e6)), ladder.at_rest(Some(1e5))), (Encoding::Png, Encoding::Jpeg(REST_QUALITY)));
+        assert!(
+            width < 512 && (ladder.jpeg / FIRST_JPEG - 4.0).abs() < 0.1,
+            "{width}, {encoding:?}, {}",
+            ladder.jpeg
+        );
+        assert_eq!(
+            (ladder.at_rest(Some(1e6)), ladder.at_rest(Some(1e5))),
+            (Encoding::Png, Encoding::Jpeg(REST_QUALITY))
+        );
         ladder.drawn(None, Encoding::Png, 80_000, MS);
         ladder.drawn(None, Encoding::Png, 80_000, MS);
         ladder.drawn(None, Encoding::Png, 80_000, MS);

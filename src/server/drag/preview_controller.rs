@@ -63,7 +63,10 @@ struct Pause {
 }
 
 impl Pause {
-    const NONE: Self = Self { until: None, next: PROBE };
+    const NONE: Self = Self {
+        until: None,
+        next: PROBE,
+    };
 
     fn is_over(self, now: Instant) -> bool {
         self.until.is_none_or(|until| now >= until)
@@ -77,7 +80,10 @@ impl Pause {
 
 /// The widths of previews of pictures of this width, widest first.
 pub fn preview_widths(width: u32) -> Vec<u32> {
-    let mut widths: Vec<u32> = EIGHTHS.iter().map(|e| width.div_ceil(8).saturating_mul(*e).min(width)).collect();
+    let mut widths: Vec<u32> = EIGHTHS
+        .iter()
+        .map(|e| width.div_ceil(8).saturating_mul(*e).min(width))
+        .collect();
     widths[0] = width;
     widths.retain(|w| *w >= MIN_WIDTH.min(width));
     widths.dedup();
@@ -89,8 +95,14 @@ impl PreviewController {
     pub fn adaptive((width, height): (u32, u32)) -> Self {
         let widths = preview_widths(width);
         let pixels = |w: u32| f64::from(w) * f64::from(w) * f64::from(height) / f64::from(width);
-        let first = widths.iter().position(|w| pixels(*w) <= FIRST_PIXELS).unwrap_or(widths.len() - 1);
-        Self { at: first, ..Self::of(widths) }
+        let first = widths
+            .iter()
+            .position(|w| pixels(*w) <= FIRST_PIXELS)
+            .unwrap_or(widths.len() - 1);
+        Self {
+            at: first,
+            ..Self::of(widths)
+        }
     }
 
     /// Always this width.
@@ -130,12 +142,21 @@ impl PreviewController {
 
     /// A preview of this width was acknowledged, with its drawing time and the time until the acknowledgement. `unacknowledged`: the number
     /// of frames that were unacknowledged when it was sent, itself included.
-    pub fn acknowledged(&mut self, now: Instant, width: u32, draw: Duration, ack: Duration, unacknowledged: u32) {
+    pub fn acknowledged(
+        &mut self,
+        now: Instant,
+        width: u32,
+        draw: Duration,
+        ack: Duration,
+        unacknowledged: u32,
+    ) {
         if width != self.width() {
             return;
         }
         self.frames += 1;
-        let since = *self.since.get_or_insert_with(|| now.checked_sub(draw.max(ack)).unwrap_or(now));
+        let since = *self
+            .since
+            .get_or_insert_with(|| now.checked_sub(draw.max(ack)).unwrap_or(now));
         let share = NEWEST.max(1.0 / f64::from(self.frames));
         self.draw += share * (draw.as_secs_f64() - self.draw);
         self.ack += share * (ack.as_secs_f64() - self.ack);
@@ -149,11 +170,17 @@ impl PreviewController {
     fn judge(&mut self, now: Instant, passed: Duration) {
         let period = self.draw.max(self.gap);
         match self.trial.take() {
-            Some(Trial { from, period: before }) if from < self.at && period * HARDLY > before => {
+            Some(Trial {
+                from,
+                period: before,
+            }) if from < self.at && period * HARDLY > before => {
                 self.narrower.begin(now);
                 return self.step(from, None);
             }
-            Some(Trial { from, period: before }) if from > self.at && period > MAX_PERIOD && period > before * HARDLY => {
+            Some(Trial {
+                from,
+                period: before,
+            }) if from > self.at && period > MAX_PERIOD && period > before * HARDLY => {
                 self.wider.begin(now);
                 return self.step(from, None);
             }
@@ -161,12 +188,19 @@ impl PreviewController {
             Some(_) => self.narrower = Pause::NONE,
             None => {}
         }
-        let after = |to: usize| period * (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
-        let trial = Some(Trial { from: self.at, period });
+        let after =
+            |to: usize| period * (f64::from(self.widths[to]) / f64::from(self.width())).powi(2);
+        let trial = Some(Trial {
+            from: self.at,
+            period,
+        });
         if period > MAX_PERIOD && self.narrower.is_over(now) && self.at + 1 < self.widths.len() {
             let fits = (self.at + 1..self.widths.len()).find(|to| after(*to) <= AIM * MAX_PERIOD);
             self.step(fits.unwrap_or(self.widths.len() - 1), trial);
-        } else if self.at > 0 && self.wider.is_over(now) && (after(self.at - 1) <= AIM * MAX_PERIOD || passed >= PROBE) {
+        } else if self.at > 0
+            && self.wider.is_over(now)
+            && (after(self.at - 1) <= AIM * MAX_PERIOD || passed >= PROBE)
+        {
             self.step(self.at - 1, trial);
         }
     }
@@ -205,7 +239,13 @@ mod tests {
             let pixels = f64::from(width) * f64::from(width) * 9.0 / 16.0;
             let (make, ack) = ((world.make)(pixels), (world.ack)(pixels));
             time += make.max(ack).max(0.008);
-            pace.acknowledged(start + Duration::from_secs_f64(time), width, Duration::from_secs_f64(make), Duration::from_secs_f64(ack), 1);
+            pace.acknowledged(
+                start + Duration::from_secs_f64(time),
+                width,
+                Duration::from_secs_f64(make),
+                Duration::from_secs_f64(ack),
+                1,
+            );
             widths.push(width);
         }
         widths
@@ -219,19 +259,44 @@ mod tests {
 
     #[test]
     fn widths_are_a_few_steps_down_to_a_least_one() {
-        assert_eq!(PreviewController::adaptive(UHD).widths, [3840, 2880, 1920, 1440, 960, 480]);
-        assert_eq!(PreviewController::adaptive((512, 512)).widths, [512, 384, 256]);
-        assert_eq!(PreviewController::adaptive((511, 90)).widths, [511, 384, 256]);
+        assert_eq!(
+            PreviewController::adaptive(UHD).widths,
+            [3840, 2880, 1920, 1440, 960, 480]
+        );
+        assert_eq!(
+            PreviewController::adaptive((512, 512)).widths,
+            [512, 384, 256]
+        );
+        assert_eq!(
+            PreviewController::adaptive((511, 90)).widths,
+            [511, 384, 256]
+        );
         assert_eq!(PreviewController::adaptive((100, 5000)).widths, [100]);
         assert_eq!(PreviewController::adaptive((1, 1)).widths, [1]);
-        assert_eq!(PreviewController::adaptive((512, 512)).width(), 512, "a small picture begins whole");
-        assert_eq!(PreviewController::adaptive(UHD).width(), 1440, "a large one does not");
+        assert_eq!(
+            PreviewController::adaptive((512, 512)).width(),
+            512,
+            "a small picture begins whole"
+        );
+        assert_eq!(
+            PreviewController::adaptive(UHD).width(),
+            1440,
+            "a large one does not"
+        );
     }
 
     #[test]
     fn a_fast_machine_gets_the_whole_picture_and_keeps_it() {
         let mut pace = PreviewController::adaptive(UHD);
-        let widths = run(&mut pace, Instant::now(), 10.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.3e-9 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            10.0,
+            &World {
+                make: |px| px * 1e-9,
+                ack: |px| px * 0.3e-9,
+            },
+        );
         assert!(share(&widths, 3840) == 1.0, "{widths:?}");
     }
 
@@ -239,7 +304,15 @@ mod tests {
     fn a_machine_that_cannot_hold_it_gets_the_widest_that_it_can() {
         // 2.4 ns a pixel: the whole picture takes 20 ms, three quarters of its width 11 ms.
         let mut pace = PreviewController::adaptive(UHD);
-        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| 0.5e-3 + px * 2.4e-9, ack: |_| 1e-3 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            60.0,
+            &World {
+                make: |px| 0.5e-3 + px * 2.4e-9,
+                ack: |_| 1e-3,
+            },
+        );
         assert!(share(&widths, 2880) > 0.95, "{}", share(&widths, 2880));
     }
 
@@ -247,7 +320,15 @@ mod tests {
     fn a_slow_connection_narrows_within_a_few_frames() {
         // 20 Mbit/s at 1.5 bytes a pixel.
         let mut pace = PreviewController::adaptive(UHD);
-        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 1e-9, ack: |px| px * 0.6e-6 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            60.0,
+            &World {
+                make: |px| px * 1e-9,
+                ack: |px| px * 0.6e-6,
+            },
+        );
         assert!(widths[1] == 480, "{:?}", &widths[..5]);
         assert!(share(&widths, 480) > 0.9, "{}", share(&widths, 480));
     }
@@ -256,18 +337,42 @@ mod tests {
     fn a_long_way_does_not_narrow_the_picture_for_long() {
         // 100 ms there and back, whatever the size.
         let mut pace = PreviewController::adaptive((1024, 768));
-        let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            120.0,
+            &World {
+                make: |px| px * 2e-9,
+                ack: |px| 0.1 + px * 1e-9,
+            },
+        );
         assert!(share(&widths, 1024) > 0.9, "{}", share(&widths, 1024));
         // Neither does it keep a large one narrow.
         let mut pace = PreviewController::adaptive((2048, 1536));
-        let widths = run(&mut pace, Instant::now(), 120.0, &World { make: |px| px * 2e-9, ack: |px| 0.1 + px * 1e-9 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            120.0,
+            &World {
+                make: |px| px * 2e-9,
+                ack: |px| 0.1 + px * 1e-9,
+            },
+        );
         assert!(share(&widths, 2048) > 0.9, "{}", share(&widths, 2048));
     }
 
     #[test]
     fn a_screen_that_shows_sixty_frames_a_second_is_no_slow_connection() {
         let mut pace = PreviewController::adaptive((1920, 1080));
-        let widths = run(&mut pace, Instant::now(), 60.0, &World { make: |px| px * 2e-9, ack: |_| 0.014 });
+        let widths = run(
+            &mut pace,
+            Instant::now(),
+            60.0,
+            &World {
+                make: |px| px * 2e-9,
+                ack: |_| 0.014,
+            },
+        );
         assert!(share(&widths, 1920) > 0.95, "{}", share(&widths, 1920));
     }
 
@@ -275,16 +380,40 @@ mod tests {
     fn a_machine_that_is_free_again_widens_again() {
         let mut pace = PreviewController::adaptive(UHD);
         let start = Instant::now();
-        run(&mut pace, start, 10.0, &World { make: |px| px * 10e-9, ack: |_| 1e-3 });
+        run(
+            &mut pace,
+            start,
+            10.0,
+            &World {
+                make: |px| px * 10e-9,
+                ack: |_| 1e-3,
+            },
+        );
         assert!(pace.width() < 1920);
-        run(&mut pace, start + Duration::from_secs(10), 70.0, &World { make: |px| px * 1e-9, ack: |_| 1e-3 });
+        run(
+            &mut pace,
+            start + Duration::from_secs(10),
+            70.0,
+            &World {
+                make: |px| px * 1e-9,
+                ack: |_| 1e-3,
+            },
+        );
         assert_eq!(pace.width(), 3840);
     }
 
     #[test]
     fn a_fixed_width_stays() {
         let mut pace = PreviewController::fixed(1024);
-        run(&mut pace, Instant::now(), 5.0, &World { make: |_| 1.0, ack: |_| 1.0 });
+        run(
+            &mut pace,
+            Instant::now(),
+            5.0,
+            &World {
+                make: |_| 1.0,
+                ack: |_| 1.0,
+            },
+        );
         assert_eq!(pace.width(), 1024);
     }
 }

@@ -175,8 +175,17 @@ impl SendWindow {
             self.step(frames, next);
             return Advice::Same;
         }
-        let round = RoundTrip { now, next, queue, link, possible };
-        let followed = self.shrink(&round).or_else(|| self.drain(&round)).or_else(|| self.grow(&round));
+        let round = RoundTrip {
+            now,
+            next,
+            queue,
+            link,
+            possible,
+        };
+        let followed = self
+            .shrink(&round)
+            .or_else(|| self.drain(&round))
+            .or_else(|| self.grow(&round));
         followed.unwrap_or_else(|| {
             if self.is_trial {
                 self.pause = PAUSE;
@@ -189,13 +198,20 @@ impl SendWindow {
     /// After a round trip with a queue: smaller pictures, or a smaller window.
     fn shrink(&mut self, round: &RoundTrip) -> Option<Advice> {
         let enough = round.frames_of(picture_ladder::RATE, 0.0);
-        if round.possible.smaller && self.frames as f64 <= enough && round.queue > length(round.link, SMALL) {
+        if round.possible.smaller
+            && self.frames as f64 <= enough
+            && round.queue > length(round.link, SMALL)
+        {
             self.is_start = false;
             self.step(self.frames, round.next);
             return Some(Advice::Smaller);
         }
         let adapts = round.possible.larger || round.possible.smaller;
-        let most = if adapts && self.frames as f64 > enough { SMALL } else { STANDING };
+        let most = if adapts && self.frames as f64 > enough {
+            SMALL
+        } else {
+            STANDING
+        };
         if self.frames == 1 || round.queue <= length(round.link, most) {
             return None;
         }
@@ -203,7 +219,11 @@ impl SendWindow {
             self.not_before = Some(round.now + self.pause);
             self.pause = (2 * self.pause).min(MAX_PAUSE);
         }
-        let frames = if self.is_start { self.fitting(round.link) } else { self.frames - 1 };
+        let frames = if self.is_start {
+            self.fitting(round.link)
+        } else {
+            self.frames - 1
+        };
         self.is_start = false;
         self.step(frames, round.next);
         Some(Advice::Same)
@@ -211,7 +231,11 @@ impl SendWindow {
 
     /// If a queue may have been standing for long: half of the window for a round trip.
     fn drain(&mut self, round: &RoundTrip) -> Option<Advice> {
-        if self.frames == 1 || self.alone.is_none_or(|alone| round.now.saturating_duration_since(alone) <= DRAIN) {
+        if self.frames == 1
+            || self
+                .alone
+                .is_none_or(|alone| round.now.saturating_duration_since(alone) <= DRAIN)
+        {
             return None;
         }
         self.alone = Some(round.now);
@@ -225,17 +249,23 @@ impl SendWindow {
         if !self.is_limit || round.queue >= length(round.link, EMPTY) {
             return None;
         }
-        if round.possible.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0) {
+        if round.possible.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0)
+        {
             self.step(self.frames, round.next);
             return Some(Advice::Larger);
         }
         let most = round.frames_of(RATE, MARGIN).clamp(1.0, MAX_WINDOW as f64);
         let frame = round.link.frame;
-        if self.frames as f64 >= most || frame >= MAX_TRIAL || self.not_before.is_some_and(|time| round.now < time) {
+        if self.frames as f64 >= most
+            || frame >= MAX_TRIAL
+            || self.not_before.is_some_and(|time| round.now < time)
+        {
             return None;
         }
         let steps = if self.is_start { self.frames } else { 1 };
-        let is_short = |steps: &usize| *steps as f64 * frame <= MAX_STEPS && (self.frames + steps) as f64 <= most;
+        let is_short = |steps: &usize| {
+            *steps as f64 * frame <= MAX_STEPS && (self.frames + steps) as f64 <= most
+        };
         let frames = self.frames + (1..=steps).rev().find(is_short).unwrap_or(1);
         // A queue has built up a round trip later.
         self.step(frames, round.next + frames as u64);
@@ -245,11 +275,21 @@ impl SendWindow {
 
     /// A smaller window, at the rate of the newest frame almost without a queue.
     fn fitting(&self, link: Measured) -> usize {
-        (1..self.frames).rev().find(|frames| *frames as f64 <= link.fits + EXCESS).unwrap_or(1)
+        (1..self.frames)
+            .rev()
+            .find(|frames| *frames as f64 <= link.fits + EXCESS)
+            .unwrap_or(1)
     }
 
     fn step(&mut self, frames: usize, next: u64) {
         let frames = if self.is_auto { frames } else { self.frames };
-        *self = Self { frames, round: next, least: None, is_limit: false, is_trial: false, ..*self };
+        *self = Self {
+            frames,
+            round: next,
+            least: None,
+            is_limit: false,
+            is_trial: false,
+            ..*self
+        };
     }
 }

@@ -41,23 +41,54 @@ struct Link {
 }
 
 const fn link(name: &'static str, rate: f64, delay: u64) -> Link {
-    Link { name, rate, later_rate: rate, delay, jitter: 0, outage: (0, 0), draw: 2, refresh: 0 }
+    Link {
+        name,
+        rate,
+        later_rate: rate,
+        delay,
+        jitter: 0,
+        outage: (0, 0),
+        draw: 2,
+        refresh: 0,
+    }
 }
 
 const LINKS: [Link; 13] = [
     link("loopback", 10_000.0, 0),
-    Link { refresh: 16, ..link("loopback, screen of 60 Hz", 10_000.0, 0) },
-    Link { draw: 20, ..link("loopback, drawing 20 ms", 10_000.0, 0) },
+    Link {
+        refresh: 16,
+        ..link("loopback, screen of 60 Hz", 10_000.0, 0)
+    },
+    Link {
+        draw: 20,
+        ..link("loopback, drawing 20 ms", 10_000.0, 0)
+    },
     link("100 Mbit/s, 5 ms", 100.0, 5),
     link("20 Mbit/s, 25 ms", 20.0, 25),
     link("5 Mbit/s, 50 ms", 5.0, 50),
     link("1 Mbit/s, 50 ms", 1.0, 50),
     link("100 Mbit/s, 75 ms", 100.0, 75),
-    Link { jitter: 20, ..link("5 Mbit/s, 50 ms, jitter 20 ms", 5.0, 50) },
-    Link { jitter: 40, refresh: 16, ..link("20 Mbit/s, 75 ms, jitter 40 ms, screen of 60 Hz", 20.0, 75) },
-    Link { outage: (12_000, 13_000), ..link("5 Mbit/s, 50 ms, 1 s of loss", 5.0, 50) },
-    Link { later_rate: 2.5, ..link("5, then 2.5 Mbit/s, 50 ms", 5.0, 50) },
-    Link { later_rate: 20.0, ..link("5, then 20 Mbit/s, 50 ms", 5.0, 50) },
+    Link {
+        jitter: 20,
+        ..link("5 Mbit/s, 50 ms, jitter 20 ms", 5.0, 50)
+    },
+    Link {
+        jitter: 40,
+        refresh: 16,
+        ..link("20 Mbit/s, 75 ms, jitter 40 ms, screen of 60 Hz", 20.0, 75)
+    },
+    Link {
+        outage: (12_000, 13_000),
+        ..link("5 Mbit/s, 50 ms, 1 s of loss", 5.0, 50)
+    },
+    Link {
+        later_rate: 2.5,
+        ..link("5, then 2.5 Mbit/s, 50 ms", 5.0, 50)
+    },
+    Link {
+        later_rate: 20.0,
+        ..link("5, then 20 Mbit/s, 50 ms", 5.0, 50)
+    },
 ];
 
 /// A frame on its way.
@@ -89,7 +120,9 @@ struct Observed {
 
 impl Observed {
     fn moving(&self) -> impl Iterator<Item = &Shown> {
-        self.shown.iter().filter(|shown| (WARM_UP * STEPS..MOVES * STEPS).contains(&shown.at))
+        self.shown
+            .iter()
+            .filter(|shown| (WARM_UP * STEPS..MOVES * STEPS).contains(&shown.at))
     }
 
     fn rate(&self) -> f64 {
@@ -98,7 +131,10 @@ impl Observed {
 
     /// A quantile of the ages, ms: from sending a pose to showing its frame.
     fn age(&self, share: f64) -> f64 {
-        let mut ages: Vec<u64> = self.moving().map(|shown| shown.at - shown.seq * PERIOD * STEPS).collect();
+        let mut ages: Vec<u64> = self
+            .moving()
+            .map(|shown| shown.at - shown.seq * PERIOD * STEPS)
+            .collect();
         ages.sort_unstable();
         ages[((ages.len() - 1) as f64 * share).round() as usize] as f64 / STEPS as f64
     }
@@ -109,7 +145,10 @@ struct Noise(u64);
 
 impl Noise {
     fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 40) as f64 / (1_u64 << 24) as f64
     }
 }
@@ -123,7 +162,11 @@ struct Path<T> {
 
 impl<T> Path<T> {
     const fn new(link: Link, seed: u64) -> Self {
-        Self { link, noise: Noise(seed), items: VecDeque::new() }
+        Self {
+            link,
+            noise: Noise(seed),
+            items: VecDeque::new(),
+        }
     }
 
     fn send(&mut self, step: u64, item: T) {
@@ -137,7 +180,10 @@ impl<T> Path<T> {
     }
 
     fn arrived(&mut self, step: u64) -> Option<T> {
-        self.items.front().is_some_and(|(at, _)| *at <= step).then(|| self.items.pop_front().map(|(_, item)| item))?
+        self.items
+            .front()
+            .is_some_and(|(at, _)| *at <= step)
+            .then(|| self.items.pop_front().map(|(_, item)| item))?
     }
 }
 
@@ -148,8 +194,16 @@ impl Link {
 
     /// Bytes per step.
     fn bytes(&self, step: u64) -> f64 {
-        let rate = if step < MOVES * STEPS / 2 { self.rate } else { self.later_rate };
-        if self.is_out(step) { 0.0 } else { rate * 1e6 / 8.0 / 1e3 / STEPS as f64 }
+        let rate = if step < MOVES * STEPS / 2 {
+            self.rate
+        } else {
+            self.later_rate
+        };
+        if self.is_out(step) {
+            0.0
+        } else {
+            rate * 1e6 / 8.0 / 1e3 / STEPS as f64
+        }
     }
 }
 
@@ -170,7 +224,12 @@ fn picture_bytes(width: u32, encoding: Option<Encoding>, noise: &mut Noise) -> u
     let bytes = match encoding {
         Some(Encoding::Jpeg(quality)) => {
             let quality = f64::from(quality);
-            pixels * 0.075 * (3.0 - quality / 50.0).max(1.1).recip() * 2.0 * (512.0 / f64::from(width)).powf(0.6) * (quality / 50.0)
+            pixels
+                * 0.075
+                * (3.0 - quality / 50.0).max(1.1).recip()
+                * 2.0
+                * (512.0 / f64::from(width)).powf(0.6)
+                * (quality / 50.0)
         }
         _ => pixels * 1.4,
     };
@@ -179,7 +238,8 @@ fn picture_bytes(width: u32, encoding: Option<Encoding>, noise: &mut Noise) -> u
 
 /// Drags for [`MOVES`], then rests for a while.
 fn drag(link: Link, window: Window, content: Content) -> Observed {
-    let pictures = matches!(content, Content::Auto).then(|| PictureLadder::new((WIDTH, WIDTH), None));
+    let pictures =
+        matches!(content, Content::Auto).then(|| PictureLadder::new((WIDTH, WIDTH), None));
     let previews = match content {
         Content::Previews => PreviewController::adaptive((WIDTH, WIDTH)),
         _ => PreviewController::fixed(WIDTH),
@@ -191,7 +251,14 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
     let mut drawing: Option<(FrameRequest, u64)> = None;
     let mut wire: VecDeque<(Parcel, f64)> = VecDeque::new();
     let mut to_show: VecDeque<u64> = VecDeque::new();
-    let mut seen = Observed { shown: Vec::new(), queue: 0, under_way: 0, drawn: 0, sizes: Vec::new(), last: None };
+    let mut seen = Observed {
+        shown: Vec::new(),
+        queue: 0,
+        under_way: 0,
+        drawn: 0,
+        sizes: Vec::new(),
+        last: None,
+    };
     let mut under_way = 0;
     for step in 0..(MOVES + 5_000) * STEPS {
         let now = start + Duration::from_micros(step * 1000 / STEPS);
@@ -199,7 +266,11 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
             up.send(step, step / (PERIOD * STEPS));
         }
         while let Some(seq) = up.arrived(step) {
-            scheduler.pose(Pose { seq, q: Arc::default(), at: now });
+            scheduler.pose(Pose {
+                seq,
+                q: Arc::default(),
+                at: now,
+            });
         }
         while let Some(seq) = acks.arrived(step) {
             scheduler.ack(seq, now).unwrap();
@@ -208,8 +279,14 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
         if let Some((request, _)) = drawing.take_if(|(_, at)| *at <= step) {
             let bytes = match content {
                 Content::Fixed(bytes) => bytes,
-                Content::Previews => picture_bytes(request.width.unwrap_or(WIDTH), Some(Encoding::Jpeg(85)), &mut noise),
-                Content::Auto => picture_bytes(request.width.unwrap_or(WIDTH), request.encoding, &mut noise),
+                Content::Previews => picture_bytes(
+                    request.width.unwrap_or(WIDTH),
+                    Some(Encoding::Jpeg(85)),
+                    &mut noise,
+                ),
+                Content::Auto => {
+                    picture_bytes(request.width.unwrap_or(WIDTH), request.encoding, &mut noise)
+                }
             };
             let seq = request.pose.seq;
             scheduler.drawn((request, bytes), bytes, now);
@@ -227,14 +304,24 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
                     let seq = request.pose.seq;
                     under_way += 1;
                     seen.under_way = seen.under_way.max(under_way);
-                    wire.push_back((Parcel { seq, bytes, sent: step }, bytes as f64));
+                    wire.push_back((
+                        Parcel {
+                            seq,
+                            bytes,
+                            sent: step,
+                        },
+                        bytes as f64,
+                    ));
                 }
                 Step::Wait(_) => break,
             }
         }
         let mut budget = link.bytes(step);
         while let Some((parcel, left)) = wire.front_mut() {
-            if *left == parcel.bytes as f64 && budget > 0.0 && !(link.outage.1 > 0 && step > link.outage.0 * STEPS) {
+            if *left == parcel.bytes as f64
+                && budget > 0.0
+                && !(link.outage.1 > 0 && step > link.outage.0 * STEPS)
+            {
                 seen.queue = seen.queue.max((step - parcel.sent) / STEPS);
             }
             let part = left.min(budget);
@@ -280,11 +367,25 @@ fn the_automatic_window_keeps_links_busy_without_a_queue() {
         for (bytes, rate, p50, p99) in bounds {
             let seen = drag(*link, Window::Auto, Content::Fixed(bytes));
             let (found, name) = ((seen.rate(), seen.age(0.5), seen.age(0.99)), link.name);
-            assert!(found.0 >= rate && found.1 <= p50 && found.2 <= p99, "{name}, {bytes}: {found:?}");
+            assert!(
+                found.0 >= rate && found.1 <= p50 && found.2 <= p99,
+                "{name}, {bytes}: {found:?}"
+            );
             assert!(seen.queue < 300, "{name}, {bytes}: {}", seen.queue);
-            assert!(seen.shown.is_sorted_by(|a, b| a.seq <= b.seq), "{name}: nothing old after something new");
-            assert_eq!(seen.shown.last().map(|shown| shown.seq), Some(MOVES / PERIOD - 1), "{name}: the last pose arrives");
-            assert!(seen.drawn <= 2 * seen.shown.len(), "{name}: {} frames drawn", seen.drawn);
+            assert!(
+                seen.shown.is_sorted_by(|a, b| a.seq <= b.seq),
+                "{name}: nothing old after something new"
+            );
+            assert_eq!(
+                seen.shown.last().map(|shown| shown.seq),
+                Some(MOVES / PERIOD - 1),
+                "{name}: the last pose arrives"
+            );
+            assert!(
+                seen.drawn <= 2 * seen.shown.len(),
+                "{name}: {} frames drawn",
+                seen.drawn
+            );
         }
     }
     if is_full() {
@@ -299,16 +400,25 @@ fn is_full() -> bool {
 #[test]
 fn on_loopback_one_frame_is_under_way() {
     for link in &LINKS[..3] {
-        let [auto, one] = [Window::Auto, Window::Fixed(1)].map(|window| drag(*link, window, Content::Fixed(250_000)));
+        let [auto, one] = [Window::Auto, Window::Fixed(1)]
+            .map(|window| drag(*link, window, Content::Fixed(250_000)));
         assert_eq!((auto.under_way, one.under_way), (1, 1), "{}", link.name);
-        assert_eq!((auto.rate(), auto.age(0.5), auto.age(0.99)), (one.rate(), one.age(0.5), one.age(0.99)), "{}", link.name);
+        assert_eq!(
+            (auto.rate(), auto.age(0.5), auto.age(0.99)),
+            (one.rate(), one.age(0.5), one.age(0.99)),
+            "{}",
+            link.name
+        );
     }
 }
 
 #[test]
 fn a_fixed_window_is_never_exceeded() {
     for frames in 1..=MAX_WINDOW {
-        assert_eq!(drag(LINKS[5], Window::Fixed(frames), Content::Fixed(20_000)).under_way, frames);
+        assert_eq!(
+            drag(LINKS[5], Window::Fixed(frames), Content::Fixed(20_000)).under_way,
+            frames
+        );
     }
 }
 
@@ -317,9 +427,20 @@ fn print_windows() {
     for link in LINKS {
         for bytes in [10_000, 20_000, 60_000, 250_000] {
             let mut line = format!("| {} | {} kB ", link.name, bytes / 1000);
-            for window in [Window::Fixed(1), Window::Fixed(4), Window::Fixed(8), Window::Auto] {
+            for window in [
+                Window::Fixed(1),
+                Window::Fixed(4),
+                Window::Fixed(8),
+                Window::Auto,
+            ] {
                 let seen = drag(link, window, Content::Fixed(bytes));
-                line += &format!("| {:.0}, {:.0} / {:.0}, {} ", seen.rate(), seen.age(0.5), seen.age(0.99), seen.queue);
+                line += &format!(
+                    "| {:.0}, {:.0} / {:.0}, {} ",
+                    seen.rate(),
+                    seen.age(0.5),
+                    seen.age(0.99),
+                    seen.queue
+                );
             }
             println!("{line}|");
         }
@@ -334,7 +455,13 @@ fn print_pictures() {
             let mut seen = drag(link, Window::Auto, content);
             seen.sizes.sort_unstable();
             let bytes = seen.sizes[seen.sizes.len() / 2] / 1000;
-            line += &format!("| {:.0}, {:.0} / {:.0}, {}, {bytes} ", seen.rate(), seen.age(0.5), seen.age(0.99), seen.queue);
+            line += &format!(
+                "| {:.0}, {:.0} / {:.0}, {}, {bytes} ",
+                seen.rate(),
+                seen.age(0.5),
+                seen.age(0.99),
+                seen.queue
+            );
         }
         println!("{line}|");
     }
@@ -344,26 +471,57 @@ fn print_pictures() {
 const PNG: Content = Content::Fixed(370_000);
 const JPEG: Content = Content::Fixed(51_000);
 /// Frames per second of `auto` at least, by the order of [`LINKS`].
-const AUTO_RATES: [f64; LINKS.len()] = [120.0, 60.0, 48.0, 65.0, 40.0, 30.0, 12.0, 45.0, 24.0, 28.0, 27.0, 24.0, 35.0];
+const AUTO_RATES: [f64; LINKS.len()] = [
+    120.0, 60.0, 48.0, 65.0, 40.0, 30.0, 12.0, 45.0, 24.0, 28.0, 27.0, 24.0, 35.0,
+];
 
 #[test]
 fn automatic_pictures_suit_the_link() {
     for (link, rate) in LINKS.iter().zip(AUTO_RATES) {
-        let [png, jpeg, narrow, auto] = [PNG, JPEG, Content::Previews, Content::Auto].map(|content| drag(*link, Window::Auto, content));
-        let (name, age, fixed) = (link.name, auto.age(0.5), [png, jpeg, narrow].map(|seen| seen.age(0.5)));
+        let [png, jpeg, narrow, auto] = [PNG, JPEG, Content::Previews, Content::Auto]
+            .map(|content| drag(*link, Window::Auto, content));
+        let (name, age, fixed) = (
+            link.name,
+            auto.age(0.5),
+            [png, jpeg, narrow].map(|seen| seen.age(0.5)),
+        );
         assert!(auto.rate() >= rate, "{name}: {}", auto.rate());
-        assert!(fixed.iter().all(|fixed| age <= 1.1 * fixed + 1.0), "{name}: {age}, fixed pictures {fixed:?}");
-        assert!(age <= (2 * (link.delay + link.jitter + link.draw + link.refresh) + 100) as f64, "{name}: {age}");
+        assert!(
+            fixed.iter().all(|fixed| age <= 1.1 * fixed + 1.0),
+            "{name}: {age}, fixed pictures {fixed:?}"
+        );
+        assert!(
+            age <= (2 * (link.delay + link.jitter + link.draw + link.refresh) + 100) as f64,
+            "{name}: {age}"
+        );
         assert!(auto.queue < 300, "{name}: {}", auto.queue);
         let large = auto.sizes.iter().filter(|bytes| **bytes > 40_000).count();
-        assert!(link.rate < 100.0 || 2 * large > auto.sizes.len(), "{name}: {large} large pictures");
-        assert!(auto.shown.is_sorted_by(|a, b| a.seq <= b.seq), "{name}: nothing old after something new");
+        assert!(
+            link.rate < 100.0 || 2 * large > auto.sizes.len(),
+            "{name}: {large} large pictures"
+        );
+        assert!(
+            auto.shown.is_sorted_by(|a, b| a.seq <= b.seq),
+            "{name}: nothing old after something new"
+        );
         // The last frame is full.
         let last = auto.last.expect("frames were sent");
         let is_lossless = last.encoding == Some(Encoding::Png);
-        assert_eq!((last.pose.seq, last.width.is_none_or(|width| width == WIDTH)), (MOVES / PERIOD - 1, true), "{name}");
-        assert_eq!(is_lossless, link.later_rate * 1e6 / 8.0 >= 370_000.0, "{name}: lossless if the link carries that in a second");
-        assert_eq!(auto.shown.last().map(|shown| shown.seq), Some(last.pose.seq), "{name}: the last pose arrives");
+        assert_eq!(
+            (last.pose.seq, last.width.is_none_or(|width| width == WIDTH)),
+            (MOVES / PERIOD - 1, true),
+            "{name}"
+        );
+        assert_eq!(
+            is_lossless,
+            link.later_rate * 1e6 / 8.0 >= 370_000.0,
+            "{name}: lossless if the link carries that in a second"
+        );
+        assert_eq!(
+            auto.shown.last().map(|shown| shown.seq),
+            Some(last.pose.seq),
+            "{name}: the last pose arrives"
+        );
     }
     if is_full() {
         print_pictures();
@@ -374,7 +532,11 @@ fn automatic_pictures_suit_the_link() {
 fn twelve_frames_a_second_pass_a_slow_link_from_the_start() {
     for delay in [5, 25, 50, 75] {
         let seen = drag(link("1 Mbit/s", 1.0, delay), Window::Auto, Content::Auto);
-        let frames = seen.shown.iter().filter(|shown| shown.at < 3_000 * STEPS).count();
+        let frames = seen
+            .shown
+            .iter()
+            .filter(|shown| shown.at < 3_000 * STEPS)
+            .count();
         assert!(frames >= 36, "{delay} ms: {frames} frames in three seconds");
     }
 }

@@ -10,12 +10,32 @@ use crate::wire::formats::Formats;
 
 /// The index of the media type among `offers` that the client prefers; of equal ones the first.
 /// Errors: 406 if it accepts none.
-pub(crate) fn choose<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> Result<usize, Problem> {
+pub(crate) fn choose<const N: usize>(
+    headers: &HeaderMap,
+    offers: [&str; N],
+) -> Result<usize, Problem> {
     let weights = weights(headers, offers);
-    let best = (0..N).fold(0, |best, index| if weights[index] > weights[best] { index } else { best });
-    let none =
-        || Problem::new(Code::NotAcceptable, format!("`Accept` allows none of the media types of this response: {}", offers.join(", ")));
-    if weights[best] > 0.0 { Ok(best) } else { Err(none()) }
+    let best = (0..N).fold(0, |best, index| {
+        if weights[index] > weights[best] {
+            index
+        } else {
+            best
+        }
+    });
+    let none = || {
+        Problem::new(
+            Code::NotAcceptable,
+            format!(
+                "`Accept` allows none of the media types of this response: {}",
+                offers.join(", ")
+            ),
+        )
+    };
+    if weights[best] > 0.0 {
+        Ok(best)
+    } else {
+        Err(none())
+    }
 }
 
 /// The picture formats that the client accepts.
@@ -31,7 +51,12 @@ fn weights<const N: usize>(headers: &HeaderMap, offers: [&str; N]) -> [f32; N] {
         return [1.0; N];
     }
     // The most specific range decides: `image/png;q=0, */*` excludes PNG.
-    let weight = |offer| ranges.iter().filter_map(|range| weight(range, offer)).max_by_key(|(precision, _)| *precision);
+    let weight = |offer| {
+        ranges
+            .iter()
+            .filter_map(|range| weight(range, offer))
+            .max_by_key(|(precision, _)| *precision)
+    };
     offers.map(|offer| weight(offer).map_or(0.0, |(_, weight)| weight))
 }
 
@@ -42,11 +67,22 @@ fn weight(range: &str, offer: &str) -> Option<(u8, f32)> {
     let precision = match name.as_str() {
         "*/*" | "*" => 0,
         name if name == offer => 2,
-        name if name.strip_suffix("/*").is_some_and(|kind| offer.split('/').next() == Some(kind)) => 1,
+        name if name
+            .strip_suffix("/*")
+            .is_some_and(|kind| offer.split('/').next() == Some(kind)) =>
+        {
+            1
+        }
         _ => return None,
     };
-    let q = pieces.find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q="))).map_or(Some(1.0), |q| q.trim().parse().ok());
-    Some((precision, q.filter(|q: &f32| !q.is_nan()).map_or(1.0, |q| q.clamp(0.0, 1.0))))
+    let q = pieces
+        .find_map(|p| p.strip_prefix("q=").or_else(|| p.strip_prefix("Q=")))
+        .map_or(Some(1.0), |q| q.trim().parse().ok());
+    Some((
+        precision,
+        q.filter(|q: &f32| !q.is_nan())
+            .map_or(1.0, |q| q.clamp(0.0, 1.0)),
+    ))
 }
 
 #[cfg(test)]
@@ -62,10 +98,23 @@ mod tests {
     #[test]
     fn png_is_taken_where_the_most_specific_range_says_so() {
         assert_eq!(choose(&HeaderMap::new(), ["image/png"]).unwrap(), 0);
-        for accept in ["image/png", "image/*", "*/*", "text/html, image/avif, image/*;q=0.8", "text/html,*/*;q=0.1", "IMAGE/PNG; q=1"] {
+        for accept in [
+            "image/png",
+            "image/*",
+            "*/*",
+            "text/html, image/avif, image/*;q=0.8",
+            "text/html,*/*;q=0.1",
+            "IMAGE/PNG; q=1",
+        ] {
             assert_eq!(chosen(accept, ["image/png"]), Some(0), "{accept}");
         }
-        for accept in ["image/jpeg", "text/html", "image/png;q=0", "image/png;q=0, */*", "application/json, image/webp"] {
+        for accept in [
+            "image/jpeg",
+            "text/html",
+            "image/png;q=0",
+            "image/png;q=0, */*",
+            "application/json, image/webp",
+        ] {
             assert_eq!(chosen(accept, ["image/png"]), None, "{accept}");
         }
     }

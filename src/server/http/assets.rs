@@ -66,7 +66,11 @@ pub(crate) struct Asset {
 impl Asset {
     pub(crate) fn new(media: &'static str, bytes: Bytes) -> Self {
         let tag = format!("\"{}\"", HEXLOWER.encode(&Sha256::digest(&bytes)[..16]));
-        Self { media: HeaderValue::from_static(media), bytes, tag: HeaderValue::try_from(tag).expect("hex is visible ASCII") }
+        Self {
+            media: HeaderValue::from_static(media),
+            bytes,
+            tag: HeaderValue::try_from(tag).expect("hex is visible ASCII"),
+        }
     }
 
     /// The file, or 304 if the client has it.
@@ -79,14 +83,27 @@ impl Asset {
         if self.tag.to_str().is_ok_and(|tag| sends_tag(request, tag)) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
         }
-        (headers, [(CONTENT_TYPE, self.media.clone())], self.bytes.clone()).into_response()
+        (
+            headers,
+            [(CONTENT_TYPE, self.media.clone())],
+            self.bytes.clone(),
+        )
+            .into_response()
     }
 }
 
 /// The page's routes, which are not part of the contract.
 pub(crate) fn routes(app: &App) -> Router<App> {
-    let index = Asset::new(HTML, Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)));
-    Router::new().route("/", get(async move |headers: HeaderMap| index.response(&headers))).route("/page/{file}", get(file))
+    let index = Asset::new(
+        HTML,
+        Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)),
+    );
+    Router::new()
+        .route(
+            "/",
+            get(async move |headers: HeaderMap| index.response(&headers)),
+        )
+        .route("/page/{file}", get(file))
 }
 
 async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
@@ -94,10 +111,17 @@ async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, 
 }
 
 /// Serves one of a page's files.
-pub(crate) fn find(files: &[(&str, Asset)], name: &str, headers: &HeaderMap) -> Result<Response, Problem> {
+pub(crate) fn find(
+    files: &[(&str, Asset)],
+    name: &str,
+    headers: &HeaderMap,
+) -> Result<Response, Problem> {
     match files.iter().find(|(known, _)| *known == name) {
         Some((_, asset)) => Ok(asset.response(headers)),
-        None => Err(Problem::new(Code::NotFound, format!("there is no file {} here; see /docs", quote(name)))),
+        None => Err(Problem::new(
+            Code::NotFound,
+            format!("there is no file {} here; see /docs", quote(name)),
+        )),
     }
 }
 
@@ -126,12 +150,25 @@ mod tests {
     #[test]
     fn whatever_the_page_asks_for_is_there() {
         let named = |text: &'static str, before: &'static str| {
-            text.split(before).skip(1).map(|rest| rest.split(['"', '#']).next().expect("split gives one piece at least"))
+            text.split(before).skip(1).map(|rest| {
+                rest.split(['"', '#'])
+                    .next()
+                    .expect("split gives one piece at least")
+            })
         };
         let scripts = ASSETS.iter().filter(|(name, _)| name.ends_with(".js"));
-        let imported: Vec<&str> = scripts.flat_map(|(name, _)| named(text(name), "from \"./")).collect();
-        let linked: Vec<&str> = named(INDEX, "=\"page/").chain(named(text("samples.js"), "\"page/")).collect();
-        assert!(imported.len() > 30 && linked.len() > 10, "{} {}", imported.len(), linked.len());
+        let imported: Vec<&str> = scripts
+            .flat_map(|(name, _)| named(text(name), "from \"./"))
+            .collect();
+        let linked: Vec<&str> = named(INDEX, "=\"page/")
+            .chain(named(text("samples.js"), "\"page/"))
+            .collect();
+        assert!(
+            imported.len() > 30 && linked.len() > 10,
+            "{} {}",
+            imported.len(),
+            linked.len()
+        );
         for name in imported.iter().chain(&linked) {
             assert!(ASSETS.iter().any(|(known, _)| known == name), "{name}");
         }
@@ -144,11 +181,28 @@ mod tests {
     #[test]
     fn nothing_comes_from_elsewhere_and_nothing_is_inline() {
         assert_eq!(INDEX.matches(LIMITS).count(), 1);
-        for (name, asset) in ASSETS.iter().filter(|(_, asset)| asset.media.to_str().is_ok_and(|media| media.starts_with("text"))) {
-            let text = std::str::from_utf8(&asset.bytes).expect("text is UTF-8").replace("http://www.w3.org/2000/svg", "");
+        for (name, asset) in ASSETS.iter().filter(|(_, asset)| {
+            asset
+                .media
+                .to_str()
+                .is_ok_and(|media| media.starts_with("text"))
+        }) {
+            let text = std::str::from_utf8(&asset.bytes)
+                .expect("text is UTF-8")
+                .replace("http://www.w3.org/2000/svg", "");
             assert!(!text.contains("://"), "{name}");
         }
-        assert!(!INDEX.contains("://") && !INDEX.contains(" style=") && !INDEX.contains(" onclick=") && !INDEX.contains("<style"));
-        assert!(INDEX.split("<script").skip(1).all(|script| script.contains("src=\"page/")));
+        assert!(
+            !INDEX.contains("://")
+                && !INDEX.contains(" style=")
+                && !INDEX.contains(" onclick=")
+                && !INDEX.contains("<style")
+        );
+        assert!(
+            INDEX
+                .split("<script")
+                .skip(1)
+                .all(|script| script.contains("src=\"page/"))
+        );
     }
 }

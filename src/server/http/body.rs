@@ -33,13 +33,20 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
         "extent_bytes" => "a part with an extent",
         _ => "the body",
     };
-    Problem::new(Code::TooLarge, format!("{of} has at least {actual} bytes; the limit is {limit}")).limit(what, limit, actual)
+    Problem::new(
+        Code::TooLarge,
+        format!("{of} has at least {actual} bytes; the limit is {limit}"),
+    )
+    .limit(what, limit, actual)
 }
 
 /// The problem of a failed read: that of [`LimitedBody`] or of the multipart gate among the causes, or a malformed body with `context`.
 pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &str) -> Problem {
     let causes = std::iter::successors(Some(error), |error| error.source());
-    let problem = causes.filter_map(|error| error.downcast_ref::<Problem>()).next().cloned();
+    let problem = causes
+        .filter_map(|error| error.downcast_ref::<Problem>())
+        .next()
+        .cloned();
     problem.unwrap_or_else(|| Problem::new(Code::MalformedRequest, format!("{context}: {error}")))
 }
 
@@ -63,12 +70,26 @@ pub(crate) struct LimitedBody {
 
 impl LimitedBody {
     /// `expects_continue`: the client sends the body only after `100 Continue`, which the first read makes hyper send.
-    pub(crate) fn wrap(body: Body, limit: u64, timeout: Duration, expects_continue: bool, waits: Arc<AtomicBool>) -> Body {
+    pub(crate) fn wrap(
+        body: Body,
+        limit: u64,
+        timeout: Duration,
+        expects_continue: bool,
+        waits: Arc<AtomicBool>,
+    ) -> Body {
         if body.is_end_stream() {
             return body;
         }
         let deadline = Box::pin(sleep(timeout));
-        Body::new(Self { body: Some(body), left: limit, limit, timeout, deadline, expects_continue, waits })
+        Body::new(Self {
+            body: Some(body),
+            left: limit,
+            limit,
+            timeout,
+            deadline,
+            expects_continue,
+            waits,
+        })
     }
 }
 
@@ -76,13 +97,24 @@ impl HttpBody for LimitedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let this = &mut *self;
-        let Some(body) = &mut this.body else { return Poll::Ready(None) };
+        let Some(body) = &mut this.body else {
+            return Poll::Ready(None);
+        };
         if this.deadline.as_mut().poll(cx).is_ready() {
             this.body = None;
-            let detail = format!("the body was not complete after {} s", this.timeout.as_secs_f64());
-            return Poll::Ready(Some(Err(axum::Error::new(Problem::new(Code::Timeout, detail)))));
+            let detail = format!(
+                "the body was not complete after {} s",
+                this.timeout.as_secs_f64()
+            );
+            return Poll::Ready(Some(Err(axum::Error::new(Problem::new(
+                Code::Timeout,
+                detail,
+            )))));
         }
         let polled = Pin::new(body).poll_frame(cx);
         this.waits.store(polled.is_pending(), Ordering::Relaxed);
@@ -108,7 +140,10 @@ impl HttpBody for LimitedBody {
     }
 
     fn size_hint(&self) -> http_body::SizeHint {
-        self.body.as_ref().map(HttpBody::size_hint).unwrap_or_default()
+        self.body
+            .as_ref()
+            .map(HttpBody::size_hint)
+            .unwrap_or_default()
     }
 }
 
@@ -116,13 +151,25 @@ impl Drop for LimitedBody {
     fn drop(&mut self) {
         self.waits.store(false, Ordering::Relaxed);
         let is_withheld = self.expects_continue && self.left == self.limit;
-        if let Some(mut body) = self.body.take().filter(|body| !is_withheld && !body.is_end_stream())
+        if let Some(mut body) = self
+            .body
+            .take()
+            .filter(|body| !is_withheld && !body.is_end_stream())
             && let Ok(runtime) = tokio::runtime::Handle::try_current()
         {
-            let ends = body.size_hint().upper().is_some_and(|rest| rest <= self.left);
+            let ends = body
+                .size_hint()
+                .upper()
+                .is_some_and(|rest| rest <= self.left);
             let until = tokio::time::Instant::now() + LINGER;
-            let until = if ends { self.deadline.deadline() } else { until.min(self.deadline.deadline()) };
-            runtime.spawn(timeout_at(until, async move { while let Some(Ok(_)) = body.frame().await {} }));
+            let until = if ends {
+                self.deadline.deadline()
+            } else {
+                until.min(self.deadline.deadline())
+            };
+            runtime.spawn(timeout_at(until, async move {
+                while let Some(Ok(_)) = body.frame().await {}
+            }));
         }
     }
 }
@@ -140,14 +187,29 @@ pub(crate) struct BodyBuffer<'a> {
 }
 
 impl<'a> BodyBuffer<'a> {
-    pub(crate) async fn new(app: &'a App, client: Client, purpose: Purpose) -> Result<Self, Problem> {
+    pub(crate) async fn new(
+        app: &'a App,
+        client: Client,
+        purpose: Purpose,
+    ) -> Result<Self, Problem> {
         let quota = app.request_quota(client);
-        let held = app.reserve_aside(|budget| budget.take_for(purpose, &quota, REQUEST_BYTES)).await?;
-        Ok(Self { app, bytes: Vec::new(), held })
+        let held = app
+            .reserve_aside(|budget| budget.take_for(purpose, &quota, REQUEST_BYTES))
+            .await?;
+        Ok(Self {
+            app,
+            bytes: Vec::new(),
+            held,
+        })
     }
 
     /// Appends data. The buffer may have at most `limit` bytes; `what` names the limit.
-    pub(crate) async fn push(&mut self, data: &[u8], what: &'static str, limit: u64) -> Result<(), Problem> {
+    pub(crate) async fn push(
+        &mut self,
+        data: &[u8],
+        what: &'static str,
+        limit: u64,
+    ) -> Result<(), Problem> {
         let needed = self.bytes.len() + data.len();
         if needed as u64 > limit {
             return Err(too_large(what, limit, needed as u64));
@@ -155,14 +217,17 @@ impl<'a> BodyBuffer<'a> {
         if needed > self.bytes.capacity() {
             let capacity = needed.max(2 * self.bytes.capacity());
             // While the bytes are moved, both allocations exist.
-            self.app.reserve_aside(|_| self.held.grow(capacity as u64)).await?;
+            self.app
+                .reserve_aside(|_| self.held.grow(capacity as u64))
+                .await?;
             let mut bytes = std::mem::take(&mut self.bytes);
             let grow = move || {
                 bytes.reserve_exact(capacity - bytes.len());
                 bytes
             };
             self.bytes = aside(capacity > MAX_COPIED_HERE, grow).await;
-            self.held.shrink_to(REQUEST_BYTES + self.bytes.capacity() as u64);
+            self.held
+                .shrink_to(REQUEST_BYTES + self.bytes.capacity() as u64);
         }
         self.bytes.extend_from_slice(data);
         Ok(())
@@ -197,29 +262,54 @@ impl Drop for BodyBuffer<'_> {
 
 /// Describes the media type of a request.
 pub(crate) fn sent(headers: &HeaderMap) -> String {
-    media_type(headers).map_or_else(|| "the request has no `Content-Type`".to_owned(), |found| format!("found {}", quote(&found)))
+    media_type(headers).map_or_else(
+        || "the request has no `Content-Type`".to_owned(),
+        |found| format!("found {}", quote(&found)),
+    )
 }
 
 /// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads from blocking the bodies of drags.
-pub(crate) async fn json(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
+pub(crate) async fn json(
+    caller: &Caller,
+    request: Request,
+    purpose: Purpose,
+    what: &'static str,
+    limit: u64,
+) -> Result<Bytes, Problem> {
     if media_type(request.headers()).as_deref() != Some("application/json") {
         return Err(Problem::new(
             Code::UnsupportedMediaType,
-            format!("the body must be `application/json`, or `multipart/form-data` with landmark files; {}", sent(request.headers())),
+            format!(
+                "the body must be `application/json`, or `multipart/form-data` with landmark files; {}",
+                sent(request.headers())
+            ),
         ));
     }
     raw(caller, request, purpose, what, limit).await
 }
 
 /// Reads a body of any type, of at most `limit` bytes.
-pub(crate) async fn raw(caller: &Caller, request: Request, purpose: Purpose, what: &'static str, limit: u64) -> Result<Bytes, Problem> {
-    Ok(buffered(caller, request, purpose, what, limit).await?.finish())
+pub(crate) async fn raw(
+    caller: &Caller,
+    request: Request,
+    purpose: Purpose,
+    what: &'static str,
+    limit: u64,
+) -> Result<Bytes, Problem> {
+    Ok(buffered(caller, request, purpose, what, limit)
+        .await?
+        .finish())
 }
 
 /// Reads a file for a session to keep.
 pub(crate) async fn file(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
     let limit = caller.app.config().max_body_bytes;
-    Ok(buffered(caller, request, Purpose::Upload, "body_bytes", limit).await?.finish_exact().await)
+    Ok(
+        buffered(caller, request, Purpose::Upload, "body_bytes", limit)
+            .await?
+            .finish_exact()
+            .await,
+    )
 }
 
 async fn buffered<'a>(
@@ -235,7 +325,10 @@ async fn buffered<'a>(
     let mut body = request.into_body();
     let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose).await?;
     while let Some(frame) = body.frame().await {
-        if let Ok(data) = frame.map_err(|error| read_problem(&error, "the body could not be read"))?.into_data() {
+        if let Ok(data) = frame
+            .map_err(|error| read_problem(&error, "the body could not be read"))?
+            .into_data()
+        {
             buffer.push(&data, what, limit).await?;
         }
     }

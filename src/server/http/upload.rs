@@ -28,11 +28,31 @@ const MAX_OVERHEAD: u64 = 16 << 10;
 const PARSER_BYTES: u64 = 128 << 10;
 
 /// The parts of an upload, and those of landmark files alone, which are its last ones.
-const UPLOAD: [&str; 10] = ["image", "warp", "region", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q", "match", "item"];
+const UPLOAD: [&str; 10] = [
+    "image",
+    "warp",
+    "region",
+    "landmarks",
+    "landmarks_p",
+    "landmarks_q",
+    "extent_p",
+    "extent_q",
+    "match",
+    "item",
+];
 const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p`, `extent_q`, `match` and `item`";
 const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
 /// The parts of a request without an image: the other fields, and landmark files; of a session, those of its pose.
-const FORM: [&str; 8] = ["warp", "landmarks", "landmarks_p", "landmarks_q", "extent_p", "extent_q", "match", "item"];
+const FORM: [&str; 8] = [
+    "warp",
+    "landmarks",
+    "landmarks_p",
+    "landmarks_q",
+    "extent_p",
+    "extent_q",
+    "match",
+    "item",
+];
 const FORM_ADVICE: &str = "the parts are `warp`, the JSON without handles; `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
 const POSE: [&str; 4] = ["warp", "landmarks_q", "extent_q", "item"];
 const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `landmarks_q`, the file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
@@ -42,38 +62,57 @@ const NO_LIMIT: &str = "body_bytes";
 const EXTENT_BYTES: u64 = 64;
 const ITEM_BYTES: u64 = 1024;
 
-const NO_BOUNDARY: &str =
-    "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
+const NO_BOUNDARY: &str = "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
 /// Extensions of the files that people send.
 const EXTENSIONS: [&str; 23] = [
-    "json", "txt", "csv", "pts", "tem", "points", "tps", "xml", "fcsv", "png", "jpg", "jpeg", "webp", "gif", "tif", "tiff", "bmp", "heic",
-    "heif", "avif", "svg", "psd", "pdf",
+    "json", "txt", "csv", "pts", "tem", "points", "tps", "xml", "fcsv", "png", "jpg", "jpeg",
+    "webp", "gif", "tif", "tiff", "bmp", "heic", "heif", "avif", "svg", "psd", "pdf",
 ];
 
 /// Reads an upload. The limit of the whole body is checked before; `warp` has a limit of its own.
 pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Problem> {
     if !is_multipart(&request) {
-        let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-        let of_session = "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
+        let route = request
+            .extensions()
+            .get::<MatchedPath>()
+            .map_or("", MatchedPath::as_str);
+        let of_session =
+            "; to warp the picture of a session, send JSON to POST /sessions/{id}/warp";
         let hint = if route == "/warp" { of_session } else { "" };
         let sent = sent(request.headers());
-        let detail = format!("{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}", request.method());
+        let detail = format!(
+            "{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}",
+            request.method()
+        );
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
     }
     let limit = ("warp_json_bytes", caller.app.config().max_warp_json_bytes);
-    let [image, warp, region, files @ ..] = read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE, limit).await?;
+    let [image, warp, region, files @ ..] =
+        read_parts(caller, request, &UPLOAD, UPLOAD_ADVICE, limit).await?;
     let files = landmark_files(files)?;
     files.require_files()?;
     // Every field of a warp object has a default, except for the handles.
-    let warp = if files.is_empty() { warp } else { warp.or(Some(Bytes::from_static(b"{}"))) };
+    let warp = if files.is_empty() {
+        warp
+    } else {
+        warp.or(Some(Bytes::from_static(b"{}")))
+    };
     match (image, warp) {
         (Some(image), Some(warp)) => {
-            require_contents(&[("image", Code::UnsupportedFormat, Some(&image)), ("warp", Code::MalformedRequest, Some(&warp))])?;
+            require_contents(&[
+                ("image", Code::UnsupportedFormat, Some(&image)),
+                ("warp", Code::MalformedRequest, Some(&warp)),
+            ])?;
             require_contents(&[("region", Code::UnsupportedFormat, region.as_ref())])?;
             let mut upload = Upload::new(image, warp);
             upload.region = region;
             if !files.is_empty() {
-                upload.landmarks = Some(caller.app.read_landmarks(caller.client, files, upload.warp.clone()).await?);
+                upload.landmarks = Some(
+                    caller
+                        .app
+                        .read_landmarks(caller.client, files, upload.warp.clone())
+                        .await?,
+                );
             }
             Ok(upload)
         }
@@ -84,8 +123,18 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
 }
 
 /// Reads the parts of landmark files alone.
-pub(crate) async fn read_landmark_parts(caller: &Caller, request: Request) -> Result<LandmarkFiles, Problem> {
-    let [_, _, _, files @ ..] = read_parts(caller, request, &UPLOAD[3..], LANDMARKS_ADVICE, (NO_LIMIT, u64::MAX)).await?;
+pub(crate) async fn read_landmark_parts(
+    caller: &Caller,
+    request: Request,
+) -> Result<LandmarkFiles, Problem> {
+    let [_, _, _, files @ ..] = read_parts(
+        caller,
+        request,
+        &UPLOAD[3..],
+        LANDMARKS_ADVICE,
+        (NO_LIMIT, u64::MAX),
+    )
+    .await?;
     landmark_files(files)
 }
 
@@ -101,25 +150,59 @@ pub(crate) async fn json_or_form(
     if !is_multipart(&request) {
         return body::json(caller, request, purpose, what, limit).await;
     }
-    let (names, advice) = if let Target::Pose(..) = target { (&POSE[..], POSE_ADVICE) } else { (&FORM[..], FORM_ADVICE) };
-    let [_, json, _, files @ ..] = read_parts(caller, request, names, advice, (what, limit)).await?;
+    let (names, advice) = if let Target::Pose(..) = target {
+        (&POSE[..], POSE_ADVICE)
+    } else {
+        (&FORM[..], FORM_ADVICE)
+    };
+    let [_, json, _, files @ ..] =
+        read_parts(caller, request, names, advice, (what, limit)).await?;
     let files = landmark_files(files)?;
     files.require_files()?;
     let json = json.unwrap_or(Bytes::from_static(b"{}"));
     require_contents(&[("warp", Code::MalformedRequest, Some(&json))])?;
-    if files.is_empty() { Ok(json) } else { caller.app.with_landmarks(caller.client, files, json, target).await }
+    if files.is_empty() {
+        Ok(json)
+    } else {
+        caller
+            .app
+            .with_landmarks(caller.client, files, json, target)
+            .await
+    }
 }
 
 /// As [`json_or_form`], of the size of a warp object.
-pub(crate) async fn warp_json_or_form(caller: &Caller, request: Request, target: Target) -> Result<Bytes, Problem> {
+pub(crate) async fn warp_json_or_form(
+    caller: &Caller,
+    request: Request,
+    target: Target,
+) -> Result<Bytes, Problem> {
     let limit = caller.app.config().max_warp_json_bytes;
-    json_or_form(caller, request, Purpose::Upload, ("json_bytes", limit), target).await
+    json_or_form(
+        caller,
+        request,
+        Purpose::Upload,
+        ("json_bytes", limit),
+        target,
+    )
+    .await
 }
 
 /// As [`json_or_form`], with annotations or frames, which may be as large as any body.
-pub(crate) async fn large_json_or_form(caller: &Caller, request: Request, target: Target) -> Result<Bytes, Problem> {
+pub(crate) async fn large_json_or_form(
+    caller: &Caller,
+    request: Request,
+    target: Target,
+) -> Result<Bytes, Problem> {
     let limit = caller.app.config().max_body_bytes;
-    json_or_form(caller, request, Purpose::Upload, ("body_bytes", limit), target).await
+    json_or_form(
+        caller,
+        request,
+        Purpose::Upload,
+        ("body_bytes", limit),
+        target,
+    )
+    .await
 }
 
 /// What landmark files mean in a request about a session.
@@ -127,15 +210,33 @@ pub(crate) fn pose_of(record: &Record) -> Target {
     Target::Pose(record.extent, record.rest.units)
 }
 
-fn landmark_files([both, p, q, extent_p, extent_q, matching, item]: [Option<Bytes>; 7]) -> Result<LandmarkFiles, Problem> {
-    let names = [("landmarks", &both), ("landmarks_p", &p), ("landmarks_q", &q)];
+fn landmark_files(
+    [both, p, q, extent_p, extent_q, matching, item]: [Option<Bytes>; 7],
+) -> Result<LandmarkFiles, Problem> {
+    let names = [
+        ("landmarks", &both),
+        ("landmarks_p", &p),
+        ("landmarks_q", &q),
+    ];
     require_contents(&names.map(|(name, part)| (name, Code::BadLandmarks, part.as_ref())))?;
-    let extent = |name: &str, part: Option<Bytes>| part.map(|part| extent(name, &String::from_utf8_lossy(&part))).transpose();
+    let extent = |name: &str, part: Option<Bytes>| {
+        part.map(|part| extent(name, &String::from_utf8_lossy(&part)))
+            .transpose()
+    };
     let mut choice = Choice::default();
     for (name, part) in [("match", matching), ("item", item)] {
-        part.map_or(Ok(()), |part| choice.add_text(name, &String::from_utf8_lossy(&part)))?;
+        part.map_or(Ok(()), |part| {
+            choice.add_text(name, &String::from_utf8_lossy(&part))
+        })?;
     }
-    Ok(LandmarkFiles { extent_p: extent("extent_p", extent_p)?, extent_q: extent("extent_q", extent_q)?, both, p, q, choice })
+    Ok(LandmarkFiles {
+        extent_p: extent("extent_p", extent_p)?,
+        extent_q: extent("extent_q", extent_q)?,
+        both,
+        p,
+        q,
+        choice,
+    })
 }
 
 pub(crate) fn is_multipart(request: &Request) -> bool {
@@ -154,21 +255,33 @@ async fn read_parts(
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
     let quota = app.request_quota(*client);
-    let _parser = app.reserve_aside(|budget| budget.take_for(Purpose::Upload, &quota, PARSER_BYTES)).await?;
+    let _parser = app
+        .reserve_aside(|budget| budget.take_for(Purpose::Upload, &quota, PARSER_BYTES))
+        .await?;
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
-    let mut parts = Multipart::from_request(request, &()).await.map_err(|_| malformed(NO_BOUNDARY))?;
+    let mut parts = Multipart::from_request(request, &())
+        .await
+        .map_err(|_| malformed(NO_BOUNDARY))?;
     let mut read: [Option<Bytes>; UPLOAD.len()] = Default::default();
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
-        let known = names.iter().find(|known| **known == name).and_then(|known| UPLOAD.iter().position(|name| name == known));
+        let known = names
+            .iter()
+            .find(|known| **known == name)
+            .and_then(|known| UPLOAD.iter().position(|name| name == known));
         let Some(index) = known else {
             if fields::is_unsupported(&name, names) {
                 return Err(fields::unsupported(&name, names));
             }
-            let hint = nearest(&name, names.iter().copied()).map(|meant| format!("did you mean `{meant}`?"));
-            return Err(malformed(format!("unknown part: {}{}", quote(&name), words::advice(hint, advice))));
+            let hint = nearest(&name, names.iter().copied())
+                .map(|meant| format!("did you mean `{meant}`?"));
+            return Err(malformed(format!(
+                "unknown part: {}{}",
+                quote(&name),
+                words::advice(hint, advice)
+            )));
         };
         if read[index].is_some() {
             return Err(malformed(format!("the part `{name}` occurs twice")));
@@ -187,13 +300,22 @@ async fn read_parts(
 /// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends it without `@`.
 fn require_contents(parts: &[(&str, Code, Option<&Bytes>)]) -> Result<(), Problem> {
     for (name, code, part) in parts {
-        let Some(text) = part.and_then(|part| as_line(part)) else { continue };
+        let Some(text) = part.and_then(|part| as_line(part)) else {
+            continue;
+        };
         let hint = match text {
-            _ if is_url(text) => "a URL; the server fetches no URLs: send the file itself".to_owned(),
-            _ if is_path(text) => format!("which looks like a path; curl sends a file with `-F {name}=@path`"),
+            _ if is_url(text) => {
+                "a URL; the server fetches no URLs: send the file itself".to_owned()
+            }
+            _ if is_path(text) => {
+                format!("which looks like a path; curl sends a file with `-F {name}=@path`")
+            }
             _ => continue,
         };
-        return Err(Problem::new(*code, format!("the part `{name}` is the text {}, {hint}", quote(text))));
+        return Err(Problem::new(
+            *code,
+            format!("the part `{name}` is the text {}, {hint}", quote(text)),
+        ));
     }
     Ok(())
 }
@@ -201,19 +323,27 @@ fn require_contents(parts: &[(&str, Code, Option<&Bytes>)]) -> Result<(), Proble
 /// A part that is one short line of text.
 fn as_line(part: &[u8]) -> Option<&str> {
     const LONGEST_LINE: usize = 1024;
-    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_LINE)?).ok()?.trim();
+    let text = std::str::from_utf8(Some(part).filter(|part| part.len() <= LONGEST_LINE)?)
+        .ok()?
+        .trim();
     (!text.contains(char::is_control)).then_some(text)
 }
 
 fn is_url(text: &str) -> bool {
-    text.split_once("://")
-        .is_some_and(|(scheme, _)| ["http", "https", "ftp", "file", "s3"].iter().any(|known| scheme.eq_ignore_ascii_case(known)))
+    text.split_once("://").is_some_and(|(scheme, _)| {
+        ["http", "https", "ftp", "file", "s3"]
+            .iter()
+            .any(|known| scheme.eq_ignore_ascii_case(known))
+    })
 }
 
 /// Whether a line ends with the extension of a file that people send, without characters that JSON has.
 fn is_path(text: &str) -> bool {
     let extension = text.rsplit_once('.').map_or("", |(_, extension)| extension);
-    !text.contains(['{', '}', '<', '>', '"']) && EXTENSIONS.iter().any(|known| extension.eq_ignore_ascii_case(known))
+    !text.contains(['{', '}', '<', '>', '"'])
+        && EXTENSIONS
+            .iter()
+            .any(|known| extension.eq_ignore_ascii_case(known))
 }
 
 fn malformed(detail: impl Into<String>) -> Problem {
@@ -224,7 +354,13 @@ fn unreadable(error: axum::extract::multipart::MultipartError) -> Problem {
     read_problem(&error, "the multipart body could not be read")
 }
 
-async fn read_part(caller: &Caller, mut part: Field<'_>, what: &'static str, limit: u64, buffered: &AtomicU64) -> Result<Bytes, Problem> {
+async fn read_part(
+    caller: &Caller,
+    mut part: Field<'_>,
+    what: &'static str,
+    limit: u64,
+    buffered: &AtomicU64,
+) -> Result<Bytes, Problem> {
     let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload).await?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
@@ -245,7 +381,9 @@ fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
             return Poll::Pending;
         }
         if buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
-            let detail = format!("the heads of the parts, and what lies between the parts, are longer than {MAX_OVERHEAD} bytes");
+            let detail = format!(
+                "the heads of the parts, and what lies between the parts, are longer than {MAX_OVERHEAD} bytes"
+            );
             return Poll::Ready(Some(Err(axum::Error::new(malformed(detail)))));
         }
         let frame = ready!(frames.poll_next_unpin(cx));
@@ -281,11 +419,23 @@ mod tests {
             ("two\nlines.txt", false),
             ("no extension.", false),
         ] {
-            assert_eq!(as_line(part.as_bytes()).is_some_and(is_path), path, "{part:?}");
+            assert_eq!(
+                as_line(part.as_bytes()).is_some_and(is_path),
+                path,
+                "{part:?}"
+            );
         }
         assert_eq!(as_line(b"\x89PNG.png"), None);
-        assert_eq!(as_line(format!("{}.png", "x".repeat(2000)).as_bytes()), None);
-        for (text, url) in [("https://example.com/a.png", true), ("HTTP://x", true), ("http", false), ("see https://x", false)] {
+        assert_eq!(
+            as_line(format!("{}.png", "x".repeat(2000)).as_bytes()),
+            None
+        );
+        for (text, url) in [
+            ("https://example.com/a.png", true),
+            ("HTTP://x", true),
+            ("http", false),
+            ("see https://x", false),
+        ] {
             assert_eq!(is_url(text), url, "{text}");
         }
     }

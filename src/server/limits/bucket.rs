@@ -14,7 +14,12 @@ pub struct Bucket {
 impl Bucket {
     /// A full bucket.
     pub const fn new(per_second: f64, capacity: f64, now: Instant) -> Self {
-        Self { tokens: capacity, capacity, per_second, updated: now }
+        Self {
+            tokens: capacity,
+            capacity,
+            per_second,
+            updated: now,
+        }
     }
 
     /// Takes a token; false if there is none.
@@ -36,8 +41,14 @@ impl Bucket {
 
     /// Whole seconds from the last [`Bucket::take`] until there is a token, at least 1.
     pub fn seconds_to_one(&self) -> u32 {
-        let seconds = ((1.0 - self.tokens) / self.per_second).ceil().clamp(1.0, 3600.0);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 3600")]
+        let seconds = ((1.0 - self.tokens) / self.per_second)
+            .ceil()
+            .clamp(1.0, 3600.0);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "between 1 and 3600"
+        )]
         let seconds = seconds as u32;
         seconds
     }
@@ -54,7 +65,9 @@ mod tests {
         let at = |n: u32, a_second: u32| start + Duration::from_secs(1) * n / a_second;
         let lasts = |a_second: u32| {
             let mut bucket = Bucket::new(1000.0, 2000.0, start);
-            (0..60 * a_second).take_while(|n| bucket.take(at(*n, a_second))).count()
+            (0..60 * a_second)
+                .take_while(|n| bucket.take(at(*n, a_second)))
+                .count()
         };
         assert_eq!(lasts(125), 60 * 125);
         assert_eq!(lasts(990), 60 * 990);

@@ -24,18 +24,28 @@ pub struct ClientLimit {
 impl ClientLimit {
     /// A limit that does not apply to the only client.
     pub fn new(limit: u64, sole: &SoleClient) -> Self {
-        Self { limit, sole: sole.clone() }
+        Self {
+            limit,
+            sole: sole.clone(),
+        }
     }
 
     /// The limit as it is now.
     pub fn get(&self) -> u64 {
-        if self.sole.0.load(Ordering::Relaxed) { u64::MAX } else { self.limit }
+        if self.sole.0.load(Ordering::Relaxed) {
+            u64::MAX
+        } else {
+            self.limit
+        }
     }
 }
 
 impl From<u64> for ClientLimit {
     /// A limit that always applies.
     fn from(limit: u64) -> Self {
-        Self { limit, sole: SoleClient::default() }
+        Self {
+            limit,
+            sole: SoleClient::default(),
+        }
     }
 }

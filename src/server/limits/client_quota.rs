@@ -24,7 +24,9 @@ impl QuotaKind {
     pub(crate) const fn used_by(self) -> &'static str {
         match self {
             Self::Responses => " by responses that this client has not read",
-            Self::Requests => " by requests of this client, and by files that its sessions keep in memory",
+            Self::Requests => {
+                " by requests of this client, and by files that its sessions keep in memory"
+            }
         }
     }
 }
@@ -48,7 +50,11 @@ pub struct ClientQuota {
 impl ClientQuotas {
     /// `limit`: bytes per client.
     pub(crate) fn new(kind: QuotaKind, limit: impl Into<ClientLimit>) -> Self {
-        Self { kind, limit: limit.into(), used: Mutex::default() }
+        Self {
+            kind,
+            limit: limit.into(),
+            used: Mutex::default(),
+        }
     }
 
     pub(crate) fn of(&self, client: Client) -> ClientQuota {
@@ -58,7 +64,11 @@ impl ClientQuotas {
             used.retain(|_, used| Arc::strong_count(used) > 1);
         }
         let used = Arc::clone(used.entry(client.tenant()).or_default());
-        ClientQuota { kind: self.kind, limit: self.limit.clone(), used }
+        ClientQuota {
+            kind: self.kind,
+            limit: self.limit.clone(),
+            used,
+        }
     }
 }
 
@@ -81,8 +91,13 @@ impl ClientQuota {
     /// Errors: The bytes in use, if the quota is exceeded.
     pub(crate) fn reserve(&self, own: u64, more: u64) -> Result<(), u64> {
         let is_alone = |used: u64| self.kind == QuotaKind::Responses && used <= own;
-        let fits = |used: u64| used.checked_add(more).filter(|sum| *sum <= self.limit() || is_alone(used));
-        self.used.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits).map(drop)
+        let fits = |used: u64| {
+            used.checked_add(more)
+                .filter(|sum| *sum <= self.limit() || is_alone(used))
+        };
+        self.used
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+            .map(drop)
     }
 
     pub(crate) fn release(&self, bytes: u64) {
@@ -98,7 +113,10 @@ mod tests {
     use crate::client::Owner;
 
     fn client(owner: u8, last: u8) -> Client {
-        Client { owner: Owner::from_bytes([owner; 16]), address: IpAddr::from([127, 0, 0, last]) }
+        Client {
+            owner: Owner::from_bytes([owner; 16]),
+            address: IpAddr::from([127, 0, 0, last]),
+        }
     }
 
     #[test]
@@ -113,12 +131,28 @@ mod tests {
     fn a_name_has_one_share_and_so_has_an_address_without_one() {
         let shares = ClientQuotas::new(QuotaKind::Responses, 100);
         shares.of(client(1, 1)).reserve(0, 70).unwrap();
-        assert_eq!([client(1, 9), client(2, 1), client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [70, 0, 0, 0]);
+        assert_eq!(
+            [client(1, 9), client(2, 1), client(0, 1), client(0, 2)]
+                .map(|client| shares.of(client).held()),
+            [70, 0, 0, 0]
+        );
         shares.of(client(0, 1)).reserve(0, 60).unwrap();
-        assert_eq!([client(0, 1), client(0, 2)].map(|client| shares.of(client).held()), [60, 0]);
-        let v6 = |address: &str| shares.of(Client { owner: Owner::ANYBODY, address: address.parse().unwrap() });
+        assert_eq!(
+            [client(0, 1), client(0, 2)].map(|client| shares.of(client).held()),
+            [60, 0]
+        );
+        let v6 = |address: &str| {
+            shares.of(Client {
+                owner: Owner::ANYBODY,
+                address: address.parse().unwrap(),
+            })
+        };
         v6("2001:db8::1").reserve(0, 50).unwrap();
-        assert_eq!(["2001:db8::2:3", "2001:db8:0:1::1", "::ffff:127.0.0.1"].map(|address| v6(address).held()), [50, 0, 60]);
+        assert_eq!(
+            ["2001:db8::2:3", "2001:db8:0:1::1", "::ffff:127.0.0.1"]
+                .map(|address| v6(address).held()),
+            [50, 0, 60]
+        );
     }
 
     #[test]
@@ -140,7 +174,10 @@ mod tests {
         for n in 0..=u8::MAX {
             for owner in 1..=6 {
                 let _ = shares.of(client(owner, n));
-                let _ = shares.of(Client { owner: Owner::ANYBODY, address: IpAddr::from([10, 0, owner, n]) });
+                let _ = shares.of(Client {
+                    owner: Owner::ANYBODY,
+                    address: IpAddr::from([10, 0, owner, n]),
+                });
             }
         }
         assert!(shares.used.lock().unwrap().len() <= MANY + 512);

@@ -30,7 +30,12 @@ pub struct ConnectionPermit {
 impl ConnectionLimiter {
     /// An address is an IPv4 address or a /64 of IPv6.
     pub fn new(max: usize, max_per_address: usize) -> Self {
-        Self(Arc::new(LimiterState { max, max_per_address, open: Mutex::default(), refused: AtomicU64::new(0) }))
+        Self(Arc::new(LimiterState {
+            max,
+            max_per_address,
+            open: Mutex::default(),
+            refused: AtomicU64::new(0),
+        }))
     }
 
     /// A permit, if the limits allow it. The limit per address does not apply to a trusted proxy.
@@ -42,7 +47,10 @@ impl ConnectionLimiter {
             return None;
         }
         open.add(address);
-        Some(ConnectionPermit { limiter: self.clone(), address })
+        Some(ConnectionPermit {
+            limiter: self.clone(),
+            address,
+        })
     }
 
     /// Open connections.
@@ -82,10 +90,16 @@ mod tests {
         assert!(proxy.is_some());
         let v6 = places.acquire(ip("2001:db8::1"), false);
         assert!(v6.is_some());
-        assert!(places.acquire(ip("192.0.2.2"), false).is_none(), "there are four");
+        assert!(
+            places.acquire(ip("192.0.2.2"), false).is_none(),
+            "there are four"
+        );
         assert_eq!((places.open(), places.refused()), (4, 2));
         drop((first, second, proxy, v6));
         assert_eq!(places.open(), 0);
-        assert!(places.lock().by_key.is_empty(), "an address that has left is forgotten");
+        assert!(
+            places.lock().by_key.is_empty(),
+            "an address that has left is forgotten"
+        );
     }
 }

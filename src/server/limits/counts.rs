@@ -11,7 +11,10 @@ pub(super) struct Counts<K, V = ()> {
 
 impl<K, V> Default for Counts<K, V> {
     fn default() -> Self {
-        Self { total: 0, by_key: HashMap::new() }
+        Self {
+            total: 0,
+            by_key: HashMap::new(),
+        }
     }
 }
 

@@ -35,7 +35,9 @@ mod tests {
         let here = thread::current().id();
         free(Large(says.clone()), u64::MAX);
         assert_eq!(said.recv().unwrap(), here, "without a runtime");
-        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .build()
+            .unwrap();
         runtime.block_on(async { free(Large(says.clone()), MIN_ASIDE - 1) });
         assert_eq!(said.recv().unwrap(), here, "a small one");
         runtime.block_on(async { free(Large(says), MIN_ASIDE) });

@@ -34,7 +34,13 @@ pub enum Purpose {
 
 impl Purpose {
     /// Every purpose.
-    pub const ALL: [Self; 5] = [Self::Upload, Self::Image, Self::Plan, Self::Frame, Self::Socket];
+    pub const ALL: [Self; 5] = [
+        Self::Upload,
+        Self::Image,
+        Self::Plan,
+        Self::Frame,
+        Self::Socket,
+    ];
 
     /// The name in metrics and messages.
     pub const fn name(self) -> &'static str {
@@ -86,14 +92,34 @@ impl BudgetExceeded {
 
 impl From<BudgetExceeded> for Problem {
     fn from(error: BudgetExceeded) -> Self {
-        let BudgetExceeded { quota, purpose, asked, limit, taken } = error;
+        let BudgetExceeded {
+            quota,
+            purpose,
+            asked,
+            limit,
+            taken,
+        } = error;
         let (code, what, actual) = match quota {
             None => (Code::Overloaded, "memory_bytes", asked),
-            Some(QuotaKind::Responses) => (Code::Overloaded, "unread_bytes", taken.saturating_add(asked)),
-            Some(QuotaKind::Requests) => (Code::RateLimited, "client_upload_bytes", taken.saturating_add(asked)),
+            Some(QuotaKind::Responses) => (
+                Code::Overloaded,
+                "unread_bytes",
+                taken.saturating_add(asked),
+            ),
+            Some(QuotaKind::Requests) => (
+                Code::RateLimited,
+                "client_upload_bytes",
+                taken.saturating_add(asked),
+            ),
         };
         let problem = if error.is_forever() {
-            Self::new(Code::TooLarge, format!("{} would need {asked} bytes; at most {limit}", purpose.name()))
+            Self::new(
+                Code::TooLarge,
+                format!(
+                    "{} would need {asked} bytes; at most {limit}",
+                    purpose.name()
+                ),
+            )
         } else {
             Self::new(code, error.to_string()).retry_after(RETRY)
         };
@@ -126,7 +152,12 @@ impl Budget {
     /// A budget of `total` bytes.
     pub fn new(total: u64) -> Self {
         let by_purpose = std::array::from_fn(|_| AtomicU64::new(0));
-        Self(Arc::new(BudgetState { total, taken: AtomicU64::new(0), by_purpose, refused: AtomicU64::new(0) }))
+        Self(Arc::new(BudgetState {
+            total,
+            taken: AtomicU64::new(0),
+            by_purpose,
+            refused: AtomicU64::new(0),
+        }))
     }
 
     /// All bytes.
@@ -163,12 +194,27 @@ impl Budget {
     }
 
     /// Reserves memory that counts in the quota of a client until it is released.
-    pub fn take_for(&self, purpose: Purpose, quota: &ClientQuota, bytes: u64) -> Result<Reservation, BudgetExceeded> {
+    pub fn take_for(
+        &self,
+        purpose: Purpose,
+        quota: &ClientQuota,
+        bytes: u64,
+    ) -> Result<Reservation, BudgetExceeded> {
         self.reserve(purpose, Some(quota.clone()), bytes)
     }
 
-    fn reserve(&self, purpose: Purpose, quota: Option<ClientQuota>, bytes: u64) -> Result<Reservation, BudgetExceeded> {
-        let mut reservation = Reservation { budget: self.clone(), purpose, bytes: 0, quota };
+    fn reserve(
+        &self,
+        purpose: Purpose,
+        quota: Option<ClientQuota>,
+        bytes: u64,
+    ) -> Result<Reservation, BudgetExceeded> {
+        let mut reservation = Reservation {
+            budget: self.clone(),
+            purpose,
+            bytes: 0,
+            quota,
+        };
         reservation.grow(bytes)?;
         Ok(reservation)
     }
@@ -183,15 +229,26 @@ impl Reservation {
     /// Reserves `more` bytes, or none.
     pub fn grow(&mut self, more: u64) -> Result<(), BudgetExceeded> {
         let (purpose, asked) = (self.purpose, self.bytes.saturating_add(more));
-        let exceeded = |quota, limit, taken| BudgetExceeded { quota, purpose, asked, limit, taken };
+        let exceeded = |quota, limit, taken| BudgetExceeded {
+            quota,
+            purpose,
+            asked,
+            limit,
+            taken,
+        };
         if let Some(quota) = &self.quota {
-            quota.reserve(self.bytes, more).map_err(|used| exceeded(Some(quota.kind()), quota.limit(), used))?;
+            quota
+                .reserve(self.bytes, more)
+                .map_err(|used| exceeded(Some(quota.kind()), quota.limit(), used))?;
         }
         let state = &self.budget.0;
         let limit = purpose.share(state.total);
         let fits = |taken: u64| taken.checked_add(more).filter(|sum| *sum <= limit);
         // The total decides; `by_purpose` follows.
-        if let Err(taken) = state.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits) {
+        if let Err(taken) = state
+            .taken
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
+        {
             if let Some(quota) = &self.quota {
                 quota.release(more);
             }
@@ -217,7 +274,12 @@ impl Reservation {
     pub fn split(&mut self, bytes: u64) -> Self {
         let bytes = bytes.min(self.bytes);
         self.bytes -= bytes;
-        Self { budget: self.budget.clone(), purpose: self.purpose, bytes, quota: self.quota.clone() }
+        Self {
+            budget: self.budget.clone(),
+            purpose: self.purpose,
+            bytes,
+            quota: self.quota.clone(),
+        }
     }
 
     /// Bytes that hold the reservation until the last reference is dropped.
@@ -253,7 +315,14 @@ mod tests {
         let budget = Budget::new(800);
         let mut image = budget.take(Purpose::Image, 300).unwrap();
         let mut frame = budget.take(Purpose::Frame, 400).unwrap();
-        assert_eq!((budget.taken(), budget.taken_for(Purpose::Image), budget.taken_for(Purpose::Plan)), (700, 300, 0));
+        assert_eq!(
+            (
+                budget.taken(),
+                budget.taken_for(Purpose::Image),
+                budget.taken_for(Purpose::Plan)
+            ),
+            (700, 300, 0)
+        );
         image.shrink_to(100);
         image.shrink_to(200);
         assert_eq!((image.bytes(), budget.taken()), (100, 500));
@@ -262,7 +331,11 @@ mod tests {
         assert_eq!(budget.taken_for(Purpose::Frame), 150);
         drop((part, image));
         assert_eq!(budget.taken(), 0);
-        assert!(Purpose::ALL.iter().all(|purpose| budget.taken_for(*purpose) == 0));
+        assert!(
+            Purpose::ALL
+                .iter()
+                .all(|purpose| budget.taken_for(*purpose) == 0)
+        );
     }
 
     #[test]
@@ -270,7 +343,16 @@ mod tests {
         let budget = Budget::new(800);
         let upload = budget.take(Purpose::Upload, 600).unwrap();
         let refused = budget.take(Purpose::Upload, 1).unwrap_err();
-        assert_eq!(refused, BudgetExceeded { quota: None, purpose: Purpose::Upload, asked: 1, limit: 600, taken: 600 });
+        assert_eq!(
+            refused,
+            BudgetExceeded {
+                quota: None,
+                purpose: Purpose::Upload,
+                asked: 1,
+                limit: 600,
+                taken: 600
+            }
+        );
         assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
         let image = budget.take(Purpose::Image, 100).unwrap();
         assert!(budget.take(Purpose::Plan, 1).is_err());
@@ -278,7 +360,12 @@ mod tests {
         assert!(budget.take(Purpose::Frame, 1).is_err());
         drop((upload, image, frame));
         assert!(budget.take(Purpose::Upload, 601).unwrap_err().is_forever());
-        assert!(budget.take(Purpose::Frame, u64::MAX).unwrap_err().is_forever());
+        assert!(
+            budget
+                .take(Purpose::Frame, u64::MAX)
+                .unwrap_err()
+                .is_forever()
+        );
     }
 
     #[test]
@@ -286,7 +373,10 @@ mod tests {
         let budget = Budget::new(800);
         let mut upload = budget.take(Purpose::Upload, 500).unwrap();
         let refused = upload.grow(200).unwrap_err();
-        assert_eq!((refused.asked, upload.bytes(), budget.taken()), (700, 500, 500));
+        assert_eq!(
+            (refused.asked, upload.bytes(), budget.taken()),
+            (700, 500, 500)
+        );
         assert!(refused.is_forever());
         upload.grow(100).unwrap();
         assert_eq!(budget.taken(), 600);
@@ -296,21 +386,47 @@ mod tests {
     fn a_client_holds_its_share_until_its_answers_have_left() {
         use crate::client::Client;
         use crate::limits::client_quota::ClientQuotas;
-        let (budget, shares) = (Budget::new(800), ClientQuotas::new(QuotaKind::Responses, 200));
-        let (share, other) = (shares.of(Client::default()), shares.of(Client { address: [10, 0, 0, 1].into(), ..Client::default() }));
+        let (budget, shares) = (
+            Budget::new(800),
+            ClientQuotas::new(QuotaKind::Responses, 200),
+        );
+        let (share, other) = (
+            shares.of(Client::default()),
+            shares.of(Client {
+                address: [10, 0, 0, 1].into(),
+                ..Client::default()
+            }),
+        );
         let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
         answer.grow(50).unwrap();
         let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
         assert_eq!(
             refused,
-            BudgetExceeded { quota: Some(QuotaKind::Responses), purpose: Purpose::Frame, asked: 60, limit: 200, taken: 150 }
+            BudgetExceeded {
+                quota: Some(QuotaKind::Responses),
+                purpose: Purpose::Frame,
+                asked: 60,
+                limit: 200,
+                taken: 150
+            }
         );
-        assert!(!budget.take_for(Purpose::Frame, &share, 700).unwrap_err().is_forever());
+        assert!(
+            !budget
+                .take_for(Purpose::Frame, &share, 700)
+                .unwrap_err()
+                .is_forever()
+        );
         let strip = answer.split(120).attach(vec![0; 120]);
         drop(answer);
         assert_eq!((share.held(), budget.taken()), (120, 120));
         // What the account refuses is nobody's.
-        assert_eq!(budget.take_for(Purpose::Frame, &other, 750).unwrap_err().quota, None);
+        assert_eq!(
+            budget
+                .take_for(Purpose::Frame, &other, 750)
+                .unwrap_err()
+                .quota,
+            None
+        );
         assert_eq!((other.held(), budget.taken()), (0, 120));
         let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
         drop((strip, whole));

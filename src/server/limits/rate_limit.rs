@@ -29,23 +29,43 @@ impl<K: Copy + Eq + Hash> RateLimit<K> {
     /// At most `per_second` requests per second, and twice as many at once.
     pub fn new(per_second: u32) -> Self {
         let rows = (0..PLACES / ROW).map(|_| Mutex::new([None; ROW])).collect();
-        Self { per_second: f64::from(per_second), hasher: RandomState::new(), rows }
+        Self {
+            per_second: f64::from(per_second),
+            hasher: RandomState::new(),
+            rows,
+        }
     }
 
     /// Takes a token of the key.
     /// Errors: The seconds until there is one.
     pub fn take(&self, key: K, now: Instant) -> Result<(), u32> {
         let hash = usize::try_from(self.hasher.hash_one(key) % self.rows.len() as u64).unwrap_or(0);
-        let mut row = self.rows[hash].lock().unwrap_or_else(PoisonError::into_inner);
-        let known = row.iter().position(|place| place.is_some_and(|(other, _)| other == key));
+        let mut row = self.rows[hash]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let known = row
+            .iter()
+            .position(|place| place.is_some_and(|(other, _)| other == key));
         let index = known.unwrap_or_else(|| {
             // An empty place is better than a full bucket.
-            let tokens = |index: usize| row[index].map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now));
-            (0..ROW).max_by(|a, b| tokens(*a).total_cmp(&tokens(*b))).unwrap_or(0)
+            let tokens =
+                |index: usize| row[index].map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now));
+            (0..ROW)
+                .max_by(|a, b| tokens(*a).total_cmp(&tokens(*b)))
+                .unwrap_or(0)
         });
         let place = row[index].take().filter(|_| known.is_some());
-        let (_, bucket) = row[index].insert(place.unwrap_or_else(|| (key, Bucket::new(self.per_second, BURST * self.per_second, now))));
-        if bucket.take(now) { Ok(()) } else { Err(bucket.seconds_to_one()) }
+        let (_, bucket) = row[index].insert(place.unwrap_or_else(|| {
+            (
+                key,
+                Bucket::new(self.per_second, BURST * self.per_second, now),
+            )
+        }));
+        if bucket.take(now) {
+            Ok(())
+        } else {
+            Err(bucket.seconds_to_one())
+        }
     }
 }
 
@@ -58,7 +78,11 @@ mod tests {
     fn each_has_its_own_rate() {
         let rates = RateLimit::new(10);
         let now = Instant::now();
-        let taken = |who: u32, at: Instant| (0..1000).take_while(|_| rates.take(who, at).is_ok()).count();
+        let taken = |who: u32, at: Instant| {
+            (0..1000)
+                .take_while(|_| rates.take(who, at).is_ok())
+                .count()
+        };
         assert_eq!(taken(1, now), 20);
         assert_eq!(taken(2, now), 20);
         assert_eq!(rates.take(1, now), Err(1));

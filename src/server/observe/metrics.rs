@@ -37,7 +37,9 @@ pub(crate) struct Metrics {
 
 /// The method if HTTP defines it: a client may send any word.
 pub(crate) fn known_method(method: &str) -> Option<&'static str> {
-    ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"].into_iter().find(|known| *known == method)
+    ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"]
+        .into_iter()
+        .find(|known| *known == method)
 }
 
 /// A histogram of durations from 0.1 ms to 26 s.
@@ -51,22 +53,41 @@ impl Default for Metrics {
         let responses = Family::default();
         registry.register("requests", "Requests that were answered", responses.clone());
         let problems = Family::default();
-        registry.register("problems", "Requests that were refused, by the problem's code and the limit it names", problems.clone());
+        registry.register(
+            "problems",
+            "Requests that were refused, by the problem's code and the limit it names",
+            problems.clone(),
+        );
         let durations = Family::new_with_constructor(histogram as fn() -> Histogram);
         let help = "Time from a request's head to its answer's head";
         registry.register_with_unit("request_duration", help, Unit::Seconds, durations.clone());
-        let by_stage = Family::<Labels<1>, Histogram, _>::new_with_constructor(histogram as fn() -> Histogram);
+        let by_stage =
+            Family::<Labels<1>, Histogram, _>::new_with_constructor(histogram as fn() -> Histogram);
         let help = "Time of the stages of a picture; render and encode: summed over all threads";
         registry.register_with_unit("stage_duration", help, Unit::Seconds, by_stage.clone());
-        let stages = ["queue", "decode", "plan", "reduce", "deform", "render", "encode"];
+        let stages = [
+            "queue", "decode", "plan", "reduce", "deform", "render", "encode",
+        ];
         let pictures = Family::<Labels<1>, Counter>::default();
         registry.register("pictures", "Pictures by state", pictures.clone());
         let superseded = Family::<Labels<1>, Counter>::default();
-        registry.register("superseded", "Poses that newer ones replaced", superseded.clone());
+        registry.register(
+            "superseded",
+            "Poses that newer ones replaced",
+            superseded.clone(),
+        );
         let frames_sent = Counter::default();
-        registry.register("frames_sent", "Frames sent to drag sockets", frames_sent.clone());
+        registry.register(
+            "frames_sent",
+            "Frames sent to drag sockets",
+            frames_sent.clone(),
+        );
         let batch_frames = Counter::default();
-        registry.register("batch_frames", "Frames of batches that were made and taken", batch_frames.clone());
+        registry.register(
+            "batch_frames",
+            "Frames of batches that were made and taken",
+            batch_frames.clone(),
+        );
         let picture = |state: &str| pictures.get_or_create_owned(&[("state", state.to_owned())]);
         let by = |origin: &str| superseded.get_or_create_owned(&[("by", origin.to_owned())]);
         Self {
@@ -74,7 +95,8 @@ impl Default for Metrics {
             responses,
             problems,
             durations,
-            stages: stages.map(|stage| by_stage.get_or_create_owned(&[("stage", stage.to_owned())])),
+            stages: stages
+                .map(|stage| by_stage.get_or_create_owned(&[("stage", stage.to_owned())])),
             pictures_begun: picture("started"),
             pictures_finished: picture("finished"),
             pictures_abandoned: picture("abandoned"),
@@ -90,19 +112,34 @@ impl Metrics {
     /// Counts an answered request. `route` is a pattern, never a path.
     pub(crate) fn answered(&self, route: &str, method: &str, status: u16, duration: Duration) {
         let method = known_method(method).unwrap_or("other");
-        let labels = [("route", route.to_owned()), ("method", method.to_owned()), ("status", status.to_string())];
+        let labels = [
+            ("route", route.to_owned()),
+            ("method", method.to_owned()),
+            ("status", status.to_string()),
+        ];
         self.responses.get_or_create(&labels).inc();
-        self.durations.get_or_create(&[("route", route.to_owned())]).observe(duration.as_secs_f64());
+        self.durations
+            .get_or_create(&[("route", route.to_owned())])
+            .observe(duration.as_secs_f64());
     }
 
     pub(crate) fn refused(&self, problem: &Problem) {
-        let labels = [("code", problem.code.as_str().to_owned()), ("limit", problem.what.unwrap_or_default().to_owned())];
+        let labels = [
+            ("code", problem.code.as_str().to_owned()),
+            ("limit", problem.what.unwrap_or_default().to_owned()),
+        ];
         self.problems.get_or_create(&labels).inc();
     }
 
     /// Records the stages before drawing.
     pub(crate) fn prepared(&self, timing: &Timing) {
-        let times = [timing.queue, timing.decode, timing.plan, timing.reduce, timing.deform];
+        let times = [
+            timing.queue,
+            timing.decode,
+            timing.plan,
+            timing.reduce,
+            timing.deform,
+        ];
         for (histogram, time) in self.stages.iter().zip(times) {
             histogram.observe(time.as_secs_f64());
         }

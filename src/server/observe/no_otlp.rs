@@ -30,6 +30,9 @@ pub(crate) fn parse_collector(_: &str) -> Result<CollectorUrl, String> {
     Err(MISSING.to_owned())
 }
 
-pub(super) fn exporter(_: &CollectorUrl, _: &Resource) -> Result<(CollectorUrl, Arc<AtomicU64>), String> {
+pub(super) fn exporter(
+    _: &CollectorUrl,
+    _: &Resource,
+) -> Result<(CollectorUrl, Arc<AtomicU64>), String> {
     Err(MISSING.to_owned())
 }

@@ -10,7 +10,8 @@ use opentelemetry_sdk::Resource;
 use opentelemetry_sdk::error::OTelSdkResult;
 use opentelemetry_sdk::resource::EnvResourceDetector;
 use opentelemetry_sdk::trace::{
-    BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData, SpanExporter, SpanLimits, SpanProcessor,
+    BatchConfigBuilder, BatchSpanProcessor, SdkTracer, SdkTracerProvider, Span, SpanData,
+    SpanExporter, SpanLimits, SpanProcessor,
 };
 use prometheus_client::metrics::counter::Counter;
 use tokio::time::Instant;
@@ -54,21 +55,34 @@ impl Tracer {
         let failed = |why: String| format!("traces cannot be exported to {collector}: {why}");
         let stats = Arc::<ExportStats>::default();
         let (exporter, rejected) = otlp_client::exporter(collector, &resource()).map_err(failed)?;
-        let exporter = CountingExporter { exporter, rejected, collector: collector.clone(), stats: Arc::clone(&stats) };
+        let exporter = CountingExporter {
+            exporter,
+            rejected,
+            collector: collector.clone(),
+            stats: Arc::clone(&stats),
+        };
         let config = BatchConfigBuilder::default()
             .with_max_queue_size(MAX_QUEUED)
             .with_max_export_batch_size(MAX_BATCH)
             .with_scheduled_delay(EXPORT_INTERVAL)
             .build();
-        let queue = SpanQueue { batches: Arc::new(BatchSpanProcessor::new(exporter, config)), stats };
+        let queue = SpanQueue {
+            batches: Arc::new(BatchSpanProcessor::new(exporter, config)),
+            stats,
+        };
         let provider = SdkTracerProvider::builder()
             .with_sampler(Sampler::new(share))
             // Set here, or variables of the environment would set them.
             .with_span_limits(SpanLimits::default())
             .with_span_processor(queue.clone())
             .build();
-        let scope = InstrumentationScope::builder(SERVICE).with_version(env!("CARGO_PKG_VERSION")).build();
-        Ok(Self { sdk: provider.tracer_with_scope(scope), queue })
+        let scope = InstrumentationScope::builder(SERVICE)
+            .with_version(env!("CARGO_PKG_VERSION"))
+            .build();
+        Ok(Self {
+            sdk: provider.tracer_with_scope(scope),
+            queue,
+        })
     }
 
     /// The state of the export.
@@ -79,12 +93,16 @@ impl Tracer {
     /// Exports what is left, for at most `timeout`. A thread may still hold the span of an answered request: it has a quarter of that time.
     pub(crate) async fn shutdown(&self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
-        while self.stats().open.load(Ordering::Relaxed) > 0 && Instant::now() < deadline - timeout * 3 / 4 {
+        while self.stats().open.load(Ordering::Relaxed) > 0
+            && Instant::now() < deadline - timeout * 3 / 4
+        {
             tokio::time::sleep(SHUTDOWN_POLL).await;
         }
         self.stats().is_shut_down.store(true, Ordering::Relaxed);
         let batches = Arc::clone(&self.queue.batches);
-        let flush = move || batches.shutdown_with_timeout(deadline.saturating_duration_since(Instant::now()));
+        let flush = move || {
+            batches.shutdown_with_timeout(deadline.saturating_duration_since(Instant::now()))
+        };
         if !matches!(tokio::task::spawn_blocking(flush).await, Ok(Ok(()))) {
             self.stats().is_failing.store(true, Ordering::Relaxed);
             tracing::warn!("traces that were not exported within {timeout:?} are lost");
@@ -139,7 +157,12 @@ struct CountingExporter<E> {
 
 impl<E: SpanExporter> SpanExporter for CountingExporter<E> {
     async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
-        let Self { exporter, rejected, collector, stats } = self;
+        let Self {
+            exporter,
+            rejected,
+            collector,
+            stats,
+        } = self;
         stats.queued.fetch_sub(batch.len(), Ordering::Relaxed);
         let count = batch.len() as u64;
         let result = exporter.export(batch).await;
@@ -147,7 +170,9 @@ impl<E: SpanExporter> SpanExporter for CountingExporter<E> {
         let was_failing = stats.is_failing.swap(result.is_err(), Ordering::Relaxed);
         match &result {
             Ok(()) if was_failing => tracing::info!("traces are exported again ({collector})"),
-            Err(error) if !was_failing => tracing::warn!("traces are not exported ({collector}), and dropped until they can be: {error}"),
+            Err(error) if !was_failing => tracing::warn!(
+                "traces are not exported ({collector}), and dropped until they can be: {error}"
+            ),
             _ => {}
         }
         if result.is_ok() && rejected > 0 {
@@ -164,9 +189,14 @@ impl<E: SpanExporter> SpanExporter for CountingExporter<E> {
 fn resource() -> Resource {
     let version = KeyValue::new("service.version", env!("CARGO_PKG_VERSION"));
     let instance = KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string());
-    let own = Resource::builder_empty().with_service_name(SERVICE).with_attributes([version, instance]);
+    let own = Resource::builder_empty()
+        .with_service_name(SERVICE)
+        .with_attributes([version, instance]);
     let resource = own.with_detector(Box::new(EnvResourceDetector::new()));
-    match std::env::var("OTEL_SERVICE_NAME").ok().filter(|name| !name.is_empty()) {
+    match std::env::var("OTEL_SERVICE_NAME")
+        .ok()
+        .filter(|name| !name.is_empty())
+    {
         Some(name) => resource.with_service_name(name).build(),
         None => resource.build(),
     }
@@ -183,13 +213,20 @@ mod tests {
     use tokio::net::TcpListener;
 
     fn request(tracer: &Tracer, parent: Context) -> Scope {
-        let info = RequestInfo { parent, began: std::time::Instant::now(), method: Some("GET"), route: Some("/"), scheme: "http" };
+        let info = RequestInfo {
+            parent,
+            began: std::time::Instant::now(),
+            method: Some("GET"),
+            route: Some("/"),
+            scheme: "http",
+        };
         Scope::request("r", tracer, &info)
     }
 
     async fn listen() -> (TcpListener, CollectorUrl) {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let collector = parse_collector(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
+        let collector =
+            parse_collector(&format!("http://{}", listener.local_addr().unwrap())).unwrap();
         (listener, collector)
     }
 
@@ -200,8 +237,13 @@ mod tests {
         let takes = async {
             let (mut socket, _) = listener.accept().await.unwrap();
             assert!(socket.read(&mut [0; 1024]).await.unwrap() > 0);
-            socket.write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n").await.unwrap();
-            tokio::io::copy(&mut socket, &mut tokio::io::sink()).await.unwrap();
+            socket
+                .write_all(b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\n\r\n")
+                .await
+                .unwrap();
+            tokio::io::copy(&mut socket, &mut tokio::io::sink())
+                .await
+                .unwrap();
         };
         let scope = request(&tracer, Context::new());
         let late = async {
@@ -210,7 +252,10 @@ mod tests {
         };
         let ends = async { tokio::join!(takes, tracer.shutdown(Duration::from_secs(60)), late) };
         let _ = tokio::time::timeout(Duration::from_secs(30), ends).await;
-        assert_eq!((tracer.stats().exported.get(), tracer.stats().dropped.get()), (1, 0));
+        assert_eq!(
+            (tracer.stats().exported.get(), tracer.stats().dropped.get()),
+            (1, 0)
+        );
         drop(request(&tracer, Context::new()));
         assert_eq!(tracer.stats().dropped.get(), 1, "after the end");
     }
@@ -219,8 +264,17 @@ mod tests {
     async fn a_request_belongs_to_its_callers_trace() {
         let tracer = Tracer::new(&parse_collector("http://127.0.0.1:1").unwrap(), 0.0).unwrap();
         let ids = RandomIdGenerator::default();
-        let caller = SpanContext::new(ids.new_trace_id(), ids.new_span_id(), TraceFlags::SAMPLED, true, TraceState::NONE);
-        let scope = request(&tracer, Context::new().with_remote_span_context(caller.clone()));
+        let caller = SpanContext::new(
+            ids.new_trace_id(),
+            ids.new_span_id(),
+            TraceFlags::SAMPLED,
+            true,
+            TraceState::NONE,
+        );
+        let scope = request(
+            &tracer,
+            Context::new().with_remote_span_context(caller.clone()),
+        );
         assert!(scope.is_traced() && scope.trace_id() == Some(caller.trace_id()));
         let other = request(&tracer, Context::new());
         assert!(!other.is_traced() && other.trace_id().is_some_and(|id| id != caller.trace_id()));
@@ -238,6 +292,12 @@ mod tests {
         for _ in 0..MAX_QUEUED + 10 {
             drop(request(&tracer, Context::new()));
         }
-        assert_eq!((tracer.stats().dropped.get(), tracer.stats().queued.load(Ordering::Relaxed)), (10, MAX_QUEUED));
+        assert_eq!(
+            (
+                tracer.stats().dropped.get(),
+                tracer.stats().queued.load(Ordering::Relaxed)
+            ),
+            (10, MAX_QUEUED)
+        );
     }
 }

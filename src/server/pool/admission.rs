@@ -101,7 +101,10 @@ impl DerefMut for QueueGuard<'_> {
 
 impl Drop for QueueGuard<'_> {
     fn drop(&mut self) {
-        self.waiting.store(self.queue.waiting() + self.queue.paused(), Ordering::Relaxed);
+        self.waiting.store(
+            self.queue.waiting() + self.queue.paused(),
+            Ordering::Relaxed,
+        );
     }
 }
 
@@ -120,7 +123,13 @@ impl Drop for QueuePosition<'_> {
 
 impl AdmissionQueue {
     /// `gives_way`: whether long jobs give way to clients that have used less.
-    pub(crate) fn new(threads: WorkerThreads, permits: usize, queue: usize, max_wait: Duration, gives_way: bool) -> Arc<Self> {
+    pub(crate) fn new(
+        threads: WorkerThreads,
+        permits: usize,
+        queue: usize,
+        max_wait: Duration,
+        gives_way: bool,
+    ) -> Arc<Self> {
         Arc::new(Self {
             threads,
             queue: Mutex::new(FairQueue::new(permits, queue)),
@@ -135,7 +144,10 @@ impl AdmissionQueue {
 
     fn lock(&self) -> QueueGuard<'_> {
         // No change panics half-way.
-        QueueGuard { queue: self.queue.lock().unwrap_or_else(PoisonError::into_inner), waiting: &self.waiting }
+        QueueGuard {
+            queue: self.queue.lock().unwrap_or_else(PoisonError::into_inner),
+            waiting: &self.waiting,
+        }
     }
 
     /// Nanoseconds since the queue began.
@@ -161,7 +173,9 @@ impl AdmissionQueue {
                     job.thread.unpark();
                 }
                 Some((tenant, Waiter::Request(waiter))) => {
-                    if let Err(mut permit) = waiter.send(AdmissionPermit::new(Arc::clone(self), tenant)) {
+                    if let Err(mut permit) =
+                        waiter.send(AdmissionPermit::new(Arc::clone(self), tenant))
+                    {
                         // The request left at this moment: its permit ends here, not by being dropped.
                         permit.is_returned = true;
                         returned = Some(tenant);
@@ -182,13 +196,23 @@ impl AdmissionQueue {
     pub(crate) fn load(&self) -> Load {
         let queue = self.lock();
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        Load { running: queue.running(), waiting: queue.waiting(), full: count(&self.full), late: count(&self.late) }
+        Load {
+            running: queue.running(),
+            waiting: queue.waiting(),
+            full: count(&self.full),
+            late: count(&self.late),
+        }
     }
 
     /// Waits for a permit. Dropping the future leaves the queue.
-    pub(crate) async fn enter(self: &Arc<Self>, key: QueueKey) -> Result<AdmissionPermit, PoolError> {
+    pub(crate) async fn enter(
+        self: &Arc<Self>,
+        key: QueueKey,
+    ) -> Result<AdmissionPermit, PoolError> {
         let (waiter, permit) = oneshot::channel();
-        let arrival = self.lock().arrive(key, Instant::now(), Waiter::Request(waiter));
+        let arrival = self
+            .lock()
+            .arrive(key, Instant::now(), Waiter::Request(waiter));
         let id = match arrival {
             Arrival::Runs => return Ok(AdmissionPermit::new(Arc::clone(self), key.tenant())),
             Arrival::Rejected => {
@@ -202,12 +226,18 @@ impl AdmissionQueue {
                 id
             }
         };
-        let _position = QueuePosition { queue: self, key, id };
+        let _position = QueuePosition {
+            queue: self,
+            key,
+            id,
+        };
         match tokio::time::timeout(self.max_wait, permit).await {
             Ok(permit) => permit.map_err(|_| PoolError::Full),
             Err(_) => {
                 self.late.fetch_add(1, Ordering::Relaxed);
-                Err(PoolError::Late { max_wait: self.max_wait })
+                Err(PoolError::Late {
+                    max_wait: self.max_wait,
+                })
             }
         }
     }
@@ -228,7 +258,8 @@ impl AdmissionPermit {
     }
 
     fn begin_turn(&self, turn: Duration) {
-        self.turn_ends.store(self.queue.nanos(Instant::now() + turn), Ordering::Relaxed);
+        self.turn_ends
+            .store(self.queue.nanos(Instant::now() + turn), Ordering::Relaxed);
     }
 
     /// Whether the job has given way and waits.
@@ -256,11 +287,15 @@ impl AdmissionPermit {
         if !is_over() || is_cancelled() {
             return;
         }
-        let job = Arc::new(PausedJob { has_permit: AtomicBool::new(false), thread: std::thread::current() });
+        let job = Arc::new(PausedJob {
+            has_permit: AtomicBool::new(false),
+            thread: std::thread::current(),
+        });
         let id = {
             let (mut queue, now) = (self.queue.lock(), Instant::now());
             // The next job needs a thread in the place of this one.
-            if !queue.gives_way(self.tenant, now) || !self.queue.threads.reserve(queue.paused() + 1) {
+            if !queue.gives_way(self.tenant, now) || !self.queue.threads.reserve(queue.paused() + 1)
+            {
                 drop(queue);
                 return self.begin_turn(LOOK_AGAIN);
             }
@@ -269,7 +304,10 @@ impl AdmissionPermit {
         self.is_paused.store(true, Ordering::Relaxed);
         self.queue.pass_on();
         let began = Instant::now();
-        while !job.has_permit.load(Ordering::Acquire) && !is_cancelled() && began.elapsed() < MAX_PAUSE {
+        while !job.has_permit.load(Ordering::Acquire)
+            && !is_cancelled()
+            && began.elapsed() < MAX_PAUSE
+        {
             std::thread::park_timeout(PAUSED_LOOK);
         }
         self.queue.lock().resume(id, Instant::now());

@@ -150,7 +150,12 @@ impl Pool {
     /// Starts the threads.
     /// Errors: The operating system refused to start threads.
     pub fn new(shape: Shape) -> Result<Self, NoThreads> {
-        let Shape { workers, queue, drag_wait, upload_wait } = shape;
+        let Shape {
+            workers,
+            queue,
+            drag_wait,
+            upload_wait,
+        } = shape;
         let parallel = ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|i| format!("parallel-{i}"))
@@ -159,13 +164,22 @@ impl Pool {
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
         let class = |name: &str, max_wait: Duration, niceness: i32, gives_way: bool| {
-            let threads = WorkerThreads::start(name, workers + queue::SPARE, niceness).map_err(|e| NoThreads(e.to_string()))?;
-            Ok(AdmissionQueue::new(threads, workers, queue, max_wait, gives_way))
+            let threads = WorkerThreads::start(name, workers + queue::SPARE, niceness)
+                .map_err(|e| NoThreads(e.to_string()))?;
+            Ok(AdmissionQueue::new(
+                threads, workers, queue, max_wait, gives_way,
+            ))
         };
         Ok(Self {
             drags: class("drag", drag_wait, 0, false)?,
             uploads: class("upload", upload_wait, UPLOAD_NICENESS, true)?,
-            transfers: AdmissionQueue::new(WorkerThreads::default(), MAX_TRANSFERS, queue, upload_wait, false),
+            transfers: AdmissionQueue::new(
+                WorkerThreads::default(),
+                MAX_TRANSFERS,
+                queue,
+                upload_wait,
+                false,
+            ),
             parallel: Arc::new(Mutex::new(parallel)),
             workers,
         })
@@ -209,7 +223,12 @@ impl Pool {
         if class != WorkClass::Transfer {
             stage("queue", began);
         }
-        Ok(Ticket { queue: Arc::clone(queue), permit: Arc::new(permit?), scope: Scope::current(), waited: began.elapsed() })
+        Ok(Ticket {
+            queue: Arc::clone(queue),
+            permit: Arc::new(permit?),
+            scope: Scope::current(),
+            waited: began.elapsed(),
+        })
     }
 
     /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is set.
@@ -220,7 +239,10 @@ impl Pool {
         F: FnOnce(&Cancel) -> T + Send + 'static,
     {
         let guard = CancelOnDrop(Arc::default());
-        let cancel = Cancel { is_cancelled: Arc::clone(&guard.0), permit: Arc::clone(&ticket.permit) };
+        let cancel = Cancel {
+            is_cancelled: Arc::clone(&guard.0),
+            permit: Arc::clone(&ticket.permit),
+        };
         let (sender, result) = oneshot::channel();
         self.start(ticket, move || {
             // The receiver is gone when the request was dropped.
@@ -237,7 +259,10 @@ impl Pool {
     /// Offers a part of a computation to `helpers` more threads, each of which calls `help`. Threads that are busy call it later, so `help`
     /// returns at once when nothing is left to do.
     pub fn offer(&self, ticket: &Ticket, helpers: usize, help: impl Fn() + Clone + Send + 'static) {
-        ticket.queue.threads.offer((0..helpers).map(|_| job(ticket, help.clone())));
+        ticket
+            .queue
+            .threads
+            .offer((0..helpers).map(|_| job(ticket, help.clone())));
     }
 
     /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits
@@ -268,7 +293,10 @@ fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce(
         // What a panic leaves unfinished is owned by `work` and dropped with it.
         ticket.scope.enter(|| {
             if let Err(panic) = catch_unwind(AssertUnwindSafe(work)) {
-                tracing::error!(message = panic_text(panic.as_ref()), "a computation panicked");
+                tracing::error!(
+                    message = panic_text(panic.as_ref()),
+                    "a computation panicked"
+                );
             }
         });
         // All of the ticket is moved here, not its scope alone.
@@ -277,7 +305,10 @@ fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce(
 }
 
 /// Does long work that needs no permit, such as a copy, on a blocking thread; short work here. A panic is propagated.
-pub(crate) async fn aside<T: Send + 'static>(is_long: bool, work: impl FnOnce() -> T + Send + 'static) -> T {
+pub(crate) async fn aside<T: Send + 'static>(
+    is_long: bool,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> T {
     if !is_long {
         return work();
     }
@@ -308,7 +339,13 @@ mod tests {
     use std::sync::mpsc;
 
     fn pool(queue: usize, wait: Duration) -> Pool {
-        Pool::new(Shape { workers: 1, queue, drag_wait: wait, upload_wait: wait }).unwrap()
+        Pool::new(Shape {
+            workers: 1,
+            queue,
+            drag_wait: wait,
+            upload_wait: wait,
+        })
+        .unwrap()
     }
 
     const LONG: Duration = Duration::from_secs(600);
@@ -334,22 +371,54 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert_eq!(drag(&pool, 3).await.unwrap_err(), PoolError::Full);
-        assert_eq!(pool.load(WorkClass::Drag), Load { running: 1, waiting: 1, full: 1, late: 0 });
+        assert_eq!(
+            pool.load(WorkClass::Drag),
+            Load {
+                running: 1,
+                waiting: 1,
+                full: 1,
+                late: 0
+            }
+        );
         pool.admit(WorkClass::Upload, key(3)).await.unwrap();
         waiting.abort();
         let _ = waiting.await;
-        assert!(!pool.rejects(WorkClass::Drag, key(3)), "a waiter that left gives its place back");
+        assert!(
+            !pool.rejects(WorkClass::Drag, key(3)),
+            "a waiter that left gives its place back"
+        );
         drop(first);
         drag(&pool, 4).await.unwrap();
-        assert_eq!(pool.load(WorkClass::Drag), Load { running: 0, waiting: 0, full: 1, late: 0 });
+        assert_eq!(
+            pool.load(WorkClass::Drag),
+            Load {
+                running: 0,
+                waiting: 0,
+                full: 1,
+                late: 0
+            }
+        );
     }
 
     #[tokio::test]
     async fn whoever_waits_too_long_is_told_and_nothing_is_left_of_it() {
         let pool = pool(8, Duration::from_millis(20));
         let first = drag(&pool, 1).await.unwrap();
-        assert_eq!(drag(&pool, 2).await.unwrap_err(), PoolError::Late { max_wait: Duration::from_millis(20) });
-        assert_eq!(pool.load(WorkClass::Drag), Load { running: 1, waiting: 0, full: 0, late: 1 });
+        assert_eq!(
+            drag(&pool, 2).await.unwrap_err(),
+            PoolError::Late {
+                max_wait: Duration::from_millis(20)
+            }
+        );
+        assert_eq!(
+            pool.load(WorkClass::Drag),
+            Load {
+                running: 1,
+                waiting: 0,
+                full: 0,
+                late: 1
+            }
+        );
         drop(first);
         drag(&pool, 3).await.unwrap();
     }
@@ -381,7 +450,10 @@ mod tests {
         let pool = pool(0, LONG);
         let (go, wait) = mpsc::channel::<()>();
         let long = drag(&pool, 1).await.unwrap();
-        let (wait, began) = (Arc::new(Mutex::new(wait)), Arc::new(std::sync::atomic::AtomicUsize::new(0)));
+        let (wait, began) = (
+            Arc::new(Mutex::new(wait)),
+            Arc::new(std::sync::atomic::AtomicUsize::new(0)),
+        );
         let hold = {
             let began = Arc::clone(&began);
             move || {
@@ -393,19 +465,39 @@ mod tests {
         while began.load(Ordering::Relaxed) == 0 {
             tokio::task::yield_now().await;
         }
-        let other = Client { address: [192, 0, 2, 1].into(), ..Client::default() };
-        let ticket = pool.admit(WorkClass::Drag, QueueKey::client(other)).await.unwrap();
-        assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7), "it has a turn and a thread");
+        let other = Client {
+            address: [192, 0, 2, 1].into(),
+            ..Client::default()
+        };
+        let ticket = pool
+            .admit(WorkClass::Drag, QueueKey::client(other))
+            .await
+            .unwrap();
+        assert_eq!(
+            pool.run(&ticket, |_| 7).await,
+            Ok(7),
+            "it has a turn and a thread"
+        );
         assert!(pool.rejects(WorkClass::Drag, key(2)) && pool.is_full(WorkClass::Drag));
         drop((go, long, ticket));
     }
 
     /// A job that works until its request is dropped, and counts its looks.
-    fn endless(pool: &Pool, n: u8, looks: &Arc<std::sync::atomic::AtomicUsize>) -> tokio::task::JoinHandle<()> {
+    fn endless(
+        pool: &Pool,
+        n: u8,
+        looks: &Arc<std::sync::atomic::AtomicUsize>,
+    ) -> tokio::task::JoinHandle<()> {
         let (pool, looks) = (pool.clone(), Arc::clone(looks));
         tokio::spawn(async move {
-            let client = Client { address: [192, 0, 2, n].into(), ..Client::default() };
-            let ticket = pool.admit(WorkClass::Upload, QueueKey::client(client)).await.unwrap();
+            let client = Client {
+                address: [192, 0, 2, n].into(),
+                ..Client::default()
+            };
+            let ticket = pool
+                .admit(WorkClass::Upload, QueueKey::client(client))
+                .await
+                .unwrap();
             let work = move |cancel: &Cancel| {
                 while !cancel.is_cancelled() {
                     looks.fetch_add(1, Ordering::Relaxed);
@@ -420,17 +512,28 @@ mod tests {
     async fn jobs_that_never_end_give_way_to_another_client_and_go_on() {
         let pool = pool(8, LONG);
         let looks: [Arc<std::sync::atomic::AtomicUsize>; 4] = Default::default();
-        let jobs: Vec<_> = (0_u8..).zip(&looks).map(|(n, looks)| endless(&pool, n, looks)).collect();
+        let jobs: Vec<_> = (0_u8..)
+            .zip(&looks)
+            .map(|(n, looks)| endless(&pool, n, looks))
+            .collect();
         let seen = || looks.each_ref().map(|looks| looks.load(Ordering::Relaxed));
         // More than the permit and the spare one: they take turns.
         while seen().contains(&0) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         let ticket = pool.admit(WorkClass::Upload, key(9)).await.unwrap();
-        assert_eq!(pool.run(&ticket, |_: &Cancel| 7).await, Ok(7), "there is a thread for it");
+        assert_eq!(
+            pool.run(&ticket, |_: &Cancel| 7).await,
+            Ok(7),
+            "there is a thread for it"
+        );
         drop(ticket);
         let before = seen();
-        while seen().iter().zip(before).any(|(now, before)| *now == before) {
+        while seen()
+            .iter()
+            .zip(before)
+            .any(|(now, before)| *now == before)
+        {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         jobs.iter().for_each(tokio::task::JoinHandle::abort);
@@ -439,7 +542,10 @@ mod tests {
         }
         let (end, last) = (Instant::now(), seen());
         tokio::time::sleep(Duration::from_millis(50)).await;
-        assert!(seen() == last && end.elapsed() < LONG, "paused jobs end when they are cancelled");
+        assert!(
+            seen() == last && end.elapsed() < LONG,
+            "paused jobs end when they are cancelled"
+        );
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -450,7 +556,12 @@ mod tests {
         while looks.load(Ordering::Relaxed) == 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
-        let client = |n: u8| QueueKey::client(Client { address: [192, 0, 2, n].into(), ..Client::default() });
+        let client = |n: u8| {
+            QueueKey::client(Client {
+                address: [192, 0, 2, n].into(),
+                ..Client::default()
+            })
+        };
         let spare = pool.admit(WorkClass::Upload, client(2)).await.unwrap();
         // It gets the job's permit, and keeps it.
         let held = pool.admit(WorkClass::Upload, client(3)).await.unwrap();
@@ -467,7 +578,12 @@ mod tests {
     async fn a_panic_ends_its_own_work_alone() {
         let pool = pool(0, LONG);
         let ticket = drag(&pool, 1).await.unwrap();
-        assert_eq!(pool.run(&ticket, |_| panic!("on purpose")).await.map(|()| 0), Err(PoolError::Panicked));
+        assert_eq!(
+            pool.run(&ticket, |_| panic!("on purpose"))
+                .await
+                .map(|()| 0),
+            Err(PoolError::Panicked)
+        );
         assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7));
     }
 
@@ -483,7 +599,12 @@ mod tests {
                 pool.run(&ticket, move |cancel| {
                     seen.send("began").unwrap();
                     wait.recv().unwrap();
-                    seen.send(if cancel.is_cancelled() { "cancelled" } else { "wanted" }).unwrap();
+                    seen.send(if cancel.is_cancelled() {
+                        "cancelled"
+                    } else {
+                        "wanted"
+                    })
+                    .unwrap();
                 })
                 .await
             }
@@ -495,7 +616,10 @@ mod tests {
         let sees = sees.await.unwrap();
         task.abort();
         assert!(task.await.unwrap_err().is_cancelled());
-        assert!(pool.rejects(WorkClass::Drag, key(1)), "the work holds the client's only place");
+        assert!(
+            pool.rejects(WorkClass::Drag, key(1)),
+            "the work holds the client's only place"
+        );
         go.send(()).unwrap();
         let seen = tokio::task::spawn_blocking(move || sees.recv().unwrap());
         assert_eq!(seen.await.unwrap(), "cancelled");

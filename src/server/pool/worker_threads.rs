@@ -36,7 +36,9 @@ struct WorkerState {
 
 impl std::fmt::Debug for WorkerState {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("WorkerState").field("waiting", &self.waiting).finish_non_exhaustive()
+        f.debug_struct("WorkerState")
+            .field("waiting", &self.waiting)
+            .finish_non_exhaustive()
     }
 }
 
@@ -56,8 +58,11 @@ impl JobQueue {
         let before = self.jobs.len();
         self.jobs.extend(jobs);
         let is_polled = usize::from(self.is_polled && before == 0);
-        let wanted = (self.jobs.len() - before).min(idle).saturating_sub(is_polled);
-        self.asleep.split_off(self.asleep.len().saturating_sub(wanted))
+        let wanted = (self.jobs.len() - before)
+            .min(idle)
+            .saturating_sub(is_polled);
+        self.asleep
+            .split_off(self.asleep.len().saturating_sub(wanted))
     }
 }
 
@@ -65,7 +70,13 @@ impl WorkerThreads {
     /// Starts `threads` threads with this name and niceness (0 to 19; Linux only).
     /// Errors: The operating system refused to start a thread.
     pub(crate) fn start(name: &str, threads: usize, niceness: i32) -> Result<Self, std::io::Error> {
-        let started = Self { state: Arc::default(), name: name.to_owned(), niceness, threads, more: Mutex::default() };
+        let started = Self {
+            state: Arc::default(),
+            name: name.to_owned(),
+            niceness,
+            threads,
+            more: Mutex::default(),
+        };
         (0..threads).try_for_each(|index| started.start_one(index))?;
         Ok(started)
     }
@@ -114,7 +125,9 @@ impl WorkerThreads {
         let mut queue = self.state.lock();
         let idle = queue.asleep.len() + usize::from(queue.is_polled);
         let woken = queue.push(jobs, wakes(idle));
-        self.state.waiting.store(queue.jobs.len(), Ordering::Release);
+        self.state
+            .waiting
+            .store(queue.jobs.len(), Ordering::Release);
         drop(queue);
         woken.iter().rev().for_each(Thread::unpark);
     }
@@ -146,7 +159,11 @@ impl WorkerState {
 
     fn run(&self) {
         // A rayon pool of this thread only: parallel iterators of a job run here instead of on the global pool.
-        let _local: Option<ThreadPool> = ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().ok();
+        let _local: Option<ThreadPool> = ThreadPoolBuilder::new()
+            .num_threads(1)
+            .use_current_thread()
+            .build()
+            .ok();
         while let Some(job) = self.next() {
             job();
         }
@@ -229,7 +246,10 @@ mod tests {
             }
         }
         drop(done);
-        assert_eq!(order.iter().collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
+        assert_eq!(
+            order.iter().collect::<Vec<_>>(),
+            (0..20).collect::<Vec<_>>()
+        );
     }
 
     #[test]

@@ -84,7 +84,12 @@ mod tests {
     fn names_are_snake_case_unique_and_end_the_type() {
         let mut seen = HashSet::new();
         for code in Code::ALL {
-            assert!(code.as_str().bytes().all(|b| b.is_ascii_lowercase() || b == b'_'), "{code:?}");
+            assert!(
+                code.as_str()
+                    .bytes()
+                    .all(|b| b.is_ascii_lowercase() || b == b'_'),
+                "{code:?}"
+            );
             assert!(seen.insert(code.as_str()), "{code:?}");
             assert_eq!(code.type_uri(), format!("/problems/{}", code.as_str()));
             assert!((400..600).contains(&code.status()), "{code:?}");
@@ -101,14 +106,25 @@ mod tests {
     #[test]
     fn every_section_of_the_page_shows_a_document_of_its_code() {
         for (code, section) in Code::ALL.iter().zip(PAGE.split("\n## ").skip(1)) {
-            let example = section.split("```json").nth(1).and_then(|s| s.split("```").next()).expect("an example document");
-            let document: serde_json::Value = serde_json::from_str(example).expect("the example is JSON");
+            let example = section
+                .split("```json")
+                .nth(1)
+                .and_then(|s| s.split("```").next())
+                .expect("an example document");
+            let document: serde_json::Value =
+                serde_json::from_str(example).expect("the example is JSON");
             assert_eq!(document["code"], code.as_str());
             assert_eq!(document["status"], code.status());
             assert_eq!(document["title"], code.title());
             assert_eq!(document["type"], code.type_uri());
-            assert!(document["detail"].as_str().is_some_and(|d| !d.is_empty()), "{code:?}");
-            assert!(section.contains(&format!("Status {}.", code.status())), "{code:?}");
+            assert!(
+                document["detail"].as_str().is_some_and(|d| !d.is_empty()),
+                "{code:?}"
+            );
+            assert!(
+                section.contains(&format!("Status {}.", code.status())),
+                "{code:?}"
+            );
             assert!(section.contains("**What to do.**"), "{code:?}");
         }
     }

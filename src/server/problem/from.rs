@@ -17,22 +17,38 @@ impl From<WarpError> for Problem {
             WarpError::Codec(error) => Self::from(error),
             WarpError::Rest(error) => handle_problem("p", &error),
             WarpError::Posed(error) => handle_problem("q", &error),
-            WarpError::BadPlace { index, value, limit } => {
-                Self::new(Code::BadValue, detail).pointer(format!("/points/{index}")).limit("coordinate", limit, number(value))
+            WarpError::BadPlace {
+                index,
+                value,
+                limit,
+            } => Self::new(Code::BadValue, detail)
+                .pointer(format!("/points/{index}"))
+                .limit("coordinate", limit, number(value)),
+            WarpError::Cancelled => {
+                Self::new(Code::Overloaded, detail).retry_after(RETRY_CANCELLED)
             }
-            WarpError::Cancelled => Self::new(Code::Overloaded, detail).retry_after(RETRY_CANCELLED),
-            WarpError::TooLarge { what, limit, actual } => {
+            WarpError::TooLarge {
+                what,
+                limit,
+                actual,
+            } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
                     "handle_columns" | "spline_handles" | "fit_handles" => problem.pointer("/p"),
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     "outline_samples" => problem.pointer("/polygons"),
-                    output if output.starts_with("output_") || output == "scaled_source_side" => problem.pointer("/output/width"),
+                    output if output.starts_with("output_") || output == "scaled_source_side" => {
+                        problem.pointer("/output/width")
+                    }
                     canvas if canvas.starts_with("canvas_") => problem.pointer("/output/canvas"),
                     _ => problem,
                 }
             }
-            WarpError::TooMuchWork { task, limit, actual } => {
+            WarpError::TooMuchWork {
+                task,
+                limit,
+                actual,
+            } => {
                 let problem = Self::new(Code::TooLarge, detail).limit("work", limit, actual);
                 match task {
                     Task::Spline => problem.pointer("/p"),
@@ -41,18 +57,32 @@ impl From<WarpError> for Problem {
                     Task::Positions | Task::Outlines | Task::Survey => problem,
                 }
             }
-            WarpError::ForeignParameter { parameter } => Self::new(Code::BadValue, detail).pointer(format!("/{parameter}")),
-            WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail).pointer(format!("/p/{handle}")).handle(handle),
-            WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail).pointer("/p").actual(actual),
+            WarpError::ForeignParameter { parameter } => {
+                Self::new(Code::BadValue, detail).pointer(format!("/{parameter}"))
+            }
+            WarpError::LineInFit { handle } => Self::new(Code::BadValue, detail)
+                .pointer(format!("/p/{handle}"))
+                .handle(handle),
+            WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail)
+                .pointer("/p")
+                .actual(actual),
             WarpError::NoTable => Self::new(Code::NoTable, detail),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
-            WarpError::LabelFormat { .. } => Self::new(Code::BadValue, detail).pointer("/output/format"),
-            WarpError::OutsideBeyondDepth { value, most } => {
-                Self::new(Code::BadValue, detail).pointer("/output/outside/value").limit("outside_value", most, value)
+            WarpError::LabelFormat { .. } => {
+                Self::new(Code::BadValue, detail).pointer("/output/format")
             }
-            WarpError::OutsideOfLabels => Self::new(Code::BadValue, detail).pointer("/output/outside"),
-            WarpError::Folded { cells } => Self::new(Code::Folded, detail).pointer("/folds").actual(cells),
-            WarpError::NothingVisible => Self::new(Code::NothingVisible, detail).pointer("/output/canvas"),
+            WarpError::OutsideBeyondDepth { value, most } => Self::new(Code::BadValue, detail)
+                .pointer("/output/outside/value")
+                .limit("outside_value", most, value),
+            WarpError::OutsideOfLabels => {
+                Self::new(Code::BadValue, detail).pointer("/output/outside")
+            }
+            WarpError::Folded { cells } => Self::new(Code::Folded, detail)
+                .pointer("/folds")
+                .actual(cells),
+            WarpError::NothingVisible => {
+                Self::new(Code::NothingVisible, detail).pointer("/output/canvas")
+            }
         }
     }
 }
@@ -62,7 +92,11 @@ impl From<CodecError> for Problem {
         let detail = error.to_string();
         match error {
             CodecError::Unsupported { .. } => Self::new(Code::UnsupportedFormat, detail),
-            CodecError::TooLarge { what, limit, actual } => Self::new(Code::TooLarge, detail).limit(what, limit, actual),
+            CodecError::TooLarge {
+                what,
+                limit,
+                actual,
+            } => Self::new(Code::TooLarge, detail).limit(what, limit, actual),
             CodecError::Bad { .. } => Self::new(Code::BadImage, detail),
             CodecError::Cancelled => WarpError::Cancelled.into(),
         }
@@ -72,37 +106,68 @@ impl From<CodecError> for Problem {
 /// `field`: `p` or `q`.
 fn handle_problem(field: &str, error: &DeformError) -> Problem {
     let new = |code| Problem::new(code, error.to_string());
-    let at_handle = |code, handle: usize| new(code).pointer(format!("/{field}/{handle}")).handle(handle);
+    let at_handle = |code, handle: usize| {
+        new(code)
+            .pointer(format!("/{field}/{handle}"))
+            .handle(handle)
+    };
     let too_large = || new(Code::TooLarge).pointer(format!("/{field}"));
     match *error {
         DeformError::NotFinite { handle } => at_handle(Code::NotFinite, handle),
-        DeformError::OutOfRange { handle, value, limit } => at_handle(Code::BadValue, handle).limit("coordinate", limit, number(value)),
-        DeformError::TooFewPlaces { handle, places } => at_handle(Code::BadValue, handle).actual(places),
+        DeformError::OutOfRange {
+            handle,
+            value,
+            limit,
+        } => at_handle(Code::BadValue, handle).limit("coordinate", limit, number(value)),
+        DeformError::TooFewPlaces { handle, places } => {
+            at_handle(Code::BadValue, handle).actual(places)
+        }
         DeformError::CountMismatch { .. } => new(Code::ShapeMismatch).pointer(format!("/{field}")),
         DeformError::ShapeMismatch { handle, .. } => at_handle(Code::ShapeMismatch, handle),
         DeformError::MissingInPose { handle } => {
             let mut problem = at_handle(Code::BadValue, handle);
-            problem.detail.push_str("; in a session, send `p` with `null` there to PUT /sessions/{id}/handles");
+            problem.detail.push_str(
+                "; in a session, send `p` with `null` there to PUT /sessions/{id}/handles",
+            );
             problem
         }
         DeformError::WeightCount { .. } => new(Code::ShapeMismatch).pointer("/weights"),
-        DeformError::BadWeight { handle, value } => {
-            new(Code::BadValue).pointer(format!("/weights/{handle}")).handle(handle).actual(number(value))
-        }
-        DeformError::BadPointMass { value } => new(Code::BadValue).pointer("/point_mass").actual(number(value)),
-        DeformError::BadWithin { value } => new(Code::BadValue).pointer("/coincident/within").actual(number(value)),
+        DeformError::BadWeight { handle, value } => new(Code::BadValue)
+            .pointer(format!("/weights/{handle}"))
+            .handle(handle)
+            .actual(number(value)),
+        DeformError::BadPointMass { value } => new(Code::BadValue)
+            .pointer("/point_mass")
+            .actual(number(value)),
+        DeformError::BadWithin { value } => new(Code::BadValue)
+            .pointer("/coincident/within")
+            .actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
         DeformError::LineInSpline { handle } => at_handle(Code::BadValue, handle),
-        DeformError::BadSmoothing { value } => new(Code::BadValue).pointer("/smoothing").actual(number(value)),
+        DeformError::BadSmoothing { value } => new(Code::BadValue)
+            .pointer("/smoothing")
+            .actual(number(value)),
         DeformError::Contradictory { ref listed, .. } => {
             let first = listed.first().and_then(|group| group.handles.first());
-            let problem = first.map_or_else(|| new(Code::ContradictoryHandles), |handle| at_handle(Code::ContradictoryHandles, *handle));
-            problem.extra("coincident", listed.iter().map(coincident).collect::<Vec<_>>())
+            let problem = first.map_or_else(
+                || new(Code::ContradictoryHandles),
+                |handle| at_handle(Code::ContradictoryHandles, *handle),
+            );
+            problem.extra(
+                "coincident",
+                listed.iter().map(coincident).collect::<Vec<_>>(),
+            )
         }
-        DeformError::TooManyMeetings { limit } => too_large().limit("handle_meetings", limit, limit + 1),
-        DeformError::TooManyNeighbours { limit } => too_large().limit("handle_comparisons", limit, limit + 1),
+        DeformError::TooManyMeetings { limit } => {
+            too_large().limit("handle_meetings", limit, limit + 1)
+        }
+        DeformError::TooManyNeighbours { limit } => {
+            too_large().limit("handle_comparisons", limit, limit + 1)
+        }
         DeformError::Cancelled => new(Code::Timeout),
-        DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange).pointer("/alpha").actual(number(alpha)),
+        DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange)
+            .pointer("/alpha")
+            .actual(number(alpha)),
     }
 }
 
@@ -113,7 +178,11 @@ fn coincident(group: &Contradiction) -> Value {
 
 /// JSON has no infinities and no NaN; they become strings.
 fn number(value: f64) -> Value {
-    if value.is_finite() { value.into() } else { value.to_string().into() }
+    if value.is_finite() {
+        value.into()
+    } else {
+        value.to_string().into()
+    }
 }
 
 #[cfg(test)]
@@ -122,10 +191,19 @@ mod tests {
 
     use super::*;
 
-    fn expect(error: WarpError, code: Code, pointer: Option<&str>, handle: Option<usize>) -> Problem {
+    fn expect(
+        error: WarpError,
+        code: Code,
+        pointer: Option<&str>,
+        handle: Option<usize>,
+    ) -> Problem {
         let text = error.to_string();
         let problem = Problem::from(error);
-        assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (code, pointer, handle), "{text}");
+        assert_eq!(
+            (problem.code, problem.pointer.as_deref(), problem.handle),
+            (code, pointer, handle),
+            "{text}"
+        );
         assert_eq!(problem.detail, text);
         problem
     }
@@ -134,46 +212,182 @@ mod tests {
     fn rest_and_posed_handles_point_to_p_and_q() {
         use DeformError as D;
         let (p, q) = (WarpError::Rest, WarpError::Posed);
-        expect(p(D::NotFinite { handle: 4 }), Code::NotFinite, Some("/p/4"), Some(4));
-        expect(q(D::NotFinite { handle: 4 }), Code::NotFinite, Some("/q/4"), Some(4));
-        expect(p(D::TooFewPlaces { handle: 1, places: 1 }), Code::BadValue, Some("/p/1"), Some(1));
-        expect(q(D::CountMismatch { rest: 3, posed: 2 }), Code::ShapeMismatch, Some("/q"), None);
-        let shape = D::ShapeMismatch { handle: 2, rest: "a point".to_owned(), posed: "a line of 2 places".to_owned() };
+        expect(
+            p(D::NotFinite { handle: 4 }),
+            Code::NotFinite,
+            Some("/p/4"),
+            Some(4),
+        );
+        expect(
+            q(D::NotFinite { handle: 4 }),
+            Code::NotFinite,
+            Some("/q/4"),
+            Some(4),
+        );
+        expect(
+            p(D::TooFewPlaces {
+                handle: 1,
+                places: 1,
+            }),
+            Code::BadValue,
+            Some("/p/1"),
+            Some(1),
+        );
+        expect(
+            q(D::CountMismatch { rest: 3, posed: 2 }),
+            Code::ShapeMismatch,
+            Some("/q"),
+            None,
+        );
+        let shape = D::ShapeMismatch {
+            handle: 2,
+            rest: "a point".to_owned(),
+            posed: "a line of 2 places".to_owned(),
+        };
         expect(q(shape), Code::ShapeMismatch, Some("/q/2"), Some(2));
-        expect(p(D::LineInSpline { handle: 3 }), Code::BadValue, Some("/p/3"), Some(3));
-        expect(p(D::BadSmoothing { value: -1.0 }), Code::BadValue, Some("/smoothing"), None);
-        expect(p(D::DegenerateLine { handle: 7, segment: 1 }), Code::DegenerateLine, Some("/p/7"), Some(7));
-        let out = expect(q(D::OutOfRange { handle: 0, value: -2e6, limit: 1e6 }), Code::BadValue, Some("/q/0"), Some(0));
-        assert_eq!((out.limit, out.actual), (Some(1e6.into()), Some((-2e6).into())));
+        expect(
+            p(D::LineInSpline { handle: 3 }),
+            Code::BadValue,
+            Some("/p/3"),
+            Some(3),
+        );
+        expect(
+            p(D::BadSmoothing { value: -1.0 }),
+            Code::BadValue,
+            Some("/smoothing"),
+            None,
+        );
+        expect(
+            p(D::DegenerateLine {
+                handle: 7,
+                segment: 1,
+            }),
+            Code::DegenerateLine,
+            Some("/p/7"),
+            Some(7),
+        );
+        let out = expect(
+            q(D::OutOfRange {
+                handle: 0,
+                value: -2e6,
+                limit: 1e6,
+            }),
+            Code::BadValue,
+            Some("/q/0"),
+            Some(0),
+        );
+        assert_eq!(
+            (out.limit, out.actual),
+            (Some(1e6.into()), Some((-2e6).into()))
+        );
     }
 
     #[test]
     fn parameters_point_to_their_own_field() {
         use DeformError as D;
         let p = WarpError::Rest;
-        expect(p(D::WeightCount { rest: 2, weights: 3 }), Code::ShapeMismatch, Some("/weights"), None);
-        expect(p(D::BadWeight { handle: 5, value: -1.0 }), Code::BadValue, Some("/weights/5"), Some(5));
-        expect(p(D::BadPointMass { value: 0.0 }), Code::BadValue, Some("/point_mass"), None);
-        expect(p(D::AlphaOutOfRange { alpha: 9.0, lines: false }), Code::AlphaOutOfRange, Some("/alpha"), None);
-        let infinite = expect(p(D::BadPointMass { value: f64::INFINITY }), Code::BadValue, Some("/point_mass"), None);
+        expect(
+            p(D::WeightCount {
+                rest: 2,
+                weights: 3,
+            }),
+            Code::ShapeMismatch,
+            Some("/weights"),
+            None,
+        );
+        expect(
+            p(D::BadWeight {
+                handle: 5,
+                value: -1.0,
+            }),
+            Code::BadValue,
+            Some("/weights/5"),
+            Some(5),
+        );
+        expect(
+            p(D::BadPointMass { value: 0.0 }),
+            Code::BadValue,
+            Some("/point_mass"),
+            None,
+        );
+        expect(
+            p(D::AlphaOutOfRange {
+                alpha: 9.0,
+                lines: false,
+            }),
+            Code::AlphaOutOfRange,
+            Some("/alpha"),
+            None,
+        );
+        let infinite = expect(
+            p(D::BadPointMass {
+                value: f64::INFINITY,
+            }),
+            Code::BadValue,
+            Some("/point_mass"),
+            None,
+        );
         assert_eq!(infinite.actual, Some("inf".into()));
     }
 
     #[test]
     fn contradiction_names_both_handles() {
-        let contradiction = Contradiction { handles: vec![2, 9], total: 2, position: Point::new(1.0, 2.0), spread: 1.5, apart: Some(3.0) };
-        let error = DeformError::Contradictory { listed: vec![contradiction], total: 1 };
-        let problem = expect(WarpError::Posed(error), Code::ContradictoryHandles, Some("/q/2"), Some(2));
-        assert!(problem.detail.contains("handles 2 and 9"), "{}", problem.detail);
-        assert_eq!(problem.to_json("", None)["coincident"], json!([{"handles": [2, 9], "position": [1.0, 2.0], "spread": 1.5}]));
+        let contradiction = Contradiction {
+            handles: vec![2, 9],
+            total: 2,
+            position: Point::new(1.0, 2.0),
+            spread: 1.5,
+            apart: Some(3.0),
+        };
+        let error = DeformError::Contradictory {
+            listed: vec![contradiction],
+            total: 1,
+        };
+        let problem = expect(
+            WarpError::Posed(error),
+            Code::ContradictoryHandles,
+            Some("/q/2"),
+            Some(2),
+        );
+        assert!(
+            problem.detail.contains("handles 2 and 9"),
+            "{}",
+            problem.detail
+        );
+        assert_eq!(
+            problem.to_json("", None)["coincident"],
+            json!([{"handles": [2, 9], "position": [1.0, 2.0], "spread": 1.5}])
+        );
     }
 
     #[test]
     fn files_limits_grid_and_folds() {
-        expect(WarpError::Codec(CodecError::Unsupported { found: "GIF".to_owned() }), Code::UnsupportedFormat, None, None);
-        expect(WarpError::Codec(CodecError::Bad { format: "PNG", detail: "cut".to_owned() }), Code::BadImage, None, None);
-        let side = WarpError::Codec(CodecError::TooLarge { what: "image_side", limit: 10, actual: 11 });
-        assert_eq!(expect(side, Code::TooLarge, None, None).what, Some("image_side"));
+        expect(
+            WarpError::Codec(CodecError::Unsupported {
+                found: "GIF".to_owned(),
+            }),
+            Code::UnsupportedFormat,
+            None,
+            None,
+        );
+        expect(
+            WarpError::Codec(CodecError::Bad {
+                format: "PNG",
+                detail: "cut".to_owned(),
+            }),
+            Code::BadImage,
+            None,
+            None,
+        );
+        let side = WarpError::Codec(CodecError::TooLarge {
+            what: "image_side",
+            limit: 10,
+            actual: 11,
+        });
+        assert_eq!(
+            expect(side, Code::TooLarge, None, None).what,
+            Some("image_side")
+        );
         for (what, pointer) in [
             ("handle_columns", Some("/p")),
             ("spline_handles", Some("/p")),
@@ -183,14 +397,46 @@ mod tests {
             ("scaled_source_side", Some("/output/width")),
             ("other", None),
         ] {
-            let problem = expect(WarpError::TooLarge { what, limit: 1, actual: 2 }, Code::TooLarge, pointer, None);
-            assert_eq!((problem.limit, problem.actual), (Some(1.into()), Some(2.into())));
+            let problem = expect(
+                WarpError::TooLarge {
+                    what,
+                    limit: 1,
+                    actual: 2,
+                },
+                Code::TooLarge,
+                pointer,
+                None,
+            );
+            assert_eq!(
+                (problem.limit, problem.actual),
+                (Some(1.into()), Some(2.into()))
+            );
         }
-        expect(WarpError::ForeignParameter { parameter: "alpha" }, Code::BadValue, Some("/alpha"), None);
-        expect(WarpError::BadGrid("cell is 0".to_owned()), Code::BadValue, Some("/grid"), None);
+        expect(
+            WarpError::ForeignParameter { parameter: "alpha" },
+            Code::BadValue,
+            Some("/alpha"),
+            None,
+        );
+        expect(
+            WarpError::BadGrid("cell is 0".to_owned()),
+            Code::BadValue,
+            Some("/grid"),
+            None,
+        );
         let format = mlswarp::codec::Format::Jpeg;
-        expect(WarpError::LabelFormat { format }, Code::BadValue, Some("/output/format"), None);
-        let folded = expect(WarpError::Folded { cells: 3 }, Code::Folded, Some("/folds"), None);
+        expect(
+            WarpError::LabelFormat { format },
+            Code::BadValue,
+            Some("/output/format"),
+            None,
+        );
+        let folded = expect(
+            WarpError::Folded { cells: 3 },
+            Code::Folded,
+            Some("/folds"),
+            None,
+        );
         assert_eq!(folded.actual, Some(3.into()));
     }
 }

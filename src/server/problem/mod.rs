@@ -65,7 +65,12 @@ impl Problem {
         self
     }
 
-    pub(crate) fn limit(mut self, what: &'static str, limit: impl Into<Value>, actual: impl Into<Value>) -> Self {
+    pub(crate) fn limit(
+        mut self,
+        what: &'static str,
+        limit: impl Into<Value>,
+        actual: impl Into<Value>,
+    ) -> Self {
         self.what = Some(what);
         self.limit = Some(limit.into());
         self.actual(actual)
@@ -94,7 +99,10 @@ impl Problem {
     /// The document; with the id of the request if there is one. `public_path` precedes the path of the problem type.
     pub fn to_json(&self, public_path: &str, request_id: Option<&str>) -> Value {
         let fields = [
-            ("type", Some(format!("{public_path}{}", self.code.type_uri()).into())),
+            (
+                "type",
+                Some(format!("{public_path}{}", self.code.type_uri()).into()),
+            ),
             ("title", Some(self.code.title().into())),
             ("status", Some(self.status().into())),
             ("detail", Some(self.detail.as_str().into())),
@@ -107,8 +115,15 @@ impl Problem {
             ("retry_after", self.retry_after.map(Value::from)),
             ("request_id", request_id.map(Value::from)),
         ];
-        let extra = self.extra.iter().map(|(name, value)| (*name, Some(value.clone())));
-        fields.into_iter().chain(extra).filter_map(|(name, value)| Some((name, value?))).collect()
+        let extra = self
+            .extra
+            .iter()
+            .map(|(name, value)| (*name, Some(value.clone())));
+        fields
+            .into_iter()
+            .chain(extra)
+            .filter_map(|(name, value)| Some((name, value?)))
+            .collect()
     }
 }
 
@@ -140,7 +155,11 @@ mod tests {
 
     #[test]
     fn document_names_place_limit_and_request() {
-        let problem = Problem::new(Code::TooLarge, "too much").pointer("/p").handle(3).limit("handle_columns", 10, 11).retry_after(2);
+        let problem = Problem::new(Code::TooLarge, "too much")
+            .pointer("/p")
+            .handle(3)
+            .limit("handle_columns", 10, 11)
+            .retry_after(2);
         assert_eq!(
             problem.to_json("/tools/warp", Some("r-1")),
             json!({"type": "/tools/warp/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",

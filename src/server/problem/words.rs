@@ -27,7 +27,11 @@ pub(crate) fn quote(text: &str) -> String {
             quoted.push(c);
         }
     }
-    quoted.push_str(if text.chars().nth(LONGEST_QUOTE).is_some() { "...`" } else { "`" });
+    quoted.push_str(if text.chars().nth(LONGEST_QUOTE).is_some() {
+        "...`"
+    } else {
+        "`"
+    });
     quoted
 }
 
@@ -40,7 +44,11 @@ pub(crate) fn is_unseen(c: char) -> bool {
 
 /// Names in backticks, with commas.
 pub(crate) fn list(names: &[&str]) -> String {
-    names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ")
+    names
+        .iter()
+        .map(|n| format!("`{n}`"))
+        .collect::<Vec<_>>()
+        .join(", ")
 }
 
 /// `a`, `a and b`, `a, b and c`; `last` is the word before the last.
@@ -54,9 +62,14 @@ pub(crate) fn series(words: &[&str], last: &str) -> String {
 
 /// The known name that is most similar to `name`, if one is similar enough; upper and lower case are equal.
 pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let scored = known.into_iter().map(|other| (similarity(name, other), other)).filter(|(score, _)| *score >= SIMILAR);
+    let scored = known
+        .into_iter()
+        .map(|other| (similarity(name, other), other))
+        .filter(|(score, _)| *score >= SIMILAR);
     // Of equally similar names the first.
-    scored.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, other)| other)
+    scored
+        .reduce(|best, next| if next.0 > best.0 { next } else { best })
+        .map(|(_, other)| other)
 }
 
 /// How similar two names are: 1 if they are equal except for case, 0 if they are not alike or too long to compare.
@@ -78,7 +91,9 @@ pub(crate) fn did_you_mean(meant: Option<&str>) -> String {
 
 /// A hint if there is one, and then `more`, to follow the description of what was sent.
 pub(crate) fn advice(hint: Option<String>, more: &str) -> String {
-    let Some(hint) = hint else { return format!("; {more}") };
+    let Some(hint) = hint else {
+        return format!("; {more}");
+    };
     let end = if hint.ends_with('?') { "" } else { "." };
     let (first, rest) = more.split_at_checked(1).unwrap_or((more, ""));
     format!("; {hint}{end} {}{rest}", first.to_ascii_uppercase())
@@ -87,7 +102,9 @@ pub(crate) fn advice(hint: Option<String>, more: &str) -> String {
 /// A period of time in whole minutes if it is one, otherwise in seconds.
 pub(crate) fn period(time: Duration) -> String {
     match time.as_secs() {
-        seconds if seconds > 0 && seconds % 60 == 0 && time.subsec_nanos() == 0 => format!("{} min", seconds / 60),
+        seconds if seconds > 0 && seconds % 60 == 0 && time.subsec_nanos() == 0 => {
+            format!("{} min", seconds / 60)
+        }
         _ => format!("{} s", time.as_secs_f64()),
     }
 }
@@ -99,18 +116,29 @@ mod tests {
     #[test]
     fn quotes_are_short_and_show_no_control_characters() {
         assert_eq!(quote("warp"), "`warp`");
-        assert_eq!(quote("a\u{1b}[31m\n\u{202e}b"), "`a\\u{1b}[31m\\u{a}\\u{202e}b`");
+        assert_eq!(
+            quote("a\u{1b}[31m\n\u{202e}b"),
+            "`a\\u{1b}[31m\\u{a}\\u{202e}b`"
+        );
         for unseen in "\u{ad}\u{61c}\u{180e}\u{200b}\u{2066}\u{feff}\u{fff9}\u{e0041}".chars() {
-            assert_eq!(quote(&unseen.to_string()), format!("`{}`", unseen.escape_unicode()));
+            assert_eq!(
+                quote(&unseen.to_string()),
+                format!("`{}`", unseen.escape_unicode())
+            );
         }
         assert_eq!(quote("a`b"), "`a\\`b`");
-        assert_eq!(quote(&"\u{e9}".repeat(1_000_000)).chars().count(), LONGEST_QUOTE + 5);
+        assert_eq!(
+            quote(&"\u{e9}".repeat(1_000_000)).chars().count(),
+            LONGEST_QUOTE + 5
+        );
         assert_eq!(quote(&"x".repeat(LONGEST_QUOTE)).len(), LONGEST_QUOTE + 2);
     }
 
     #[test]
     fn misspellings_find_the_name_that_was_meant() {
-        let known = ["p", "q", "weights", "method", "alpha", "units", "grid", "output"];
+        let known = [
+            "p", "q", "weights", "method", "alpha", "units", "grid", "output",
+        ];
         for (name, meant) in [
             ("metod", Some("method")),
             ("Method", Some("method")),
@@ -130,16 +158,31 @@ mod tests {
     #[test]
     fn advice_is_one_sentence_or_two() {
         assert_eq!(advice(None, "known: `p`"), "; known: `p`");
-        assert_eq!(advice(Some("did you mean `p`?".to_owned()), "known: `p`"), "; did you mean `p`? Known: `p`");
-        assert_eq!(advice(Some("put it in `output`".to_owned()), "known: `p`"), "; put it in `output`. Known: `p`");
+        assert_eq!(
+            advice(Some("did you mean `p`?".to_owned()), "known: `p`"),
+            "; did you mean `p`? Known: `p`"
+        );
+        assert_eq!(
+            advice(Some("put it in `output`".to_owned()), "known: `p`"),
+            "; put it in `output`. Known: `p`"
+        );
     }
 
     #[test]
     fn words_are_joined_and_times_are_round() {
         assert_eq!(series(&["GET"], "or"), "GET");
-        assert_eq!(series(&["GET", "PUT", "DELETE"], "or"), "GET, PUT or DELETE");
+        assert_eq!(
+            series(&["GET", "PUT", "DELETE"], "or"),
+            "GET, PUT or DELETE"
+        );
         assert_eq!(series(&[], "or"), "");
-        for (millis, text) in [(900_000, "15 min"), (90_000, "90 s"), (1_500, "1.5 s"), (3_600_000, "60 min"), (0, "0 s")] {
+        for (millis, text) in [
+            (900_000, "15 min"),
+            (90_000, "90 s"),
+            (1_500, "1.5 s"),
+            (3_600_000, "60 min"),
+            (0, "0 s"),
+        ] {
             assert_eq!(period(Duration::from_millis(millis)), text);
         }
     }

@@ -83,7 +83,15 @@ impl Index {
     pub(crate) fn new(bounds: Bounds, keeps_contents: bool) -> Self {
         let (sessions, files, owners) = Default::default();
         let tombstones = LruCache::unbounded();
-        Self { bounds, keeps_contents, sessions, files, owners, bytes: 0, tombstones }
+        Self {
+            bounds,
+            keeps_contents,
+            sessions,
+            files,
+            owners,
+            bytes: 0,
+            tombstones,
+        }
     }
 
     /// The number of sessions, expired ones included that are not swept yet.
@@ -103,7 +111,9 @@ impl Index {
 
     /// The content of a file that a session of the owner names.
     pub(crate) fn file(&self, owner: Owner, digest: Digest) -> Option<Bytes> {
-        self.files.get(&(owner, digest)).map(|file| file.content.clone())
+        self.files
+            .get(&(owner, digest))
+            .map(|file| file.content.clone())
     }
 
     fn left(&self, entry: &Entry) -> Duration {
@@ -111,7 +121,11 @@ impl Index {
     }
 
     fn session(&self, entry: &Entry, record: &Arc<Record>) -> Session {
-        Session { record: Arc::clone(record), seq: entry.seq, expires: SystemTime::now() + self.left(entry) }
+        Session {
+            record: Arc::clone(record),
+            seq: entry.seq,
+            expires: SystemTime::now() + self.left(entry),
+        }
     }
 
     /// The living session, or why there is none.
@@ -124,17 +138,24 @@ impl Index {
                 }
                 Some(entry.used + 2 * self.bounds.idle)
             }
-            None => self.tombstones.peek(&id).filter(|tombstone| tombstone.end == End::Expired).map(|tombstone| tombstone.until),
+            None => self
+                .tombstones
+                .peek(&id)
+                .filter(|tombstone| tombstone.end == End::Expired)
+                .map(|tombstone| tombstone.until),
         };
         if until.is_some_and(|until| Instant::now() < until) {
-            Err(StoreError::Expired { idle: self.bounds.idle })
+            Err(StoreError::Expired {
+                idle: self.bounds.idle,
+            })
         } else {
             Err(StoreError::NoSuchSession)
         }
     }
 
     pub(crate) fn peek(&self, id: SessionId) -> Result<Session, StoreError> {
-        self.living(id).map(|(entry, record)| self.session(entry, record))
+        self.living(id)
+            .map(|(entry, record)| self.session(entry, record))
     }
 
     pub(crate) fn touch(&mut self, id: SessionId, seq: Option<u64>) -> Result<Session, StoreError> {
@@ -147,7 +168,11 @@ impl Index {
     }
 
     /// What putting the record will do, if there is room for it.
-    pub(crate) fn check_put(&self, record: &Record, files: &[NamedFile]) -> Result<PutOutcome, StoreError> {
+    pub(crate) fn check_put(
+        &self,
+        record: &Record,
+        files: &[NamedFile],
+    ) -> Result<PutOutcome, StoreError> {
         let outcome = match self.living(record.id) {
             Ok((_, old)) if old.is_made_like(record) => return Ok(PutOutcome::Stay),
             Ok(_) => PutOutcome::Replace,
@@ -157,26 +182,57 @@ impl Index {
         let old = self.sessions.get(&record.id);
         let sessions = self.len() + usize::from(old.is_none());
         if sessions > self.bounds.sessions {
-            return Err(StoreError::Full { what: "sessions", limit: self.bounds.sessions as u64, actual: sessions as u64 });
+            return Err(StoreError::Full {
+                what: "sessions",
+                limit: self.bounds.sessions as u64,
+                actual: sessions as u64,
+            });
         }
-        self.check_bytes(self.bytes - old.map_or(0, |old| old.bytes) + record_bytes(record) + self.added_bytes(record.id, files))?;
+        self.check_bytes(
+            self.bytes - old.map_or(0, |old| old.bytes)
+                + record_bytes(record)
+                + self.added_bytes(record.id, files),
+        )?;
         Ok(outcome)
     }
 
     /// The bytes that these files of a session add. The files that they replace count until they are replaced.
     fn added_bytes(&self, id: SessionId, files: &[NamedFile]) -> u64 {
-        let is_first = |(k, file): &(usize, &NamedFile)| !files[..*k].iter().any(|before| before.digest == file.digest);
+        let is_first = |(k, file): &(usize, &NamedFile)| {
+            !files[..*k]
+                .iter()
+                .any(|before| before.digest == file.digest)
+        };
         let is_new = |(_, file): &(usize, &NamedFile)| !self.names(id.owner(), file.digest);
-        files.iter().enumerate().filter(is_first).filter(is_new).map(|(_, file)| file.len()).sum()
+        files
+            .iter()
+            .enumerate()
+            .filter(is_first)
+            .filter(is_new)
+            .map(|(_, file)| file.len())
+            .sum()
     }
 
     fn check_bytes(&self, bytes: u64) -> Result<(), StoreError> {
         let limit = self.bounds.bytes;
-        if bytes > limit { Err(StoreError::Full { what: "store_bytes", limit, actual: bytes }) } else { Ok(()) }
+        if bytes > limit {
+            Err(StoreError::Full {
+                what: "store_bytes",
+                limit,
+                actual: bytes,
+            })
+        } else {
+            Ok(())
+        }
     }
 
     /// Puts a record that has been checked.
-    pub(crate) fn put(&mut self, record: Arc<Record>, files: &[NamedFile], outcome: PutOutcome) -> Put {
+    pub(crate) fn put(
+        &mut self,
+        record: Arc<Record>,
+        files: &[NamedFile],
+        outcome: PutOutcome,
+    ) -> Put {
         if outcome == PutOutcome::Stay
             && let Ok(session) = self.touch(record.id, None)
         {
@@ -184,7 +240,9 @@ impl Index {
         }
         // Before the old session is removed, which may name the same files.
         let owner = record.id.owner();
-        files.iter().for_each(|file| self.name_file(owner, file.digest, file.len(), &file.bytes));
+        files
+            .iter()
+            .for_each(|file| self.name_file(owner, file.digest, file.len(), &file.bytes));
         let old = self.insert(Arc::clone(&record), None);
         let session = self.session(&self.sessions[&record.id], &record);
         match old {
@@ -200,7 +258,16 @@ impl Index {
         let bytes = record_bytes(&record);
         self.bytes += bytes;
         let (id, files) = (record.id, record.files().collect());
-        self.sessions.insert(id, Entry { record: Some(record), files, bytes, seq, used: Instant::now() });
+        self.sessions.insert(
+            id,
+            Entry {
+                record: Some(record),
+                files,
+                bytes,
+                seq,
+                used: Instant::now(),
+            },
+        );
         old
     }
 
@@ -219,21 +286,40 @@ impl Index {
         }
         self.bytes += bytes;
         let files = files.iter().map(|(digest, _)| *digest).collect();
-        self.sessions.insert(id, Entry { record: None, files, bytes, seq: None, used: Instant::now() });
+        self.sessions.insert(
+            id,
+            Entry {
+                record: None,
+                files,
+                bytes,
+                seq: None,
+                used: Instant::now(),
+            },
+        );
     }
 
     fn name_file(&mut self, owner: Owner, digest: Digest, bytes: u64, content: &Bytes) {
         let file = self.files.entry((owner, digest)).or_insert_with(|| {
             self.bytes += bytes;
             *self.owners.entry(digest).or_default() += 1;
-            let content = if self.keeps_contents { content.clone() } else { Bytes::new() };
-            File { bytes, content, names: 0 }
+            let content = if self.keeps_contents {
+                content.clone()
+            } else {
+                Bytes::new()
+            };
+            File {
+                bytes,
+                content,
+                names: 0,
+            }
         });
         file.names += 1;
     }
 
     fn unname_file(&mut self, owner: Owner, digest: Digest) {
-        let Some(file) = self.files.get_mut(&(owner, digest)) else { return };
+        let Some(file) = self.files.get_mut(&(owner, digest)) else {
+            return;
+        };
         file.names -= 1;
         if file.names > 0 {
             return;
@@ -250,7 +336,10 @@ impl Index {
 
     /// Removes a file that cannot be read from the unread sessions that name it.
     pub(crate) fn lose_file(&mut self, digest: Digest) {
-        let unread = self.sessions.iter_mut().filter(|(_, entry)| entry.record.is_none());
+        let unread = self
+            .sessions
+            .iter_mut()
+            .filter(|(_, entry)| entry.record.is_none());
         let named = unread.filter_map(|(id, entry)| {
             let place = entry.files.iter().position(|file| *file == digest)?;
             entry.files.swap_remove(place);
@@ -262,12 +351,20 @@ impl Index {
     }
 
     /// Whether the record may replace that revision. `false`: another revision is there.
-    pub(crate) fn check_revise(&self, old: Revision, new: &Record, layer: &[NamedFile]) -> Result<bool, StoreError> {
+    pub(crate) fn check_revise(
+        &self,
+        old: Revision,
+        new: &Record,
+        layer: &[NamedFile],
+    ) -> Result<bool, StoreError> {
         let (entry, record) = self.living(new.id)?;
         if record.revision != old {
             return Ok(false);
         }
-        self.check_bytes(self.bytes - entry.bytes + record_bytes(new) + self.added_bytes(new.id, layer)).map(|()| true)
+        self.check_bytes(
+            self.bytes - entry.bytes + record_bytes(new) + self.added_bytes(new.id, layer),
+        )
+        .map(|()| true)
     }
 
     /// Replaces a record after the change has been checked. `layer`: the file that only the new one names.
@@ -282,16 +379,21 @@ impl Index {
         self.bytes = self.bytes - entry.bytes + bytes;
         (entry.record, entry.bytes, entry.used) = (Some(new), bytes, Instant::now());
         let old = std::mem::replace(&mut entry.files, files);
-        old.into_iter().for_each(|digest| self.unname_file(id.owner(), digest));
+        old.into_iter()
+            .for_each(|digest| self.unname_file(id.owner(), digest));
         self.peek(id).ok()
     }
 
     /// Whether a delete removes something. `false`: the session was deleted less than one idle period ago.
     pub(crate) fn check_delete(&self, id: SessionId) -> Result<bool, StoreError> {
-        let is_deleted = |tombstone: &Tombstone| tombstone.end == End::Deleted && Instant::now() < tombstone.until;
+        let is_deleted = |tombstone: &Tombstone| {
+            tombstone.end == End::Deleted && Instant::now() < tombstone.until
+        };
         match self.living(id) {
             Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
-            Err(StoreError::NoSuchSession) if self.tombstones.peek(&id).is_some_and(is_deleted) => Ok(false),
+            Err(StoreError::NoSuchSession) if self.tombstones.peek(&id).is_some_and(is_deleted) => {
+                Ok(false)
+            }
             Err(error) => Err(error),
         }
     }
@@ -299,14 +401,23 @@ impl Index {
     /// Removes a session that its owner has deleted.
     pub(crate) fn delete(&mut self, id: SessionId) {
         self.remove(id);
-        self.add_tombstone(id, Tombstone { end: End::Deleted, until: Instant::now() + self.bounds.idle });
+        self.add_tombstone(
+            id,
+            Tombstone {
+                end: End::Deleted,
+                until: Instant::now() + self.bounds.idle,
+            },
+        );
     }
 
     /// Removes a session without a trace.
     pub(crate) fn remove(&mut self, id: SessionId) -> Option<Arc<Record>> {
         let entry = self.sessions.remove(&id)?;
         self.bytes -= entry.bytes;
-        entry.files.into_iter().for_each(|digest| self.unname_file(id.owner(), digest));
+        entry
+            .files
+            .into_iter()
+            .for_each(|digest| self.unname_file(id.owner(), digest));
         entry.record
     }
 
@@ -319,8 +430,15 @@ impl Index {
             }
         }
         let mut owners: HashMap<Digest, usize> = HashMap::new();
-        for (file, fewer) in fewer.into_iter().filter(|((_, digest), _)| !kept.contains(digest)) {
-            if self.files.get(&file).is_some_and(|file| file.names == fewer) {
+        for (file, fewer) in fewer
+            .into_iter()
+            .filter(|((_, digest), _)| !kept.contains(digest))
+        {
+            if self
+                .files
+                .get(&file)
+                .is_some_and(|file| file.names == fewer)
+            {
                 *owners.entry(file.1).or_default() += 1;
             }
         }
@@ -331,7 +449,12 @@ impl Index {
     /// Sessions that have expired and are not swept yet, the oldest first.
     pub(crate) fn expired(&self) -> Vec<SessionId> {
         let is_over = |entry: &Entry| entry.record.is_some() && self.left(entry).is_zero();
-        let mut expired: Vec<_> = self.sessions.iter().filter(|(_, entry)| is_over(entry)).map(|(id, entry)| (entry.used, *id)).collect();
+        let mut expired: Vec<_> = self
+            .sessions
+            .iter()
+            .filter(|(_, entry)| is_over(entry))
+            .map(|(id, entry)| (entry.used, *id))
+            .collect();
         expired.sort_unstable();
         expired.into_iter().map(|(_, id)| id).collect()
     }
@@ -339,9 +462,17 @@ impl Index {
     /// Removes expired sessions, and tombstones whose time is over.
     pub(crate) fn expire(&mut self, expired: &[SessionId]) {
         for id in expired {
-            let Some(used) = self.sessions.get(id).map(|entry| entry.used) else { continue };
+            let Some(used) = self.sessions.get(id).map(|entry| entry.used) else {
+                continue;
+            };
             self.remove(*id);
-            self.add_tombstone(*id, Tombstone { end: End::Expired, until: used + 2 * self.bounds.idle });
+            self.add_tombstone(
+                *id,
+                Tombstone {
+                    end: End::Expired,
+                    until: used + 2 * self.bounds.idle,
+                },
+            );
         }
         let now = Instant::now();
         self.tombstones.retain(|_, tombstone| now < tombstone.until);
@@ -361,19 +492,27 @@ impl Index {
 
     /// The records that can be read.
     pub(crate) fn records(&self) -> impl Iterator<Item = &Arc<Record>> {
-        self.sessions.values().filter_map(|entry| entry.record.as_ref())
+        self.sessions
+            .values()
+            .filter_map(|entry| entry.record.as_ref())
     }
 
     /// The highest number of every session that has one.
     pub(crate) fn numbers(&self) -> impl Iterator<Item = (SessionId, u64)> + '_ {
-        self.sessions.iter().filter_map(|(id, entry)| entry.seq.map(|seq| (*id, seq)))
+        self.sessions
+            .iter()
+            .filter_map(|(id, entry)| entry.seq.map(|seq| (*id, seq)))
     }
 
     /// Keeps the expiry, the numbers and the tombstones of `old` after the sessions have been read again.
     pub(crate) fn carry_over(&mut self, old: Self) {
         let created = |entry: &Entry| entry.record.as_ref().map(|record| record.created);
         for (id, entry) in &mut self.sessions {
-            if let Some(old) = old.sessions.get(id).filter(|old| created(old) == created(entry)) {
+            if let Some(old) = old
+                .sessions
+                .get(id)
+                .filter(|old| created(old) == created(entry))
+            {
                 (entry.used, entry.seq) = (old.used, entry.seq.max(old.seq));
             }
         }
@@ -384,8 +523,16 @@ impl Index {
 /// The bytes that a record counts for, beside its files.
 pub fn record_bytes(record: &Record) -> u64 {
     let posed = record.pose.iter().flat_map(|pose| &pose.q);
-    let places: usize = record.rest.p.iter().chain(posed).map(|h| 1 + h.places().len()).sum();
-    512 + 32 * places as u64 + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64 + 256 * record.layers.len() as u64
+    let places: usize = record
+        .rest
+        .p
+        .iter()
+        .chain(posed)
+        .map(|h| 1 + h.places().len())
+        .sum();
+    512 + 32 * places as u64
+        + 8 * record.rest.weights.as_ref().map_or(0, Vec::len) as u64
+        + 256 * record.layers.len() as u64
 }
 
 #[cfg(test)]
@@ -396,7 +543,14 @@ mod tests {
     #[test]
     fn a_name_that_is_used_again_has_one_tombstone() {
         let idle = Duration::from_secs(60);
-        let mut index = Index::new(Bounds { idle, sessions: 1, bytes: 1 << 20 }, true);
+        let mut index = Index::new(
+            Bounds {
+                idle,
+                sessions: 1,
+                bytes: 1 << 20,
+            },
+            true,
+        );
         let record = suite::record(1);
         for _ in 0..3 {
             index.put(Arc::clone(&record), &suite::files(1), PutOutcome::Create);
@@ -410,7 +564,13 @@ mod tests {
 
     #[test]
     fn no_more_deleted_sessions_are_remembered_than_there_may_be_sessions() {
-        let mut index = Index::new(Bounds { sessions: 3, ..suite::bounds() }, true);
+        let mut index = Index::new(
+            Bounds {
+                sessions: 3,
+                ..suite::bounds()
+            },
+            true,
+        );
         let ids: Vec<SessionId> = (0..5)
             .map(|_| {
                 let record = suite::record(1);
@@ -421,6 +581,15 @@ mod tests {
             .collect();
         assert_eq!((index.tombstones.len(), index.bytes()), (3, 0));
         let again: Vec<_> = ids.iter().map(|id| index.check_delete(*id)).collect();
-        assert_eq!(again, [Err(StoreError::NoSuchSession), Err(StoreError::NoSuchSession), Ok(false), Ok(false), Ok(false)]);
+        assert_eq!(
+            again,
+            [
+                Err(StoreError::NoSuchSession),
+                Err(StoreError::NoSuchSession),
+                Ok(false),
+                Ok(false),
+                Ok(false)
+            ]
+        );
     }
 }

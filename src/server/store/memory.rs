@@ -37,8 +37,17 @@ fn put(index: &mut Index, record: Arc<Record>, files: &[NamedFile]) -> Result<Pu
     Ok(index.put(record, files, outcome?))
 }
 
-fn revise(index: &mut Index, old: Revision, new: Arc<Record>, layer: &[NamedFile]) -> Result<Option<Session>, StoreError> {
-    Ok(if index.check_revise(old, &new, layer)? { index.revise(new, layer) } else { None })
+fn revise(
+    index: &mut Index,
+    old: Revision,
+    new: Arc<Record>,
+    layer: &[NamedFile],
+) -> Result<Option<Session>, StoreError> {
+    Ok(if index.check_revise(old, &new, layer)? {
+        index.revise(new, layer)
+    } else {
+        None
+    })
 }
 
 fn delete(index: &mut Index, id: SessionId) -> Result<(), StoreError> {
@@ -59,7 +68,12 @@ impl Store for MemoryStore {
         known(put(&mut self.lock(), record, &files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+    fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: Option<NamedFile>,
+    ) -> Answer<'_, Option<Session>> {
         known(revise(&mut self.lock(), old, new, layer.as_slice()))
     }
 
@@ -81,7 +95,11 @@ impl Store for MemoryStore {
     }
 
     fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        known(self.lock().file(id.owner(), digest).ok_or(StoreError::NoSuchSession))
+        known(
+            self.lock()
+                .file(id.owner(), digest)
+                .ok_or(StoreError::NoSuchSession),
+        )
     }
 
     fn names(&self, owner: Owner, digest: Digest) -> bool {
@@ -98,7 +116,11 @@ impl Store for MemoryStore {
 
     fn figures(&self) -> Figures {
         let index = self.lock();
-        Figures { sessions: index.len() as u64, bytes: index.bytes(), ..Figures::default() }
+        Figures {
+            sessions: index.len() as u64,
+            bytes: index.bytes(),
+            ..Figures::default()
+        }
     }
 }
 
@@ -116,7 +138,9 @@ mod tests {
     #[tokio::test]
     async fn does_what_the_model_does() {
         for seed in 0..3 {
-            let open = async |old: Option<Vec<MemoryStore>>| old.unwrap_or_else(|| vec![MemoryStore::new(model::bounds())]);
+            let open = async |old: Option<Vec<MemoryStore>>| {
+                old.unwrap_or_else(|| vec![MemoryStore::new(model::bounds())])
+            };
             model::follows(open, seed, 400, true, false).await;
         }
     }
@@ -125,7 +149,10 @@ mod tests {
     async fn what_is_deleted_is_not_held() {
         let store = MemoryStore::new(bounds());
         let record = suite::record(1);
-        store.put(Arc::clone(&record), suite::files(1)).await.unwrap();
+        store
+            .put(Arc::clone(&record), suite::files(1))
+            .await
+            .unwrap();
         store.delete(record.id).await.unwrap();
         let index = store.lock();
         assert!(index.file(record.id.owner(), record.image).is_none() && index.bytes() == 0);

@@ -16,11 +16,17 @@
 
 #[cfg(feature = "file-store")]
 pub mod file;
-#[cfg_attr(not(feature = "file-store"), allow(dead_code, reason = "only the file store uses all of it"))]
+#[cfg_attr(
+    not(feature = "file-store"),
+    allow(dead_code, reason = "only the file store uses all of it")
+)]
 mod index;
 pub mod memory;
 #[cfg(any(feature = "file-store", feature = "redis"))]
-#[cfg_attr(not(all(feature = "file-store", feature = "redis")), allow(dead_code, reason = "each store uses a part of it"))]
+#[cfg_attr(
+    not(all(feature = "file-store", feature = "redis")),
+    allow(dead_code, reason = "each store uses a part of it")
+)]
 pub mod record;
 #[cfg(feature = "redis")]
 pub mod redis;
@@ -101,7 +107,14 @@ pub struct StoredLayer {
 impl Record {
     /// Whether both were made from the same files and the same handles. Layers that were added or removed since do not count.
     pub fn is_made_like(&self, other: &Self) -> bool {
-        let made = |record: &Self| (record.image, record.made_with_region, record.folds, record.output);
+        let made = |record: &Self| {
+            (
+                record.image,
+                record.made_with_region,
+                record.folds,
+                record.output,
+            )
+        };
         made(self) == made(other) && self.rest == other.rest && self.pose == other.pose
     }
 
@@ -163,7 +176,9 @@ pub struct Session {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum StoreError {
     /// It never existed, was deleted, or expired more than one idle period ago.
-    #[error("there is no such session: it was deleted, expired a while ago, or never existed; open a new one with POST /sessions")]
+    #[error(
+        "there is no such session: it was deleted, expired a while ago, or never existed; open a new one with POST /sessions"
+    )]
     NoSuchSession,
     /// Expired less than one idle period ago.
     #[error("the session has expired: it was idle for {}; open a new one with POST /sessions", period(*idle))]
@@ -201,7 +216,11 @@ impl From<StoreError> for Problem {
         match error {
             StoreError::NoSuchSession => Self::new(Code::NoSuchSession, error.to_string()),
             StoreError::Expired { .. } => Self::new(Code::SessionExpired, error.to_string()),
-            StoreError::Full { what, limit, actual } => new(Code::Overloaded, 30).limit(what, limit, actual),
+            StoreError::Full {
+                what,
+                limit,
+                actual,
+            } => new(Code::Overloaded, 30).limit(what, limit, actual),
             StoreError::NoRoom => new(Code::Overloaded, 30),
             // A rolling update takes minutes.
             StoreError::OtherVersion => new(Code::StoredByAnotherVersion, 30),
@@ -238,7 +257,12 @@ pub trait Store: Send + Sync + fmt::Debug {
 
     /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the file of the layer that only the new record
     /// names, if there is one. Files of layers that only the old record names are removed. `None`: another revision is there.
-    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>>;
+    fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: Option<NamedFile>,
+    ) -> Answer<'_, Option<Session>>;
 
     /// Reads a session without prolonging it.
     fn peek(&self, id: SessionId) -> Answer<'_, Session>;

@@ -22,7 +22,9 @@ use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::{Coincident, CoincidentPolicy};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Align, CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{
+    Align, CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units,
+};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
 use serde_json::value::RawValue;
@@ -58,7 +60,10 @@ fn base() -> WarpObject {
             alpha: None,
             point_mass: None,
             smoothing: None,
-            coincident: Coincident { policy: CoincidentPolicy::Mean, within: 0.0 },
+            coincident: Coincident {
+                policy: CoincidentPolicy::Mean,
+                within: 0.0,
+            },
             units: Units::Px,
             grid: GridSpec::Auto,
             align: Align::None,
@@ -92,11 +97,21 @@ enum Defaults {
 }
 
 impl Defaults {
-    fn field<M: SerializeMap, T: PartialEq>(self, object: &mut M, name: &'static str, value: T, default: &T) -> Result<(), M::Error>
+    fn field<M: SerializeMap, T: PartialEq>(
+        self,
+        object: &mut M,
+        name: &'static str,
+        value: T,
+        default: &T,
+    ) -> Result<(), M::Error>
     where
         AsJson<T>: Serialize,
     {
-        if self == Self::LeftOut && value == *default { Ok(()) } else { object.serialize_entry(name, &AsJson(value)) }
+        if self == Self::LeftOut && value == *default {
+            Ok(())
+        } else {
+            object.serialize_entry(name, &AsJson(value))
+        }
     }
 }
 
@@ -106,7 +121,19 @@ struct Warp<'a>(&'a Record, Defaults);
 impl Serialize for Warp<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(record, defaults)) = (base(), self);
-        let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align, has_unmatched: _ } = &record.rest;
+        let RestSpec {
+            p,
+            weights,
+            method,
+            alpha,
+            point_mass,
+            smoothing,
+            coincident,
+            units,
+            grid,
+            align,
+            has_unmatched: _,
+        } = &record.rest;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "p", p.as_slice(), &base.rest.p.as_slice())?;
         if let Some(weights) = weights {
@@ -132,7 +159,12 @@ impl Serialize for Warp<'_> {
             object.serialize_entry("output", &Output(&record.output, defaults))?;
         }
         // Later fields (rule 2).
-        Defaults::LeftOut.field(&mut object, "coincident", *coincident, &base.rest.coincident)?;
+        Defaults::LeftOut.field(
+            &mut object,
+            "coincident",
+            *coincident,
+            &base.rest.coincident,
+        )?;
         Defaults::LeftOut.field(&mut object, "align", *align, &base.rest.align)?;
         if let Some(Pose { q, strength }) = &record.pose {
             object.serialize_entry("q", &AsJson(q.as_slice()))?;
@@ -149,7 +181,17 @@ struct Output<'a>(&'a OutputSpec, Defaults);
 impl Serialize for Output<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let (base, &Self(output, defaults)) = (base().output, self);
-        let OutputSpec { format, quality, subsampling, compression, canvas, width, filter, outside, holes } = *output;
+        let OutputSpec {
+            format,
+            quality,
+            subsampling,
+            compression,
+            canvas,
+            width,
+            filter,
+            outside,
+            holes,
+        } = *output;
         let mut object = serializer.serialize_map(None)?;
         defaults.field(&mut object, "format", format, &base.format)?;
         if defaults == Defaults::Written || quality != base.quality {
@@ -209,18 +251,35 @@ struct Layer {
 
 impl Layer {
     fn write((name, layer): (&LayerName, &StoredLayer)) -> (String, Self) {
-        (name.to_string(), Self { kind: layer.kind.as_str().to_owned(), file: layer.digest.to_string() })
+        (
+            name.to_string(),
+            Self {
+                kind: layer.kind.as_str().to_owned(),
+                file: layer.digest.to_string(),
+            },
+        )
     }
 
     fn read((name, layer): (String, Self)) -> Option<(LayerName, StoredLayer)> {
-        let kind = LayerKind::ALL.iter().find(|kind| kind.as_str() == layer.kind)?;
-        Some((LayerName::parse(&name)?, StoredLayer { kind: *kind, digest: Digest(unhex(&layer.file)?) }))
+        let kind = LayerKind::ALL
+            .iter()
+            .find(|kind| kind.as_str() == layer.kind)?;
+        Some((
+            LayerName::parse(&name)?,
+            StoredLayer {
+                kind: *kind,
+                digest: Digest(unhex(&layer.file)?),
+            },
+        ))
     }
 }
 
 /// Writes a record.
 pub fn write(record: &Record) -> Vec<u8> {
-    let created = record.created.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let created = record
+        .created
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .unwrap_or_default();
     let document = Document {
         version: VERSION,
         id: HEXLOWER.encode(&record.id.to_bytes()),
@@ -247,7 +306,9 @@ pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
 /// Reads a record.
 /// Errors: They are damaged, or another version of the program wrote them.
 pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
-    let (sum, json) = bytes.split_at_checked(CHECKSUM).ok_or(Unreadable::Damaged("it is too short"))?;
+    let (sum, json) = bytes
+        .split_at_checked(CHECKSUM)
+        .ok_or(Unreadable::Damaged("it is too short"))?;
     if sum != format!("{:08x}\n", crc32fast::hash(json)).as_bytes() {
         return Err(Unreadable::Damaged("its checksum is another"));
     }
@@ -255,12 +316,17 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     let other = |why: &str| Unreadable::OtherVersion(why.to_owned());
     let Version { version } = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     if version != VERSION {
-        return Err(Unreadable::OtherVersion(format!("its form is version {version}; this program knows {VERSION}")));
+        return Err(Unreadable::OtherVersion(format!(
+            "its form is version {version}; this program knows {VERSION}"
+        )));
     }
-    let read: Document<&RawValue> = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
+    let read: Document<&RawValue> =
+        serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
     // The store counts records by itself.
     let patch = Reserved::<WarpPatch, _>::parse(read.warp.get().as_bytes(), |_| Ok(()));
-    let (patch, ()) = patch.map_err(|problem| Unreadable::OtherVersion(problem.detail))?.into_parts();
+    let (patch, ()) = patch
+        .map_err(|problem| Unreadable::OtherVersion(problem.detail))?
+        .into_parts();
     let warp = patch.merge_onto(base());
     if warp.q.is_none() && warp.strength.to_bits() != base().strength.to_bits() {
         return Err(other("it has a strength without posed handles"));
@@ -268,19 +334,41 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     if warp.is_auto {
         return Err(other("its method is not chosen"));
     }
-    let layers = read.layers.into_iter().map(Layer::read).collect::<Option<BTreeMap<_, _>>>();
-    let layers = layers.filter(|layers| layers.len() <= MAX_LAYERS).ok_or_else(|| other("its layers are in another form"))?;
-    let region =
-        read.made_with_region.map(|digest| unhex(&digest).map(Digest).ok_or_else(|| other("its mask's digest is in another form")));
+    let layers = read
+        .layers
+        .into_iter()
+        .map(Layer::read)
+        .collect::<Option<BTreeMap<_, _>>>();
+    let layers = layers
+        .filter(|layers| layers.len() <= MAX_LAYERS)
+        .ok_or_else(|| other("its layers are in another form"))?;
+    let region = read.made_with_region.map(|digest| {
+        unhex(&digest)
+            .map(Digest)
+            .ok_or_else(|| other("its mask's digest is in another form"))
+    });
     Ok(Arc::new(Record {
-        id: SessionId::from_bytes(&unhex(&read.id).ok_or_else(|| other("its name is in another form"))?),
-        revision: Revision::from_bytes(unhex(&read.revision).ok_or_else(|| other("its revision is in another form"))?),
-        image: Digest(unhex(&read.image).ok_or_else(|| other("its picture's digest is in another form"))?),
+        id: SessionId::from_bytes(
+            &unhex(&read.id).ok_or_else(|| other("its name is in another form"))?,
+        ),
+        revision: Revision::from_bytes(
+            unhex(&read.revision).ok_or_else(|| other("its revision is in another form"))?,
+        ),
+        image: Digest(
+            unhex(&read.image).ok_or_else(|| other("its picture's digest is in another form"))?,
+        ),
         layers,
         made_with_region: region.transpose()?,
-        extent: Extent::new(read.width, read.height).ok_or_else(|| other("its picture has no size"))?,
-        rest: RestSpec { has_unmatched: read.has_unmatched, ..warp.rest },
-        pose: warp.q.map(|q| Pose { q, strength: warp.strength }),
+        extent: Extent::new(read.width, read.height)
+            .ok_or_else(|| other("its picture has no size"))?,
+        rest: RestSpec {
+            has_unmatched: read.has_unmatched,
+            ..warp.rest
+        },
+        pose: warp.q.map(|q| Pose {
+            q,
+            strength: warp.strength,
+        }),
         folds: warp.folds,
         output: warp.output,
         created: SystemTime::UNIX_EPOCH + Duration::from_nanos(read.created),
@@ -290,7 +378,9 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
 /// The file digests that a record of any version may name (rule 4). A session's name looks the same and is among them.
 pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     let words = bytes.split(|byte| !matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
-    let mut named: Vec<Digest> = words.filter_map(|word| std::str::from_utf8(word).ok().and_then(unhex).map(Digest)).collect();
+    let mut named: Vec<Digest> = words
+        .filter_map(|word| std::str::from_utf8(word).ok().and_then(unhex).map(Digest))
+        .collect();
     named.sort_unstable_by_key(|digest| digest.0);
     named.dedup();
     named
@@ -322,9 +412,21 @@ mod tests {
     use mlswarp::geometry::Point;
 
     fn rich() -> Record {
-        let p = vec![Handle::Point(Point::new(0.1, -0.0)), Handle::Polyline(vec![Point::new(1e-300, 2.5), Point::new(1.0 / 3.0, 1e5)])];
-        let rest = RestSpec { p, weights: Some(vec![1.0, 0.1 + 0.2]), alpha: Some(1.3), ..RestSpec::default() };
-        Record { rest, created: SystemTime::UNIX_EPOCH + Duration::from_nanos(1_795_000_000_123_456_789), ..(*suite::record(7)).clone() }
+        let p = vec![
+            Handle::Point(Point::new(0.1, -0.0)),
+            Handle::Polyline(vec![Point::new(1e-300, 2.5), Point::new(1.0 / 3.0, 1e5)]),
+        ];
+        let rest = RestSpec {
+            p,
+            weights: Some(vec![1.0, 0.1 + 0.2]),
+            alpha: Some(1.3),
+            ..RestSpec::default()
+        };
+        Record {
+            rest,
+            created: SystemTime::UNIX_EPOCH + Duration::from_nanos(1_795_000_000_123_456_789),
+            ..(*suite::record(7)).clone()
+        }
     }
 
     /// A record none of whose fields is at its default.
@@ -332,9 +434,15 @@ mod tests {
         let rest = RestSpec {
             method: Method::Affine,
             point_mass: Some(7.5),
-            coincident: Coincident { policy: CoincidentPolicy::Reject, within: 1.5 },
+            coincident: Coincident {
+                policy: CoincidentPolicy::Reject,
+                within: 1.5,
+            },
             units: Units::Normalized,
-            grid: GridSpec::Counts { columns: 9, rows: 7 },
+            grid: GridSpec::Counts {
+                columns: 9,
+                rows: 7,
+            },
             align: Align::Similarity,
             has_unmatched: true,
             ..rich().rest
@@ -350,18 +458,41 @@ mod tests {
             outside: Outside::Edge,
             holes: Holes::Transparent,
         };
-        Record { rest, folds: Folds::Reject, output, ..rich() }
+        Record {
+            rest,
+            folds: Folds::Reject,
+            output,
+            ..rich()
+        }
     }
 
     fn layered() -> Record {
-        let layer = |kind, digest| StoredLayer { kind, digest: Digest([digest; 32]) };
-        let layers = [("depth.v1", layer(LayerKind::Image, 0xab)), ("region", layer(LayerKind::Labels, 0xcd))];
-        let layers = layers.into_iter().map(|(name, layer)| (LayerName::parse(name).unwrap(), layer)).collect();
-        Record { layers, made_with_region: Some(Digest([0xef; 32])), ..plain() }
+        let layer = |kind, digest| StoredLayer {
+            kind,
+            digest: Digest([digest; 32]),
+        };
+        let layers = [
+            ("depth.v1", layer(LayerKind::Image, 0xab)),
+            ("region", layer(LayerKind::Labels, 0xcd)),
+        ];
+        let layers = layers
+            .into_iter()
+            .map(|(name, layer)| (LayerName::parse(name).unwrap(), layer))
+            .collect();
+        Record {
+            layers,
+            made_with_region: Some(Digest([0xef; 32])),
+            ..plain()
+        }
     }
 
     fn plain() -> Record {
-        Record { rest: base().rest, folds: base().folds, output: base().output, ..rich() }
+        Record {
+            rest: base().rest,
+            folds: base().folds,
+            output: base().output,
+            ..rich()
+        }
     }
 
     /// The record with other JSON for its warp object, sealed.
@@ -387,8 +518,14 @@ mod tests {
         for k in 0..bytes.len() {
             let mut bad = bytes.clone();
             bad[k] ^= 1;
-            assert!(matches!(read(&bad), Err(Unreadable::Damaged(_))), "byte {k}");
-            assert!(matches!(read(&bytes[..k]), Err(Unreadable::Damaged(_))), "{k} bytes");
+            assert!(
+                matches!(read(&bad), Err(Unreadable::Damaged(_))),
+                "byte {k}"
+            );
+            assert!(
+                matches!(read(&bytes[..k]), Err(Unreadable::Damaged(_))),
+                "{k} bytes"
+            );
         }
     }
 
@@ -398,18 +535,34 @@ mod tests {
         let all = r##"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,
             "compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"##;
         let record = plain();
-        assert!(write(&record).ends_with(b",\"warp\":{}}"), "{}", String::from_utf8_lossy(&write(&record)));
+        assert!(
+            write(&record).ends_with(b",\"warp\":{}}"),
+            "{}",
+            String::from_utf8_lossy(&write(&record))
+        );
         for warp in ["{}", all] {
             assert_eq!(*read(&with_warp(&record, warp)).unwrap(), record);
         }
-        let some = Record { output: OutputSpec { quality: 85, ..record.output }, ..record };
-        assert!(write(&some).ends_with(b",\"warp\":{\"output\":{\"quality\":85}}}"), "{}", String::from_utf8_lossy(&write(&some)));
+        let some = Record {
+            output: OutputSpec {
+                quality: 85,
+                ..record.output
+            },
+            ..record
+        };
+        assert!(
+            write(&some).ends_with(b",\"warp\":{\"output\":{\"quality\":85}}}"),
+            "{}",
+            String::from_utf8_lossy(&write(&some))
+        );
     }
 
     /// What the first version of the program computed. A program that computes anything else would make a session anew that a replica has.
     #[test]
     fn the_digest_of_what_a_session_was_made_from_is_the_first_programs() {
-        let digest = |record: &Record, warp: &str| Digest::of(format!("[\"{}\",{warp}]", record.image).as_bytes());
+        let digest = |record: &Record, warp: &str| {
+            Digest::of(format!("[\"{}\",{warp}]", record.image).as_bytes())
+        };
         let (plain, full) = (plain(), nothing_at_its_default());
         let warp = r#"{"p":[],"method":"rigid","units":"px","grid":"auto","folds":"report","metric":"euclidean","output":{"format":"png","quality":90,"compression":"fast","filter":"bilinear","outside":"transparent","canvas":"same"}}"#;
         assert_eq!(made(&plain), digest(&plain, warp));
@@ -422,10 +575,25 @@ mod tests {
     fn smoothing_is_written_and_digested_only_where_it_is_given() {
         let text = |record: &Record| String::from_utf8(write(record)).unwrap();
         assert!(!text(&nothing_at_its_default()).contains("smoothing"));
-        let spline = |smoothing| Record { rest: RestSpec { method: Method::ThinPlateSpline, smoothing, ..base().rest }, ..plain() };
+        let spline = |smoothing| Record {
+            rest: RestSpec {
+                method: Method::ThinPlateSpline,
+                smoothing,
+                ..base().rest
+            },
+            ..plain()
+        };
         let (exact, smooth) = (spline(None), spline(Some(0.1)));
-        assert!(text(&exact).ends_with(r#","warp":{"method":"tps"}}"#), "{}", text(&exact));
-        assert!(text(&smooth).ends_with(r#","warp":{"method":"tps","smoothing":0.1}}"#), "{}", text(&smooth));
+        assert!(
+            text(&exact).ends_with(r#","warp":{"method":"tps"}}"#),
+            "{}",
+            text(&exact)
+        );
+        assert!(
+            text(&smooth).ends_with(r#","warp":{"method":"tps","smoothing":0.1}}"#),
+            "{}",
+            text(&smooth)
+        );
         for record in [&exact, &smooth] {
             assert_eq!(*read(&write(record)).unwrap(), *record);
         }
@@ -435,9 +603,19 @@ mod tests {
     #[test]
     fn align_is_written_and_digested_only_where_it_is_requested() {
         let text = |record: &Record| String::from_utf8(write(record)).unwrap();
-        let aligned = |align| Record { rest: RestSpec { align, ..base().rest }, ..plain() };
+        let aligned = |align| Record {
+            rest: RestSpec {
+                align,
+                ..base().rest
+            },
+            ..plain()
+        };
         assert!(text(&aligned(Align::None)).ends_with(r#","warp":{}}"#));
-        assert!(text(&aligned(Align::Rigid)).ends_with(r#","warp":{"align":"rigid"}}"#), "{}", text(&aligned(Align::Rigid)));
+        assert!(
+            text(&aligned(Align::Rigid)).ends_with(r#","warp":{"align":"rigid"}}"#),
+            "{}",
+            text(&aligned(Align::Rigid))
+        );
         for align in [Align::Rigid, Align::Similarity, Align::Affine] {
             let record = aligned(align);
             assert_eq!(*read(&write(&record)).unwrap(), record);
@@ -451,15 +629,27 @@ mod tests {
         let (none, some) = (plain(), layered());
         assert!(!text(&none).contains("layer") && !text(&none).contains("region"));
         let (ab, cd, ef) = ("ab".repeat(32), "cd".repeat(32), "ef".repeat(32));
-        let layers = format!(r#""layers":{{"depth.v1":{{"kind":"image","file":"{ab}"}},"region":{{"kind":"labels","file":"{cd}"}}}}"#);
-        assert!(text(&some).contains(&format!(r#",{layers},"made_with_region":"{ef}","#)), "{}", text(&some));
+        let layers = format!(
+            r#""layers":{{"depth.v1":{{"kind":"image","file":"{ab}"}},"region":{{"kind":"labels","file":"{cd}"}}}}"#
+        );
+        assert!(
+            text(&some).contains(&format!(r#",{layers},"made_with_region":"{ef}","#)),
+            "{}",
+            text(&some)
+        );
         let named = named_files(&write(&some));
         assert!(some.files().count() == 3 && some.files().all(|digest| named.contains(&digest)));
-        let without = Record { made_with_region: None, ..some.clone() };
+        let without = Record {
+            made_with_region: None,
+            ..some.clone()
+        };
         assert!(made(&without) == made(&none) && without.is_made_like(&none));
         assert!(made(&some) != made(&none) && !some.is_made_like(&none));
         let other = text(&some)[CHECKSUM..].replace("\"image\",", "\"video\",");
-        assert!(matches!(read(&sealed(other.as_bytes())), Err(Unreadable::OtherVersion(_))));
+        assert!(matches!(
+            read(&sealed(other.as_bytes())),
+            Err(Unreadable::OtherVersion(_))
+        ));
     }
 
     #[test]
@@ -482,7 +672,11 @@ mod tests {
             sealed(b"\x82\xa7version\x04"),
         ];
         for bytes in others {
-            assert!(matches!(read(&bytes), Err(Unreadable::OtherVersion(_))), "{}", String::from_utf8_lossy(&bytes));
+            assert!(
+                matches!(read(&bytes), Err(Unreadable::OtherVersion(_))),
+                "{}",
+                String::from_utf8_lossy(&bytes)
+            );
         }
     }
 
@@ -491,7 +685,10 @@ mod tests {
         let record = rich();
         assert!(named_files(&write(&record)).contains(&record.image));
         let other = Digest([0xab; 32]);
-        let json = format!("{{\"version\":2,\"files\":[\"{}\",\"sha256:{}\"]}}", record.image, other);
+        let json = format!(
+            "{{\"version\":2,\"files\":[\"{}\",\"sha256:{}\"]}}",
+            record.image, other
+        );
         let mut named = [record.image, other];
         named.sort_unstable_by_key(|digest| digest.0);
         assert_eq!(named_files(&sealed(json.as_bytes())), named);

@@ -27,9 +27,17 @@ impl FromStr for StoreUrl {
         if let Some(path) = text.strip_prefix("file:") {
             // A host in `file://HOST/PATH` must not be taken for a directory.
             let path = path.strip_prefix("//").map_or(Ok(path), |path| {
-                if path.starts_with('/') { Ok(path) } else { Err("a file is `file:PATH`, or `file://` and an absolute path".to_owned()) }
+                if path.starts_with('/') {
+                    Ok(path)
+                } else {
+                    Err("a file is `file:PATH`, or `file://` and an absolute path".to_owned())
+                }
             })?;
-            return if path.is_empty() { Err("`file:` needs a path".to_owned()) } else { file(path) };
+            return if path.is_empty() {
+                Err("`file:` needs a path".to_owned())
+            } else {
+                file(path)
+            };
         }
         match text.split_once("://").map(|(scheme, _)| scheme) {
             Some("redis" | "valkey") => redis(text),
@@ -72,13 +80,28 @@ mod tests {
     #[test]
     fn places_are_read_as_people_write_them() {
         assert_eq!(read("memory"), Ok(StoreUrl::Memory));
-        assert_eq!(read("file:sessions.db"), Ok(StoreUrl::File("sessions.db".into())));
+        assert_eq!(
+            read("file:sessions.db"),
+            Ok(StoreUrl::File("sessions.db".into()))
+        );
         assert_eq!(read("file:/var/lib/s"), read("file:///var/lib/s"));
-        for text in ["", "disk", "file:", "file://host/x", "redis://", "http://here", "redis+unix:///x", "redis://h:99999", "redis://h/x"] {
+        for text in [
+            "",
+            "disk",
+            "file:",
+            "file://host/x",
+            "redis://",
+            "http://here",
+            "redis+unix:///x",
+            "redis://h:99999",
+            "redis://h/x",
+        ] {
             assert!(read(text).is_err(), "{text}");
         }
         assert!(read("rediss://here").unwrap_err().contains("TLS"));
-        let Ok(StoreUrl::Redis(address)) = read("redis://here/3") else { panic!("a place") };
+        let Ok(StoreUrl::Redis(address)) = read("redis://here/3") else {
+            panic!("a place")
+        };
         assert_eq!(address.to_string(), "redis://here:6379/3");
         assert_eq!(read("valkey://here/3"), read("redis://here:6379/3"));
         assert_ne!(read("redis://:a@here"), read("redis://:b@here"));
@@ -87,11 +110,25 @@ mod tests {
     #[test]
     fn a_password_is_never_shown() {
         let place = read("redis://somebody:s3cret@here:1").unwrap();
-        let StoreUrl::Redis(address) = &place else { panic!("a place") };
-        for shown in [format!("{place:?}"), format!("{address}"), format!("{address:#?}")] {
-            assert!(!shown.contains("s3cret") && !shown.contains("somebody"), "{shown}");
+        let StoreUrl::Redis(address) = &place else {
+            panic!("a place")
+        };
+        for shown in [
+            format!("{place:?}"),
+            format!("{address}"),
+            format!("{address:#?}"),
+        ] {
+            assert!(
+                !shown.contains("s3cret") && !shown.contains("somebody"),
+                "{shown}"
+            );
         }
-        for wrong in ["redis://somebody:s3cret@here:port", "http://somebody:s3cret@here", "rediss://somebody:s3cret@here", "s3cret"] {
+        for wrong in [
+            "redis://somebody:s3cret@here:port",
+            "http://somebody:s3cret@here",
+            "rediss://somebody:s3cret@here",
+            "s3cret",
+        ] {
             assert!(!read(wrong).unwrap_err().contains("s3cret"));
         }
     }

@@ -15,7 +15,9 @@ use super::handles::handles_bytes;
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
 use super::output::OutputPatch;
-use super::{AsJson, PosePatch, Reserved, fields, json, layer, reading_bytes, require_length, text_bytes};
+use super::{
+    AsJson, PosePatch, Reserved, fields, json, layer, reading_bytes, require_length, text_bytes,
+};
 use crate::layer::{LayerRef, MAX_LAYERS};
 use crate::problem::{Code, Problem};
 
@@ -90,9 +92,15 @@ pub struct FrameTexts {
 
 impl FrameTexts {
     /// Reads `q` and `strength` of a frame.
-    fn read<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Reserved<PosePatch, H>, Problem> {
+    fn read<H>(
+        &self,
+        frame: u32,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Reserved<PosePatch, H>, Problem> {
         let place = self.places.get(frame as usize);
-        let text = place.and_then(|place| self.body.get(place.clone())).unwrap_or_default();
+        let text = place
+            .and_then(|place| self.body.get(place.clone()))
+            .unwrap_or_default();
         Reserved::read(reading_bytes(text), reserve, || read_frame(frame, text))
     }
 }
@@ -106,18 +114,26 @@ fn read_frame(frame: u32, text: &[u8]) -> Result<PosePatch, Problem> {
 
 /// The problem of a frame's pose: its pointer begins at the frame.
 pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
-    problem.pointer = problem.pointer.map(|pointer| format!("/frames/{frame}{pointer}"));
+    problem.pointer = problem
+        .pointer
+        .map(|pointer| format!("/frames/{frame}{pointer}"));
     problem
 }
 
 impl BatchPoses {
     /// What the request gives of the pose of a frame.
     /// Errors: A frame with another form.
-    pub fn given<H>(&self, frame: u32, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Reserved<PosePatch, H>, Problem> {
+    pub fn given<H>(
+        &self,
+        frame: u32,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Reserved<PosePatch, H>, Problem> {
         match self {
             Self::Frames(texts) => texts.read(frame, reserve),
             Self::Steps { pose, .. } | Self::Jitter { pose, .. } => {
-                Reserved::read(pose.q.as_deref().map_or(0, handles_bytes), reserve, || Ok(pose.clone()))
+                Reserved::read(pose.q.as_deref().map_or(0, handles_bytes), reserve, || {
+                    Ok(pose.clone())
+                })
             }
         }
     }
@@ -151,19 +167,50 @@ impl<H> Reserved<BatchObject, H> {
         let rest = body.len() - text_bytes([frames, points, polygons, boxes, geojson]);
         require_length(rest, most_bytes, "its frames and annotations")?;
         // Frames are not read before they are drawn.
-        let places = if frames.is_some() { u64::from(MOST_FRAMES) * PLACE_BYTES } else { 0 };
-        Self::read(reading_bytes(body) + places, reserve, || BatchObject::read(body, &root, fields, most_frame_bytes, source))
+        let places = if frames.is_some() {
+            u64::from(MOST_FRAMES) * PLACE_BYTES
+        } else {
+            0
+        };
+        Self::read(reading_bytes(body) + places, reserve, || {
+            BatchObject::read(body, &root, fields, most_frame_bytes, source)
+        })
     }
 }
 
 impl BatchObject {
-    fn read(body: &Bytes, root: &Node<'_, '_>, fields: BatchFields<'_, '_>, most_frame_bytes: u64, source: Frame) -> Result<Self, Problem> {
-        let [frames, q, strength, steps, easing, jitter, delay, loop_, and_back, layers_, output, annotations @ ..] = fields;
+    fn read(
+        body: &Bytes,
+        root: &Node<'_, '_>,
+        fields: BatchFields<'_, '_>,
+        most_frame_bytes: u64,
+        source: Frame,
+    ) -> Result<Self, Problem> {
+        let [
+            frames,
+            q,
+            strength,
+            steps,
+            easing,
+            jitter,
+            delay,
+            loop_,
+            and_back,
+            layers_,
+            output,
+            annotations @ ..,
+        ] = fields;
         let [points, polygons, boxes, geojson, refine] = annotations;
         let poses = match (frames, steps, jitter) {
             (Some(frames), ..) if frames.kind() == Kind::Number => {
-                let meant = frames.text.parse::<u32>().map_or_else(|_| String::new(), |n| format!(": {n}"));
-                return Err(frames.unexpected(FRAMES, format_args!("a number; did you mean `steps`{meant}?")));
+                let meant = frames
+                    .text
+                    .parse::<u32>()
+                    .map_or_else(|_| String::new(), |n| format!(": {n}"));
+                return Err(frames.unexpected(
+                    FRAMES,
+                    format_args!("a number; did you mean `steps`{meant}?"),
+                ));
             }
             (Some(frames), None, None) => {
                 let others = [("q", q), ("strength", strength), ("easing", easing)];
@@ -177,16 +224,29 @@ impl BatchObject {
             },
             (None, None, Some(jitter)) => {
                 refuse_beside("jitter", "it applies to `steps`", &[("easing", easing)])?;
-                refuse_beside("jitter", "it applies to `steps` and `frames`", &[("and_back", and_back)])?;
+                refuse_beside(
+                    "jitter",
+                    "it applies to `steps` and `frames`",
+                    &[("and_back", and_back)],
+                )?;
                 let [seed, count, sigma] = jitter.fields(&fields::JITTER)?;
-                let required = |node: Option<_>, name, expected| node.ok_or_else(|| jitter.missing(name, expected));
-                let (seed_of, sigma_of) = ("a whole number between 0 and 18446744073709551615", "a number of pixels between 0 and 10000");
+                let required = |node: Option<_>, name, expected| {
+                    node.ok_or_else(|| jitter.missing(name, expected))
+                };
+                let (seed_of, sigma_of) = (
+                    "a whole number between 0 and 18446744073709551615",
+                    "a number of pixels between 0 and 10000",
+                );
                 BatchPoses::Jitter {
                     pose: PosePatch::read([q, strength], usize::MAX)?,
                     count: frame_count(&required(count, "count", COUNT)?, 1, COUNT)?,
                     jitter: Jitter {
                         seed: whole(&required(seed, "seed", seed_of)?, seed_of)?,
-                        sigma: number_in(&required(sigma, "sigma", sigma_of)?, 0.0..=MOST_SIGMA, sigma_of)?,
+                        sigma: number_in(
+                            &required(sigma, "sigma", sigma_of)?,
+                            0.0..=MOST_SIGMA,
+                            sigma_of,
+                        )?,
                     },
                 }
             }
@@ -196,14 +256,28 @@ impl BatchObject {
             }
             _ => {
                 let last = jitter.or(steps).unwrap_or(*root);
-                return Err(last.problem(Code::BadValue, "give one of `frames`, `steps` and `jitter`"));
+                return Err(
+                    last.problem(Code::BadValue, "give one of `frames`, `steps` and `jitter`")
+                );
             }
         };
         let layers = optional(layers_, layers)?.unwrap_or_default();
-        let annotations = Annotations::read(body, [points, polygons, boxes, geojson, None, refine], |_| source)?;
+        let annotations = Annotations::read(
+            body,
+            [points, polygons, boxes, geojson, None, refine],
+            |_| source,
+        )?;
         let output = optional(output, OutputPatch::read)?.unwrap_or_default();
         let (delay, plays) = (optional(delay, read_delay)?, optional(loop_, read_plays)?);
-        let object = Self { poses, layers, annotations, output, delay, plays, and_back: optional(and_back, Node::bool)?.unwrap_or(false) };
+        let object = Self {
+            poses,
+            layers,
+            annotations,
+            output,
+            delay,
+            plays,
+            and_back: optional(and_back, Node::bool)?.unwrap_or(false),
+        };
         match (object.count(), and_back) {
             (count, Some(node)) if count > MOST_FRAMES => Err(too_many(&node, count.into())),
             _ => Ok(object),
@@ -216,7 +290,9 @@ impl BatchObject {
         match self.and_back {
             false => there,
             // What is repeated without end follows its last frame with its first.
-            true => (2 * there).saturating_sub(if is_endless { 2 } else { 1 }).max(there),
+            true => (2 * there)
+                .saturating_sub(if is_endless { 2 } else { 1 })
+                .max(there),
         }
     }
 }
@@ -227,10 +303,15 @@ fn layers(node: &Node<'_, '_>) -> Result<Vec<LayerRef>, Problem> {
     node.items::<Problem>("an array of names of layers", |_, item| {
         let layer = layer(&item)?;
         if layers.contains(&layer) {
-            return Err(item.problem(Code::BadValue, format!("the layer `{}` is given twice", layer.as_str())));
+            return Err(item.problem(
+                Code::BadValue,
+                format!("the layer `{}` is given twice", layer.as_str()),
+            ));
         }
         if layers.len() >= MOST_LAYERS {
-            return Err(node.unexpected(&format!("at most {MOST_LAYERS} layers"), "more").limit("layers", MOST_LAYERS, layers.len() + 1));
+            return Err(node
+                .unexpected(&format!("at most {MOST_LAYERS} layers"), "more")
+                .limit("layers", MOST_LAYERS, layers.len() + 1));
         }
         layers.push(layer);
         Ok(())
@@ -239,21 +320,39 @@ fn layers(node: &Node<'_, '_>) -> Result<Vec<LayerRef>, Problem> {
 }
 
 /// Errors: A field that does not apply.
-fn refuse_beside(form: &str, why: &str, others: &[(&str, Option<Node<'_, '_>>)]) -> Result<(), Problem> {
-    match others.iter().find_map(|(name, node)| Some((name, (*node)?))) {
-        Some((name, node)) => Err(node.problem(Code::BadValue, format!("`{name}` does not apply beside `{form}`: {why}"))),
+fn refuse_beside(
+    form: &str,
+    why: &str,
+    others: &[(&str, Option<Node<'_, '_>>)],
+) -> Result<(), Problem> {
+    match others
+        .iter()
+        .find_map(|(name, node)| Some((name, (*node)?)))
+    {
+        Some((name, node)) => Err(node.problem(
+            Code::BadValue,
+            format!("`{name}` does not apply beside `{form}`: {why}"),
+        )),
         None => Ok(()),
     }
 }
 
 /// Where each frame is; nothing is parsed.
-fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<FrameTexts, Problem> {
+fn frame_texts(
+    body: &Bytes,
+    frames: &Node<'_, '_>,
+    most_bytes: u64,
+) -> Result<FrameTexts, Problem> {
     let (mut places, mut count) = (Vec::new(), 0_u64);
     frames.items::<Problem>(FRAMES, |_, item| {
         let length = item.text.len();
         if length as u64 > most_bytes {
             let detail = format!("the frame has {length} bytes; the limit is {most_bytes}");
-            return Err(item.problem(Code::TooLarge, detail).limit("drag_json_bytes", most_bytes, length));
+            return Err(item.problem(Code::TooLarge, detail).limit(
+                "drag_json_bytes",
+                most_bytes,
+                length,
+            ));
         }
         if count < MOST_FRAMES.into() {
             let start = item.text.as_ptr() as usize - body.as_ptr() as usize;
@@ -265,7 +364,10 @@ fn frame_texts(body: &Bytes, frames: &Node<'_, '_>, most_bytes: u64) -> Result<F
     match count {
         0 => Err(frames.unexpected("at least one frame", "an empty array")),
         _ if count > MOST_FRAMES.into() => Err(too_many(frames, count)),
-        _ => Ok(FrameTexts { body: body.clone(), places }),
+        _ => Ok(FrameTexts {
+            body: body.clone(),
+            places,
+        }),
     }
 }
 
@@ -277,18 +379,25 @@ fn frame_count(node: &Node<'_, '_>, least: u32, expected: &str) -> Result<u32, P
 }
 
 fn too_many(node: &Node<'_, '_>, actual: u64) -> Problem {
-    let problem = node.problem(Code::TooLarge, format!("a batch has at most {MOST_FRAMES} frames; found {actual}"));
+    let problem = node.problem(
+        Code::TooLarge,
+        format!("a batch has at most {MOST_FRAMES} frames; found {actual}"),
+    );
     problem.limit("batch_frames", MOST_FRAMES, actual)
 }
 
 fn read_delay(node: &Node<'_, '_>) -> Result<u16, Problem> {
     const DELAY: &str = "a whole number of milliseconds, 1 to 60000";
     let value = count(node, 1, DELAY)?;
-    u16::try_from(value).ok().filter(|delay| *delay <= MOST_DELAY).ok_or_else(|| node.unexpected(DELAY, value).actual(value))
+    u16::try_from(value)
+        .ok()
+        .filter(|delay| *delay <= MOST_DELAY)
+        .ok_or_else(|| node.unexpected(DELAY, value).actual(value))
 }
 
 fn read_plays(node: &Node<'_, '_>) -> Result<u16, Problem> {
-    const PLAYS: &str = "how often the animation is played: a whole number, 0 (without end) to 65535";
+    const PLAYS: &str =
+        "how often the animation is played: a whole number, 0 (without end) to 65535";
     let value = count(node, 0, PLAYS)?;
     u16::try_from(value).map_err(|_| node.unexpected(PLAYS, value).actual(value))
 }
@@ -362,7 +471,8 @@ mod tests {
     fn parse(text: &str) -> Result<BatchObject, Problem> {
         let source = Frame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
         let body = Bytes::copy_from_slice(text.as_bytes());
-        Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, free).map(|read| read.into_parts().0)
+        Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, free)
+            .map(|read| read.into_parts().0)
     }
 
     #[test]
@@ -370,18 +480,46 @@ mod tests {
         let frames =
             parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
                 .unwrap();
-        let BatchPoses::Frames(texts) = &frames.poses else { panic!() };
+        let BatchPoses::Frames(texts) = &frames.poses else {
+            panic!()
+        };
         let strength = |frame| texts.read(frame, free).unwrap().strength;
-        assert_eq!((frames.count(), strength(0), strength(1)), (2, None, Some(0.5)));
-        assert_eq!((frames.annotations.kinds.len(), frames.output.width), (1, Some(9)));
-        let steps = parse(r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#).unwrap();
-        let BatchPoses::Steps { steps: 24, easing: Easing::EaseInOut, pose: PosePatch { strength: Some(2.0), .. } } = steps.poses else {
+        assert_eq!(
+            (frames.count(), strength(0), strength(1)),
+            (2, None, Some(0.5))
+        );
+        assert_eq!(
+            (frames.annotations.kinds.len(), frames.output.width),
+            (1, Some(9))
+        );
+        let steps = parse(
+            r#"{"q": [[1, 2]], "steps": 24, "easing": "ease-in-out", "strength": 2, "delay": 20}"#,
+        )
+        .unwrap();
+        let BatchPoses::Steps {
+            steps: 24,
+            easing: Easing::EaseInOut,
+            pose: PosePatch {
+                strength: Some(2.0),
+                ..
+            },
+        } = steps.poses
+        else {
             panic!()
         };
         assert_eq!(steps.delay, Some(20));
-        let jitter = parse(r#"{"jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#).unwrap();
-        let BatchPoses::Jitter { jitter: Jitter { seed: u64::MAX, sigma: 2.5 }, count: 100, pose: PosePatch { q: None, .. } } =
-            jitter.poses
+        let jitter =
+            parse(r#"{"jitter": {"seed": 18446744073709551615, "count": 100, "sigma": 2.5}}"#)
+                .unwrap();
+        let BatchPoses::Jitter {
+            jitter:
+                Jitter {
+                    seed: u64::MAX,
+                    sigma: 2.5,
+                },
+            count: 100,
+            pose: PosePatch { q: None, .. },
+        } = jitter.poses
         else {
             panic!()
         };
@@ -392,67 +530,204 @@ mod tests {
         let count = |text: &str| parse(text).unwrap().count();
         assert_eq!(count(r#"{"steps": 24, "and_back": true}"#), 46);
         assert_eq!(count(r#"{"steps": 24, "and_back": true, "loop": 0}"#), 46);
-        assert_eq!(count(r#"{"steps": 24, "and_back": true, "loop": 2}"#), 47, "it ends at rest");
+        assert_eq!(
+            count(r#"{"steps": 24, "and_back": true, "loop": 2}"#),
+            47,
+            "it ends at rest"
+        );
         assert_eq!(count(r#"{"steps": 24, "and_back": false, "loop": 2}"#), 24);
-        assert_eq!((count(r#"{"steps": 2, "and_back": true}"#), count(r#"{"frames": [{}], "and_back": true}"#)), (2, 1));
+        assert_eq!(
+            (
+                count(r#"{"steps": 2, "and_back": true}"#),
+                count(r#"{"frames": [{}], "and_back": true}"#)
+            ),
+            (2, 1)
+        );
         assert_eq!(count(r#"{"steps": 5001, "and_back": true}"#), 10_000);
         let problem = parse(r#"{"steps": 5001, "loop": 1, "and_back": true}"#).unwrap_err();
-        assert_eq!((problem.pointer.as_deref(), problem.actual), (Some("/and_back"), Some(10_001.into())));
+        assert_eq!(
+            (problem.pointer.as_deref(), problem.actual),
+            (Some("/and_back"), Some(10_001.into()))
+        );
     }
 
     #[test]
     fn mistakes_name_their_place() {
-        let long = format!(r#"{{"frames": [{{"q": []}}, {{"q": [{}]}}]}}"#, "[1, 2],".repeat(20) + "[1, 2]");
+        let long = format!(
+            r#"{{"frames": [{{"q": []}}, {{"q": [{}]}}]}}"#,
+            "[1, 2],".repeat(20) + "[1, 2]"
+        );
         let many = format!(r#"{{"frames": [{}1]}}"#, "1,".repeat(10_000));
         let much = format!(r#"{{"q": [{}[1, 2]], "steps": 2}}"#, "[1, 2],".repeat(200));
         for (text, code, pointer) in [
             ("{}", Code::BadValue, Some("/steps")),
             (r#"{"q": []}"#, Code::BadValue, Some("/steps")),
             (r#"{"frames": 24}"#, Code::BadValue, Some("/frames")),
-            (r#"{"q": [], "frames": 24, "easing": "linear"}"#, Code::BadValue, Some("/frames")),
+            (
+                r#"{"q": [], "frames": 24, "easing": "linear"}"#,
+                Code::BadValue,
+                Some("/frames"),
+            ),
             (r#"{"q": [], "steps": 1}"#, Code::BadValue, Some("/steps")),
-            (r#"{"steps": 2, "loop": 65536}"#, Code::BadValue, Some("/loop")),
-            (r#"{"steps": 2, "loop": true}"#, Code::BadValue, Some("/loop")),
-            (r#"{"steps": 2, "and_back": 1}"#, Code::BadValue, Some("/and_back")),
-            (r#"{"jitter": {"seed": 1, "count": 1, "sigma": 1}, "and_back": true}"#, Code::BadValue, Some("/and_back")),
+            (
+                r#"{"steps": 2, "loop": 65536}"#,
+                Code::BadValue,
+                Some("/loop"),
+            ),
+            (
+                r#"{"steps": 2, "loop": true}"#,
+                Code::BadValue,
+                Some("/loop"),
+            ),
+            (
+                r#"{"steps": 2, "and_back": 1}"#,
+                Code::BadValue,
+                Some("/and_back"),
+            ),
+            (
+                r#"{"jitter": {"seed": 1, "count": 1, "sigma": 1}, "and_back": true}"#,
+                Code::BadValue,
+                Some("/and_back"),
+            ),
             (r#"{"frames": []}"#, Code::BadValue, Some("/frames")),
             (r#"{"frames": {}}"#, Code::BadValue, Some("/frames")),
-            (r#"{"frames": [{"q": []}], "q": []}"#, Code::BadValue, Some("/q")),
-            (r#"{"frames": [{"q": []}], "steps": 2}"#, Code::BadValue, Some("/steps")),
-            (r#"{"q": [], "steps": 2, "jitter": {}}"#, Code::BadValue, Some("/jitter")),
+            (
+                r#"{"frames": [{"q": []}], "q": []}"#,
+                Code::BadValue,
+                Some("/q"),
+            ),
+            (
+                r#"{"frames": [{"q": []}], "steps": 2}"#,
+                Code::BadValue,
+                Some("/steps"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "jitter": {}}"#,
+                Code::BadValue,
+                Some("/jitter"),
+            ),
             (r#"{"q": [], "steps": 0}"#, Code::BadValue, Some("/steps")),
-            (r#"{"q": [], "steps": 10001}"#, Code::TooLarge, Some("/steps")),
-            (r#"{"q": [], "steps": 2, "easing": "bounce"}"#, Code::BadValue, Some("/easing")),
-            (r#"{"q": [], "steps": 2, "delay": 0}"#, Code::BadValue, Some("/delay")),
-            (r#"{"q": [], "steps": 2, "delay": 60001}"#, Code::BadValue, Some("/delay")),
-            (r#"{"q": [], "jitter": {"count": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/seed")),
-            (r#"{"q": [], "jitter": {"seed": -1, "count": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/seed")),
-            (r#"{"q": [], "jitter": {"seed": 1, "sigma": 1}}"#, Code::BadValue, Some("/jitter/count")),
-            (r#"{"q": [], "jitter": {"seed": 1, "count": 10001, "sigma": 1}}"#, Code::TooLarge, Some("/jitter/count")),
-            (r#"{"q": [], "jitter": {"seed": 1, "count": 1}}"#, Code::BadValue, Some("/jitter/sigma")),
-            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": -1}}"#, Code::BadValue, Some("/jitter/sigma")),
-            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1, "scale": 1}}"#, Code::UnknownField, Some("/jitter/scale")),
-            (r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1}, "easing": "linear"}"#, Code::BadValue, Some("/easing")),
-            (r#"{"q": [], "steps": 2, "layers": ["a", "a"]}"#, Code::BadValue, Some("/layers/1")),
-            (r#"{"q": [], "steps": 2, "layers": ["@depth"]}"#, Code::BadValue, Some("/layers/0")),
-            (r#"{"q": [], "steps": 2, "layers": "a"}"#, Code::BadValue, Some("/layers")),
-            (r#"{"q": [], "steps": 2, "inverse": true}"#, Code::UnknownField, Some("/inverse")),
+            (
+                r#"{"q": [], "steps": 10001}"#,
+                Code::TooLarge,
+                Some("/steps"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "easing": "bounce"}"#,
+                Code::BadValue,
+                Some("/easing"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "delay": 0}"#,
+                Code::BadValue,
+                Some("/delay"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "delay": 60001}"#,
+                Code::BadValue,
+                Some("/delay"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"count": 1, "sigma": 1}}"#,
+                Code::BadValue,
+                Some("/jitter/seed"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": -1, "count": 1, "sigma": 1}}"#,
+                Code::BadValue,
+                Some("/jitter/seed"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "sigma": 1}}"#,
+                Code::BadValue,
+                Some("/jitter/count"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "count": 10001, "sigma": 1}}"#,
+                Code::TooLarge,
+                Some("/jitter/count"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "count": 1}}"#,
+                Code::BadValue,
+                Some("/jitter/sigma"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": -1}}"#,
+                Code::BadValue,
+                Some("/jitter/sigma"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1, "scale": 1}}"#,
+                Code::UnknownField,
+                Some("/jitter/scale"),
+            ),
+            (
+                r#"{"q": [], "jitter": {"seed": 1, "count": 1, "sigma": 1}, "easing": "linear"}"#,
+                Code::BadValue,
+                Some("/easing"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "layers": ["a", "a"]}"#,
+                Code::BadValue,
+                Some("/layers/1"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "layers": ["@depth"]}"#,
+                Code::BadValue,
+                Some("/layers/0"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "layers": "a"}"#,
+                Code::BadValue,
+                Some("/layers"),
+            ),
+            (
+                r#"{"q": [], "steps": 2, "inverse": true}"#,
+                Code::UnknownField,
+                Some("/inverse"),
+            ),
             (&long, Code::TooLarge, Some("/frames/1")),
             (&many, Code::TooLarge, Some("/frames")),
             (&much, Code::TooLarge, None),
         ] {
             let problem = parse(text).unwrap_err();
-            assert_eq!((problem.code, problem.pointer.as_deref()), (code, pointer), "{}: {problem}", &text[..text.len().min(80)]);
+            assert_eq!(
+                (problem.code, problem.pointer.as_deref()),
+                (code, pointer),
+                "{}: {problem}",
+                &text[..text.len().min(80)]
+            );
         }
         let many = parse(&many).unwrap_err();
-        assert_eq!((many.what, many.limit, many.actual), (Some("batch_frames"), Some(10_000.into()), Some(10_001.into())));
-        let BatchPoses::Frames(texts) = parse(r#"{"frames": [{"q": []}, {"q": [[1]]}, 7, {"strength": 1}]}"#).unwrap().poses else {
+        assert_eq!(
+            (many.what, many.limit, many.actual),
+            (
+                Some("batch_frames"),
+                Some(10_000.into()),
+                Some(10_001.into())
+            )
+        );
+        let BatchPoses::Frames(texts) =
+            parse(r#"{"frames": [{"q": []}, {"q": [[1]]}, 7, {"strength": 1}]}"#)
+                .unwrap()
+                .poses
+        else {
             panic!()
         };
         for (frame, pointer) in [(1, "/frames/1/q/0"), (2, "/frames/2")] {
-            assert_eq!(texts.read(frame, free).unwrap_err().pointer.as_deref(), Some(pointer));
+            assert_eq!(
+                texts.read(frame, free).unwrap_err().pointer.as_deref(),
+                Some(pointer)
+            );
         }
-        assert_eq!(*texts.read(3, free).unwrap(), PosePatch { q: None, strength: Some(1.0) });
+        assert_eq!(
+            *texts.read(3, free).unwrap(),
+            PosePatch {
+                q: None,
+                strength: Some(1.0)
+            }
+        );
     }
 
     #[test]
@@ -464,15 +739,27 @@ mod tests {
             position,
             width: 4,
             height: 3,
-            canvas: AsJson(Canvas { x: -1, y: 0, extent: Extent::new(8, 6).unwrap() }),
+            canvas: AsJson(Canvas {
+                x: -1,
+                y: 0,
+                extent: Extent::new(8, 6).unwrap(),
+            }),
             scale: [0.5, 0.5],
             folds: 1,
             residual: 0.5,
             warnings: vec!["translation_only"],
             exceeded: None,
         };
-        let between = FramePosition { strength: 0.5, t: Some(0.25), jitter: None };
-        let jittered = FramePosition { strength: 1.0, t: None, jitter: Some(FrameJitter { seed: 7, frame: 1 }) };
+        let between = FramePosition {
+            strength: 0.5,
+            t: Some(0.25),
+            jitter: None,
+        };
+        let jittered = FramePosition {
+            strength: 1.0,
+            t: None,
+            jitter: Some(FrameJitter { seed: 7, frame: 1 }),
+        };
         let frames = [frame(between, None), frame(jittered, Some("0001.json"))];
         let canvas = serde_json::json!({"x": -1, "y": 0, "width": 8, "height": 6});
         assert_eq!(

@@ -31,16 +31,30 @@ pub(crate) fn enum_name<T: EnumName>(node: &Node<'_, '_>) -> Result<T, Problem> 
     }
     let text = node.string("a name")?;
     let value = T::ALL.iter().find(|v| v.as_str() == text);
-    value.copied().ok_or_else(|| unknown_name(node, &text, T::UNSUPPORTED, &names(), &list(&names())))
+    value
+        .copied()
+        .ok_or_else(|| unknown_name(node, &text, T::UNSUPPORTED, &names(), &list(&names())))
 }
 
 /// The problem of a name that is not `supported`; `names`: the names among what is supported.
-pub(crate) fn unknown_name(node: &Node<'_, '_>, text: &str, unsupported: &[&str], names: &[&str], supported: &str) -> Problem {
+pub(crate) fn unknown_name(
+    node: &Node<'_, '_>,
+    text: &str,
+    unsupported: &[&str],
+    names: &[&str],
+    supported: &str,
+) -> Problem {
     if unsupported.contains(&text) {
-        node.problem(Code::NotSupported, format!("not supported by this version: `{text}`; supported: {supported}"))
+        node.problem(
+            Code::NotSupported,
+            format!("not supported by this version: `{text}`; supported: {supported}"),
+        )
     } else {
         let hint = did_you_mean(suggest::value(text, names));
-        node.unexpected(&format!("one of {supported}"), format_args!("{}{hint}", quote(text)))
+        node.unexpected(
+            &format!("one of {supported}"),
+            format_args!("{}{hint}", quote(text)),
+        )
     }
 }
 
@@ -119,7 +133,12 @@ enum_names!(
     Align, unsupported [],
     Align::None = "none", Align::Rigid = "rigid", Align::Similarity = "similarity", Align::Affine = "affine"
 );
-enum_names!(Folds, unsupported["remove"], Folds::Report = "report", Folds::Reject = "reject");
+enum_names!(
+    Folds,
+    unsupported["remove"],
+    Folds::Report = "report",
+    Folds::Reject = "reject"
+);
 enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
 enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
 enum_names!(Subsampling, unsupported [], Subsampling::Half = "4:2:0", Subsampling::Full = "4:4:4");
@@ -128,7 +147,11 @@ enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::La
 enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
-enum_names!(Metric, unsupported["geodesic"], Metric::Euclidean = "euclidean");
+enum_names!(
+    Metric,
+    unsupported["geodesic"],
+    Metric::Euclidean = "euclidean"
+);
 
 /// Without the format of animations, which is requested by `Accept`.
 impl EnumName for Format {

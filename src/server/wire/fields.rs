@@ -38,7 +38,9 @@ pub(crate) const WARP_WITH_POINTS: [&str; WARP.len() + 7] = {
     let mut fields = [""; WARP.len() + 7];
     let (warp, own) = fields.split_at_mut(WARP.len());
     warp.copy_from_slice(&WARP);
-    own.copy_from_slice(&["extent", "points", "polygons", "boxes", "geojson", "inverse", "refine"]);
+    own.copy_from_slice(&[
+        "extent", "points", "polygons", "boxes", "geojson", "inverse", "refine",
+    ]);
     fields
 };
 
@@ -50,7 +52,9 @@ pub(crate) const WARP_WITH_EXTENT: [&str; WARP.len() + 1] = {
 };
 
 /// The fields of `/sessions/{id}/points`.
-pub(crate) const POINTS_OF_SESSION: [&str; 9] = ["q", "strength", "output", "points", "polygons", "boxes", "geojson", "inverse", "refine"];
+pub(crate) const POINTS_OF_SESSION: [&str; 9] = [
+    "q", "strength", "output", "points", "polygons", "boxes", "geojson", "inverse", "refine",
+];
 
 /// The fields of `/map`: those of the warp object, then its own.
 pub(crate) const WARP_WITH_MAP: [&str; WARP.len() + 4] = {
@@ -65,14 +69,25 @@ pub(crate) const WARP_WITH_MAP: [&str; WARP.len() + 4] = {
 pub(crate) const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "canvas", "width"];
 
 /// The fields of `/fit` and of `/sessions/{id}/fit`.
-pub(crate) const FIT: [&str; 11] =
-    ["p", "q", "align", "weights", "coincident", "units", "extent", "candidates", "names", "format", "unmatched"];
+pub(crate) const FIT: [&str; 11] = [
+    "p",
+    "q",
+    "align",
+    "weights",
+    "coincident",
+    "units",
+    "extent",
+    "candidates",
+    "names",
+    "format",
+    "unmatched",
+];
 pub(crate) const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
 /// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
 pub(crate) const BATCH: [&str; 16] = [
-    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "loop", "and_back", "layers", "output", "points", "polygons", "boxes",
-    "geojson", "refine",
+    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "loop", "and_back", "layers",
+    "output", "points", "polygons", "boxes", "geojson", "refine",
 ];
 pub(crate) const BATCH_FRAME: [&str; 2] = ["q", "strength"];
 pub(crate) const JITTER: [&str; 3] = ["seed", "count", "sigma"];
@@ -87,7 +102,17 @@ pub(crate) const COINCIDENT: [&str; 2] = ["policy", "within"];
 pub(crate) const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 
 /// The fields of `output`, in the order of `OutputPatch::read`.
-pub(crate) const OUTPUT: [&str; 9] = ["format", "quality", "subsampling", "compression", "width", "filter", "outside", "canvas", "holes"];
+pub(crate) const OUTPUT: [&str; 9] = [
+    "format",
+    "quality",
+    "subsampling",
+    "compression",
+    "width",
+    "filter",
+    "outside",
+    "canvas",
+    "holes",
+];
 
 /// The fields of `outside` as a value.
 pub(crate) const OUTSIDE: [&str; 1] = ["value"];
@@ -103,7 +128,11 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
     let is_useful = |name: &&str| !ONE_VALUED.contains(name) && !OF_LANDMARKS.contains(name);
     // Objects of a format, such as `output`, have a field of that name too.
     let is_output = known.contains(&"compression");
-    known.iter().copied().filter(|name| is_output || is_useful(name)).collect()
+    known
+        .iter()
+        .copied()
+        .filter(|name| is_output || is_useful(name))
+        .collect()
 }
 
 /// Fields and parts of the contract that this version does not support, each with a known name of the objects that it belongs to.
@@ -111,7 +140,9 @@ const UNSUPPORTED: [(&str, &str); 1] = [("region", "q")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.
 pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {
-    UNSUPPORTED.iter().any(|(unsupported, beside)| *unsupported == name && known.contains(beside))
+    UNSUPPORTED
+        .iter()
+        .any(|(unsupported, beside)| *unsupported == name && known.contains(beside))
 }
 
 /// The problem of a name that [`is_unsupported`].
@@ -120,6 +151,7 @@ pub(crate) fn unsupported(name: &str, known: &[&str]) -> Problem {
     // The page saves the mask with the handles: whoever sends such a file must not lose it unseen.
     let instead = ". A region is a mask of its own: the part `region` of an upload, --region FILE, or the layer `region` of a session. A file \
                    that the page has saved holds it as base64: `jq -r .region FILE | base64 -d > region.png` and `jq 'del(.region)' FILE`";
-    let detail = format!("not supported by this version: `{name}`; supported: {supported}{instead}");
+    let detail =
+        format!("not supported by this version: `{name}`; supported: {supported}{instead}");
     Problem::new(Code::NotSupported, detail)
 }

@@ -32,38 +32,88 @@ impl FitObject {
     /// Reads the body of `/fit`.
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [p, q, align, weights, coincident, units, extent, candidates, names, format, unmatched] = root.fields(&fields::FIT)?;
-        let given = [("p", p), ("q", q), ("align", align), ("weights", weights), ("coincident", coincident), ("units", units)];
-        let given = given.into_iter().chain([("names", names), ("format", format), ("unmatched", unmatched)]);
+        let [
+            p,
+            q,
+            align,
+            weights,
+            coincident,
+            units,
+            extent,
+            candidates,
+            names,
+            format,
+            unmatched,
+        ] = root.fields(&fields::FIT)?;
+        let given = [
+            ("p", p),
+            ("q", q),
+            ("align", align),
+            ("weights", weights),
+            ("coincident", coincident),
+            ("units", units),
+        ];
+        let given = given.into_iter().chain([
+            ("names", names),
+            ("format", format),
+            ("unmatched", unmatched),
+        ]);
         let given: Vec<_> = given.collect();
-        let of_warp = fields::WARP.map(|name| given.iter().find(|(other, _)| *other == name).and_then(|(_, node)| *node));
+        let of_warp = fields::WARP.map(|name| {
+            given
+                .iter()
+                .find(|(other, _)| *other == name)
+                .and_then(|(_, node)| *node)
+        });
         let mut warp = WarpPatch::read(of_warp)?.into_object()?;
         warp.leave_out_missing();
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
-        let pose = PosePatch { q: Some(warp.posed()?.to_vec()), strength: None };
-        Ok(Self { rest: Some((warp.rest, extent)), pose, candidates: read_candidates(candidates)? })
+        let pose = PosePatch {
+            q: Some(warp.posed()?.to_vec()),
+            strength: None,
+        };
+        Ok(Self {
+            rest: Some((warp.rest, extent)),
+            pose,
+            candidates: read_candidates(candidates)?,
+        })
     }
 
     /// Reads the body of `/sessions/{id}/fit`.
     pub(super) fn parse_posed(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, candidates] = root.fields(&fields::FIT_OF_SESSION)?;
-        Ok(Self { rest: None, pose: PosePatch::read([q, None], usize::MAX)?, candidates: read_candidates(candidates)? })
+        Ok(Self {
+            rest: None,
+            pose: PosePatch::read([q, None], usize::MAX)?,
+            candidates: read_candidates(candidates)?,
+        })
     }
 }
 
 fn read_candidates(node: Option<Node<'_, '_>>) -> Result<Vec<Candidate>, Problem> {
-    let Some(node) = node else { return Ok(Candidate::defaults()) };
+    let Some(node) = node else {
+        return Ok(Candidate::defaults());
+    };
     let candidates = node.list(CANDIDATES, CANDIDATE_TEXT, |index, item| {
         if index >= MOST {
             return Err(node.unexpected(CANDIDATES, format_args!("more than {MOST}")));
         }
         let [method, alpha, smoothing] = item.fields(&fields::CANDIDATE)?;
-        let method: Method = enum_name(&method.ok_or_else(|| item.missing("method", "the name of a method"))?)?;
+        let method: Method =
+            enum_name(&method.ok_or_else(|| item.missing("method", "the name of a method"))?)?;
         let number = |node: &Node<'_, '_>| number(node, "a number");
-        Ok(Candidate { method, alpha: optional(alpha, number)?, smoothing: optional(smoothing, number)? })
+        Ok(Candidate {
+            method,
+            alpha: optional(alpha, number)?,
+            smoothing: optional(smoothing, number)?,
+        })
     })?;
-    if candidates.is_empty() { Err(node.unexpected(CANDIDATES, "an empty array")) } else { Ok(candidates) }
+    if candidates.is_empty() {
+        Err(node.unexpected(CANDIDATES, "an empty array"))
+    } else {
+        Ok(candidates)
+    }
 }
 
 /// Locates an error in a candidate.
@@ -95,7 +145,10 @@ pub(crate) struct FitAnswer<'a>(pub(crate) &'a [Prediction]);
 impl Serialize for FitAnswer<'_> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let mut object = s.serialize_map(Some(2))?;
-        object.serialize_entry("best", &mlswarp::warp::best(self.0).map(|best| AsJson(best.candidate)))?;
+        object.serialize_entry(
+            "best",
+            &mlswarp::warp::best(self.0).map(|best| AsJson(best.candidate)),
+        )?;
         object.serialize_entry("candidates", &AsJson(self.0))?;
         object.end()
     }
@@ -127,7 +180,9 @@ impl Serialize for AsJson<&Prediction> {
         impl Serialize for Residuals<'_> {
             fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
                 let mut list = s.serialize_seq(Some(self.0.residuals.len()))?;
-                self.0.residuals.iter().try_for_each(|residual| list.serialize_element(&residual.map(|d| [d.x, d.y])))?;
+                self.0.residuals.iter().try_for_each(|residual| {
+                    list.serialize_element(&residual.map(|d| [d.x, d.y]))
+                })?;
                 list.end()
             }
         }

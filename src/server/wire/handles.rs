@@ -17,7 +17,9 @@ const PLACE_TEXT: usize = 12;
 const WEIGHT_TEXT: usize = 4;
 
 pub(crate) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
-    node.list("an array of handles", PLACE_TEXT, |index, item| handle(&item).map_err(|problem| problem.handle(index)))
+    node.list("an array of handles", PLACE_TEXT, |index, item| {
+        handle(&item).map_err(|problem| problem.handle(index))
+    })
 }
 
 /// Handles that are as many as those at rest; a list with more is refused before the rest of it is read.
@@ -33,26 +35,38 @@ pub(crate) fn posed_handles(node: &Node<'_, '_>, at_rest: usize) -> Result<Vec<H
 
 /// Memory of handles, bytes.
 pub(crate) fn handles_bytes(handles: &[Handle]) -> u64 {
-    let lines = handles.iter().filter(|handle| matches!(handle, Handle::Polyline(_)));
+    let lines = handles
+        .iter()
+        .filter(|handle| matches!(handle, Handle::Polyline(_)));
     let places: usize = lines.map(|line| line.places().len() + 1).sum();
     (size_of_val(handles) + places * size_of::<Point>()) as u64
 }
 
 pub(crate) fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
-    node.list("an array of numbers", WEIGHT_TEXT, |index, item| number(&item, "a positive number").map_err(|problem| problem.handle(index)))
+    node.list("an array of numbers", WEIGHT_TEXT, |index, item| {
+        number(&item, "a positive number").map_err(|problem| problem.handle(index))
+    })
 }
 
 pub(crate) fn handle(node: &Node<'_, '_>) -> Result<Handle, Problem> {
     if node.kind() == Kind::Null {
         return Ok(Handle::Missing);
     }
-    let is_line = node.text.strip_prefix('[').is_some_and(|inside| inside.trim_start().starts_with('['));
+    let is_line = node
+        .text
+        .strip_prefix('[')
+        .is_some_and(|inside| inside.trim_start().starts_with('['));
     if !is_line {
         return place(node, HANDLE).map(Handle::Point);
     }
     let line = node.list(HANDLE, PLACE_TEXT, |_, item| place(&item, PLACE))?;
     if line.len() == 1 {
-        return Err(node.problem(Code::BadValue, "a line needs at least 2 positions; found 1; write a point as [x, y]").actual(1));
+        return Err(node
+            .problem(
+                Code::BadValue,
+                "a line needs at least 2 positions; found 1; write a point as [x, y]",
+            )
+            .actual(1));
     }
     Ok(Handle::Polyline(line))
 }
@@ -61,7 +75,9 @@ pub(crate) fn place(node: &Node<'_, '_>, expected: &str) -> Result<Point, Proble
     let (mut place, mut count) = ([0.0; 2], 0);
     node.items::<Problem>(expected, |index, item| {
         let value = number(&item, COORDINATE)?;
-        *place.get_mut(index).ok_or_else(|| node.unexpected(expected, "more than 2 numbers"))? = value;
+        *place
+            .get_mut(index)
+            .ok_or_else(|| node.unexpected(expected, "more than 2 numbers"))? = value;
         count += 1;
         Ok(())
     })?;

@@ -90,13 +90,25 @@ pub(crate) fn root(body: &[u8]) -> Result<Node<'_, 'static>, Problem> {
     if let Some(what) = syntax::not_text(body) {
         return Err(not_json(&what));
     }
-    let text = std::str::from_utf8(body).map_err(|e| not_json(&format_args!("the text is not UTF-8 after byte {}", e.valid_up_to())))?;
+    let text = std::str::from_utf8(body).map_err(|e| {
+        not_json(&format_args!(
+            "the text is not UTF-8 after byte {}",
+            e.valid_up_to()
+        ))
+    })?;
     let node = value(text).map_err(|e| not_json(&format_args!("{e}{}", syntax::hint(text, &e))))?;
     match node.kind() {
         Kind::Object => Ok(node),
         other => {
-            let hint = if other == Kind::Array { list_hint(&node) } else { "" };
-            Err(malformed(format!("the request must be a JSON object, {{...}}; found {}{hint}", other.name())))
+            let hint = if other == Kind::Array {
+                list_hint(&node)
+            } else {
+                ""
+            };
+            Err(malformed(format!(
+                "the request must be a JSON object, {{...}}; found {}{hint}",
+                other.name()
+            )))
         }
     }
 }
@@ -120,9 +132,15 @@ pub(crate) fn value(text: &str) -> Result<Node<'_, 'static>, serde_json::Error> 
 }
 
 /// As [`value`], for a long text: the work is counted, and may be cancelled.
-pub(crate) fn long_value<'j, 'w>(text: &'j str, work: &'w Work<'w>) -> Result<Node<'j, 'w>, serde_json::Error> {
+pub(crate) fn long_value<'j, 'w>(
+    text: &'j str,
+    work: &'w Work<'w>,
+) -> Result<Node<'j, 'w>, serde_json::Error> {
     work.check_json(text)?;
-    Ok(Node { work: Some(work), ..Node::new(text.trim_matches([' ', '\t', '\n', '\r']), At::Root) })
+    Ok(Node {
+        work: Some(work),
+        ..Node::new(text.trim_matches([' ', '\t', '\n', '\r']), At::Root)
+    })
 }
 
 /// Reads a field if it was given.
@@ -136,7 +154,11 @@ pub(crate) fn optional<'j, 'p, T>(
 impl<'j, 'p> Node<'j, 'p> {
     /// A value of a text that is short, or was scanned before.
     pub(crate) const fn new(text: &'j str, at: At<'p>) -> Self {
-        Self { text, at, work: None }
+        Self {
+            text,
+            at,
+            work: None,
+        }
     }
 
     /// Cuts the next value or field name off the inside of this array or object; `None` at its end.
@@ -164,19 +186,34 @@ impl<'j, 'p> Node<'j, 'p> {
     }
 
     pub(crate) fn unexpected(&self, expected: &str, found: impl fmt::Display) -> Problem {
-        self.problem(Code::BadValue, format!("expected {expected}; found {found}"))
+        self.problem(
+            Code::BadValue,
+            format!("expected {expected}; found {found}"),
+        )
     }
 
     pub(crate) fn wrong_kind(&self, expected: &str) -> Problem {
-        let hint = if self.is_quoted_value() { "; remove the quotes" } else { "" };
+        let hint = if self.is_quoted_value() {
+            "; remove the quotes"
+        } else {
+            ""
+        };
         self.unexpected(expected, format_args!("{}{hint}", self.kind().name()))
     }
 
     /// Whether this is a string that contains a number, `true` or `false`, or the beginning of an array or object.
     fn is_quoted_value(&self) -> bool {
-        let Some(inside) = self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) else { return false };
+        let Some(inside) = self
+            .text
+            .strip_prefix('"')
+            .and_then(|text| text.strip_suffix('"'))
+        else {
+            return false;
+        };
         let inside = inside.trim();
-        let is_number = |text: &str| text.len() <= LONGEST_QUOTE && text.parse::<f64>().is_ok_and(f64::is_finite);
+        let is_number = |text: &str| {
+            text.len() <= LONGEST_QUOTE && text.parse::<f64>().is_ok_and(f64::is_finite)
+        };
         inside.starts_with(['[', '{']) || matches!(inside, "true" | "false") || is_number(inside)
     }
 
@@ -194,11 +231,16 @@ impl<'j, 'p> Node<'j, 'p> {
             return fields::unsupported(name, known).pointer(pointer);
         }
         let useful = fields::useful(known);
-        let hint = shape::recognised(&self.members(), known).or_else(|| suggest::field(name, &useful));
+        let hint =
+            shape::recognised(&self.members(), known).or_else(|| suggest::field(name, &useful));
         let advice = advice(hint, &format!("known fields: {}", list(&useful)));
         let detail = format!("unknown field: {}{advice}", quote(name));
         let problem = Problem::new(Code::UnknownField, detail);
-        if pointer.is_empty() { problem } else { problem.pointer(pointer) }
+        if pointer.is_empty() {
+            problem
+        } else {
+            problem.pointer(pointer)
+        }
     }
 
     /// The JSON pointer to an unknown field; to this object if the name is long or has characters that a reader would not see.
@@ -210,7 +252,11 @@ impl<'j, 'p> Node<'j, 'p> {
     }
 
     pub(crate) fn bool(&self) -> Result<bool, Problem> {
-        if self.kind() == Kind::Bool { Ok(self.text == "true") } else { Err(self.wrong_kind("`true` or `false`")) }
+        if self.kind() == Kind::Bool {
+            Ok(self.text == "true")
+        } else {
+            Err(self.wrong_kind("`true` or `false`"))
+        }
     }
 
     pub(crate) fn string(&self, expected: &str) -> Result<String, Problem> {
@@ -221,18 +267,27 @@ impl<'j, 'p> Node<'j, 'p> {
     }
 
     /// The values of the `known` fields, in that order. A field of the contract with the value `null` is absent; other fields are refused.
-    pub(crate) fn fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
+    pub(crate) fn fields<'q, const N: usize>(
+        &'q self,
+        known: &[&'static str; N],
+    ) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         let (given, unknown) = self.split_fields(known)?;
         unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
     }
 
     /// As [`Node::fields`], but other fields are ignored.
-    pub(crate) fn find<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
+    pub(crate) fn find<'q, const N: usize>(
+        &'q self,
+        known: &[&'static str; N],
+    ) -> Result<[Option<Node<'j, 'q>>; N], Problem> {
         self.split_fields(known).map(|(given, _)| given)
     }
 
     /// The values of the `known` fields, and the first name that is not known.
-    fn split_fields<'q, const N: usize>(&'q self, known: &[&'static str; N]) -> Result<KnownFields<'j, 'q, N>, Problem> {
+    fn split_fields<'q, const N: usize>(
+        &'q self,
+        known: &[&'static str; N],
+    ) -> Result<KnownFields<'j, 'q, N>, Problem> {
         if self.kind() != Kind::Object {
             return Err(self.wrong_kind("an object"));
         }
@@ -248,16 +303,27 @@ impl<'j, 'p> Node<'j, 'p> {
                 continue;
             };
             let text = self.next(&mut rest).unwrap_or_default();
-            let node = Node { text, at: At::Field(&self.at, known[index]), work: self.work };
+            let node = Node {
+                text,
+                at: At::Field(&self.at, known[index]),
+                work: self.work,
+            };
             if values[index].replace(node).is_some() {
                 repeated.get_or_insert(known[index]);
             }
         }
         if let Some(name) = repeated {
             let pointer = format!("{}/{name}", self.at);
-            return Err(Problem::new(Code::MalformedRequest, format!("the field `{name}` is given twice")).pointer(pointer));
+            return Err(Problem::new(
+                Code::MalformedRequest,
+                format!("the field `{name}` is given twice"),
+            )
+            .pointer(pointer));
         }
-        Ok((values.map(|value| value.filter(|node| node.kind() != Kind::Null)), unknown))
+        Ok((
+            values.map(|value| value.filter(|node| node.kind() != Kind::Null)),
+            unknown,
+        ))
     }
 
     /// The name of a field as it is written, in its quotes, without them and without escapes.
@@ -274,23 +340,40 @@ impl<'j, 'p> Node<'j, 'p> {
 
     /// The first pairs, enough to tell what the object is; none if it is no object.
     pub(crate) fn members(&self) -> Vec<(&'j str, &'j str)> {
-        if self.kind() == Kind::Object { self.pairs().take(MOST_MEMBERS).collect() } else { Vec::new() }
+        if self.kind() == Kind::Object {
+            self.pairs().take(MOST_MEMBERS).collect()
+        } else {
+            Vec::new()
+        }
     }
 
     /// The first value of an array.
     pub(crate) fn first(&self) -> Option<Self> {
         let text = self.next(&mut self.text.get(1..).unwrap_or_default())?;
-        Some(Node { text, at: At::Root, work: self.work })
+        Some(Node {
+            text,
+            at: At::Root,
+            work: self.work,
+        })
     }
 
     /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
     pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
-        let mut node = Node { at: At::Root, ..*self };
+        let mut node = Node {
+            at: At::Root,
+            ..*self
+        };
         for step in pointer.split('/').skip(1) {
             let mut rest = &node.text[1.min(node.text.len())..];
             let inner = match node.kind() {
-                Kind::Array => step.parse().ok().and_then(|index| std::iter::from_fn(|| self.next(&mut rest)).nth(index)),
-                Kind::Object => node.pairs().find(|(name, _)| name.trim_matches('"') == step).map(|(_, value)| value),
+                Kind::Array => step
+                    .parse()
+                    .ok()
+                    .and_then(|index| std::iter::from_fn(|| self.next(&mut rest)).nth(index)),
+                Kind::Object => node
+                    .pairs()
+                    .find(|(name, _)| name.trim_matches('"') == step)
+                    .map(|(_, value)| value),
                 _ => None,
             };
             let Some(text) = inner else { break };
@@ -310,7 +393,14 @@ impl<'j, 'p> Node<'j, 'p> {
         }
         let (mut index, mut rest) = (0, &self.text[1..]);
         while let Some(text) = self.next(&mut rest) {
-            each(index, Node { text, at: At::Item(&self.at, index), work: self.work })?;
+            each(
+                index,
+                Node {
+                    text,
+                    at: At::Item(&self.at, index),
+                    work: self.work,
+                },
+            )?;
             index += 1;
         }
         Ok(())
@@ -380,7 +470,9 @@ fn value_from(text: &[u8], from: usize, work: Option<&Work<'_>>) -> Option<Range
 /// The length of the value at the start of a well-formed text; wrong once the work is cancelled.
 fn length(text: &[u8], work: Option<&Work<'_>>) -> usize {
     let mut value = Scan::default();
-    let Some(work) = work else { return value.end(text).unwrap_or(text.len()) };
+    let Some(work) = work else {
+        return value.end(text).unwrap_or(text.len());
+    };
     let mut before = 0;
     for piece in text.chunks(PIECE) {
         let end = value.end(piece);
@@ -416,7 +508,9 @@ impl Scan {
                 _ if self.is_in_string => {}
                 b'[' | b'{' => self.depth += 1,
                 // The end of a number, `true`, `false` or `null`.
-                b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if self.depth == 0 => return Some(at),
+                b',' | b']' | b'}' | b' ' | b'\t' | b'\n' | b'\r' if self.depth == 0 => {
+                    return Some(at);
+                }
                 b']' | b'}' => {
                     self.depth -= 1;
                     if self.depth == 0 {
@@ -457,12 +551,25 @@ mod tests {
         assert_eq!(texts("[]"), [""; 0]);
         assert_eq!(texts("[ \n\t\r ]"), [""; 0]);
         assert_eq!(texts("[1]"), ["1"]);
-        assert_eq!(texts("[ -1.5e+3 ,\r\n\ttrue , null]"), ["-1.5e+3", "true", "null"]);
+        assert_eq!(
+            texts("[ -1.5e+3 ,\r\n\ttrue , null]"),
+            ["-1.5e+3", "true", "null"]
+        );
         assert_eq!(texts("[[],{},\"\"]"), ["[]", "{}", "\"\""]);
-        assert_eq!(texts("[[ 1 , [2] ] , {\"b\": [3, {}]} ]"), ["[ 1 , [2] ]", "{\"b\": [3, {}]}"]);
+        assert_eq!(
+            texts("[[ 1 , [2] ] , {\"b\": [3, {}]} ]"),
+            ["[ 1 , [2] ]", "{\"b\": [3, {}]}"]
+        );
         assert_eq!(
             texts(r#"["]", "\"", "\\", "[\\\",", [",]"], {"}": "{"}]"#),
-            [r#""]""#, r#""\"""#, r#""\\""#, r#""[\\\",""#, r#"[",]"]"#, r#"{"}": "{"}"#]
+            [
+                r#""]""#,
+                r#""\"""#,
+                r#""\\""#,
+                r#""[\\\",""#,
+                r#"[",]"]"#,
+                r#"{"}": "{"}"#
+            ]
         );
         assert_eq!(texts("[\"\u{e9}]\", 2]"), ["\"\u{e9}]\"", "2"]);
     }
@@ -478,7 +585,8 @@ mod tests {
         scalar.prop_recursive(4, 32, 4, |inner| {
             prop_oneof![
                 prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
-                prop::collection::vec(("[\\[\\]{},\"\\\\a]{0,3}", inner), 0..4).prop_map(|f| Value::Object(f.into_iter().collect())),
+                prop::collection::vec(("[\\[\\]{},\"\\\\a]{0,3}", inner), 0..4)
+                    .prop_map(|f| Value::Object(f.into_iter().collect())),
             ]
         })
     }

@@ -30,7 +30,11 @@ impl MapObject {
         let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
-        Self::read(Some((warp, extent)), PosePatch::default(), [direction, canvas, width])
+        Self::read(
+            Some((warp, extent)),
+            PosePatch::default(),
+            [direction, canvas, width],
+        )
     }
 
     /// Reads the body of `/sessions/{id}/map`.
@@ -46,7 +50,13 @@ impl MapObject {
         [direction, canvas_, width_]: [Option<Node<'_, '_>>; 3],
     ) -> Result<Self, Problem> {
         let direction = optional(direction, enum_name)?.unwrap_or_default();
-        Ok(Self { warp, pose, direction, canvas: optional(canvas_, canvas)?, width: optional(width_, width)? })
+        Ok(Self {
+            warp,
+            pose,
+            direction,
+            canvas: optional(canvas_, canvas)?,
+            width: optional(width_, width)?,
+        })
     }
 
     /// The parameters of the map; the canvas and the width of `output` where the request has none.
@@ -56,7 +66,11 @@ impl MapObject {
             direction: self.direction,
             canvas: self.canvas.unwrap_or(output.canvas),
             // A width belongs to its canvas.
-            width: if self.canvas.is_some() { self.width } else { self.width.or(output.width) },
+            width: if self.canvas.is_some() {
+                self.width
+            } else {
+                self.width.or(output.width)
+            },
             format,
         }
     }

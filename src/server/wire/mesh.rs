@@ -39,13 +39,27 @@ impl MeshShape {
     }
 
     pub(crate) fn compact(lattice: &CompactLattice, extent: Extent) -> Self {
-        let compact = CompactShape { mesh: "compact", tolerance: lattice.tolerance(), error: lattice.error() };
-        Self { compact: Some(compact), ..Self::of(&lattice.lines(), extent) }
+        let compact = CompactShape {
+            mesh: "compact",
+            tolerance: lattice.tolerance(),
+            error: lattice.error(),
+        };
+        Self {
+            compact: Some(compact),
+            ..Self::of(&lattice.lines(), extent)
+        }
     }
 
     fn of(grid: &Grid, extent: Extent) -> Self {
         let (columns, rows, cell) = (grid.columns(), grid.rows(), grid.cell());
-        Self { columns, rows, width: extent.width(), height: extent.height(), cell: cell.into(), compact: None }
+        Self {
+            columns,
+            rows,
+            width: extent.width(),
+            height: extent.height(),
+            cell: cell.into(),
+            compact: None,
+        }
     }
 }
 

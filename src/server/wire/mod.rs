@@ -64,7 +64,9 @@ pub use report::{ReportAnswer, ReportObject};
 pub use reserved::Reserved;
 use reserved::reading_bytes;
 pub(crate) use rest::WarpPatch;
-pub(crate) use session::{CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, session_tail};
+pub(crate) use session::{
+    CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, session_tail,
+};
 pub use socket::UnreadHandles;
 pub(crate) use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use warning::WarningEntry;
@@ -95,19 +97,31 @@ pub struct WarpObject {
 impl Default for WarpObject {
     fn default() -> Self {
         let (rest, folds, output) = (RestSpec::default(), Folds::default(), OutputSpec::default());
-        Self { rest, q: None, strength: 1.0, folds, output, is_auto: false }
+        Self {
+            rest,
+            q: None,
+            strength: 1.0,
+            folds,
+            output,
+            is_auto: false,
+        }
     }
 }
 
 impl WarpObject {
     /// Reads the object. Whether it has what a route needs is not checked.
     fn parse(json: &[u8]) -> Result<Self, Problem> {
-        Ok(WarpPatch::parse(json)?.without_files()?.merge_onto(Self::default()))
+        Ok(WarpPatch::parse(json)?
+            .without_files()?
+            .merge_onto(Self::default()))
     }
 
     /// Errors: `method: auto` with a parameter that it chooses, or without `q`.
     pub(crate) fn require_choice(&self) -> Result<(), Problem> {
-        let given = [("alpha", self.rest.alpha), ("smoothing", self.rest.smoothing)];
+        let given = [
+            ("alpha", self.rest.alpha),
+            ("smoothing", self.rest.smoothing),
+        ];
         if let Some((name, _)) = given.into_iter().find(|(_, value)| value.is_some()) {
             let detail = format!("`{name}` does not apply: the method `auto` chooses it");
             return Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")));
@@ -129,7 +143,8 @@ impl WarpObject {
 
     /// Leaves out the handles that are missing on either side.
     pub(crate) fn leave_out_missing(&mut self) {
-        self.rest.leave_out_missing(self.q.as_deref_mut().unwrap_or_default());
+        self.rest
+            .leave_out_missing(self.q.as_deref_mut().unwrap_or_default());
     }
 
     /// Leaves out the handles that are missing on either side, aligns the posed ones and moves them to where the strength has them, once.
@@ -142,7 +157,9 @@ impl WarpObject {
         }
         self.leave_out_missing();
         let strength = std::mem::replace(&mut self.strength, 1.0);
-        let Some(q) = self.q.take() else { return Ok(None) };
+        let Some(q) = self.q.take() else {
+            return Ok(None);
+        };
         let (posed, alignment) = self.rest.posed(q, strength, extent);
         self.q = Some(posed);
         Ok(alignment)
@@ -158,7 +175,9 @@ impl WarpObject {
                 let mut problem = missing_q();
                 // Pairs look like lines of two places.
                 if self.rest.p.iter().all(|handle| handle.places().len() == 2) {
-                    problem.detail.push_str(" `p` and `q` are arrays of their own, not an array of pairs");
+                    problem
+                        .detail
+                        .push_str(" `p` and `q` are arrays of their own, not an array of pairs");
                 }
                 Err(problem)
             }
@@ -186,7 +205,10 @@ impl DragObject {
     /// Reads the object. `at_rest`: the number of handles at rest.
     fn parse(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(root.fields(&["q", "strength", "seq", "layer", "output"])?, at_rest)
+        Self::read(
+            root.fields(&["q", "strength", "seq", "layer", "output"])?,
+            at_rest,
+        )
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
@@ -203,7 +225,10 @@ impl DragObject {
         Self::read([q, strength, None, None, output], at_rest)
     }
 
-    fn read([q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5], at_rest: usize) -> Result<Self, Problem> {
+    fn read(
+        [q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5],
+        at_rest: usize,
+    ) -> Result<Self, Problem> {
         Ok(Self {
             pose: PosePatch::read([q, strength], at_rest)?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
@@ -221,8 +246,13 @@ fn layer(node: &Node<'_, '_>) -> Result<LayerRef, Problem> {
     }
     let text = node.string(EXPECTED)?;
     LayerRef::parse(&text).ok_or_else(|| {
-        let built_in = LayerRef::BUILT_IN.map(|name| format!("`{name}`")).join(", ");
-        node.unexpected(&format!("the name of a stored layer, or one of the built-in layers {built_in}"), format_args!("{}", quote(&text)))
+        let built_in = LayerRef::BUILT_IN
+            .map(|name| format!("`{name}`"))
+            .join(", ");
+        node.unexpected(
+            &format!("the name of a stored layer, or one of the built-in layers {built_in}"),
+            format_args!("{}", quote(&text)),
+        )
     })
 }
 
@@ -244,34 +274,71 @@ impl PointsObject {
     fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
-        require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
+        require_length(
+            body.len() - text_bytes([a, b, c, d]),
+            most_bytes,
+            "its annotations",
+        )?;
         let warp = WarpPatch::read(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let (output, units) = (warp.output, warp.rest.units);
-        let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
+        let annotations =
+            Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
         warp.posed()?;
-        Ok(Self { warp: Some((warp, extent)), pose: PosePatch::default(), output, annotations })
+        Ok(Self {
+            warp: Some((warp, extent)),
+            pose: PosePatch::default(),
+            output,
+            annotations,
+        })
     }
 
     /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the session.
-    fn parse_posed(body: &Bytes, most_bytes: u64, (extent, units): (Extent, Units), output: &OutputSpec) -> Result<Self, Problem> {
+    fn parse_posed(
+        body: &Bytes,
+        most_bytes: u64,
+        (extent, units): (Extent, Units),
+        output: &OutputSpec,
+    ) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [q, strength, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
-        require_length(body.len() - text_bytes([a, b, c, d]), most_bytes, "its annotations")?;
-        let output = optional(output_, OutputPatch::read)?.unwrap_or_default().merge_onto(output);
-        let annotations = Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
-        Ok(Self { warp: None, pose: PosePatch::read([q, strength], usize::MAX)?, output, annotations })
+        require_length(
+            body.len() - text_bytes([a, b, c, d]),
+            most_bytes,
+            "its annotations",
+        )?;
+        let output = optional(output_, OutputPatch::read)?
+            .unwrap_or_default()
+            .merge_onto(output);
+        let annotations =
+            Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
+        Ok(Self {
+            warp: None,
+            pose: PosePatch::read([q, strength], usize::MAX)?,
+            output,
+            annotations,
+        })
     }
 }
 
 /// The image of annotations: the picture if they are mapped by the inverse, otherwise the source.
 fn image_of(output: &OutputSpec, source: Extent, units: Units) -> impl FnOnce(bool) -> Frame {
-    move |is_inverse| if is_inverse { Frame::requested(output, source, units) } else { Frame::of_source(source, units) }
+    move |is_inverse| {
+        if is_inverse {
+            Frame::requested(output, source, units)
+        } else {
+            Frame::of_source(source, units)
+        }
+    }
 }
 
 /// Bytes of the values of fields.
 fn text_bytes<const N: usize>(nodes: [Option<Node<'_, '_>>; N]) -> usize {
-    nodes.into_iter().flatten().map(|node| node.text.len()).sum()
+    nodes
+        .into_iter()
+        .flatten()
+        .map(|node| node.text.len())
+        .sum()
 }
 
 /// Errors: JSON without its `large` fields is longer than a limit.
@@ -290,7 +357,13 @@ const EXTENT: &str = "the size of the image, [width, height] in pixels; this req
 const SIDE_TEXT: usize = 5;
 
 fn size(node: &Node<'_, '_>) -> Result<Extent, Problem> {
-    let sides = node.list(SIZE, SIDE_TEXT, |_, item| count(&item, 1, "a whole number of pixels, at least 1"))?;
-    let extent = if let [width, height] = sides[..] { Extent::new(width, height) } else { None };
+    let sides = node.list(SIZE, SIDE_TEXT, |_, item| {
+        count(&item, 1, "a whole number of pixels, at least 1")
+    })?;
+    let extent = if let [width, height] = sides[..] {
+        Extent::new(width, height)
+    } else {
+        None
+    };
     extent.ok_or_else(|| node.unexpected(SIZE, format_args!("{} numbers", sides.len())))
 }

@@ -16,24 +16,47 @@ pub(crate) fn number(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem
     if node.kind() != Kind::Number {
         return Err(node.wrong_kind(expected));
     }
-    let value: f64 = node.text.parse().map_err(|_| node.problem(Code::BadValue, format!("not a number: {}", quote(node.text))))?;
+    let value: f64 = node.text.parse().map_err(|_| {
+        node.problem(
+            Code::BadValue,
+            format!("not a number: {}", quote(node.text)),
+        )
+    })?;
     if value.is_finite() {
         Ok(value)
     } else {
-        Err(node.problem(Code::NotFinite, format!("the number exceeds the range of a 64-bit float: {}", quote(node.text))))
+        Err(node.problem(
+            Code::NotFinite,
+            format!(
+                "the number exceeds the range of a 64-bit float: {}",
+                quote(node.text)
+            ),
+        ))
     }
 }
 
 /// A number above zero.
 pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Problem> {
     let value = number(node, expected)?;
-    if value > 0.0 { Ok(value) } else { Err(node.unexpected(expected, Compact(value)).actual(value)) }
+    if value > 0.0 {
+        Ok(value)
+    } else {
+        Err(node.unexpected(expected, Compact(value)).actual(value))
+    }
 }
 
 /// A number in a range.
-pub(crate) fn number_in(node: &Node<'_, '_>, range: RangeInclusive<f64>, expected: &str) -> Result<f64, Problem> {
+pub(crate) fn number_in(
+    node: &Node<'_, '_>,
+    range: RangeInclusive<f64>,
+    expected: &str,
+) -> Result<f64, Problem> {
     let value = number(node, expected)?;
-    if range.contains(&value) { Ok(value) } else { Err(node.unexpected(expected, Compact(value)).actual(value)) }
+    if range.contains(&value) {
+        Ok(value)
+    } else {
+        Err(node.unexpected(expected, Compact(value)).actual(value))
+    }
 }
 
 /// A whole number, at least 0; `8.0` and `1e3` are whole numbers.
@@ -43,7 +66,11 @@ pub(crate) fn whole(node: &Node<'_, '_>, expected: &str) -> Result<u64, Problem>
     }
     let value = number(node, expected)?;
     if (0.0..=MAX_WHOLE).contains(&value) && value.fract() == 0.0 {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a whole number of 0..=2^53")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a whole number of 0..=2^53"
+        )]
         let value = value as u64;
         Ok(value)
     } else {
@@ -58,7 +85,12 @@ pub(crate) fn integer(node: &Node<'_, '_>, most: i32, expected: &str) -> Result<
         return Err(node.unexpected(expected, quote(node.text)).actual(value));
     }
     if value.abs() > f64::from(most) {
-        return Err(node.unexpected(&format!("{expected} between -{most} and {most}"), Compact(value)).actual(value));
+        return Err(node
+            .unexpected(
+                &format!("{expected} between -{most} and {most}"),
+                Compact(value),
+            )
+            .actual(value));
     }
     #[expect(clippy::cast_possible_truncation, reason = "a whole number in range")]
     let value = value as i32;
@@ -71,6 +103,8 @@ pub(crate) fn count(node: &Node<'_, '_>, min: u32, expected: &str) -> Result<u32
     match u32::try_from(value) {
         Ok(count) if count >= min => Ok(count),
         Ok(count) => Err(node.unexpected(expected, count).actual(count)),
-        Err(_) => Err(node.unexpected(&format!("{expected}, at most {}", u32::MAX), value).limit("count", u32::MAX, value)),
+        Err(_) => Err(node
+            .unexpected(&format!("{expected}, at most {}", u32::MAX), value)
+            .limit("count", u32::MAX, value)),
     }
 }

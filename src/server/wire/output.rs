@@ -17,8 +17,10 @@ use crate::problem::{Code, Problem};
 const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
 /// The longest side of a canvas: from one farthest edge to the other.
 const LONGEST: u32 = 2 * FARTHEST.unsigned_abs();
-const OUTSIDE: &str = "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`, {\"value\": number or [r, g, b]}";
-const VALUE: &str = "a whole number of 0 to 65535, in units of the image's depth, or three of them: [r, g, b]";
+const OUTSIDE: &str =
+    "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`, {\"value\": number or [r, g, b]}";
+const VALUE: &str =
+    "a whole number of 0 to 65535, in units of the image's depth, or three of them: [r, g, b]";
 
 /// The fields that a request gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -54,7 +56,17 @@ impl OutputPatch {
         if node.kind() == Kind::String {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
-        let [format, quality_, subsampling, compression, width_, filter, outside_, canvas_, holes] = node.fields(&fields::OUTPUT)?;
+        let [
+            format,
+            quality_,
+            subsampling,
+            compression,
+            width_,
+            filter,
+            outside_,
+            canvas_,
+            holes,
+        ] = node.fields(&fields::OUTPUT)?;
         Ok(Self {
             format: optional(format, enum_name)?,
             quality: optional(quality_, quality)?,
@@ -81,17 +93,29 @@ pub(super) fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
             other => Err(unknown_name(node, other, &[], &["same", "fit"], CANVAS)),
         },
         Kind::Object => {
-            let [Some(x), Some(y), Some(width), Some(height)] = node.fields(&fields::CANVAS)? else {
-                return Err(node.problem(Code::BadValue, format!("expected `x`, `y`, `width` and `height`; a canvas is one of {CANVAS}")));
+            let [Some(x), Some(y), Some(width), Some(height)] = node.fields(&fields::CANVAS)?
+            else {
+                return Err(node.problem(
+                    Code::BadValue,
+                    format!("expected `x`, `y`, `width` and `height`; a canvas is one of {CANVAS}"),
+                ));
             };
             let place = |node: &Node<'_, '_>| integer(node, FARTHEST, "a whole number of pixels");
             let side = |node: &Node<'_, '_>| {
                 let expected = format!("a whole number of pixels, 1 to {LONGEST}");
                 let side = count(node, 1, &expected)?;
-                if side <= LONGEST { Ok(side) } else { Err(node.unexpected(&expected, side).actual(side)) }
+                if side <= LONGEST {
+                    Ok(side)
+                } else {
+                    Err(node.unexpected(&expected, side).actual(side))
+                }
             };
             let extent = Extent::new(side(&width)?, side(&height)?).expect("at least 1");
-            Ok(CanvasSpec::Box(Canvas { x: place(&x)?, y: place(&y)?, extent }))
+            Ok(CanvasSpec::Box(Canvas {
+                x: place(&x)?,
+                y: place(&y)?,
+                extent,
+            }))
         }
         _ => Err(node.wrong_kind(&format!("one of {CANVAS}"))),
     }
@@ -100,15 +124,27 @@ pub(super) fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
 /// Reads a canvas of the command line: `same`, `fit`, or `x,y,width,height`.
 /// Errors: What was expected.
 pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
-    let numbers: Option<Vec<i64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    let place = |place: i64| i32::try_from(place).ok().filter(|place| place.abs() <= FARTHEST);
+    let numbers: Option<Vec<i64>> = text
+        .split(',')
+        .map(|number| number.trim().parse().ok())
+        .collect();
+    let place = |place: i64| {
+        i32::try_from(place)
+            .ok()
+            .filter(|place| place.abs() <= FARTHEST)
+    };
     let side = |side: i64| u32::try_from(side).ok().filter(|side| *side <= LONGEST);
     match (text, numbers.as_deref()) {
         ("same", _) => Ok(CanvasSpec::Same),
         ("fit", _) => Ok(CanvasSpec::Fit),
         (_, Some(&[x, y, width, height])) => {
-            let extent = side(width).zip(side(height)).and_then(|(width, height)| Extent::new(width, height));
-            let canvas = place(x).zip(place(y)).zip(extent).map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
+            let extent = side(width)
+                .zip(side(height))
+                .and_then(|(width, height)| Extent::new(width, height));
+            let canvas = place(x)
+                .zip(place(y))
+                .zip(extent)
+                .map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
             canvas.ok_or_else(|| format!("x and y must lie between -{FARTHEST} and {FARTHEST}, width and height between 1 and {LONGEST}"))
         }
         _ => Err("expected `same`, `fit`, or four whole numbers: x,y,width,height".to_owned()),
@@ -143,8 +179,12 @@ fn outside(node: &Node<'_, '_>) -> Result<Outside, Problem> {
             Some(colour) => Ok(Outside::Colour(colour)),
             None => {
                 let colour = suggest::colour(&text);
-                let meant = suggest::value(&text, &["transparent", "edge", "reflect"]).or(colour.as_deref());
-                Err(node.unexpected(&format!("one of {OUTSIDE}"), format_args!("{}{}", quote(&text), did_you_mean(meant))))
+                let meant = suggest::value(&text, &["transparent", "edge", "reflect"])
+                    .or(colour.as_deref());
+                Err(node.unexpected(
+                    &format!("one of {OUTSIDE}"),
+                    format_args!("{}{}", quote(&text), did_you_mean(meant)),
+                ))
             }
         },
     }
@@ -161,11 +201,17 @@ fn value(node: &Node<'_, '_>) -> Result<[u16; 3], Problem> {
     }
     let (mut value, mut count) = ([0; 3], 0);
     node.items::<Problem>(VALUE, |index, item| {
-        *value.get_mut(index).ok_or_else(|| node.unexpected(VALUE, "more than 3 numbers"))? = sample(&item)?;
+        *value
+            .get_mut(index)
+            .ok_or_else(|| node.unexpected(VALUE, "more than 3 numbers"))? = sample(&item)?;
         count += 1;
         Ok(())
     })?;
-    if count == value.len() { Ok(value) } else { Err(node.unexpected(VALUE, format_args!("{count} of 3 numbers"))) }
+    if count == value.len() {
+        Ok(value)
+    } else {
+        Err(node.unexpected(VALUE, format_args!("{count} of 3 numbers")))
+    }
 }
 
 /// Straight RGBA of 6 or 8 hexadecimal digits; opaque with 6.

@@ -71,7 +71,10 @@ pub(crate) fn plan_file_bytes(table: &Table, precision: Precision) -> u64 {
 /// The file; `None` if a coefficient is too large for the precision.
 ///
 /// Errors: Cancelled.
-#[expect(clippy::cast_possible_truncation, reason = "counts of columns and handles are far below 2^32; a share is a f32")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "counts of columns and handles are far below 2^32; a share is a f32"
+)]
 pub(crate) fn plan_file(
     table: &Table,
     plan: &Plan,
@@ -85,10 +88,18 @@ pub(crate) fn plan_file(
         Method::Rigid => 2,
     };
     let (grid, members) = (table.grid(), table.members());
-    let counts = [table.columns() as u32, members.len() as u32, extent.width(), extent.height()];
+    let counts = [
+        table.columns() as u32,
+        members.len() as u32,
+        extent.width(),
+        extent.height(),
+    ];
     let mut out = Vec::with_capacity(plan_file_bytes(table, precision) as usize);
     out.extend(MAGIC);
-    for number in [family, precision.bytes(), grid.columns(), grid.rows()].iter().chain(&counts) {
+    for number in [family, precision.bytes(), grid.columns(), grid.rows()]
+        .iter()
+        .chain(&counts)
+    {
         out.extend(number.to_le_bytes());
     }
     out.extend(rest_revision(table.rest_digest()));

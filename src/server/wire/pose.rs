@@ -26,16 +26,28 @@ pub struct PosePatch {
 
 impl PosePatch {
     /// `most`: the number of handles, of which one more is refused before the rest is read.
-    pub(crate) fn read([q, strength_]: [Option<Node<'_, '_>>; 2], most: usize) -> Result<Self, Problem> {
-        Ok(Self { q: optional(q, |q| posed_handles(q, most))?, strength: optional(strength_, strength)? })
+    pub(crate) fn read(
+        [q, strength_]: [Option<Node<'_, '_>>; 2],
+        most: usize,
+    ) -> Result<Self, Problem> {
+        Ok(Self {
+            q: optional(q, |q| posed_handles(q, most))?,
+            strength: optional(strength_, strength)?,
+        })
     }
 
     /// The pose that is meant. A strength belongs to its `q`: that of the session does not apply to another one.
     /// Errors: `bad_value` at `/q` if neither the request nor the session has one.
     pub fn onto(self, session: Option<&Pose>) -> Result<Pose, Problem> {
         match (self.q, session) {
-            (Some(q), _) => Ok(Pose { q, strength: self.strength.unwrap_or(1.0) }),
-            (None, Some(pose)) => Ok(Pose { q: pose.q.clone(), strength: self.strength.unwrap_or(pose.strength) }),
+            (Some(q), _) => Ok(Pose {
+                q,
+                strength: self.strength.unwrap_or(1.0),
+            }),
+            (None, Some(pose)) => Ok(Pose {
+                q: pose.q.clone(),
+                strength: self.strength.unwrap_or(pose.strength),
+            }),
             (None, None) => Err(missing_q()),
         }
     }

@@ -52,7 +52,12 @@ impl ReportAnswer<'_> {
     /// Upper bound of its JSON, bytes.
     #[must_use]
     pub fn text_bytes(&self) -> usize {
-        let Quality { residuals, folds, coincident, .. } = self.quality;
+        let Quality {
+            residuals,
+            folds,
+            coincident,
+            ..
+        } = self.quality;
         let groups: usize = coincident.iter().map(|group| group.handles.len() + 8).sum();
         let warnings: usize = self.warnings.iter().map(WarningEntry::text_bytes).sum();
         FIXED_TEXT + warnings + NUMBER_TEXT * (residuals.len() + 4 * folds.boxes.len() + groups)
@@ -62,7 +67,17 @@ impl ReportAnswer<'_> {
 // Numbers that are not finite become `null`.
 impl Serialize for ReportAnswer<'_> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Quality { residuals, folds, orientation, distortion, canvas, covered, tolerance, coincident, round_trip } = self.quality;
+        let Quality {
+            residuals,
+            folds,
+            orientation,
+            distortion,
+            canvas,
+            covered,
+            tolerance,
+            coincident,
+            round_trip,
+        } = self.quality;
         let picture = self.picture;
         let mut object = s.serialize_map(Some(15))?;
         object.serialize_entry("residuals", residuals)?;
@@ -87,8 +102,20 @@ impl Serialize for ReportAnswer<'_> {
 /// Folds, with boxes in the frame of a picture.
 impl Serialize for AsJson<(&FoldRegions, Option<Frame>)> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let (FoldRegions { cells, share, regions, boxes }, picture) = self.0;
-        let corner = |x, y| picture.map_or(Point::new(x, y), |picture| picture.from_plane(Point::new(x, y)));
+        let (
+            FoldRegions {
+                cells,
+                share,
+                regions,
+                boxes,
+            },
+            picture,
+        ) = self.0;
+        let corner = |x, y| {
+            picture.map_or(Point::new(x, y), |picture| {
+                picture.from_plane(Point::new(x, y))
+            })
+        };
         let shown = |[left, top, right, bottom]: &[f64; 4]| {
             let (first, last) = (corner(*left, *top), corner(*right, *bottom));
             [first.x, first.y, last.x, last.y]
@@ -142,7 +169,12 @@ impl Serialize for AsJson<Alignment> {
 
 impl Serialize for AsJson<RoundTrip> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let RoundTrip { positions, in_folds, missing, distance } = self.0;
+        let RoundTrip {
+            positions,
+            in_folds,
+            missing,
+            distance,
+        } = self.0;
         let mut object = s.serialize_map(Some(5))?;
         object.serialize_entry("positions", &positions)?;
         object.serialize_entry("in_folds", &in_folds)?;

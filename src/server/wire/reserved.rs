@@ -42,7 +42,10 @@ impl<T, H> Reserved<T, H> {
         read: impl FnOnce() -> Result<T, E>,
     ) -> Result<Self, E> {
         let held = reserve(most)?;
-        Ok(Self { value: read()?, held })
+        Ok(Self {
+            value: read()?,
+            held,
+        })
     }
 
     /// The memory.
@@ -52,12 +55,18 @@ impl<T, H> Reserved<T, H> {
 
     /// What is made of the value, in the same memory.
     pub fn map<U>(self, make: impl FnOnce(T) -> U) -> Reserved<U, H> {
-        Reserved { value: make(self.value), held: self.held }
+        Reserved {
+            value: make(self.value),
+            held: self.held,
+        }
     }
 
     /// As [`Reserved::map`].
     pub fn try_map<U, E>(self, make: impl FnOnce(T) -> Result<U, E>) -> Result<Reserved<U, H>, E> {
-        Ok(Reserved { value: make(self.value)?, held: self.held })
+        Ok(Reserved {
+            value: make(self.value)?,
+            held: self.held,
+        })
     }
 
     /// Takes a part out of the value, with its part of the memory.
@@ -79,8 +88,12 @@ pub(super) fn reading_bytes(json: &[u8]) -> u64 {
     if node.kind() != Kind::Object {
         return value_bytes(text);
     }
-    let stays = |name: &str| fields::ANNOTATIONS.contains(&name.trim_matches('"')) || name == "\"frames\"";
-    node.pairs().filter(|(name, _)| !stays(name)).map(|(_, value)| value_bytes(value)).sum()
+    let stays =
+        |name: &str| fields::ANNOTATIONS.contains(&name.trim_matches('"')) || name == "\"frames\"";
+    node.pairs()
+        .filter(|(name, _)| !stays(name))
+        .map(|(_, value)| value_bytes(value))
+        .sum()
 }
 
 /// What begins with each byte takes at most, while the list that it is in grows to twice its length: a position, an object, a number, `null`
@@ -123,8 +136,14 @@ parsers! {
 
 impl<H> Reserved<PointsObject, H> {
     /// Reads the object of `/points`; annotations stay text. `most_bytes`: the most bytes of everything else.
-    pub fn parse(body: &Bytes, most_bytes: u64, reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Self, Problem> {
-        Self::read(reading_bytes(body), reserve, || PointsObject::parse(body, most_bytes))
+    pub fn parse(
+        body: &Bytes,
+        most_bytes: u64,
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
+        Self::read(reading_bytes(body), reserve, || {
+            PointsObject::parse(body, most_bytes)
+        })
     }
 
     /// Reads the object of `/sessions/{id}/points`. `source` and `output`: those of the session.
@@ -135,12 +154,17 @@ impl<H> Reserved<PointsObject, H> {
         output: &OutputSpec,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(reading_bytes(body), reserve, || PointsObject::parse_posed(body, most_bytes, source, output))
+        Self::read(reading_bytes(body), reserve, || {
+            PointsObject::parse_posed(body, most_bytes, source, output)
+        })
     }
 }
 
 impl<H> Reserved<WarpPatch, H> {
-    pub(crate) fn parse(json: &[u8], reserve: impl FnOnce(u64) -> Result<H, Problem>) -> Result<Self, Problem> {
+    pub(crate) fn parse(
+        json: &[u8],
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
         Self::read(reading_bytes(json), reserve, || WarpPatch::parse(json))
     }
 }
@@ -153,7 +177,9 @@ impl<H> Reserved<Landmarks, H> {
         is_cancelled: &dyn Fn() -> bool,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(files.reading_bytes(max_columns), reserve, || files.read(max_columns, is_cancelled))
+        Self::read(files.reading_bytes(max_columns), reserve, || {
+            files.read(max_columns, is_cancelled)
+        })
     }
 
     /// As [`Self::of_files`], for what takes the place of fields of a request.
@@ -164,6 +190,8 @@ impl<H> Reserved<Landmarks, H> {
         is_cancelled: &dyn Fn() -> bool,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(files.reading_bytes(max_columns), reserve, || files.read_for(target, max_columns, is_cancelled))
+        Self::read(files.reading_bytes(max_columns), reserve, || {
+            files.read_for(target, max_columns, is_cancelled)
+        })
     }
 }

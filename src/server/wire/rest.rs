@@ -16,7 +16,8 @@ use crate::problem::{Code, Problem};
 
 const COINCIDENT: &str = "an object, {\"policy\": \"mean\" or \"reject\", \"within\": px}";
 const WITHIN: &str = "a distance in pixels, 0 to 1000000";
-const GRID: &str = "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
+const GRID: &str =
+    "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
 
 /// The fields that a warp object gives. They replace the defaults, or the values of a session.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -89,7 +90,10 @@ impl WarpPatch {
             folds: optional(folds, enum_name)?,
             output: optional(output, OutputPatch::read)?.unwrap_or_default(),
             has_unmatched,
-            choice: Choice { matching: optional(matching, enum_name)?, item: optional(item, Item::read)? },
+            choice: Choice {
+                matching: optional(matching, enum_name)?,
+                item: optional(item, Item::read)?,
+            },
         })
     }
 
@@ -97,7 +101,11 @@ impl WarpPatch {
     /// Errors: `bad_value` at the first field that says the same.
     pub(crate) fn require_no_handles(&mut self) -> Result<(), Problem> {
         self.choice = Choice::default();
-        let given = [("p", self.p.is_some()), ("q", self.q.is_some()), ("units", self.units.is_some())];
+        let given = [
+            ("p", self.p.is_some()),
+            ("q", self.q.is_some()),
+            ("units", self.units.is_some()),
+        ];
         require_no_handles(|name| given.contains(&(name, true)))
     }
 
@@ -114,9 +122,11 @@ impl WarpPatch {
     pub(crate) fn into_object(self) -> Result<WarpObject, Problem> {
         let patch = self.without_files()?;
         match (&patch.p, &patch.q) {
-            (None, Some(q)) if !q.is_empty() => {
-                Err(Problem::new(Code::BadValue, "`p` is missing: where do the handles start?").pointer("/p"))
-            }
+            (None, Some(q)) if !q.is_empty() => Err(Problem::new(
+                Code::BadValue,
+                "`p` is missing: where do the handles start?",
+            )
+            .pointer("/p")),
             _ => Ok(patch.merge_onto(WarpObject::default())),
         }
     }
@@ -124,14 +134,31 @@ impl WarpPatch {
     /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p` without them have none. Parameters belong to their
     /// method: another method that does not have them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
-        let weights = if self.p.is_some() { self.weights } else { self.weights.or(base.rest.weights) };
+        let weights = if self.p.is_some() {
+            self.weights
+        } else {
+            self.weights.or(base.rest.weights)
+        };
         let has_unmatched = self.has_unmatched || self.p.is_none() && base.rest.has_unmatched;
         let is_auto = self.method == Some(RequestedMethod::Auto);
-        let method = self.method.and_then(RequestedMethod::method).unwrap_or(if is_auto { Method::default() } else { base.rest.method });
-        let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && method.is_like(base.rest.method));
+        let method = self
+            .method
+            .and_then(RequestedMethod::method)
+            .unwrap_or(if is_auto {
+                Method::default()
+            } else {
+                base.rest.method
+            });
+        let kept = |parameter: Option<f64>| {
+            parameter.filter(|_| !is_auto && method.is_like(base.rest.method))
+        };
         // A pose belongs to its handles, and a strength to its pose.
         let is_posed_so = self.p.as_ref().is_none_or(|p| *p == base.rest.p);
-        let kept_strength = if self.q.is_none() && is_posed_so { base.strength } else { 1.0 };
+        let kept_strength = if self.q.is_none() && is_posed_so {
+            base.strength
+        } else {
+            1.0
+        };
         WarpObject {
             rest: RestSpec {
                 p: self.p.unwrap_or(base.rest.p),
@@ -160,7 +187,9 @@ impl WarpPatch {
 pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), Problem> {
     match ["p", "q", "units"].into_iter().find(|name| is_given(name)) {
         Some(name) => {
-            let detail = format!("both `{name}` and landmark files are given: the files say it already; leave `{name}` out");
+            let detail = format!(
+                "both `{name}` and landmark files are given: the files say it already; leave `{name}` out"
+            );
             Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
         }
         None => Ok(()),
@@ -169,17 +198,27 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
 
 /// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say nothing more; the result: whether
 /// landmarks are `unmatched`.
-pub(crate) fn of_landmarks([names, format, unmatched]: [Option<Node<'_, '_>>; 3], p: Option<&[Handle]>) -> Result<bool, Problem> {
+pub(crate) fn of_landmarks(
+    [names, format, unmatched]: [Option<Node<'_, '_>>; 3],
+    p: Option<&[Handle]>,
+) -> Result<bool, Problem> {
     const NAMES: &str = "an array of names, one for each handle";
     // None of them is kept.
     let count = |node: &Node<'_, '_>| {
         let mut count = 0;
-        node.items(NAMES, |_, item| item.string("a name").map(|_| count += 1)).map(|()| count)
+        node.items(NAMES, |_, item| item.string("a name").map(|_| count += 1))
+            .map(|()| count)
     };
     if let Some(node) = names {
         let (found, handles) = (count(&node)?, p.map(<[_]>::len));
         if handles.is_some_and(|handles| handles != found) {
-            return Err(node.problem(Code::ShapeMismatch, format!("`names` has {found}, but `p` has {}", handles.unwrap_or_default())));
+            return Err(node.problem(
+                Code::ShapeMismatch,
+                format!(
+                    "`names` has {found}, but `p` has {}",
+                    handles.unwrap_or_default()
+                ),
+            ));
         }
     }
     if let Some(node) = format
@@ -187,7 +226,10 @@ pub(crate) fn of_landmarks([names, format, unmatched]: [Option<Node<'_, '_>>; 3]
     {
         // The format of a picture stands elsewhere.
         let hint = suggest::field("format", &fields::useful(&fields::WARP));
-        let detail = format!("unknown field: `format`{}", advice(hint, "the format of a landmark file is its only value"));
+        let detail = format!(
+            "unknown field: `format`{}",
+            advice(hint, "the format of a landmark file is its only value")
+        );
         return Err(Problem::new(Code::UnknownField, detail).pointer("/format"));
     }
     optional(unmatched, |node| {
@@ -199,7 +241,11 @@ pub(crate) fn of_landmarks([names, format, unmatched]: [Option<Node<'_, '_>>; 3]
 
 /// How much of the way from p to q the handles are moved.
 pub(crate) fn strength(node: &Node<'_, '_>) -> Result<f64, Problem> {
-    number_in(node, RestSpec::STRENGTHS, "a number between -10 and 10, where 1 is 100 %")
+    number_in(
+        node,
+        RestSpec::STRENGTHS,
+        "a number between -10 and 10, where 1 is 100 %",
+    )
 }
 
 fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
@@ -211,7 +257,10 @@ fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
         value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),
         value => Err(node.unexpected(WITHIN, Compact(value)).actual(value)),
     };
-    Ok(Coincident { policy: optional(policy, enum_name)?.unwrap_or_default(), within: optional(within, distance)?.unwrap_or_default() })
+    Ok(Coincident {
+        policy: optional(policy, enum_name)?.unwrap_or_default(),
+        within: optional(within, distance)?.unwrap_or_default(),
+    })
 }
 
 fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {

@@ -4,8 +4,20 @@ use super::fields::{GRID, OUTPUT, WARP};
 use crate::problem::words::nearest;
 
 /// What other programs call the handles at rest, posed, and both.
-const REST: [&str; 12] =
-    ["src", "source", "sources", "from", "rest", "original", "before", "start", "src_points", "source_points", "src_pts", "control_points"];
+const REST: [&str; 12] = [
+    "src",
+    "source",
+    "sources",
+    "from",
+    "rest",
+    "original",
+    "before",
+    "start",
+    "src_points",
+    "source_points",
+    "src_pts",
+    "control_points",
+];
 const POSED: [&str; 14] = [
     "dst",
     "dest",
@@ -23,21 +35,56 @@ const POSED: [&str; 14] = [
     "dst_pts",
 ];
 /// What other programs call the height of a picture, or both of its sides.
-const SIZES: [&str; 6] = ["height", "size", "scale", "resize", "dimensions", "resolution"];
+const SIZES: [&str; 6] = [
+    "height",
+    "size",
+    "scale",
+    "resize",
+    "dimensions",
+    "resolution",
+];
 const BOTH: [&str; 5] = ["points", "handles", "pins", "landmarks", "pairs"];
 
 /// Fields of the warp object that a session does not keep.
-const NOT_KEPT: [&str; 7] = ["output", "strength", "names", "format", "unmatched", "match", "item"];
+const NOT_KEPT: [&str; 7] = [
+    "output",
+    "strength",
+    "names",
+    "format",
+    "unmatched",
+    "match",
+    "item",
+];
 
 /// Other names of fields.
-const OTHER_FIELDS: [(&str, &str); 4] = [("family", "method"), ("background", "outside"), ("interpolation", "filter"), ("mesh", "grid")];
+const OTHER_FIELDS: [(&str, &str); 4] = [
+    ("family", "method"),
+    ("background", "outside"),
+    ("interpolation", "filter"),
+    ("mesh", "grid"),
+];
 /// Fields of other requests, and where they go.
 const OF_OTHERS: [(&[&str], &str); 5] = [
-    (&["frames", "steps", "easing", "jitter"], "belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch"),
-    (&["polygons", "boxes", "geojson", "inverse", "refine"], "belongs to annotations: POST /points, or mlswarp points"),
-    (&["candidates"], "belongs to a comparison of methods: POST /fit"),
-    (&["direction"], "belongs to a map of coordinates: POST /map, or mlswarp map"),
-    (&["seq", "layer"], "belongs to a drag of a session: POST /sessions/{id}/warp"),
+    (
+        &["frames", "steps", "easing", "jitter"],
+        "belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch",
+    ),
+    (
+        &["polygons", "boxes", "geojson", "inverse", "refine"],
+        "belongs to annotations: POST /points, or mlswarp points",
+    ),
+    (
+        &["candidates"],
+        "belongs to a comparison of methods: POST /fit",
+    ),
+    (
+        &["direction"],
+        "belongs to a map of coordinates: POST /map, or mlswarp map",
+    ),
+    (
+        &["seq", "layer"],
+        "belongs to a drag of a session: POST /sessions/{id}/warp",
+    ),
 ];
 /// Other names of values.
 const OTHER_VALUES: [(&str, &str); 8] = [
@@ -75,7 +122,10 @@ const COLOURS: [(&str, &str); 20] = [
 ];
 
 fn in_table<'a>(table: &[(&str, &'a str)], name: &str) -> Option<&'a str> {
-    table.iter().find(|(other, _)| name.eq_ignore_ascii_case(other)).map(|(_, meant)| *meant)
+    table
+        .iter()
+        .find(|(other, _)| name.eq_ignore_ascii_case(other))
+        .map(|(_, meant)| *meant)
 }
 
 /// A hint for a field that an object does not have; `known`: the fields that it has.
@@ -89,9 +139,15 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
     let is_any = |names: &[&str]| names.iter().any(|other| name.eq_ignore_ascii_case(other));
     let hint = match (has("q"), has("p")) {
         (true, _) if is_any(&["warp"]) => "send the content of `warp`, without `warp`",
-        (true, true) if is_any(&["image"]) && !has("extent") => "the image is a part of its own, beside the part `warp`",
-        _ if has("extent") && (is_any(&SIZES) || is_any(&["width"])) => "the size of the image is `extent`: [width, height]",
-        _ if (has("output") || has("quality")) && is_any(&SIZES) => "the height follows from `output.width`",
+        (true, true) if is_any(&["image"]) && !has("extent") => {
+            "the image is a part of its own, beside the part `warp`"
+        }
+        _ if has("extent") && (is_any(&SIZES) || is_any(&["width"])) => {
+            "the size of the image is `extent`: [width, height]"
+        }
+        _ if (has("output") || has("quality")) && is_any(&SIZES) => {
+            "the height follows from `output.width`"
+        }
         (true, false) if has("points") && is_any(&BOTH) => "did you mean `points`?",
         (true, true) if is_any(&[&REST[..], &POSED, &BOTH].concat()) => {
             "did you mean `p` and `q`? `p` is where the handles are, `q` is where they go"
@@ -100,11 +156,14 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
         (true, false) if name == "p" || is_any(&[&REST[..], &BOTH].concat()) => OF_SESSION,
         // These belong to a request and are not replaced there.
         (true, false) if !NOT_KEPT.contains(&name) && WARP.contains(&name) => {
-            return Some(format!("the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"));
+            return Some(format!(
+                "the session has `{name}`; replace it with PUT /sessions/{{id}}/handles"
+            ));
         }
         _ => {
             let (object, inner) = name.split_once('.').filter(|(object, _)| has(object))?;
-            let is_field = (object == "output" && OUTPUT.contains(&inner)) || (object == "grid" && GRID.contains(&inner));
+            let is_field = (object == "output" && OUTPUT.contains(&inner))
+                || (object == "grid" && GRID.contains(&inner));
             return is_field.then(|| format!("nest it: {{\"{object}\": {{\"{inner}\": ...}}}}"));
         }
     };
@@ -114,16 +173,23 @@ fn special(name: &str, known: &[&str]) -> Option<String> {
 fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
     // Of a warp object the type could be anything.
     let is_format = name == "type" && known.contains(&"quality");
-    let name = if is_format { "format" } else { in_table(&OTHER_FIELDS, name).unwrap_or(name) };
-    let inside = |object: &str, fields: &[&str], name: &str| {
-        (known.contains(&object) && fields.contains(&name)).then(|| format!("put it in `{object}`: `{object}.{name}`"))
+    let name = if is_format {
+        "format"
+    } else {
+        in_table(&OTHER_FIELDS, name).unwrap_or(name)
     };
-    let nested = |name: &str| inside("output", &OUTPUT, name).or_else(|| inside("grid", &GRID, name));
+    let inside = |object: &str, fields: &[&str], name: &str| {
+        (known.contains(&object) && fields.contains(&name))
+            .then(|| format!("put it in `{object}`: `{object}.{name}`"))
+    };
+    let nested =
+        |name: &str| inside("output", &OUTPUT, name).or_else(|| inside("grid", &GRID, name));
     let is_output = known.contains(&"compression");
     let outside = || {
         let object = if is_output { "output" } else { "grid" };
         let is_inner = is_output || known == GRID;
-        (is_inner && WARP.contains(&name) && !known.contains(&name)).then(|| format!("put it beside `{object}`, not in it"))
+        (is_inner && WARP.contains(&name) && !known.contains(&name))
+            .then(|| format!("put it beside `{object}`, not in it"))
     };
     let of_others = || {
         let (_, place) = OF_OTHERS.iter().find(|(names, _)| names.contains(&name))?;
@@ -132,15 +198,19 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
     // A name of another level is known only if it is spelled right: a similar one would be a guess about two things.
     nested(name)
         .or_else(outside)
-        .or_else(|| nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?")))
+        .or_else(|| {
+            nearest(name, known.iter().copied()).map(|meant| format!("did you mean `{meant}`?"))
+        })
         .or_else(of_others)
 }
 
-const OF_SESSION: &str = "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
+const OF_SESSION: &str =
+    "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
 
 /// The name that was probably meant by a value that is none of `names`.
 pub(crate) fn value<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
-    let other = in_table(&OTHER_VALUES, text).and_then(|meant| names.iter().copied().find(|name| *name == meant));
+    let other = in_table(&OTHER_VALUES, text)
+        .and_then(|meant| names.iter().copied().find(|name| *name == meant));
     other.or_else(|| nearest(text, names.iter().copied()))
 }
 
@@ -149,7 +219,10 @@ pub(crate) fn colour(text: &str) -> Option<String> {
     if let Some(known) = in_table(&COLOURS, text) {
         return Some(known.to_owned());
     }
-    let digits = text.strip_prefix('#').or_else(|| text.strip_prefix("0x")).unwrap_or(text);
+    let digits = text
+        .strip_prefix('#')
+        .or_else(|| text.strip_prefix("0x"))
+        .unwrap_or(text);
     let is_word = digits == text && !text.bytes().any(|b| b.is_ascii_digit());
     if is_word || !digits.bytes().all(|b| b.is_ascii_hexdigit()) {
         return None;
@@ -181,34 +254,88 @@ mod tests {
             ("p", &drag, Some(OF_SESSION)),
             ("width", &WARP, Some("put it in `output`: `output.width`")),
             ("width", &drag, Some("put it in `output`: `output.width`")),
-            ("background", &WARP, Some("put it in `output`: `output.outside`")),
+            (
+                "background",
+                &WARP,
+                Some("put it in `output`: `output.outside`"),
+            ),
             ("qualitty", &WARP, None),
             ("qualitty", &OUTPUT, Some("did you mean `quality`?")),
             ("type", &WARP, None),
             ("type", &OUTPUT, Some("did you mean `format`?")),
             ("layer", &BATCH, Some("did you mean `layers`?")),
-            ("steps", &WARP, Some("`steps` belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch")),
-            ("boxes", &WARP, Some("`boxes` belongs to annotations: POST /points, or mlswarp points")),
+            (
+                "steps",
+                &WARP,
+                Some(
+                    "`steps` belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch",
+                ),
+            ),
+            (
+                "boxes",
+                &WARP,
+                Some("`boxes` belongs to annotations: POST /points, or mlswarp points"),
+            ),
             ("cell", &WARP, Some("put it in `grid`: `grid.cell`")),
             ("method", &OUTPUT, Some("put it beside `output`, not in it")),
             ("alpha", &GRID, Some("put it beside `grid`, not in it")),
             ("metod", &WARP, Some("did you mean `method`?")),
             ("cells", &GRID, Some("did you mean `cell`?")),
             ("width", &["q", "seq"], None),
-            ("height", &WARP, Some("the height follows from `output.width`")),
-            ("Size", &OUTPUT, Some("the height follows from `output.width`")),
-            ("scale", &drag, Some("the height follows from `output.width`")),
-            ("width", &WARP_WITH_POINTS, Some("the size of the image is `extent`: [width, height]")),
-            ("warp", &WARP, Some("send the content of `warp`, without `warp`")),
+            (
+                "height",
+                &WARP,
+                Some("the height follows from `output.width`"),
+            ),
+            (
+                "Size",
+                &OUTPUT,
+                Some("the height follows from `output.width`"),
+            ),
+            (
+                "scale",
+                &drag,
+                Some("the height follows from `output.width`"),
+            ),
+            (
+                "width",
+                &WARP_WITH_POINTS,
+                Some("the size of the image is `extent`: [width, height]"),
+            ),
+            (
+                "warp",
+                &WARP,
+                Some("send the content of `warp`, without `warp`"),
+            ),
             ("image", &POINTS_OF_SESSION, None),
-            ("image", &WARP, Some("the image is a part of its own, beside the part `warp`")),
-            ("output.format", &WARP, Some("nest it: {\"output\": {\"format\": ...}}")),
-            ("grid.cell", &WARP, Some("nest it: {\"grid\": {\"cell\": ...}}")),
+            (
+                "image",
+                &WARP,
+                Some("the image is a part of its own, beside the part `warp`"),
+            ),
+            (
+                "output.format",
+                &WARP,
+                Some("nest it: {\"output\": {\"format\": ...}}"),
+            ),
+            (
+                "grid.cell",
+                &WARP,
+                Some("nest it: {\"grid\": {\"cell\": ...}}"),
+            ),
             ("output.nothing", &WARP, None),
             ("p.x", &WARP, None),
-            ("method", &drag, Some("the session has `method`; replace it with PUT /sessions/{id}/handles")),
+            (
+                "method",
+                &drag,
+                Some("the session has `method`; replace it with PUT /sessions/{id}/handles"),
+            ),
             ("strength", &["q", "candidates"], None),
-            ("landmarks", &POINTS_OF_SESSION, Some("did you mean `points`?")),
+            (
+                "landmarks",
+                &POINTS_OF_SESSION,
+                Some("did you mean `points`?"),
+            ),
             ("pins", &POINTS_OF_SESSION, Some("did you mean `points`?")),
             ("landmarks", &WARP_WITH_POINTS, Some(both)),
             ("frobnicate", &WARP, None),

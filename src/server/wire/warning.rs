@@ -18,7 +18,10 @@ impl WarningEntry {
     /// A warning without figures.
     #[must_use]
     pub const fn of(code: &'static str) -> Self {
-        Self { code, figures: Vec::new() }
+        Self {
+            code,
+            figures: Vec::new(),
+        }
     }
 
     /// Upper bound of its JSON, bytes.
@@ -40,7 +43,10 @@ impl WarningEntry {
 
 impl From<&Warning> for WarningEntry {
     fn from(warning: &Warning) -> Self {
-        Self { code: warning.code(), figures: warning.figures() }
+        Self {
+            code: warning.code(),
+            figures: warning.figures(),
+        }
     }
 }
 
@@ -87,7 +93,10 @@ mod tests {
             ("handles", Figure::Indices(vec![0, usize::MAX])),
             ("names", names),
         ];
-        let full = json(&WarningEntry { code: "a_code", figures });
+        let full = json(&WarningEntry {
+            code: "a_code",
+            figures,
+        });
         assert_eq!(
             full,
             r#"{"code":"a_code","cells":18446744073709551615,"scale":-2.2250738585072014e-308,"none":null,"handles":[0,18446744073709551615],"names":["a\"\u0001","é"]}"#

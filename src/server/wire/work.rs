@@ -19,7 +19,9 @@ pub(crate) struct Work<'c> {
 
 impl std::fmt::Debug for Work<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Work").field("bytes", &self.bytes).finish_non_exhaustive()
+        f.debug_struct("Work")
+            .field("bytes", &self.bytes)
+            .finish_non_exhaustive()
     }
 }
 
@@ -27,7 +29,12 @@ impl<'c> Work<'c> {
     /// `is_cancelled` is true when nobody wants the result any more.
     pub(crate) fn new(is_cancelled: &'c dyn Fn() -> bool) -> Self {
         let (bytes, asked, is_stopped) = (Cell::new(0), Cell::new(0), Cell::new(false));
-        Self { is_cancelled, bytes, asked, is_stopped }
+        Self {
+            is_cancelled,
+            bytes,
+            asked,
+            is_stopped,
+        }
     }
 
     /// Bytes that were looked at; those that several passes have looked at count in each.
@@ -47,7 +54,8 @@ impl<'c> Work<'c> {
         self.bytes.set(total);
         if total >= self.asked.get() + PIECE {
             self.asked.set(total);
-            self.is_stopped.set(self.is_stopped.get() || (self.is_cancelled)());
+            self.is_stopped
+                .set(self.is_stopped.get() || (self.is_cancelled)());
         }
         !self.is_stopped.get()
     }
@@ -60,7 +68,9 @@ impl<'c> Work<'c> {
             match std::str::from_utf8(piece) {
                 Ok(_) => end += piece.len(),
                 // A character that goes on in the next piece.
-                Err(error) if error.error_len().is_none() && error.valid_up_to() > 0 => end += error.valid_up_to(),
+                Err(error) if error.error_len().is_none() && error.valid_up_to() > 0 => {
+                    end += error.valid_up_to()
+                }
                 Err(error) => {
                     end += error.valid_up_to();
                     break;
@@ -95,7 +105,11 @@ impl<'c> Work<'c> {
         impl Read for Pieces<'_, '_> {
             fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
                 let read = self.0.read(into)?;
-                if self.1.add(read) { Ok(read) } else { Err(io::ErrorKind::BrokenPipe.into()) }
+                if self.1.add(read) {
+                    Ok(read)
+                } else {
+                    Err(io::ErrorKind::BrokenPipe.into())
+                }
             }
         }
         let pieces = BufReader::with_capacity(PIECE, Pieces(text.as_bytes(), self));

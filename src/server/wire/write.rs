@@ -38,7 +38,9 @@ impl Serialize for AsJson<GridSpec> {
             GridSpec::Tolerance(tolerance) => s.collect_map([("tolerance", tolerance)]),
             GridSpec::Pixel => s.serialize_str("pixel"),
             GridSpec::Cell(cell) => s.collect_map([("cell", cell)]),
-            GridSpec::Counts { columns, rows } => s.collect_map([("columns", columns), ("rows", rows)]),
+            GridSpec::Counts { columns, rows } => {
+                s.collect_map([("columns", columns), ("rows", rows)])
+            }
         }
     }
 }
@@ -54,7 +56,12 @@ impl Serialize for AsJson<Coincident> {
 
 impl Serialize for AsJson<&Contradiction> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Contradiction { handles, position, spread, .. } = self.0;
+        let Contradiction {
+            handles,
+            position,
+            spread,
+            ..
+        } = self.0;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("handles", handles)?;
         object.serialize_entry("position", &[position.x, position.y])?;
@@ -72,7 +79,12 @@ impl Serialize for AsJson<&[Contradiction]> {
 impl Serialize for AsJson<Canvas> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let Canvas { x, y, extent } = self.0;
-        s.collect_map([("x", i64::from(x)), ("y", i64::from(y)), ("width", extent.width().into()), ("height", extent.height().into())])
+        s.collect_map([
+            ("x", i64::from(x)),
+            ("y", i64::from(y)),
+            ("width", extent.width().into()),
+            ("height", extent.height().into()),
+        ])
     }
 }
 
@@ -92,7 +104,9 @@ impl Serialize for AsJson<Outside> {
             Outside::Transparent => s.serialize_str("transparent"),
             Outside::Edge => s.serialize_str("edge"),
             Outside::Reflect => s.serialize_str("reflect"),
-            Outside::Colour([r, g, b, a]) => s.collect_str(&format_args!("#{r:02x}{g:02x}{b:02x}{a:02x}")),
+            Outside::Colour([r, g, b, a]) => {
+                s.collect_str(&format_args!("#{r:02x}{g:02x}{b:02x}{a:02x}"))
+            }
             Outside::Value([r, g, b]) if r == g && g == b => s.collect_map([("value", r)]),
             Outside::Value(value) => s.collect_map([("value", value)]),
         }
@@ -101,7 +115,17 @@ impl Serialize for AsJson<Outside> {
 
 impl Serialize for AsJson<&OutputSpec> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let OutputSpec { format, quality, subsampling, compression, canvas, width, filter, outside, holes } = *self.0;
+        let OutputSpec {
+            format,
+            quality,
+            subsampling,
+            compression,
+            canvas,
+            width,
+            filter,
+            outside,
+            holes,
+        } = *self.0;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("format", &AsJson(format))?;
         object.serialize_entry("quality", &quality)?;

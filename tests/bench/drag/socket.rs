@@ -58,13 +58,18 @@ impl Socket {
     pub fn open(address: SocketAddr, path: &str) -> Result<Self, String> {
         let stream = TcpStream::connect(address).expect("the service listens");
         stream.set_nodelay(true).expect("a TCP socket");
-        stream.set_read_timeout(Some(PATIENCE)).expect("a TCP socket");
+        stream
+            .set_read_timeout(Some(PATIENCE))
+            .expect("a TCP socket");
         let mut reader = BufReader::with_capacity(BUFFER, stream);
         let head = format!(
             "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
              Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
         );
-        reader.get_mut().write_all(head.as_bytes()).expect("the service reads");
+        reader
+            .get_mut()
+            .write_all(head.as_bytes())
+            .expect("the service reads");
         let mut line = String::new();
         reader.read_line(&mut line).expect("the service answers");
         if !line.starts_with("HTTP/1.1 101") {
@@ -79,7 +84,14 @@ impl Socket {
 
     /// Sends each pose when it is due after `start`, and shows frames until that of the last pose, or for so long after that was sent.
     /// Keeps this number of bytes of each message.
-    pub fn drag(self, start: Instant, times: &[Duration], poses: &[Vec<u8>], patience: Duration, keep: usize) -> Run {
+    pub fn drag(
+        self,
+        start: Instant,
+        times: &[Duration],
+        poses: &[Vec<u8>],
+        patience: Duration,
+        keep: usize,
+    ) -> Run {
         let Self(mut reader) = self;
         let writer = &Mutex::new(reader.get_ref().try_clone().expect("a TCP socket"));
         let write = |message: &[u8]| writer.lock().expect("no writer panics").write_all(message);
@@ -96,7 +108,10 @@ impl Socket {
                 let is_late = over.recv_timeout(patience) == Err(mpsc::RecvTimeoutError::Timeout);
                 if is_late {
                     // Ends the other thread's read.
-                    let _ = writer.lock().expect("no writer panics").shutdown(Shutdown::Both);
+                    let _ = writer
+                        .lock()
+                        .expect("no writer panics")
+                        .shutdown(Shutdown::Both);
                 }
                 (sent, is_late)
             });
@@ -113,7 +128,10 @@ impl Socket {
             }
             drop(is_over);
             let (sent, is_late) = sender.join().expect("every pose was sent");
-            assert!(is_late || end.is_ok(), "the service has ended the drag: {end:?}");
+            assert!(
+                is_late || end.is_ok(),
+                "the service has ended the drag: {end:?}"
+            );
             Run { sent, shown }
         })
     }
@@ -153,10 +171,17 @@ fn next(reader: &mut BufReader<TcpStream>, keep: usize) -> io::Result<Option<Sho
     match opcode {
         2 => {
             let seq = u64::from_le_bytes(message[..8].try_into().expect("a number"));
-            Ok(Some(Shown { seq, at: Instant::now(), bytes, message }))
+            Ok(Some(Shown {
+                seq,
+                at: Instant::now(),
+                bytes,
+                message,
+            }))
         }
         8 => panic!("the service has closed the socket: {message:?}"),
-        1 if message.starts_with(b"{\"actual") || message.starts_with(b"{\"code") => panic!("{}", String::from_utf8_lossy(&message)),
+        1 if message.starts_with(b"{\"actual") || message.starts_with(b"{\"code") => {
+            panic!("{}", String::from_utf8_lossy(&message))
+        }
         _ => Ok(None),
     }
 }

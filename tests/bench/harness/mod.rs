@@ -26,17 +26,33 @@ enum Work<'a> {
 }
 
 pub fn contender<'a>(name: impl Into<String>, work: impl FnMut() + 'a) -> Contender<'a> {
-    Contender { name: name.into(), work: Work::Here(Box::new(work)), bytes: None }
+    Contender {
+        name: name.into(),
+        work: Work::Here(Box::new(work)),
+        bytes: None,
+    }
 }
 
 /// A contender that runs on a thread of a pool.
-pub fn inside<'a>(pool: &'a rayon::ThreadPool, name: impl Into<String>, work: impl FnMut() + Send + 'a) -> Contender<'a> {
-    Contender { name: name.into(), work: Work::Inside(pool, Box::new(work)), bytes: None }
+pub fn inside<'a>(
+    pool: &'a rayon::ThreadPool,
+    name: impl Into<String>,
+    work: impl FnMut() + Send + 'a,
+) -> Contender<'a> {
+    Contender {
+        name: name.into(),
+        work: Work::Inside(pool, Box::new(work)),
+        bytes: None,
+    }
 }
 
 /// A contender in another process, which is asked for the seconds of a call.
 pub fn remote<'a>(name: impl Into<String>, seconds: impl FnMut() -> f64 + 'a) -> Contender<'a> {
-    Contender { name: name.into(), work: Work::There(Box::new(seconds)), bytes: None }
+    Contender {
+        name: name.into(),
+        work: Work::There(Box::new(seconds)),
+        bytes: None,
+    }
 }
 
 impl Contender<'_> {
@@ -119,7 +135,12 @@ pub fn times(rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<Times> {
     let mut samples = vec![Vec::with_capacity(rounds); contenders.len()];
     let mut spent = vec![Duration::ZERO; contenders.len()];
     for round in 0..rounds {
-        for (((c, &repeats), samples), spent) in contenders.iter_mut().zip(&repeats).zip(&mut samples).zip(&mut spent) {
+        for (((c, &repeats), samples), spent) in contenders
+            .iter_mut()
+            .zip(&repeats)
+            .zip(&mut samples)
+            .zip(&mut spent)
+        {
             if round < LEAST || *spent < ENOUGH {
                 let start = Instant::now();
                 samples.push(c.sample(repeats));
@@ -132,7 +153,10 @@ pub fn times(rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<Times> {
 
 /// Median seconds of one call of each contender.
 pub fn medians(rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<f64> {
-    times(rounds, contenders).iter().map(Times::median).collect()
+    times(rounds, contenders)
+        .iter()
+        .map(Times::median)
+        .collect()
 }
 
 /// The exponent with which time grows while something grows from `a` to `b`: 1 is linear.
@@ -158,9 +182,19 @@ impl Report {
 
     /// A report that the argument selects, all of it or a part.
     pub fn chosen(name: &'static str, what: &str, is_part: bool) -> Self {
-        let mut report = Self { name, text: String::new(), goals: String::new(), times: Vec::new(), is_part };
+        let mut report = Self {
+            name,
+            text: String::new(),
+            goals: String::new(),
+            times: Vec::new(),
+            is_part,
+        };
         report.line(&format!("# {name}: {what}\n"));
-        report.line(&format!("Machine: {}; level {}.\n", machine(), mlswarp::level::Level::detect().name()));
+        report.line(&format!(
+            "Machine: {}; level {}.\n",
+            machine(),
+            mlswarp::level::Level::detect().name()
+        ));
         report
     }
 
@@ -171,24 +205,57 @@ impl Report {
     }
 
     /// Times the contenders and prints a table with the ratio of each to the first. Returns the medians, seconds.
-    pub fn table(&mut self, title: &str, rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<f64> {
+    pub fn table(
+        &mut self,
+        title: &str,
+        rounds: usize,
+        contenders: &mut [Contender<'_>],
+    ) -> Vec<f64> {
         self.against(title, 0, rounds, contenders)
     }
 
     /// The same with the ratio to contender number `rival`.
-    pub fn against(&mut self, title: &str, rival: usize, rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<f64> {
+    pub fn against(
+        &mut self,
+        title: &str,
+        rival: usize,
+        rounds: usize,
+        contenders: &mut [Contender<'_>],
+    ) -> Vec<f64> {
         let times = times(rounds, contenders);
         let sizes = contenders.iter().any(|c| c.bytes.is_some());
-        let to = if rival == 0 { "the first".to_owned() } else { contenders[rival].name.clone() };
-        let mut table = format!("## {title}\n\n| what | median | ratio to {to} | fastest 5 % | its ratio |");
-        table += if sizes { " bytes | ratio |\n|---|---:|---:|---:|---:|---:|---:|\n" } else { "\n|---|---:|---:|---:|---:|\n" };
-        let (base, base_low, base_bytes) = (times[rival].median(), times[rival].low(), contenders[rival].bytes);
+        let to = if rival == 0 {
+            "the first".to_owned()
+        } else {
+            contenders[rival].name.clone()
+        };
+        let mut table =
+            format!("## {title}\n\n| what | median | ratio to {to} | fastest 5 % | its ratio |");
+        table += if sizes {
+            " bytes | ratio |\n|---|---:|---:|---:|---:|---:|---:|\n"
+        } else {
+            "\n|---|---:|---:|---:|---:|\n"
+        };
+        let (base, base_low, base_bytes) = (
+            times[rival].median(),
+            times[rival].low(),
+            contenders[rival].bytes,
+        );
         for (c, t) in contenders.iter().zip(&times) {
             let (median, low) = (t.median(), t.low());
-            let row = format!("| {} | {} | {:.2} | {} | {:.2} |", c.name, time(median), median / base, time(low), low / base_low);
+            let row = format!(
+                "| {} | {} | {:.2} | {} | {:.2} |",
+                c.name,
+                time(median),
+                median / base,
+                time(low),
+                low / base_low
+            );
             table += &row;
             match (c.bytes, base_bytes) {
-                (Some(bytes), Some(base)) => writeln!(table, " {bytes} | {:.3} |", bytes as f64 / base as f64),
+                (Some(bytes), Some(base)) => {
+                    writeln!(table, " {bytes} | {:.3} |", bytes as f64 / base as f64)
+                }
                 (Some(bytes), None) => writeln!(table, " {bytes} | |"),
                 (None, _) => writeln!(table, "{}", if sizes { " | |" } else { "" }),
             }
@@ -202,19 +269,30 @@ impl Report {
     /// Contender `a` to contender `b` of the last table.
     pub fn ratio(&self, a: usize, b: usize) -> Figure {
         let (a, b) = (&self.times[a], &self.times[b]);
-        Figure { median: a.median() / b.median(), low: Some(a.low() / b.low()) }
+        Figure {
+            median: a.median() / b.median(),
+            low: Some(a.low() / b.low()),
+        }
     }
 
     /// A figure beside the goal that it is held against; the goals stand together at the report's end.
     pub fn goal(&mut self, what: &str, figure: impl Into<Figure>, goal: Goal) {
-        let Figure { median: figure, low } = figure.into();
+        let Figure {
+            median: figure,
+            low,
+        } = figure.into();
         let (words, met) = match goal {
             Goal::AtMost(limit) => (format!("at most {limit:.3}"), figure <= limit),
             Goal::AtLeast(limit) => (format!("at least {limit:.3}"), figure >= limit),
-            Goal::Between(low, high) => (format!("{low} to {high}"), (low..=high).contains(&figure)),
+            Goal::Between(low, high) => {
+                (format!("{low} to {high}"), (low..=high).contains(&figure))
+            }
         };
         let low = low.map_or_else(String::new, |low| format!("{low:.3}"));
-        let row = format!("| {what} | {figure:.3} | {words} | {} | {low} |\n", if met { "yes" } else { "no" });
+        let row = format!(
+            "| {what} | {figure:.3} | {words} | {} | {low} |\n",
+            if met { "yes" } else { "no" }
+        );
         self.goals.push_str(&row);
     }
 }
@@ -244,16 +322,21 @@ pub enum Goal {
 impl Drop for Report {
     fn drop(&mut self) {
         if !self.goals.is_empty() {
-            let goals = format!("## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|\n{}", self.goals);
+            let goals = format!(
+                "## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|\n{}",
+                self.goals
+            );
             self.line(&goals);
         }
         // A part of a report does not replace a whole one.
         if std::thread::panicking() || self.is_part {
             return;
         }
-        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/bench/results");
+        let folder =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/bench/results");
         let text = self.text.trim_end().to_owned() + "\n";
-        let written = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(folder.join(format!("{}.md", self.name)), text));
+        let written = std::fs::create_dir_all(&folder)
+            .and_then(|()| std::fs::write(folder.join(format!("{}.md", self.name)), text));
         if let Err(error) = written {
             eprintln!("the results were not written: {error}");
         }
@@ -262,7 +345,10 @@ impl Drop for Report {
 
 /// The argument: tables whose title contains it are run. Empty runs everything.
 pub fn filter() -> String {
-    std::env::args().skip(1).find(|arg| !arg.starts_with('-')).unwrap_or_default()
+    std::env::args()
+        .skip(1)
+        .find(|arg| !arg.starts_with('-'))
+        .unwrap_or_default()
 }
 
 /// Whether the argument lets `title` run.
@@ -276,17 +362,34 @@ pub fn option(flag: &str) -> Option<String> {
 }
 
 pub fn time(seconds: f64) -> String {
-    if seconds < 1e-3 { format!("{:.1} us", seconds * 1e6) } else { format!("{:.3} ms", seconds * 1e3) }
+    if seconds < 1e-3 {
+        format!("{:.1} us", seconds * 1e6)
+    } else {
+        format!("{:.3} ms", seconds * 1e3)
+    }
 }
 
 fn machine() -> String {
     let cpu = std::fs::read_to_string("/proc/cpuinfo")
         .ok()
-        .and_then(|s| s.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(": ").nth(1)).map(str::to_owned))
+        .and_then(|s| {
+            s.lines()
+                .find(|l| l.starts_with("model name"))
+                .and_then(|l| l.split(": ").nth(1))
+                .map(str::to_owned)
+        })
         .unwrap_or_else(|| "unknown processor".to_owned());
     // Others at work on the same cores spoil two threads first.
-    let load = std::fs::read_to_string("/proc/loadavg").ok().and_then(|s| s.split(' ').next().map(|load| format!(", load {load} before")));
-    format!("{cpu}, {} threads{}", std::thread::available_parallelism().map_or(1, usize::from), load.unwrap_or_default())
+    let load = std::fs::read_to_string("/proc/loadavg").ok().and_then(|s| {
+        s.split(' ')
+            .next()
+            .map(|load| format!(", load {load} before"))
+    });
+    format!(
+        "{cpu}, {} threads{}",
+        std::thread::available_parallelism().map_or(1, usize::from),
+        load.unwrap_or_default()
+    )
 }
 
 /// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...: otherwise the scheduler may leave two
@@ -301,5 +404,9 @@ pub fn pool(threads: usize) -> rayon::ThreadPool {
             let _ = rustix::thread::sched_setaffinity(None, &cores);
         }
     };
-    rayon::ThreadPoolBuilder::new().num_threads(threads).start_handler(pinned).build().expect("a pool of a few threads")
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .start_handler(pinned)
+        .build()
+        .expect("a pool of a few threads")
 }

@@ -12,7 +12,10 @@ pub fn serve(contenders: &mut [Contender<'_>]) {
     let mut repeats: Vec<Option<u32>> = vec![None; contenders.len()];
     say("ready");
     for name in std::io::stdin().lines().map_while(Result::ok) {
-        let index = contenders.iter().position(|c| c.name == name).unwrap_or_else(|| panic!("{name} is not timed here"));
+        let index = contenders
+            .iter()
+            .position(|c| c.name == name)
+            .unwrap_or_else(|| panic!("{name} is not timed here"));
         let repeats = *repeats[index].get_or_insert_with(|| contenders[index].repeats());
         say(&format!("{:e}", contenders[index].sample(repeats)));
     }
@@ -20,7 +23,9 @@ pub fn serve(contenders: &mut [Contender<'_>]) {
 
 fn say(line: &str) {
     println!("{line}");
-    std::io::stdout().flush().expect("the other process listens");
+    std::io::stdout()
+        .flush()
+        .expect("the other process listens");
 }
 
 /// This program once more, in a process that is asked; it ends with this value.
@@ -34,10 +39,21 @@ impl Other {
     pub fn start(arguments: &[&str], variables: &[(&str, &str)]) -> Self {
         let program = std::env::current_exe().expect("a program knows where it lies");
         let mut command = Command::new(program);
-        command.args(arguments).envs(variables.iter().copied()).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command
+            .args(arguments)
+            .envs(variables.iter().copied())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
         let mut child = command.spawn().expect("a second process starts");
-        let (input, output) = (child.stdin.take().expect("piped"), BufReader::new(child.stdout.take().expect("piped")));
-        let mut other = Self { child, input, output };
+        let (input, output) = (
+            child.stdin.take().expect("piped"),
+            BufReader::new(child.stdout.take().expect("piped")),
+        );
+        let mut other = Self {
+            child,
+            input,
+            output,
+        };
         assert_eq!(other.hear(), "ready");
         other
     }
@@ -50,7 +66,9 @@ impl Other {
 
     fn hear(&mut self) -> String {
         let mut line = String::new();
-        self.output.read_line(&mut line).expect("the other process answers");
+        self.output
+            .read_line(&mut line)
+            .expect("the other process answers");
         line.trim_end().to_owned()
     }
 }
@@ -65,5 +83,7 @@ impl Drop for Other {
 
 /// Writes the files that a rival in another language works on.
 pub fn write(folder: &Path, name: &str, bytes: &[u8]) {
-    std::fs::create_dir_all(folder).and_then(|()| std::fs::write(folder.join(name), bytes)).expect("the folder takes files");
+    std::fs::create_dir_all(folder)
+        .and_then(|()| std::fs::write(folder.join(name), bytes))
+        .expect("the folder takes files");
 }

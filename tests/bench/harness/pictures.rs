@@ -24,21 +24,42 @@ pub fn size(extent: Extent) -> String {
 
 /// The astronaut cropped to 500 x 500, or to 512 px and the proportions of `extent`; enlarged where that is larger. RGBA is opaque.
 pub fn photograph(extent: Extent, channels: Channels) -> Pixmap {
-    let side = if extent.width() == extent.height() { 500 } else { 512 };
+    let side = if extent.width() == extent.height() {
+        500
+    } else {
+        512
+    };
     let photo = astronaut().crop_imm(0, 0, side, side * extent.height() / extent.width());
-    let large = photo.resize_exact(extent.width(), extent.height(), image::imageops::FilterType::CatmullRom);
-    pixmap(if extent.width() > side { &large } else { &photo }, channels)
+    let large = photo.resize_exact(
+        extent.width(),
+        extent.height(),
+        image::imageops::FilterType::CatmullRom,
+    );
+    pixmap(
+        if extent.width() > side {
+            &large
+        } else {
+            &photo
+        },
+        channels,
+    )
 }
 
 /// The 500 x 500 photograph side by side as often as it takes: larger pictures of the same kind, to see how time grows.
 pub fn tiles(extent: Extent) -> Pixmap {
     let photo = astronaut().crop_imm(0, 0, 500, 500).to_rgba8();
-    let tiled = image::RgbaImage::from_fn(extent.width(), extent.height(), |x, y| *photo.get_pixel(x % 500, y % 500));
+    let tiled = image::RgbaImage::from_fn(extent.width(), extent.height(), |x, y| {
+        *photo.get_pixel(x % 500, y % 500)
+    });
     pixmap(&tiled.into(), Channels::Rgba)
 }
 
 fn astronaut() -> image::DynamicImage {
-    let file = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/astronaut.png")).expect("the photograph is there");
+    let file = std::fs::read(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../tests/images/astronaut.png"
+    ))
+    .expect("the photograph is there");
     image::load_from_memory(&file).expect("a PNG")
 }
 
@@ -47,7 +68,11 @@ fn pixmap(picture: &image::DynamicImage, channels: Channels) -> Pixmap {
         Channels::Rgb => picture.to_rgb8().into_raw(),
         Channels::Rgba => picture.to_rgba8().into_raw(),
     };
-    Pixmap::new(extent((picture.width(), picture.height())), channels, Samples::Eight(samples))
+    Pixmap::new(
+        extent((picture.width(), picture.height())),
+        channels,
+        Samples::Eight(samples),
+    )
 }
 
 /// The samples of an 8-bit picture.
@@ -59,16 +84,30 @@ pub fn bytes(picture: &Pixmap) -> &[u8] {
 }
 
 /// A picture as the `png` crate writes it.
-pub fn encode(extent: Extent, channels: Channels, samples: &[u8], how: (png::Compression, Option<png::Filter>), out: &mut Vec<u8>) {
+pub fn encode(
+    extent: Extent,
+    channels: Channels,
+    samples: &[u8],
+    how: (png::Compression, Option<png::Filter>),
+    out: &mut Vec<u8>,
+) {
     let mut encoder = png::Encoder::new(out, extent.width(), extent.height());
-    encoder.set_color(if channels == Channels::Rgb { png::ColorType::Rgb } else { png::ColorType::Rgba });
+    encoder.set_color(if channels == Channels::Rgb {
+        png::ColorType::Rgb
+    } else {
+        png::ColorType::Rgba
+    });
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(how.0);
     if let Some(filter) = how.1 {
         encoder.set_filter(filter);
     }
-    let mut writer = encoder.write_header().expect("a buffer takes what is written");
-    writer.write_image_data(samples).expect("as many samples as pixels");
+    let mut writer = encoder
+        .write_header()
+        .expect("a buffer takes what is written");
+    writer
+        .write_image_data(samples)
+        .expect("as many samples as pixels");
     writer.finish().expect("a buffer takes what is written");
 }
 
@@ -98,15 +137,23 @@ pub fn handles(n: usize, extent: Extent, strength: f64) -> (Vec<Handle>, Vec<Han
     let handles = HANDLES.get(..n).unwrap_or(&many);
     (
         handles.iter().map(|([x, y], _)| place(*x, *y)).collect(),
-        handles.iter().map(|([x, y], [dx, dy])| place(x + strength * dx, y + strength * dy)).collect(),
+        handles
+            .iter()
+            .map(|([x, y], [dx, dy])| place(x + strength * dx, y + strength * dy))
+            .collect(),
     )
 }
 
 /// One of a hundred handles: a lattice of ten by ten, its points shifted, moved by up to 14 px of 500 along each axis.
 fn lattice(k: u32) -> ([f64; 2], [f64; 2]) {
-    let noise = |n: u32| f64::from((k * 4 + n).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 23) - 1.0;
+    let noise = |n: u32| {
+        f64::from((k * 4 + n).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 23) - 1.0
+    };
     let place = |k: u32, n: u32| 0.05 + 0.1 * f64::from(k % 10) + 0.03 * noise(n);
-    ([place(k, 0), place(k / 10, 1)], [0.028 * noise(2), 0.028 * noise(3)])
+    (
+        [place(k, 0), place(k / 10, 1)],
+        [0.028 * noise(2), 0.028 * noise(3)],
+    )
 }
 
 /// How many cells of a mesh fold.
@@ -153,7 +200,14 @@ pub fn mesh(extent: Extent, folded: Folded) -> Mesh {
             under = middle;
         }
     }
-    posed(extent, if folded == Folded::TenPercent { over } else { under })
+    posed(
+        extent,
+        if folded == Folded::TenPercent {
+            over
+        } else {
+            under
+        },
+    )
 }
 
 /// Rigid moving least squares straight from the paper: no plan, so that the mesh does not hang on the code that other benchmarks time.
@@ -164,12 +218,19 @@ fn posed(extent: Extent, strength: f64) -> Mesh {
     let vertices = (0..VERTICES).flat_map(|j| (0..VERTICES).map(move |i| grid.vertex(i, j)));
     let displacement = vertices.map(|v| {
         let v = Vec2::new(v.x, v.y);
-        let handles = HANDLES[..OF_MESH].iter().map(|&(p, d)| (place(p), place(p) + place(d) * strength));
+        let handles = HANDLES[..OF_MESH]
+            .iter()
+            .map(|&(p, d)| (place(p), place(p) + place(d) * strength));
         let weighed = handles.map(|(p, q)| (1.0 / ((p - v).norm2() + 1e-9), p, q));
-        let (sum, p_star, q_star) =
-            weighed.clone().fold((0.0, Vec2::ZERO, Vec2::ZERO), |(sum, a, b), (w, p, q)| (sum + w, a + p * w, b + q * w));
+        let (sum, p_star, q_star) = weighed
+            .clone()
+            .fold((0.0, Vec2::ZERO, Vec2::ZERO), |(sum, a, b), (w, p, q)| {
+                (sum + w, a + p * w, b + q * w)
+            });
         let (p_star, q_star) = (p_star * (1.0 / sum), q_star * (1.0 / sum));
-        let turn = weighed.fold(Vec2::ZERO, |turn, (w, p, q)| turn + (p - p_star).conj().complex_mul(q - q_star) * w);
+        let turn = weighed.fold(Vec2::ZERO, |turn, (w, p, q)| {
+            turn + (p - p_star).conj().complex_mul(q - q_star) * w
+        });
         let posed = (v - p_star).complex_mul(turn) * (1.0 / turn.norm()) + q_star;
         [(posed.x - v.x) as f32, (posed.y - v.y) as f32]
     });
@@ -178,7 +239,13 @@ fn posed(extent: Extent, strength: f64) -> Mesh {
 
 /// Bilinear, transparent outside, at the size of the source: what all benchmarks draw.
 pub fn options(extent: Extent) -> RenderOptions {
-    RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false }
+    RenderOptions {
+        target: extent,
+        canvas: None,
+        filter: Filter::Bilinear,
+        outside: Outside::Transparent,
+        force_alpha: false,
+    }
 }
 
 /// A picture bent by the smooth mesh: alpha 0 or 255 when it is RGBA.
@@ -187,7 +254,8 @@ pub fn warped(picture: Pixmap) -> Pixmap {
     let mesh = mesh(extent, Folded::Nowhere);
     let renderer = Renderer::new(Arc::new(Source::new(picture)), &mesh, options(extent));
     let channels = renderer.channels();
-    let mut samples = vec![0; extent.width() as usize * extent.height() as usize * channels.count()];
+    let mut samples =
+        vec![0; extent.width() as usize * extent.height() as usize * channels.count()];
     renderer.band(0..extent.height(), &mut samples);
     Pixmap::new(extent, channels, Samples::Eight(samples))
 }

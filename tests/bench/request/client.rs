@@ -18,12 +18,18 @@ impl Client {
     pub fn connect(address: SocketAddr) -> Self {
         let stream = TcpStream::connect(address).expect("the service listens");
         stream.set_nodelay(true).expect("a TCP socket");
-        Self { stream: BufReader::with_capacity(BUFFER, stream), line: String::new() }
+        Self {
+            stream: BufReader::with_capacity(BUFFER, stream),
+            line: String::new(),
+        }
     }
 
     /// Sends a whole request and hands the body of its answer to `body`, piece by piece. Status 2xx only.
     pub fn send(&mut self, request: &[u8], mut body: impl FnMut(&[u8])) {
-        self.stream.get_mut().write_all(request).expect("the service reads");
+        self.stream
+            .get_mut()
+            .write_all(request)
+            .expect("the service reads");
         let status = self.line().to_owned();
         let (mut length, mut chunked) = (0, false);
         loop {
@@ -55,7 +61,9 @@ impl Client {
 
     fn line(&mut self) -> &str {
         self.line.clear();
-        self.stream.read_line(&mut self.line).expect("the service answers");
+        self.stream
+            .read_line(&mut self.line)
+            .expect("the service answers");
         self.line.trim_end()
     }
 
@@ -97,10 +105,19 @@ impl Load {
             latencies
         };
         let latencies = std::thread::scope(|scope| {
-            let drags: Vec<_> = clients.iter_mut().map(|client| scope.spawn(move || drag(client))).collect();
-            drags.into_iter().flat_map(|drag| drag.join().expect("every answer is a picture")).collect()
+            let drags: Vec<_> = clients
+                .iter_mut()
+                .map(|client| scope.spawn(move || drag(client)))
+                .collect();
+            drags
+                .into_iter()
+                .flat_map(|drag| drag.join().expect("every answer is a picture"))
+                .collect()
         });
-        Self { latencies, elapsed: start.elapsed().as_secs_f64() }
+        Self {
+            latencies,
+            elapsed: start.elapsed().as_secs_f64(),
+        }
     }
 
     pub fn add(&mut self, other: Self) {

@@ -6,11 +6,16 @@ use std::sync::Arc;
 use mlswarp::deform::{self, Falloff, Field, Handle, Handles, Method, Pose};
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::{Channels, Extent, Pixmap};
-use mlswarp::warp::{Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, RestSpec, Setup, Subject, Warp};
+use mlswarp::warp::{
+    Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, RestSpec, Setup, Subject, Warp,
+};
 
 use crate::harness::pictures::{VERTICES, bytes, encode, handles};
 
-pub const GRID: GridSpec = GridSpec::Counts { columns: VERTICES, rows: VERTICES };
+pub const GRID: GridSpec = GridSpec::Counts {
+    columns: VERTICES,
+    rows: VERTICES,
+};
 
 /// No two drags that follow each other have the same q.
 const POSES: u32 = 8;
@@ -33,10 +38,22 @@ impl Drag {
 
     pub fn of_file(file: &[u8], handle_count: usize, grid: GridSpec) -> Self {
         let limits = Limits::default();
-        let extent = Image::decode(file, &limits.image).expect("our own picture").extent();
+        let extent = Image::decode(file, &limits.image)
+            .expect("our own picture")
+            .extent();
         let (p, _) = handles(handle_count, extent, 1.0);
-        let poses = (0..POSES).map(|k| handles(handle_count, extent, 1.0 - 0.02 * f64::from(k)).1).collect();
-        Self::of_handles(file, RestSpec { p, grid, ..RestSpec::default() }, poses)
+        let poses = (0..POSES)
+            .map(|k| handles(handle_count, extent, 1.0 - 0.02 * f64::from(k)).1)
+            .collect();
+        Self::of_handles(
+            file,
+            RestSpec {
+                p,
+                grid,
+                ..RestSpec::default()
+            },
+            poses,
+        )
     }
 
     pub fn of_handles(file: &[u8], spec: RestSpec, poses: Vec<Vec<Handle>>) -> Self {
@@ -44,7 +61,16 @@ impl Drag {
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
         let setup = Setup::new(&spec, image.extent(), &limits).expect("handles that can be warped");
         let plan = setup.plan();
-        Self { image, setup, plan, rest: spec.p, poses, output: OutputSpec::default(), turn: 0, strips: Vec::new() }
+        Self {
+            image,
+            setup,
+            plan,
+            rest: spec.p,
+            poses,
+            output: OutputSpec::default(),
+            turn: 0,
+            strips: Vec::new(),
+        }
     }
 
     /// Memory of the plan at most, bytes: the table, and exact rows of cells that are halved.
@@ -56,15 +82,21 @@ impl Drag {
     /// sends them as they are.
     pub fn picture(&mut self, helpers: usize) {
         self.turn = (self.turn + 1) % self.poses.len();
-        let pose = self.setup.pose(&self.poses[self.turn]).expect("a pose of these handles");
+        let pose = self
+            .setup
+            .pose(&self.poses[self.turn])
+            .expect("a pose of these handles");
         let limits = Limits::default();
-        let posed = Posed::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false).expect("folds are drawn");
+        let posed = Posed::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false)
+            .expect("folds are drawn");
         let warp = Warp::new(Subject::Image(&self.image), &posed, &self.output, &limits);
         self.strips.clear();
-        let _ = warp.expect("nothing is too large").write(helpers, &(), &mut |bytes| {
-            self.strips.push(bytes);
-            ControlFlow::Continue(())
-        });
+        let _ = warp
+            .expect("nothing is too large")
+            .write(helpers, &(), &mut |bytes| {
+                self.strips.push(bytes);
+                ControlFlow::Continue(())
+            });
     }
 
     /// The file of one pose.
@@ -86,14 +118,25 @@ pub fn deformation(extent: Extent, handle_count: usize) -> (deform::Plan, Pose) 
     let falloff = Falloff::new(1.0, rest.has_lines()).expect("alpha in range");
     let field = Field::new(rest, Method::Rigid, falloff, 1.0).expect("a regular set");
     let pose = field.pose(&q).expect("targets that agree");
-    let grid = Grid::with_counts(f64::from(extent.width()), f64::from(extent.height()), VERTICES, VERTICES);
+    let grid = Grid::with_counts(
+        f64::from(extent.width()),
+        f64::from(extent.height()),
+        VERTICES,
+        VERTICES,
+    );
     (deform::Plan::of_grid(&field, &grid), pose)
 }
 
 /// A picture as a file, RGBA if it is.
 pub fn file(picture: &Pixmap) -> Vec<u8> {
     let mut file = Vec::new();
-    encode(picture.extent(), picture.channels(), bytes(picture), (png::Compression::Fastest, None), &mut file);
+    encode(
+        picture.extent(),
+        picture.channels(),
+        bytes(picture),
+        (png::Compression::Fastest, None),
+        &mut file,
+    );
     file
 }
 

@@ -25,10 +25,31 @@ pub(crate) const TARGETS: [Target; 7] = [
 
 /// What every problem document must be, whoever wrote it.
 fn assert_is_problem(document: &serde_json::Value) {
-    let text = |field: &str| document[field].as_str().is_some_and(|text| !text.is_empty());
-    assert!(text("title") && text("detail") && text("code"), "{document}");
-    assert_eq!(document["type"], format!("/problems/{}", document["code"].as_str().unwrap_or_default()));
-    assert!(document["status"].as_u64().is_some_and(|status| (400..500).contains(&status)), "{document}");
-    let pointer = document.get("pointer").and_then(serde_json::Value::as_str).unwrap_or_default();
+    let text = |field: &str| {
+        document[field]
+            .as_str()
+            .is_some_and(|text| !text.is_empty())
+    };
+    assert!(
+        text("title") && text("detail") && text("code"),
+        "{document}"
+    );
+    assert_eq!(
+        document["type"],
+        format!(
+            "/problems/{}",
+            document["code"].as_str().unwrap_or_default()
+        )
+    );
+    assert!(
+        document["status"]
+            .as_u64()
+            .is_some_and(|status| (400..500).contains(&status)),
+        "{document}"
+    );
+    let pointer = document
+        .get("pointer")
+        .and_then(serde_json::Value::as_str)
+        .unwrap_or_default();
     assert!(pointer.is_empty() || pointer.starts_with('/'), "{document}");
 }

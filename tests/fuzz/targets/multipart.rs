@@ -20,7 +20,10 @@ const OPTIONS: &str = "mlswarp --workers 1 --max-image-pixels 64k --max-columns 
 
 /// An application of one worker, and the runtime that it lives in.
 pub(super) fn app() -> (App, Runtime) {
-    let runtime = Builder::new_current_thread().enable_all().build().expect("a runtime");
+    let runtime = Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime");
     let config = Config::read(OPTIONS.split_whitespace()).expect("sane values");
     (App::new(config).expect("threads"), runtime)
 }
@@ -31,21 +34,47 @@ static SERVICE: LazyLock<(Router, Runtime)> = LazyLock::new(|| {
 });
 
 pub(super) fn post(bytes: &[u8]) {
-    let Some((route, body)) = bytes.split_first() else { return };
+    let Some((route, body)) = bytes.split_first() else {
+        return;
+    };
     let (method, path) = [
         ("POST", "/warp"),
-        ("POST", "/sessions/11111111-2222-4333-8444-555555555555/warp"),
+        (
+            "POST",
+            "/sessions/11111111-2222-4333-8444-555555555555/warp",
+        ),
         ("PUT", "/sessions/11111111-2222-4333-8444-555555555555"),
-        ("PUT", "/sessions/11111111-2222-4333-8444-555555555555/handles"),
+        (
+            "PUT",
+            "/sessions/11111111-2222-4333-8444-555555555555/handles",
+        ),
     ][usize::from(route % 4)];
     let kind = ["multipart/form-data; boundary=b", "application/json"][usize::from(*route > 127)];
-    let request = Request::builder().method(method).uri(path).header("host", "localhost").header("content-type", kind);
-    let request = request.body(Body::from(body.to_vec())).expect("a request of plain words");
+    let request = Request::builder()
+        .method(method)
+        .uri(path)
+        .header("host", "localhost")
+        .header("content-type", kind);
+    let request = request
+        .body(Body::from(body.to_vec()))
+        .expect("a request of plain words");
     let (router, runtime) = &*SERVICE;
     let (status, body) = runtime.block_on(async {
-        let response = router.clone().oneshot(request).await.unwrap_or_else(|never| match never {});
+        let response = router
+            .clone()
+            .oneshot(request)
+            .await
+            .unwrap_or_else(|never| match never {});
         let status = response.status().as_u16();
-        (status, response.into_body().collect().await.expect("a whole body").to_bytes())
+        (
+            status,
+            response
+                .into_body()
+                .collect()
+                .await
+                .expect("a whole body")
+                .to_bytes(),
+        )
     });
     match status {
         200 | 201 => assert!(!body.is_empty()),

@@ -5,12 +5,30 @@ use mlswarp::warp::{Limits, Setup};
 use mlswarp_server::store::record::{read, write};
 
 pub(super) fn keep(bytes: &[u8]) {
-    let Some((first, rest)) = bytes.split_first() else { return };
-    let kept = if first % 2 == 1 { [format!("{:08x}\n", crc32fast::hash(rest)).as_bytes(), rest].concat() } else { rest.to_vec() };
+    let Some((first, rest)) = bytes.split_first() else {
+        return;
+    };
+    let kept = if first % 2 == 1 {
+        [format!("{:08x}\n", crc32fast::hash(rest)).as_bytes(), rest].concat()
+    } else {
+        rest.to_vec()
+    };
     match read(&kept) {
         Ok(record) => {
-            assert_eq!(read(&write(&record)).as_ref(), Ok(&record), "what is written is read again");
-            if let Ok(setup) = Setup::new(&record.rest, record.extent, &Limits { columns: 64, plan_bytes: 1 << 20, ..Limits::default() }) {
+            assert_eq!(
+                read(&write(&record)).as_ref(),
+                Ok(&record),
+                "what is written is read again"
+            );
+            if let Ok(setup) = Setup::new(
+                &record.rest,
+                record.extent,
+                &Limits {
+                    columns: 64,
+                    plan_bytes: 1 << 20,
+                    ..Limits::default()
+                },
+            ) {
                 assert!(setup.alpha().is_none_or(f64::is_finite));
             }
         }

@@ -18,27 +18,46 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
     let id = SessionId::random(Owner::ANYBODY);
     let file = Bytes::from_static(include_bytes!("../seeds/image/png-6-8"));
     let warp = Bytes::from_static(br#"{"p": [[3, 3], [[10, 2], [20, 9]], [5, 14]]}"#);
-    runtime.block_on(app.put_session(Client::default(), id, Upload::new(file, warp))).expect("a session");
+    runtime
+        .block_on(app.put_session(Client::default(), id, Upload::new(file, warp)))
+        .expect("a session");
     (app, runtime, id)
 });
 
 pub(super) fn talk(bytes: &[u8]) {
-    let Some((wishes, messages)) = bytes.split_first() else { return };
+    let Some((wishes, messages)) = bytes.split_first() else {
+        return;
+    };
     let is_binary = wishes % 128 >= 64;
-    let picture = if wishes % 32 < 16 { Form::Auto } else { Form::Picture(None) };
+    let picture = if wishes % 32 < 16 {
+        Form::Auto
+    } else {
+        Form::Picture(None)
+    };
     let wishes = DragOptions {
         form: match wishes % 32 {
             n if n % 2 == 1 => picture,
             n if n < 16 => Form::Mesh,
             n => Form::CompactMesh(f64::from(n) / 8.0),
         },
-        width: if wishes % 4 < 2 { PreviewWidth::Auto } else { PreviewWidth::Fixed(1 + u32::from(*wishes)) },
+        width: if wishes % 4 < 2 {
+            PreviewWidth::Auto
+        } else {
+            PreviewWidth::Fixed(1 + u32::from(*wishes))
+        },
         report: wishes % 8 < 4,
-        window: if wishes % 64 < 32 { Window::Auto } else { Window::Fixed(8) },
+        window: if wishes % 64 < 32 {
+            Window::Auto
+        } else {
+            Window::Fixed(8)
+        },
     };
     let (app, runtime, id) = &*SESSION;
     runtime.block_on(async {
-        let mut drag = app.open_drag(Client::default(), *id, wishes).await.expect("a seat");
+        let mut drag = app
+            .open_drag(Client::default(), *id, wishes)
+            .await
+            .expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {
             if is_binary {
                 drag.on_binary(&Bytes::copy_from_slice(message), Instant::now());
@@ -68,7 +87,10 @@ async fn go_on(drag: &mut Drag) {
                     assert_is_problem(&document);
                 }
             }
-            Outgoing::Frame(_, pieces) => assert!(pieces.iter().any(|piece| !piece.is_empty()), "an empty frame"),
+            Outgoing::Frame(_, pieces) => assert!(
+                pieces.iter().any(|piece| !piece.is_empty()),
+                "an empty frame"
+            ),
         }
     }
 }

@@ -8,22 +8,32 @@ use std::sync::{Arc, LazyLock};
 use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
-    CoordinateMap, Folds, Frame, Image, ImageLimits, Limits, MapFormat, OutputSpec, Posed, Quality, Setup, Subject, Units, Warp,
+    CoordinateMap, Folds, Frame, Image, ImageLimits, Limits, MapFormat, OutputSpec, Posed, Quality,
+    Setup, Subject, Units, Warp,
 };
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{
-    BatchObject, Cursor, DragObject, MapObject, PointsObject, PosePatch, ReportAnswer, ReportObject, Reserved, WarningEntry, WarpObject,
+    BatchObject, Cursor, DragObject, MapObject, PointsObject, PosePatch, ReportAnswer,
+    ReportObject, Reserved, WarningEntry, WarpObject,
 };
 
 use serde_json::{Map, Value};
 
 use super::assert_is_problem;
 
-const LIMITS: Limits =
-    Limits { image: ImageLimits { max_pixels: 1 << 14, max_side: 1 << 9 }, columns: 64, plan_bytes: 1 << 20, work: 1 << 32 };
+const LIMITS: Limits = Limits {
+    image: ImageLimits {
+        max_pixels: 1 << 14,
+        max_side: 1 << 9,
+    },
+    columns: 64,
+    plan_bytes: 1 << 20,
+    work: 1 << 32,
+};
 
-static DOCUMENT: LazyLock<Value> =
-    LazyLock::new(|| serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON"));
+static DOCUMENT: LazyLock<Value> = LazyLock::new(|| {
+    serde_json::from_str(include_str!("../../../api/openapi.json")).expect("the document is JSON")
+});
 
 static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
     let file = include_bytes!("../seeds/image/png-6-8");
@@ -31,23 +41,42 @@ static IMAGE: LazyLock<Arc<Image>> = LazyLock::new(|| {
 });
 
 pub(super) fn parse(bytes: &[u8]) {
-    let Some((route, json)) = bytes.split_first() else { return };
+    let Some((route, json)) = bytes.split_first() else {
+        return;
+    };
     let refused = match route % 11 {
-        0..=2 => as_with_nulls("WarpObject", json, |json| value(Reserved::<WarpObject, _>::parse(json, free)))
-            .and_then(|object| warped(&object))
+        0..=2 => as_with_nulls("WarpObject", json, |json| {
+            value(Reserved::<WarpObject, _>::parse(json, free))
+        })
+        .and_then(|object| warped(&object))
+        .err(),
+        3 => as_with_nulls("Drag", json, |json| {
+            value(Reserved::<DragObject, _>::parse(json, 64, free))
+        })
+        .err(),
+        4 => as_with_nulls("Points", json, points)
+            .and_then(|object| mapped(&object))
             .err(),
-        3 => as_with_nulls("Drag", json, |json| value(Reserved::<DragObject, _>::parse(json, 64, free))).err(),
-        4 => as_with_nulls("Points", json, points).and_then(|object| mapped(&object)).err(),
         5 => as_with_nulls("PosedPoints", json, posed_points).err(),
-        6 => {
-            as_with_nulls("Map", json, |json| value(Reserved::<MapObject, _>::parse(json, free))).and_then(|object| inverted(&object)).err()
-        }
-        7 => as_with_nulls("PosedMap", json, |json| value(Reserved::<MapObject, _>::parse_posed(json, free))).err(),
+        6 => as_with_nulls("Map", json, |json| {
+            value(Reserved::<MapObject, _>::parse(json, free))
+        })
+        .and_then(|object| inverted(&object))
+        .err(),
+        7 => as_with_nulls("PosedMap", json, |json| {
+            value(Reserved::<MapObject, _>::parse_posed(json, free))
+        })
+        .err(),
         8 => as_with_nulls("Batch", json, batch).err(),
-        9 => as_with_nulls("Report", json, |json| value(Reserved::<ReportObject, _>::parse(json, free)))
-            .and_then(|object| measured(&object))
-            .err(),
-        _ => as_with_nulls("PosedReport", json, |json| value(Reserved::<DragObject, _>::parse_for_report(json, 64, free))).err(),
+        9 => as_with_nulls("Report", json, |json| {
+            value(Reserved::<ReportObject, _>::parse(json, free))
+        })
+        .and_then(|object| measured(&object))
+        .err(),
+        _ => as_with_nulls("PosedReport", json, |json| {
+            value(Reserved::<DragObject, _>::parse_for_report(json, 64, free))
+        })
+        .err(),
     };
     if let Some(problem) = refused {
         assert_is_problem(&problem.to_json("", None));
@@ -63,13 +92,26 @@ fn value<T>(read: Result<Reserved<T, ()>, Problem>) -> Result<T, Problem> {
 }
 
 /// What the text is read as, which must not change when the fields of the schema that it does not have are added as `null`.
-fn as_with_nulls<T: PartialEq + Debug>(schema: &str, json: &[u8], parse: fn(&[u8]) -> Result<T, Problem>) -> Result<T, Problem> {
+fn as_with_nulls<T: PartialEq + Debug>(
+    schema: &str,
+    json: &[u8],
+    parse: fn(&[u8]) -> Result<T, Problem>,
+) -> Result<T, Problem> {
     let read = parse(json);
     if let Ok(given) = serde_json::from_slice::<Map<String, Value>>(json) {
-        let end = json.iter().rposition(|byte| *byte == b'}').expect("the end of an object");
-        let known = DOCUMENT["components"]["schemas"][schema]["properties"].as_object().expect("a schema of an object");
+        let end = json
+            .iter()
+            .rposition(|byte| *byte == b'}')
+            .expect("the end of an object");
+        let known = DOCUMENT["components"]["schemas"][schema]["properties"]
+            .as_object()
+            .expect("a schema of an object");
         let mut more = json[..end].to_vec();
-        for (n, name) in known.keys().filter(|name| !given.contains_key(*name)).enumerate() {
+        for (n, name) in known
+            .keys()
+            .filter(|name| !given.contains_key(*name))
+            .enumerate()
+        {
             let comma = if n > 0 || !given.is_empty() { "," } else { "" };
             more.extend_from_slice(format!("{comma}\"{name}\":null").as_bytes());
         }
@@ -84,10 +126,21 @@ type Poses = (u32, Vec<Result<PosePatch, Problem>>);
 
 fn batch(json: &[u8]) -> Result<Poses, Problem> {
     let source = Frame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
-    let object = value(Reserved::<BatchObject, _>::parse(&Bytes::copy_from_slice(json), 1 << 20, 1 << 16, source, free))?;
+    let object = value(Reserved::<BatchObject, _>::parse(
+        &Bytes::copy_from_slice(json),
+        1 << 20,
+        1 << 16,
+        source,
+        free,
+    ))?;
     let count = object.poses.count();
     assert!((1..=10_000).contains(&count), "{count}");
-    Ok((count, (0..count.min(100)).map(|frame| value(object.poses.given(frame, free))).collect()))
+    Ok((
+        count,
+        (0..count.min(100))
+            .map(|frame| value(object.poses.given(frame, free)))
+            .collect(),
+    ))
 }
 
 fn measured(object: &ReportObject) -> Result<(), Problem> {
@@ -98,11 +151,32 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
     let pose = setup.pose(q)?;
     warp.output.check(extent, &LIMITS)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
-    let quality = Quality::of(&setup, q, &pose, &posed, &posed, warp.output.canvas.of(extent, &posed, &never)?, &never)?;
+    let quality = Quality::of(
+        &setup,
+        q,
+        &pose,
+        &posed,
+        &posed,
+        warp.output.canvas.of(extent, &posed, &never)?,
+        &never,
+    )?;
     assert_eq!(quality.residuals.len(), warp.rest.p.len());
-    assert!((0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share), "{quality:?}");
-    let warnings: Vec<_> = posed.report().warnings.iter().map(WarningEntry::from).collect();
-    let answer = ReportAnswer { quality: &quality, alignment, warnings: &warnings, picture: None };
+    assert!(
+        (0.0..=1.0).contains(&quality.covered) && (0.0..=1.0 + 1e-9).contains(&quality.folds.share),
+        "{quality:?}"
+    );
+    let warnings: Vec<_> = posed
+        .report()
+        .warnings
+        .iter()
+        .map(WarningEntry::from)
+        .collect();
+    let answer = ReportAnswer {
+        quality: &quality,
+        alignment,
+        warnings: &warnings,
+        picture: None,
+    };
     let text = serde_json::to_vec(&answer).expect("a report is JSON");
     assert!(text.len() <= answer.text_bytes(), "{} bytes", text.len());
     Ok(())
@@ -116,7 +190,10 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
     object.output.check(IMAGE.extent(), &LIMITS)?;
     let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
-    assert!(posed.vertices().flatten().all(f64::is_finite), "a vertex is nowhere");
+    assert!(
+        posed.vertices().flatten().all(f64::is_finite),
+        "a vertex is nowhere"
+    );
     let mut bytes = 0;
     let warp = Warp::new(Subject::Image(&IMAGE), &posed, &object.output, &LIMITS)?;
     let _ = warp.write(0, &(), &mut |strip| {
@@ -129,40 +206,76 @@ fn warped(object: &WarpObject) -> Result<(), Problem> {
 
 /// Every number of a map is a place or NaN, and the file has as many bytes as it says.
 fn inverted(object: &MapObject) -> Result<(), Problem> {
-    let Some((mut warp, extent)) = object.warp.clone() else { return Ok(()) };
+    let Some((mut warp, extent)) = object.warp.clone() else {
+        return Ok(());
+    };
     warp.settle_pose(extent)?;
     for format in MapFormat::ALL {
         let spec = object.spec(&warp.output, format);
         spec.check(extent, &LIMITS)?;
         let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
-        let posed = Posed::new(&setup, &setup.plan(), &setup.pose(warp.posed()?)?, warp.folds, &|| false)?;
-        let map = CoordinateMap::new(&spec, &posed, spec.target(&posed, extent, &LIMITS, &|| false)?)?;
-        let bytes: u64 = (0..map.bands()).map(|band| map.band(band).len() as u64).sum();
+        let posed = Posed::new(
+            &setup,
+            &setup.plan(),
+            &setup.pose(warp.posed()?)?,
+            warp.folds,
+            &|| false,
+        )?;
+        let map = CoordinateMap::new(
+            &spec,
+            &posed,
+            spec.target(&posed, extent, &LIMITS, &|| false)?,
+        )?;
+        let bytes: u64 = (0..map.bands())
+            .map(|band| map.band(band).len() as u64)
+            .sum();
         assert_eq!(bytes, map.file_bytes());
     }
     Ok(())
 }
 
 fn mapped(object: &PointsObject) -> Result<(), Problem> {
-    let Some((mut warp, extent)) = object.warp.clone() else { return Ok(()) };
+    let Some((mut warp, extent)) = object.warp.clone() else {
+        return Ok(());
+    };
     warp.settle_pose(extent)?;
     let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
     let pose = setup.pose(warp.posed()?)?;
     let posed = Posed::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
-    let transform = if object.annotations.is_inverse { setup.inverse(&pose, posed.mesh()) } else { setup.transform(&pose) };
+    let transform = if object.annotations.is_inverse {
+        setup.inverse(&pose, posed.mesh())
+    } else {
+        setup.transform(&pose)
+    };
     let transform = transform.onto(Frame::requested(&object.output, extent, warp.rest.units));
     let (mut cursor, mut out) = (Cursor::default(), Vec::new());
-    while object.annotations.map_part(&mut cursor, &transform, &|| false, &mut |_| Ok(()), &mut out)? {}
+    while object.annotations.map_part(
+        &mut cursor,
+        &transform,
+        &|| false,
+        &mut |_| Ok(()),
+        &mut out,
+    )? {}
     let _: Value = serde_json::from_slice(&out).expect("JSON");
     Ok(())
 }
 
 fn points(json: &[u8]) -> Result<PointsObject, Problem> {
-    value(Reserved::<PointsObject, _>::parse(&Bytes::copy_from_slice(json), 1 << 20, free))
+    value(Reserved::<PointsObject, _>::parse(
+        &Bytes::copy_from_slice(json),
+        1 << 20,
+        free,
+    ))
 }
 
 fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
     let of_session = (Extent::new(40, 30).expect("a size"), Units::Px);
     let (body, output) = (Bytes::copy_from_slice(json), OutputSpec::default());
-    value(Reserved::<PointsObject, _>::parse_posed(&body, 1 << 20, of_session, &output, free))
+    value(Reserved::<PointsObject, _>::parse_posed(
+        &body,
+        1 << 20,
+        of_session,
+        &output,
+        free,
+    ))
 }

@@ -19,7 +19,12 @@ pub(crate) fn png(chunks: &[(&[u8; 4], Vec<u8>)]) -> Vec<u8> {
 
 /// The header chunk of an RGB picture of 8 bits.
 pub(crate) fn ihdr(width: u32, height: u32) -> Vec<u8> {
-    [&width.to_be_bytes()[..], &height.to_be_bytes(), &[8, 2, 0, 0, 0]].concat()
+    [
+        &width.to_be_bytes()[..],
+        &height.to_be_bytes(),
+        &[8, 2, 0, 0, 0],
+    ]
+    .concat()
 }
 
 /// So many zeros, rounded down to whole MiB, in a thousandth of their size.
@@ -71,7 +76,9 @@ impl Pen {
         // Of code lengths, 18 (a run of zeros) is `1`, and 1 is `0`; four of them are read: three runs and the symbol's own.
         self.put(0, 1);
         self.put(0, 4);
-        [0, 1, 0, 1].into_iter().for_each(|length| self.put(length, 3));
+        [0, 1, 0, 1]
+            .into_iter()
+            .for_each(|length| self.put(length, 3));
         self.put(1, 1);
         self.put(0, 3);
         self.put(2, 2);
@@ -127,7 +134,11 @@ pub(crate) fn webp_transforms(width: u32, height: u32, count: usize) -> Vec<u8> 
 /// The same in the alpha of a lossy WebP.
 pub(crate) fn webp_alpha_transforms(width: u16, height: u16, count: usize) -> Vec<u8> {
     let stream = transforms(Pen::default(), count);
-    riff(&[(b"VP8X", canvas(0x10, width, height)), (b"ALPH", [&[1], &stream[..]].concat()), (b"VP8 ", vp8(width, height))])
+    riff(&[
+        (b"VP8X", canvas(0x10, width, height)),
+        (b"ALPH", [&[1], &stream[..]].concat()),
+        (b"VP8 ", vp8(width, height)),
+    ])
 }
 
 /// A lossless WebP whose pixels take no bits: each is the same colour of the cache.
@@ -191,7 +202,9 @@ impl EmptyBlock {
                 pen.put(0, 10);
                 // Lengths of the code for lengths, 18 of them: 18 and 0 have two bits (`11` and `10`), 1 has one (`0`).
                 pen.put(14, 4);
-                (0..18).for_each(|k| pen.put([0, 0, 2, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1][k], 3));
+                (0..18).for_each(|k| {
+                    pen.put([0, 0, 2, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1][k], 3)
+                });
                 // Symbols 0 and 256 have one bit, and so has the one distance.
                 pen.put(0, 1);
                 for zeros in [138, 117] {
@@ -230,7 +243,11 @@ pub(crate) fn behind_blocks(block: EmptyBlock, count: usize, bytes: &[u8]) -> Ve
 /// An RGB PNG of zeros behind so many empty blocks.
 pub(crate) fn png_behind_blocks(side: u32, block: EmptyBlock, count: usize) -> Vec<u8> {
     let rows = vec![0; (side * (1 + 3 * side)) as usize];
-    png(&[(b"IHDR", ihdr(side, side)), (b"IDAT", behind_blocks(block, count, &rows)), (b"IEND", vec![])])
+    png(&[
+        (b"IHDR", ihdr(side, side)),
+        (b"IDAT", behind_blocks(block, count, &rows)),
+        (b"IEND", vec![]),
+    ])
 }
 
 fn deflated(bytes: &[u8]) -> Vec<u8> {
@@ -248,7 +265,11 @@ fn exif_loop() -> Vec<u8> {
         let tag = [0x8769_u16, 0x0112, 0x0201, 0xA005][usize::from(entry % 4)];
         block.extend(tag.to_le_bytes());
         block.extend([4, 0, 0xFF, 0xFF, 0xFF, 0x7F]);
-        block.extend(if entry % 2 == 0 { [8, 0, 0, 0] } else { [0xFF; 4] });
+        block.extend(if entry % 2 == 0 {
+            [8, 0, 0, 0]
+        } else {
+            [0xFF; 4]
+        });
     }
     block.extend([8, 0, 0, 0]);
     block
@@ -256,13 +277,25 @@ fn exif_loop() -> Vec<u8> {
 
 /// A segment of a JPEG.
 fn segment(marker: u8, data: &[u8]) -> Vec<u8> {
-    [&[0xFF, marker], &(u16::try_from(data.len()).unwrap() + 2).to_be_bytes()[..], data].concat()
+    [
+        &[0xFF, marker],
+        &(u16::try_from(data.len()).unwrap() + 2).to_be_bytes()[..],
+        data,
+    ]
+    .concat()
 }
 
 fn jpeg_head(width: u16, height: u16, sof: u8) -> Vec<u8> {
-    let frame = [&[8], &height.to_be_bytes()[..], &width.to_be_bytes(), &[1, 1, 0x11, 0]].concat();
+    let frame = [
+        &[8],
+        &height.to_be_bytes()[..],
+        &width.to_be_bytes(),
+        &[1, 1, 0x11, 0],
+    ]
+    .concat();
     // Codes of one bit: no difference, and the end of 16384 blocks and more.
-    let code = |class: u8, symbol: u8| [&[class, 1, 1], [0; 14].as_slice(), &[symbol, 0x01]].concat();
+    let code =
+        |class: u8, symbol: u8| [&[class, 1, 1], [0; 14].as_slice(), &[symbol, 0x01]].concat();
     [
         vec![0xFF, 0xD8],
         segment(0xDB, &[&[0], [8; 64].as_slice()].concat()),
@@ -309,7 +342,13 @@ pub(crate) fn canvas(flags: u8, width: u16, height: u16) -> Vec<u8> {
 
 /// The head of a lossy frame, and too little data.
 fn vp8(width: u16, height: u16) -> Vec<u8> {
-    [&[0x10, 2, 0, 0x9D, 0x01, 0x2A], &width.to_le_bytes()[..], &height.to_le_bytes(), &[0; 64]].concat()
+    [
+        &[0x10, 2, 0, 0x9D, 0x01, 0x2A],
+        &width.to_le_bytes()[..],
+        &height.to_le_bytes(),
+        &[0; 64],
+    ]
+    .concat()
 }
 
 /// Every bomb with its name and the statuses that may answer it; `code_tables` is the file of that name.
@@ -325,82 +364,282 @@ pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u
     let named = |head: &[u8]| [head, &zeros].concat();
     let mut interlaced = ihdr(16_384, 3_000);
     interlaced[12] = 1;
-    let control = [&[0; 4][..], &60_000_u32.to_be_bytes(), &60_000_u32.to_be_bytes(), &[0; 14]].concat();
+    let control = [
+        &[0; 4][..],
+        &60_000_u32.to_be_bytes(),
+        &60_000_u32.to_be_bytes(),
+        &[0; 14],
+    ]
+    .concat();
     let frame = |vp8l: &[u8]| {
-        [&[0; 6][..], &[3, 0, 0, 3, 0, 0], &[0; 4], b"VP8L", &u32::try_from(vp8l.len()).unwrap().to_le_bytes(), vp8l].concat()
+        [
+            &[0; 6][..],
+            &[3, 0, 0, 3, 0, 0],
+            &[0; 4],
+            b"VP8L",
+            &u32::try_from(vp8l.len()).unwrap().to_le_bytes(),
+            vp8l,
+        ]
+        .concat()
     };
     let tables = &code_tables[20..];
     vec![
-        ("png of 60000 x 60000", png(&[(b"IHDR", ihdr(60_000, 60_000)), (b"IDAT", row()), (b"IEND", vec![])]), &[413]),
-        ("png of 49 MP without data", png(&[(b"IHDR", ihdr(7_000, 7_000)), (b"IDAT", row()), (b"IEND", vec![])]), &[422]),
-        ("png, interlaced, without data", png(&[(b"IHDR", interlaced), (b"IDAT", row()), (b"IEND", vec![])]), &[422]),
-        ("png with 200 MiB behind its pixel", png(&[(b"IHDR", ihdr(1, 1)), (b"IDAT", zeros.clone()), (b"IEND", vec![])]), &[422]),
-        ("png with a profile of 200 MiB", one(&[(b"iCCP", named(b"name\0\0"))]), &[200]),
-        ("png with a text of 200 MiB", one(&[(b"zTXt", named(b"name\0\0"))]), &[200]),
-        ("png with an international text of 200 MiB", one(&[(b"iTXt", named(b"name\0\x01\0\0\0"))]), &[200]),
-        ("png of many chunks", one(&vec![(b"teXt", vec![]); 100_000]), &[200]),
-        ("png of many palettes", one(&vec![(b"PLTE", vec![1; 768]); 1_000]), &[200, 422]),
-        ("png with EXIF in a loop", one(&[(b"eXIf", exif_loop())]), &[200]),
-        ("png with a frame of 60000 x 60000", one(&[(b"acTL", vec![0, 0, 0, 1, 0, 0, 0, 0]), (b"fcTL", control)]), &[200]),
-        ("png of four billion frames", one(&[(b"acTL", [0xFF; 8].to_vec())]), &[413]),
+        (
+            "png of 60000 x 60000",
+            png(&[
+                (b"IHDR", ihdr(60_000, 60_000)),
+                (b"IDAT", row()),
+                (b"IEND", vec![]),
+            ]),
+            &[413],
+        ),
+        (
+            "png of 49 MP without data",
+            png(&[
+                (b"IHDR", ihdr(7_000, 7_000)),
+                (b"IDAT", row()),
+                (b"IEND", vec![]),
+            ]),
+            &[422],
+        ),
+        (
+            "png, interlaced, without data",
+            png(&[(b"IHDR", interlaced), (b"IDAT", row()), (b"IEND", vec![])]),
+            &[422],
+        ),
+        (
+            "png with 200 MiB behind its pixel",
+            png(&[
+                (b"IHDR", ihdr(1, 1)),
+                (b"IDAT", zeros.clone()),
+                (b"IEND", vec![]),
+            ]),
+            &[422],
+        ),
+        (
+            "png with a profile of 200 MiB",
+            one(&[(b"iCCP", named(b"name\0\0"))]),
+            &[200],
+        ),
+        (
+            "png with a text of 200 MiB",
+            one(&[(b"zTXt", named(b"name\0\0"))]),
+            &[200],
+        ),
+        (
+            "png with an international text of 200 MiB",
+            one(&[(b"iTXt", named(b"name\0\x01\0\0\0"))]),
+            &[200],
+        ),
+        (
+            "png of many chunks",
+            one(&vec![(b"teXt", vec![]); 100_000]),
+            &[200],
+        ),
+        (
+            "png of many palettes",
+            one(&vec![(b"PLTE", vec![1; 768]); 1_000]),
+            &[200, 422],
+        ),
+        (
+            "png with EXIF in a loop",
+            one(&[(b"eXIf", exif_loop())]),
+            &[200],
+        ),
+        (
+            "png with a frame of 60000 x 60000",
+            one(&[(b"acTL", vec![0, 0, 0, 1, 0, 0, 0, 0]), (b"fcTL", control)]),
+            &[200],
+        ),
+        (
+            "png of four billion frames",
+            one(&[(b"acTL", [0xFF; 8].to_vec())]),
+            &[413],
+        ),
         (
             "jpeg of 65535 x 65535",
-            [jpeg_head(65_535, 65_535, 0xC0), segment(0xDA, &[1, 1, 0, 0, 63, 0]), vec![0; 64], vec![0xFF, 0xD9]].concat(),
+            [
+                jpeg_head(65_535, 65_535, 0xC0),
+                segment(0xDA, &[1, 1, 0, 0, 63, 0]),
+                vec![0; 64],
+                vec![0xFF, 0xD9],
+            ]
+            .concat(),
             &[413],
         ),
         (
             "jpeg of 49 MP without data",
-            [jpeg_head(7_000, 7_000, 0xC2), segment(0xDA, &[1, 1, 0, 0, 0, 0]), vec![0xFF, 0xD9]].concat(),
+            [
+                jpeg_head(7_000, 7_000, 0xC2),
+                segment(0xDA, &[1, 1, 0, 0, 0, 0]),
+                vec![0xFF, 0xD9],
+            ]
+            .concat(),
             &[422],
         ),
         ("jpeg of 5000 scans", jpeg_scans(64, 5_000), &[422]),
-        ("jpeg of fill bytes", [vec![0xFF, 0xD8], vec![0xFF; 4 << 20]].concat(), &[422]),
-        ("jpeg of comments", [vec![0xFF, 0xD8], segment(0xFE, &[]).repeat(500_000)].concat(), &[422]),
-        ("jpeg of tables", [jpeg_head(64, 64, 0xC2), jpeg_head(8, 8, 0xC2)[73..].repeat(20_000), vec![0xFF, 0xD9]].concat(), &[422]),
-        ("jpeg with EXIF in a loop", with_exif(&jpeg_scans(64, 1), &exif_loop()), &[200]),
         (
-            "webp with a canvas of 2^48",
-            riff(&[(b"VP8X", [0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF].to_vec()), (b"VP8 ", vp8(16, 16))]),
+            "jpeg of fill bytes",
+            [vec![0xFF, 0xD8], vec![0xFF; 4 << 20]].concat(),
             &[422],
         ),
-        ("webp of 16383 x 16383", riff(&[(b"VP8 ", vp8(16_383, 16_383))]), &[413]),
-        ("webp, lossless, of 16384 x 16384", riff(&[(b"VP8L", [&[0x2F, 0xFF, 0xFF, 0xFF, 0x0F], [0; 64].as_slice()].concat())]), &[413]),
+        (
+            "jpeg of comments",
+            [vec![0xFF, 0xD8], segment(0xFE, &[]).repeat(500_000)].concat(),
+            &[422],
+        ),
+        (
+            "jpeg of tables",
+            [
+                jpeg_head(64, 64, 0xC2),
+                jpeg_head(8, 8, 0xC2)[73..].repeat(20_000),
+                vec![0xFF, 0xD9],
+            ]
+            .concat(),
+            &[422],
+        ),
+        (
+            "jpeg with EXIF in a loop",
+            with_exif(&jpeg_scans(64, 1), &exif_loop()),
+            &[200],
+        ),
+        (
+            "webp with a canvas of 2^48",
+            riff(&[
+                (
+                    b"VP8X",
+                    [0, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF].to_vec(),
+                ),
+                (b"VP8 ", vp8(16, 16)),
+            ]),
+            &[422],
+        ),
+        (
+            "webp of 16383 x 16383",
+            riff(&[(b"VP8 ", vp8(16_383, 16_383))]),
+            &[413],
+        ),
+        (
+            "webp, lossless, of 16384 x 16384",
+            riff(&[(
+                b"VP8L",
+                [&[0x2F, 0xFF, 0xFF, 0xFF, 0x0F], [0; 64].as_slice()].concat(),
+            )]),
+            &[413],
+        ),
         ("webp of many code tables", code_tables.to_vec(), &[422]),
         (
             "webp of many code tables in a frame",
-            riff(&[(b"VP8X", vec![2, 0, 0, 0, 3, 0, 0, 3, 0, 0]), (b"ANIM", vec![0; 6]), (b"ANMF", frame(tables))]),
+            riff(&[
+                (b"VP8X", vec![2, 0, 0, 0, 3, 0, 0, 3, 0, 0]),
+                (b"ANIM", vec![0; 6]),
+                (b"ANMF", frame(tables)),
+            ]),
             &[422],
         ),
         (
             "webp of many code tables in its alpha",
-            riff(&[(b"VP8X", vec![0x10, 0, 0, 0, 3, 0, 0, 3, 0, 0]), (b"ALPH", [&[1], &tables[5..]].concat()), (b"VP8 ", vp8(4, 4))]),
+            riff(&[
+                (b"VP8X", vec![0x10, 0, 0, 0, 3, 0, 0, 3, 0, 0]),
+                (b"ALPH", [&[1], &tables[5..]].concat()),
+                (b"VP8 ", vp8(4, 4)),
+            ]),
             &[422],
         ),
         (
             "webp of many frames",
-            riff(&[&[(b"VP8X", vec![2, 0, 0, 0, 3, 0, 0, 3, 0, 0])][..], &vec![(b"ANMF", frame(&[])); 10_000]].concat()),
+            riff(
+                &[
+                    &[(b"VP8X", vec![2, 0, 0, 0, 3, 0, 0, 3, 0, 0])][..],
+                    &vec![(b"ANMF", frame(&[])); 10_000],
+                ]
+                .concat(),
+            ),
             &[413],
         ),
-        ("png of empty stored blocks", png_behind_blocks(1, EmptyBlock::Stored, 200_000), &[422]),
-        ("png of empty fixed blocks", png_behind_blocks(1, EmptyBlock::Fixed, 800_000), &[422]),
-        ("png of empty dynamic blocks", png_behind_blocks(1, EmptyBlock::Dynamic, 80_000), &[422]),
-        ("png of some empty stored blocks", png_behind_blocks(300, EmptyBlock::Stored, 40_000), &[200]),
-        ("png of some empty fixed blocks", png_behind_blocks(300, EmptyBlock::Fixed, 160_000), &[200]),
-        ("png of some empty dynamic blocks", png_behind_blocks(300, EmptyBlock::Dynamic, 16_000), &[200]),
-        ("png of empty data chunks", one(&vec![(b"IDAT", vec![]); 100_000]), &[422]),
         (
-            "png with a profile behind empty blocks",
-            one(&[(b"iCCP", [b"name\0\0", &behind_blocks(EmptyBlock::Dynamic, 100_000, b"nothing")[..]].concat())]),
+            "png of empty stored blocks",
+            png_behind_blocks(1, EmptyBlock::Stored, 200_000),
+            &[422],
+        ),
+        (
+            "png of empty fixed blocks",
+            png_behind_blocks(1, EmptyBlock::Fixed, 800_000),
+            &[422],
+        ),
+        (
+            "png of empty dynamic blocks",
+            png_behind_blocks(1, EmptyBlock::Dynamic, 80_000),
+            &[422],
+        ),
+        (
+            "png of some empty stored blocks",
+            png_behind_blocks(300, EmptyBlock::Stored, 40_000),
             &[200],
         ),
-        ("webp of 30 transforms", webp_transforms(16_384, 3_000, 30), &[422]),
-        ("webp of 1000 transforms", webp_transforms(16_384, 3_000, 1_000), &[422]),
-        ("webp of 1000 transforms, too large", webp_transforms(16_384, 16_384, 1_000), &[413]),
-        ("webp with an alpha of 30 transforms", webp_alpha_transforms(16_383, 3_000, 30), &[422]),
-        ("webp whose transform is made of copies", webp_transform_of_copies(16_384, 3_000), &[422]),
-        ("webp of one cached colour", webp_of_one_cached_colour(1_000, 1_000), &[200]),
+        (
+            "png of some empty fixed blocks",
+            png_behind_blocks(300, EmptyBlock::Fixed, 160_000),
+            &[200],
+        ),
+        (
+            "png of some empty dynamic blocks",
+            png_behind_blocks(300, EmptyBlock::Dynamic, 16_000),
+            &[200],
+        ),
+        (
+            "png of empty data chunks",
+            one(&vec![(b"IDAT", vec![]); 100_000]),
+            &[422],
+        ),
+        (
+            "png with a profile behind empty blocks",
+            one(&[(
+                b"iCCP",
+                [
+                    b"name\0\0",
+                    &behind_blocks(EmptyBlock::Dynamic, 100_000, b"nothing")[..],
+                ]
+                .concat(),
+            )]),
+            &[200],
+        ),
+        (
+            "webp of 30 transforms",
+            webp_transforms(16_384, 3_000, 30),
+            &[422],
+        ),
+        (
+            "webp of 1000 transforms",
+            webp_transforms(16_384, 3_000, 1_000),
+            &[422],
+        ),
+        (
+            "webp of 1000 transforms, too large",
+            webp_transforms(16_384, 16_384, 1_000),
+            &[413],
+        ),
+        (
+            "webp with an alpha of 30 transforms",
+            webp_alpha_transforms(16_383, 3_000, 30),
+            &[422],
+        ),
+        (
+            "webp whose transform is made of copies",
+            webp_transform_of_copies(16_384, 3_000),
+            &[422],
+        ),
+        (
+            "webp of one cached colour",
+            webp_of_one_cached_colour(1_000, 1_000),
+            &[200],
+        ),
         ("webp of copies", webp_of_copies(512), &[200]),
-        ("webp of many chunks", riff(&vec![(b"zzzz", vec![]); 200_000]), &[422]),
+        (
+            "webp of many chunks",
+            riff(&vec![(b"zzzz", vec![]); 200_000]),
+            &[422],
+        ),
     ]
 }
 

@@ -102,10 +102,19 @@ impl ClockedServer {
                 let stop = async {
                     let _ = stopped.await;
                 };
-                tokio::spawn(serve(app, listener, stop)).await.unwrap().unwrap();
+                tokio::spawn(serve(app, listener, stop))
+                    .await
+                    .unwrap()
+                    .unwrap();
             });
         });
-        Self { address, clock, runtime: said.recv().unwrap(), stop: Some(stop), thread: Some(thread) }
+        Self {
+            address,
+            clock,
+            runtime: said.recv().unwrap(),
+            stop: Some(stop),
+            thread: Some(thread),
+        }
     }
 
     /// Computes on the runtime's thread for so long.
@@ -124,7 +133,10 @@ impl ClockedServer {
         self.clock.longest.store(0, Ordering::Relaxed);
         let done = work();
         std::thread::sleep(Duration::from_millis(3));
-        (Duration::from_nanos(self.clock.longest.load(Ordering::Relaxed)), done)
+        (
+            Duration::from_nanos(self.clock.longest.load(Ordering::Relaxed)),
+            done,
+        )
     }
 }
 

@@ -11,7 +11,9 @@ use axum::http::HeaderMap;
 use axum::routing::post;
 use axum::serve::Listener;
 use mlswarp_server::auth::tls::TlsFiles;
-use opentelemetry_proto::tonic::collector::trace::v1::{ExportTracePartialSuccess, ExportTraceServiceRequest, ExportTraceServiceResponse};
+use opentelemetry_proto::tonic::collector::trace::v1::{
+    ExportTracePartialSuccess, ExportTraceServiceRequest, ExportTraceServiceResponse,
+};
 use opentelemetry_proto::tonic::common::v1::KeyValue;
 use opentelemetry_proto::tonic::common::v1::any_value::Value;
 use opentelemetry_proto::tonic::trace::v1::Span;
@@ -40,20 +42,38 @@ impl Collector {
     pub(crate) async fn start_tls(files: &TlsFiles, host: &str) -> Self {
         let listener = TcpListener::bind((host, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
-        Self::on(address, Encrypted { listener, acceptor: files.load().unwrap().into() })
+        Self::on(
+            address,
+            Encrypted {
+                listener,
+                acceptor: files.load().unwrap().into(),
+            },
+        )
     }
 
     fn on(address: SocketAddr, listener: impl Listener<Addr = SocketAddr>) -> Self {
-        let collector = Self { address, batches: Arc::default(), headers: Arc::default(), answer: Arc::default() };
-        let router = Router::new().route("/v1/traces", post(take)).with_state(collector.clone());
+        let collector = Self {
+            address,
+            batches: Arc::default(),
+            headers: Arc::default(),
+            answer: Arc::default(),
+        };
+        let router = Router::new()
+            .route("/v1/traces", post(take))
+            .with_state(collector.clone());
         tokio::spawn(async move { axum::serve(listener, router).await.unwrap() });
         collector
     }
 
     /// From now on it rejects so many spans of each batch.
     pub(crate) fn reject(&self, rejected_spans: i64) {
-        let partial = ExportTracePartialSuccess { rejected_spans, error_message: "not these".to_owned() };
-        let answer = ExportTraceServiceResponse { partial_success: Some(partial) };
+        let partial = ExportTracePartialSuccess {
+            rejected_spans,
+            error_message: "not these".to_owned(),
+        };
+        let answer = ExportTraceServiceResponse {
+            partial_success: Some(partial),
+        };
         *self.answer.lock().unwrap() = answer.encode_to_vec().into();
     }
 
@@ -77,17 +97,30 @@ impl Collector {
 
     pub(crate) fn requests(&self) -> Vec<ExportTraceServiceRequest> {
         let batches = self.batches.lock().unwrap();
-        batches.iter().map(|batch| ExportTraceServiceRequest::decode(batch.clone()).unwrap()).collect()
+        batches
+            .iter()
+            .map(|batch| ExportTraceServiceRequest::decode(batch.clone()).unwrap())
+            .collect()
     }
 
     pub(crate) fn spans(&self) -> Vec<Span> {
-        let scopes = self.requests().into_iter().flat_map(|request| request.resource_spans).flat_map(|spans| spans.scope_spans);
+        let scopes = self
+            .requests()
+            .into_iter()
+            .flat_map(|request| request.resource_spans)
+            .flat_map(|spans| spans.scope_spans);
         scopes.flat_map(|scope| scope.spans).collect()
     }
 
     /// What has sent them.
     pub(crate) fn resource(&self) -> BTreeMap<String, String> {
-        attributes(&self.requests()[0].resource_spans[0].resource.as_ref().unwrap().attributes)
+        attributes(
+            &self.requests()[0].resource_spans[0]
+                .resource
+                .as_ref()
+                .unwrap()
+                .attributes,
+        )
     }
 
     /// The span of that name.
@@ -134,5 +167,7 @@ pub(crate) fn attributes(of: &[KeyValue]) -> BTreeMap<String, String> {
         Some(Value::IntValue(number)) => number.to_string(),
         other => panic!("{other:?}"),
     };
-    of.iter().map(|pair| (pair.key.clone(), text(pair))).collect()
+    of.iter()
+        .map(|pair| (pair.key.clone(), text(pair)))
+        .collect()
 }

@@ -26,7 +26,10 @@ impl Counted for App {
     fn counters(&self) -> Counters {
         let text = self.metrics_text();
         let read = |name: &str| -> u64 {
-            let line = text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_else(|| panic!("no {name}"));
+            let line = text
+                .lines()
+                .find_map(|line| line.strip_prefix(name))
+                .unwrap_or_else(|| panic!("no {name}"));
             line.trim().parse().unwrap()
         };
         Counters {

@@ -34,12 +34,22 @@ impl DragClient {
 
     pub(crate) async fn over(stream: TcpStream, session: &str, query: &str) -> Self {
         stream.set_nodelay(true).unwrap();
-        let url = format!("ws://{}/sessions/{session}/drag{query}", stream.peer_addr().unwrap());
+        let url = format!(
+            "ws://{}/sessions/{session}/drag{query}",
+            stream.peer_addr().unwrap()
+        );
         // Frames may be larger than the crate expects.
-        let config = WebSocketConfig::default().max_message_size(None).max_frame_size(None);
-        let (socket, response) = client_async_with_config(url, stream, Some(config)).await.unwrap();
+        let config = WebSocketConfig::default()
+            .max_message_size(None)
+            .max_frame_size(None);
+        let (socket, response) = client_async_with_config(url, stream, Some(config))
+            .await
+            .unwrap();
         assert_eq!(response.status(), 101);
-        let mut client = Self { socket, hello: Value::Null };
+        let mut client = Self {
+            socket,
+            hello: Value::Null,
+        };
         match client.next().await {
             Received::Text(hello) => client.hello = hello,
             other => panic!("a hello was expected: {other:?}"),
@@ -48,7 +58,10 @@ impl DragClient {
     }
 
     pub(crate) async fn say(&mut self, message: &Value) {
-        self.socket.send(Message::text(message.to_string())).await.unwrap();
+        self.socket
+            .send(Message::text(message.to_string()))
+            .await
+            .unwrap();
     }
 
     /// A text message as it stands.
@@ -70,7 +83,9 @@ impl DragClient {
 
     /// The next thing that the server says, within a long time.
     pub(crate) async fn next(&mut self) -> Received {
-        self.next_within(PATIENCE).await.expect("the server says something")
+        self.next_within(PATIENCE)
+            .await
+            .expect("the server says something")
     }
 
     /// The next thing that the server says, if it says one in time.
@@ -78,13 +93,26 @@ impl DragClient {
         tokio::time::timeout(time, async {
             loop {
                 match self.socket.next().await {
-                    Some(Ok(Message::Text(text))) => return Received::Text(serde_json::from_str(&text).unwrap()),
-                    Some(Ok(Message::Binary(frame))) => {
-                        return Received::Frame(u64::from_le_bytes(frame[..8].try_into().unwrap()), frame[8..].to_vec());
+                    Some(Ok(Message::Text(text))) => {
+                        return Received::Text(serde_json::from_str(&text).unwrap());
                     }
-                    Some(Ok(Message::Close(close))) => return Received::Closed(close.map_or(0, |close| close.code.into())),
+                    Some(Ok(Message::Binary(frame))) => {
+                        return Received::Frame(
+                            u64::from_le_bytes(frame[..8].try_into().unwrap()),
+                            frame[8..].to_vec(),
+                        );
+                    }
+                    Some(Ok(Message::Close(close))) => {
+                        return Received::Closed(close.map_or(0, |close| close.code.into()));
+                    }
                     Some(Ok(_)) => {}
-                    None | Some(Err(Error::Io(_) | Error::Protocol(_) | Error::ConnectionClosed | Error::AlreadyClosed)) => {
+                    None
+                    | Some(Err(
+                        Error::Io(_)
+                        | Error::Protocol(_)
+                        | Error::ConnectionClosed
+                        | Error::AlreadyClosed,
+                    )) => {
                         return Received::Closed(0);
                     }
                     Some(Err(error)) => panic!("{error}"),
@@ -121,7 +149,12 @@ impl DragClient {
         let problem = self.text().await;
         assert_eq!(problem["code"], code, "{problem}");
         assert_eq!(problem["type"], format!("/problems/{code}"));
-        assert!(problem["status"].is_u64() && problem["title"].is_string() && problem["detail"].is_string(), "{problem}");
+        assert!(
+            problem["status"].is_u64()
+                && problem["title"].is_string()
+                && problem["detail"].is_string(),
+            "{problem}"
+        );
         problem
     }
 

@@ -22,8 +22,13 @@ pub(crate) struct Healthy {
 impl Healthy {
     pub(crate) async fn begin(address: SocketAddr) -> Self {
         let client = reqwest::Client::new();
-        let opened = client.post(format!("http://{address}/sessions")).multipart(form(&photo(128, 96), r#"{"p": [[20, 20], [100, 24]]}"#));
-        let id = opened.send().await.unwrap().json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+        let opened = client
+            .post(format!("http://{address}/sessions"))
+            .multipart(form(&photo(128, 96), r#"{"p": [[20, 20], [100, 24]]}"#));
+        let id = opened.send().await.unwrap().json::<Value>().await.unwrap()["id"]
+            .as_str()
+            .unwrap()
+            .to_owned();
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let client = tokio::spawn(async move {
@@ -31,7 +36,12 @@ impl Healthy {
             while waits.len() < LEAST || !stopped.load(Ordering::Relaxed) {
                 let began = Instant::now();
                 let body = json!({"q": [[20 + waits.len() % 9, 20], [100, 24]]});
-                let answer = client.post(format!("http://{address}/sessions/{id}/warp")).json(&body).send().await.unwrap();
+                let answer = client
+                    .post(format!("http://{address}/sessions/{id}/warp"))
+                    .json(&body)
+                    .send()
+                    .await
+                    .unwrap();
                 assert_eq!(answer.status(), 200);
                 assert!(answer.bytes().await.unwrap().starts_with(b"\x89PNG"));
                 waits.push(began.elapsed());
@@ -48,7 +58,12 @@ impl Healthy {
         let mut waits = self.client.await.unwrap();
         waits.sort_unstable();
         let p99 = waits[(waits.len() * 99).div_ceil(100) - 1];
-        eprintln!("{meanwhile}: {} answers, p99 {:.1} ms, longest {:.1} ms", waits.len(), ms(p99), ms(waits[waits.len() - 1]));
+        eprintln!(
+            "{meanwhile}: {} answers, p99 {:.1} ms, longest {:.1} ms",
+            waits.len(),
+            ms(p99),
+            ms(waits[waits.len() - 1])
+        );
         p99
     }
 }

@@ -72,20 +72,51 @@ impl Frames {
 
     pub(crate) async fn over(stream: TcpStream, window: u32) -> Self {
         let (read, write) = stream.into_split();
-        let mut frames = Self { reader: Reader { stream: read, read: Vec::new() }, write };
-        frames.write.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await.unwrap();
-        frames.say(SETTINGS, 0, 0, &[&[0, 4][..], &window.to_be_bytes()].concat()).await;
+        let mut frames = Self {
+            reader: Reader {
+                stream: read,
+                read: Vec::new(),
+            },
+            write,
+        };
+        frames
+            .write
+            .write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n")
+            .await
+            .unwrap();
+        frames
+            .say(
+                SETTINGS,
+                0,
+                0,
+                &[&[0, 4][..], &window.to_be_bytes()].concat(),
+            )
+            .await;
         frames
     }
 
     pub(crate) async fn say(&mut self, kind: u8, flags: u8, stream: u32, payload: &[u8]) {
         // The server may have closed: the next read shows that.
-        let _ = self.write.write_all(&frame(kind, flags, stream, payload)).await;
+        let _ = self
+            .write
+            .write_all(&frame(kind, flags, stream, payload))
+            .await;
     }
 
     pub(crate) async fn request(&mut self, stream: u32, method: u8, path: &str, is_whole: bool) {
-        let block = block(method, path, "localhost", &[("content-type", "application/json")]);
-        self.say(HEADERS, END_HEADERS | if is_whole { END_STREAM } else { 0 }, stream, &block).await;
+        let block = block(
+            method,
+            path,
+            "localhost",
+            &[("content-type", "application/json")],
+        );
+        self.say(
+            HEADERS,
+            END_HEADERS | if is_whole { END_STREAM } else { 0 },
+            stream,
+            &block,
+        )
+        .await;
     }
 
     /// The next frame that is neither a ping nor settings; none at the end of the connection.
@@ -107,7 +138,10 @@ impl Reader {
     pub(crate) async fn next(&mut self) -> Option<Frame> {
         let mut piece = [0; 16 << 10];
         while self.read.len() < 9 || self.read.len() < 9 + length(&self.read) {
-            match tokio::time::timeout(Duration::from_secs(60), self.stream.read(&mut piece)).await.expect("the server says something") {
+            match tokio::time::timeout(Duration::from_secs(60), self.stream.read(&mut piece))
+                .await
+                .expect("the server says something")
+            {
                 Ok(0) | Err(_) => return None,
                 Ok(read) => self.read.extend_from_slice(&piece[..read]),
             }
@@ -115,7 +149,12 @@ impl Reader {
         let rest = self.read.split_off(9 + length(&self.read));
         let whole = std::mem::replace(&mut self.read, rest);
         let stream = u32::from_be_bytes(whole[5..9].try_into().unwrap());
-        Some(Frame { kind: whole[3], flags: whole[4], stream, payload: whole[9..].to_vec() })
+        Some(Frame {
+            kind: whole[3],
+            flags: whole[4],
+            stream,
+            payload: whole[9..].to_vec(),
+        })
     }
 }
 

@@ -3,13 +3,21 @@
 /// An RGB picture in which no two neighbourhoods look alike.
 pub(crate) fn photo(width: u32, height: u32) -> Vec<u8> {
     let sample = |x: u32, y: u32, c: u32| {
-        let wave = 90.0 * (f64::from(x * (c + 1)) / 17.0).sin() * (f64::from(y) / (11.0 + f64::from(c))).cos();
+        let wave = 90.0
+            * (f64::from(x * (c + 1)) / 17.0).sin()
+            * (f64::from(y) / (11.0 + f64::from(c))).cos();
         let noise = f64::from((x.wrapping_mul(2_654_435_761) ^ y.wrapping_mul(40_503) ^ c) % 23);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to a byte")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped to a byte"
+        )]
         let byte = (128.0 + wave + noise).clamp(0.0, 255.0) as u8;
         byte
     };
-    let samples: Vec<u8> = (0..height).flat_map(|y| (0..width).flat_map(move |x| (0..3).map(move |c| sample(x, y, c)))).collect();
+    let samples: Vec<u8> = (0..height)
+        .flat_map(|y| (0..width).flat_map(move |x| (0..3).map(move |c| sample(x, y, c))))
+        .collect();
     png(width, height, png::ColorType::Rgb, &samples)
 }
 
@@ -17,7 +25,21 @@ pub(crate) fn photo(width: u32, height: u32) -> Vec<u8> {
 pub(crate) fn bmp(width: u32, height: u32, seed: u32) -> Vec<u8> {
     let pixels = (3 * width * height) as usize;
     let mut file = b"BM".to_vec();
-    for number in [54 + pixels as u32, 0, 54, 40, width, height, 1 | 24 << 16, 0, pixels as u32, 2835, 2835, 0, 0] {
+    for number in [
+        54 + pixels as u32,
+        0,
+        54,
+        40,
+        width,
+        height,
+        1 | 24 << 16,
+        0,
+        pixels as u32,
+        2835,
+        2835,
+        0,
+        0,
+    ] {
         file.extend(number.to_le_bytes());
     }
     let mut state = seed.wrapping_mul(0x9e37_79b9) | 1;
@@ -37,7 +59,13 @@ pub(crate) fn png(width: u32, height: u32, color: png::ColorType, samples: &[u8]
 }
 
 /// A PNG file; samples of 16 bits are big-endian.
-pub(crate) fn png_of(width: u32, height: u32, color: png::ColorType, depth: png::BitDepth, samples: &[u8]) -> Vec<u8> {
+pub(crate) fn png_of(
+    width: u32,
+    height: u32,
+    color: png::ColorType,
+    depth: png::BitDepth,
+    samples: &[u8],
+) -> Vec<u8> {
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, width, height);
     encoder.set_color(color);
@@ -63,8 +91,16 @@ pub(crate) struct Decoded {
 pub(crate) fn decoded(file: &[u8]) -> Decoded {
     let first = by_png(file);
     let second = by_zune(file);
-    assert_eq!((first.width, first.height, first.color, first.depth), (second.width, second.height, second.color, second.depth));
-    assert!(first.samples == second.samples, "two decoders see two pictures of {} x {}", first.width, first.height);
+    assert_eq!(
+        (first.width, first.height, first.color, first.depth),
+        (second.width, second.height, second.color, second.depth)
+    );
+    assert!(
+        first.samples == second.samples,
+        "two decoders see two pictures of {} x {}",
+        first.width,
+        first.height
+    );
     first
 }
 
@@ -79,7 +115,13 @@ fn by_png(file: &[u8]) -> Decoded {
     let info = reader.next_frame(&mut samples).unwrap();
     reader.finish().unwrap();
     samples.truncate(info.buffer_size());
-    Decoded { width: info.width as usize, height: info.height as usize, color: info.color_type, depth: info.bit_depth, samples }
+    Decoded {
+        width: info.width as usize,
+        height: info.height as usize,
+        color: info.color_type,
+        depth: info.bit_depth,
+        samples,
+    }
 }
 
 fn by_zune(file: &[u8]) -> Decoded {
@@ -87,11 +129,17 @@ fn by_zune(file: &[u8]) -> Decoded {
     use zune_png::zune_core::colorspace::ColorSpace;
     use zune_png::zune_core::options::DecoderOptions;
     use zune_png::zune_core::result::DecodingResult;
-    let options = DecoderOptions::default().set_strict_mode(true).png_set_confirm_crc(true).inflate_set_confirm_adler(true);
+    let options = DecoderOptions::default()
+        .set_strict_mode(true)
+        .png_set_confirm_crc(true)
+        .inflate_set_confirm_adler(true);
     let mut decoder = zune_png::PngDecoder::new_with_options(ZCursor::new(file), options);
     let (depth, samples) = match decoder.decode().unwrap() {
         DecodingResult::U8(samples) => (png::BitDepth::Eight, samples),
-        DecodingResult::U16(samples) => (png::BitDepth::Sixteen, samples.into_iter().flat_map(u16::to_be_bytes).collect()),
+        DecodingResult::U16(samples) => (
+            png::BitDepth::Sixteen,
+            samples.into_iter().flat_map(u16::to_be_bytes).collect(),
+        ),
         _ => panic!("a depth that we do not write"),
     };
     let color = match decoder.colorspace().unwrap() {
@@ -100,5 +148,11 @@ fn by_zune(file: &[u8]) -> Decoded {
         other => panic!("colours that we do not write: {other:?}"),
     };
     let (width, height) = decoder.dimensions().unwrap();
-    Decoded { width, height, color, depth, samples }
+    Decoded {
+        width,
+        height,
+        color,
+        depth,
+        samples,
+    }
 }

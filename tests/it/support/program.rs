@@ -11,7 +11,9 @@ pub(crate) fn mlswarp(args: &[&str]) -> Command {
     command.args(args);
     // A backtrace of a program with debug information takes 280 MiB to print.
     command.env("RUST_BACKTRACE", "0");
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("MLSWARP_")) {
+    for (name, _) in
+        std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("MLSWARP_"))
+    {
         command.env_remove(name);
     }
     command
@@ -19,7 +21,12 @@ pub(crate) fn mlswarp(args: &[&str]) -> Command {
 
 /// Runs the program with text on its standard input.
 pub(crate) fn run(args: &[&str], stdin: &str) -> Output {
-    let mut child = mlswarp(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child = mlswarp(args)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     // A command that fails at once closes the pipe.
     let _ = child.stdin.take().unwrap().write_all(stdin.as_bytes());
     child.wait_with_output().unwrap()
@@ -35,7 +42,10 @@ pub(crate) fn done(args: &[&str], stdin: &str) -> (Vec<u8>, String) {
 /// What a command says that fails.
 pub(crate) fn failed(args: &[&str], stdin: &str) -> String {
     let output = run(args, stdin);
-    assert!(output.status.code() == Some(1) && output.stdout.is_empty(), "{args:?}: {output:?}");
+    assert!(
+        output.status.code() == Some(1) && output.stdout.is_empty(),
+        "{args:?}: {output:?}"
+    );
     String::from_utf8(output.stderr).unwrap()
 }
 
@@ -48,7 +58,9 @@ pub(crate) struct Program {
 
 impl Program {
     pub(crate) fn start(args: &[&str]) -> Self {
-        Self::spawn(mlswarp(&[&["serve", "--listen", "127.0.0.1:0"], args].concat()))
+        Self::spawn(mlswarp(
+            &[&["serve", "--listen", "127.0.0.1:0"], args].concat(),
+        ))
     }
 
     /// A command that comes to be the server.
@@ -58,10 +70,16 @@ impl Program {
         let mut said = String::new();
         let address = loop {
             let before = said.len();
-            assert_ne!(lines.read_line(&mut said).unwrap(), 0, "the server ended before it listened");
+            assert_ne!(
+                lines.read_line(&mut said).unwrap(),
+                0,
+                "the server ended before it listened"
+            );
             let line = &said[before..];
             if let Some((_, address)) = line.split_once("://") {
-                let end = address.find(|c: char| !"0123456789.:".contains(c)).unwrap_or(address.len());
+                let end = address
+                    .find(|c: char| !"0123456789.:".contains(c))
+                    .unwrap_or(address.len());
                 break address[..end].parse().unwrap();
             }
         };
@@ -69,7 +87,11 @@ impl Program {
             let _ = lines.read_to_string(&mut said);
             said
         });
-        Self { address, child, log: Some(log) }
+        Self {
+            address,
+            child,
+            log: Some(log),
+        }
     }
 
     /// Its process.
@@ -94,8 +116,16 @@ impl Program {
 
     fn memory(&self, name: &str) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap();
-        line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap() >> 10
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix(name))
+            .unwrap();
+        line.trim()
+            .trim_end_matches(" kB")
+            .trim()
+            .parse::<u64>()
+            .unwrap()
+            >> 10
     }
 
     /// Time of the processors that it has used.
@@ -103,12 +133,20 @@ impl Program {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.id())).unwrap();
         // In user mode and in the kernel, in ticks of 10 ms, counted behind the name.
         let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
-        Duration::from_millis(10 * fields[11..13].iter().map(|ticks| ticks.parse::<u64>().unwrap()).sum::<u64>())
+        Duration::from_millis(
+            10 * fields[11..13]
+                .iter()
+                .map(|ticks| ticks.parse::<u64>().unwrap())
+                .sum::<u64>(),
+        )
     }
 
     /// SIGTERM.
     pub(crate) fn terminate(&self) {
-        let sent = Command::new("kill").args(["-TERM", &self.child.id().to_string()]).status().unwrap();
+        let sent = Command::new("kill")
+            .args(["-TERM", &self.child.id().to_string()])
+            .status()
+            .unwrap();
         assert!(sent.success());
     }
 
@@ -120,7 +158,10 @@ impl Program {
                 let log = self.log.take().unwrap().join().unwrap();
                 return (status, log);
             }
-            assert!(began.elapsed() < Duration::from_secs(60), "the server does not end");
+            assert!(
+                began.elapsed() < Duration::from_secs(60),
+                "the server does not end"
+            );
             std::thread::sleep(Duration::from_millis(10));
         }
     }

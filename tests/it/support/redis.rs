@@ -17,13 +17,23 @@ pub(crate) struct Redis {
 impl Redis {
     /// Starts one that keeps nothing; `options` are the server's own (`--maxmemory`, `4mb`).
     pub(crate) fn start(options: &[&str]) -> Self {
-        let directory = std::env::temp_dir().join(format!("mlswarp-redis-{}", uuid::Uuid::new_v4()));
+        let directory =
+            std::env::temp_dir().join(format!("mlswarp-redis-{}", uuid::Uuid::new_v4()));
         std::fs::create_dir(&directory).unwrap();
         let options: Vec<String> = options.iter().map(|&option| option.to_owned()).collect();
         // Somebody else may take a free port before the server does.
         for _ in 0..10 {
-            let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-            let mut redis = Self { child: spawn(port, &directory, &options), port, directory: directory.clone(), options: options.clone() };
+            let port = TcpListener::bind("127.0.0.1:0")
+                .unwrap()
+                .local_addr()
+                .unwrap()
+                .port();
+            let mut redis = Self {
+                child: spawn(port, &directory, &options),
+                port,
+                directory: directory.clone(),
+                options: options.clone(),
+            };
             if redis.answers() {
                 return redis;
             }
@@ -52,20 +62,31 @@ impl Redis {
             if self.answers() {
                 return;
             }
-            assert!(began.elapsed() < Duration::from_secs(20), "redis-server does not start again");
+            assert!(
+                began.elapsed() < Duration::from_secs(20),
+                "redis-server does not start again"
+            );
             std::thread::sleep(Duration::from_millis(100));
         }
     }
 
     /// SIGSTOP or SIGCONT: a server that takes connections and says nothing, and its end.
     pub(crate) fn signal(&self, name: &str) {
-        assert!(Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args([name, &self.child.id().to_string()])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     /// What the server says to one command.
     pub(crate) fn say(&self, command: &str) -> String {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
-        stream.write_all(format!("{command}\r\nQUIT\r\n").as_bytes()).unwrap();
+        stream
+            .write_all(format!("{command}\r\nQUIT\r\n").as_bytes())
+            .unwrap();
         let mut said = String::new();
         stream.read_to_string(&mut said).unwrap();
         said.strip_suffix("+OK\r\n").unwrap_or_default().to_owned()
@@ -85,7 +106,10 @@ impl Redis {
             if ended || (pong.is_ok() && [b"+PONG\r\n", b"-NOAUTH"].contains(&&answer)) {
                 return !ended;
             }
-            assert!(began.elapsed() < Duration::from_secs(20), "redis-server does not answer");
+            assert!(
+                began.elapsed() < Duration::from_secs(20),
+                "redis-server does not answer"
+            );
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -93,7 +117,15 @@ impl Redis {
 
 fn spawn(port: u16, directory: &PathBuf, options: &[String]) -> Child {
     Command::new("redis-server")
-        .args(["--bind", "127.0.0.1", "--port", &port.to_string(), "--save", "", "--dir"])
+        .args([
+            "--bind",
+            "127.0.0.1",
+            "--port",
+            &port.to_string(),
+            "--save",
+            "",
+            "--dir",
+        ])
         .arg(directory)
         .args(options)
         .stdout(Stdio::null())

@@ -22,16 +22,34 @@ pub(crate) struct Relay {
 impl Relay {
     pub(crate) async fn start(server: &Redis) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let relay = Self { address: listener.local_addr().unwrap(), held: watch::Sender::new(None), seen: Arc::default() };
+        let relay = Self {
+            address: listener.local_addr().unwrap(),
+            held: watch::Sender::new(None),
+            seen: Arc::default(),
+        };
         let there = server.address().replace("redis://", "");
         let (held, seen) = (relay.held.clone(), Arc::clone(&relay.seen));
         tokio::spawn(async move {
             while let Ok((near, _)) = listener.accept().await {
-                let (near, far) = (near.into_split(), TcpStream::connect(&there).await.unwrap().into_split());
+                let (near, far) = (
+                    near.into_split(),
+                    TcpStream::connect(&there).await.unwrap().into_split(),
+                );
                 // Whether this connection has asked what is answered late.
                 let is_slow = watch::Sender::new(false);
-                tokio::spawn(answers(far.0, near.1, is_slow.subscribe(), held.subscribe()));
-                tokio::spawn(questions(near.0, far.1, is_slow, held.subscribe(), Arc::clone(&seen)));
+                tokio::spawn(answers(
+                    far.0,
+                    near.1,
+                    is_slow.subscribe(),
+                    held.subscribe(),
+                ));
+                tokio::spawn(questions(
+                    near.0,
+                    far.1,
+                    is_slow,
+                    held.subscribe(),
+                    Arc::clone(&seen),
+                ));
             }
         });
         relay
@@ -65,7 +83,10 @@ async fn questions(
         let command = *held.borrow();
         if let Some(command) = command {
             let word = format!("\r\n${}\r\n{command}\r\n", command.len());
-            let times = bytes[..n].windows(word.len()).filter(|window| *window == word.as_bytes()).count();
+            let times = bytes[..n]
+                .windows(word.len())
+                .filter(|window| *window == word.as_bytes())
+                .count();
             is_slow.send_if_modified(|is| times > 0 && !std::mem::replace(is, true));
             seen.fetch_add(times, Ordering::SeqCst);
         }

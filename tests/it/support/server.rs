@@ -14,13 +14,24 @@ use super::picture::decoded;
 
 /// Options as on the command line. No test that is not about waiting depends on how fast this machine is.
 pub(crate) fn config(options: &[&str]) -> Config {
-    let usual = ["mlswarp", "--listen", "127.0.0.1:0", "--drag-wait", "10m", "--upload-wait", "10m"];
+    let usual = [
+        "mlswarp",
+        "--listen",
+        "127.0.0.1:0",
+        "--drag-wait",
+        "10m",
+        "--upload-wait",
+        "10m",
+    ];
     Config::read([&usual, options].concat()).unwrap()
 }
 
 /// As which client the requests of a test are counted.
 pub(crate) fn this_client() -> mlswarp_server::client::Client {
-    mlswarp_server::client::Client { address: std::net::Ipv4Addr::LOCALHOST.into(), ..Default::default() }
+    mlswarp_server::client::Client {
+        address: std::net::Ipv4Addr::LOCALHOST.into(),
+        ..Default::default()
+    }
 }
 
 /// A running server and a client.
@@ -41,7 +52,12 @@ impl Server {
         tokio::spawn(serve(app.clone(), listener, async {
             let _ = stopped.await;
         }));
-        Self { app, address, client: Client::new(), _stop: stop }
+        Self {
+            app,
+            address,
+            client: Client::new(),
+            _stop: stop,
+        }
     }
 
     pub(crate) fn url(&self, path: &str) -> String {
@@ -57,23 +73,40 @@ impl Server {
     }
 
     pub(crate) async fn upload(&self, path: &str, image: &[u8], warp: &Value) -> Response {
-        self.post(path).multipart(form(image, warp.to_string())).send().await.unwrap()
+        self.post(path)
+            .multipart(form(image, warp.to_string()))
+            .send()
+            .await
+            .unwrap()
     }
 
     /// The id of a new session.
     pub(crate) async fn session(&self, image: &[u8], warp: &Value) -> String {
         let response = self.upload("/sessions", image, warp).await;
         assert_eq!(response.status(), 201, "{:?}", response.text().await);
-        response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
+        response.json::<Value>().await.unwrap()["id"]
+            .as_str()
+            .unwrap()
+            .to_owned()
     }
 
     pub(crate) async fn drag(&self, id: &str, body: &Value) -> Response {
-        self.post(&format!("/sessions/{id}/warp")).json(body).send().await.unwrap()
+        self.post(&format!("/sessions/{id}/warp"))
+            .json(body)
+            .send()
+            .await
+            .unwrap()
     }
 
     /// A request that must succeed, whatever happened before.
     pub(crate) async fn is_well(&self) {
-        let response = self.upload("/warp", &super::photo(16, 12), &json!({"p": [[2, 2]], "q": [[3, 2]]})).await;
+        let response = self
+            .upload(
+                "/warp",
+                &super::photo(16, 12),
+                &json!({"p": [[2, 2]], "q": [[3, 2]]}),
+            )
+            .await;
         png(response).await;
         assert_eq!(self.get("/readyz").send().await.unwrap().status(), 200);
     }
@@ -81,7 +114,9 @@ impl Server {
 
 /// The two parts.
 pub(crate) fn form(image: &[u8], warp: impl Into<String>) -> Form {
-    Form::new().part("image", Part::bytes(image.to_vec()).file_name("picture")).text("warp", warp.into())
+    Form::new()
+        .part("image", Part::bytes(image.to_vec()).file_name("picture"))
+        .text("warp", warp.into())
 }
 
 /// The file of an answer that must be a picture, read by both decoders.
@@ -95,7 +130,12 @@ pub(crate) async fn png(response: Response) -> Vec<u8> {
 
 /// A header as text.
 pub(crate) fn header<'a>(response: &'a Response, name: &str) -> &'a str {
-    response.headers().get(name).unwrap_or_else(|| panic!("{name} in {:?}", response.headers())).to_str().unwrap()
+    response
+        .headers()
+        .get(name)
+        .unwrap_or_else(|| panic!("{name} in {:?}", response.headers()))
+        .to_str()
+        .unwrap()
 }
 
 /// Checks that the answer is a whole problem document with this status and code, and gives it back.
@@ -104,7 +144,12 @@ pub(crate) async fn problem(response: Response, status: u16, code: &str) -> Valu
     let got = response.status().as_u16();
     let media_type = header(&response, "content-type").to_owned();
     let text = response.text().await.unwrap();
-    assert_eq!(got, status, "{code}: {}", text.chars().take(300).collect::<String>());
+    assert_eq!(
+        got,
+        status,
+        "{code}: {}",
+        text.chars().take(300).collect::<String>()
+    );
     assert_eq!(media_type, "application/problem+json");
     let document: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(document["code"], code, "{text}");
@@ -112,7 +157,10 @@ pub(crate) async fn problem(response: Response, status: u16, code: &str) -> Valu
     assert_eq!(document["type"], format!("/problems/{code}"));
     assert_eq!(document["request_id"], request_id);
     for field in ["title", "detail"] {
-        assert!(document[field].as_str().is_some_and(|s| !s.is_empty()), "{field} in {text}");
+        assert!(
+            document[field].as_str().is_some_and(|s| !s.is_empty()),
+            "{field} in {text}"
+        );
     }
     document
 }

@@ -45,18 +45,28 @@ struct Sums {
 impl Sums {
     fn plus(self, other: Self, sign: i64) -> Self {
         let channels = std::array::from_fn(|k| self.channels[k] + sign * other.channels[k]);
-        Self { count: self.count + sign * other.count, channels }
+        Self {
+            count: self.count + sign * other.count,
+            channels,
+        }
     }
 
     /// How much the mean of these pixels explains of their squares; what it leaves is their squared error.
     fn explained(self) -> f64 {
-        let sum: f64 = (0..3).map(|k| f64::from(SEEN[k]) * self.channels[k] as f64 * self.channels[k] as f64).sum();
-        if self.count == 0 { 0.0 } else { sum / self.count as f64 }
+        let sum: f64 = (0..3)
+            .map(|k| f64::from(SEEN[k]) * self.channels[k] as f64 * self.channels[k] as f64)
+            .sum();
+        if self.count == 0 {
+            0.0
+        } else {
+            sum / self.count as f64
+        }
     }
 
     fn mean(self) -> Colour {
         let count = self.count.max(1);
-        self.channels.map(|sum| u8::try_from((sum + count / 2) / count).unwrap_or(u8::MAX))
+        self.channels
+            .map(|sum| u8::try_from((sum + count / 2) / count).unwrap_or(u8::MAX))
     }
 }
 
@@ -89,7 +99,13 @@ impl Table {
                 break;
             }
             let cell = &mut table[index(colour.map(|value| usize::from(value >> 3) + 1))];
-            *cell = cell.plus(Sums { count: 1, channels: colour.map(i64::from) }, 1);
+            *cell = cell.plus(
+                Sums {
+                    count: 1,
+                    channels: colour.map(i64::from),
+                },
+                1,
+            );
         }
         for stride in [1, SIDE, SIDE * SIDE] {
             for at in stride..table.len() {
@@ -105,8 +121,17 @@ impl Table {
     fn sums(&self, Box3 { low, high }: Box3) -> Sums {
         (0..8).fold(Sums::default(), |sums, corner: usize| {
             let is_low = |k: usize| corner >> k & 1 == 1;
-            let sign = if corner.count_ones().is_multiple_of(2) { 1 } else { -1 };
-            sums.plus(self.0[index(std::array::from_fn(|k| if is_low(k) { low[k] } else { high[k] }))], sign)
+            let sign = if corner.count_ones().is_multiple_of(2) {
+                1
+            } else {
+                -1
+            };
+            sums.plus(
+                self.0[index(std::array::from_fn(|k| {
+                    if is_low(k) { low[k] } else { high[k] }
+                }))],
+                sign,
+            )
         })
     }
 
@@ -119,8 +144,14 @@ impl Table {
                 (below.high[channel], above.low[channel]) = (at, at);
                 let part = self.sums(below);
                 let gain = part.explained() + all.plus(part, -1).explained() - all.explained();
-                if part.count > 0 && part.count < all.count && gain > best.map_or(0.0, |best| best.gain) {
-                    best = Some(Cut { parts: [below, above], gain });
+                if part.count > 0
+                    && part.count < all.count
+                    && gain > best.map_or(0.0, |best| best.gain)
+                {
+                    best = Some(Cut {
+                        parts: [below, above],
+                        gain,
+                    });
                 }
             }
         }
@@ -130,23 +161,57 @@ impl Table {
 
 impl Palette {
     /// The colours of the opaque pixels, at most `most`.
-    pub(super) fn of(pixels: impl Iterator<Item = Colour> + Clone, most: usize, wanted: &dyn Fn() -> bool) -> Self {
+    pub(super) fn of(
+        pixels: impl Iterator<Item = Colour> + Clone,
+        most: usize,
+        wanted: &dyn Fn() -> bool,
+    ) -> Self {
         if let Some(colours) = all_colours(pixels.clone(), most, wanted) {
-            return Self { colours, is_exact: true };
+            return Self {
+                colours,
+                is_exact: true,
+            };
         }
         let table = Table::of(pixels, wanted);
-        let whole = Box3 { low: [0; 3], high: [SIDE - 1; 3] };
+        let whole = Box3 {
+            low: [0; 3],
+            high: [SIDE - 1; 3],
+        };
         let mut boxes = vec![(whole, table.cut(whole))];
         while boxes.len() < most && wanted() {
-            let cuts = boxes.iter().enumerate().filter_map(|(k, (_, cut))| Some((k, (*cut)?)));
-            let best = cuts.reduce(|best, next| if next.1.gain > best.1.gain { next } else { best });
-            let Some((k, Cut { parts: [below, above], .. })) = best else { break };
+            let cuts = boxes
+                .iter()
+                .enumerate()
+                .filter_map(|(k, (_, cut))| Some((k, (*cut)?)));
+            let best = cuts.reduce(|best, next| {
+                if next.1.gain > best.1.gain {
+                    next
+                } else {
+                    best
+                }
+            });
+            let Some((
+                k,
+                Cut {
+                    parts: [below, above],
+                    ..
+                },
+            )) = best
+            else {
+                break;
+            };
             boxes[k] = (below, table.cut(below));
             boxes.push((above, table.cut(above)));
         }
-        let mut colours: Vec<Colour> = boxes.iter().map(|(part, _)| table.sums(*part).mean()).collect();
+        let mut colours: Vec<Colour> = boxes
+            .iter()
+            .map(|(part, _)| table.sums(*part).mean())
+            .collect();
         sort(&mut colours);
-        Self { colours, is_exact: false }
+        Self {
+            colours,
+            is_exact: false,
+        }
     }
 
     pub(super) fn colours(&self) -> &[Colour] {
@@ -155,22 +220,43 @@ impl Palette {
 
     /// The index of each pixel of a row, in order of rows.
     pub(super) fn indexer(&self) -> Indexer<'_> {
-        let exact = self.colours.iter().zip(0..=u8::MAX).map(|(colour, index)| (*colour, index));
-        let exact = if self.is_exact { exact.collect() } else { HashMap::new() };
-        Indexer { palette: self, exact, nearest: vec![UNKNOWN; if self.is_exact { 0 } else { NEAREST }] }
+        let exact = self
+            .colours
+            .iter()
+            .zip(0..=u8::MAX)
+            .map(|(colour, index)| (*colour, index));
+        let exact = if self.is_exact {
+            exact.collect()
+        } else {
+            HashMap::new()
+        };
+        Indexer {
+            palette: self,
+            exact,
+            nearest: vec![UNKNOWN; if self.is_exact { 0 } else { NEAREST }],
+        }
     }
 
     /// The nearest colour.
     fn nearest(&self, colour: [i32; 3]) -> u8 {
-        let distance = |own: &Colour| square(std::array::from_fn(|k| i32::from(own[k]) - colour[k]));
+        let distance =
+            |own: &Colour| square(std::array::from_fn(|k| i32::from(own[k]) - colour[k]));
         // One number for both: this is the inner loop.
-        let keys = self.colours.iter().zip(0..).map(|(own, index)| distance(own) << 8 | index);
+        let keys = self
+            .colours
+            .iter()
+            .zip(0..)
+            .map(|(own, index)| distance(own) << 8 | index);
         keys.min().map_or(0, |key| key.to_le_bytes()[0])
     }
 }
 
 /// The colours, if there are no more than `most`.
-fn all_colours(pixels: impl Iterator<Item = Colour>, most: usize, wanted: &dyn Fn() -> bool) -> Option<Vec<Colour>> {
+fn all_colours(
+    pixels: impl Iterator<Item = Colour>,
+    most: usize,
+    wanted: &dyn Fn() -> bool,
+) -> Option<Vec<Colour>> {
     let mut seen = HashMap::new();
     let mut last = None;
     for (k, colour) in pixels.enumerate() {
@@ -230,7 +316,13 @@ impl Indexer<'_> {
         let off = difference(colour, self.palette.colours[usize::from(near)]);
         // The colour on the other side of the pixel's.
         let mut beyond = |step: i32| self.nearest(std::array::from_fn(|k| own[k] + step * off[k]));
-        let Some(far) = [1, 2, 4].into_iter().map(&mut beyond).find(|far| *far != near) else { return near };
+        let Some(far) = [1, 2, 4]
+            .into_iter()
+            .map(&mut beyond)
+            .find(|far| *far != near)
+        else {
+            return near;
+        };
         let [dark, light] = [near.min(far), near.max(far)];
         let base = self.palette.colours[usize::from(dark)];
         let way = difference(self.palette.colours[usize::from(light)], base);
@@ -238,7 +330,8 @@ impl Indexer<'_> {
             return near;
         }
         // The share of the way from the dark colour to the light one, against a threshold.
-        let is_light = product(way, difference(colour, base)) * 128 > square(way) * (2 * threshold(x, y) + 1);
+        let is_light =
+            product(way, difference(colour, base)) * 128 > square(way) * (2 * threshold(x, y) + 1);
         if is_light { light } else { dark }
     }
 
@@ -248,7 +341,10 @@ impl Indexer<'_> {
         let entry = &mut self.nearest[r << 12 | g << 6 | b];
         if *entry == UNKNOWN {
             // The middle of the values of this entry.
-            *entry = self.palette.nearest(colour.map(|value| (value & !3) + 2)).into();
+            *entry = self
+                .palette
+                .nearest(colour.map(|value| (value & !3) + 2))
+                .into();
         }
         u8::try_from(*entry).unwrap_or_default()
     }
@@ -256,7 +352,8 @@ impl Indexer<'_> {
 
 /// The threshold of a place, 0 to 63: each once in 8 x 8 pixels, neighbouring ones far apart.
 fn threshold(x: usize, y: usize) -> i32 {
-    let bits = (0..3).map(|bit| ((x ^ y) >> bit & 1) << (5 - 2 * bit) | (y >> bit & 1) << (4 - 2 * bit));
+    let bits =
+        (0..3).map(|bit| ((x ^ y) >> bit & 1) << (5 - 2 * bit) | (y >> bit & 1) << (4 - 2 * bit));
     i32::try_from(bits.sum::<usize>()).unwrap_or_default()
 }
 
@@ -267,13 +364,26 @@ mod tests {
     fn indexed(pixels: &[Colour], width: usize, most: usize) -> (Vec<Colour>, Vec<Colour>) {
         let palette = Palette::of(pixels.iter().copied(), most, &|| true);
         let mut indexer = palette.indexer();
-        let shown = |(k, colour): (usize, &Colour)| palette.colours()[usize::from(indexer.index(*colour, k % width, k / width))];
-        (palette.colours().to_vec(), pixels.iter().enumerate().map(shown).collect())
+        let shown = |(k, colour): (usize, &Colour)| {
+            palette.colours()[usize::from(indexer.index(*colour, k % width, k / width))]
+        };
+        (
+            palette.colours().to_vec(),
+            pixels.iter().enumerate().map(shown).collect(),
+        )
     }
 
     fn ramp() -> Vec<Colour> {
         let value = |x: usize, tenths: usize| u8::try_from(60 + x * tenths / 10).unwrap();
-        (0..128 * 128).map(|k| [value(k % 128, 11), value(k / 128, 7), value((k % 128 + k / 128) / 2, 5)]).collect()
+        (0..128 * 128)
+            .map(|k| {
+                [
+                    value(k % 128, 11),
+                    value(k / 128, 7),
+                    value((k % 128 + k / 128) / 2, 5),
+                ]
+            })
+            .collect()
     }
 
     #[test]
@@ -287,16 +397,36 @@ mod tests {
     fn many_colours_become_near_ones_that_are_right_on_average() {
         let pixels = ramp();
         let (colours, shown) = indexed(&pixels, 128, 256);
-        assert!(colours.len() > 200 && colours.len() <= 256, "{}", colours.len());
+        assert!(
+            colours.len() > 200 && colours.len() <= 256,
+            "{}",
+            colours.len()
+        );
         let off = |a: &Colour, b: &Colour| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap();
-        let worst = shown.iter().zip(&pixels).map(|(a, b)| off(a, b)).max().unwrap();
+        let worst = shown
+            .iter()
+            .zip(&pixels)
+            .map(|(a, b)| off(a, b))
+            .max()
+            .unwrap();
         assert!(worst <= 20, "{worst}");
         // Of 8 x 8 pixels together: the pattern is invisible from afar.
         for block in 0..16 * 16 {
             let places = (0..64).map(|k| (block / 16 * 8 + k / 8) * 128 + block % 16 * 8 + k % 8);
             for channel in 0..3 {
-                let mean = |of: &[Colour]| places.clone().map(|k| f64::from(of[k][channel])).sum::<f64>() / 64.0;
-                assert!((mean(&shown) - mean(&pixels)).abs() < 4.0, "block {block}: {} {}", mean(&shown), mean(&pixels));
+                let mean = |of: &[Colour]| {
+                    places
+                        .clone()
+                        .map(|k| f64::from(of[k][channel]))
+                        .sum::<f64>()
+                        / 64.0
+                };
+                assert!(
+                    (mean(&shown) - mean(&pixels)).abs() < 4.0,
+                    "block {block}: {} {}",
+                    mean(&shown),
+                    mean(&pixels)
+                );
             }
         }
     }
@@ -306,7 +436,11 @@ mod tests {
         let mut pixels = ramp();
         pixels.extend([[250, 251, 249]; 128 * 64]);
         let (_, shown) = indexed(&pixels, 128, 255);
-        assert!(shown[128 * 128..].iter().all(|colour| *colour == [250, 251, 249]));
+        assert!(
+            shown[128 * 128..]
+                .iter()
+                .all(|colour| *colour == [250, 251, 249])
+        );
         let (_, again) = indexed(&pixels, 128, 255);
         assert!(shown == again);
     }
@@ -316,7 +450,15 @@ mod tests {
         let mut all: Vec<i32> = (0..64).map(|k| threshold(k % 8, k / 8)).collect();
         all.sort_unstable();
         assert_eq!(all, (0..64).collect::<Vec<_>>());
-        assert_eq!((threshold(0, 0), threshold(8, 16), threshold(1, 0), threshold(4, 4)), (0, 0, 32, 1));
+        assert_eq!(
+            (
+                threshold(0, 0),
+                threshold(8, 16),
+                threshold(1, 0),
+                threshold(4, 4)
+            ),
+            (0, 0, 32, 1)
+        );
     }
 
     #[test]

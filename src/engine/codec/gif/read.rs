@@ -49,14 +49,20 @@ fn cut_off() -> CodecError {
 
 /// Bytes of the colour table that follows.
 fn table(flags: u8) -> usize {
-    if flags & 0x80 == 0 { 0 } else { 6 << (flags & 7) }
+    if flags & 0x80 == 0 {
+        0
+    } else {
+        6 << (flags & 7)
+    }
 }
 
 /// The end of a run of sub-blocks, and whether the run is whole; of one that is not, where its last sub-block begins, or the end.
 fn skip(bytes: &[u8], mut at: usize, work: &StepCounter<'_>) -> Result<(usize, bool), CodecError> {
     loop {
         work.step(1)?;
-        let Some(length) = bytes.get(at) else { return Ok((bytes.len(), false)) };
+        let Some(length) = bytes.get(at) else {
+            return Ok((bytes.len(), false));
+        };
         let end = at + 1 + usize::from(*length);
         if *length == 0 {
             return Ok((end, true));
@@ -84,13 +90,23 @@ fn joined(mut blocks: &[u8], most: u64, work: &StepCounter<'_>) -> Option<Vec<u8
 }
 
 impl<'a> GifFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(
+        bytes: &'a [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
         let screen: [u8; 13] = *bytes.first_chunk().ok_or_else(cut_off)?;
         let short = |low: u8, high: u8| u32::from(u16::from_le_bytes([low, high]));
         let (width, height) = (short(screen[6], screen[7]), short(screen[8], screen[9]));
-        let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        let extent = Extent::new(width, height)
+            .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let (mut frames, mut transparency, mut covered) = (0_u64, false, false);
-        let (mut found, mut profile) = (Found { resolution: shape_of(screen[12]), ..Found::default() }, None);
+        let (mut found, mut profile) = (
+            Found {
+                resolution: shape_of(screen[12]),
+                ..Found::default()
+            },
+            None,
+        );
         let (mut open, mut has_gap) = (None, false);
         let mut next_is_transparent = false;
         let mut at = 13 + table(screen[10]);
@@ -108,16 +124,22 @@ impl<'a> GifFile<'a> {
                         find(label, (bytes, blocks..end), &mut found, &mut profile, work);
                         at = end;
                     } else {
-                        open = Some(Open { at, in_frame: false });
+                        open = Some(Open {
+                            at,
+                            in_frame: false,
+                        });
                     }
                 }
                 Some(0x2C) => {
                     frames += 1;
                     transparency = std::mem::take(&mut next_is_transparent);
-                    let [_, x0, x1, y0, y1, w0, w1, h0, h1, flags] = *bytes[at..].first_chunk::<10>().ok_or_else(cut_off)?;
+                    let [_, x0, x1, y0, y1, w0, w1, h0, h1, flags] =
+                        *bytes[at..].first_chunk::<10>().ok_or_else(cut_off)?;
                     let (x, y, w, h) = (short(x0, x1), short(y0, y1), short(w0, w1), short(h0, h1));
                     if w == 0 || h == 0 || x + w > width || y + h > height {
-                        return Err(bad(format!("a frame of {w} x {h} pixels at {x}, {y} of {width} x {height}")));
+                        return Err(bad(format!(
+                            "a frame of {w} x {h} pixels at {x}, {y} of {width} x {height}"
+                        )));
                     }
                     covered = (w, h) == (width, height);
                     // The colour table, and the width of the first code.
@@ -136,7 +158,12 @@ impl<'a> GifFile<'a> {
                     at += 1;
                 }
                 Some(block) => return Err(bad(format!("an unknown block {block:#04x}"))),
-                None => open = Some(Open { at: bytes.len(), in_frame: false }),
+                None => {
+                    open = Some(Open {
+                        at: bytes.len(),
+                        in_frame: false,
+                    })
+                }
             }
             if open.is_some() {
                 // What is missing of a frame shows when it is decoded.
@@ -148,24 +175,47 @@ impl<'a> GifFile<'a> {
         }
         match frames {
             0 => Err(bad("no frame")),
-            1 => Ok(Self { bytes, extent, transparency, covered, found, profile, open, has_gap }),
-            _ => Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: frames }),
+            1 => Ok(Self {
+                bytes,
+                extent,
+                transparency,
+                covered,
+                found,
+                profile,
+                open,
+                has_gap,
+            }),
+            _ => Err(CodecError::TooLarge {
+                what: "image_frames",
+                limit: 1,
+                actual: frames,
+            }),
         }
     }
 
     pub(in crate::codec) const fn channels(&self) -> Channels {
-        if self.transparency || !self.covered { Channels::Rgba } else { Channels::Rgb }
+        if self.transparency || !self.covered {
+            Channels::Rgba
+        } else {
+            Channels::Rgb
+        }
     }
 
     /// Memory beside the picture: the decoder's tables, and rows of indices.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
-        let copy = if self.open.is_some() { self.bytes.len() as u64 + 2 } else { 0 };
+        let copy = if self.open.is_some() {
+            self.bytes.len() as u64 + 2
+        } else {
+            0
+        };
         (512 << 10) + ROWS as u64 + copy
     }
 
     /// The file with a trailer.
     fn whole(&self) -> Result<Cow<'a, [u8]>, CodecError> {
-        let Some(Open { at, in_frame }) = self.open else { return Ok(Cow::Borrowed(self.bytes)) };
+        let Some(Open { at, in_frame }) = self.open else {
+            return Ok(Cow::Borrowed(self.bytes));
+        };
         let mut whole = room(self.bytes.len() as u64 + 2)?;
         let (before, rest) = self.bytes.split_at(at.min(self.bytes.len()));
         whole.extend_from_slice(before);
@@ -181,17 +231,41 @@ impl<'a> GifFile<'a> {
 
     /// What was mended.
     pub(in crate::codec) const fn repairs(&self) -> Repairs {
-        Repairs { end: self.open.is_some(), checksum: false, gap: self.has_gap }
+        Repairs {
+            end: self.open.is_some(),
+            checksum: false,
+            gap: self.has_gap,
+        }
     }
 
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
-        let damaged = |_| if self.open.is_some() { cut_off() } else { bad("its pixels are damaged or end too early") };
-        let mut decoder = DecodeOptions::new().read_info(Pieces::new(self.whole()?, work)).map_err(damaged)?;
+        let damaged = |_| {
+            if self.open.is_some() {
+                cut_off()
+            } else {
+                bad("its pixels are damaged or end too early")
+            }
+        };
+        let mut decoder = DecodeOptions::new()
+            .read_info(Pieces::new(self.whole()?, work))
+            .map_err(damaged)?;
         let (width, height) = (usize::from(decoder.width()), usize::from(decoder.height()));
-        let frame = decoder.next_frame_info().map_err(damaged)?.ok_or_else(|| bad("no frame"))?;
-        let (left, top, frame_width) = (usize::from(frame.left), usize::from(frame.top), usize::from(frame.width));
-        let (rows, transparent) = (frame_rows(usize::from(frame.height), frame.interlaced), frame.transparent);
-        if (width, height) != (self.extent.width() as usize, self.extent.height() as usize) || left + frame_width > width {
+        let frame = decoder
+            .next_frame_info()
+            .map_err(damaged)?
+            .ok_or_else(|| bad("no frame"))?;
+        let (left, top, frame_width) = (
+            usize::from(frame.left),
+            usize::from(frame.top),
+            usize::from(frame.width),
+        );
+        let (rows, transparent) = (
+            frame_rows(usize::from(frame.height), frame.interlaced),
+            frame.transparent,
+        );
+        if (width, height) != (self.extent.width() as usize, self.extent.height() as usize)
+            || left + frame_width > width
+        {
             return Err(bad("two headers that disagree"));
         }
         let colours = colours(decoder.palette().map_err(damaged)?, transparent);
@@ -207,7 +281,9 @@ impl<'a> GifFile<'a> {
             }
             for (row, indices) in rows.iter().zip(indices.chunks_exact(frame_width)) {
                 let start = ((top + row) * width + left) * count;
-                let line = out.get_mut(start..start + frame_width * count).ok_or_else(|| bad("two headers that disagree"))?;
+                let line = out
+                    .get_mut(start..start + frame_width * count)
+                    .ok_or_else(|| bad("two headers that disagree"))?;
                 for (pixel, index) in line.chunks_exact_mut(count).zip(indices) {
                     pixel.copy_from_slice(&colours[usize::from(*index)][..count]);
                 }
@@ -221,7 +297,10 @@ impl<'a> GifFile<'a> {
     }
 
     pub(in crate::codec) fn icc(&self, work: &StepCounter<'_>) -> Option<Vec<u8>> {
-        keep_profile(joined(&self.bytes[self.profile.clone()?], MAX_ICC as u64, work)?, false)
+        keep_profile(
+            joined(&self.bytes[self.profile.clone()?], MAX_ICC as u64, work)?,
+            false,
+        )
     }
 }
 
@@ -229,7 +308,11 @@ impl<'a> GifFile<'a> {
 fn shape_of(byte: u8) -> Option<Resolution> {
     // Resolutions are pixels per unit of length: the wider a pixel, the fewer in a row.
     let across = Ratio::new(64, 1).filter(|_| byte != 0 && byte != 49)?;
-    Some(Resolution { x: across, y: Ratio::new(u32::from(byte) + 15, 1)?, unit: Unit::Unknown })
+    Some(Resolution {
+        x: across,
+        y: Ratio::new(u32::from(byte) + 15, 1)?,
+        unit: Unit::Unknown,
+    })
 }
 
 /// Looks at an extension that no pixel needs: its label, and its sub-blocks.
@@ -253,8 +336,14 @@ fn find<'a>(
             // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to their end: 1, and then 255 to 0, among
             // which is that of `>`.
             let packet = &data[12..];
-            let packet = &packet[..packet.windows(2).rposition(|bytes| bytes == [1, 255]).unwrap_or(packet.len())];
-            let end = packet.iter().rposition(|byte| *byte == b'>').map_or(0, |at| at + 1);
+            let packet = &packet[..packet
+                .windows(2)
+                .rposition(|bytes| bytes == [1, 255])
+                .unwrap_or(packet.len())];
+            let end = packet
+                .iter()
+                .rposition(|byte| *byte == b'>')
+                .map_or(0, |at| at + 1);
             found.xmp = Some(Cow::Borrowed(&packet[..end]));
         }
         (0xFF, b"ICCRGBG1012") => *profile = Some(blocks.start + 12..blocks.end),
@@ -267,15 +356,33 @@ const ROWS: usize = 1 << 16;
 
 /// The rows of a frame in the order in which they are stored.
 fn frame_rows(height: usize, interlaced: bool) -> Vec<usize> {
-    let passes: &[(usize, usize)] = if interlaced { &[(0, 8), (4, 8), (2, 4), (1, 2)] } else { &[(0, 1)] };
-    passes.iter().flat_map(|&(first, step)| (first..height).step_by(step)).collect()
+    let passes: &[(usize, usize)] = if interlaced {
+        &[(0, 8), (4, 8), (2, 4), (1, 2)]
+    } else {
+        &[(0, 1)]
+    };
+    passes
+        .iter()
+        .flat_map(|&(first, step)| (first..height).step_by(step))
+        .collect()
 }
 
 /// The colour of each index; those beyond the palette are transparent black.
 fn colours(palette: &[u8], transparent: Option<u8>) -> [[u8; 4]; 256] {
     let mut colours = [[0; 4]; 256];
-    for (index, (colour, &[r, g, b])) in (0..=u8::MAX).zip(colours.iter_mut().zip(palette.as_chunks::<3>().0)) {
-        *colour = [r, g, b, if transparent == Some(index) { 0 } else { u8::MAX }];
+    for (index, (colour, &[r, g, b])) in
+        (0..=u8::MAX).zip(colours.iter_mut().zip(palette.as_chunks::<3>().0))
+    {
+        *colour = [
+            r,
+            g,
+            b,
+            if transparent == Some(index) {
+                0
+            } else {
+                u8::MAX
+            },
+        ];
     }
     colours
 }

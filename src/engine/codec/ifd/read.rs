@@ -73,13 +73,21 @@ impl<'a> File<'a> {
     }
 
     pub(in crate::codec) fn short(self, bytes: [u8; 2]) -> u16 {
-        if self.little { u16::from_le_bytes(bytes) } else { u16::from_be_bytes(bytes) }
+        if self.little {
+            u16::from_le_bytes(bytes)
+        } else {
+            u16::from_be_bytes(bytes)
+        }
     }
 
     /// A whole number of at most eight bytes.
     pub(in crate::codec) fn number(self, bytes: &[u8]) -> u64 {
         let add = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
-        if self.little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
+        if self.little {
+            bytes.iter().rev().fold(0, add)
+        } else {
+            bytes.iter().fold(0, add)
+        }
     }
 
     /// Bytes of an offset.
@@ -104,7 +112,11 @@ impl<'a> File<'a> {
         let count = usize::try_from(self.number(count)).map_err(|_| cut_off())?;
         let length = count.checked_mul(self.entry_bytes()).ok_or_else(cut_off)?;
         let entries = rest.get(..length).ok_or_else(cut_off)?;
-        Ok(Directory { file: self, entries, next: self.offset_at(at + head + length)? })
+        Ok(Directory {
+            file: self,
+            entries,
+            next: self.offset_at(at + head + length)?,
+        })
     }
 
     const fn entry_bytes(self) -> usize {
@@ -121,38 +133,75 @@ impl<'a> Directory<'a> {
     /// The entries whose type is known and whose values are in the file.
     pub(in crate::codec) fn entries(&self) -> impl Iterator<Item = Entry<'a>> + use<'a> {
         let file = self.file;
-        self.entries.chunks_exact(file.entry_bytes()).filter_map(move |entry| Entry::parse(file, entry).ok().flatten())
+        self.entries
+            .chunks_exact(file.entry_bytes())
+            .filter_map(move |entry| Entry::parse(file, entry).ok().flatten())
     }
 
     /// The entry of a tag; `None` if it is absent or of an unknown type.
-    pub(in crate::codec) fn entry(&self, tag: u16, work: &StepCounter<'_>) -> Result<Option<Entry<'a>>, CodecError> {
+    pub(in crate::codec) fn entry(
+        &self,
+        tag: u16,
+        work: &StepCounter<'_>,
+    ) -> Result<Option<Entry<'a>>, CodecError> {
         let size = self.file.entry_bytes();
         work.step(1 + (self.entries.len() / size) as u64)?;
         let is_it = |entry: &&[u8]| self.file.number(&entry[..2]) == u64::from(tag);
-        self.entries.chunks_exact(size).find(is_it).map_or(Ok(None), |entry| Entry::parse(self.file, entry))
+        self.entries
+            .chunks_exact(size)
+            .find(is_it)
+            .map_or(Ok(None), |entry| Entry::parse(self.file, entry))
     }
 
     /// The values of a tag; `None` if it is absent or has no whole numbers.
-    pub(in crate::codec) fn values(&self, tag: u16, work: &StepCounter<'_>) -> Result<Option<Values<'a>>, CodecError> {
+    pub(in crate::codec) fn values(
+        &self,
+        tag: u16,
+        work: &StepCounter<'_>,
+    ) -> Result<Option<Values<'a>>, CodecError> {
         let values = |entry: Entry<'a>| {
-            let size = size_of_kind(entry.kind).filter(|_| matches!(entry.kind, 1 | 3 | 4 | 7 | 13 | 16 | 18))?;
-            Some(Values { file: self.file, data: entry.data, size })
+            let size = size_of_kind(entry.kind)
+                .filter(|_| matches!(entry.kind, 1 | 3 | 4 | 7 | 13 | 16 | 18))?;
+            Some(Values {
+                file: self.file,
+                data: entry.data,
+                size,
+            })
         };
         Ok(self.entry(tag, work)?.and_then(values))
     }
 
     /// The first value of a tag.
-    pub(in crate::codec) fn number(&self, tag: u16, default: u32, work: &StepCounter<'_>) -> Result<u32, CodecError> {
-        let value = self.values(tag, work)?.and_then(|values| values.get(0)).unwrap_or(default.into());
-        u32::try_from(value).map_err(|_| bad(format!("the tag {tag} has a value of more than 32 bits")))
+    pub(in crate::codec) fn number(
+        &self,
+        tag: u16,
+        default: u32,
+        work: &StepCounter<'_>,
+    ) -> Result<u32, CodecError> {
+        let value = self
+            .values(tag, work)?
+            .and_then(|values| values.get(0))
+            .unwrap_or(default.into());
+        u32::try_from(value)
+            .map_err(|_| bad(format!("the tag {tag} has a value of more than 32 bits")))
     }
 
     /// The resolution, unless it says nothing.
-    pub(in crate::codec) fn resolution(&self, work: &StepCounter<'_>) -> Result<Option<Resolution>, CodecError> {
+    pub(in crate::codec) fn resolution(
+        &self,
+        work: &StepCounter<'_>,
+    ) -> Result<Option<Resolution>, CodecError> {
         work.step(1 + (self.entries.len() / self.file.entry_bytes()) as u64)?;
         let (mut x, mut y, mut unit) = (None, None, Unit::Inch);
         let long = |bytes: &[u8]| u32::try_from(self.file.number(bytes)).unwrap_or(0);
-        for Entry { tag, kind, count, data, .. } in self.entries() {
+        for Entry {
+            tag,
+            kind,
+            count,
+            data,
+            ..
+        } in self.entries()
+        {
             match (tag, kind, count) {
                 (282, 5, 1) => x = Ratio::new(long(&data[..4]), long(&data[4..])),
                 (283, 5, 1) => y = Ratio::new(long(&data[..4]), long(&data[4..])),
@@ -169,18 +218,38 @@ impl<'a> Directory<'a> {
 impl<'a> Entry<'a> {
     /// `None` if its type is unknown.
     fn parse(file: File<'a>, entry: &'a [u8]) -> Result<Option<Self>, CodecError> {
-        let (tag, kind) = (file.short([entry[0], entry[1]]), file.short([entry[2], entry[3]]));
-        let Some(size) = size_of_kind(kind) else { return Ok(None) };
+        let (tag, kind) = (
+            file.short([entry[0], entry[1]]),
+            file.short([entry[2], entry[3]]),
+        );
+        let Some(size) = size_of_kind(kind) else {
+            return Ok(None);
+        };
         let (count, value) = entry[4..].split_at(file.wide());
         let count = usize::try_from(file.number(count)).map_err(|_| cut_off())?;
         let length = count.checked_mul(size).ok_or_else(cut_off)?;
         if length <= value.len() {
             let at = value.as_ptr() as usize - file.bytes.as_ptr() as usize;
-            return Ok(Some(Self { tag, kind, count, at, data: &value[..length] }));
+            return Ok(Some(Self {
+                tag,
+                kind,
+                count,
+                at,
+                data: &value[..length],
+            }));
         }
         let at = usize::try_from(file.number(value)).map_err(|_| cut_off())?;
-        let data = at.checked_add(length).and_then(|end| file.bytes.get(at..end)).ok_or_else(cut_off)?;
-        Ok(Some(Self { tag, kind, count, at, data }))
+        let data = at
+            .checked_add(length)
+            .and_then(|end| file.bytes.get(at..end))
+            .ok_or_else(cut_off)?;
+        Ok(Some(Self {
+            tag,
+            kind,
+            count,
+            at,
+            data,
+        }))
     }
 }
 
@@ -191,6 +260,8 @@ impl Values<'_> {
 
     pub(in crate::codec) fn get(&self, index: usize) -> Option<u64> {
         let at = index.checked_mul(self.size)?;
-        self.data.get(at..at.checked_add(self.size)?).map(|bytes| self.file.number(bytes))
+        self.data
+            .get(at..at.checked_add(self.size)?)
+            .map(|bytes| self.file.number(bytes))
     }
 }

@@ -24,12 +24,24 @@ pub(in crate::codec) fn offset(bytes: usize) -> u32 {
 impl<'a> DirectoryWriter<'a> {
     /// A directory of the file that begins at `start` in `out`.
     pub(in crate::codec) const fn of(out: &'a mut Vec<u8>, start: usize, little: bool) -> Self {
-        Self { out, start, before: 0, little, entries: Vec::new() }
+        Self {
+            out,
+            start,
+            before: 0,
+            little,
+            entries: Vec::new(),
+        }
     }
 
     /// A big-endian directory behind this number of bytes of the file; `out` is what follows them.
     pub(in crate::codec) const fn after(out: &'a mut Vec<u8>, before: usize) -> Self {
-        Self { out, start: 0, before, little: false, entries: Vec::new() }
+        Self {
+            out,
+            start: 0,
+            before,
+            little: false,
+            entries: Vec::new(),
+        }
     }
 
     /// Bytes of the file so far.
@@ -38,11 +50,19 @@ impl<'a> DirectoryWriter<'a> {
     }
 
     fn two(&self, number: u16) -> [u8; 2] {
-        if self.little { number.to_le_bytes() } else { number.to_be_bytes() }
+        if self.little {
+            number.to_le_bytes()
+        } else {
+            number.to_be_bytes()
+        }
     }
 
     fn four(&self, number: u32) -> [u8; 4] {
-        if self.little { number.to_le_bytes() } else { number.to_be_bytes() }
+        if self.little {
+            number.to_le_bytes()
+        } else {
+            number.to_be_bytes()
+        }
     }
 
     /// Adds values in the byte order of the file.
@@ -98,7 +118,11 @@ impl<'a> DirectoryWriter<'a> {
         let (field, little) = (self.start + 4..self.start + 8, self.little);
         let (at, out) = self.append();
         let at = offset(at);
-        out[field].copy_from_slice(&if little { at.to_le_bytes() } else { at.to_be_bytes() });
+        out[field].copy_from_slice(&if little {
+            at.to_le_bytes()
+        } else {
+            at.to_be_bytes()
+        });
     }
 
     /// Appends the directory; returns where it begins in the file.
@@ -113,7 +137,9 @@ impl<'a> DirectoryWriter<'a> {
         self.entries.sort_by_key(|(tag, _)| *tag);
         let count = self.two(u16::try_from(self.entries.len()).expect("a few entries"));
         self.out.extend_from_slice(&count);
-        self.entries.iter().for_each(|(_, entry)| self.out.extend_from_slice(entry));
+        self.entries
+            .iter()
+            .for_each(|(_, entry)| self.out.extend_from_slice(entry));
         self.out.extend_from_slice(&[0; 4]);
         (at, self.out)
     }

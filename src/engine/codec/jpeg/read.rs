@@ -10,7 +10,9 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::scans::Precision;
-use super::segments::{APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, bad, cut_off, find};
+use super::segments::{
+    APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, bad, cut_off, find,
+};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::metadata::Found;
 use crate::codec::profile::{MAX_ICC, keep_profile};
@@ -70,7 +72,10 @@ fn damaged<E>(_: E) -> CodecError {
 }
 
 impl<'a> JpegFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(
+        bytes: &'a [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
         let mut frame = None;
         let mut found = Found::default();
         let mut profile = Vec::new();
@@ -82,8 +87,14 @@ impl<'a> JpegFile<'a> {
             at = segment.end;
             match segment.marker {
                 DHT => {}
-                JPG | DAC => return Err(CodecError::unsupported("a JPEG with arithmetic coding or extensions")),
-                marker @ SOF0..=SOF15 if frame.is_none() => frame = Some(Frame::parse(marker, segment.data)?),
+                JPG | DAC => {
+                    return Err(CodecError::unsupported(
+                        "a JPEG with arithmetic coding or extensions",
+                    ));
+                }
+                marker @ SOF0..=SOF15 if frame.is_none() => {
+                    frame = Some(Frame::parse(marker, segment.data)?)
+                }
                 SOF0..=SOF15 => return Err(bad("two frames")),
                 APP2 if segment.data.starts_with(b"ICC_PROFILE\0") => {
                     if let Some([number, count, part @ ..]) = segment.data.get(12..)
@@ -96,13 +107,36 @@ impl<'a> JpegFile<'a> {
                 }
                 SOI | EOI => return Err(bad("it ends before its first scan")),
                 SOS => {
-                    let Frame { extent, progressive, components, factors } = frame.ok_or_else(|| bad("a scan before the frame"))?;
+                    let Frame {
+                        extent,
+                        progressive,
+                        components,
+                        factors,
+                    } = frame.ok_or_else(|| bad("a scan before the frame"))?;
                     // The decoder silently drops the last rows of such a scan if they are truncated.
-                    if !progressive && segment.data.first().is_none_or(|&count| usize::from(count) != factors.len()) {
-                        return Err(CodecError::unsupported("a baseline JPEG whose components come in separate scans"));
+                    if !progressive
+                        && segment
+                            .data
+                            .first()
+                            .is_none_or(|&count| usize::from(count) != factors.len())
+                    {
+                        return Err(CodecError::unsupported(
+                            "a baseline JPEG whose components come in separate scans",
+                        ));
                     }
                     let scan = (segment.data, at);
-                    return Ok(Self { bytes, extent, progressive, components, factors, found, has_gap, profile, scan, is_rgb: false });
+                    return Ok(Self {
+                        bytes,
+                        extent,
+                        progressive,
+                        components,
+                        factors,
+                        found,
+                        has_gap,
+                        profile,
+                        scan,
+                        is_rgb: false,
+                    });
                 }
                 _ => find(&segment, &mut found, work),
             }
@@ -114,24 +148,39 @@ impl<'a> JpegFile<'a> {
         let (h_max, v_max) = self.largest_factors();
         let columns = u64::from(self.extent.width()).div_ceil(8 * h_max);
         let rows = u64::from(self.extent.height()).div_ceil(8 * v_max);
-        self.factors.iter().map(|(h, v)| columns * rows * h * v).sum()
+        self.factors
+            .iter()
+            .map(|(h, v)| columns * rows * h * v)
+            .sum()
     }
 
     /// Number of blocks that a file must code, each with at least one bit.
     fn coded_blocks(&self) -> u64 {
         let (h_max, v_max) = self.largest_factors();
-        let blocks = |side: u32, factor: u64, max: u64| (u64::from(side) * factor).div_ceil(8 * max);
-        self.factors.iter().map(|&(h, v)| blocks(self.extent.width(), h, h_max) * blocks(self.extent.height(), v, v_max)).sum()
+        let blocks =
+            |side: u32, factor: u64, max: u64| (u64::from(side) * factor).div_ceil(8 * max);
+        self.factors
+            .iter()
+            .map(|&(h, v)| {
+                blocks(self.extent.width(), h, h_max) * blocks(self.extent.height(), v, v_max)
+            })
+            .sum()
     }
 
     fn largest_factors(&self) -> (u64, u64) {
-        self.factors.iter().fold((1, 1), |(h, v), factors| (h.max(factors.0), v.max(factors.1)))
+        self.factors.iter().fold((1, 1), |(h, v), factors| {
+            (h.max(factors.0), v.max(factors.1))
+        })
     }
 
     /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a progressive picture, and some rows of MCUs
     /// before and after upsampling.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
-        let coefficients = if self.progressive { 2 * 64 * self.padded_blocks() } else { 0 };
+        let coefficients = if self.progressive {
+            2 * 64 * self.padded_blocks()
+        } else {
+            0
+        };
         let (h_max, v_max) = self.largest_factors();
         let row_of_mcus = u64::from(self.extent.width()).next_multiple_of(8 * h_max) * 8 * v_max;
         (256 << 10) + 2 * self.bytes.len() as u64 + coefficients + 2 * 4 * 4 * row_of_mcus
@@ -140,7 +189,14 @@ impl<'a> JpegFile<'a> {
     /// Walks all scans.
     fn scans(&self, work: &StepCounter<'_>) -> Result<Scans, CodecError> {
         let (header, mut at) = self.scan;
-        let mut scans = Scans { first: 0, end: 0, count: 1, entropy_bytes: 0, gaps: Vec::new(), is_open: false };
+        let mut scans = Scans {
+            first: 0,
+            end: 0,
+            count: 1,
+            entropy_bytes: 0,
+            gaps: Vec::new(),
+            is_open: false,
+        };
         let mut precision = Precision::new(&self.components);
         precision.add(header);
         loop {
@@ -176,7 +232,12 @@ impl<'a> JpegFile<'a> {
                     Err(CodecError::Cancelled) => return Err(CodecError::Cancelled),
                     // Behind the last scan that a picture needs, nothing is missing but the mark of the end.
                     Err(error) if self.progressive && !precision.is_full() => return Err(error),
-                    Err(_) => return Ok(Scans { is_open: true, ..scans }),
+                    Err(_) => {
+                        return Ok(Scans {
+                            is_open: true,
+                            ..scans
+                        });
+                    }
                 };
                 if segment.start > at {
                     scans.gaps.push(at..segment.start);
@@ -202,7 +263,11 @@ impl<'a> JpegFile<'a> {
     /// The file as far as the decoder needs it, without its end.
     fn needed(&self, scans: &Scans, work: &StepCounter<'_>) -> Result<Vec<u8>, CodecError> {
         // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
-        let end = if self.progressive { scans.end } else { scans.first };
+        let end = if self.progressive {
+            scans.end
+        } else {
+            scans.first
+        };
         let mut whole = room::<u8>((end + 2 * ONES + 2) as u64)?;
         whole.extend_from_slice(&[0xFF, SOI]);
         let (_, scan) = self.scan;
@@ -224,10 +289,16 @@ impl<'a> JpegFile<'a> {
     }
 
     /// The stored rows, RGB, and what was mended.
-    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
+    pub(in crate::codec) fn samples(
+        &self,
+        work: &StepCounter<'_>,
+    ) -> Result<(Samples, Repairs), CodecError> {
         let scans = self.scans(work)?;
         if scans.entropy_bytes.saturating_mul(8) < self.coded_blocks() {
-            return Err(bad(format!("{} bytes of data cannot hold the picture", scans.entropy_bytes)));
+            return Err(bad(format!(
+                "{} bytes of data cannot hold the picture",
+                scans.entropy_bytes
+            )));
         }
         if !self.progressive && scans.count > 1 {
             return Err(bad("a second scan of components that are complete"));
@@ -246,29 +317,42 @@ impl<'a> JpegFile<'a> {
             whole.truncate(length);
             whole.extend_from_slice(&[0; 2 * ONES]);
             whole.extend_from_slice(&[0xFF, EOI]);
-            let is_same = self.decode(&whole, &mut out, work).is_ok() && checksum(&out, work)? == with_ones;
+            let is_same =
+                self.decode(&whole, &mut out, work).is_ok() && checksum(&out, work)? == with_ones;
             work.check()?;
             if !is_same {
                 return Err(cut_off());
             }
         }
-        let repairs = Repairs { end: scans.is_open, gap: self.has_gap || !scans.gaps.is_empty(), checksum: false };
+        let repairs = Repairs {
+            end: scans.is_open,
+            gap: self.has_gap || !scans.gaps.is_empty(),
+            checksum: false,
+        };
         Ok((Samples::Eight(out), repairs))
     }
 
-    fn decode(&self, whole: &[u8], out: &mut [u8], work: &StepCounter<'_>) -> Result<(), CodecError> {
+    fn decode(
+        &self,
+        whole: &[u8],
+        out: &mut [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<(), CodecError> {
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         let options = DecoderOptions::default()
             .set_strict_mode(true)
             .set_max_width(width)
             .set_max_height(height)
             .jpeg_set_out_colorspace(ColorSpace::RGB);
-        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(Bytes::new(whole, work), options);
+        let mut decoder =
+            zune_jpeg::JpegDecoder::new_with_options(Bytes::new(whole, work), options);
         decoder.decode_headers().map_err(damaged)?;
         if let Some(stored) = decoder.input_colorspace().filter(|_| self.is_rgb) {
             decoder.set_options(options.jpeg_set_out_colorspace(stored));
         }
-        let components = decoder.info().map_or(0, |info| usize::from(info.components));
+        let components = decoder
+            .info()
+            .map_or(0, |info| usize::from(info.components));
         if decoder.dimensions() != Some((width, height)) || components != self.factors.len() {
             return Err(bad("two headers that disagree"));
         }
@@ -297,8 +381,15 @@ impl<'a> JpegFile<'a> {
         }
         let mut parts = self.profile.clone();
         parts.sort_unstable_by_key(|&(number, ..)| number);
-        let in_order = (1..).zip(&parts).all(|(n, &(number, count, _))| usize::from(number) == n && usize::from(count) == parts.len());
-        let profile = in_order.then(|| parts.iter().flat_map(|(.., part)| part.iter().copied()).collect())?;
+        let in_order = (1..).zip(&parts).all(|(n, &(number, count, _))| {
+            usize::from(number) == n && usize::from(count) == parts.len()
+        });
+        let profile = in_order.then(|| {
+            parts
+                .iter()
+                .flat_map(|(.., part)| part.iter().copied())
+                .collect()
+        })?;
         keep_profile(profile, self.is_grey())
     }
 }
@@ -324,27 +415,46 @@ struct Frame {
 impl Frame {
     fn parse(marker: u8, data: &[u8]) -> Result<Self, CodecError> {
         if marker > SOF2 {
-            return Err(CodecError::unsupported(format!("a JPEG of coding process {}", marker - SOF0)));
+            return Err(CodecError::unsupported(format!(
+                "a JPEG of coding process {}",
+                marker - SOF0
+            )));
         }
         let &[precision, h1, h0, w1, w0, count, ref components @ ..] = data else {
             return Err(bad("a frame header that is too short"));
         };
         let (width, height) = (u16::from_be_bytes([w1, w0]), u16::from_be_bytes([h1, h0]));
-        let extent = Extent::new(width.into(), height.into()).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        let extent = Extent::new(width.into(), height.into())
+            .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         if precision != 8 {
-            return Err(CodecError::unsupported(format!("a JPEG of {precision} bits a sample")));
+            return Err(CodecError::unsupported(format!(
+                "a JPEG of {precision} bits a sample"
+            )));
         }
         if components.len() != 3 * usize::from(count) {
             return Err(bad("a frame header of the wrong size"));
         }
         if !matches!(count, 1 | 3 | 4) {
-            return Err(CodecError::unsupported(format!("a JPEG of {count} components")));
+            return Err(CodecError::unsupported(format!(
+                "a JPEG of {count} components"
+            )));
         }
-        let factors: Vec<_> = components.chunks_exact(3).map(|c| (u64::from(c[1] >> 4), u64::from(c[1] & 15))).collect();
-        if factors.iter().any(|&(h, v)| !matches!((h, v), (1..=4, 1..=4))) {
+        let factors: Vec<_> = components
+            .chunks_exact(3)
+            .map(|c| (u64::from(c[1] >> 4), u64::from(c[1] & 15)))
+            .collect();
+        if factors
+            .iter()
+            .any(|&(h, v)| !matches!((h, v), (1..=4, 1..=4)))
+        {
             return Err(bad("a sampling factor outside 1 to 4"));
         }
         let components = components.chunks_exact(3).map(|c| c[0]).collect();
-        Ok(Self { extent, progressive: marker == SOF2, components, factors })
+        Ok(Self {
+            extent,
+            progressive: marker == SOF2,
+            components,
+            factors,
+        })
     }
 }

@@ -14,15 +14,27 @@ pub(super) struct Precision<'a> {
 impl<'a> Precision<'a> {
     /// `components`: their numbers.
     pub(super) fn new(components: &'a [u8]) -> Self {
-        Self { components, lowest: vec![[NOTHING; BLOCK]; components.len()] }
+        Self {
+            components,
+            lowest: vec![[NOTHING; BLOCK]; components.len()],
+        }
     }
 
     /// Adds the header of a scan.
     pub(super) fn add(&mut self, header: &[u8]) {
-        let Some((&count, rest)) = header.split_first() else { return };
-        let Some((selected, &[first, last, bits])) = rest.split_at_checked(2 * usize::from(count)) else { return };
+        let Some((&count, rest)) = header.split_first() else {
+            return;
+        };
+        let Some((selected, &[first, last, bits])) = rest.split_at_checked(2 * usize::from(count))
+        else {
+            return;
+        };
         for selected in selected.chunks_exact(2) {
-            let known = self.components.iter().zip(&mut self.lowest).find(|(number, _)| **number == selected[0]);
+            let known = self
+                .components
+                .iter()
+                .zip(&mut self.lowest)
+                .find(|(number, _)| **number == selected[0]);
             let range = usize::from(first)..=usize::from(last);
             if let Some(stated) = known.and_then(|(_, lowest)| lowest.get_mut(range)) {
                 stated.fill(bits & 15);

@@ -40,7 +40,11 @@ pub(super) struct Segment<'a> {
 impl<'a> Segment<'a> {
     /// The segment at `at`. Zero bytes before it, which some programs write, are skipped, and so are fill bytes before its marker. Markers
     /// without a length have no data.
-    pub(super) fn at(bytes: &'a [u8], at: usize, work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(super) fn at(
+        bytes: &'a [u8],
+        at: usize,
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
         let rest = bytes.get(at..).ok_or_else(cut_off)?;
         let zeros = rest.iter().take_while(|byte| **byte == 0).count();
         work.step(1 + zeros as u64)?;
@@ -55,14 +59,26 @@ impl<'a> Segment<'a> {
         }
         let (marker, at) = (bytes[at], at + 1);
         if matches!(marker, TEM | RST0..=EOI) {
-            return Ok(Self { marker, data: &[], start, end: at });
+            return Ok(Self {
+                marker,
+                data: &[],
+                start,
+                end: at,
+            });
         }
-        let length = usize::from(u16::from_be_bytes(*bytes[at..].first_chunk().ok_or_else(cut_off)?));
+        let length = usize::from(u16::from_be_bytes(
+            *bytes[at..].first_chunk().ok_or_else(cut_off)?,
+        ));
         if length < 2 {
             return Err(bad("a segment shorter than its own length field"));
         }
         let data = bytes[at..].get(2..length).ok_or_else(cut_off)?;
-        Ok(Self { marker, data, start, end: at + length })
+        Ok(Self {
+            marker,
+            data,
+            start,
+            end: at + length,
+        })
     }
 }
 
@@ -78,17 +94,24 @@ pub(super) fn find<'a>(segment: &Segment<'a>, found: &mut Found<'a>, work: &Step
                     2 => Unit::Centimetre,
                     _ => Unit::Unknown,
                 };
-                let [x, y] = [[*x0, *x1], [*y0, *y1]].map(|number| u16::from_be_bytes(number).into());
+                let [x, y] =
+                    [[*x0, *x1], [*y0, *y1]].map(|number| u16::from_be_bytes(number).into());
                 found.resolution = Resolution::whole(x, y, unit);
             }
         }
         APP1 if data.starts_with(b"Exif\0\0") => found.exif = found.exif.or(Some(data)),
         APP1 => match data.strip_prefix(b"http://ns.adobe.com/xap/1.0/\0") {
             Some(packet) if found.xmp.is_none() => found.xmp = Some(Cow::Borrowed(packet)),
-            None if data.starts_with(b"http://ns.adobe.com/xmp/extension/\0") => found.dropped.add(Kind::ExtendedXmp),
+            None if data.starts_with(b"http://ns.adobe.com/xmp/extension/\0") => {
+                found.dropped.add(Kind::ExtendedXmp)
+            }
             _ => found.dropped.add(Kind::Application),
         },
-        APP2 => found.dropped.add(if data.starts_with(b"MPF\0") { Kind::FurtherImages } else { Kind::Application }),
+        APP2 => found.dropped.add(if data.starts_with(b"MPF\0") {
+            Kind::FurtherImages
+        } else {
+            Kind::Application
+        }),
         APP11 => found.dropped.add(Kind::Credentials),
         APP13 => match data.strip_prefix(b"Photoshop 3.0\0") {
             Some(resources) => photoshop::resources(resources, &mut found.dropped, work),

@@ -34,35 +34,60 @@ impl Carried {
     /// Those of a picture of `target` pixels that shows `canvas` pixels of the source.
     #[must_use]
     pub fn new(source: &Arc<Metadata>, target: Extent, canvas: Extent) -> Self {
-        let resolution = source.resolution.and_then(|resolution| resolution.scaled(target, canvas));
-        Self { source: Arc::clone(source), resolution, colour_only: false }
+        let resolution = source
+            .resolution
+            .and_then(|resolution| resolution.scaled(target, canvas));
+        Self {
+            source: Arc::clone(source),
+            resolution,
+            colour_only: false,
+        }
     }
 
     /// A profile alone.
     #[cfg(test)]
     pub(in crate::codec) fn of_icc(icc: &[u8]) -> Self {
-        let source = Metadata { profile: Some(Profile::new(icc)), ..Metadata::default() };
-        Self { source: Arc::new(source), resolution: None, colour_only: false }
+        let source = Metadata {
+            profile: Some(Profile::new(icc)),
+            ..Metadata::default()
+        };
+        Self {
+            source: Arc::new(source),
+            resolution: None,
+            colour_only: false,
+        }
     }
 
     /// Those of a preview: what its numbers mean, and nothing else.
     #[must_use]
     pub fn colour_only(self) -> Self {
-        Self { resolution: None, colour_only: true, ..self }
+        Self {
+            resolution: None,
+            colour_only: true,
+            ..self
+        }
     }
 
     /// Whether a file of this format, grey or not, says less about colour than the source, and what else it lacks.
     #[must_use]
     pub fn losses(&self, format: Format, grey: bool) -> (bool, Dropped) {
-        let Self { source, resolution, colour_only } = self;
+        let Self {
+            source,
+            resolution,
+            colour_only,
+        } = self;
         let is_gif = format == Format::Gif;
         let lost_profile = source.profile.is_some() && (is_gif || self.profile(grey).is_none());
-        let lost_colour = source.profile_dropped || lost_profile || source.needs_chunks && format != Format::Png;
+        let lost_colour =
+            source.profile_dropped || lost_profile || source.needs_chunks && format != Format::Png;
         if *colour_only {
             return (lost_colour, Dropped::default());
         }
         let mut dropped = source.dropped;
-        dropped.add_if(source.resolution.is_some() && (is_gif || resolution.is_none()), Kind::Resolution);
+        dropped.add_if(
+            source.resolution.is_some() && (is_gif || resolution.is_none()),
+            Kind::Resolution,
+        );
         // The frames of an animation have pixels alone.
         dropped.add_if(is_gif && source.exif.is_some(), Kind::Exif);
         dropped.add_if(is_gif && source.xmp.is_some(), Kind::Xmp);
@@ -74,13 +99,20 @@ impl Carried {
             Format::WebP | Format::Tiff | Format::Gif => true,
         };
         dropped.add_if(source.texts.iter().any(is_lost), Kind::Text);
-        dropped.add_if(!source.comments.is_empty() && matches!(format, Format::WebP | Format::Tiff | Format::Gif), Kind::Comment);
+        dropped.add_if(
+            !source.comments.is_empty()
+                && matches!(format, Format::WebP | Format::Tiff | Format::Gif),
+            Kind::Comment,
+        );
         (lost_colour, dropped)
     }
 
     /// The profile, if it is for such samples.
     pub(in crate::codec) fn profile(&self, grey: bool) -> Option<&Profile> {
-        self.source.profile.as_ref().filter(|profile| profile.is_grey() == grey)
+        self.source
+            .profile
+            .as_ref()
+            .filter(|profile| profile.is_grey() == grey)
     }
 
     /// The XMP packet.
@@ -94,18 +126,26 @@ impl Carried {
 
     /// The resolution in a unit of EXIF and TIFF.
     fn resolution_in_tags(&self) -> Option<Resolution> {
-        let unit = if self.resolution?.unit == Unit::Inch { Unit::Inch } else { Unit::Centimetre };
+        let unit = if self.resolution?.unit == Unit::Inch {
+            Unit::Inch
+        } else {
+            Unit::Centimetre
+        };
         self.resolution?.in_unit(unit)
     }
 
     /// A block of EXIF; `says_resolution`: whether the format itself says the resolution.
     pub(in crate::codec) fn exif_block(&self, says_resolution: bool) -> Option<Vec<u8>> {
         let resolution = self.resolution_in_tags().filter(|_| !says_resolution);
-        (self.exif().is_some() || resolution.is_some()).then(|| exif::block(self.exif(), resolution))
+        (self.exif().is_some() || resolution.is_some())
+            .then(|| exif::block(self.exif(), resolution))
     }
 
     /// The chunks of a PNG that come before its palette.
-    pub(in crate::codec) fn chunks_of_colour(&self, grey: bool) -> (Option<&Profile>, &[KeptChunk]) {
+    pub(in crate::codec) fn chunks_of_colour(
+        &self,
+        grey: bool,
+    ) -> (Option<&Profile>, &[KeptChunk]) {
         (self.profile(grey), &self.source.colour)
     }
 
@@ -114,18 +154,36 @@ impl Carried {
         let mut chunks = Vec::new();
         let mut says_resolution = self.resolution.is_none();
         if let Some(resolution) = self.resolution
-            && let Some(([x, y], is_near)) = resolution.in_unit(Unit::Metre).and_then(|metre| metre.rounded(MOST_IN_PNG))
+            && let Some(([x, y], is_near)) = resolution
+                .in_unit(Unit::Metre)
+                .and_then(|metre| metre.rounded(MOST_IN_PNG))
         {
             let has_unit = resolution.unit != Unit::Unknown;
             says_resolution = is_near;
             if has_unit || is_near {
-                chunks.push((*b"pHYs", [&x.to_be_bytes()[..], &y.to_be_bytes(), &[u8::from(has_unit)]].concat()));
+                chunks.push((
+                    *b"pHYs",
+                    [
+                        &x.to_be_bytes()[..],
+                        &y.to_be_bytes(),
+                        &[u8::from(has_unit)],
+                    ]
+                    .concat(),
+                ));
             }
         }
-        chunks.extend(self.exif_block(says_resolution).map(|block| (*b"eXIf", block)));
+        chunks.extend(
+            self.exif_block(says_resolution)
+                .map(|block| (*b"eXIf", block)),
+        );
         chunks.extend(self.xmp().map(|xmp| (*b"iTXt", [XMP_IN_PNG, xmp].concat())));
         if !self.colour_only {
-            chunks.extend(self.source.texts.iter().map(|(kind, data)| (*kind, data.to_vec())));
+            chunks.extend(
+                self.source
+                    .texts
+                    .iter()
+                    .map(|(kind, data)| (*kind, data.to_vec())),
+            );
             chunks.extend(self.source.comments.iter().map(|comment| text_of(comment)));
         }
         chunks
@@ -133,12 +191,24 @@ impl Carried {
 
     /// The density of JFIF: its unit, across and down; and whether it says the resolution.
     pub(in crate::codec) fn density(&self) -> (u8, [u16; 2], bool) {
-        let Some(resolution) = self.resolution else { return (0, [1; 2], true) };
+        let Some(resolution) = self.resolution else {
+            return (0, [1; 2], true);
+        };
         let in_unit = |unit| Some((unit, resolution.in_unit(unit)?.rounded(MOST_IN_JPEG)?));
-        let units = if resolution.unit == Unit::Centimetre { [Unit::Centimetre, Unit::Inch] } else { [Unit::Inch, Unit::Centimetre] };
-        let near = units.into_iter().filter_map(in_unit).find(|(_, (_, is_near))| *is_near);
-        let nearest = near.or_else(|| in_unit(units[0]).filter(|_| resolution.unit != Unit::Unknown));
-        let Some((unit, (numbers, is_near))) = nearest else { return (0, [1; 2], false) };
+        let units = if resolution.unit == Unit::Centimetre {
+            [Unit::Centimetre, Unit::Inch]
+        } else {
+            [Unit::Inch, Unit::Centimetre]
+        };
+        let near = units
+            .into_iter()
+            .filter_map(in_unit)
+            .find(|(_, (_, is_near))| *is_near);
+        let nearest =
+            near.or_else(|| in_unit(units[0]).filter(|_| resolution.unit != Unit::Unknown));
+        let Some((unit, (numbers, is_near))) = nearest else {
+            return (0, [1; 2], false);
+        };
         let unit = match (resolution.unit, unit) {
             (Unit::Unknown, _) => 0,
             (_, Unit::Inch) => 1,
@@ -150,19 +220,35 @@ impl Carried {
 
     /// The segments of a JPEG, without its profile: markers and contents.
     pub(in crate::codec) fn segments(&self, says_resolution: bool) -> Vec<(u8, Vec<u8>)> {
-        let exif = self.exif_block(says_resolution).map(|block| (APP1, [&b"Exif\0\0"[..], &block].concat()));
+        let exif = self
+            .exif_block(says_resolution)
+            .map(|block| (APP1, [&b"Exif\0\0"[..], &block].concat()));
         let xmp = self.xmp().map(|xmp| (APP1, [XMP_IN_JPEG, xmp].concat()));
-        let texts = self.source.texts.iter().filter_map(comment_of).chain(self.source.comments.iter().map(|comment| &**comment));
-        let comments = texts.filter(|_| !self.colour_only).map(|text| (COM, text[..text.len().min(MOST_IN_SEGMENT)].to_vec()));
+        let texts = self
+            .source
+            .texts
+            .iter()
+            .filter_map(comment_of)
+            .chain(self.source.comments.iter().map(|comment| &**comment));
+        let comments = texts
+            .filter(|_| !self.colour_only)
+            .map(|text| (COM, text[..text.len().min(MOST_IN_SEGMENT)].to_vec()));
         exif.into_iter().chain(xmp).chain(comments).collect()
     }
 
     /// Adds the tags to the main directory of a TIFF; `pointers`: what [`Self::put_below_page`] has returned.
-    pub(in crate::codec) fn put_tags(&self, grey: bool, pointers: &[(u16, u32)], directory: &mut DirectoryWriter<'_>) {
+    pub(in crate::codec) fn put_tags(
+        &self,
+        grey: bool,
+        pointers: &[(u16, u32)],
+        directory: &mut DirectoryWriter<'_>,
+    ) {
         if let Some(exif) = self.exif() {
             exif.put_main(directory);
         }
-        pointers.iter().for_each(|(tag, at)| directory.long(*tag, *at));
+        pointers
+            .iter()
+            .for_each(|(tag, at)| directory.long(*tag, *at));
         if let Some(xmp) = self.xmp() {
             directory.entry(700, BYTE, xmp.len(), xmp);
         }
@@ -172,12 +258,20 @@ impl Carried {
     }
 
     /// Appends the directories below the main one to a TIFF.
-    pub(in crate::codec) fn put_below_page(&self, out: &mut Vec<u8>, start: usize) -> Vec<(u16, u32)> {
-        self.exif().map_or_else(Vec::new, |exif| exif.put_below_page(out, start))
+    pub(in crate::codec) fn put_below_page(
+        &self,
+        out: &mut Vec<u8>,
+        start: usize,
+    ) -> Vec<(u16, u32)> {
+        self.exif()
+            .map_or_else(Vec::new, |exif| exif.put_below_page(out, start))
     }
 
     /// Adds the resolution to a TIFF, which must state one: without a known one, square pixels of no size.
-    pub(in crate::codec) fn put_resolution(this: Option<&Self>, directory: &mut DirectoryWriter<'_>) {
+    pub(in crate::codec) fn put_resolution(
+        this: Option<&Self>,
+        directory: &mut DirectoryWriter<'_>,
+    ) {
         let known = this.and_then(Self::resolution_in_tags);
         exif::put_resolution(known.unwrap_or(Resolution::SQUARE), directory);
     }

@@ -91,7 +91,11 @@ impl Dropped {
 
     /// The names of the kinds.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
-        NAMES.into_iter().enumerate().filter(move |(k, _)| self.0 >> k & 1 == 1).map(|(_, name)| name)
+        NAMES
+            .into_iter()
+            .enumerate()
+            .filter(move |(k, _)| self.0 >> k & 1 == 1)
+            .map(|(_, name)| name)
     }
 }
 
@@ -112,7 +116,10 @@ mod tests {
         dropped.add(Kind::Application);
         dropped.add_if(true, Kind::Exif);
         dropped.add_if(false, Kind::Xmp);
-        assert_eq!(dropped.names().collect::<Vec<_>>(), ["EXIF", "application data"]);
+        assert_eq!(
+            dropped.names().collect::<Vec<_>>(),
+            ["EXIF", "application data"]
+        );
         assert_eq!(Kind::Application as usize + 1, NAMES.len());
     }
 }

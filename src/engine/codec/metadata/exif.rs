@@ -45,8 +45,16 @@ const OF_PIXELS: [RangeInclusive<u16>; 12] = [
 const OF_PICTURE: [u16; 6] = [0xA002, 0xA003, 0x9214, 0xA214, INTEROPERABILITY, PADDING];
 /// Tags of a page of a TIFF that describe what it shows: document, description, maker and model, page, software, date, artist, computer,
 /// copyright, rating, and those of Windows.
-const OF_PAGE: [RangeInclusive<u16>; 8] =
-    [269..=272, 285..=285, 305..=306, 315..=316, 18_246..=18_246, 18_249..=18_249, 33_432..=33_432, 40_091..=40_095];
+const OF_PAGE: [RangeInclusive<u16>; 8] = [
+    269..=272,
+    285..=285,
+    305..=306,
+    315..=316,
+    18_246..=18_246,
+    18_249..=18_249,
+    33_432..=33_432,
+    40_091..=40_095,
+];
 const DESCRIPTION: u16 = 270;
 
 /// The kept tags of a file.
@@ -80,9 +88,16 @@ struct MakerNote {
 
 impl Exif {
     /// Reads a block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG. Returns its resolution too.
-    pub(super) fn of_block(block: &[u8], dropped: &mut Dropped, work: &StepCounter<'_>) -> (Option<Self>, Option<Resolution>) {
+    pub(super) fn of_block(
+        block: &[u8],
+        dropped: &mut Dropped,
+        work: &StepCounter<'_>,
+    ) -> (Option<Self>, Option<Resolution>) {
         let block = block.strip_prefix(b"Exif\0\0").unwrap_or(block);
-        let main = (block.len() <= 2 * MOST_BYTES).then(|| File::new(block)).flatten().and_then(|file| file.first().ok());
+        let main = (block.len() <= 2 * MOST_BYTES)
+            .then(|| File::new(block))
+            .flatten()
+            .and_then(|file| file.first().ok());
         let Some(main) = main else {
             dropped.add(Kind::Exif);
             return (None, None);
@@ -93,14 +108,28 @@ impl Exif {
     }
 
     /// Reads the page of a TIFF.
-    pub(super) fn of_page(page: &Directory<'_>, dropped: &mut Dropped, work: &StepCounter<'_>) -> Option<Self> {
+    pub(super) fn of_page(
+        page: &Directory<'_>,
+        dropped: &mut Dropped,
+        work: &StepCounter<'_>,
+    ) -> Option<Self> {
         // Of a description that states the shape of the stored array, nothing would be true.
-        let states_shape = |entry: &Entry<'_>| entry.tag == DESCRIPTION && (entry.data.starts_with(b"{\"shape\"") || is_ome(entry.data));
-        let is_kept = |entry: &Entry<'_>| OF_PAGE.iter().any(|range| range.contains(&entry.tag)) && !states_shape(entry);
+        let states_shape = |entry: &Entry<'_>| {
+            entry.tag == DESCRIPTION
+                && (entry.data.starts_with(b"{\"shape\"") || is_ome(entry.data))
+        };
+        let is_kept = |entry: &Entry<'_>| {
+            OF_PAGE.iter().any(|range| range.contains(&entry.tag)) && !states_shape(entry)
+        };
         Self::read(page, is_kept, dropped, work)
     }
 
-    fn read(main: &Directory<'_>, is_kept: impl Fn(&Entry<'_>) -> bool, dropped: &mut Dropped, work: &StepCounter<'_>) -> Option<Self> {
+    fn read(
+        main: &Directory<'_>,
+        is_kept: impl Fn(&Entry<'_>) -> bool,
+        dropped: &mut Dropped,
+        work: &StepCounter<'_>,
+    ) -> Option<Self> {
         let file = main.file;
         let below = |directory: &Directory<'_>, tag: u16| {
             let values = directory.values(tag, work).ok().flatten()?;
@@ -119,10 +148,14 @@ impl Exif {
             maker_note: None,
         };
         let mut bytes = FRAME_BYTES;
-        let mut gather = |directory: Option<&Directory<'_>>, is_kept: &dyn Fn(&Entry<'_>) -> bool| {
+        let mut gather = |directory: Option<&Directory<'_>>,
+                          is_kept: &dyn Fn(&Entry<'_>) -> bool| {
             let mut tags = Vec::new();
             // Types of BigTIFF have no place in a block.
-            let entries = directory.into_iter().flat_map(Directory::entries).filter(|entry| !(16..=18).contains(&entry.kind));
+            let entries = directory
+                .into_iter()
+                .flat_map(Directory::entries)
+                .filter(|entry| !(16..=18).contains(&entry.kind));
             for entry in entries.filter(is_kept) {
                 work.step(1).ok()?;
                 bytes += ENTRY_BYTES + entry.data.len() + 1;
@@ -132,36 +165,75 @@ impl Exif {
                 let (at, length) = (offset(this.pool.len()), offset(entry.data.len()));
                 let count = u32::try_from(entry.count).ok()?;
                 this.pool.extend_from_slice(entry.data);
-                tags.push(Tag { tag: entry.tag, kind: entry.kind, count, at, length });
+                tags.push(Tag {
+                    tag: entry.tag,
+                    kind: entry.kind,
+                    count,
+                    at,
+                    length,
+                });
             }
             Some(tags)
         };
         let gathered = (|| {
-            let main = gather(Some(main), &|entry| is_kept(entry) && !matches!(entry.tag, EXIF | GPS))?;
-            let exif = gather(exif.as_ref(), &|entry| !OF_PICTURE.contains(&entry.tag) && entry.tag != MAKER_NOTE)?;
-            Some((main, exif, gather(gps.as_ref(), &|_| true)?, gather(interoperability.as_ref(), &|entry| entry.tag <= 2)?))
+            let main = gather(Some(main), &|entry| {
+                is_kept(entry) && !matches!(entry.tag, EXIF | GPS)
+            })?;
+            let exif = gather(exif.as_ref(), &|entry| {
+                !OF_PICTURE.contains(&entry.tag) && entry.tag != MAKER_NOTE
+            })?;
+            Some((
+                main,
+                exif,
+                gather(gps.as_ref(), &|_| true)?,
+                gather(interoperability.as_ref(), &|entry| entry.tag <= 2)?,
+            ))
         })();
         let Some((main, own, gps, interoperability)) = gathered else {
             dropped.add(Kind::Exif);
             return None;
         };
-        this = Self { main, exif: own, gps, interoperability, ..this };
+        this = Self {
+            main,
+            exif: own,
+            gps,
+            interoperability,
+            ..this
+        };
         if let Some(note) = exif.and_then(|exif| exif.entry(MAKER_NOTE, work).ok().flatten()) {
-            let has_picture = note.data.windows(3).any(|bytes| bytes == [0xFF, 0xD8, 0xFF]);
-            if has_picture || note.at < 8 || note.data.len() <= 4 || note.at + note.data.len() + bytes > MOST_BYTES {
+            let has_picture = note
+                .data
+                .windows(3)
+                .any(|bytes| bytes == [0xFF, 0xD8, 0xFF]);
+            if has_picture
+                || note.at < 8
+                || note.data.len() <= 4
+                || note.at + note.data.len() + bytes > MOST_BYTES
+            {
                 dropped.add(Kind::MakerNote);
             } else {
-                this.maker_note = Some(MakerNote { at: note.at, data: note.data.into() });
+                this.maker_note = Some(MakerNote {
+                    at: note.at,
+                    data: note.data.into(),
+                });
             }
         }
-        let is_empty = [&this.main, &this.exif, &this.gps].into_iter().all(Vec::is_empty) && this.maker_note.is_none();
+        let is_empty = [&this.main, &this.exif, &this.gps]
+            .into_iter()
+            .all(Vec::is_empty)
+            && this.maker_note.is_none();
         (!is_empty).then_some(this)
     }
 
     /// Memory held, bytes.
     pub(super) fn bytes(&self) -> usize {
-        let tags = [&self.main, &self.exif, &self.gps, &self.interoperability].map(Vec::len).iter().sum::<usize>();
-        self.pool.len() + tags * size_of::<Tag>() + self.maker_note.as_ref().map_or(0, |note| note.data.len())
+        let tags = [&self.main, &self.exif, &self.gps, &self.interoperability]
+            .map(Vec::len)
+            .iter()
+            .sum::<usize>();
+        self.pool.len()
+            + tags * size_of::<Tag>()
+            + self.maker_note.as_ref().map_or(0, |note| note.data.len())
     }
 
     pub(super) const fn has_maker_note(&self) -> bool {
@@ -180,16 +252,33 @@ impl Exif {
         if width == 1 || little == self.little {
             return Cow::Borrowed(data);
         }
-        Cow::Owned(data.chunks(width).flat_map(|number| number.iter().rev()).copied().collect())
+        Cow::Owned(
+            data.chunks(width)
+                .flat_map(|number| number.iter().rev())
+                .copied()
+                .collect(),
+        )
     }
 
     fn put(&self, tags: &[Tag], little: bool, directory: &mut DirectoryWriter<'_>) {
-        tags.iter().for_each(|tag| directory.entry(tag.tag, tag.kind, tag.count as usize, &self.data(*tag, little)));
+        tags.iter().for_each(|tag| {
+            directory.entry(
+                tag.tag,
+                tag.kind,
+                tag.count as usize,
+                &self.data(*tag, little),
+            )
+        });
     }
 
     /// Appends the directories below the main one to the file that begins at `start`; returns their pointers. `note`: the offset of the
     /// maker's note in that file.
-    fn put_below(&self, (out, start): (&mut Vec<u8>, usize), little: bool, note: Option<[u8; 4]>) -> Vec<(u16, u32)> {
+    fn put_below(
+        &self,
+        (out, start): (&mut Vec<u8>, usize),
+        little: bool,
+        note: Option<[u8; 4]>,
+    ) -> Vec<(u16, u32)> {
         let mut pointers = Vec::new();
         let mut below = Vec::new();
         if !self.interoperability.is_empty() {
@@ -228,13 +317,21 @@ impl Exif {
 /// A block of kept tags and a resolution.
 pub(super) fn block(exif: Option<&Exif>, resolution: Option<Resolution>) -> Vec<u8> {
     let little = exif.is_some_and(|exif| exif.little);
-    let mut out = if little { b"II*\0\0\0\0\0".to_vec() } else { b"MM\0*\0\0\0\0".to_vec() };
+    let mut out = if little {
+        b"II*\0\0\0\0\0".to_vec()
+    } else {
+        b"MM\0*\0\0\0\0".to_vec()
+    };
     let mut pointers = Vec::new();
     if let Some(exif) = exif {
         let note = exif.maker_note.as_ref().map(|MakerNote { at, data }| {
             out.resize(*at, 0);
             out.extend_from_slice(data);
-            if little { offset(*at).to_le_bytes() } else { offset(*at).to_be_bytes() }
+            if little {
+                offset(*at).to_le_bytes()
+            } else {
+                offset(*at).to_be_bytes()
+            }
         });
         pointers = exif.put_below((&mut out, 0), little, note);
     }
@@ -245,7 +342,9 @@ pub(super) fn block(exif: Option<&Exif>, resolution: Option<Resolution>) -> Vec<
     if let Some(resolution) = resolution {
         put_resolution(resolution, &mut directory);
     }
-    pointers.iter().for_each(|(tag, at)| directory.long(*tag, *at));
+    pointers
+        .iter()
+        .for_each(|(tag, at)| directory.long(*tag, *at));
     directory.close();
     out
 }

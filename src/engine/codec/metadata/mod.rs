@@ -60,7 +60,10 @@ impl<'a> Found<'a> {
     }
 
     pub(super) fn add_comment(&mut self, comment: Cow<'a, [u8]>) {
-        if has_room(self.comments.iter().map(|comment| comment.len()), comment.len()) {
+        if has_room(
+            self.comments.iter().map(|comment| comment.len()),
+            comment.len(),
+        ) {
             self.comments.push(comment);
         } else {
             self.dropped.add(Kind::Comment);
@@ -102,23 +105,42 @@ impl Metadata {
         work: &StepCounter<'_>,
     ) -> Result<Self, CodecError> {
         let mut dropped = found.dropped;
-        let (of_block, of_exif) = found.exif.map_or((None, None), |exif| Exif::of_block(exif, &mut dropped, work));
-        let of_page = found.page.as_ref().and_then(|page| Exif::of_page(page, &mut dropped, work));
+        let (of_block, of_exif) = found.exif.map_or((None, None), |exif| {
+            Exif::of_block(exif, &mut dropped, work)
+        });
+        let of_page = found
+            .page
+            .as_ref()
+            .and_then(|page| Exif::of_page(page, &mut dropped, work));
         let xmp = found.xmp.as_deref().and_then(xmp::kept);
         dropped.add_if(found.xmp.is_some() && xmp.is_none(), Kind::Xmp);
         // A format's own resolution without a unit is the shape of a pixel, and one of whole numbers may be rounded; EXIF may have more.
-        let own = found.resolution.filter(|own| own.unit != Unit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif)));
+        let own = found.resolution.filter(|own| {
+            own.unit != Unit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif))
+        });
         let resolution = own.or(of_exif).or(found.resolution);
         work.check()?;
         Ok(Self {
             resolution: resolution.map(|stored| if swaps { stored.swapped() } else { stored }),
             profile: icc.map(Profile::new),
-            colour: found.colour.iter().map(|(kind, data)| (*kind, (*data).into())).collect(),
+            colour: found
+                .colour
+                .iter()
+                .map(|(kind, data)| (*kind, (*data).into()))
+                .collect(),
             needs_chunks: !png_colour::is_srgb(&found.colour, icc.is_some()),
             exif: of_page.or(of_block),
             xmp,
-            texts: found.texts.iter().map(|(kind, data)| (*kind, (*data).into())).collect(),
-            comments: found.comments.iter().map(|comment| comment.as_ref().into()).collect(),
+            texts: found
+                .texts
+                .iter()
+                .map(|(kind, data)| (*kind, (*data).into()))
+                .collect(),
+            comments: found
+                .comments
+                .iter()
+                .map(|comment| comment.as_ref().into())
+                .collect(),
             dropped,
             profile_dropped: found.colour_dropped || has_icc && icc.is_none(),
         })
@@ -151,9 +173,23 @@ impl Metadata {
     /// Memory held, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let chunks = |chunks: &[Chunk<Box<[u8]>>]| chunks.iter().map(|(_, data)| data.len() + size_of::<Chunk<Box<[u8]>>>()).sum::<usize>();
-        let comments = self.comments.iter().map(|comment| comment.len() + size_of::<Box<[u8]>>()).sum::<usize>();
-        let packets = self.xmp.as_ref().map_or(0, Vec::len) + self.exif.as_ref().map_or(0, Exif::bytes);
-        self.profile.as_ref().map_or(0, Profile::bytes) + chunks(&self.colour) + chunks(&self.texts) + comments + packets
+        let chunks = |chunks: &[Chunk<Box<[u8]>>]| {
+            chunks
+                .iter()
+                .map(|(_, data)| data.len() + size_of::<Chunk<Box<[u8]>>>())
+                .sum::<usize>()
+        };
+        let comments = self
+            .comments
+            .iter()
+            .map(|comment| comment.len() + size_of::<Box<[u8]>>())
+            .sum::<usize>();
+        let packets =
+            self.xmp.as_ref().map_or(0, Vec::len) + self.exif.as_ref().map_or(0, Exif::bytes);
+        self.profile.as_ref().map_or(0, Profile::bytes)
+            + chunks(&self.colour)
+            + chunks(&self.texts)
+            + comments
+            + packets
     }
 }

@@ -24,5 +24,9 @@ fn resource(data: &[u8]) -> Option<(u16, &[u8], &[u8])> {
     let (length, data) = data.get(name.next_multiple_of(2)..)?.split_first_chunk()?;
     let length = u32::from_be_bytes(*length) as usize;
     let content = data.get(..length)?;
-    Some((u16::from_be_bytes(*id), content, data.get(length.next_multiple_of(2)..).unwrap_or_default()))
+    Some((
+        u16::from_be_bytes(*id),
+        content,
+        data.get(length.next_multiple_of(2)..).unwrap_or_default(),
+    ))
 }

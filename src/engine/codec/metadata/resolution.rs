@@ -19,7 +19,14 @@ impl Ratio {
     /// `None` if one of them is zero.
     #[must_use]
     pub const fn new(numerator: u32, denominator: u32) -> Option<Self> {
-        if numerator == 0 || denominator == 0 { None } else { Some(Self { numerator, denominator }) }
+        if numerator == 0 || denominator == 0 {
+            None
+        } else {
+            Some(Self {
+                numerator,
+                denominator,
+            })
+        }
     }
 
     /// The ratio, or the last convergent of its continued fraction that 32 bits hold; `None` beyond their range.
@@ -42,7 +49,10 @@ impl Ratio {
             return Some(self);
         }
         let product = |a: u32, b: u32| u128::from(a) * u128::from(b);
-        Self::nearest(product(self.numerator, numerator), product(self.denominator, denominator))
+        Self::nearest(
+            product(self.numerator, numerator),
+            product(self.denominator, denominator),
+        )
     }
 
     fn value(self) -> f64 {
@@ -53,8 +63,15 @@ impl Ratio {
     fn whole(self, most: u32) -> Option<(u32, bool)> {
         let rounded = self.value().round();
         let fits = (1.0..=f64::from(most)).contains(&rounded);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within the range")]
-        fits.then_some((rounded as u32, (rounded - self.value()).abs() <= NEAR * self.value()))
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "within the range"
+        )]
+        fits.then_some((
+            rounded as u32,
+            (rounded - self.value()).abs() <= NEAR * self.value(),
+        ))
     }
 }
 
@@ -97,28 +114,50 @@ pub struct Resolution {
 impl Resolution {
     /// Square pixels of no known size.
     pub const SQUARE: Self = {
-        let one = Ratio { numerator: 1, denominator: 1 };
-        Self { x: one, y: one, unit: Unit::Unknown }
+        let one = Ratio {
+            numerator: 1,
+            denominator: 1,
+        };
+        Self {
+            x: one,
+            y: one,
+            unit: Unit::Unknown,
+        }
     };
 
     /// One of whole numbers; `None` if one of them is zero, or if it says nothing.
     #[must_use]
     pub fn whole(x: u32, y: u32, unit: Unit) -> Option<Self> {
-        let this = Self { x: Ratio::new(x, 1)?, y: Ratio::new(y, 1)?, unit };
+        let this = Self {
+            x: Ratio::new(x, 1)?,
+            y: Ratio::new(y, 1)?,
+            unit,
+        };
         (unit != Unit::Unknown || (x, y) != (1, 1)).then_some(this)
     }
 
     /// That of the picture with its sides swapped.
     #[must_use]
     pub const fn swapped(self) -> Self {
-        Self { x: self.y, y: self.x, unit: self.unit }
+        Self {
+            x: self.y,
+            y: self.x,
+            unit: self.unit,
+        }
     }
 
     /// That of a picture of `target` pixels which shows `canvas` pixels of this one; `None` beyond the range.
     #[must_use]
     pub fn scaled(self, target: Extent, canvas: Extent) -> Option<Self> {
-        let (x, y) = (self.x.times(target.width(), canvas.width())?, self.y.times(target.height(), canvas.height())?);
-        Some(Self { x, y, unit: self.unit })
+        let (x, y) = (
+            self.x.times(target.width(), canvas.width())?,
+            self.y.times(target.height(), canvas.height())?,
+        );
+        Some(Self {
+            x,
+            y,
+            unit: self.unit,
+        })
     }
 
     /// The same resolution in another unit; one of unknown unit stays as it is.
@@ -127,7 +166,10 @@ impl Resolution {
         if self.unit == Unit::Unknown {
             return Some(self);
         }
-        let (x, y) = (self.x.times(unit.length(), self.unit.length())?, self.y.times(unit.length(), self.unit.length())?);
+        let (x, y) = (
+            self.x.times(unit.length(), self.unit.length())?,
+            self.y.times(unit.length(), self.unit.length())?,
+        );
         Some(Self { x, y, unit })
     }
 
@@ -141,7 +183,9 @@ impl Resolution {
     /// Whether these whole numbers are those of an exact resolution.
     #[must_use]
     pub fn is_rounded(self, exact: Self) -> bool {
-        let rounded = exact.in_unit(self.unit).and_then(|exact| exact.rounded(u32::MAX));
+        let rounded = exact
+            .in_unit(self.unit)
+            .and_then(|exact| exact.rounded(u32::MAX));
         rounded.is_some_and(|([x, y], _)| Self::whole(x, y, self.unit) == Some(self))
     }
 
@@ -166,7 +210,11 @@ mod tests {
 
     #[test]
     fn a_resolution_that_nothing_changes_is_the_same_fraction() {
-        let odd = Resolution { x: Ratio::new(720_000, 10_000).unwrap(), y: Ratio::new(5, 2).unwrap(), unit: Unit::Inch };
+        let odd = Resolution {
+            x: Ratio::new(720_000, 10_000).unwrap(),
+            y: Ratio::new(5, 2).unwrap(),
+            unit: Unit::Inch,
+        };
         assert_eq!(odd.scaled(extent(70, 50), extent(70, 50)), Some(odd));
         assert_eq!(odd.in_unit(Unit::Inch), Some(odd));
         assert_eq!(odd.swapped().swapped(), odd);
@@ -182,20 +230,36 @@ mod tests {
                 let y = Ratio::new(numbers[numbers.len() - 1 - k], denominator).unwrap();
                 for unit in [Unit::Inch, Unit::Centimetre, Unit::Metre] {
                     let source = Resolution { x, y, unit };
-                    for (target, canvas) in [((300, 200), (900, 601)), ((16_384, 3), (7, 16_384)), ((1, 1), (16_384, 16_384))] {
-                        let (target, canvas) = (extent(target.0, target.1), extent(canvas.0, canvas.1));
-                        let Some(scaled) = source.scaled(target, canvas) else { continue };
+                    for (target, canvas) in [
+                        ((300, 200), (900, 601)),
+                        ((16_384, 3), (7, 16_384)),
+                        ((1, 1), (16_384, 16_384)),
+                    ] {
+                        let (target, canvas) =
+                            (extent(target.0, target.1), extent(canvas.0, canvas.1));
+                        let Some(scaled) = source.scaled(target, canvas) else {
+                            continue;
+                        };
                         for unit in [Unit::Inch, Unit::Centimetre, Unit::Metre] {
-                            let Some(other) = scaled.in_unit(unit) else { continue };
+                            let Some(other) = scaled.in_unit(unit) else {
+                                continue;
+                            };
                             let scale = [
                                 f64::from(target.width()) / f64::from(canvas.width()),
                                 f64::from(target.height()) / f64::from(canvas.height()),
                             ];
-                            let axes = source.per_millimetre().into_iter().zip(scale).zip(other.per_millimetre());
+                            let axes = source
+                                .per_millimetre()
+                                .into_iter()
+                                .zip(scale)
+                                .zip(other.per_millimetre());
                             for ((was, scale), is) in axes {
                                 let want = was * scale;
                                 let far = (is / want - 1.0).abs();
-                                assert!(far < 1e-5 || !(1e-4..=1e8).contains(&want), "{source:?} {target:?} {canvas:?}: {other:?}");
+                                assert!(
+                                    far < 1e-5 || !(1e-4..=1e8).contains(&want),
+                                    "{source:?} {target:?} {canvas:?}: {other:?}"
+                                );
                             }
                         }
                     }
@@ -208,7 +272,13 @@ mod tests {
     fn whole_numbers_say_whether_they_are_near() {
         let dpi = |numerator, denominator| {
             let ratio = Ratio::new(numerator, denominator).unwrap();
-            Resolution { x: ratio, y: ratio, unit: Unit::Metre }.in_unit(Unit::Inch).and_then(|dpi| dpi.rounded(65_535))
+            Resolution {
+                x: ratio,
+                y: ratio,
+                unit: Unit::Metre,
+            }
+            .in_unit(Unit::Inch)
+            .and_then(|dpi| dpi.rounded(65_535))
         };
         assert_eq!(dpi(11_811, 1), Some(([300, 300], true)));
         assert_eq!(dpi(2_854, 1), Some(([72, 72], false)), "72.49 per inch");

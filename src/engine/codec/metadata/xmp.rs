@@ -49,10 +49,18 @@ fn without(text: &str, name: &str) -> Option<String> {
     while let Some(at) = rest.find(name) {
         let (before, found) = rest.split_at(at);
         let behind = &found[name.len()..];
-        let end = if before.ends_with('<') { element_end(behind, &end_tag) } else { attribute_end(before, behind) };
+        let end = if before.ends_with('<') {
+            element_end(behind, &end_tag)
+        } else {
+            attribute_end(before, behind)
+        };
         let end = end?;
         let is_element = before.ends_with('<') && end > 0;
-        out.push_str(if is_element { &before[..at - 1] } else { before });
+        out.push_str(if is_element {
+            &before[..at - 1]
+        } else {
+            before
+        });
         if end == 0 {
             out.push_str(name);
         }
@@ -64,7 +72,9 @@ fn without(text: &str, name: &str) -> Option<String> {
 
 /// The end of an element whose name has been read: 0 if the name is longer, `None` if there is no end.
 fn element_end(behind: &str, end_tag: &str) -> Option<usize> {
-    if !behind.is_empty() && !behind.starts_with(|c: char| c.is_ascii_whitespace() || c == '>' || c == '/') {
+    if !behind.is_empty()
+        && !behind.starts_with(|c: char| c.is_ascii_whitespace() || c == '>' || c == '/')
+    {
         return Some(0);
     }
     let open = behind.find('>')?;
@@ -78,8 +88,16 @@ fn element_end(behind: &str, end_tag: &str) -> Option<usize> {
 /// The end of an attribute whose name has been read: 0 if it is none.
 fn attribute_end(before: &str, behind: &str) -> Option<usize> {
     let value = behind.trim_start().strip_prefix('=').map(str::trim_start);
-    let Some(value) = value.filter(|_| before.ends_with(|c: char| c.is_ascii_whitespace())) else { return Some(0) };
-    let Some(quote) = value.chars().next().filter(|quote| matches!(quote, '"' | '\'')) else { return Some(0) };
+    let Some(value) = value.filter(|_| before.ends_with(|c: char| c.is_ascii_whitespace())) else {
+        return Some(0);
+    };
+    let Some(quote) = value
+        .chars()
+        .next()
+        .filter(|quote| matches!(quote, '"' | '\''))
+    else {
+        return Some(0);
+    };
     let end = value[1..].find(quote)?;
     Some(behind.len() - value.len() + end + 2)
 }
@@ -94,11 +112,22 @@ mod tests {
 
     #[test]
     fn properties_of_the_stored_pixels_are_left_out_in_every_form() {
-        let description =
-            |inside: &str, content: &str| format!("<rdf:Description a=\"1\"{inside} b='2'>{content}<dc:x/></rdf:Description>");
+        let description = |inside: &str, content: &str| {
+            format!("<rdf:Description a=\"1\"{inside} b='2'>{content}<dc:x/></rdf:Description>")
+        };
         let plain = description("", "");
-        for inside in [" tiff:Orientation=\"6\"", "\n\ttiff:Orientation = '6'", " exif:PixelXDimension=\"4000\" tiff:ImageWidth='9'"] {
-            assert_eq!(kept_text(&description(inside, "")).unwrap().replace(['\n', '\t', ' '], ""), plain.replace(' ', ""), "{inside}");
+        for inside in [
+            " tiff:Orientation=\"6\"",
+            "\n\ttiff:Orientation = '6'",
+            " exif:PixelXDimension=\"4000\" tiff:ImageWidth='9'",
+        ] {
+            assert_eq!(
+                kept_text(&description(inside, ""))
+                    .unwrap()
+                    .replace(['\n', '\t', ' '], ""),
+                plain.replace(' ', ""),
+                "{inside}"
+            );
         }
         for content in [
             "<tiff:Orientation>6</tiff:Orientation>",
@@ -106,7 +135,11 @@ mod tests {
             "<xmp:Thumbnails>\n<rdf:Alt><rdf:li xmpGImg:image=\"/9j/4AAQ\"/></rdf:Alt></xmp:Thumbnails>",
             "<mwg-rs:Regions rdf:parseType=\"Resource\"><a/></mwg-rs:Regions >",
         ] {
-            assert_eq!(kept_text(&description("", content)).unwrap(), plain, "{content}");
+            assert_eq!(
+                kept_text(&description("", content)).unwrap(),
+                plain,
+                "{content}"
+            );
         }
     }
 
@@ -120,12 +153,22 @@ mod tests {
         ] {
             assert_eq!(kept_text(text).as_deref(), Some(text));
         }
-        assert_eq!(kept(b"\xEF\xBB\xBF<a/>\0\0"), Some(b"<a/>".to_vec()), "a mark and padding are no part of it");
+        assert_eq!(
+            kept(b"\xEF\xBB\xBF<a/>\0\0"),
+            Some(b"<a/>".to_vec()),
+            "a mark and padding are no part of it"
+        );
     }
 
     #[test]
     fn a_damaged_packet_is_not_kept() {
-        for text in ["<tiff:Orientation>6", "<tiff:Orientation", "<a tiff:Orientation=\"6", "<a xmpGImg:image=\"x\"/>", ""] {
+        for text in [
+            "<tiff:Orientation>6",
+            "<tiff:Orientation",
+            "<a tiff:Orientation=\"6",
+            "<a xmpGImg:image=\"x\"/>",
+            "",
+        ] {
             assert_eq!(kept_text(text), None, "{text}");
         }
         assert_eq!(kept(b"\xFF\xFE<\0"), None, "UTF-16");

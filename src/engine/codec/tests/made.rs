@@ -51,8 +51,16 @@ impl Png {
         ihdr[..4].copy_from_slice(&width.to_be_bytes());
         ihdr[4..8].copy_from_slice(&height.to_be_bytes());
         (ihdr[8], ihdr[9]) = (bits, colour);
-        let rows = packed.chunks((packed.len() / height as usize).max(1)).flat_map(|row| [&[0], row].concat()).collect();
-        Self { ihdr, before: vec![], rows, after: vec![] }
+        let rows = packed
+            .chunks((packed.len() / height as usize).max(1))
+            .flat_map(|row| [&[0], row].concat())
+            .collect();
+        Self {
+            ihdr,
+            before: vec![],
+            rows,
+            after: vec![],
+        }
     }
 
     /// The same picture in seven passes; whole bytes per pixel only.
@@ -63,13 +71,20 @@ impl Png {
         let (width, height) = (width as usize, height as usize);
         let pixel = packed.len() / (width * height);
         // The letters of each 8 x 8 square's passes (PNG, 8.2).
-        let passes = ["16462646", "77777777", "56565656", "77777777", "36463646", "77777777", "56565656", "77777777"];
+        let passes = [
+            "16462646", "77777777", "56565656", "77777777", "36463646", "77777777", "56565656",
+            "77777777",
+        ];
         for pass in b'1'..=b'7' {
             for y in 0..height {
-                let columns: Vec<usize> = (0..width).filter(|x| passes[y % 8].as_bytes()[x % 8] == pass).collect();
+                let columns: Vec<usize> = (0..width)
+                    .filter(|x| passes[y % 8].as_bytes()[x % 8] == pass)
+                    .collect();
                 if !columns.is_empty() {
                     png.rows.push(0);
-                    columns.iter().for_each(|x| png.rows.extend(&packed[(y * width + x) * pixel..][..pixel]));
+                    columns
+                        .iter()
+                        .for_each(|x| png.rows.extend(&packed[(y * width + x) * pixel..][..pixel]));
                 }
             }
         }
@@ -84,12 +99,16 @@ impl Png {
     pub(super) fn bytes(&self) -> Vec<u8> {
         let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
         out.extend(png_chunk(*b"IHDR", &self.ihdr));
-        self.before.iter().for_each(|(kind, data)| out.extend(png_chunk(*kind, data)));
+        self.before
+            .iter()
+            .for_each(|(kind, data)| out.extend(png_chunk(*kind, data)));
         let data = deflate(&self.rows);
         let (first, second) = data.split_at(data.len() / 2);
         out.extend(png_chunk(*b"IDAT", first));
         out.extend(png_chunk(*b"IDAT", second));
-        self.after.iter().for_each(|(kind, data)| out.extend(png_chunk(*kind, data)));
+        self.after
+            .iter()
+            .for_each(|(kind, data)| out.extend(png_chunk(*kind, data)));
         out.extend(png_chunk(*b"IEND", &[]));
         out
     }
@@ -114,13 +133,23 @@ impl Jpeg {
         let v = factors.iter().map(|f| u16::from(f.1)).max().unwrap();
         let mcus = usize::from(width.div_ceil(8 * h)) * usize::from(height.div_ceil(8 * v));
         let mcus = vec![levels.to_vec(); mcus];
-        Self { size: (width, height), sof: 0xC0, factors: factors.to_vec(), segments: vec![], mcus, separate: false }
+        Self {
+            size: (width, height),
+            sof: 0xC0,
+            factors: factors.to_vec(),
+            segments: vec![],
+            mcus,
+            separate: false,
+        }
     }
 
     /// Grey, 24 x 16: six squares `abc / def` whose sample is the letter.
     pub(super) fn letters() -> Self {
         let mut jpeg = Self::flat(24, 16, &[(1, 1)], &[0]);
-        jpeg.mcus = b"abcdef".iter().map(|&letter| vec![i32::from(letter) - 128]).collect();
+        jpeg.mcus = b"abcdef"
+            .iter()
+            .map(|&letter| vec![i32::from(letter) - 128])
+            .collect();
         jpeg
     }
 
@@ -144,27 +173,42 @@ impl Jpeg {
 
     pub(super) fn bytes(&self) -> Vec<u8> {
         let count = self.factors.len() as u8;
-        let mut file = Self { segments: vec![], ..self.clone() };
+        let mut file = Self {
+            segments: vec![],
+            ..self.clone()
+        };
         file = file.with_segment(0xDB, &[&[0], [8; 64].as_slice()].concat());
         let mut frame = vec![8];
         frame.extend(self.size.1.to_be_bytes());
         frame.extend(self.size.0.to_be_bytes());
         frame.push(count);
-        (1..).zip(&self.factors).for_each(|(id, (h, v))| frame.extend([id, h << 4 | v, 0]));
+        (1..)
+            .zip(&self.factors)
+            .for_each(|(id, (h, v))| frame.extend([id, h << 4 | v, 0]));
         file = file.with_segment(self.sof, &frame);
         // DC: twelve sizes in codes of four bits. AC: end of block in one bit.
-        let dc = [&[0, 0, 0, 0, 12], [0; 12].as_slice(), &(0..12).collect::<Vec<u8>>()].concat();
+        let dc = [
+            &[0, 0, 0, 0, 12],
+            [0; 12].as_slice(),
+            &(0..12).collect::<Vec<u8>>(),
+        ]
+        .concat();
         let ac = [&[0x10, 1], [0; 15].as_slice(), &[0]].concat();
         file = file.with_segment(0xC4, &dc).with_segment(0xC4, &ac);
         let mut out = [&[0xFF, 0xD8], self.segments.as_slice(), &file.segments].concat();
         let all: Vec<usize> = (0..usize::from(count)).collect();
         let progressive = self.sof == 0xC2;
-        let groups: Vec<Vec<usize>> = if self.separate { all.iter().map(|&c| vec![c]).collect() } else { vec![all.clone()] };
+        let groups: Vec<Vec<usize>> = if self.separate {
+            all.iter().map(|&c| vec![c]).collect()
+        } else {
+            vec![all.clone()]
+        };
         for group in groups {
             out.extend(self.scan(&group, if progressive { (0, 0) } else { (0, 63) }));
         }
         if progressive {
-            all.iter().for_each(|&c| out.extend(self.scan(&[c], (1, 63))));
+            all.iter()
+                .for_each(|&c| out.extend(self.scan(&[c], (1, 63))));
         }
         out.extend([0xFF, 0xD9]);
         out
@@ -172,10 +216,17 @@ impl Jpeg {
 
     fn scan(&self, components: &[usize], band: (u8, u8)) -> Vec<u8> {
         let mut head = vec![components.len() as u8];
-        components.iter().for_each(|&c| head.extend([c as u8 + 1, 0]));
+        components
+            .iter()
+            .for_each(|&c| head.extend([c as u8 + 1, 0]));
         head.extend([band.0, band.1, 0]);
         let segments = vec![];
-        let mut out = Self { segments, ..self.clone() }.with_segment(0xDA, &head).segments;
+        let mut out = Self {
+            segments,
+            ..self.clone()
+        }
+        .with_segment(0xDA, &head)
+        .segments;
         let mut bits = String::new();
         let mut last = vec![0; self.factors.len()];
         for mcu in &self.mcus {
@@ -185,7 +236,11 @@ impl Jpeg {
                         let difference = mcu[c] - last[c];
                         last[c] = mcu[c];
                         let size = 32 - difference.unsigned_abs().leading_zeros();
-                        let magnitude = if difference < 0 { difference + (1 << size) - 1 } else { difference };
+                        let magnitude = if difference < 0 {
+                            difference + (1 << size) - 1
+                        } else {
+                            difference
+                        };
                         bits += &format!("{size:04b}");
                         if size > 0 {
                             bits += &format!("{magnitude:0width$b}", width = size as usize);
@@ -213,10 +268,31 @@ impl Jpeg {
 pub(super) type Tag<'a> = (u16, u16, u32, &'a [u8]);
 
 /// A block of EXIF: the tags of the main directory, of the EXIF directory (from 0x8769 on), and of GPS (from 0x8825 on), then a thumbnail.
-pub(super) fn exif_block(little: bool, main: &[Tag<'_>], below: &[(u16, Vec<Tag<'_>>)], thumbnail: &[u8]) -> Vec<u8> {
-    let two = |n: u16| if little { n.to_le_bytes() } else { n.to_be_bytes() };
-    let four = |n: u32| if little { n.to_le_bytes() } else { n.to_be_bytes() };
-    let mut out = if little { b"II*\0".to_vec() } else { b"MM\0*".to_vec() };
+pub(super) fn exif_block(
+    little: bool,
+    main: &[Tag<'_>],
+    below: &[(u16, Vec<Tag<'_>>)],
+    thumbnail: &[u8],
+) -> Vec<u8> {
+    let two = |n: u16| {
+        if little {
+            n.to_le_bytes()
+        } else {
+            n.to_be_bytes()
+        }
+    };
+    let four = |n: u32| {
+        if little {
+            n.to_le_bytes()
+        } else {
+            n.to_be_bytes()
+        }
+    };
+    let mut out = if little {
+        b"II*\0".to_vec()
+    } else {
+        b"MM\0*".to_vec()
+    };
     out.extend([0; 4]);
     let put = |tags: &[Tag<'_>], next: u32, out: &mut Vec<u8>| {
         let mut tags = tags.to_vec();
@@ -242,13 +318,24 @@ pub(super) fn exif_block(little: bool, main: &[Tag<'_>], below: &[(u16, Vec<Tag<
         pointers.push((*pointer, four(put(tags, 0, &mut out))));
     }
     let mut main = main.to_vec();
-    main.extend(pointers.iter().map(|(pointer, at)| (*pointer, 4, 1, at.as_slice())));
+    main.extend(
+        pointers
+            .iter()
+            .map(|(pointer, at)| (*pointer, 4, 1, at.as_slice())),
+    );
     let next = if thumbnail.is_empty() {
         0
     } else {
         let at = four(out.len() as u32);
         out.extend(thumbnail);
-        put(&[(0x0201, 4, 1, &at), (0x0202, 4, 1, &four(thumbnail.len() as u32))], 0, &mut out)
+        put(
+            &[
+                (0x0201, 4, 1, &at),
+                (0x0202, 4, 1, &four(thumbnail.len() as u32)),
+            ],
+            0,
+            &mut out,
+        )
     };
     let at = put(&main, next, &mut out);
     out[4..8].copy_from_slice(&four(at));
@@ -256,10 +343,21 @@ pub(super) fn exif_block(little: bool, main: &[Tag<'_>], below: &[(u16, Vec<Tag<
 }
 
 /// The encoder writes the simplest container: a VP8L chunk.
-pub(super) fn webp_lossless(width: u32, height: u32, channels: Channels, samples: &[u8]) -> Vec<u8> {
-    let colour = if channels == Channels::Rgba { image::ExtendedColorType::Rgba8 } else { image::ExtendedColorType::Rgb8 };
+pub(super) fn webp_lossless(
+    width: u32,
+    height: u32,
+    channels: Channels,
+    samples: &[u8],
+) -> Vec<u8> {
+    let colour = if channels == Channels::Rgba {
+        image::ExtendedColorType::Rgba8
+    } else {
+        image::ExtendedColorType::Rgb8
+    };
     let mut out = Vec::new();
-    image::codecs::webp::WebPEncoder::new_lossless(&mut out).write_image(samples, width, height, colour).unwrap();
+    image::codecs::webp::WebPEncoder::new_lossless(&mut out)
+        .write_image(samples, width, height, colour)
+        .unwrap();
     out
 }
 
@@ -286,7 +384,12 @@ pub(super) fn vp8x(flags: u8, (width, height): (u32, u32)) -> [u8; 10] {
 /// A simple file converted to the extended container.
 pub(super) fn webp_container(simple: &[u8], size: (u32, u32), exif: &[u8], icc: &[u8]) -> Vec<u8> {
     let length = u32::from_le_bytes(simple[16..20].try_into().unwrap()) as usize;
-    riff(&[(b"VP8X", &vp8x(0x28, size)), (b"ICCP", icc), (simple[12..16].try_into().unwrap(), &simple[20..20 + length]), (b"EXIF", exif)])
+    riff(&[
+        (b"VP8X", &vp8x(0x28, size)),
+        (b"ICCP", icc),
+        (simple[12..16].try_into().unwrap(), &simple[20..20 + length]),
+        (b"EXIF", exif),
+    ])
 }
 
 /// A VP8 key frame. Partitions of zeros decode to DC prediction without residual, hence mid grey.

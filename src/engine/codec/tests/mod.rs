@@ -1,7 +1,10 @@
 //! Tests of reading files: properties of all formats here, and one file per format. Files are built in `made`, so that every chunk is
 //! known; photographs come from `tests/images`.
 
-#![expect(clippy::cast_possible_truncation, reason = "patterns are cut to their low byte, and sizes are written here")]
+#![expect(
+    clippy::cast_possible_truncation,
+    reason = "patterns are cut to their low byte, and sizes are written here"
+)]
 
 #[path = "../../../../tests/it/support/bombs.rs"]
 pub(super) mod bombs;
@@ -31,7 +34,11 @@ fn probe(bytes: &[u8]) -> Result<Header, CodecError> {
 }
 
 fn photograph(name: &str) -> Vec<u8> {
-    std::fs::read(format!("{}/../../tests/images/{name}", env!("CARGO_MANIFEST_DIR"))).unwrap()
+    std::fs::read(format!(
+        "{}/../../tests/images/{name}",
+        env!("CARGO_MANIFEST_DIR")
+    ))
+    .unwrap()
 }
 
 fn decoded(bytes: &[u8]) -> Pixmap {
@@ -54,9 +61,20 @@ fn sixteen(pixmap: &Pixmap) -> &[u16] {
 
 /// The decoded picture matches its header. Returns whether the file was read.
 fn header_is_kept(bytes: &[u8]) -> bool {
-    let Ok(Decoded { pixmap, .. }) = decode(bytes, &Limits { max_pixels: 1 << 20, max_side: 1 << 12 }) else { return false };
+    let Ok(Decoded { pixmap, .. }) = decode(
+        bytes,
+        &Limits {
+            max_pixels: 1 << 20,
+            max_side: 1 << 12,
+        },
+    ) else {
+        return false;
+    };
     let header = probe(bytes).unwrap();
-    assert_eq!((header.extent, header.channels, header.depth), (pixmap.extent(), pixmap.channels(), pixmap.depth()));
+    assert_eq!(
+        (header.extent, header.channels, header.depth),
+        (pixmap.extent(), pixmap.channels(), pixmap.depth())
+    );
     assert!(header.decode_bytes > pixmap.bytes() as u64);
     true
 }
@@ -67,7 +85,8 @@ fn zoo() -> Vec<(&'static str, Vec<u8>)> {
     let exif_block = exif(6, false);
     let rgba: Vec<u8> = (0..5 * 4 * 4).map(|n| n as u8 * 3).collect();
     let mut rich = made::Png::new(5, 4, 8, 6, &rgba);
-    rich.before.push((*b"iCCP", made::iccp(&made::profile(500))));
+    rich.before
+        .push((*b"iCCP", made::iccp(&made::profile(500))));
     rich.before.push((*b"eXIf", exif_block.clone()));
     let mut palette = made::Png::new(5, 4, 2, 3, &[0b0001_1011; 8]);
     palette.before.push((*b"PLTE", (0..12).collect()));
@@ -75,17 +94,54 @@ fn zoo() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("png rgba", rich.bytes()),
         ("png palette", palette.bytes()),
-        ("png 16 interlaced", made::Png::interlaced(5, 4, 16, 2, &[7; 5 * 4 * 6]).bytes()),
+        (
+            "png 16 interlaced",
+            made::Png::interlaced(5, 4, 16, 2, &[7; 5 * 4 * 6]).bytes(),
+        ),
         ("jpeg grey", letters.clone().bytes()),
-        ("jpeg exif icc", letters.clone().with_segment(0xE1, &[b"Exif\0\0".as_slice(), &exif_block].concat()).bytes()),
-        ("jpeg colour", made::Jpeg::flat(24, 16, &[(2, 2), (1, 1), (1, 1)], &[10, -20, 30]).bytes()),
-        ("jpeg progressive", made::Jpeg::flat(24, 16, &[(1, 1), (1, 1), (1, 1)], &[10, -20, 30]).progressive().bytes()),
-        ("jpeg cmyk", made::Jpeg::flat(16, 8, &[(1, 1); 4], &[10, -20, 30, 40]).bytes()),
-        ("webp lossless", made::webp_lossless(5, 4, Channels::Rgb, &rgba[..60])),
-        ("webp rich", made::webp_container(&made::webp_lossless(5, 4, Channels::Rgba, &rgba), (5, 4), &exif_block, &made::profile(500))),
+        (
+            "jpeg exif icc",
+            letters
+                .clone()
+                .with_segment(0xE1, &[b"Exif\0\0".as_slice(), &exif_block].concat())
+                .bytes(),
+        ),
+        (
+            "jpeg colour",
+            made::Jpeg::flat(24, 16, &[(2, 2), (1, 1), (1, 1)], &[10, -20, 30]).bytes(),
+        ),
+        (
+            "jpeg progressive",
+            made::Jpeg::flat(24, 16, &[(1, 1), (1, 1), (1, 1)], &[10, -20, 30])
+                .progressive()
+                .bytes(),
+        ),
+        (
+            "jpeg cmyk",
+            made::Jpeg::flat(16, 8, &[(1, 1); 4], &[10, -20, 30, 40]).bytes(),
+        ),
+        (
+            "webp lossless",
+            made::webp_lossless(5, 4, Channels::Rgb, &rgba[..60]),
+        ),
+        (
+            "webp rich",
+            made::webp_container(
+                &made::webp_lossless(5, 4, Channels::Rgba, &rgba),
+                (5, 4),
+                &exif_block,
+                &made::profile(500),
+            ),
+        ),
         ("webp lossy", made::webp_lossy(20, 17, None)),
-        ("webp lossy alpha", made::webp_lossy(20, 17, Some(&[9; 20 * 17]))),
-        ("tiff deflate icc", tiff::written((5, 4), &rgba, Some(&made::profile(500)))),
+        (
+            "webp lossy alpha",
+            made::webp_lossy(20, 17, Some(&[9; 20 * 17])),
+        ),
+        (
+            "tiff deflate icc",
+            tiff::written((5, 4), &rgba, Some(&made::profile(500))),
+        ),
         ("tiff lzw", tiff::lzw(5, 4, &rgba[..60])),
         ("tiff palette tiles", tiff::palette_in_tiles().bytes()),
         ("gif", few_formats::gif(&[(5, 4)], None)),
@@ -97,7 +153,11 @@ fn zoo() -> Vec<(&'static str, Vec<u8>)> {
 #[test]
 fn probe_and_decode_agree_on_every_kind() {
     for (name, bytes) in zoo() {
-        assert!(header_is_kept(&bytes), "{name}: {:?}", decode(&bytes, &Limits::default()).err());
+        assert!(
+            header_is_kept(&bytes),
+            "{name}: {:?}",
+            decode(&bytes, &Limits::default()).err()
+        );
     }
 }
 
@@ -108,7 +168,11 @@ fn trailing_bytes_are_ignored() {
         for tail in [b"\0".as_slice(), b"trailing garbage", &bytes] {
             let longer = [&bytes, tail].concat();
             let got = decode(&longer, &Limits::default()).unwrap();
-            assert_eq!((&got.pixmap, got.metadata.icc()), (&expected.pixmap, expected.metadata.icc()), "{name}");
+            assert_eq!(
+                (&got.pixmap, got.metadata.icc()),
+                (&expected.pixmap, expected.metadata.icc()),
+                "{name}"
+            );
         }
     }
 }
@@ -117,22 +181,56 @@ fn trailing_bytes_are_ignored() {
 fn limits_are_applied_to_the_upright_numbers_before_anything_else() {
     for (name, bytes) in zoo() {
         let extent = probe(&bytes).unwrap().extent;
-        let exact = Limits { max_pixels: extent.pixels(), max_side: extent.width().max(extent.height()) };
+        let exact = Limits {
+            max_pixels: extent.pixels(),
+            max_side: extent.width().max(extent.height()),
+        };
         assert!(decode(&bytes, &exact).is_ok(), "{name}");
-        let side = Limits { max_side: exact.max_side - 1, ..exact };
-        assert!(matches!(decode(&bytes, &side), Err(CodecError::TooLarge { what: "image_side", .. })), "{name}");
-        let pixels = Limits { max_pixels: exact.max_pixels - 1, ..exact };
-        assert!(matches!(decode(&bytes, &pixels), Err(CodecError::TooLarge { what: "image_pixels", .. })), "{name}");
+        let side = Limits {
+            max_side: exact.max_side - 1,
+            ..exact
+        };
+        assert!(
+            matches!(
+                decode(&bytes, &side),
+                Err(CodecError::TooLarge {
+                    what: "image_side",
+                    ..
+                })
+            ),
+            "{name}"
+        );
+        let pixels = Limits {
+            max_pixels: exact.max_pixels - 1,
+            ..exact
+        };
+        assert!(
+            matches!(
+                decode(&bytes, &pixels),
+                Err(CodecError::TooLarge {
+                    what: "image_pixels",
+                    ..
+                })
+            ),
+            "{name}"
+        );
     }
 }
 
 #[test]
 fn unsupported_formats_are_named() {
     let found = |bytes: &[u8]| match (probe(bytes), decode(bytes, &Limits::default())) {
-        (Err(CodecError::Unsupported { found }), Err(CodecError::Unsupported { found: again })) if found == again => found,
+        (Err(CodecError::Unsupported { found }), Err(CodecError::Unsupported { found: again }))
+            if found == again =>
+        {
+            found
+        }
         other => panic!("{other:?}"),
     };
-    assert_eq!(found(b"GIF88a\x01\0\x01\0\0\0\0;"), "an unknown format that begins with 47 49 46 38");
+    assert_eq!(
+        found(b"GIF88a\x01\0\x01\0\0\0\0;"),
+        "an unknown format that begins with 47 49 46 38"
+    );
     assert_eq!(found(b"\0\0\0\x20ftypavif........"), "AVIF");
     for (head, name) in [
         (&b"\0\0\0\x18ftypheic........"[..], "HEIC"),
@@ -143,17 +241,29 @@ fn unsupported_formats_are_named() {
         (b"\xFF\x0A..............", "JPEG XL"),
         (b"PK\x03\x04............", "a ZIP archive"),
         (b"{\"p\": [[1, 2]]}", "JSON"),
-        (b"data:image/png;base64,iVBORw0KGgo=", "a data URL; send the bytes of the file"),
-        (b"iVBORw0KGgoAAAANSUhEUgAA", "base64; send the bytes of the file"),
+        (
+            b"data:image/png;base64,iVBORw0KGgo=",
+            "a data URL; send the bytes of the file",
+        ),
+        (
+            b"iVBORw0KGgoAAAANSUhEUgAA",
+            "base64; send the bytes of the file",
+        ),
     ] {
         assert_eq!(found(head), name);
     }
     assert_eq!(found(b""), "an empty file (0 bytes)");
     assert_eq!(found(b"\x89PNG\r\n"), "6 bytes, too short for an image");
     assert_eq!(found(b"x"), "1 byte, too short for an image");
-    assert_eq!(found(b"<?xml version=\"1.0\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\"/>"), "SVG");
+    assert_eq!(
+        found(b"<?xml version=\"1.0\"?>\n<svg xmlns=\"http://www.w3.org/2000/svg\"/>"),
+        "SVG"
+    );
     assert_eq!(found(b"<!doctype html><p>"), "XML or HTML");
-    assert_eq!(found(b"RIFF\0\0\0\0WAVEfmt "), "an unknown format that begins with 52 49 46 46");
+    assert_eq!(
+        found(b"RIFF\0\0\0\0WAVEfmt "),
+        "an unknown format that begins with 52 49 46 46"
+    );
 }
 
 /// Invalid profiles.
@@ -179,7 +289,10 @@ fn not_profiles() -> Vec<(&'static str, Vec<u8>)> {
 fn a_file_without_a_profile_has_none_to_drop() {
     for (name, bytes) in zoo() {
         let decoded = decode(&bytes, &Limits::default()).unwrap();
-        assert!(!decoded.metadata.profile_dropped() || name.contains("icc") || name.contains("rich"), "{name}");
+        assert!(
+            !decoded.metadata.profile_dropped() || name.contains("icc") || name.contains("rich"),
+            "{name}"
+        );
     }
 }
 
@@ -189,7 +302,11 @@ fn icc_profile_is_kept_for_rgb_only() {
     let icc = |bytes: &[u8]| {
         let decoded = decode(bytes, &Limits::default()).unwrap();
         let icc = decoded.metadata.icc().map(<[u8]>::to_vec);
-        assert_eq!(decoded.metadata.profile_dropped(), icc.is_none(), "a profile is carried over or reported");
+        assert_eq!(
+            decoded.metadata.profile_dropped(),
+            icc.is_none(),
+            "a profile is carried over or reported"
+        );
         icc
     };
     let profile = made::profile(70_000);
@@ -207,28 +324,54 @@ fn icc_profile_is_kept_for_rgb_only() {
     assert_eq!(png(4, 2, made::iccp(&profile)), None);
     assert_eq!(png(2, 3, made::iccp(&lab)), None);
     assert_eq!(png(2, 3, made::iccp(&profile[..19])), None);
-    assert_eq!(png(2, 3, made::iccp(&made::profile(1 << 20))).map(|icc| icc.len()), Some(1 << 20));
+    assert_eq!(
+        png(2, 3, made::iccp(&made::profile(1 << 20))).map(|icc| icc.len()),
+        Some(1 << 20)
+    );
     assert_eq!(png(2, 3, made::iccp(&made::profile((1 << 20) + 1))), None);
-    assert_eq!(png(2, 3, made::iccp(&vec![0; 200 << 20])), None, "an inflating profile is cut, not followed");
+    assert_eq!(
+        png(2, 3, made::iccp(&vec![0; 200 << 20])),
+        None,
+        "an inflating profile is cut, not followed"
+    );
     for (what, profile) in not_profiles() {
         assert_eq!(png(2, 3, made::iccp(&profile)), None, "{what}");
     }
-    let behind = |blocks: usize| [b"name\0\0", &bombs::behind_blocks(bombs::EmptyBlock::Stored, blocks, &profile)[..]].concat();
+    let behind = |blocks: usize| {
+        [
+            b"name\0\0",
+            &bombs::behind_blocks(bombs::EmptyBlock::Stored, blocks, &profile)[..],
+        ]
+        .concat()
+    };
     assert_eq!(png(2, 3, behind(1_000)).as_ref(), Some(&profile));
-    assert_eq!(png(2, 3, behind(250_000)), None, "what is inflated is bounded as what comes of it");
+    assert_eq!(
+        png(2, 3, behind(250_000)),
+        None,
+        "what is inflated is bounded as what comes of it"
+    );
     assert_eq!(png(2, 3, b"name\0\0not deflated".to_vec()), None);
     assert_eq!(png(2, 3, b"no end of the name".to_vec()), None);
 
     let jpeg = |components: usize, parts: &[(u8, u8, &[u8])]| {
         let mut jpeg = made::Jpeg::flat(8, 8, &[(1, 1); 4][..components], &[0; 4][..components]);
         for &(number, count, part) in parts {
-            jpeg = jpeg.with_segment(0xE2, &[b"ICC_PROFILE\0".as_slice(), &[number, count], part].concat());
+            jpeg = jpeg.with_segment(
+                0xE2,
+                &[b"ICC_PROFILE\0".as_slice(), &[number, count], part].concat(),
+            );
         }
         icc(&jpeg.bytes())
     };
     let (first, second) = profile.split_at(60_000);
-    assert_eq!(jpeg(3, &[(1, 2, first), (2, 2, second)]).as_ref(), Some(&profile));
-    assert_eq!(jpeg(3, &[(2, 2, second), (1, 2, first)]).as_ref(), Some(&profile));
+    assert_eq!(
+        jpeg(3, &[(1, 2, first), (2, 2, second)]).as_ref(),
+        Some(&profile)
+    );
+    assert_eq!(
+        jpeg(3, &[(2, 2, second), (1, 2, first)]).as_ref(),
+        Some(&profile)
+    );
     assert_eq!(jpeg(3, &[(1, 2, first)]), None);
     assert_eq!(jpeg(3, &[(1, 2, first), (1, 2, second)]), None);
     assert_eq!(jpeg(1, &[(1, 2, first), (2, 2, second)]), None);
@@ -239,8 +382,14 @@ fn icc_profile_is_kept_for_rgb_only() {
         assert_eq!(jpeg(3, &[(1, 1, &profile)]), None, "{what}");
     }
 
-    let webp =
-        |icc_profile: &[u8]| icc(&made::webp_container(&made::webp_lossless(1, 1, Channels::Rgb, &[1, 2, 3]), (1, 1), &[], icc_profile));
+    let webp = |icc_profile: &[u8]| {
+        icc(&made::webp_container(
+            &made::webp_lossless(1, 1, Channels::Rgb, &[1, 2, 3]),
+            (1, 1),
+            &[],
+            icc_profile,
+        ))
+    };
     assert_eq!(webp(&profile).as_ref(), Some(&profile));
     assert_eq!(webp(&lab), None);
     for (what, profile) in not_profiles() {

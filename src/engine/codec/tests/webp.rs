@@ -5,26 +5,60 @@ use super::*;
 
 #[test]
 fn webp_lossless_comes_back_equal() {
-    for (name, channels) in [("chelsea.png", Channels::Rgb), ("horse.png", Channels::Rgba)] {
+    for (name, channels) in [
+        ("chelsea.png", Channels::Rgb),
+        ("horse.png", Channels::Rgba),
+    ] {
         let source = decoded(&photograph(name));
-        let bytes = webp_lossless(source.extent().width(), source.extent().height(), channels, eight(&source));
+        let bytes = webp_lossless(
+            source.extent().width(),
+            source.extent().height(),
+            channels,
+            eight(&source),
+        );
         assert!(decoded(&bytes) == source, "{name}");
     }
     // The widest possible picture: its header stores 16383.
     let wide: Vec<u8> = (0..3 * 16_384).map(|n| (n / 64) as u8).collect();
-    assert_eq!(eight(&decoded(&webp_lossless(16_384, 1, Channels::Rgb, &wide))), wide);
+    assert_eq!(
+        eight(&decoded(&webp_lossless(16_384, 1, Channels::Rgb, &wide))),
+        wide
+    );
 }
 
 #[test]
 fn webp_lossy_is_read_with_and_without_alpha() {
     let opaque = decoded(&made::webp_lossy(20, 17, None));
-    assert_eq!((opaque.channels(), opaque.extent().width(), opaque.extent().height()), (Channels::Rgb, 20, 17));
-    assert!(eight(&opaque).iter().all(|&sample| sample.abs_diff(130) < 8), "{:?}", &eight(&opaque)[..3]);
+    assert_eq!(
+        (
+            opaque.channels(),
+            opaque.extent().width(),
+            opaque.extent().height()
+        ),
+        (Channels::Rgb, 20, 17)
+    );
+    assert!(
+        eight(&opaque)
+            .iter()
+            .all(|&sample| sample.abs_diff(130) < 8),
+        "{:?}",
+        &eight(&opaque)[..3]
+    );
     let alpha: Vec<u8> = (0..20 * 17).map(|n| n as u8).collect();
     let cut_out = decoded(&made::webp_lossy(20, 17, Some(&alpha)));
     assert_eq!(cut_out.channels(), Channels::Rgba);
-    assert!(eight(&cut_out).chunks_exact(4).map(|pixel| pixel[3]).eq(alpha));
-    assert!(eight(&cut_out).chunks_exact(4).zip(eight(&opaque).chunks_exact(3)).all(|(rgba, rgb)| rgba[..3] == *rgb));
+    assert!(
+        eight(&cut_out)
+            .chunks_exact(4)
+            .map(|pixel| pixel[3])
+            .eq(alpha)
+    );
+    assert!(
+        eight(&cut_out)
+            .chunks_exact(4)
+            .zip(eight(&opaque).chunks_exact(3))
+            .all(|(rgba, rgb)| rgba[..3] == *rgb)
+    );
 }
 
 /// Flags of the canvas are hints: alpha or EXIF promised but absent.
@@ -36,14 +70,32 @@ fn webp_flags_without_their_chunks_do_no_harm() {
 
 #[test]
 fn webp_orientation_is_applied_once() {
-    let rgba: Vec<u8> = b"abcdef".iter().flat_map(|&letter| [letter, 1, 2, letter]).collect();
+    let rgba: Vec<u8> = b"abcdef"
+        .iter()
+        .flat_map(|&letter| [letter, 1, 2, letter])
+        .collect();
     for (number, width, expected) in UPRIGHT {
-        for block in [exif(number, true), [b"Exif\0\0".as_slice(), &exif(number, false)].concat()] {
-            let bytes = webp_container(&webp_lossless(3, 2, Channels::Rgba, &rgba), (3, 2), &block, &[]);
+        for block in [
+            exif(number, true),
+            [b"Exif\0\0".as_slice(), &exif(number, false)].concat(),
+        ] {
+            let bytes = webp_container(
+                &webp_lossless(3, 2, Channels::Rgba, &rgba),
+                (3, 2),
+                &block,
+                &[],
+            );
             assert!(header_is_kept(&bytes));
             let pixmap = decoded(&bytes);
-            let upright: Vec<u8> = expected.iter().flat_map(|&letter| [letter, 1, 2, letter]).collect();
-            assert_eq!((pixmap.extent().width() as usize, eight(&pixmap)), (width, &upright[..]), "{number}");
+            let upright: Vec<u8> = expected
+                .iter()
+                .flat_map(|&letter| [letter, 1, 2, letter])
+                .collect();
+            assert_eq!(
+                (pixmap.extent().width() as usize, eight(&pixmap)),
+                (width, &upright[..]),
+                "{number}"
+            );
         }
     }
 }
@@ -61,10 +113,30 @@ fn webp_animations_are_refused_and_single_frames_read() {
         riff(&chunks)
     };
     assert_eq!(decoded(&animation(1, 0)), decoded(&still));
-    assert_eq!(probe(&animation(2, 0)).unwrap_err(), CodecError::TooLarge { what: "image_frames", limit: 1, actual: 2 });
-    assert_eq!(probe(&animation(5, 0)).unwrap_err(), CodecError::TooLarge { what: "image_frames", limit: 1, actual: 5 });
-    assert!(matches!(probe(&animation(0, 0)), Err(CodecError::Bad { .. })));
-    assert!(matches!(probe(&animation(1, 1)), Err(CodecError::Bad { .. })), "a frame beside the canvas' corner");
+    assert_eq!(
+        probe(&animation(2, 0)).unwrap_err(),
+        CodecError::TooLarge {
+            what: "image_frames",
+            limit: 1,
+            actual: 2
+        }
+    );
+    assert_eq!(
+        probe(&animation(5, 0)).unwrap_err(),
+        CodecError::TooLarge {
+            what: "image_frames",
+            limit: 1,
+            actual: 5
+        }
+    );
+    assert!(matches!(
+        probe(&animation(0, 0)),
+        Err(CodecError::Bad { .. })
+    ));
+    assert!(
+        matches!(probe(&animation(1, 1)), Err(CodecError::Bad { .. })),
+        "a frame beside the canvas' corner"
+    );
 }
 
 /// A small canvas must not hide a large frame.
@@ -72,7 +144,10 @@ fn webp_animations_are_refused_and_single_frames_read() {
 fn webp_frames_must_be_of_their_canvas_size() {
     for bytes in [
         riff(&[(b"VP8X", &vp8x(0, (10, 10))), (b"VP8 ", &vp8(10, 11))]),
-        riff(&[(b"VP8X", &vp8x(0, (10, 10))), (b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0])]),
+        riff(&[
+            (b"VP8X", &vp8x(0, (10, 10))),
+            (b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0]),
+        ]),
         riff(&[(b"VP8X", &vp8x(0, (20, 17)))]),
         riff(&[(b"VP8X", &[0; 9]), (b"VP8 ", &vp8(1, 1))]),
         riff(&[(b"VP8 ", &vp8(0, 5))]),

@@ -74,8 +74,17 @@ impl Compression {
             Self::None if reversed => Box::new(Reversed(pieces)),
             Self::None | Self::Jpeg => Box::new(pieces),
             Self::Deflate => Box::new(ZlibDecoder::new(pieces)),
-            Self::Lzw => Box::new(Lzw { decoder: decode::Decoder::with_tiff_size_switch(BitOrder::Msb, 8), data, work }),
-            Self::PackBits => Box::new(PackBits { pieces, literal: 0, repeats: 0, byte: 0 }),
+            Self::Lzw => Box::new(Lzw {
+                decoder: decode::Decoder::with_tiff_size_switch(BitOrder::Msb, 8),
+                data,
+                work,
+            }),
+            Self::PackBits => Box::new(PackBits {
+                pieces,
+                literal: 0,
+                repeats: 0,
+                byte: 0,
+            }),
         })
     }
 }
@@ -83,7 +92,9 @@ impl Compression {
 /// The code tables look at more bits than a last code has; behind the data they see zeros, which begin no code.
 fn padded(data: impl Read) -> impl Iterator<Item = io::Result<u8>> {
     const ZEROS: usize = 4;
-    BufReader::new(data).bytes().chain(std::iter::repeat_with(|| Ok(0)).take(ZEROS))
+    BufReader::new(data)
+        .bytes()
+        .chain(std::iter::repeat_with(|| Ok(0)).take(ZEROS))
 }
 
 /// Bytes with their bits in reverse order.
@@ -92,7 +103,9 @@ struct Reversed<R>(R);
 impl<R: Read> Read for Reversed<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let read = self.0.read(into)?;
-        into[..read].iter_mut().for_each(|byte| *byte = byte.reverse_bits());
+        into[..read]
+            .iter_mut()
+            .for_each(|byte| *byte = byte.reverse_bits());
         Ok(read)
     }
 }
@@ -111,7 +124,10 @@ impl Read for Lzw<'_> {
             let result = self.decoder.decode_bytes(piece, into);
             self.data = &self.data[result.consumed_in..];
             let status = result.status.map_err(io::Error::other)?;
-            if result.consumed_out > 0 || !matches!(status, LzwStatus::Ok) || result.consumed_in == 0 {
+            if result.consumed_out > 0
+                || !matches!(status, LzwStatus::Ok)
+                || result.consumed_in == 0
+            {
                 return Ok(result.consumed_out);
             }
         }

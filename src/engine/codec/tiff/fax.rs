@@ -30,14 +30,24 @@ impl<R: Iterator<Item = io::Result<u8>>> Group4<R> {
     pub(super) fn new(bytes: R, width: u32) -> io::Result<Self> {
         let row = vec![0; width.div_ceil(8) as usize];
         let read = row.len();
-        Ok(Self { bits: ByteReader::new(bytes)?, width, reference: Vec::new(), row, read })
+        Ok(Self {
+            bits: ByteReader::new(bytes)?,
+            width,
+            reference: Vec::new(),
+            row,
+            read,
+        })
     }
 
     /// The length of a run.
     fn run(&mut self, is_black: bool) -> io::Result<u32> {
         let mut sum = 0;
         loop {
-            let code = if is_black { black::decode(&mut self.bits) } else { white::decode(&mut self.bits) };
+            let code = if is_black {
+                black::decode(&mut self.bits)
+            } else {
+                white::decode(&mut self.bits)
+            };
             let code = u32::from(code.ok_or_else(damaged)?);
             sum += code;
             if code < MAKE_UP {
@@ -60,10 +70,19 @@ impl<R: Iterator<Item = io::Result<u8>>> Group4<R> {
                 return Ok(changes);
             }
             // The first change to the other colour behind the position.
-            while above > 0 && self.reference.get(above - 1).is_none_or(|change| at.is_none_or(|at| *change > at)) {
+            while above > 0
+                && self
+                    .reference
+                    .get(above - 1)
+                    .is_none_or(|change| at.is_none_or(|at| *change > at))
+            {
                 above -= 1;
             }
-            while self.reference.get(above).is_some_and(|change| at.is_some_and(|at| *change <= at)) {
+            while self
+                .reference
+                .get(above)
+                .is_some_and(|change| at.is_some_and(|at| *change <= at))
+            {
                 above += 1;
             }
             above += usize::from(is_black != (above % 2 == 1));
@@ -71,7 +90,9 @@ impl<R: Iterator<Item = io::Result<u8>>> Group4<R> {
             match mode::decode(&mut self.bits).ok_or_else(damaged)? {
                 Mode::Pass => at = Some(change(above + 1)),
                 Mode::Vertical(offset) => {
-                    let place = change(above).checked_add_signed(offset.into()).ok_or_else(damaged)?;
+                    let place = change(above)
+                        .checked_add_signed(offset.into())
+                        .ok_or_else(damaged)?;
                     if place > self.width || changes.last().is_some_and(|last| place <= *last) {
                         return Err(damaged());
                     }
@@ -100,7 +121,10 @@ impl<R: Iterator<Item = io::Result<u8>>> Group4<R> {
         let changes = self.line()?;
         self.row.fill(0);
         for run in changes.chunks(2) {
-            let (from, to) = (run[0] as usize, run.get(1).map_or(self.width, |to| *to) as usize);
+            let (from, to) = (
+                run[0] as usize,
+                run.get(1).map_or(self.width, |to| *to) as usize,
+            );
             for pixel in from..to {
                 self.row[pixel / 8] |= 0x80 >> (pixel % 8);
             }
@@ -133,7 +157,9 @@ mod tests {
     fn coded(width: u16, lines: &[Vec<bool>]) -> Vec<u8> {
         let mut encoder = Encoder::new(VecWriter::new());
         for line in lines {
-            let pixels = line.iter().map(|black| if *black { Color::Black } else { Color::White });
+            let pixels = line
+                .iter()
+                .map(|black| if *black { Color::Black } else { Color::White });
             encoder.encode_line(pixels, width).unwrap();
         }
         encoder.finish().unwrap().finish()
@@ -169,7 +195,9 @@ mod tests {
                 let rows = read(width.into(), lines.len(), data.clone()).unwrap();
                 let row = usize::from(width).div_ceil(8);
                 for (line, row) in lines.iter().zip(rows.chunks(row)) {
-                    let got: Vec<bool> = (0..usize::from(width)).map(|x| row[x / 8] >> (7 - x % 8) & 1 == 1).collect();
+                    let got: Vec<bool> = (0..usize::from(width))
+                        .map(|x| row[x / 8] >> (7 - x % 8) & 1 == 1)
+                        .collect();
                     assert_eq!(&got, line, "{width}, {density}");
                 }
                 // Behind the last line is the mark of the end, and no further line.
@@ -183,11 +211,23 @@ mod tests {
         // Runs of no length, for ever: white 00110101, black 0000110111, in horizontal mode 001.
         let no_runs: Vec<u8> = {
             let bits: String = "001001101010000110111".repeat(8_000);
-            bits.as_bytes().chunks_exact(8).map(|byte| byte.iter().fold(0, |sum, bit| sum << 1 | (bit - b'0'))).collect()
+            bits.as_bytes()
+                .chunks_exact(8)
+                .map(|byte| byte.iter().fold(0, |sum, bit| sum << 1 | (bit - b'0')))
+                .collect()
         };
-        for data in [no_runs, vec![0; 4_000], vec![0b0100_1001; 4_000], vec![0xAA; 4_000], (0..=255).cycle().take(4_000).collect()] {
+        for data in [
+            no_runs,
+            vec![0; 4_000],
+            vec![0b0100_1001; 4_000],
+            vec![0xAA; 4_000],
+            (0..=255).cycle().take(4_000).collect(),
+        ] {
             assert!(read(1_000, 3_000, data).is_err());
         }
-        assert!(read(70_000, 2, vec![0xFF; 1]).is_ok(), "two white lines take a bit each");
+        assert!(
+            read(70_000, 2, vec![0xFF; 1]).is_ok(),
+            "two white lines take a bit each"
+        );
     }
 }

@@ -23,7 +23,11 @@ impl FloatTiff {
     pub fn new(extent: Extent, samples: u16, rows: u32) -> Option<Self> {
         /// The directory and its values, beside two offsets of a strip.
         const DIRECTORY: u64 = 1024;
-        let this = Self { extent, samples, rows };
+        let this = Self {
+            extent,
+            samples,
+            rows,
+        };
         let strips = u64::from(extent.height().div_ceil(rows));
         (HEAD + this.data_bytes() + 8 * strips + DIRECTORY <= u64::from(u32::MAX)).then_some(this)
     }
@@ -56,13 +60,22 @@ impl FloatTiff {
     /// Where the directory begins, and the bytes that follow the rows.
     fn directory(&self) -> (u64, Vec<u8>) {
         let number = |value: u64| u32::try_from(value).expect("the size was checked");
-        let (rows, strip) = (u64::from(self.rows), self.row_bytes() * u64::from(self.rows));
+        let (rows, strip) = (
+            u64::from(self.rows),
+            self.row_bytes() * u64::from(self.rows),
+        );
         let strips: Vec<u64> = (0..u64::from(self.extent.height()).div_ceil(rows)).collect();
         let offsets: Vec<u32> = strips.iter().map(|k| number(HEAD + k * strip)).collect();
-        let lengths: Vec<u32> = strips.iter().map(|k| number(strip.min(self.data_bytes() - k * strip))).collect();
+        let lengths: Vec<u32> = strips
+            .iter()
+            .map(|k| number(strip.min(self.data_bytes() - k * strip)))
+            .collect();
         let each = |value: u16| value.to_be_bytes().repeat(self.samples.into());
         let mut out = Vec::new();
-        let mut directory = DirectoryWriter::after(&mut out, usize::try_from(HEAD + self.data_bytes()).expect("an offset of 32 bits"));
+        let mut directory = DirectoryWriter::after(
+            &mut out,
+            usize::try_from(HEAD + self.data_bytes()).expect("an offset of 32 bits"),
+        );
         directory.longs(256, &[self.extent.width()]);
         directory.longs(257, &[self.extent.height()]);
         directory.entry(258, SHORT, self.samples.into(), &each(32));
@@ -75,7 +88,12 @@ impl FloatTiff {
         directory.longs(279, &lengths);
         if let more @ 1.. = self.samples - 1 {
             // Samples beyond the first mean nothing to a viewer.
-            directory.entry(338, SHORT, more.into(), &0_u16.to_be_bytes().repeat(more.into()));
+            directory.entry(
+                338,
+                SHORT,
+                more.into(),
+                &0_u16.to_be_bytes().repeat(more.into()),
+            );
         }
         Carried::put_resolution(None, &mut directory);
         // IEEE numbers.

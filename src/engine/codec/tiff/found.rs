@@ -12,9 +12,17 @@ const PRIVATE: u16 = 32_768;
 
 /// Collects what is kept, and names what is not; the second result is the colour profile. `has_mask`: whether another page masks the
 /// picture.
-pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<'_>) -> Result<(Found<'a>, Option<&'a [u8]>), CodecError> {
+pub(super) fn found<'a>(
+    page: Directory<'a>,
+    has_mask: bool,
+    work: &StepCounter<'_>,
+) -> Result<(Found<'a>, Option<&'a [u8]>), CodecError> {
     let resolution = page.resolution(work).unwrap_or_default();
-    let mut found = Found { page: Some(page), resolution, ..Found::default() };
+    let mut found = Found {
+        page: Some(page),
+        resolution,
+        ..Found::default()
+    };
     let (mut profile, mut has_colour) = (None, false);
     let dropped = &mut found.dropped;
     dropped.add_if(has_mask, Kind::Mask);
@@ -26,14 +34,24 @@ pub(super) fn found<'a>(page: Directory<'a>, has_mask: bool, work: &StepCounter<
             // Transfer function, white point, primaries.
             301 | 318 | 319 => has_colour = true,
             700 => found.xmp = Some(Cow::Borrowed(entry.data)),
-            33_550 | 33_922 | 34_264 | 34_735..=34_737 | 42_112 | 42_113 => dropped.add(Kind::Georeference),
+            33_550 | 33_922 | 34_264 | 34_735..=34_737 | 42_112 | 42_113 => {
+                dropped.add(Kind::Georeference)
+            }
             33_723 => dropped.add(Kind::Iptc),
             34_377 => photoshop::resources(entry.data, dropped, work),
             34_675 => profile = Some(entry.data),
             37_724 => dropped.add(Kind::Layers),
             50_838 | 50_839 => dropped.add(Kind::ImageJ),
             // Copyright, EXIF, GPS and the tags of Windows are kept; the others describe the stored pixels.
-            33_432 | 34_665 | 34_853 | 40_091..=40_095 | 32_781 | 32_932 | 32_995..=32_998 | 0xEA1C | 0xEA1D => {}
+            33_432
+            | 34_665
+            | 34_853
+            | 40_091..=40_095
+            | 32_781
+            | 32_932
+            | 32_995..=32_998
+            | 0xEA1C
+            | 0xEA1D => {}
             PRIVATE.. => dropped.add(Kind::Application),
             _ => {}
         }

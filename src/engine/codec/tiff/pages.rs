@@ -24,7 +24,10 @@ pub(super) fn unsupported(what: impl std::fmt::Display) -> CodecError {
 
 /// The only page, and whether the file has a mask beside it. Copies of a page in less detail and masks are no pages, unless the file has
 /// nothing else.
-pub(super) fn only_page<'a>(file: File<'a>, work: &StepCounter<'_>) -> Result<(Directory<'a>, bool), CodecError> {
+pub(super) fn only_page<'a>(
+    file: File<'a>,
+    work: &StepCounter<'_>,
+) -> Result<(Directory<'a>, bool), CodecError> {
     let first = file.first()?;
     let (mut page, mut pages, mut has_mask) = (None, 0, false);
     let (mut directory, mut bytes) = (first, first.bytes());
@@ -38,11 +41,15 @@ pub(super) fn only_page<'a>(file: File<'a>, work: &StepCounter<'_>) -> Result<(D
         if directory.next == 0 {
             return match (page, pages) {
                 (Some(page), 1) => Ok((page, has_mask)),
-                (Some(_), _) => Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: pages }),
+                (Some(_), _) => Err(CodecError::TooLarge {
+                    what: "image_frames",
+                    limit: 1,
+                    actual: pages,
+                }),
                 // Raw files of cameras: the first directory is a preview, the picture is below it.
-                (None, _) if first.values(SUB_DIRECTORIES, work)?.is_some() => {
-                    Err(unsupported("that holds a preview, with the picture in a subdirectory, like the raw files of cameras"))
-                }
+                (None, _) if first.values(SUB_DIRECTORIES, work)?.is_some() => Err(unsupported(
+                    "that holds a preview, with the picture in a subdirectory, like the raw files of cameras",
+                )),
                 (None, _) => Ok((first, false)),
             };
         }
@@ -56,17 +63,33 @@ pub(super) fn only_page<'a>(file: File<'a>, work: &StepCounter<'_>) -> Result<(D
 }
 
 /// The first value of a tag; an error if others differ from it. One value serves for all samples of a pixel.
-pub(super) fn uniform(page: &Directory<'_>, tag: u16, default: u32, what: &str, work: &StepCounter<'_>) -> Result<u32, CodecError> {
-    let Some(values) = page.values(tag, work)? else { return Ok(default) };
+pub(super) fn uniform(
+    page: &Directory<'_>,
+    tag: u16,
+    default: u32,
+    what: &str,
+    work: &StepCounter<'_>,
+) -> Result<u32, CodecError> {
+    let Some(values) = page.values(tag, work)? else {
+        return Ok(default);
+    };
     let first = values.get(0).unwrap_or(default.into());
     work.step(values.len() as u64)?;
     if (1..values.len()).any(|index| values.get(index) != Some(first)) {
-        return Err(unsupported(format_args!("whose samples differ in their {what}")));
+        return Err(unsupported(format_args!(
+            "whose samples differ in their {what}"
+        )));
     }
     u32::try_from(first).map_err(|_| bad(format!("the {what} of its samples is {first}")))
 }
 
-pub(super) fn orientation(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<Orientation, CodecError> {
+pub(super) fn orientation(
+    page: &Directory<'_>,
+    work: &StepCounter<'_>,
+) -> Result<Orientation, CodecError> {
     let number = page.number(274, 1, work)?;
-    Ok(u16::try_from(number).ok().and_then(Orientation::from_number).unwrap_or_default())
+    Ok(u16::try_from(number)
+        .ok()
+        .and_then(Orientation::from_number)
+        .unwrap_or_default())
 }

@@ -18,30 +18,53 @@ pub(super) struct Parts<'a> {
 }
 
 impl<'a> Parts<'a> {
-    pub(super) fn of(page: &Directory<'a>, extent: Extent, compression: Compression, work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(super) fn of(
+        page: &Directory<'a>,
+        extent: Extent,
+        compression: Compression,
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
         let tiles = page.values(324, work)?;
         let ((width, height), offsets, lengths) = match tiles {
             Some(offsets) => {
                 let side = |tag| page.number(tag, 0, work);
-                ((side(322)?, side(323)?), Some(offsets), page.values(325, work)?)
+                (
+                    (side(322)?, side(323)?),
+                    Some(offsets),
+                    page.values(325, work)?,
+                )
             }
             None => {
                 let rows = page.number(278, u32::MAX, work)?.min(extent.height());
-                ((extent.width(), rows), page.values(273, work)?, page.values(279, work)?)
+                (
+                    (extent.width(), rows),
+                    page.values(273, work)?,
+                    page.values(279, work)?,
+                )
             }
         };
-        let (Some(offsets), Some(lengths)) = (offsets, lengths) else { return Err(bad("no strips or tiles")) };
+        let (Some(offsets), Some(lengths)) = (offsets, lengths) else {
+            return Err(bad("no strips or tiles"));
+        };
         let is_long = |side: u32, whole: u32| u64::from(side) > 2 * u64::from(whole) + FREE_TILE;
         let is_too_high = compression == Compression::Jpeg && is_long(height, extent.height());
         if width == 0 || height == 0 || is_long(width, extent.width()) || is_too_high {
             return Err(bad(format!("strips or tiles of {width} x {height} pixels")));
         }
-        Ok(Self { width, height, offsets, lengths })
+        Ok(Self {
+            width,
+            height,
+            offsets,
+            lengths,
+        })
     }
 
     /// The length of the longest one, bytes, as far as the file has it.
     pub(super) fn longest(&self, work: &StepCounter<'_>) -> Result<u64, CodecError> {
         work.step(self.lengths.len() as u64)?;
-        Ok((0..self.lengths.len()).filter_map(|index| self.lengths.get(index)).max().unwrap_or(0))
+        Ok((0..self.lengths.len())
+            .filter_map(|index| self.lengths.get(index))
+            .max()
+            .unwrap_or(0))
     }
 }

@@ -68,21 +68,32 @@ pub(in crate::codec) struct TiffFile<'a> {
 }
 
 impl<'a> TiffFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
+    pub(in crate::codec) fn parse(
+        bytes: &'a [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
         let file = File::new(bytes).ok_or_else(|| bad("its header is damaged"))?;
         let (page, has_mask) = only_page(file, work)?;
         let number = |tag, default| page.number(tag, default, work);
         let (width, height) = (number(256, 0)?, number(257, 0)?);
-        let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        let extent = Extent::new(width, height)
+            .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let compression = number(259, 1)?;
-        let compression =
-            Compression::from_number(compression).ok_or_else(|| unsupported(format_args!("with {}", Compression::name_of(compression))))?;
+        let compression = Compression::from_number(compression).ok_or_else(|| {
+            unsupported(format_args!("with {}", Compression::name_of(compression)))
+        })?;
         let colour = colour_of(&page, compression, work)?;
         let is_signed = is_signed(&page, work)?;
         let (stored, bits) = (number(277, 1)?, uniform(&page, 258, 1, "depth", work)?);
-        let colours = if matches!(colour, Colour::Rgb | Colour::YCbCr) { 3 } else { 1 };
+        let colours = if matches!(colour, Colour::Rgb | Colour::YCbCr) {
+            3
+        } else {
+            1
+        };
         if stored < colours {
-            return Err(unsupported(format_args!("whose number of samples per pixel is {stored}")));
+            return Err(unsupported(format_args!(
+                "whose number of samples per pixel is {stored}"
+            )));
         }
         let alpha = alpha_of(&page, colour, (stored, colours), work)?;
         if is_signed && (bits < 8 || stored > 1) {
@@ -96,36 +107,56 @@ impl<'a> TiffFile<'a> {
             (32 | 64, 1, Colour::Grey { .. }) => !is_jpeg,
             _ => false,
         };
-        if !is_known || compression == Compression::Group4 && (bits, stored) != (1, 1) || is_jpeg && alpha.is_some() {
-            return Err(unsupported(format_args!("whose bits per sample are {bits} and samples per pixel {stored}")));
+        if !is_known
+            || compression == Compression::Group4 && (bits, stored) != (1, 1)
+            || is_jpeg && alpha.is_some()
+        {
+            return Err(unsupported(format_args!(
+                "whose bits per sample are {bits} and samples per pixel {stored}"
+            )));
         }
         if compression == Compression::Group4 && width > WIDEST_FAX {
-            return Err(unsupported(format_args!("of group 4 with lines of {width} pixels")));
+            return Err(unsupported(format_args!(
+                "of group 4 with lines of {width} pixels"
+            )));
         }
         let is_planar = stored > 1 && number(284, 1)? == 2;
         if is_planar && is_jpeg {
             return Err(unsupported("of JPEG whose channels are in separate planes"));
         }
         let is_reversed = number(266, 1)? == 2;
-        if is_reversed && (bits != 1 || !matches!(compression, Compression::None | Compression::Group4)) {
+        if is_reversed
+            && (bits != 1 || !matches!(compression, Compression::None | Compression::Group4))
+        {
             return Err(unsupported("whose bits are in reverse order"));
         }
         let differences = match number(317, 1)? {
             _ if is_jpeg || compression == Compression::Group4 => false,
             1 => false,
             2 if bits >= 8 => true,
-            kind => return Err(unsupported(format_args!("with predictor {kind} of {bits} bits"))),
+            kind => {
+                return Err(unsupported(format_args!(
+                    "with predictor {kind} of {bits} bits"
+                )));
+            }
         };
         let palette = page.values(320, work)?;
         if colour == Colour::Palette && palette.is_none_or(|palette| palette.len() < 3 << bits) {
             return Err(bad("too few colours in its palette"));
         }
-        let tables = page.values(347, work)?.filter(|_| is_jpeg).map_or(&[][..], |values| values.data);
+        let tables = page
+            .values(347, work)?
+            .filter(|_| is_jpeg)
+            .map_or(&[][..], |values| values.data);
         if tables.len() > MOST_TABLES {
             return Err(bad(format!("JPEG tables of {} bytes", tables.len())));
         }
         let parts = Parts::of(&page, extent, compression, work)?;
-        let longest_part = if is_jpeg { parts.longest(work)?.min(bytes.len() as u64) } else { 0 };
+        let longest_part = if is_jpeg {
+            parts.longest(work)?.min(bytes.len() as u64)
+        } else {
+            0
+        };
         let (found, profile) = found(page, has_mask, work)?;
         Ok(Self {
             file,
@@ -169,15 +200,24 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
-        if self.alpha.is_none() { Channels::Rgb } else { Channels::Rgba }
+        if self.alpha.is_none() {
+            Channels::Rgb
+        } else {
+            Channels::Rgba
+        }
     }
 
     pub(in crate::codec) const fn depth(&self) -> Depth {
-        if self.bits >= 16 { Depth::Sixteen } else { Depth::Eight }
+        if self.bits >= 16 {
+            Depth::Sixteen
+        } else {
+            Depth::Eight
+        }
     }
 
     pub(in crate::codec) const fn is_grey(&self) -> bool {
-        matches!(self.colour, Colour::Grey { .. }) || self.labels && matches!(self.colour, Colour::Palette)
+        matches!(self.colour, Colour::Grey { .. })
+            || self.labels && matches!(self.colour, Colour::Palette)
     }
 
     /// Planes that are stored one after the other.
@@ -213,12 +253,19 @@ impl<'a> TiffFile<'a> {
 
     /// The palette of a label image: the upper bytes of its 16-bit colours.
     pub(in crate::codec) fn label_palette(&self) -> Option<Palette> {
-        let palette = self.palette.filter(|_| self.colour == Colour::Palette && self.bits <= 8)?;
+        let palette = self
+            .palette
+            .filter(|_| self.colour == Colour::Palette && self.bits <= 8)?;
         let colours = 1_usize << self.bits;
         #[expect(clippy::cast_possible_truncation, reason = "the upper byte of 16 bits")]
         let sample = |index: usize| (palette.get(index).unwrap_or(0) >> 8) as u8;
-        let colours = (0..colours).map(|k| [0, 1, 2].map(|c| sample(c * colours + k))).collect();
-        Some(Palette { colours, alpha: Vec::new() })
+        let colours = (0..colours)
+            .map(|k| [0, 1, 2].map(|c| sample(c * colours + k)))
+            .collect();
+        Some(Palette {
+            colours,
+            alpha: Vec::new(),
+        })
     }
 
     pub(in crate::codec) const fn has_profile(&self) -> bool {
@@ -231,10 +278,21 @@ impl<'a> TiffFile<'a> {
     }
 }
 
-fn colour_of(page: &Directory<'_>, compression: Compression, work: &StepCounter<'_>) -> Result<Colour, CodecError> {
-    let kind = page.values(262, work)?.and_then(|values| values.get(0)).ok_or_else(|| bad("no photometric interpretation"))?;
+fn colour_of(
+    page: &Directory<'_>,
+    compression: Compression,
+    work: &StepCounter<'_>,
+) -> Result<Colour, CodecError> {
+    let kind = page
+        .values(262, work)?
+        .and_then(|values| values.get(0))
+        .ok_or_else(|| bad("no photometric interpretation"))?;
     Err(match kind {
-        0 | 1 => return Ok(Colour::Grey { white_is_zero: kind == 0 }),
+        0 | 1 => {
+            return Ok(Colour::Grey {
+                white_is_zero: kind == 0,
+            });
+        }
         2 => return Ok(Colour::Rgb),
         3 => return Ok(Colour::Palette),
         6 if compression == Compression::Jpeg => return Ok(Colour::YCbCr),
@@ -265,14 +323,29 @@ fn alpha_of(
     (stored, colours): (u32, u32),
     work: &StepCounter<'_>,
 ) -> Result<Option<Alpha>, CodecError> {
-    match (stored - colours, page.values(338, work)?.and_then(|kinds| kinds.get(0))) {
+    match (
+        stored - colours,
+        page.values(338, work)?.and_then(|kinds| kinds.get(0)),
+    ) {
         (0, _) => Ok(None),
         // Writers that leave the tag out mean a picture with alpha; two samples without it are as often two channels of a microscope.
-        (1, None) if matches!(colour, Colour::Rgb) => Ok(Some(Alpha { is_premultiplied: false })),
-        (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Ok(Some(Alpha { is_premultiplied: kind == 1 })),
+        (1, None) if matches!(colour, Colour::Rgb) => Ok(Some(Alpha {
+            is_premultiplied: false,
+        })),
+        (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Ok(Some(Alpha {
+            is_premultiplied: kind == 1,
+        })),
         (extra, _) => {
-            let colours = if colours == 1 { "1 is the colour" } else { "3 are the colours" };
-            let others = if extra == 1 { "the other is" } else { "the others are" };
+            let colours = if colours == 1 {
+                "1 is the colour"
+            } else {
+                "3 are the colours"
+            };
+            let others = if extra == 1 {
+                "the other is"
+            } else {
+                "the others are"
+            };
             Err(unsupported(format_args!(
                 "of {stored} samples per pixel, of which {colours}; {others} not alpha (ExtraSamples 1 or 2), and would be lost. Save each \
                  channel as a file of its own, and send them as layers of a session"

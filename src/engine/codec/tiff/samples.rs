@@ -28,7 +28,10 @@ fn of_tiff(error: CodecError) -> CodecError {
 impl<'a> TiffFile<'a> {
     /// Strips or tiles in a row and in a column.
     pub(super) const fn grid(&self) -> (u32, u32) {
-        (self.extent.width().div_ceil(self.parts.width), self.extent.height().div_ceil(self.parts.height))
+        (
+            self.extent.width().div_ceil(self.parts.width),
+            self.extent.height().div_ceil(self.parts.height),
+        )
     }
 
     /// Strips or tiles of a plane.
@@ -39,10 +42,19 @@ impl<'a> TiffFile<'a> {
 
     /// The data of a strip or tile.
     pub(super) fn data(&self, index: usize) -> Result<&'a [u8], CodecError> {
-        let range = self.parts.offsets.get(index).zip(self.parts.lengths.get(index)).ok_or_else(|| bad("too few strips or tiles"))?;
+        let range = self
+            .parts
+            .offsets
+            .get(index)
+            .zip(self.parts.lengths.get(index))
+            .ok_or_else(|| bad("too few strips or tiles"))?;
         let (at, length) = (usize::try_from(range.0).ok(), usize::try_from(range.1).ok());
-        let range = at.zip(length).and_then(|(at, length)| Some(at..at.checked_add(length)?));
-        range.and_then(|range| self.file.bytes.get(range)).ok_or_else(cut_off)
+        let range = at
+            .zip(length)
+            .and_then(|(at, length)| Some(at..at.checked_add(length)?));
+        range
+            .and_then(|range| self.file.bytes.get(range))
+            .ok_or_else(cut_off)
     }
 
     /// Checks that the parts are there, that they can hold the picture, and that they are not the same bytes again and again, so that
@@ -60,15 +72,23 @@ impl<'a> TiffFile<'a> {
         if total > self.file.bytes.len() as u64 {
             return Err(bad("strips or tiles that overlap"));
         }
-        let row = (u64::from(self.extent.width()) * self.stored as u64 * u64::from(self.bits)).div_ceil(8);
-        if total.saturating_mul(self.compression.expansion()) < row * u64::from(self.extent.height()) {
-            return Err(bad(format!("{total} bytes of data cannot hold the picture")));
+        let row = (u64::from(self.extent.width()) * self.stored as u64 * u64::from(self.bits))
+            .div_ceil(8);
+        if total.saturating_mul(self.compression.expansion())
+            < row * u64::from(self.extent.height())
+        {
+            return Err(bad(format!(
+                "{total} bytes of data cannot hold the picture"
+            )));
         }
         Ok(())
     }
 
     /// The stored rows.
-    pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<(Samples, Repairs), CodecError> {
+    pub(in crate::codec) fn samples(
+        &self,
+        work: &StepCounter<'_>,
+    ) -> Result<(Samples, Repairs), CodecError> {
         self.weigh_data(work)?;
         let samples = match self.depth() {
             Depth::Eight if self.compression == Compression::Jpeg => return self.jpeg(work),
@@ -79,7 +99,11 @@ impl<'a> TiffFile<'a> {
     }
 
     fn rows<T: Sample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
-        let (width, height, count) = (self.extent.width() as usize, self.extent.height() as usize, self.channels().count());
+        let (width, height, count) = (
+            self.extent.width() as usize,
+            self.extent.height() as usize,
+            self.channels().count(),
+        );
         let (part_width, part_height) = (self.parts.width as usize, self.parts.height as usize);
         let (across, down) = self.grid();
         let interleaved = self.interleaved();
@@ -91,7 +115,10 @@ impl<'a> TiffFile<'a> {
             for tile in 0..across as usize * down as usize {
                 let (tile_x, tile_y) = (tile % across as usize, tile / across as usize);
                 let form = (self.parts.width, self.is_reversed);
-                let mut data = self.compression.reader(self.data(index)?, form, work).map_err(damaged)?;
+                let mut data = self
+                    .compression
+                    .reader(self.data(index)?, form, work)
+                    .map_err(damaged)?;
                 index += 1;
                 let left = tile_x * part_width;
                 let columns = part_width.min(width - left);
@@ -111,8 +138,15 @@ impl<'a> TiffFile<'a> {
                         }
                     }
                     let into = &mut out[(y * width + left) * count..][..columns * count];
-                    for (into, from) in into.chunks_exact_mut(count).zip(samples.chunks_exact(interleaved)) {
-                        if self.is_planar { self.sample(plane, from[0], into) } else { self.pixel(from, into) }
+                    for (into, from) in into
+                        .chunks_exact_mut(count)
+                        .zip(samples.chunks_exact(interleaved))
+                    {
+                        if self.is_planar {
+                            self.sample(plane, from[0], into)
+                        } else {
+                            self.pixel(from, into)
+                        }
                     }
                 }
                 // The end of the data, with the checksum of deflate.
@@ -124,7 +158,8 @@ impl<'a> TiffFile<'a> {
         if self.is_planar {
             for row in out.chunks_exact_mut(width * count) {
                 work.check()?;
-                row.chunks_exact_mut(count).for_each(|pixel| self.divide(pixel));
+                row.chunks_exact_mut(count)
+                    .for_each(|pixel| self.divide(pixel));
             }
         }
         Ok(out)
@@ -136,26 +171,56 @@ impl<'a> TiffFile<'a> {
         let (across, down) = self.grid();
         let mut out = zeros::<u8>(3 * self.extent.pixels(), work)?;
         let mut repairs = Repairs::default();
-        let is_white_zero = self.colour == Colour::Grey { white_is_zero: true } && !self.labels;
+        let is_white_zero = self.colour
+            == Colour::Grey {
+                white_is_zero: true,
+            }
+            && !self.labels;
         for tile in 0..across as usize * down as usize {
-            let (left, top) = (tile % across as usize * self.parts.width as usize, tile / across as usize * self.parts.height as usize);
-            let (columns, rows) = ((self.parts.width as usize).min(width - left), (self.parts.height as usize).min(height - top));
+            let (left, top) = (
+                tile % across as usize * self.parts.width as usize,
+                tile / across as usize * self.parts.height as usize,
+            );
+            let (columns, rows) = (
+                (self.parts.width as usize).min(width - left),
+                (self.parts.height as usize).min(height - top),
+            );
             let data = self.data(tile)?;
             // Tables end with a mark of their own, and the data begin with one.
-            let tables = self.tables.strip_suffix(&[0xFF, 0xD9]).unwrap_or(self.tables);
-            let data = if tables.is_empty() { data } else { data.strip_prefix(&[0xFF, 0xD8]).unwrap_or(data) };
+            let tables = self
+                .tables
+                .strip_suffix(&[0xFF, 0xD9])
+                .unwrap_or(self.tables);
+            let data = if tables.is_empty() {
+                data
+            } else {
+                data.strip_prefix(&[0xFF, 0xD8]).unwrap_or(data)
+            };
             work.step((tables.len() + data.len()) as u64)?;
             let whole = [tables, data].concat();
             let mut file = JpegFile::parse(&whole, work).map_err(of_tiff)?;
             file.is_rgb = self.colour == Colour::Rgb;
-            let (part_width, part_height) = (file.extent.width() as usize, file.extent.height() as usize);
-            let is_whole = part_width >= columns && part_height >= rows && part_width <= self.parts.width as usize;
-            if !is_whole || part_height > self.parts.height as usize || file.is_grey() != (self.stored == 1) || file.is_progressive() {
+            let (part_width, part_height) =
+                (file.extent.width() as usize, file.extent.height() as usize);
+            let is_whole = part_width >= columns
+                && part_height >= rows
+                && part_width <= self.parts.width as usize;
+            if !is_whole
+                || part_height > self.parts.height as usize
+                || file.is_grey() != (self.stored == 1)
+                || file.is_progressive()
+            {
                 return Err(bad("JPEG data of another size or kind than the file says"));
             }
             let (samples, mended) = file.samples(work).map_err(of_tiff)?;
-            let Samples::Eight(samples) = samples else { return Err(cut_off()) };
-            repairs = Repairs { end: repairs.end || mended.end, gap: repairs.gap || mended.gap, ..repairs };
+            let Samples::Eight(samples) = samples else {
+                return Err(cut_off());
+            };
+            repairs = Repairs {
+                end: repairs.end || mended.end,
+                gap: repairs.gap || mended.gap,
+                ..repairs
+            };
             for (y, row) in samples.chunks_exact(3 * part_width).take(rows).enumerate() {
                 let into = &mut out[3 * ((top + y) * width + left)..][..3 * columns];
                 into.copy_from_slice(&row[..3 * columns]);
@@ -172,11 +237,18 @@ impl<'a> TiffFile<'a> {
         match self.colour {
             Colour::Rgb | Colour::YCbCr => into[..3].copy_from_slice(&from[..3]),
             Colour::Grey { .. } | Colour::Palette if self.labels => into[..3].fill(from[0]),
-            Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero { from[0].inverted() } else { from[0] }),
+            Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero {
+                from[0].inverted()
+            } else {
+                from[0]
+            }),
             Colour::Palette => {
                 let colours = 1 << self.bits;
                 for (c, sample) in into[..3].iter_mut().enumerate() {
-                    let value = self.palette.and_then(|palette| palette.get(c * colours + from[0].index())).unwrap_or(0);
+                    let value = self
+                        .palette
+                        .and_then(|palette| palette.get(c * colours + from[0].index()))
+                        .unwrap_or(0);
                     *sample = T::from_short(value);
                 }
             }
@@ -191,7 +263,11 @@ impl<'a> TiffFile<'a> {
     fn sample<T: Sample>(&self, plane: usize, from: T, into: &mut [T]) {
         match self.colour {
             Colour::Grey { white_is_zero } if plane == 0 => {
-                into[..3].fill(if white_is_zero && !self.labels { from.inverted() } else { from });
+                into[..3].fill(if white_is_zero && !self.labels {
+                    from.inverted()
+                } else {
+                    from
+                });
             }
             Colour::Grey { .. } => into[3] = from,
             _ => into[plane] = from,
@@ -200,10 +276,17 @@ impl<'a> TiffFile<'a> {
 
     /// Divides premultiplied alpha out.
     fn divide<T: Sample>(&self, pixel: &mut [T]) {
-        if let ([colours @ .., alpha], Some(Alpha { is_premultiplied: true })) = (pixel, self.alpha)
+        if let (
+            [colours @ .., alpha],
+            Some(Alpha {
+                is_premultiplied: true,
+            }),
+        ) = (pixel, self.alpha)
             && !self.labels
         {
-            colours.iter_mut().for_each(|sample| *sample = sample.divided(*alpha));
+            colours
+                .iter_mut()
+                .for_each(|sample| *sample = sample.divided(*alpha));
         }
     }
 
@@ -213,9 +296,15 @@ impl<'a> TiffFile<'a> {
         let mut label = 0;
         for number in row.chunks_exact(self.bits as usize / 8) {
             let number = self.file.number(number);
-            label = if self.differences { number.wrapping_add(label) & most } else { number };
+            label = if self.differences {
+                number.wrapping_add(label) & most
+            } else {
+                number
+            };
             if self.is_signed && label > most >> 1 {
-                return Err(CodecError::unsupported("a TIFF with negative labels; labels are numbers from 0 to 65535"));
+                return Err(CodecError::unsupported(
+                    "a TIFF with negative labels; labels are numbers from 0 to 65535",
+                ));
             }
             if label > MOST_LABEL {
                 return Err(CodecError::unsupported(format!(
@@ -248,12 +337,18 @@ impl Sample for u8 {
             return out.extend_from_slice(row);
         }
         let most = (1_u16 << file.bits) - 1;
-        let scale = if file.colour == Colour::Palette || file.labels { 1 } else { 255 / most };
+        let scale = if file.colour == Colour::Palette || file.labels {
+            1
+        } else {
+            255 / most
+        };
         let per_byte = 8 / file.bits;
         for index in 0..file.parts.width {
             let shift = 8 - file.bits * (index % per_byte + 1);
             #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
-            out.push(((u16::from(row[(index / per_byte) as usize]) >> shift & most) * scale) as Self);
+            out.push(
+                ((u16::from(row[(index / per_byte) as usize]) >> shift & most) * scale) as Self,
+            );
         }
     }
 
@@ -281,13 +376,20 @@ impl Sample for u8 {
 
     fn divided(self, alpha: Self) -> Self {
         let (sample, alpha) = (u32::from(self), u32::from(alpha));
-        (sample * 255 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(255) as Self)
+        (sample * 255 + alpha / 2)
+            .checked_div(alpha)
+            .map_or(0, |straight| straight.min(255) as Self)
     }
 }
 
 impl Sample for u16 {
     fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
-        out.extend(row.as_chunks().0.iter().map(|bytes| file.file.short(*bytes)));
+        out.extend(
+            row.as_chunks()
+                .0
+                .iter()
+                .map(|bytes| file.file.short(*bytes)),
+        );
     }
 
     fn plus(self, other: Self) -> Self {
@@ -314,6 +416,8 @@ impl Sample for u16 {
 
     fn divided(self, alpha: Self) -> Self {
         let (sample, alpha) = (u64::from(self), u64::from(alpha));
-        (sample * 65_535 + alpha / 2).checked_div(alpha).map_or(0, |straight| straight.min(65_535) as Self)
+        (sample * 65_535 + alpha / 2)
+            .checked_div(alpha)
+            .map_or(0, |straight| straight.min(65_535) as Self)
     }
 }

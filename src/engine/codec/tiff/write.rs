@@ -43,9 +43,12 @@ pub(in crate::codec) fn write(
             None => out.extend_from_slice(strip),
             Some(level) => {
                 differences.clear();
-                strip.chunks_exact(row).for_each(|row| append_differences(row, shape, &mut differences));
+                strip
+                    .chunks_exact(row)
+                    .for_each(|row| append_differences(row, shape, &mut differences));
                 let mut zlib = ZlibEncoder::new(&mut *out, level);
-                zlib.write_all(&differences).expect("a Vec takes every write");
+                zlib.write_all(&differences)
+                    .expect("a Vec takes every write");
                 zlib.finish().expect("a Vec takes every write");
             }
         }
@@ -60,9 +63,21 @@ pub(in crate::codec) fn write(
         Depth::Eight => 8,
         Depth::Sixteen => 16,
     };
-    directory.entry(258, SHORT, shape.samples(), &bits.to_be_bytes().repeat(shape.samples()));
+    directory.entry(
+        258,
+        SHORT,
+        shape.samples(),
+        &bits.to_be_bytes().repeat(shape.samples()),
+    );
     directory.short(259, if level.is_some() { 8 } else { 1 });
-    directory.short(262, if palette.is_some() { 3 } else { u16::from(!shape.grey) + 1 });
+    directory.short(
+        262,
+        if palette.is_some() {
+            3
+        } else {
+            u16::from(!shape.grey) + 1
+        },
+    );
     directory.longs(273, &offsets);
     directory.short(277, u16::try_from(shape.samples()).expect("at most four"));
     directory.longs(278, &[offset(rows)]);
@@ -72,8 +87,15 @@ pub(in crate::codec) fn write(
     }
     if let Some(Palette { colours, .. }) = palette {
         // All reds first; 257 c is c as 16 bit.
-        let colour = |c: usize, k: usize| colours.get(k).map_or(0, |colour| u16::from(colour[c]) * 257).to_be_bytes();
-        let map: Vec<u8> = (0..3).flat_map(|c| (0..256).flat_map(move |k| colour(c, k))).collect();
+        let colour = |c: usize, k: usize| {
+            colours
+                .get(k)
+                .map_or(0, |colour| u16::from(colour[c]) * 257)
+                .to_be_bytes()
+        };
+        let map: Vec<u8> = (0..3)
+            .flat_map(|c| (0..256).flat_map(move |k| colour(c, k)))
+            .collect();
         directory.entry(320, SHORT, map.len() / 2, &map);
     }
     if shape.channels == Channels::Rgba {
@@ -94,8 +116,14 @@ fn append_differences(row: &[u8], shape: PngShape, out: &mut Vec<u8>) {
     match shape.depth {
         Depth::Eight => out.extend(pairs.map(|(sample, left)| sample.wrapping_sub(*left))),
         Depth::Sixteen => {
-            let pairs = row[pixel..].as_chunks::<2>().0.iter().zip(row.as_chunks::<2>().0);
-            let difference = |(sample, left): (&[u8; 2], &[u8; 2])| u16::from_be_bytes(*sample).wrapping_sub(u16::from_be_bytes(*left));
+            let pairs = row[pixel..]
+                .as_chunks::<2>()
+                .0
+                .iter()
+                .zip(row.as_chunks::<2>().0);
+            let difference = |(sample, left): (&[u8; 2], &[u8; 2])| {
+                u16::from_be_bytes(*sample).wrapping_sub(u16::from_be_bytes(*left))
+            };
             out.extend(pairs.flat_map(|pair| difference(pair).to_be_bytes()));
         }
     }

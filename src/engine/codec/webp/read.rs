@@ -85,7 +85,11 @@ impl<'a> Chunks<'a> {
                 // Behind the picture, only what no pixel needs may be cut off.
                 let has_picture = found.vp8.or(found.vp8l).or(found.frame).is_some();
                 found.is_open = has_picture && &head[..4] == b"XMP ";
-                return if found.is_open { Ok(found) } else { Err(bad("a chunk is cut off")) };
+                return if found.is_open {
+                    Ok(found)
+                } else {
+                    Err(bad("a chunk is cut off"))
+                };
             };
             let place = match &head[..4] {
                 b"VP8X" => &mut found.canvas,
@@ -114,30 +118,59 @@ impl<'a> Chunks<'a> {
 }
 
 impl<'a> WebPFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
-        let size = bytes.get(4..8).and_then(|size| size.first_chunk()).map_or(0, |size| u32::from_le_bytes(*size));
-        let end = usize::try_from(size).ok().and_then(|size| size.checked_add(8)).unwrap_or(usize::MAX);
-        let body = bytes.get(12..end).or(bytes.get(12..)).ok_or_else(|| bad("it is cut off before its end"))?;
+    pub(in crate::codec) fn parse(
+        bytes: &'a [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
+        let size = bytes
+            .get(4..8)
+            .and_then(|size| size.first_chunk())
+            .map_or(0, |size| u32::from_le_bytes(*size));
+        let end = usize::try_from(size)
+            .ok()
+            .and_then(|size| size.checked_add(8))
+            .unwrap_or(usize::MAX);
+        let body = bytes
+            .get(12..end)
+            .or(bytes.get(12..))
+            .ok_or_else(|| bad("it is cut off before its end"))?;
         let mut chunks = Chunks::walk(body, work)?;
         // EXIF has the orientation.
-        let lacks_exif =
-            chunks.exif.is_none() && chunks.canvas.is_some_and(|canvas| canvas.first().is_some_and(|flags| flags & EXIF_FLAG != 0));
+        let lacks_exif = chunks.exif.is_none()
+            && chunks
+                .canvas
+                .is_some_and(|canvas| canvas.first().is_some_and(|flags| flags & EXIF_FLAG != 0));
         if lacks_exif && end > bytes.len() {
             return Err(bad("it is cut off before its end"));
         }
-        let repairs = Repairs { end: chunks.is_open || end > bytes.len(), ..Repairs::default() };
-        let mut found = Found { exif: chunks.exif, xmp: chunks.xmp.map(Cow::Borrowed), ..Found::default() };
-        found.dropped.add_if(chunks.has_credentials, Kind::Credentials);
+        let repairs = Repairs {
+            end: chunks.is_open || end > bytes.len(),
+            ..Repairs::default()
+        };
+        let mut found = Found {
+            exif: chunks.exif,
+            xmp: chunks.xmp.map(Cow::Borrowed),
+            ..Found::default()
+        };
+        found
+            .dropped
+            .add_if(chunks.has_credentials, Kind::Credentials);
         found.dropped.add_if(chunks.has_others, Kind::Application);
 
         let canvas = chunks.canvas.map(Canvas::parse).transpose()?;
         if chunks.frames > 1 {
-            return Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: chunks.frames });
+            return Err(CodecError::TooLarge {
+                what: "image_frames",
+                limit: 1,
+                actual: chunks.frames,
+            });
         }
         if let (Some(canvas), Some(frame)) = (&canvas, chunks.frame)
             && canvas.animated
         {
-            let head = frame.get(..ANMF_HEAD).ok_or_else(|| bad("a frame is cut off"))?;
+            let head = frame
+                .get(..ANMF_HEAD)
+                .ok_or_else(|| bad("a frame is cut off"))?;
             if head[..6] != [0; 6] {
                 return Err(bad("its only frame does not cover the canvas"));
             }
@@ -145,11 +178,19 @@ impl<'a> WebPFile<'a> {
             if inner.is_open {
                 return Err(bad("a chunk is cut off"));
             }
-            chunks = Chunks { vp8: inner.vp8, vp8l: inner.vp8l, alpha: inner.alpha, ..chunks };
+            chunks = Chunks {
+                vp8: inner.vp8,
+                vp8l: inner.vp8l,
+                alpha: inner.alpha,
+                ..chunks
+            };
         }
 
         let (extent, coding) = match (chunks.vp8, chunks.vp8l) {
-            (Some(vp8), None) => (vp8_extent(vp8)?, Coding::Lossy(vp8, chunks.alpha.filter(|_| canvas.is_some()))),
+            (Some(vp8), None) => (
+                vp8_extent(vp8)?,
+                Coding::Lossy(vp8, chunks.alpha.filter(|_| canvas.is_some())),
+            ),
             (None, Some(vp8l)) => {
                 let (extent, alpha) = vp8l_header(vp8l)?;
                 (extent, Coding::Lossless(vp8l, alpha))
@@ -157,10 +198,19 @@ impl<'a> WebPFile<'a> {
             (None, None) => return Err(bad("no picture")),
             (Some(_), Some(_)) => return Err(bad("two pictures")),
         };
-        if canvas.is_some_and(|canvas| (canvas.width, canvas.height) != (extent.width(), extent.height())) {
+        if canvas.is_some_and(|canvas| {
+            (canvas.width, canvas.height) != (extent.width(), extent.height())
+        }) {
             return Err(bad("a picture of another size than its canvas"));
         }
-        let mut file = Self { extent, coding, found, repairs, profile: chunks.profile, code_bytes: 0 };
+        let mut file = Self {
+            extent,
+            coding,
+            found,
+            repairs,
+            profile: chunks.profile,
+            code_bytes: 0,
+        };
         if file.lossless_stream().is_some() {
             file.code_bytes = vp8l::most_code_bytes(extent.pixels());
         }
@@ -170,7 +220,9 @@ impl<'a> WebPFile<'a> {
     fn lossless_stream(&self) -> Option<Stream<'a>> {
         match self.coding {
             Coding::Lossless(vp8l, _) => Some((vp8l, None)),
-            Coding::Lossy(_, Some([head, stream @ ..])) if head & ALPHA_CODING == ALPHA_LOSSLESS => {
+            Coding::Lossy(_, Some([head, stream @ ..]))
+                if head & ALPHA_CODING == ALPHA_LOSSLESS =>
+            {
                 Some((stream, Some((self.extent.width(), self.extent.height()))))
             }
             Coding::Lossy(..) => None,
@@ -178,7 +230,10 @@ impl<'a> WebPFile<'a> {
     }
 
     /// Computes the memory for the tables of the prefix codes.
-    pub(in crate::codec) fn read_codes(&mut self, work: &StepCounter<'_>) -> Result<(), CodecError> {
+    pub(in crate::codec) fn read_codes(
+        &mut self,
+        work: &StepCounter<'_>,
+    ) -> Result<(), CodecError> {
         if let Some((stream, size)) = self.lossless_stream() {
             self.code_bytes = vp8l::code_bytes(stream, size, self.code_bytes, work)?;
         }
@@ -196,13 +251,19 @@ impl<'a> WebPFile<'a> {
     /// whole macroblocks, and a record of each); for ALPH its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up
     /// to three quarter-size images of transforms and code groups, and the tables of its codes.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
-        let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
+        let (width, height) = (
+            u64::from(self.extent.width()),
+            u64::from(self.extent.height()),
+        );
         let pixels = width * height;
         let (data, planes) = match self.coding {
             Coding::Lossy(vp8, alpha) => {
                 let macroblocks = width.div_ceil(16) * height.div_ceil(16);
                 let alpha_planes = if alpha.is_some() { 6 * pixels } else { 0 };
-                (3 * vp8.len() + alpha.map_or(0, <[u8]>::len), macroblocks * (384 + 2 * 64) + alpha_planes)
+                (
+                    3 * vp8.len() + alpha.map_or(0, <[u8]>::len),
+                    macroblocks * (384 + 2 * 64) + alpha_planes,
+                )
             }
             Coding::Lossless(vp8l, true) => (vp8l.len(), pixels),
             Coding::Lossless(vp8l, false) => (vp8l.len(), 5 * pixels),
@@ -217,14 +278,24 @@ impl<'a> WebPFile<'a> {
             Coding::Lossless(vp8l, _) => [(b"ALPH", &[]), (b"VP8L", vp8l)],
         };
         let mut canvas = [0; 10];
-        canvas[0] = if self.channels() == Channels::Rgba { ALPHA_FLAG } else { 0 };
+        canvas[0] = if self.channels() == Channels::Rgba {
+            ALPHA_FLAG
+        } else {
+            0
+        };
         canvas[4..7].copy_from_slice(&(self.extent.width() - 1).to_le_bytes()[..3]);
         canvas[7..10].copy_from_slice(&(self.extent.height() - 1).to_le_bytes()[..3]);
-        let mut out = room::<u8>(64 + chunks.iter().map(|(_, data)| data.len() as u64).sum::<u64>())?;
+        let mut out = room::<u8>(
+            64 + chunks
+                .iter()
+                .map(|(_, data)| data.len() as u64)
+                .sum::<u64>(),
+        )?;
         out.extend_from_slice(b"RIFF\0\0\0\0WEBP");
         for (kind, data) in [(b"VP8X", canvas.as_slice())].into_iter().chain(chunks) {
             if !data.is_empty() {
-                let size = u32::try_from(data.len()).map_err(|_| bad("a chunk longer than 4 GiB"))?;
+                let size =
+                    u32::try_from(data.len()).map_err(|_| bad("a chunk longer than 4 GiB"))?;
                 out.extend_from_slice(kind);
                 out.extend_from_slice(&size.to_le_bytes());
                 out.extend_from_slice(data);
@@ -240,7 +311,9 @@ impl<'a> WebPFile<'a> {
     pub(in crate::codec) fn samples(&self, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
         let decoder = WebPDecoder::new(Pieces::new(self.remade()?, work)).map_err(damaged)?;
         let len = sample_count(self.extent.pixels(), self.channels());
-        if decoder.dimensions() != (self.extent.width(), self.extent.height()) || decoder.total_bytes() != len {
+        if decoder.dimensions() != (self.extent.width(), self.extent.height())
+            || decoder.total_bytes() != len
+        {
             return Err(bad("two headers that disagree"));
         }
         let mut out = zeros::<u8>(len, work)?;
@@ -253,7 +326,10 @@ impl<'a> WebPFile<'a> {
     }
 
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
-        self.profile.filter(|profile| profile.len() <= MAX_ICC).map(<[u8]>::to_vec).and_then(|profile| keep_profile(profile, false))
+        self.profile
+            .filter(|profile| profile.len() <= MAX_ICC)
+            .map(<[u8]>::to_vec)
+            .and_then(|profile| keep_profile(profile, false))
     }
 }
 
@@ -283,7 +359,8 @@ fn vp8_extent(data: &[u8]) -> Result<Extent, CodecError> {
     if tag & 1 != 0 {
         return Err(bad("a VP8 frame that depends on another"));
     }
-    let [width, height] = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3FFF));
+    let [width, height] =
+        [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3FFF));
     Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))
 }
 
@@ -296,6 +373,7 @@ fn vp8l_header(data: &[u8]) -> Result<(Extent, bool), CodecError> {
     if bits >> 29 != 0 {
         return Err(bad("an unknown version of VP8L"));
     }
-    let extent = Extent::new(1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)).expect("one more than a number is not zero");
+    let extent = Extent::new(1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF))
+        .expect("one more than a number is not zero");
     Ok((extent, bits >> 28 & 1 == 1))
 }

@@ -19,7 +19,10 @@ const PIXEL_CODE_BYTES: u64 = 256;
 
 /// The largest tables that are accepted for this number of pixels.
 pub(super) fn most_code_bytes(pixels: u64) -> u64 {
-    pixels.saturating_mul(PIXEL_CODE_BYTES).saturating_add(FREE_CODE_BYTES).min(MAX_CODE_BYTES)
+    pixels
+        .saturating_mul(PIXEL_CODE_BYTES)
+        .saturating_add(FREE_CODE_BYTES)
+        .min(MAX_CODE_BYTES)
 }
 
 fn bad(detail: impl ToString) -> CodecError {
@@ -31,7 +34,9 @@ fn damaged() -> CodecError {
 }
 
 const LENGTH_CODES: usize = 19;
-const LENGTH_CODE_ORDER: [usize; LENGTH_CODES] = [17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
+const LENGTH_CODE_ORDER: [usize; LENGTH_CODES] = [
+    17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
+];
 const LONGEST: usize = 15;
 /// Green (and lengths), red, blue, alpha, distances.
 const ALPHABETS: [usize; 5] = [256 + LENGTH_SYMBOLS, 256, 256, 256, 40];
@@ -47,8 +52,22 @@ const BLOCKS: u64 = 32;
 
 /// Bytes of the tables that a decoder builds for a stream: a whole `VP8L` chunk (`size: None`), or an `ALPH` chunk without its first byte.
 /// At most `most`.
-pub(super) fn code_bytes(stream: &[u8], size: Option<(u32, u32)>, most: u64, work: &StepCounter<'_>) -> Result<u64, CodecError> {
-    let mut walk = Walk { bits: Bits { rest: stream, buffer: 0, count: 0, work }, bytes: 0, most };
+pub(super) fn code_bytes(
+    stream: &[u8],
+    size: Option<(u32, u32)>,
+    most: u64,
+    work: &StepCounter<'_>,
+) -> Result<u64, CodecError> {
+    let mut walk = Walk {
+        bits: Bits {
+            rest: stream,
+            buffer: 0,
+            count: 0,
+            work,
+        },
+        bytes: 0,
+        most,
+    };
     walk.stream(size)?;
     Ok(walk.bytes)
 }
@@ -108,7 +127,10 @@ impl Walk<'_> {
                 self.bytes += code.table_bytes();
             }
             if self.bytes > self.most {
-                return Err(bad(format!("its prefix codes take more than {} bytes of tables", self.most)));
+                return Err(bad(format!(
+                    "its prefix codes take more than {} bytes of tables",
+                    self.most
+                )));
             }
         }
         Ok(())
@@ -119,7 +141,11 @@ impl Walk<'_> {
             return Ok(0);
         }
         let bits = self.bits.read(4)?;
-        if (1..=11).contains(&bits) { Ok(1 << bits) } else { Err(damaged()) }
+        if (1..=11).contains(&bits) {
+            Ok(1 << bits)
+        } else {
+            Err(damaged())
+        }
     }
 
     /// Skips an image that has one group of codes. Returns the largest number that red and green of a pixel make: copies repeat earlier
@@ -128,11 +154,21 @@ impl Walk<'_> {
         let cached = self.cached_colours()?;
         let mut group = Vec::with_capacity(ALPHABETS.len());
         for (k, alphabet) in ALPHABETS.into_iter().enumerate() {
-            group.push(Code::read(&mut self.bits, alphabet + if k == 0 { cached } else { 0 })?);
+            group.push(Code::read(
+                &mut self.bits,
+                alphabet + if k == 0 { cached } else { 0 },
+            )?);
         }
-        let [green, red, blue, alpha, distance] = group.as_slice() else { return Err(damaged()) };
+        let [green, red, blue, alpha, distance] = group.as_slice() else {
+            return Err(damaged());
+        };
         // Symbols that take no bits: all pixels are equal.
-        match (&*green.symbols, &*red.symbols, &*blue.symbols, &*alpha.symbols) {
+        match (
+            &*green.symbols,
+            &*red.symbols,
+            &*blue.symbols,
+            &*alpha.symbols,
+        ) {
             ([green @ 0..256], [red], [_], [_]) => return Ok(u32::from(red << 8 | green)),
             (&[cached], ..) if usize::from(cached) >= ALPHABETS[0] => return Ok(0),
             _ => {}
@@ -199,7 +235,11 @@ impl Code {
             let mut counts = [0; LONGEST + 1];
             counts[1] = if two { 2 } else { 0 };
             let known = symbols.iter().all(|&symbol| usize::from(symbol) < alphabet);
-            return if known { Ok(Self { counts, symbols }) } else { Err(damaged()) };
+            return if known {
+                Ok(Self { counts, symbols })
+            } else {
+                Err(damaged())
+            };
         }
         let mut lengths = [0; LENGTH_CODES];
         let given = bits.read(4)? as usize + 4;
@@ -230,7 +270,11 @@ impl Code {
             };
             lengths.extend(std::iter::repeat_n(length, times as usize));
         }
-        if lengths.len() > alphabet { Err(damaged()) } else { Self::of_lengths(&lengths) }
+        if lengths.len() > alphabet {
+            Err(damaged())
+        } else {
+            Self::of_lengths(&lengths)
+        }
     }
 
     /// Accepts complete codes only: every bit sequence has a meaning.
@@ -244,7 +288,11 @@ impl Code {
             counts = [0; LONGEST + 1];
             used().map(|(symbol, _)| symbol).collect()
         } else {
-            let filled: u32 = (0..).zip(counts).skip(1).map(|(length, count)| u32::from(count) << (15 - length)).sum();
+            let filled: u32 = (0..)
+                .zip(counts)
+                .skip(1)
+                .map(|(length, count)| u32::from(count) << (15 - length))
+                .sum();
             if filled != 1 << LONGEST {
                 return Err(damaged());
             }
@@ -273,7 +321,11 @@ impl Code {
             code |= bits.read(1)?;
             let count = u32::from(count);
             if code < first + count {
-                return self.symbols.get((index + code - first) as usize).copied().ok_or_else(damaged);
+                return self
+                    .symbols
+                    .get((index + code - first) as usize)
+                    .copied()
+                    .ok_or_else(damaged);
             }
             index += count;
             first = (first + count) << 1;
@@ -284,8 +336,15 @@ impl Code {
 
     /// Bytes of the tables that the decoder builds.
     fn table_bytes(&self) -> u64 {
-        let Some(longest) = self.counts.iter().rposition(|&count| count > 0) else { return 0 };
-        let deep: u64 = self.counts.iter().skip(TABLE_BITS + 1).map(|&count| u64::from(count)).sum();
+        let Some(longest) = self.counts.iter().rposition(|&count| count > 0) else {
+            return 0;
+        };
+        let deep: u64 = self
+            .counts
+            .iter()
+            .skip(TABLE_BITS + 1)
+            .map(|&count| u64::from(count))
+            .sum();
         (TABLE_ENTRY << longest.min(TABLE_BITS)) + TREE_NODE * 2 * deep + BLOCKS
     }
 }
@@ -316,7 +375,8 @@ impl Bits<'_> {
 
     /// At most 16.
     fn symbol(&mut self, count: u32) -> Result<u16, CodecError> {
-        self.read(count).and_then(|value| u16::try_from(value).map_err(|_| damaged()))
+        self.read(count)
+            .and_then(|value| u16::try_from(value).map_err(|_| damaged()))
     }
 }
 
@@ -331,7 +391,10 @@ mod tests {
 
     /// A code of `count` symbols, all of one length, in as few bits as there are: only that length is a symbol of the code for lengths.
     fn equal(pen: &mut Pen, length: usize, count: u32) {
-        let place = LENGTH_CODE_ORDER.iter().position(|&symbol| symbol == length).unwrap();
+        let place = LENGTH_CODE_ORDER
+            .iter()
+            .position(|&symbol| symbol == length)
+            .unwrap();
         pen.put(0, 1);
         pen.put(u32::try_from(place).unwrap() + 1 - 4, 4);
         (0..=place).for_each(|k| pen.put(u32::from(k == place), 3));
@@ -351,7 +414,9 @@ mod tests {
         pen.put(0, 3);
         pen.put(0, 1);
         let last = groups - 1;
-        [last & 255, last >> 8, 0, 0, 0].into_iter().for_each(|symbol| pen.only(symbol));
+        [last & 255, last >> 8, 0, 0, 0]
+            .into_iter()
+            .for_each(|symbol| pen.only(symbol));
         for _ in 0..groups {
             equal(&mut pen, 11, 2048);
             (0..4).for_each(|_| pen.put(0b0001, 4));
@@ -369,7 +434,10 @@ mod tests {
         assert!(matches!(of(65_536), Err(CodecError::Bad { .. })));
         // A picture of 16 pixels needs fewer.
         assert!(weight(&bomb(10), most_code_bytes(16)).is_ok());
-        assert!(matches!(weight(&bomb(20), most_code_bytes(16)), Err(CodecError::Bad { .. })));
+        assert!(matches!(
+            weight(&bomb(20), most_code_bytes(16)),
+            Err(CodecError::Bad { .. })
+        ));
         assert_eq!(most_code_bytes(u64::MAX), MAX_CODE_BYTES);
     }
 
@@ -378,17 +446,43 @@ mod tests {
     fn streams_of_real_files_are_walked_to_their_picture() {
         let mut weights = Vec::new();
         let work = StepCounter::new(&|| false);
-        for name in ["lossless", "lossless-alpha", "lossless-palette", "lossless-regions"] {
-            let file = std::fs::read(format!("{}/../../tests/fuzz/seeds/image/webp-{name}", env!("CARGO_MANIFEST_DIR"))).unwrap();
+        for name in [
+            "lossless",
+            "lossless-alpha",
+            "lossless-palette",
+            "lossless-regions",
+        ] {
+            let file = std::fs::read(format!(
+                "{}/../../tests/fuzz/seeds/image/webp-{name}",
+                env!("CARGO_MANIFEST_DIR")
+            ))
+            .unwrap();
             assert_eq!(&file[12..16], b"VP8L");
-            let bits = Bits { rest: &file[20..], buffer: 0, count: 0, work: &work };
-            let mut walk = Walk { bits, bytes: 0, most: MAX_CODE_BYTES };
+            let bits = Bits {
+                rest: &file[20..],
+                buffer: 0,
+                count: 0,
+                work: &work,
+            };
+            let mut walk = Walk {
+                bits,
+                bytes: 0,
+                most: MAX_CODE_BYTES,
+            };
             assert!(walk.stream(None).is_ok(), "{name}");
             assert!(!walk.bits.rest.is_empty(), "{name}: the picture is left");
             weights.push(walk.bytes);
         }
-        assert!(weights.iter().all(|weight| (GROUP..100_000).contains(weight)), "{weights:?}");
-        assert!(weights[3] > 2 * GROUP, "regions have groups of their own: {weights:?}");
+        assert!(
+            weights
+                .iter()
+                .all(|weight| (GROUP..100_000).contains(weight)),
+            "{weights:?}"
+        );
+        assert!(
+            weights[3] > 2 * GROUP,
+            "regions have groups of their own: {weights:?}"
+        );
     }
 
     #[test]
@@ -397,7 +491,13 @@ mod tests {
         whole.truncate(whole.len() - 64);
         assert!(weight(&whole, MAX_CODE_BYTES).is_ok());
         for length in 0..whole.len() - 1 {
-            assert!(matches!(weight(&whole[..length], MAX_CODE_BYTES), Err(CodecError::Bad { .. })), "{length}");
+            assert!(
+                matches!(
+                    weight(&whole[..length], MAX_CODE_BYTES),
+                    Err(CodecError::Bad { .. })
+                ),
+                "{length}"
+            );
         }
     }
 
@@ -415,9 +515,13 @@ mod tests {
             pen.put(0, 1);
             (0..5).for_each(|_| pen.put(0b0001, 4));
         };
-        for (kinds, refused) in
-            [(&[0, 1, 2, 3][..], false), (&[3, 2, 1, 0], false), (&[2, 2], true), (&[0, 1, 0], true), (&[3, 2, 3], true)]
-        {
+        for (kinds, refused) in [
+            (&[0, 1, 2, 3][..], false),
+            (&[3, 2, 1, 0], false),
+            (&[2, 2], true),
+            (&[0, 1, 0], true),
+            (&[3, 2, 3], true),
+        ] {
             let mut pen = vp8l_head(64, 64);
             kinds.iter().for_each(|&kind| transform(&mut pen, kind));
             // No more; no cache, no regions, one group of codes.
@@ -441,7 +545,10 @@ mod tests {
         };
         for count in [1, 2, 30, 1_000] {
             let small = steps(&webp_transforms(4, 4, count), 20, None);
-            assert_eq!(steps(&webp_transforms(16_384, 16_384, count), 20, None), small);
+            assert_eq!(
+                steps(&webp_transforms(16_384, 16_384, count), 20, None),
+                small
+            );
             assert!(small < 1_000, "{small}");
         }
         let alpha = webp_alpha_transforms(16_383, 16_383, 30);
@@ -461,7 +568,15 @@ mod tests {
         pen.put(1, 8);
         (0..4).for_each(|_| pen.put(0b0001, 4));
         pen.bytes.extend(vec![0; 3 << 20]);
-        let told = |cancelled: &dyn Fn() -> bool| code_bytes(&pen.bytes, None, MAX_CODE_BYTES, &StepCounter::new(cancelled)).unwrap_err();
+        let told = |cancelled: &dyn Fn() -> bool| {
+            code_bytes(
+                &pen.bytes,
+                None,
+                MAX_CODE_BYTES,
+                &StepCounter::new(cancelled),
+            )
+            .unwrap_err()
+        };
         assert_eq!(told(&|| true), CodecError::Cancelled);
         assert_eq!(told(&|| false), damaged(), "behind it there is no picture");
     }

@@ -4,7 +4,10 @@
 
 mod scalar;
 #[cfg(target_arch = "x86_64")]
-#[expect(unsafe_code, reason = "calls a function compiled for AVX2 after the processor was asked for it")]
+#[expect(
+    unsafe_code,
+    reason = "calls a function compiled for AVX2 after the processor was asked for it"
+)]
 mod x86;
 
 use super::Method;
@@ -36,12 +39,23 @@ pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
 
 /// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px. Shapes: `table: [blocks][lanes per block]`, `d: [columns]`,
 /// `out: [blocks]`. Returns the least |m| (rigid), else 1.
-pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace(
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     displace_at(Level::detect(), family, table, d, out)
 }
 
 /// Like [`displace`], at a level; scalar if the processor lacks it.
-pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace_at(
+    level: Level,
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 if level.is_here() => x86::displace_avx512(family, table, d, out),
@@ -52,12 +66,23 @@ pub(super) fn displace_at(level: Level, family: Method, table: &[Lanes], d: &[[f
 }
 
 /// The rows of N vertices, for whole plans and single places.
-pub(super) fn rows<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows<const N: usize>(
+    waist: &RowInputs<'_>,
+    v: &Vertices<N>,
+    scratch: &mut Scratch<N>,
+    rows: &mut Rows<N>,
+) {
     rows_at(Level::detect(), waist, v, scratch, rows);
 }
 
 /// Like [`rows`], at a level; scalar if the processor lacks it.
-pub(super) fn rows_at<const N: usize>(level: Level, waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_at<const N: usize>(
+    level: Level,
+    waist: &RowInputs<'_>,
+    v: &Vertices<N>,
+    scratch: &mut Scratch<N>,
+    rows: &mut Rows<N>,
+) {
     match level {
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 if level.is_here() => x86::rows_avx512(waist, v, scratch, rows),
@@ -68,12 +93,19 @@ pub(super) fn rows_at<const N: usize>(level: Level, waist: &RowInputs<'_>, v: &V
 }
 
 /// `f(v) - v` of N vertices from moments, px, and |m| (rigid), else 1.
-pub(super) fn moments<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+pub(super) fn moments<const N: usize>(
+    inputs: &MomentInputs<'_>,
+    v: &Vertices<N>,
+) -> ([[f64; N]; 2], [f64; N]) {
     moments_at(Level::detect(), inputs, v)
 }
 
 /// Like [`moments`], at a level; scalar if the processor lacks it.
-pub(super) fn moments_at<const N: usize>(level: Level, inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+pub(super) fn moments_at<const N: usize>(
+    level: Level,
+    inputs: &MomentInputs<'_>,
+    v: &Vertices<N>,
+) -> ([[f64; N]; 2], [f64; N]) {
     match level {
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 if level.is_here() => x86::moments_avx512(inputs, v),
@@ -99,16 +131,24 @@ mod tests {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / 8_388_608.0 - 1.0
         };
-        for (family, per_column, extra) in [(Method::Affine, 1, 0), (Method::Similarity, 2, 0), (Method::Rigid, 3, 2)] {
+        for (family, per_column, extra) in [
+            (Method::Affine, 1, 0),
+            (Method::Similarity, 2, 0),
+            (Method::Rigid, 3, 2),
+        ] {
             for (columns, blocks) in [(1, 1), (7, 7), (3, 2), (11, 3)] {
-                let table: Vec<Lanes> =
-                    (0..blocks * (per_column * columns + extra)).map(|_| Lanes([0.0; LANES].map(|_: f32| next()))).collect();
+                let table: Vec<Lanes> = (0..blocks * (per_column * columns + extra))
+                    .map(|_| Lanes([0.0; LANES].map(|_: f32| next())))
+                    .collect();
                 let d: Vec<[f32; 2]> = (0..columns).map(|_| [next(), next()]).collect();
                 let mut reference = Vec::new();
                 let least = displace_at(Level::Scalar, family, &table, &d, &mut reference);
                 for &level in Level::available() {
                     let mut out = Vec::new();
-                    assert_eq!(displace_at(level, family, &table, &d, &mut out).to_bits(), least.to_bits());
+                    assert_eq!(
+                        displace_at(level, family, &table, &d, &mut out).to_bits(),
+                        least.to_bits()
+                    );
                     assert_eq!(out.len(), blocks);
                     assert_eq!(out, reference, "{family:?} {level:?}");
                 }
@@ -122,12 +162,23 @@ mod tests {
     fn levels_weigh_to_the_same_bits() {
         let segment = |a: Point, b: Point, column| {
             let length = a.distance(b);
-            Segment { a, b, length, tau: (b - a) * (1.0 / length), weight: 0.7, column }
+            Segment {
+                a,
+                b,
+                length,
+                tau: (b - a) * (1.0 / length),
+                weight: 0.7,
+                column,
+            }
         };
         let points: Vec<PointSource> = [(100.0, 100.0), (400.25, 120.0), (260.0, 391.5)]
             .into_iter()
             .zip(0..)
-            .map(|((x, y), column)| PointSource { p: Point::new(x, y), mass: 30.0, column })
+            .map(|((x, y), column)| PointSource {
+                p: Point::new(x, y),
+                mass: 30.0,
+                column,
+            })
             .collect();
         let segments = vec![
             segment(Point::new(40.0, 200.0), Point::new(300.0, 210.0), 3),
@@ -152,9 +203,19 @@ mod tests {
                     (Method::Affine, true),
                     (Method::Rigid, true),
                 ] {
-                    let (falloff, beta) = (Falloff::new(alpha, true).unwrap(), IncompleteBeta::new(alpha));
-                    let waist =
-                        RowInputs { sources: &sources, extent: 400.0, falloff, beta: beta.as_ref(), point_mass: 1.0, method, exact };
+                    let (falloff, beta) = (
+                        Falloff::new(alpha, true).unwrap(),
+                        IncompleteBeta::new(alpha),
+                    );
+                    let waist = RowInputs {
+                        sources: &sources,
+                        extent: 400.0,
+                        falloff,
+                        beta: beta.as_ref(),
+                        point_mass: 1.0,
+                        method,
+                        exact,
+                    };
                     let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
                         let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
                         all.map(|lanes| lanes[k].to_bits()).collect()
@@ -168,12 +229,27 @@ mod tests {
                     for &level in Level::available() {
                         let rows = run(level);
                         for k in 0..LANES {
-                            assert_eq!(bits(&rows, k), bits(&reference, k), "{level:?} {method:?} {alpha} {k}");
+                            assert_eq!(
+                                bits(&rows, k),
+                                bits(&reference, k),
+                                "{level:?} {method:?} {alpha} {k}"
+                            );
                             let mut one = Rows::<1>::zeroed(columns);
                             let at = Vertices::all(Point::new(v.x[k], v.y[k]));
                             rows_at(level, &waist, &at, &mut Scratch::default(), &mut one);
-                            let single: Vec<u64> = one.h.iter().flatten().chain(&one.wn).chain(&one.e).map(|x| x[0].to_bits()).collect();
-                            assert_eq!(single, bits(&reference, k), "{level:?} {method:?} {alpha} {k}, alone");
+                            let single: Vec<u64> = one
+                                .h
+                                .iter()
+                                .flatten()
+                                .chain(&one.wn)
+                                .chain(&one.e)
+                                .map(|x| x[0].to_bits())
+                                .collect();
+                            assert_eq!(
+                                single,
+                                bits(&reference, k),
+                                "{level:?} {method:?} {alpha} {k}, alone"
+                            );
                             assert!(single.iter().all(|x| f64::from_bits(*x).is_finite()));
                         }
                     }
@@ -191,7 +267,10 @@ mod tests {
         block[3] = Lanes([50.0; LANES]);
         for &level in Level::available() {
             let mut out = Vec::new();
-            assert_eq!(displace_at(level, Method::Rigid, &block, &[[1.0, 0.0]], &mut out), 0.0);
+            assert_eq!(
+                displace_at(level, Method::Rigid, &block, &[[1.0, 0.0]], &mut out),
+                0.0
+            );
             assert_eq!(out, [[[1.0, 0.0]; LANES]], "{level:?}");
         }
     }

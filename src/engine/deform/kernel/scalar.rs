@@ -7,13 +7,23 @@ use super::{LANES, Lanes, Method, Pairs, lanes_per_block};
 const UNDEFINED: f32 = 1e-5;
 
 /// See [`super::displace`].
-pub(super) fn displace(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace(
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     displace_inline(family, table, d, out)
 }
 
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
-pub(super) fn displace_inline(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace_inline(
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops free of a horizontal step.
     let mut least = [1.0f32; LANES];
     out.reserve(table.len() / lanes_per_block(family, d.len()));

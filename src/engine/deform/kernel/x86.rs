@@ -3,7 +3,12 @@
 use super::{Lanes, Method, MomentInputs, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
 
 /// See [`super::displace`].
-pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace_avx2(
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     #[target_feature(enable = "avx2")]
     fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
         scalar::displace_inline(family, table, d, out)
@@ -13,7 +18,12 @@ pub(super) fn displace_avx2(family: Method, table: &[Lanes], d: &[[f32; 2]], out
 }
 
 /// See [`super::displace`].
-pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+pub(super) fn displace_avx512(
+    family: Method,
+    table: &[Lanes],
+    d: &[[f32; 2]],
+    out: &mut Vec<Pairs>,
+) -> f32 {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
         scalar::displace_inline(family, table, d, out)
@@ -23,9 +33,19 @@ pub(super) fn displace_avx512(family: Method, table: &[Lanes], d: &[[f32; 2]], o
 }
 
 /// See [`super::rows`].
-pub(super) fn rows_avx2<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_avx2<const N: usize>(
+    waist: &RowInputs<'_>,
+    v: &Vertices<N>,
+    scratch: &mut Scratch<N>,
+    rows: &mut Rows<N>,
+) {
     #[target_feature(enable = "avx2")]
-    fn body<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    fn body<const N: usize>(
+        waist: &RowInputs<'_>,
+        v: &Vertices<N>,
+        scratch: &mut Scratch<N>,
+        rows: &mut Rows<N>,
+    ) {
         waist.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -33,9 +53,19 @@ pub(super) fn rows_avx2<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, 
 }
 
 /// See [`super::rows`].
-pub(super) fn rows_avx512<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+pub(super) fn rows_avx512<const N: usize>(
+    waist: &RowInputs<'_>,
+    v: &Vertices<N>,
+    scratch: &mut Scratch<N>,
+    rows: &mut Rows<N>,
+) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>, scratch: &mut Scratch<N>, rows: &mut Rows<N>) {
+    fn body<const N: usize>(
+        waist: &RowInputs<'_>,
+        v: &Vertices<N>,
+        scratch: &mut Scratch<N>,
+        rows: &mut Rows<N>,
+    ) {
         waist.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -43,9 +73,15 @@ pub(super) fn rows_avx512<const N: usize>(waist: &RowInputs<'_>, v: &Vertices<N>
 }
 
 /// See [`super::moments`].
-pub(super) fn moments_avx2<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+pub(super) fn moments_avx2<const N: usize>(
+    inputs: &MomentInputs<'_>,
+    v: &Vertices<N>,
+) -> ([[f64; N]; 2], [f64; N]) {
     #[target_feature(enable = "avx2")]
-    fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    fn body<const N: usize>(
+        inputs: &MomentInputs<'_>,
+        v: &Vertices<N>,
+    ) -> ([[f64; N]; 2], [f64; N]) {
         inputs.displacements::<16, N>(v)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -53,9 +89,15 @@ pub(super) fn moments_avx2<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertic
 }
 
 /// See [`super::moments`].
-pub(super) fn moments_avx512<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+pub(super) fn moments_avx512<const N: usize>(
+    inputs: &MomentInputs<'_>,
+    v: &Vertices<N>,
+) -> ([[f64; N]; 2], [f64; N]) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body<const N: usize>(inputs: &MomentInputs<'_>, v: &Vertices<N>) -> ([[f64; N]; 2], [f64; N]) {
+    fn body<const N: usize>(
+        inputs: &MomentInputs<'_>,
+        v: &Vertices<N>,
+    ) -> ([[f64; N]; 2], [f64; N]) {
         inputs.displacements::<8, N>(v)
     }
     // SAFETY: the one caller asks `Level::is_here` first.

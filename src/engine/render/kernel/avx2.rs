@@ -46,7 +46,13 @@ const LANES: usize = 8;
 const _: () = assert!(LANES == BLOCK, "a block of columns fills a register");
 
 /// Crossings of columns with rows: [`scalar::crossings`], with a block of columns in registers for all rows that it reaches.
-pub(super) fn crossings(kernel: Kernel, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+pub(super) fn crossings(
+    kernel: Kernel,
+    lattice: &Lattice,
+    rows: Range<u32>,
+    x: &mut [f32],
+    v: &mut [f32],
+) {
     debug_assert!(kernel.0 >= Level::Avx2);
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
     unsafe { wide_crossings(lattice, &rows, x, v) }
@@ -57,12 +63,29 @@ fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [
     let blocks = lattice.pitch / BLOCK;
     let stride = lattice.pitch + BLOCK;
     for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(rows)) {
-        let (top, fall) = (_mm256_set1_ps(lattice.v[j]), _mm256_set1_ps(lattice.v[j + 1] - lattice.v[j]));
+        let (top, fall) = (
+            _mm256_set1_ps(lattice.v[j]),
+            _mm256_set1_ps(lattice.v[j + 1] - lattice.v[j]),
+        );
         let above = j * lattice.pitch..(j + 1) * lattice.pitch;
         let below = above.end..above.end + lattice.pitch;
-        let lines = lattice.x[above.clone()].as_chunks().0.iter().zip(lattice.y[above].as_chunks().0);
-        let lines = lines.zip(lattice.x[below.clone()].as_chunks().0.iter().zip(lattice.y[below].as_chunks().0));
-        for ((b, range), ((xa, ya), (xb, yb))) in lattice.block_ranges[j * blocks..(j + 1) * blocks].iter().enumerate().zip(lines) {
+        let lines = lattice.x[above.clone()]
+            .as_chunks()
+            .0
+            .iter()
+            .zip(lattice.y[above].as_chunks().0);
+        let lines = lines.zip(
+            lattice.x[below.clone()]
+                .as_chunks()
+                .0
+                .iter()
+                .zip(lattice.y[below].as_chunks().0),
+        );
+        for ((b, range), ((xa, ya), (xb, yb))) in lattice.block_ranges[j * blocks..(j + 1) * blocks]
+            .iter()
+            .enumerate()
+            .zip(lines)
+        {
             let touched = range.rows(rows);
             if touched.is_empty() {
                 continue;
@@ -122,20 +145,40 @@ fn px(places: &[i32; LANES]) -> __m256 {
 /// [`scalar::note`].
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 fn note(spans: &mut Spans<'_>) {
-    #[expect(clippy::cast_precision_loss, reason = "rows are shorter than 2^22 pixels where columns are used")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "rows are shorter than 2^22 pixels where columns are used"
+    )]
     let width = _mm256_set1_ps(spans.width as f32);
-    let (one, half, round) = (_mm256_set1_ps(1.0), _mm256_set1_ps(0.5), _mm256_set1_ps(scalar::ROUND_F32));
-    let notes = spans.notes.as_chunks_mut::<NOTES>().0.iter_mut().zip(spans.first.as_chunks_mut::<BLOCK>().0);
+    let (one, half, round) = (
+        _mm256_set1_ps(1.0),
+        _mm256_set1_ps(0.5),
+        _mm256_set1_ps(scalar::ROUND_F32),
+    );
+    let notes = spans
+        .notes
+        .as_chunks_mut::<NOTES>()
+        .0
+        .iter_mut()
+        .zip(spans.first.as_chunks_mut::<BLOCK>().0);
     for (b, ([nu, ndu, nv, ndv], first)) in notes.enumerate().take(spans.columns.div_ceil(BLOCK)) {
         let at = b * BLOCK;
-        let pair = |values: &[f32]| (get(block_of(&values[at..])), get(block_of(&values[at + 1..])));
+        let pair = |values: &[f32]| {
+            (
+                get(block_of(&values[at..])),
+                get(block_of(&values[at + 1..])),
+            )
+        };
         let ((x0, x1), (v0, v1), (u0, u1)) = (pair(spans.x), pair(spans.v), pair(spans.u));
         // NaN becomes 0, as the second operand.
         let kept = _mm256_min_ps(_mm256_max_ps(x0, _mm256_setzero_ps()), width);
         let rounded = _mm256_add_ps(kept, round);
         let pixel = _mm256_and_si256(_mm256_castps_si256(rounded), _mm256_set1_epi32(0x007f_ffff));
         let per_px = _mm256_div_ps(one, _mm256_sub_ps(x1, x0));
-        let (du, dv) = (_mm256_mul_ps(_mm256_sub_ps(u1, u0), per_px), _mm256_mul_ps(_mm256_sub_ps(v1, v0), per_px));
+        let (du, dv) = (
+            _mm256_mul_ps(_mm256_sub_ps(u1, u0), per_px),
+            _mm256_mul_ps(_mm256_sub_ps(v1, v0), per_px),
+        );
         let inside = _mm256_sub_ps(_mm256_add_ps(_mm256_sub_ps(rounded, round), half), x0);
         put(nu, _mm256_add_ps(u0, _mm256_mul_ps(inside, du)));
         put(nv, _mm256_add_ps(v0, _mm256_mul_ps(inside, dv)));
@@ -155,12 +198,22 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         note(spans);
         let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
         let (u, v) = (u.as_mut_ptr(), v.as_mut_ptr());
-        let blocks = spans.notes.as_chunks::<NOTES>().0.iter().zip(spans.first.windows(BLOCK + 1).step_by(BLOCK));
+        let blocks = spans
+            .notes
+            .as_chunks::<NOTES>()
+            .0
+            .iter()
+            .zip(spans.first.windows(BLOCK + 1).step_by(BLOCK));
         let mut cells = spans.columns - 1;
         for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK)) {
             for c in 0..cells.min(BLOCK) {
                 let (mut at, end) = (first[c] as usize, first[c + 1] as usize);
-                let (nu, ndu, nv, ndv) = (_mm256_set1_ps(nu[c]), _mm256_set1_ps(ndu[c]), _mm256_set1_ps(nv[c]), _mm256_set1_ps(ndv[c]));
+                let (nu, ndu, nv, ndv) = (
+                    _mm256_set1_ps(nu[c]),
+                    _mm256_set1_ps(ndu[c]),
+                    _mm256_set1_ps(nv[c]),
+                    _mm256_set1_ps(ndv[c]),
+                );
                 let mut k = lanes;
                 loop {
                     // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width`
@@ -181,8 +234,14 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
     }
     debug_assert!(kernel.0 >= Level::Avx2);
     assert!(spans.width <= 1 << 22, "pixels are exact in f32");
-    assert!(spans.covered.start <= spans.width && spans.covered.end <= spans.width, "what is covered lies in the row");
-    assert!(u.len() >= spans.width + LANES && v.len() >= spans.width + LANES, "a group may end behind the row");
+    assert!(
+        spans.covered.start <= spans.width && spans.covered.end <= spans.width,
+        "what is covered lies in the row"
+    );
+    assert!(
+        u.len() >= spans.width + LANES && v.len() >= spans.width + LANES,
+        "a group may end behind the row"
+    );
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
     unsafe { wide(spans, u, v) }
 }
@@ -193,10 +252,24 @@ pub(super) use super::avx2_cells::fill;
 const AHEAD: usize = 4;
 
 /// Bilinear samples, eight pixels at a time; [`scalar::sample`] where 32-bit indices are too small.
-pub(super) fn sample(kernel: Kernel, packed: &Packed, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+pub(super) fn sample(
+    kernel: Kernel,
+    packed: &Packed,
+    u: &[f32],
+    v: &[f32],
+    channels: Channels,
+    out: &mut [u8],
+) {
     debug_assert!(kernel.0 >= Level::Avx2);
-    assert!(u.len() == v.len() && out.len() == u.len() * channels.count(), "one place for each pixel");
-    assert_eq!(packed.texels.len(), (packed.width + 1) * (packed.height + 1), "texels are padded on two sides");
+    assert!(
+        u.len() == v.len() && out.len() == u.len() * channels.count(),
+        "one place for each pixel"
+    );
+    assert_eq!(
+        packed.texels.len(),
+        (packed.width + 1) * (packed.height + 1),
+        "texels are padded on two sides"
+    );
     // Beyond this, 128 times a coordinate is inexact in f32, and an index may not fit 31 bits.
     if packed.width > 1 << 15 || packed.height > 1 << 15 {
         return scalar::sample(packed, u, v, channels, out);
@@ -215,13 +288,25 @@ pub(super) fn sample(kernel: Kernel, packed: &Packed, u: &[f32], v: &[f32], chan
 /// # Safety
 /// The sizes are those that [`sample`] asserts.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(packed: &Packed, u: &[f32], v: &[f32], out: &mut [u8]) {
+unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
+    packed: &Packed,
+    u: &[f32],
+    v: &[f32],
+    out: &mut [u8],
+) {
     // Computes the positions of a chunk first and fetches texels afterwards, so that fetches only wait for each other.
-    let mut places = [Places { index: [0; LANES], fractions: [0; LANES] }; CHUNK];
+    let mut places = [Places {
+        index: [0; LANES],
+        fractions: [0; LANES],
+    }; CHUNK];
     let (us, u_rest) = u.as_chunks::<LANES>();
     let (vs, v_rest) = v.as_chunks::<LANES>();
     let (body, tail) = out.split_at_mut(us.len() * LANES * CHANNELS);
-    for ((us, vs), out) in us.chunks(CHUNK).zip(vs.chunks(CHUNK)).zip(body.chunks_mut(CHUNK * LANES * CHANNELS)) {
+    for ((us, vs), out) in us
+        .chunks(CHUNK)
+        .zip(vs.chunks(CHUNK))
+        .zip(body.chunks_mut(CHUNK * LANES * CHANNELS))
+    {
         for ((places, u), v) in places.iter_mut().zip(us).zip(vs) {
             locate(packed, u, v, places);
         }
@@ -255,12 +340,23 @@ struct Places {
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Places) {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "sides are at most 2^15")]
-    let (last_x, last_y, stride) = ((packed.width as i32 - 1) * 128, (packed.height as i32 - 1) * 128, packed.stride() as i32);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_possible_wrap,
+        reason = "sides are at most 2^15"
+    )]
+    let (last_x, last_y, stride) = (
+        (packed.width as i32 - 1) * 128,
+        (packed.height as i32 - 1) * 128,
+        packed.stride() as i32,
+    );
     let inside = |places: &[f32; LANES], last: i32| {
         // The second operand is the result where the first is NaN.
         let kept = _mm256_max_ps(get(places), _mm256_setzero_ps());
-        _mm256_cvttps_epi32(_mm256_min_ps(kept, _mm256_cvtepi32_ps(_mm256_set1_epi32(last))))
+        _mm256_cvttps_epi32(_mm256_min_ps(
+            kept,
+            _mm256_cvtepi32_ps(_mm256_set1_epi32(last)),
+        ))
     };
     let (across, down) = (inside(u, last_x), inside(v, last_y));
     let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
@@ -288,8 +384,13 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
             _mm256_storeu_si256(out.cast(), pixels);
         } else {
             // 12 bytes in each half, then joined.
-            let drop = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
-            let packed = _mm256_permutevar8x32_epi32(_mm256_shuffle_epi8(pixels, drop), _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 7, 7));
+            let drop = _mm256_broadcastsi128_si256(_mm_setr_epi8(
+                0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1,
+            ));
+            let packed = _mm256_permutevar8x32_epi32(
+                _mm256_shuffle_epi8(pixels, drop),
+                _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 7, 7),
+            );
             _mm_storeu_si128(out.cast(), _mm256_castsi256_si128(packed));
             _mm_storel_epi64(out.add(16).cast(), _mm256_extracti128_si256::<1>(packed));
         }
@@ -311,25 +412,47 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
         // padding.
         unsafe {
             let low = _mm_loadl_epi64(row.add(index[a] as usize).cast());
-            _mm_castpd_si128(_mm_loadh_pd(_mm_castsi128_pd(low), row.add(index[b] as usize).cast()))
+            _mm_castpd_si128(_mm_loadh_pd(
+                _mm_castsi128_pd(low),
+                row.add(index[b] as usize).cast(),
+            ))
         }
     };
-    let quad = |row: *const u32, first: usize| _mm256_set_m128i(pair(row, first + 4, first + 5), pair(row, first, first + 1));
+    let quad = |row: *const u32, first: usize| {
+        _mm256_set_m128i(pair(row, first + 4, first + 5), pair(row, first, first + 1))
+    };
     // SAFETY: the row below a pixel's exists, as above.
     let next = unsafe { texels.add(stride) };
-    let rows = [quad(texels, 0), quad(texels, 2), quad(next, 0), quad(next, 2)];
+    let rows = [
+        quad(texels, 0),
+        quad(texels, 2),
+        quad(next, 0),
+        quad(next, 2),
+    ];
     for k in [0, 4] {
-        _mm_prefetch::<_MM_HINT_T0>(texels.wrapping_add(index[k] as usize + AHEAD * stride).cast());
+        _mm_prefetch::<_MM_HINT_T0>(
+            texels
+                .wrapping_add(index[k] as usize + AHEAD * stride)
+                .cast(),
+        );
     }
 
     if !OPAQUE {
         // Alpha 255 is stored as 127, the maximum: the minimum of all is 127 only if each is.
-        let least = _mm256_min_epi8(_mm256_min_epi8(rows[0], rows[1]), _mm256_min_epi8(rows[2], rows[3]));
+        let least = _mm256_min_epi8(
+            _mm256_min_epi8(rows[0], rows[1]),
+            _mm256_min_epi8(rows[2], rows[3]),
+        );
         let full = _mm256_cmpgt_epi32(least, _mm256_set1_epi32(0x7eff_ffff));
         if _mm256_movemask_epi8(full) != -1 {
             let mut pixels = [[0_u8; 4]; LANES];
             for ((pixel, index), fractions) in pixels.iter_mut().zip(index).zip(places.fractions) {
-                *pixel = scalar::blend(packed, *index as usize, u64::from(fractions & 127), u64::from(fractions >> 16));
+                *pixel = scalar::blend(
+                    packed,
+                    *index as usize,
+                    u64::from(fractions & 127),
+                    u64::from(fractions >> 16),
+                );
             }
             // SAFETY: 32 bytes are loaded from 32 bytes.
             return unsafe { _mm256_loadu_si256(pixels.as_ptr().cast()) };
@@ -342,14 +465,35 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     let weights = _mm256_mullo_epi16(fractions, _mm256_set1_epi32(256 << 16 | 255));
     let weights = _mm256_add_epi16(weights, _mm256_set1_epi32(128));
     let spread = |a: i8, b: i8| {
-        let both = _mm_setr_epi8(a, a + 1, a, a + 1, a, a + 1, a, a + 1, b, b + 1, b, b + 1, b, b + 1, b, b + 1);
+        let both = _mm_setr_epi8(
+            a,
+            a + 1,
+            a,
+            a + 1,
+            a,
+            a + 1,
+            a,
+            a + 1,
+            b,
+            b + 1,
+            b,
+            b + 1,
+            b,
+            b + 1,
+            b,
+            b + 1,
+        );
         _mm256_shuffle_epi8(weights, _mm256_broadcastsi128_si256(both))
     };
     let (wx_a, wx_b) = (spread(0, 4), spread(8, 12));
     let (wy_a, wy_b) = (spread(2, 6), spread(10, 14));
-    let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15));
+    let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(
+        0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15,
+    ));
     // Across: the sum of w (t - 128), absolute value at most 2^14.
-    let blend = |pairs: __m256i, weights: __m256i| _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pairs, beside));
+    let blend = |pairs: __m256i, weights: __m256i| {
+        _mm256_maddubs_epi16(weights, _mm256_shuffle_epi8(pairs, beside))
+    };
     let (above_a, above_b) = (blend(rows[0], wx_a), blend(rows[1], wx_b));
     let (below_a, below_b) = (blend(rows[2], wx_a), blend(rows[3], wx_b));
     // Down: above + (below - above) f / 128, rounded to nearest by 2^6; then 2^14 for the 128 subtracted from each texel, and 2^6 to

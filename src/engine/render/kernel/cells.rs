@@ -2,9 +2,16 @@
 //! inverse of the bilinear patch gives the source position of each (`patch` derives the root). One branch-free loop over eight pixels of a
 //! row, which compilers vectorise; f32 in a fixed order, so all levels give the same bits. Cost: O(rows * blocks of pixels).
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "rows and columns that vertices reach lie below 2^21")]
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    reason = "rows and columns that vertices reach lie below 2^21"
+)]
 #![expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
-#![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
+#![expect(
+    clippy::inline_always,
+    reason = "instruction sets are chosen by the caller into which these are inlined"
+)]
 
 use std::ops::Range;
 
@@ -119,10 +126,28 @@ impl Piece {
         let (du, dv) = (b.u - a.u, d.v - a.v);
         let (map, u, v) = if seen.is_near[k] {
             let [s0, s1, s2, t0, t1, t2, ds, dt] = std::array::from_fn(|n| seen.near[n][k]);
-            (Map::Near(Near { s: [s0, s1, s2], t: [t0, t1, t2], twist: [ds, dt], is_wide: true }), a.u + 0.5 * du, a.v + 0.5 * dv)
+            (
+                Map::Near(Near {
+                    s: [s0, s1, s2],
+                    t: [t0, t1, t2],
+                    twist: [ds, dt],
+                    is_wide: true,
+                }),
+                a.u + 0.5 * du,
+                a.v + 0.5 * dv,
+            )
         } else {
             let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
-            (Map::Root(Root::new(e, f, [e1[0] - e[0], e1[1] - e[1]], seen.convex[k])), a.u, a.v)
+            (
+                Map::Root(Root::new(
+                    e,
+                    f,
+                    [e1[0] - e[0], e1[1] - e[1]],
+                    seen.convex[k],
+                )),
+                a.u,
+                a.v,
+            )
         };
         Self {
             x: a.x,
@@ -137,16 +162,29 @@ impl Piece {
 
     /// The patch of a single cell; `None` if it is not strictly convex, or has a side longer than `longest_side`.
     #[inline(always)]
-    pub(in crate::render) fn patch(corners: &[Corner; 4], longest_side: i32, unit: f32) -> Option<Self> {
+    pub(in crate::render) fn patch(
+        corners: &[Corner; 4],
+        longest_side: i32,
+        unit: f32,
+    ) -> Option<Self> {
         let [a, b, c, d] = corners;
-        let (left, right) = (a.x.min(b.x).min(c.x.min(d.x)), a.x.max(b.x).max(c.x.max(d.x)));
-        let (top, bottom) = (a.y.min(b.y).min(c.y.min(d.y)), a.y.max(b.y).max(c.y.max(d.y)));
+        let (left, right) = (
+            a.x.min(b.x).min(c.x.min(d.x)),
+            a.x.max(b.x).max(c.x.max(d.x)),
+        );
+        let (top, bottom) = (
+            a.y.min(b.y).min(c.y.min(d.y)),
+            a.y.max(b.y).max(c.y.max(d.y)),
+        );
         if (right - left).max(bottom - top) > longest_side {
             return None;
         }
-        let turn = |a: &Corner, b: &Corner, c: &Corner| (b.x - a.x) * (c.y - b.y) - (b.y - a.y) * (c.x - b.x);
+        let turn = |a: &Corner, b: &Corner, c: &Corner| {
+            (b.x - a.x) * (c.y - b.y) - (b.y - a.y) * (c.x - b.x)
+        };
         let turns = [turn(d, a, b), turn(a, b, c), turn(b, c, d), turn(c, d, a)];
-        let sign = i32::from(turns.iter().all(|&turn| turn > 0)) - i32::from(turns.iter().all(|&turn| turn < 0));
+        let sign = i32::from(turns.iter().all(|&turn| turn > 0))
+            - i32::from(turns.iter().all(|&turn| turn < 0));
         if sign == 0 {
             return None;
         }
@@ -154,14 +192,25 @@ impl Piece {
         let twist = [e1[0] - e[0], e1[1] - e[1]];
         let near = Near::new(e, f, twist);
         let (du, dv) = (b.u - a.u, d.v - a.v);
-        let (map, off) =
-            if near.is_accurate(du, dv, unit) { (Map::Near(near), 0.5) } else { (Map::Root(Root::new(e, f, twist, sign)), 0.0) };
+        let (map, off) = if near.is_accurate(du, dv, unit) {
+            (Map::Near(near), 0.5)
+        } else {
+            (Map::Root(Root::new(e, f, twist, sign)), 0.0)
+        };
         let mut edges = [[0; 3]; 4];
         for k in 0..4 {
             edges[k] = edge(&corners[k], &corners[(k + 1) & 3], a, sign);
         }
         let pixels = [first_pixel(left), first_pixel(right)];
-        Some(Self { x: a.x, y: a.y, pixels, edges, map, u: [a.u + off * du, du, 0.0], v: [a.v + off * dv, 0.0, dv] })
+        Some(Self {
+            x: a.x,
+            y: a.y,
+            pixels,
+            edges,
+            map,
+            u: [a.u + off * du, du, 0.0],
+            v: [a.v + off * dv, 0.0, dv],
+        })
     }
 
     /// A triangle, which repeats its last corner.
@@ -170,15 +219,30 @@ impl Piece {
         let [a, b, c, _] = corners;
         let (e, f, flat) = (side(a, b), side(a, c), [0.0, 0.0]);
         let near = Near::new(e, f, flat);
-        let (map, off) = if near.is_wide { (Map::Near(near), 0.5) } else { (Map::Root(Root::new(e, f, flat, sign)), 0.0) };
+        let (map, off) = if near.is_wide {
+            (Map::Near(near), 0.5)
+        } else {
+            (Map::Root(Root::new(e, f, flat, sign)), 0.0)
+        };
         let along = |a: f32, b: f32, c: f32| [a + off * ((b - a) + (c - a)), b - a, c - a];
         let mut edges = [[0; 3]; 4];
         for k in 0..4 {
             edges[k] = edge(&corners[k], &corners[(k + 1) & 3], a, sign);
         }
         let [x0, x1, x2, _] = corners.map(|c| c.x);
-        let pixels = [first_pixel(x0.min(x1).min(x2)), first_pixel(x0.max(x1).max(x2))];
-        Self { x: a.x, y: a.y, pixels, edges, map, u: along(a.u, b.u, c.u), v: along(a.v, b.v, c.v) }
+        let pixels = [
+            first_pixel(x0.min(x1).min(x2)),
+            first_pixel(x0.max(x1).max(x2)),
+        ];
+        Self {
+            x: a.x,
+            y: a.y,
+            pixels,
+            edges,
+            map,
+            u: along(a.u, b.u, c.u),
+            v: along(a.v, b.v, c.v),
+        }
     }
 }
 
@@ -190,12 +254,24 @@ fn edge(from: &Corner, to: &Corner, origin: &Corner, sign: i32) -> [i32; 3] {
 
 #[inline(always)]
 fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i32; 3] {
-    let (dx, dy) = ((to[0].wrapping_sub(from[0])).wrapping_mul(sign), (to[1].wrapping_sub(from[1])).wrapping_mul(sign));
+    let (dx, dy) = (
+        (to[0].wrapping_sub(from[0])).wrapping_mul(sign),
+        (to[1].wrapping_sub(from[1])).wrapping_mul(sign),
+    );
     // Horizontal edges decide nothing: the rows of the polygon are known.
     let dx = if dy == 0 { 0 } else { dx };
-    let (x, y) = (from[0].wrapping_sub(origin[0]), from[1].wrapping_sub(origin[1]));
+    let (x, y) = (
+        from[0].wrapping_sub(origin[0]),
+        from[1].wrapping_sub(origin[1]),
+    );
     // Pixels on a right edge are outside.
-    [dy.wrapping_neg(), dx, x.wrapping_mul(dy).wrapping_sub(y.wrapping_mul(dx)).wrapping_sub(i32::from(dy > 0))]
+    [
+        dy.wrapping_neg(),
+        dx,
+        x.wrapping_mul(dy)
+            .wrapping_sub(y.wrapping_mul(dx))
+            .wrapping_sub(i32::from(dy > 0)),
+    ]
 }
 
 /// The first pixel whose centre is not left of x.
@@ -213,7 +289,14 @@ fn side(from: &Corner, to: &Corner) -> [f32; 2] {
 impl Root {
     #[inline(always)]
     fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2], sign: i32) -> Self {
-        Self { e, f, d, area: cross(e, f), bend: -cross(f, d), sign: sign as f32 }
+        Self {
+            e,
+            f,
+            d,
+            area: cross(e, f),
+            bend: -cross(f, d),
+            sign: sign as f32,
+        }
     }
 }
 
@@ -231,7 +314,10 @@ impl Near {
     #[inline(always)]
     fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2]) -> Self {
         let [middle_e, middle_f] = [e, f].map(|side| [side[0] + 0.5 * d[0], side[1] + 0.5 * d[1]]);
-        let middle = [0.5 * (e[0] + f[0]) + 0.25 * d[0], 0.5 * (e[1] + f[1]) + 0.25 * d[1]];
+        let middle = [
+            0.5 * (e[0] + f[0]) + 0.25 * d[0],
+            0.5 * (e[1] + f[1]) + 0.25 * d[1],
+        ];
         let area = cross(middle_e, middle_f);
         let per_area = 1.0 / area;
         let s = [middle_f[1] * per_area, -middle_f[0] * per_area];
@@ -270,28 +356,52 @@ pub(in crate::render) struct CellBlock {
 
 /// Classifies the cells of block `b` of row `j`.
 #[inline(always)]
-pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock) {
+pub(super) fn classify(
+    lattice: &Lattice,
+    j: usize,
+    b: usize,
+    raster: &Raster<'_>,
+    seen: &mut CellBlock,
+) {
     let at = j * lattice.pitch + b * BLOCK;
     let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
         let places = &places[at..=at + BLOCK];
-        (places[..BLOCK].try_into().expect("a block"), places[1..].try_into().expect("a block"))
+        (
+            places[..BLOCK].try_into().expect("a block"),
+            places[1..].try_into().expect("a block"),
+        )
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
     // Of the centres of the raster's first row and of the column behind its last.
     let (first, right_end) = (raster.first as i32 * ONE + HALF, raster.width as i32 * ONE);
     for k in 0..BLOCK {
-        let (left, right_side) = (ax[k].min(bx[k]).min(cx[k].min(dx[k])), ax[k].max(bx[k]).max(cx[k].max(dx[k])));
-        let (top, bottom) = (ay[k].min(by[k]).min(cy[k].min(dy[k])), ay[k].max(by[k]).max(cy[k].max(dy[k])));
+        let (left, right_side) = (
+            ax[k].min(bx[k]).min(cx[k].min(dx[k])),
+            ax[k].max(bx[k]).max(cx[k].max(dx[k])),
+        );
+        let (top, bottom) = (
+            ay[k].min(by[k]).min(cy[k].min(dy[k])),
+            ay[k].max(by[k]).max(cy[k].max(dy[k])),
+        );
         // The first row whose centre is not above y, relative to the raster's first.
         let row = |y: i32| ((y - first + (ONE - 1)) >> ONE.trailing_zeros()).clamp(0, 32) as u64;
         let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
         let rows = below(row(top)) & !below(row(bottom)) & raster.open;
-        seen.rows[k] = if (right_side > 0) & (left < right_end) { rows } else { 0 };
+        seen.rows[k] = if (right_side > 0) & (left < right_end) {
+            rows
+        } else {
+            0
+        };
         let small = (right_side - left).max(bottom - top) <= lattice.longest_side;
         // Meaningless if the cell is not small.
         let turn = |ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32| {
-            let (px, py, qx, qy) = (bx.wrapping_sub(ax), by.wrapping_sub(ay), cx.wrapping_sub(bx), cy.wrapping_sub(by));
+            let (px, py, qx, qy) = (
+                bx.wrapping_sub(ax),
+                by.wrapping_sub(ay),
+                cx.wrapping_sub(bx),
+                cy.wrapping_sub(by),
+            );
             px.wrapping_mul(qy).wrapping_sub(py.wrapping_mul(qx))
         };
         let turns = [
@@ -309,19 +419,39 @@ pub(super) fn classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_
     if seen.rows.iter().all(|&rows| rows == 0) {
         return;
     }
-    let (u, dv) = (&lattice.u[b * BLOCK..=(b + 1) * BLOCK], (lattice.v[j + 1] - lattice.v[j]).abs());
+    let (u, dv) = (
+        &lattice.u[b * BLOCK..=(b + 1) * BLOCK],
+        (lattice.v[j + 1] - lattice.v[j]).abs(),
+    );
     for k in 0..BLOCK {
-        let (a, b, c, d) = ([ax[k], ay[k]], [bx[k], by[k]], [cx[k], cy[k]], [dx[k], dy[k]]);
-        let side = |a: [i32; 2], b: [i32; 2]| [b[0].wrapping_sub(a[0]) as f32 * STEP, b[1].wrapping_sub(a[1]) as f32 * STEP];
+        let (a, b, c, d) = (
+            [ax[k], ay[k]],
+            [bx[k], by[k]],
+            [cx[k], cy[k]],
+            [dx[k], dy[k]],
+        );
+        let side = |a: [i32; 2], b: [i32; 2]| {
+            [
+                b[0].wrapping_sub(a[0]) as f32 * STEP,
+                b[1].wrapping_sub(a[1]) as f32 * STEP,
+            ]
+        };
         let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
         let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
         seen.is_near[k] = near.is_accurate(u[k + 1] - u[k], dv, lattice.unit);
         let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
-        for (lanes, value) in seen.near.iter_mut().zip([s[0], s[1], s[2], t[0], t[1], t[2], twist[0], twist[1]]) {
+        for (lanes, value) in seen
+            .near
+            .iter_mut()
+            .zip([s[0], s[1], s[2], t[0], t[1], t[2], twist[0], twist[1]])
+        {
             lanes[k] = value;
         }
         for (lanes, (from, to)) in seen.edges.iter_mut().zip([(a, b), (b, c), (c, d), (d, a)]) {
-            for (lanes, value) in lanes.iter_mut().zip(edge_between(from, to, a, seen.convex[k])) {
+            for (lanes, value) in lanes
+                .iter_mut()
+                .zip(edge_between(from, to, a, seen.convex[k]))
+            {
                 lanes[k] = value;
             }
         }
@@ -338,11 +468,20 @@ pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
         let row = left.trailing_zeros();
         left &= left - 1;
         let y = line(raster.first + row).wrapping_sub(piece.y);
-        let mut inside = piece.edges.map(|[gx, gy, g]| gx.wrapping_mul(x0).wrapping_add(gy.wrapping_mul(y)).wrapping_add(g));
+        let mut inside = piece.edges.map(|[gx, gy, g]| {
+            gx.wrapping_mul(x0)
+                .wrapping_add(gy.wrapping_mul(y))
+                .wrapping_add(g)
+        });
         let pixels = row as usize * raster.pitch + from..row as usize * raster.pitch + to.max(from);
         let (mut x, y) = (x0 as f32 * STEP, y as f32 * STEP);
-        for (u, v) in raster.u[pixels.clone()].iter_mut().zip(&mut raster.v[pixels]) {
-            if inside[0] | inside[1] | inside[2] | inside[3] >= 0 && (raster.over || *u == UNCOVERED) {
+        for (u, v) in raster.u[pixels.clone()]
+            .iter_mut()
+            .zip(&mut raster.v[pixels])
+        {
+            if inside[0] | inside[1] | inside[2] | inside[3] >= 0
+                && (raster.over || *u == UNCOVERED)
+            {
                 (*u, *v) = piece.place(x, y);
             }
             for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {
@@ -392,14 +531,26 @@ impl Piece {
                 let under = b * b - (4.0 * root.bend) * c;
                 let m = (if under > 0.0 { under } else { 0.0 }).sqrt() * root.sign;
                 let same = b * m >= 0.0;
-                let t = within((if same { -2.0 * c } else { m - b }) / (if same { b + m } else { 2.0 * root.bend }));
+                let t = within(
+                    (if same { -2.0 * c } else { m - b })
+                        / (if same { b + m } else { 2.0 * root.bend }),
+                );
                 let (along_x, along_y) = (ex + dx * t, ey + dy * t);
                 let (rest_x, rest_y) = (x - fx * t, y - fy * t);
                 let wide = along_x.abs() > along_y.abs();
-                (within((if wide { rest_x } else { rest_y }) / (if wide { along_x } else { along_y })), t)
+                (
+                    within(
+                        (if wide { rest_x } else { rest_y })
+                            / (if wide { along_x } else { along_y }),
+                    ),
+                    t,
+                )
             }
         };
-        (self.u[0] + s * self.u[1] + t * self.u[2], self.v[0] + s * self.v[1] + t * self.v[2])
+        (
+            self.u[0] + s * self.u[1] + t * self.u[2],
+            self.v[0] + s * self.v[1] + t * self.v[2],
+        )
     }
 }
 

@@ -2,9 +2,16 @@
 //! levels give the same bits. Most pixels of a marked cell need one sample, which is seen without a root or a division. Cost: about 15 ns
 //! per pixel with more samples.
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "columns and rows of a grid are exact in f32")]
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss,
+    reason = "columns and rows of a grid are exact in f32"
+)]
 #![expect(clippy::cast_possible_wrap, reason = "numbers up to 16")]
-#![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
+#![expect(
+    clippy::inline_always,
+    reason = "instruction sets are chosen by the caller into which these are inlined"
+)]
 
 use super::rounding::ROUND_F32;
 
@@ -71,7 +78,13 @@ pub(in crate::render) struct Alike {
 
 impl Default for Alike {
     fn default() -> Self {
-        Self { len: 0, pixels: [0; BATCH], reductions: [0; BATCH], places: [[0.0; BATCH]; 6], across: [0; BATCH] }
+        Self {
+            len: 0,
+            pixels: [0; BATCH],
+            reductions: [0; BATCH],
+            places: [[0.0; BATCH]; 6],
+            across: [0; BATCH],
+        }
     }
 }
 
@@ -80,8 +93,15 @@ impl Alike {
     pub(in crate::render) fn split(&mut self, rest: &mut Self) {
         let all = std::mem::take(&mut self.len);
         for k in 0..all {
-            let (place, shape) = (self.places.each_ref().map(|of| of[k]), [self.reductions[k], self.across[k]]);
-            if shape[0] == self.reductions[0] { self.push(self.pixels[k], place, shape) } else { rest.push(self.pixels[k], place, shape) }
+            let (place, shape) = (
+                self.places.each_ref().map(|of| of[k]),
+                [self.reductions[k], self.across[k]],
+            );
+            if shape[0] == self.reductions[0] {
+                self.push(self.pixels[k], place, shape)
+            } else {
+                rest.push(self.pixels[k], place, shape)
+            }
         }
     }
 
@@ -108,12 +128,38 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
 /// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be room for as many of each kind. `first`:
 /// index of the first pixel. Passes over arrays, which compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
-pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
+pub(super) fn footprints(
+    grid: &FootprintGrid,
+    u: &[f32],
+    v: &[f32],
+    first: usize,
+    batch: &mut FootprintBatch,
+) {
     let FootprintBatch { alike, lanes } = batch;
-    let Lanes { pixels, cells, shares: [s, t], mixed, jacobians, several, shapes } = &mut **lanes;
+    let Lanes {
+        pixels,
+        cells,
+        shares: [s, t],
+        mixed,
+        jacobians,
+        several,
+        shapes,
+    } = &mut **lanes;
     cells.fill(0);
-    locate(u, (grid.origin[0], grid.cells[0], grid.columns), 1, cells, s);
-    locate(v, (grid.origin[1], grid.cells[1], grid.rows), grid.columns as u32, cells, t);
+    locate(
+        u,
+        (grid.origin[0], grid.cells[0], grid.columns),
+        1,
+        cells,
+        s,
+    );
+    locate(
+        v,
+        (grid.origin[1], grid.cells[1], grid.rows),
+        grid.columns as u32,
+        cells,
+        t,
+    );
     let mut count = 0;
     for (k, cell) in cells[..u.len()].iter().enumerate() {
         pixels[count] = k;
@@ -124,9 +170,17 @@ pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usiz
     }
     for (mixed, k) in mixed.iter_mut().zip(&pixels[..count]) {
         let at = cells[*k] as usize;
-        let top: &[[f32; 4]; 2] = grid.jacobians[at..].first_chunk().expect("a cell has a right side");
-        let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..].first_chunk().expect("a cell has a lower side");
-        *mixed = mix(&mix(&top[0], &top[1], s[*k]), &mix(&bottom[0], &bottom[1], s[*k]), t[*k]);
+        let top: &[[f32; 4]; 2] = grid.jacobians[at..]
+            .first_chunk()
+            .expect("a cell has a right side");
+        let bottom: &[[f32; 4]; 2] = grid.jacobians[at + grid.columns..]
+            .first_chunk()
+            .expect("a cell has a lower side");
+        *mixed = mix(
+            &mix(&top[0], &top[1], s[*k]),
+            &mix(&bottom[0], &bottom[1], s[*k]),
+            t[*k],
+        );
     }
     let [xx, yx, xy, yy] = &mut *jacobians;
     let groups = count.next_multiple_of(LANES).min(TOGETHER);
@@ -140,7 +194,8 @@ pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usiz
     }
     let marked = std::mem::take(&mut count);
     for k in 0..marked {
-        (xx[count], yx[count], xy[count], yy[count], pixels[count]) = (xx[k], yx[k], xy[k], yy[k], pixels[k]);
+        (xx[count], yx[count], xy[count], yy[count], pixels[count]) =
+            (xx[k], yx[k], xy[k], yy[k], pixels[k]);
         count += several[k] as usize;
     }
     shapes.fill(jacobians, count, &grid.scale);
@@ -149,7 +204,9 @@ pub(super) fn footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usiz
         if across + down == 0 {
             continue;
         }
-        let reduction = (0..16_u32).find(|r| shapes.distance[n] <= APART * (1_u32 << r) as f32).unwrap_or(16);
+        let reduction = (0..16_u32)
+            .find(|r| shapes.distance[n] <= APART * (1_u32 << r) as f32)
+            .unwrap_or(16);
         let [ax, ay, bx, by] = &shapes.sides;
         let place = [u[*k], v[*k], ax[n], ay[n], bx[n], by[n]];
         let kind = (across + down) as usize - 1 + KINDS * usize::from(reduction > 0);
@@ -164,12 +221,16 @@ pub(super) fn positions(alike: &Alike, log: u32, us: &mut [f32], vs: &mut [f32])
     let [u, v, ax, ay, bx, by] = alike.places.each_ref().map(|of| &of[..n]);
     let (across, reductions) = (&alike.across[..n], &alike.reductions[..n]);
     for sample in 0..1_u32 << log {
-        let (us, vs) = (&mut us[sample as usize * n..][..n], &mut vs[sample as usize * n..][..n]);
+        let (us, vs) = (
+            &mut us[sample as usize * n..][..n],
+            &mut vs[sample as usize * n..][..n],
+        );
         for k in 0..n {
             let share = inverse(reductions[k]);
             // 128 times the position, px, is 63.5 larger than the coordinate.
             let reduced = |coordinate: f32| (coordinate + 63.5) * share - 63.5;
-            let x = ((sample & !(u32::MAX << across[k])) as i32 as f32 + 0.5) * inverse(across[k]) - 0.5;
+            let x = ((sample & !(u32::MAX << across[k])) as i32 as f32 + 0.5) * inverse(across[k])
+                - 0.5;
             let y = ((sample >> across[k]) as i32 as f32 + 0.5) * inverse(log - across[k]) - 0.5;
             us[k] = reduced(u[k] + x * ax[k] + y * bx[k]);
             vs[k] = reduced(v[k] + x * ay[k] + y * by[k]);
@@ -191,16 +252,35 @@ struct Lanes {
 
 impl Default for Lanes {
     fn default() -> Self {
-        let shapes = Shapes { sides: [[0.0; TOGETHER]; 4], across: [0; TOGETHER], down: [0; TOGETHER], distance: [0.0; TOGETHER] };
+        let shapes = Shapes {
+            sides: [[0.0; TOGETHER]; 4],
+            across: [0; TOGETHER],
+            down: [0; TOGETHER],
+            distance: [0.0; TOGETHER],
+        };
         let (pixels, cells, several) = ([0; TOGETHER], [0; TOGETHER], [0; TOGETHER]);
         let (mixed, jacobians) = ([[0.0; 4]; TOGETHER], [[0.0; TOGETHER]; 4]);
-        Self { pixels, cells, shares: [[0.0; TOGETHER]; 2], mixed, jacobians, several, shapes }
+        Self {
+            pixels,
+            cells,
+            shares: [[0.0; TOGETHER]; 2],
+            mixed,
+            jacobians,
+            several,
+            shapes,
+        }
     }
 }
 
 /// Adds `step` times the cells along one axis to `cells`, and computes the positions in them.
 #[inline(always)]
-fn locate(at: &[f32], (origin, per, lines): (f32, f32, usize), step: u32, cells: &mut [u32], shares: &mut [f32]) {
+fn locate(
+    at: &[f32],
+    (origin, per, lines): (f32, f32, usize),
+    step: u32,
+    cells: &mut [u32],
+    shares: &mut [f32],
+) {
     let (last, most) = ((lines - 2) as f32, (lines - 1) as f32);
     for ((at, cell), share) in at.iter().zip(cells).zip(shares) {
         let at = (at - origin) * per;
@@ -231,7 +311,11 @@ fn mix(a: &[f32; 4], b: &[f32; 4], share: f32) -> [f32; 4] {
 fn squares([xx, yx, xy, yy]: &[f32; 4]) -> (f32, [f32; 2]) {
     let det = (xx * yy - xy * yx).abs();
     // Where cells have no area, the longest footprint.
-    let det = if det > f32::MIN_POSITIVE { det } else { f32::MIN_POSITIVE };
+    let det = if det > f32::MIN_POSITIVE {
+        det
+    } else {
+        f32::MIN_POSITIVE
+    };
     (det, [yy * yy + yx * yx, xx * xx + xy * xy])
 }
 
@@ -250,7 +334,12 @@ impl Shapes {
     fn fill(&mut self, jacobians: &[[f32; TOGETHER]; 4], count: usize, scale: &[[f32; 2]; 2]) {
         let [ax, ay, bx, by] = &mut self.sides;
         for k in 0..count.next_multiple_of(LANES).min(TOGETHER) {
-            let [xx, yx, xy, yy] = [jacobians[0][k], jacobians[1][k], jacobians[2][k], jacobians[3][k]];
+            let [xx, yx, xy, yy] = [
+                jacobians[0][k],
+                jacobians[1][k],
+                jacobians[2][k],
+                jacobians[3][k],
+            ];
             let (det, [square_a, square_b]) = squares(&[xx, yx, xy, yy]);
             let (a_x, a_y, a) = side((yy, -yx), square_a, det, &scale[0]);
             let (b_x, b_y, b) = side((-xy, xx), square_b, det, &scale[1]);
@@ -260,7 +349,11 @@ impl Shapes {
             // At most four along the shorter side.
             let few = step(short, 1.0) + step(short, 2.0);
             let many = step(long, 1.0) + step(long, 2.0) + step(long, 4.0) + step(long, 8.0);
-            let many = if many < MOST.ilog2() - few { many } else { MOST.ilog2() - few };
+            let many = if many < MOST.ilog2() - few {
+                many
+            } else {
+                MOST.ilog2() - few
+            };
             let (apart, beside) = (long * inverse(many), short * inverse(few));
             self.distance[k] = if apart > beside { apart } else { beside };
             self.across[k] = if is_wide { many } else { few };

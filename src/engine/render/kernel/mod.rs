@@ -29,8 +29,12 @@ use crate::level::Level;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
-pub(super) use footprints::{Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, MOST, TOGETHER, one_sample_up_to};
-pub(super) use scalar::{CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian};
+pub(super) use footprints::{
+    Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, MOST, TOGETHER, one_sample_up_to,
+};
+pub(super) use scalar::{
+    CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian,
+};
 
 /// The kernels of a level that this machine has.
 #[derive(Clone, Copy, Debug)]
@@ -54,7 +58,11 @@ macro_rules! dispatch {
 impl Kernel {
     /// The kernels of a level; scalar if the machine lacks it.
     pub(super) fn new(level: Level) -> Self {
-        Self(if level.is_here() { level } else { Level::Scalar })
+        Self(if level.is_here() {
+            level
+        } else {
+            Level::Scalar
+        })
     }
 
     /// The level in use.
@@ -63,7 +71,15 @@ impl Kernel {
     }
 
     /// Poses a row of vertices and snaps it to the lattice.
-    pub(super) fn snap(self, rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]) {
+    pub(super) fn snap(
+        self,
+        rest_x: &[f64],
+        rest_y: f64,
+        displacement: &[[f32; 2]],
+        scale: [f64; 2],
+        x: &mut [i32],
+        y: &mut [i32],
+    ) {
         dispatch!(self, snap(rest_x, rest_y, displacement, scale, x, y));
     }
 
@@ -73,7 +89,13 @@ impl Kernel {
     }
 
     /// The vectors from some vertices to others, times `scale`.
-    pub(super) fn edges(self, from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges) {
+    pub(super) fn edges(
+        self,
+        from: (&[i32], &[i32]),
+        to: (&[i32], &[i32]),
+        scale: f32,
+        edges: &mut Edges,
+    ) {
         dispatch!(self, edges(from, to, scale, edges));
     }
 
@@ -83,7 +105,13 @@ impl Kernel {
     }
 
     /// How each steep cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0.
-    pub(super) fn steepness(self, cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
+    pub(super) fn steepness(
+        self,
+        cells: &CellRow<'_>,
+        above: &[f32],
+        below: &[f32],
+        soundness: &mut [u8],
+    ) {
         dispatch!(self, steepness(cells, above, below, soundness));
     }
 
@@ -94,12 +122,25 @@ impl Kernel {
 
     /// Whether each cell between two lines of vertices shrinks the source by more than `least`, from its left and upper sides: 1 or 0.
     /// `lines`: displacements, px; `per`: cells per px of the source.
-    pub(super) fn shrinks(self, lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]) {
+    pub(super) fn shrinks(
+        self,
+        lines: (&[[f32; 2]], &[[f32; 2]]),
+        per: [f32; 2],
+        least: f32,
+        shrinking: &mut [u8],
+    ) {
         dispatch!(self, shrinks(lines, per, least, shrinking));
     }
 
     /// Appends the pixels that need several samples. `first`: index of the first pixel. There must be room for as many of each kind.
-    pub(super) fn footprints(self, grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch) {
+    pub(super) fn footprints(
+        self,
+        grid: &FootprintGrid,
+        u: &[f32],
+        v: &[f32],
+        first: usize,
+        batch: &mut FootprintBatch,
+    ) {
         dispatch!(self, footprints(grid, u, v, first, batch));
     }
 
@@ -110,7 +151,13 @@ impl Kernel {
 
     /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is
     /// crossed; meaningless for a column that crosses a row more than once.
-    pub(super) fn crossings(self, lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    pub(super) fn crossings(
+        self,
+        lattice: &Lattice,
+        rows: Range<u32>,
+        x: &mut [f32],
+        v: &mut [f32],
+    ) {
         dispatch!(self, crossings(lattice, rows, x, v));
     }
 
@@ -120,7 +167,14 @@ impl Kernel {
     }
 
     /// Classifies a block of cells: the rows of the raster that they meet, and whether they are convex.
-    pub(super) fn classify(self, lattice: &Lattice, j: usize, block: usize, raster: &Raster<'_>, seen: &mut CellBlock) {
+    pub(super) fn classify(
+        self,
+        lattice: &Lattice,
+        j: usize,
+        block: usize,
+        raster: &Raster<'_>,
+        seen: &mut CellBlock,
+    ) {
         dispatch!(self, classify(lattice, j, block, raster, seen));
     }
 
@@ -130,7 +184,14 @@ impl Kernel {
     }
 
     /// Bilinear samples of a run of pixels.
-    pub(super) fn sample(self, packed: &Packed, u: &[f32], v: &[f32], channels: Channels, out: &mut [u8]) {
+    pub(super) fn sample(
+        self,
+        packed: &Packed,
+        u: &[f32],
+        v: &[f32],
+        channels: Channels,
+        out: &mut [u8],
+    ) {
         dispatch!(self, sample(packed, u, v, channels, out));
     }
 }

@@ -4,8 +4,15 @@
 //! 16-bit lanes can do). With alpha it is `round(sum of w a t / sum of w a)`, so colours under alpha 0 never show. The functions are
 //! inlined so that `avx2` can compile them again for wider registers.
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "values are clamped to their range before they are narrowed")]
-#![expect(clippy::inline_always, reason = "instruction sets are chosen by the caller into which these are inlined")]
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "values are clamped to their range before they are narrowed"
+)]
+#![expect(
+    clippy::inline_always,
+    reason = "instruction sets are chosen by the caller into which these are inlined"
+)]
 
 use std::ops::Range;
 
@@ -23,10 +30,19 @@ pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
 const LANES: usize = 8;
 
 #[inline(always)]
-pub(super) fn snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]) {
+pub(super) fn snap(
+    rest_x: &[f64],
+    rest_y: f64,
+    displacement: &[[f32; 2]],
+    scale: [f64; 2],
+    x: &mut [i32],
+    y: &mut [i32],
+) {
     let limit = f64::from(LIMIT);
     let snapped = |rest: f64, displacement: f32, scale: f64| {
-        let place = ((rest + f64::from(displacement)) * scale).max(-limit).min(limit);
+        let place = ((rest + f64::from(displacement)) * scale)
+            .max(-limit)
+            .min(limit);
         (place + ROUND).to_bits() as i32
     };
     for (((x, y), rest), d) in x.iter_mut().zip(y).zip(rest_x).zip(displacement) {
@@ -41,7 +57,9 @@ pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
     for (b, range) in y_ranges.iter_mut().enumerate() {
         let block = block(&y[b * BLOCK..]);
         let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
-        let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| (top.min(y), bottom.max(y)));
+        let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| {
+            (top.min(y), bottom.max(y))
+        });
         *range = YRange { top, bottom };
     }
 }
@@ -76,10 +94,16 @@ fn px(place: i32) -> f32 {
 pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
     let (per_above, per_below) = (1.0 / above.height, 1.0 / below.height);
     let n = bends.len();
-    let (x0, y0, x1, y1) = (&above.top.0[..n], &above.top.1[..n], &below.top.0[..n], &below.top.1[..n]);
+    let (x0, y0, x1, y1) = (
+        &above.top.0[..n],
+        &above.top.1[..n],
+        &below.top.0[..n],
+        &below.top.1[..n],
+    );
     let (x2, y2) = (&below.bottom.0[..n], &below.bottom.1[..n]);
     for c in 0..n {
-        let jump = |a: i32, b: i32, c: i32| (px(c) - px(b)) * per_below - (px(b) - px(a)) * per_above;
+        let jump =
+            |a: i32, b: i32, c: i32| (px(c) - px(b)) * per_below - (px(b) - px(a)) * per_above;
         let (x, y) = (jump(x0[c], x1[c], x2[c]), jump(y0[c], y1[c], y2[c]));
         bends[c] = x * x + y * y;
     }
@@ -87,15 +111,33 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
 
 /// The Jacobian of the posed by the rest position, of differences of the displacement along x and y: x and y along x, x and y along y.
 #[inline(always)]
-pub(in crate::render) fn jacobian(along_x: [f32; 2], along_y: [f32; 2], [per_x, per_y]: [f32; 2]) -> [f32; 4] {
-    [1.0 + along_x[0] * per_x, along_x[1] * per_x, along_y[0] * per_y, 1.0 + along_y[1] * per_y]
+pub(in crate::render) fn jacobian(
+    along_x: [f32; 2],
+    along_y: [f32; 2],
+    [per_x, per_y]: [f32; 2],
+) -> [f32; 4] {
+    [
+        1.0 + along_x[0] * per_x,
+        along_x[1] * per_x,
+        along_y[0] * per_y,
+        1.0 + along_y[1] * per_y,
+    ]
 }
 
 #[inline(always)]
-pub(super) fn shrinks((above, below): (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]) {
+pub(super) fn shrinks(
+    (above, below): (&[[f32; 2]], &[[f32; 2]]),
+    per: [f32; 2],
+    least: f32,
+    shrinking: &mut [u8],
+) {
     let cells = above.iter().zip(&above[1..]).zip(below);
     for (shrinking, ((a, right), below)) in shrinking.iter_mut().zip(cells) {
-        let [xx, yx, xy, yy] = jacobian([right[0] - a[0], right[1] - a[1]], [below[0] - a[0], below[1] - a[1]], per);
+        let [xx, yx, xy, yy] = jacobian(
+            [right[0] - a[0], right[1] - a[1]],
+            [below[0] - a[0], below[1] - a[1]],
+            per,
+        );
         let det = xx * yy - xy * yx;
         let limit = least * least * det * det;
         // A side of the parallelogram of the source that a px of the target shows.
@@ -166,42 +208,87 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
     let n = soundness.len();
     let lines = |k: usize| (&cells.lines[k].x[..n], &cells.lines[k].y[..n]);
     let columns = |k: usize| (&cells.columns[k].x[..=n], &cells.columns[k].y[..=n]);
-    let ((_, over_y), (top_x, top_y), (bottom_x, bottom_y), (_, under_y)) = (lines(0), lines(1), lines(2), lines(3));
-    let ((above_x, above_y), (here_x, here_y), (below_x, below_y)) = (columns(0), columns(1), columns(2));
+    let ((_, over_y), (top_x, top_y), (bottom_x, bottom_y), (_, under_y)) =
+        (lines(0), lines(1), lines(2), lines(3));
+    let ((above_x, above_y), (here_x, here_y), (below_x, below_y)) =
+        (columns(0), columns(1), columns(2));
     let u = &cells.u[..=n];
     let cross = |a: (f32, f32), b: (f32, f32)| a.0 * b.1 - a.1 * b.0;
     let least = |a: f32, b: f32| if a < b { a } else { b };
     let most = |a: f32, b: f32| if a > b { a } else { b };
     let minus = |a: (f32, f32), b: (f32, f32)| (a.0 - b.0, a.1 - b.1);
-    let choose = |which: bool, a: (f32, f32), b: (f32, f32)| (if which { a.0 } else { b.0 }, if which { a.1 } else { b.1 });
+    let choose = |which: bool, a: (f32, f32), b: (f32, f32)| {
+        (if which { a.0 } else { b.0 }, if which { a.1 } else { b.1 })
+    };
     for c in 0..n {
         let (top, bottom) = ((top_x[c], top_y[c]), (bottom_x[c], bottom_y[c]));
         let (over_left, over_right) = ((above_x[c], above_y[c]), (above_x[c + 1], above_y[c + 1]));
         let (left, right) = ((here_x[c], here_y[c]), (here_x[c + 1], here_y[c + 1]));
-        let (under_left, under_right) = ((below_x[c], below_y[c]), (below_x[c + 1], below_y[c + 1]));
+        let (under_left, under_right) =
+            ((below_x[c], below_y[c]), (below_x[c + 1], below_y[c + 1]));
 
-        let (areas_top, areas_bottom) = ((cross(top, left), cross(top, right)), (cross(bottom, left), cross(bottom, right)));
-        let (least_top, least_bottom) = (least(areas_top.0, areas_top.1), least(areas_bottom.0, areas_bottom.1));
+        let (areas_top, areas_bottom) = (
+            (cross(top, left), cross(top, right)),
+            (cross(bottom, left), cross(bottom, right)),
+        );
+        let (least_top, least_bottom) = (
+            least(areas_top.0, areas_top.1),
+            least(areas_bottom.0, areas_bottom.1),
+        );
         // Four times the area.
-        let middle = least(2.0 * least_top + (areas_top.0 + areas_top.1), 2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1));
+        let middle = least(
+            2.0 * least_top + (areas_top.0 + areas_top.1),
+            2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1),
+        );
         let width = (u[c + 1] - u[c]) * cells.unit;
         let fall = least(left.1, right.1);
         let slant = most(top.1.abs(), bottom.1.abs());
-        let least_fall = least(fall, least(least(over_left.1, over_right.1), least(under_left.1, under_right.1)));
+        let least_fall = least(
+            fall,
+            least(
+                least(over_left.1, over_right.1),
+                least(under_left.1, under_right.1),
+            ),
+        );
         let most_slant = most(slant, most(over_y[c].abs(), under_y[c].abs()));
 
         // The cell's own twist, and the difference of columns across a line. Where a line falls to the right, a row comes from the cell
         // below.
         let twist = minus(right, left);
-        let across_top = choose(top.1 > 0.0, minus(over_right, left), minus(right, over_left));
-        let across_bottom = choose(bottom.1 > 0.0, minus(right, under_left), minus(under_right, left));
-        let off = |one: (f32, f32), other: (f32, f32), twist: (f32, f32)| most(cross(one, twist).abs(), cross(other, twist).abs());
-        let off_u = most(cross(left, right).abs(), most(off(left, right, across_top), off(left, right, across_bottom)));
-        let off_v = most(off(top, bottom, twist), most(off(top, bottom, across_top), off(top, bottom, across_bottom)));
+        let across_top = choose(
+            top.1 > 0.0,
+            minus(over_right, left),
+            minus(right, over_left),
+        );
+        let across_bottom = choose(
+            bottom.1 > 0.0,
+            minus(right, under_left),
+            minus(under_right, left),
+        );
+        let off = |one: (f32, f32), other: (f32, f32), twist: (f32, f32)| {
+            most(cross(one, twist).abs(), cross(other, twist).abs())
+        };
+        let off_u = most(
+            cross(left, right).abs(),
+            most(
+                off(left, right, across_top),
+                off(left, right, across_bottom),
+            ),
+        );
+        let off_v = most(
+            off(top, bottom, twist),
+            most(
+                off(top, bottom, across_top),
+                off(top, bottom, across_bottom),
+            ),
+        );
         let near = slant * most(off_u * width, off_v) <= cells.tolerance * middle * least_fall;
-        let upright = (least(least_top, least_bottom) > LEAST_AREA / (STEP * STEP) * width) & (fall > 0.0);
+        let upright =
+            (least(least_top, least_bottom) > LEAST_AREA / (STEP * STEP) * width) & (fall > 0.0);
         let flat = most_slant < least_fall * cells.height;
-        soundness[c] = u8::from(upright) + u8::from(upright & flat & near) + if upright & !flat { STEEP } else { 0 };
+        soundness[c] = u8::from(upright)
+            + u8::from(upright & flat & near)
+            + if upright & !flat { STEEP } else { 0 };
     }
 }
 
@@ -225,19 +312,29 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
         let least = |a: f32, b: f32| if a < b { a } else { b };
         let most = |a: f32, b: f32| if a > b { a } else { b };
         let norm2 = |a: (f32, f32)| a.0 * a.0 + a.1 * a.1;
-        let area = least(least(cross(top, left), cross(top, right)), least(cross(bottom, left), cross(bottom, right)));
+        let area = least(
+            least(cross(top, left), cross(top, right)),
+            least(cross(bottom, left), cross(bottom, right)),
+        );
         let width = (u[c + 1] - u[c]) * cells.unit;
         let fall = least(left.1, right.1);
         let slant = most(top.1.abs(), bottom.1.abs());
         let twist2 = norm2((right.0 - left.0, right.1 - left.1));
         let bend2 = most(most(above[c], above[c + 1]), most(below[c], below[c + 1]));
-        let reach2 = most(most(norm2(left), norm2(right)) * (width * width), most(norm2(top), norm2(bottom)) * height2);
+        let reach2 = most(
+            most(norm2(left), norm2(right)) * (width * width),
+            most(norm2(top), norm2(bottom)) * height2,
+        );
         let fall2 = fall * fall;
         // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else at most 1 + |dt|.
         let lines = if slant < fall { fall } else { fall + slant };
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
-        let near = off * off * reach2 <= 16.0 * cells.tolerance * cells.tolerance * (area * area) * (fall2 * fall2);
-        let far = most(most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())), most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())));
+        let near = off * off * reach2
+            <= 16.0 * cells.tolerance * cells.tolerance * (area * area) * (fall2 * fall2);
+        let far = most(
+            most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())),
+            most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())),
+        );
         let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
         let sound = upright & (slant <= STEEPEST * fall) & near;
         soundness[c] = u8::from(upright) + u8::from(sound);
@@ -247,7 +344,9 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
 /// A block of values.
 #[inline(always)]
 fn block<T>(values: &[T]) -> &[T; BLOCK] {
-    values.first_chunk().expect("arrays are padded to whole blocks")
+    values
+        .first_chunk()
+        .expect("arrays are padded to whole blocks")
 }
 
 #[inline(always)]
@@ -263,7 +362,10 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
             }
             let at = j * lattice.pitch + b * BLOCK;
             let (xa, ya) = (block(&lattice.x[at..]), block(&lattice.y[at..]));
-            let (xb, yb) = (block(&lattice.x[at + lattice.pitch..]), block(&lattice.y[at + lattice.pitch..]));
+            let (xb, yb) = (
+                block(&lattice.x[at + lattice.pitch..]),
+                block(&lattice.y[at + lattice.pitch..]),
+            );
             let (mut x0, mut y0, mut y1) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK], [0.0_f32; BLOCK]);
             let (mut slope_x, mut slope_v) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
             for c in 0..BLOCK {
@@ -280,8 +382,16 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
                 for c in 0..BLOCK {
                     let below = centre - y0[c];
                     let crosses = (below >= 0.0) & (centre < y1[c]);
-                    x[c] = if crosses { x0[c] + below * slope_x[c] } else { x[c] };
-                    v[c] = if crosses { top + below * slope_v[c] } else { v[c] };
+                    x[c] = if crosses {
+                        x0[c] + below * slope_x[c]
+                    } else {
+                        x[c]
+                    };
+                    v[c] = if crosses {
+                        top + below * slope_v[c]
+                    } else {
+                        v[c]
+                    };
                 }
             }
         }
@@ -343,7 +453,9 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
 
 #[inline(always)]
 fn notes(notes: &[[f32; BLOCK]], block: usize) -> &[[f32; BLOCK]; NOTES] {
-    notes[block * NOTES..].first_chunk().expect("there is room for whole blocks")
+    notes[block * NOTES..]
+        .first_chunk()
+        .expect("there is room for whole blocks")
 }
 
 /// Notes the first pixel of every span, and the coordinates there with their steps.
@@ -355,9 +467,12 @@ pub(super) fn note(spans: &mut Spans<'_>) {
         let (x0, x1) = (block(&spans.x[at..]), block(&spans.x[at + 1..]));
         let (v0, v1) = (block(&spans.v[at..]), block(&spans.v[at + 1..]));
         let (u0, u1) = (block(&spans.u[at..]), block(&spans.u[at + 1..]));
-        let first: &mut [u32; BLOCK] = spans.first[at..].first_chunk_mut().expect("there is room for whole blocks");
-        let [nu, ndu, nv, ndv]: &mut [[f32; BLOCK]; NOTES] =
-            spans.notes[b * NOTES..].first_chunk_mut().expect("there is room for whole blocks");
+        let first: &mut [u32; BLOCK] = spans.first[at..]
+            .first_chunk_mut()
+            .expect("there is room for whole blocks");
+        let [nu, ndu, nv, ndv]: &mut [[f32; BLOCK]; NOTES] = spans.notes[b * NOTES..]
+            .first_chunk_mut()
+            .expect("there is room for whole blocks");
         for c in 0..BLOCK {
             let (pixel, place) = first_pixel(x0[c], width);
             let per_px = 1.0 / (x1[c] - x0[c]);
@@ -408,7 +523,10 @@ pub(super) fn sample(packed: &Packed, u: &[f32], v: &[f32], channels: Channels, 
 #[inline(always)]
 pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
     let (last_x, last_y) = (packed.width - 1, packed.height - 1);
-    let (u, v) = (fixed(u, (last_x * 128) as f32), fixed(v, (last_y * 128) as f32));
+    let (u, v) = (
+        fixed(u, (last_x * 128) as f32),
+        fixed(v, (last_y * 128) as f32),
+    );
     let (fx, fy) = ((u & 127) as u64, (v & 127) as u64);
     let at = (v >> 7).min(last_y) * packed.stride() + (u >> 7).min(last_x);
     blend(packed, at, fx, fy)
@@ -418,7 +536,12 @@ pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
 #[inline(always)]
 pub(super) fn blend(packed: &Packed, at: usize, fx: u64, fy: u64) -> [u8; 4] {
     let below = at + packed.stride();
-    let texels = [packed.texels[at] ^ FLIP, packed.texels[at + 1] ^ FLIP, packed.texels[below] ^ FLIP, packed.texels[below + 1] ^ FLIP];
+    let texels = [
+        packed.texels[at] ^ FLIP,
+        packed.texels[at + 1] ^ FLIP,
+        packed.texels[below] ^ FLIP,
+        packed.texels[below + 1] ^ FLIP,
+    ];
     if packed.opaque || texels[0] & texels[1] & texels[2] & texels[3] >= 0xff00_0000 {
         opaque(texels, fx, fy)
     } else {
@@ -452,7 +575,12 @@ fn translucent(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
         return texels[0].to_le_bytes();
     }
     let (fx, fy) = (fx as u32, fy as u32);
-    let weights = [(128 - fx) * (128 - fy), fx * (128 - fy), (128 - fx) * fy, fx * fy];
+    let weights = [
+        (128 - fx) * (128 - fy),
+        fx * (128 - fy),
+        (128 - fx) * fy,
+        fx * fy,
+    ];
     let texels = texels.map(u32::to_le_bytes);
     let mut sums = [0_u32; 4];
     for (weight, texel) in weights.into_iter().zip(texels) {
@@ -464,6 +592,7 @@ fn translucent(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
         sums[3] += alpha;
     }
     let alpha = sums[3];
-    let [r, g, b] = [sums[0], sums[1], sums[2]].map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u8);
+    let [r, g, b] = [sums[0], sums[1], sums[2]]
+        .map(|sum| (sum + alpha / 2).checked_div(alpha).unwrap_or(0) as u8);
     [r, g, b, ((alpha + ROUND_SAMPLE as u32) >> 14) as u8]
 }

@@ -1,6 +1,10 @@
 //! Tests of the renderer: properties of every mesh, small pictures, and a photograph against a slow reference.
 
-#![expect(clippy::cast_possible_truncation, clippy::cast_possible_wrap, reason = "small numbers of the tests themselves")]
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    reason = "small numbers of the tests themselves"
+)]
 
 mod area;
 mod canvases;
@@ -26,7 +30,13 @@ fn extent(width: u32, height: u32) -> Extent {
 
 /// Options for a target, bilinear on transparent.
 fn options(target: Extent) -> RenderOptions {
-    RenderOptions { target, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false }
+    RenderOptions {
+        target,
+        canvas: None,
+        filter: Filter::Bilinear,
+        outside: Outside::Transparent,
+        force_alpha: false,
+    }
 }
 
 /// A generator of numbers in [0, 2^32), the same on every run.
@@ -34,7 +44,10 @@ struct Noise(u64);
 
 impl Noise {
     fn next(&mut self) -> u32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 32) as u32
     }
 
@@ -47,7 +60,9 @@ impl Noise {
 /// A picture of noise with alpha; every seventh pixel is transparent and every fifth opaque.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Pixmap {
     let mut noise = Noise(17);
-    let mut samples: Vec<u16> = (0..extent.pixels() * channels.count() as u64).map(|_| (noise.next() >> 16) as u16).collect();
+    let mut samples: Vec<u16> = (0..extent.pixels() * channels.count() as u64)
+        .map(|_| (noise.next() >> 16) as u16)
+        .collect();
     if channels == Channels::Rgba {
         for (k, pixel) in samples.chunks_exact_mut(4).enumerate() {
             pixel[3] = if k % 7 == 0 {
@@ -76,8 +91,12 @@ fn bytes(pixmap: &Pixmap) -> Vec<u8> {
 
 /// The mesh that poses every vertex by a function of its rest position.
 fn posed(grid: Grid, f: impl Fn(Point) -> Point) -> Mesh {
-    let vertices = (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)));
-    let displacement = vertices.map(|p| f(p) - p).map(|d| [d.x as f32, d.y as f32]).collect();
+    let vertices =
+        (0..grid.rows()).flat_map(|j| (0..grid.columns()).map(move |i| grid.vertex(i, j)));
+    let displacement = vertices
+        .map(|p| f(p) - p)
+        .map(|d| [d.x as f32, d.y as f32])
+        .collect();
     Mesh::new(grid, displacement)
 }
 
@@ -86,10 +105,19 @@ fn waves(grid: Grid, seed: u64, strength: f64) -> Mesh {
     let mut noise = Noise(seed);
     let waves: Vec<[f64; 5]> = (0..6)
         .map(|_| {
-            let (angle, length) = (noise.signed() * std::f64::consts::PI, 90.0 + 200.0 * noise.signed().abs());
+            let (angle, length) = (
+                noise.signed() * std::f64::consts::PI,
+                90.0 + 200.0 * noise.signed().abs(),
+            );
             let wave = std::f64::consts::TAU / length;
             let push = strength / wave / 6.0;
-            [wave * angle.cos(), wave * angle.sin(), noise.signed() * 3.0, push * noise.signed(), push * noise.signed()]
+            [
+                wave * angle.cos(),
+                wave * angle.sin(),
+                noise.signed() * 3.0,
+                push * noise.signed(),
+                push * noise.signed(),
+            ]
         })
         .collect();
     posed(grid, |p| {
@@ -116,7 +144,12 @@ fn draw(source: &Arc<Source>, mesh: &Mesh, options: RenderOptions) -> (Renderer,
     draw_on(Level::detect(), source, mesh, options)
 }
 
-fn draw_on(level: Level, source: &Arc<Source>, mesh: &Mesh, options: RenderOptions) -> (Renderer, Vec<u8>) {
+fn draw_on(
+    level: Level,
+    source: &Arc<Source>,
+    mesh: &Mesh,
+    options: RenderOptions,
+) -> (Renderer, Vec<u8>) {
     let renderer = Renderer::with_level(source.clone(), mesh, options, level);
     let out = banded(&renderer, options.target.height());
     (renderer, out)
@@ -136,20 +169,39 @@ fn banded(renderer: &Renderer, rows: u32) -> Vec<u8> {
 
 /// The astronaut, 8-bit RGB, 512 x 512.
 fn astronaut() -> Pixmap {
-    let picture = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/images/astronaut.png")).unwrap();
-    let image::DynamicImage::ImageRgb8(rgb) = picture else { panic!("8-bit RGB") };
-    Pixmap::new(extent(rgb.width(), rgb.height()), Channels::Rgb, Samples::Eight(rgb.into_raw()))
+    let picture = image::open(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../tests/images/astronaut.png"
+    ))
+    .unwrap();
+    let image::DynamicImage::ImageRgb8(rgb) = picture else {
+        panic!("8-bit RGB")
+    };
+    Pixmap::new(
+        extent(rgb.width(), rgb.height()),
+        Channels::Rgb,
+        Samples::Eight(rgb.into_raw()),
+    )
 }
 
 /// The same picture with an alpha that is opaque in a disc, soft at its edge, and transparent outside.
 fn cut_out(picture: &Pixmap) -> Pixmap {
-    let Samples::Eight(samples) = picture.samples() else { panic!("8 bit") };
-    let (width, height) = (picture.extent().width() as usize, picture.extent().height() as usize);
+    let Samples::Eight(samples) = picture.samples() else {
+        panic!("8 bit")
+    };
+    let (width, height) = (
+        picture.extent().width() as usize,
+        picture.extent().height() as usize,
+    );
     let centre = Point::new(width as f64 / 2.0, height as f64 / 2.0);
     let pixels = samples.chunks_exact(3).enumerate().flat_map(|(k, p)| {
         let distance = Point::new((k % width) as f64, (k / width) as f64).distance(centre);
         let alpha = ((width as f64 * 0.4 - distance) * 20.0).clamp(0.0, 255.0) as u8;
         [p[0], p[1], p[2], alpha]
     });
-    Pixmap::new(picture.extent(), Channels::Rgba, Samples::Eight(pixels.collect()))
+    Pixmap::new(
+        picture.extent(),
+        Channels::Rgba,
+        Samples::Eight(pixels.collect()),
+    )
 }

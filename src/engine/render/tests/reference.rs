@@ -16,14 +16,19 @@ pub(super) fn places(mesh: &Mesh, target: Extent) -> Vec<Option<Point>> {
                 Point::new(p.x * sx, p.y * sy)
             };
             let (p00, p10, p01, p11) = (corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1));
-            let low = |a: f64, b: f64, c: f64, d: f64| (a.min(b).min(c).min(d) - 0.5).floor().max(0.0) as usize;
-            let high = |a: f64, b: f64, c: f64, d: f64, n: usize| ((a.max(b).max(c).max(d) + 0.5).ceil().max(0.0) as usize).min(n);
+            let low = |a: f64, b: f64, c: f64, d: f64| {
+                (a.min(b).min(c).min(d) - 0.5).floor().max(0.0) as usize
+            };
+            let high = |a: f64, b: f64, c: f64, d: f64, n: usize| {
+                ((a.max(b).max(c).max(d) + 0.5).ceil().max(0.0) as usize).min(n)
+            };
             for y in low(p00.y, p10.y, p01.y, p11.y)..high(p00.y, p10.y, p01.y, p11.y, height) {
                 for x in low(p00.x, p10.x, p01.x, p11.x)..high(p00.x, p10.x, p01.x, p11.x, width) {
                     let centre = Point::new(x as f64 + 0.5, y as f64 + 0.5);
                     if let Some((s, t)) = invert(p00, p10, p01, p11, centre) {
                         let (x0, x1, y0, y1) = (grid.x(i), grid.x(i + 1), grid.y(j), grid.y(j + 1));
-                        places[y * width + x] = Some(Point::new(x0 + s * (x1 - x0), y0 + t * (y1 - y0)));
+                        places[y * width + x] =
+                            Some(Point::new(x0 + s * (x1 - x0), y0 + t * (y1 - y0)));
                     }
                 }
             }
@@ -50,10 +55,16 @@ fn invert(p00: Point, p10: Point, p01: Point, p11: Point, place: Point) -> Optio
 
 /// A float sample of a picture reduced by `scale`: straight RGBA, 0 to 255 at any depth.
 pub(super) fn sample(picture: &Pixmap, place: Point, scale: f64) -> [f64; 4] {
-    let (width, height) = (picture.extent().width() as usize, picture.extent().height() as usize);
+    let (width, height) = (
+        picture.extent().width() as usize,
+        picture.extent().height() as usize,
+    );
     let channels = picture.channels().count();
     let texel = |x: f64, y: f64| {
-        let (x, y) = (x.clamp(0.0, (width - 1) as f64) as usize, y.clamp(0.0, (height - 1) as f64) as usize);
+        let (x, y) = (
+            x.clamp(0.0, (width - 1) as f64) as usize,
+            y.clamp(0.0, (height - 1) as f64) as usize,
+        );
         let at = (y * width + x) * channels;
         let mut texel = [255.0; 4];
         for (k, texel) in texel.iter_mut().enumerate().take(channels) {
@@ -79,5 +90,9 @@ pub(super) fn sample(picture: &Pixmap, place: Point, scale: f64) -> [f64; 4] {
         }
         sum[3] += weight * texel[3];
     }
-    if sum[3] == 0.0 { [0.0; 4] } else { [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3], sum[3]] }
+    if sum[3] == 0.0 {
+        [0.0; 4]
+    } else {
+        [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3], sum[3]]
+    }
 }

@@ -23,7 +23,11 @@ pub(super) enum Drawer {
         metadata: Carried,
     },
     /// Labels.
-    Labels { inverse: InverseMap, labels: Arc<Labels>, metadata: Carried },
+    Labels {
+        inverse: InverseMap,
+        labels: Arc<Labels>,
+        metadata: Carried,
+    },
     /// Coverage.
     Coverage(Box<Coverage>),
     /// A picture, labels or coverage, of which only the content of a region moves.
@@ -34,23 +38,42 @@ pub(super) enum Drawer {
 
 impl Drawer {
     /// Draws a subject through a mesh, without a region.
-    pub(super) fn new(subject: Subject<'_>, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
+    pub(super) fn new(
+        subject: Subject<'_>,
+        target: &Target,
+        mesh: &Mesh,
+        options: RenderOptions,
+    ) -> Self {
         match subject {
             Subject::Image(image) => Self::image(image, target, mesh, options),
             Subject::Labels(labels) => Self::labels(labels, target, mesh, options),
-            Subject::Coverage(_) => Self::Coverage(Box::new(Coverage::new(mesh, options.target, options.canvas))),
-            Subject::Holes(region) => Self::Holes(Box::new(HolesDrawer::new(region, mesh, options))),
+            Subject::Coverage(_) => Self::Coverage(Box::new(Coverage::new(
+                mesh,
+                options.target,
+                options.canvas,
+            ))),
+            Subject::Holes(region) => {
+                Self::Holes(Box::new(HolesDrawer::new(region, mesh, options)))
+            }
         }
     }
 
     fn image(image: &Image, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
         let renderer = Renderer::new(Arc::clone(&image.source), mesh, options);
-        Self::Image { renderer, grey: image.grey && options.outside.is_grey(), metadata: image.carried(target) }
+        Self::Image {
+            renderer,
+            grey: image.grey && options.outside.is_grey(),
+            metadata: image.carried(target),
+        }
     }
 
     fn labels(image: &LabelImage, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
         let inverse = InverseMap::new(mesh, options.target, options.canvas);
-        Self::Labels { inverse, labels: Arc::clone(&image.labels), metadata: image.carried(target) }
+        Self::Labels {
+            inverse,
+            labels: Arc::clone(&image.labels),
+            metadata: image.carried(target),
+        }
     }
 
     /// Size of the target.
@@ -70,17 +93,37 @@ impl Drawer {
     /// If the format would change labels; see [`super::Subject::check`].
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match self {
-            Self::Image { renderer, grey, metadata } => {
-                let shape = PngShape { extent: self.target(), channels: renderer.channels(), grey: *grey, depth: renderer.depth() };
+            Self::Image {
+                renderer,
+                grey,
+                metadata,
+            } => {
+                let shape = PngShape {
+                    extent: self.target(),
+                    channels: renderer.channels(),
+                    grey: *grey,
+                    depth: renderer.depth(),
+                };
                 Writer::new(shape, encoding, Some(metadata))
             }
             Self::Region(drawer) => drawer.writer(encoding),
-            Self::Labels { labels, metadata, .. } => {
-                let shape = PngShape { extent: self.target(), ..labels.shape };
-                Writer::of_labels(shape, encoding, labels.palette.as_ref(), Some(metadata)).expect("the format was checked")
+            Self::Labels {
+                labels, metadata, ..
+            } => {
+                let shape = PngShape {
+                    extent: self.target(),
+                    ..labels.shape
+                };
+                Writer::of_labels(shape, encoding, labels.palette.as_ref(), Some(metadata))
+                    .expect("the format was checked")
             }
             Self::Coverage(_) | Self::Holes(_) => {
-                let shape = PngShape { extent: self.target(), channels: Channels::Rgb, grey: true, depth: Depth::Eight };
+                let shape = PngShape {
+                    extent: self.target(),
+                    channels: Channels::Rgb,
+                    grey: true,
+                    depth: Depth::Eight,
+                };
                 Writer::new(shape, encoding, None)
             }
         }
@@ -128,7 +171,9 @@ impl Drawer {
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         match self {
             Self::Image { renderer, .. } => renderer.band(rows, out),
-            Self::Labels { inverse, labels, .. } => draw_labels(inverse, labels, rows, out),
+            Self::Labels {
+                inverse, labels, ..
+            } => draw_labels(inverse, labels, rows, out),
             Self::Coverage(coverage) => {
                 let mut shares = vec![0; out.len() / 3];
                 coverage.rows(rows, &mut shares);
@@ -148,12 +193,19 @@ fn draw_labels(inverse: &InverseMap, labels: &Labels, rows: Range<u32>, out: &mu
     let pixel = shape.samples() * shape.depth.bytes();
     let mut positions = vec![[0.0; 2]; out.len() / pixel];
     inverse.rows(rows, &mut positions);
-    let (width, height) = (shape.extent.width() as usize, shape.extent.height() as usize);
+    let (width, height) = (
+        shape.extent.width() as usize,
+        shape.extent.height() as usize,
+    );
     for (out, [x, y]) in out.chunks_exact_mut(pixel).zip(positions) {
         if x.is_nan() {
             out.fill(0);
         } else {
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "positions in the source")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "positions in the source"
+            )]
             let (x, y) = ((x as usize).min(width - 1), (y as usize).min(height - 1));
             out.copy_from_slice(&labels.values[(y * width + x) * pixel..][..pixel]);
         }

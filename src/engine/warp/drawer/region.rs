@@ -44,7 +44,11 @@ impl RegionDrawer {
             subject,
             target,
             mesh,
-            RenderOptions { outside: Outside::Colour([0, 0, 0, u8::MAX]), force_alpha: false, ..options },
+            RenderOptions {
+                outside: Outside::Colour([0, 0, 0, u8::MAX]),
+                force_alpha: false,
+                ..options
+            },
         );
         let weights = Weights {
             mask: region.drawer(mesh, options),
@@ -54,7 +58,12 @@ impl RegionDrawer {
             Drawer::Image { renderer, .. } if holes == Holes::Keep => renderer.channels(),
             _ => Channels::Rgba,
         };
-        Self { background, moved, weights, channels }
+        Self {
+            background,
+            moved,
+            weights,
+            channels,
+        }
     }
 
     pub(super) fn target(&self) -> Extent {
@@ -63,15 +72,26 @@ impl RegionDrawer {
 
     pub(super) fn adds_alpha(&self) -> bool {
         match (&self.background, &self.moved) {
-            (Drawer::Image { .. }, Drawer::Image { renderer, .. }) => self.channels != renderer.channels(),
+            (Drawer::Image { .. }, Drawer::Image { renderer, .. }) => {
+                self.channels != renderer.channels()
+            }
             _ => false,
         }
     }
 
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match &self.background {
-            Drawer::Image { renderer, grey, metadata } => {
-                let shape = PngShape { extent: self.target(), channels: self.channels, grey: *grey, depth: renderer.depth() };
+            Drawer::Image {
+                renderer,
+                grey,
+                metadata,
+            } => {
+                let shape = PngShape {
+                    extent: self.target(),
+                    channels: self.channels,
+                    grey: *grey,
+                    depth: renderer.depth(),
+                };
                 Writer::new(shape, encoding, Some(metadata))
             }
             other => other.writer(encoding),
@@ -86,27 +106,47 @@ impl RegionDrawer {
     }
 
     pub(super) fn computed_width(&self) -> u32 {
-        let pictures = self.background.computed_width().saturating_add(self.moved.computed_width());
+        let pictures = self
+            .background
+            .computed_width()
+            .saturating_add(self.moved.computed_width());
         pictures.saturating_add(self.weights.mask.computed_width().saturating_mul(2))
     }
 
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         let row = out.len() / rows.len().max(1);
-        for (first, out) in rows.clone().step_by(STRIP as usize).zip(out.chunks_mut(STRIP as usize * row)) {
+        for (first, out) in rows
+            .clone()
+            .step_by(STRIP as usize)
+            .zip(out.chunks_mut(STRIP as usize * row))
+        {
             self.strip(first..rows.end.min(first + STRIP), out);
         }
     }
 
     fn strip(&self, rows: Range<u32>, out: &mut [u8]) {
         self.draw_background(rows.clone(), out);
-        let Some(weights) = self.weights.of(rows.clone()) else { return };
+        let Some(weights) = self.weights.of(rows.clone()) else {
+            return;
+        };
         let mut samples = vec![0; weights.len() * self.moved.pixel_bytes()];
         self.moved.band(rows, &mut samples);
         match &self.moved {
-            Drawer::Image { renderer, .. } => blend(out, self.channels, &samples, renderer.channels(), renderer.depth(), &weights),
+            Drawer::Image { renderer, .. } => blend(
+                out,
+                self.channels,
+                &samples,
+                renderer.channels(),
+                renderer.depth(),
+                &weights,
+            ),
             Drawer::Labels { .. } => {
                 let pixel = self.moved.pixel_bytes();
-                for ((out, moved), [m, k]) in out.chunks_exact_mut(pixel).zip(samples.chunks_exact(pixel)).zip(weights) {
+                for ((out, moved), [m, k]) in out
+                    .chunks_exact_mut(pixel)
+                    .zip(samples.chunks_exact(pixel))
+                    .zip(weights)
+                {
                     if m > HALF {
                         out.copy_from_slice(moved);
                     } else if FULL_WEIGHT - m - k > HALF {
@@ -116,7 +156,11 @@ impl RegionDrawer {
             }
             _ => {
                 let pixel = self.moved.pixel_bytes();
-                for ((out, moved), weights) in out.chunks_exact_mut(pixel).zip(samples.chunks_exact(pixel)).zip(weights) {
+                for ((out, moved), weights) in out
+                    .chunks_exact_mut(pixel)
+                    .zip(samples.chunks_exact(pixel))
+                    .zip(weights)
+                {
                     out.fill(mixed(moved[0], out[0], weights));
                 }
             }
@@ -124,14 +168,19 @@ impl RegionDrawer {
     }
 
     fn draw_background(&self, rows: Range<u32>, out: &mut [u8]) {
-        let Drawer::Image { renderer, .. } = &self.background else { return self.background.band(rows, out) };
+        let Drawer::Image { renderer, .. } = &self.background else {
+            return self.background.band(rows, out);
+        };
         if renderer.channels() == self.channels {
             return renderer.band(rows, out);
         }
         let (colours, alpha) = (3 * renderer.depth().bytes(), renderer.depth().bytes());
         let mut samples = vec![0; out.len() / (colours + alpha) * colours];
         renderer.band(rows, &mut samples);
-        for (out, pixel) in out.chunks_exact_mut(colours + alpha).zip(samples.chunks_exact(colours)) {
+        for (out, pixel) in out
+            .chunks_exact_mut(colours + alpha)
+            .zip(samples.chunks_exact(colours))
+        {
             out[..colours].copy_from_slice(pixel);
             out[colours..].fill(u8::MAX);
         }
@@ -165,7 +214,11 @@ impl Weights {
         }
         Some(match at_rest {
             None => moved.into_iter().map(|m| [m, FULL_WEIGHT - m]).collect(),
-            Some(at_rest) => moved.into_iter().zip(at_rest).map(|(m, r)| [m, FULL_WEIGHT - m.max(r)]).collect(),
+            Some(at_rest) => moved
+                .into_iter()
+                .zip(at_rest)
+                .map(|(m, r)| [m, FULL_WEIGHT - m.max(r)])
+                .collect(),
         })
     }
 }
@@ -181,7 +234,11 @@ pub(in super::super) struct HolesDrawer {
 impl HolesDrawer {
     pub(super) fn new(region: &Region, mesh: &Mesh, options: RenderOptions) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
-        Self { mask: region.drawer(mesh, options), mask_at_rest: region.drawer(&at_rest, options), target: options.target }
+        Self {
+            mask: region.drawer(mesh, options),
+            mask_at_rest: region.drawer(&at_rest, options),
+            target: options.target,
+        }
     }
 
     pub(super) const fn target(&self) -> Extent {
@@ -189,14 +246,24 @@ impl HolesDrawer {
     }
 
     pub(super) fn computed_width(&self) -> u32 {
-        self.mask.computed_width().saturating_add(self.mask_at_rest.computed_width())
+        self.mask
+            .computed_width()
+            .saturating_add(self.mask_at_rest.computed_width())
     }
 
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         let row = out.len() / rows.len().max(1);
-        for (first, out) in rows.clone().step_by(STRIP as usize).zip(out.chunks_mut(STRIP as usize * row)) {
+        for (first, out) in rows
+            .clone()
+            .step_by(STRIP as usize)
+            .zip(out.chunks_mut(STRIP as usize * row))
+        {
             let rows = first..rows.end.min(first + STRIP);
-            let holes = self.mask_at_rest.weights(rows.clone()).into_iter().zip(self.mask.weights(rows));
+            let holes = self
+                .mask_at_rest
+                .weights(rows.clone())
+                .into_iter()
+                .zip(self.mask.weights(rows));
             for (out, (r, m)) in out.as_chunks_mut::<3>().0.iter_mut().zip(holes) {
                 *out = [mixed(u8::MAX, 0, [r.saturating_sub(m), 0]); 3];
             }

@@ -5,7 +5,11 @@ use crate::geometry::{Point, Vec2};
 use crate::pixmap::Extent;
 use crate::warp::{Align, Limits, RestSpec, Setup, Units};
 
-const CLASSES: [(Align, Class); 3] = [(Align::Rigid, Class::Rigid), (Align::Similarity, Class::Similarity), (Align::Affine, Class::Affine)];
+const CLASSES: [(Align, Class); 3] = [
+    (Align::Rigid, Class::Rigid),
+    (Align::Similarity, Class::Similarity),
+    (Align::Affine, Class::Affine),
+];
 
 fn extent() -> Extent {
     Extent::new(320, 200).unwrap()
@@ -23,7 +27,15 @@ fn numbers(seed: u32) -> impl FnMut(f64, f64) -> f64 {
 fn set(seed: u32, count: usize) -> Vec<Handle> {
     let mut number = numbers(seed);
     let mut place = || Point::new(number(0.0, 320.0), number(0.0, 200.0));
-    (0..count).map(|k| if k % 3 == 2 { Handle::Polyline(vec![place(), place(), place()]) } else { Handle::Point(place()) }).collect()
+    (0..count)
+        .map(|k| {
+            if k % 3 == 2 {
+                Handle::Polyline(vec![place(), place(), place()])
+            } else {
+                Handle::Point(place())
+            }
+        })
+        .collect()
 }
 
 fn each(handles: &[Handle], map: impl Fn(Point) -> Point) -> Vec<Handle> {
@@ -36,15 +48,26 @@ fn each(handles: &[Handle], map: impl Fn(Point) -> Point) -> Vec<Handle> {
 }
 
 fn places(handles: &[Handle]) -> Vec<Point> {
-    handles.iter().flat_map(|handle| handle.places().to_vec()).collect()
+    handles
+        .iter()
+        .flat_map(|handle| handle.places().to_vec())
+        .collect()
 }
 
 fn far(a: &[Handle], b: &[Handle]) -> f64 {
-    places(a).iter().zip(places(b)).map(|(a, b)| a.distance(b)).fold(0.0, f64::max)
+    places(a)
+        .iter()
+        .zip(places(b))
+        .map(|(a, b)| a.distance(b))
+        .fold(0.0, f64::max)
 }
 
 fn rest(p: &[Handle], align: Align) -> RestSpec {
-    RestSpec { p: p.to_vec(), align, ..RestSpec::default() }
+    RestSpec {
+        p: p.to_vec(),
+        align,
+        ..RestSpec::default()
+    }
 }
 
 fn aligned(rest: &RestSpec, q: &[Handle]) -> Vec<Handle> {
@@ -54,11 +77,22 @@ fn aligned(rest: &RestSpec, q: &[Handle]) -> Vec<Handle> {
 /// A map of a class: a turn, and what the class has besides.
 fn member(align: Align, k: u32) -> impl Fn(Point) -> Point {
     let (sin, cos) = (0.7 * f64::from(k) - 1.0).sin_cos();
-    let scale = if align == Align::Rigid { 1.0 } else { 0.1 * f64::from(k) + 0.05 };
-    let (stretch, shear) = if align == Align::Affine { (-1.5, 0.4) } else { (1.0, 0.0) };
+    let scale = if align == Align::Rigid {
+        1.0
+    } else {
+        0.1 * f64::from(k) + 0.05
+    };
+    let (stretch, shear) = if align == Align::Affine {
+        (-1.5, 0.4)
+    } else {
+        (1.0, 0.0)
+    };
     move |v: Point| {
         let (x, y) = (v.x + shear * v.y, stretch * v.y);
-        Point::new(30.0 + scale * (cos * x - sin * y), 7.0 - 50.0 * f64::from(k) + scale * (sin * x + cos * y))
+        Point::new(
+            30.0 + scale * (cos * x - sin * y),
+            7.0 - 50.0 * f64::from(k) + scale * (sin * x + cos * y),
+        )
     }
 }
 
@@ -68,9 +102,16 @@ fn a_member_of_the_class_is_undone_bit_for_bit() {
         for (k, count) in [(1, 3), (2, 4), (5, 9), (9, 30), (90, 8)] {
             let p = set(k, count);
             for units in [Units::Px, Units::Normalized] {
-                let unit = if units == Units::Px { (1.0, 1.0) } else { (320.0, 200.0) };
+                let unit = if units == Units::Px {
+                    (1.0, 1.0)
+                } else {
+                    (320.0, 200.0)
+                };
                 let to_units = |v: Point| Point::new(v.x / unit.0, v.y / unit.1);
-                let rest = RestSpec { units, ..rest(&each(&p, to_units), align) };
+                let rest = RestSpec {
+                    units,
+                    ..rest(&each(&p, to_units), align)
+                };
                 let q = each(&p, |v| to_units(member(align, k)(v)));
                 let (posed, alignment) = rest.posed(q, 1.0, extent());
                 assert_eq!(posed, rest.p, "{align:?} {count} {units:?}");
@@ -87,15 +128,25 @@ fn the_map_is_the_best_of_its_class_and_aligning_twice_is_aligning_once() {
     for (align, _) in CLASSES {
         for k in 1..12 {
             let (p, noise) = (set(k, 7), places(&set(k + 100, 7)));
-            let rest = RestSpec { weights: Some((1..8).map(f64::from).collect()), ..rest(&p, align) };
-            let mut noise = noise.into_iter().map(|v| (v - Point::new(160.0, 100.0)) * 0.2);
-            let moved: Vec<Point> = places(&each(&p, member(align, k))).into_iter().map(|v| v + noise.next().unwrap()).collect();
+            let rest = RestSpec {
+                weights: Some((1..8).map(f64::from).collect()),
+                ..rest(&p, align)
+            };
+            let mut noise = noise
+                .into_iter()
+                .map(|v| (v - Point::new(160.0, 100.0)) * 0.2);
+            let moved: Vec<Point> = places(&each(&p, member(align, k)))
+                .into_iter()
+                .map(|v| v + noise.next().unwrap())
+                .collect();
             let mut moved = moved.into_iter();
             let q: Vec<Handle> = p
                 .iter()
                 .map(|handle| match handle {
                     Handle::Point(_) => Handle::Point(moved.next().unwrap()),
-                    Handle::Polyline(line) => Handle::Polyline(line.iter().map(|_| moved.next().unwrap()).collect()),
+                    Handle::Polyline(line) => {
+                        Handle::Polyline(line.iter().map(|_| moved.next().unwrap()).collect())
+                    }
                     Handle::Missing => Handle::Missing,
                 })
                 .collect();
@@ -103,22 +154,41 @@ fn the_map_is_the_best_of_its_class_and_aligning_twice_is_aligning_once() {
             assert!(far(&aligned(&rest, &once), &once) < 1e-9, "{align:?} {k}");
             // What the class can undo changes nothing.
             let other = aligned(&rest, &each(&q, member(align, k + 3)));
-            assert!(far(&other, &once) < 1e-8, "{align:?} {k}: {}", far(&other, &once));
+            assert!(
+                far(&other, &once) < 1e-8,
+                "{align:?} {k}: {}",
+                far(&other, &once)
+            );
             // No map of the class that is nearly the same is better.
             let least = squares(&rest, &once);
-            for (dx, dy, turn, scale) in [(0.1, 0.0, 0.0, 1.0), (0.0, -0.1, 0.0, 1.0), (0.0, 0.0, 1e-3, 1.0), (0.0, 0.0, 0.0, 1.001)] {
+            for (dx, dy, turn, scale) in [
+                (0.1, 0.0, 0.0, 1.0),
+                (0.0, -0.1, 0.0, 1.0),
+                (0.0, 0.0, 1e-3, 1.0),
+                (0.0, 0.0, 0.0, 1.001),
+            ] {
                 if align != Align::Rigid || (scale - 1.0_f64).abs() < 1e-9 {
-                    let near = |v: Point| Point::new(scale * (v.x - turn * v.y) + dx, scale * (v.y + turn * v.x) + dy);
+                    let near = |v: Point| {
+                        Point::new(
+                            scale * (v.x - turn * v.y) + dx,
+                            scale * (v.y + turn * v.x) + dy,
+                        )
+                    };
                     assert!(squares(&rest, &each(&once, near)) > least, "{align:?} {k}");
                 }
             }
             if align == Align::Affine {
-                assert!(squares(&rest, &each(&once, |v| Point::new(v.x + 1e-3 * v.y, v.y))) > least);
+                assert!(
+                    squares(&rest, &each(&once, |v| Point::new(v.x + 1e-3 * v.y, v.y))) > least
+                );
                 assert!(squares(&rest, &each(&once, |v| Point::new(v.x, v.y * 1.001))) > least);
             }
             // The order of handles does not matter.
             let turned = |handles: &[Handle]| handles.iter().rev().cloned().collect::<Vec<_>>();
-            let reversed = RestSpec { weights: Some((1..8).rev().map(f64::from).collect()), ..self::rest(&turned(&p), align) };
+            let reversed = RestSpec {
+                weights: Some((1..8).rev().map(f64::from).collect()),
+                ..self::rest(&turned(&p), align)
+            };
             assert!(far(&turned(&aligned(&reversed, &turned(&q))), &once) < 1e-9);
         }
     }
@@ -146,35 +216,106 @@ fn squares(rest: &RestSpec, q: &[Handle]) -> f64 {
 
 #[test]
 fn handles_that_do_not_determine_a_class_take_the_next_smaller_one() {
-    let points = |places: &[(f64, f64)]| places.iter().map(|(x, y)| Handle::Point(Point::new(*x, *y))).collect::<Vec<_>>();
+    let points = |places: &[(f64, f64)]| {
+        places
+            .iter()
+            .map(|(x, y)| Handle::Point(Point::new(*x, *y)))
+            .collect::<Vec<_>>()
+    };
     let class = |p: &[(f64, f64)], q: &[(f64, f64)], align: Align| {
         let (posed, alignment) = rest(&points(p), align).posed(points(q), 1.0, extent());
         assert!(places(&posed).iter().all(|p| p.is_finite()), "{posed:?}");
         alignment.map(|alignment| alignment.class)
     };
-    let (square, mirrored) = ([(0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (0.0, 9.0)], [(9.0, 0.0), (0.0, 0.0), (0.0, 9.0), (9.0, 9.0)]);
-    let (line, one) = ([(1.0, 1.0), (2.0, 3.0), (4.0, 7.0), (7.0, 13.0)], [(5.0, 5.0); 4]);
+    let (square, mirrored) = (
+        [(0.0, 0.0), (9.0, 0.0), (9.0, 9.0), (0.0, 9.0)],
+        [(9.0, 0.0), (0.0, 0.0), (0.0, 9.0), (9.0, 9.0)],
+    );
+    let (line, one) = (
+        [(1.0, 1.0), (2.0, 3.0), (4.0, 7.0), (7.0, 13.0)],
+        [(5.0, 5.0); 4],
+    );
     let (two, other_two) = ([(1.0, 2.0), (8.0, 9.0)], [(50.0, 20.0), (10.0, 90.0)]);
     for (p, q, affine, similarity, rigid) in [
-        (&square[..], &mirrored[..], Class::Affine, Class::Translation, Class::Translation),
-        (&square, &line, Class::Similarity, Class::Similarity, Class::Rigid),
-        (&line, &square, Class::Similarity, Class::Similarity, Class::Rigid),
-        (&square, &one, Class::Translation, Class::Translation, Class::Translation),
-        (&one, &square, Class::Translation, Class::Translation, Class::Translation),
-        (&two, &other_two, Class::Similarity, Class::Similarity, Class::Rigid),
-        (&two[..1], &other_two[..1], Class::Translation, Class::Translation, Class::Translation),
+        (
+            &square[..],
+            &mirrored[..],
+            Class::Affine,
+            Class::Translation,
+            Class::Translation,
+        ),
+        (
+            &square,
+            &line,
+            Class::Similarity,
+            Class::Similarity,
+            Class::Rigid,
+        ),
+        (
+            &line,
+            &square,
+            Class::Similarity,
+            Class::Similarity,
+            Class::Rigid,
+        ),
+        (
+            &square,
+            &one,
+            Class::Translation,
+            Class::Translation,
+            Class::Translation,
+        ),
+        (
+            &one,
+            &square,
+            Class::Translation,
+            Class::Translation,
+            Class::Translation,
+        ),
+        (
+            &two,
+            &other_two,
+            Class::Similarity,
+            Class::Similarity,
+            Class::Rigid,
+        ),
+        (
+            &two[..1],
+            &other_two[..1],
+            Class::Translation,
+            Class::Translation,
+            Class::Translation,
+        ),
     ] {
-        for (align, want) in [(Align::Affine, affine), (Align::Similarity, similarity), (Align::Rigid, rigid)] {
+        for (align, want) in [
+            (Align::Affine, affine),
+            (Align::Similarity, similarity),
+            (Align::Rigid, rigid),
+        ] {
             assert_eq!(class(p, q, align), Some(want), "{align:?} {p:?} {q:?}");
         }
     }
     assert_eq!(class(&[], &[], Align::Affine), None);
     assert_eq!(class(&square, &line, Align::None), None);
     // A line turns, like two points; a reflection is affine alone.
-    let segment = |a: (f64, f64), b: (f64, f64)| vec![Handle::Polyline(vec![Point::new(a.0, a.1), Point::new(b.0, b.1)])];
-    let (p, q) = (segment((1.0, 1.0), (9.0, 1.0)), segment((5.0, 40.0), (5.0, 56.0)));
-    assert!(far(&aligned(&rest(&p, Align::Affine), &q), &p) == 0.0, "two ends determine a similarity");
-    assert_eq!(aligned(&rest(&points(&square), Align::Affine), &points(&mirrored)), points(&square));
+    let segment = |a: (f64, f64), b: (f64, f64)| {
+        vec![Handle::Polyline(vec![
+            Point::new(a.0, a.1),
+            Point::new(b.0, b.1),
+        ])]
+    };
+    let (p, q) = (
+        segment((1.0, 1.0), (9.0, 1.0)),
+        segment((5.0, 40.0), (5.0, 56.0)),
+    );
+    assert!(
+        far(&aligned(&rest(&p, Align::Affine), &q), &p) == 0.0,
+        "two ends determine a similarity"
+    );
+    assert_eq!(
+        aligned(&rest(&points(&square), Align::Affine), &points(&mirrored)),
+        points(&square)
+    );
 }
 
 /// Shapes that differ, and positions that are out of range, are refused as they were sent.
@@ -182,10 +323,19 @@ fn handles_that_do_not_determine_a_class_take_the_next_smaller_one() {
 fn what_cannot_be_posed_is_not_aligned() {
     let p = set(3, 4);
     let rest = rest(&p, Align::Similarity);
-    for q in [set(4, 3), vec![p[0].clone(), p[1].clone(), p[0].clone(), p[3].clone()], each(&p, |v| v + Vec2::new(2e6, 0.0))] {
+    for q in [
+        set(4, 3),
+        vec![p[0].clone(), p[1].clone(), p[0].clone(), p[3].clone()],
+        each(&p, |v| v + Vec2::new(2e6, 0.0)),
+    ] {
         let (same, alignment) = rest.posed(q.clone(), 1.0, extent());
         assert_eq!((same, alignment), (q.clone(), None));
-        assert!(Setup::new(&rest, extent(), &Limits::default()).unwrap().pose(&q).is_err());
+        assert!(
+            Setup::new(&rest, extent(), &Limits::default())
+                .unwrap()
+                .pose(&q)
+                .is_err()
+        );
     }
     let infinite = each(&p, |_| Point::new(f64::INFINITY, f64::NAN));
     assert_eq!(rest.posed(infinite, 1.0, extent()).1, None);
@@ -199,13 +349,30 @@ fn strength_counts_after_the_alignment() {
     let once = aligned(&rest, &q);
     for strength in [-1.5, 0.0, 0.5, 1.0, 2.0] {
         let (posed, alignment) = rest.posed(q.clone(), strength, extent());
-        let want = places(&p).into_iter().zip(places(&once)).map(|(p, q)| p + (q - p) * strength);
-        assert!(places(&posed).into_iter().zip(want).all(|(posed, want)| posed.distance(want) < 1e-9));
+        let want = places(&p)
+            .into_iter()
+            .zip(places(&once))
+            .map(|(p, q)| p + (q - p) * strength);
+        assert!(
+            places(&posed)
+                .into_iter()
+                .zip(want)
+                .all(|(posed, want)| posed.distance(want) < 1e-9)
+        );
         // The map is that of q, whatever the strength.
         let map: PlaneMap = alignment.unwrap().map;
-        assert!(places(&q).iter().zip(places(&once)).all(|(q, once)| map.map(*q).distance(once) < 1e-6));
+        assert!(
+            places(&q)
+                .iter()
+                .zip(places(&once))
+                .all(|(q, once)| map.map(*q).distance(once) < 1e-6)
+        );
         let [[a, b, c], [d, e, f]] = map.matrix();
         let v = Point::new(13.0, -7.0);
-        assert!(map.map(v).distance(Point::new(a * v.x + b * v.y + c, d * v.x + e * v.y + f)) < 1e-9);
+        assert!(
+            map.map(v)
+                .distance(Point::new(a * v.x + b * v.y + c, d * v.x + e * v.y + f))
+                < 1e-9
+        );
     }
 }

@@ -32,30 +32,52 @@ pub(super) struct Drawn {
     pub(super) posed: Posed,
 }
 
-pub(super) type PoseAs = fn(&Setup, &Plan, &Pose, Folds, IsCancelled<'_>) -> Result<Posed, WarpError>;
+pub(super) type PoseAs =
+    fn(&Setup, &Plan, &Pose, Folds, IsCancelled<'_>) -> Result<Posed, WarpError>;
 
 /// Red and green are x and y.
 fn coordinates(extent: Extent) -> Arc<Source> {
     let code = |k: u32, of: u32| ((f64::from(k) + 0.5) / f64::from(of) * 65_535.0).round() as u16;
     let pixels = (0..extent.height()).flat_map(|y| (0..extent.width()).map(move |x| (x, y)));
-    let samples = pixels.flat_map(|(x, y)| [code(x, extent.width()), code(y, extent.height()), 0]).collect();
-    Arc::new(Source::new(Pixmap::new(extent, Channels::Rgb, Samples::Sixteen(samples))))
+    let samples = pixels
+        .flat_map(|(x, y)| [code(x, extent.width()), code(y, extent.height()), 0])
+        .collect();
+    Arc::new(Source::new(Pixmap::new(
+        extent,
+        Channels::Rgb,
+        Samples::Sixteen(samples),
+    )))
 }
 
 /// The position of the source that every pixel of a drawn picture shows, if it is covered.
 pub(super) fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
-    let options =
-        RenderOptions { target: extent, canvas: None, filter: Filter::Bilinear, outside: Outside::Transparent, force_alpha: false };
+    let options = RenderOptions {
+        target: extent,
+        canvas: None,
+        filter: Filter::Bilinear,
+        outside: Outside::Transparent,
+        force_alpha: false,
+    };
     let mut renderer = Renderer::new(coordinates(extent), posed.mesh(), options);
     // A mean over what a pixel shows is no position.
     renderer.sample_points();
-    let (pixels, channels) = (extent.width() as usize * extent.height() as usize, renderer.channels().count());
+    let (pixels, channels) = (
+        extent.width() as usize * extent.height() as usize,
+        renderer.channels().count(),
+    );
     let mut out = vec![0; pixels * channels * 2];
     renderer.band(0..extent.height(), &mut out);
     let pixel = |samples: &[u8]| {
-        let sample = |c: usize| f64::from(u16::from_be_bytes([samples[2 * c], samples[2 * c + 1]])) / 65_535.0;
+        let sample = |c: usize| {
+            f64::from(u16::from_be_bytes([samples[2 * c], samples[2 * c + 1]])) / 65_535.0
+        };
         let is_covered = channels == 3 || sample(3) > 0.0;
-        is_covered.then(|| Point::new(sample(0) * f64::from(extent.width()), sample(1) * f64::from(extent.height())))
+        is_covered.then(|| {
+            Point::new(
+                sample(0) * f64::from(extent.width()),
+                sample(1) * f64::from(extent.height()),
+            )
+        })
     };
     out.chunks_exact(2 * channels).map(pixel).collect()
 }
@@ -74,17 +96,27 @@ fn cracks(shown: &[Option<Point>], width: usize) -> Vec<(usize, usize)> {
             continue;
         }
         let (x, y) = (k % width, k / width);
-        let beside =
-            [(x > 0).then(|| k - 1), (x + 1 < width).then(|| k + 1), (y > 0).then(|| k - width), (y + 1 < height).then(|| k + width)];
+        let beside = [
+            (x > 0).then(|| k - 1),
+            (x + 1 < width).then(|| k + 1),
+            (y > 0).then(|| k - width),
+            (y + 1 < height).then(|| k + width),
+        ];
         open.extend(beside.into_iter().flatten());
     }
-    (0..shown.len()).filter(|&k| !is_known[k]).map(|k| (k % width, k / width)).collect()
+    (0..shown.len())
+        .filter(|&k| !is_known[k])
+        .map(|k| (k % width, k / width))
+        .collect()
 }
 
 /// Draws a case with a tolerance. Of the pixels, one in `each` is compared.
 pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) -> Drawn {
     let extent = case.extent;
-    let rest = RestSpec { grid: GridSpec::Tolerance(tolerance), ..case.rest.clone() };
+    let rest = RestSpec {
+        grid: GridSpec::Tolerance(tolerance),
+        ..case.rest.clone()
+    };
     let setup = Setup::new(&rest, extent, &Limits::default()).unwrap();
     let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
     let posed = pose_as(&setup, &plan, &pose, Folds::Report, &|| false).unwrap();
@@ -101,9 +133,22 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         .filter_map(|k| Some((k, shown[k].filter(is_inside)?)))
         .filter(|(_, p)| exceeded.is_empty() || !exceeded.contains(&cell(*p)))
         .collect();
-    let mut drawn = Drawn { compared: places.len(), error: 0.0, over: 0, farthest: String::new(), cracks, posed };
+    let mut drawn = Drawn {
+        compared: places.len(),
+        error: 0.0,
+        over: 0,
+        farthest: String::new(),
+        cracks,
+        posed,
+    };
     let f = setup.transform(&pose);
-    let map = |places: &[Point]| f.map(places, &|| false).unwrap().into_iter().map(|place| place.expect("f")).collect::<Vec<_>>();
+    let map = |places: &[Point]| {
+        f.map(places, &|| false)
+            .unwrap()
+            .into_iter()
+            .map(|place| place.expect("f"))
+            .collect::<Vec<_>>()
+    };
     // The larger singular value of the derivatives.
     let stretch = |p: Point| {
         const STEP: f64 = 1e-3;
@@ -117,13 +162,22 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         for (&(k, p), f) in places.iter().zip(f) {
             let target = Point::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
             let error = f.distance(target);
-            drawn.over += usize::from(error > tolerance + ENCODED && error > tolerance + ENCODED * stretch(p));
+            drawn.over += usize::from(
+                error > tolerance + ENCODED && error > tolerance + ENCODED * stretch(p),
+            );
             if error > drawn.error {
                 drawn.error = error;
                 let (i, j) = cell(p);
-                let refined = drawn.posed.mesh().refinement().find(i, j).map(|cell| (cell.level, cell.edges));
+                let refined = drawn
+                    .posed
+                    .mesh()
+                    .refinement()
+                    .find(i, j)
+                    .map(|cell| (cell.level, cell.edges));
                 let of_mesh = drawn.posed.mesh().map(p).unwrap().distance(f);
-                drawn.farthest = format!("{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) {refined:?}");
+                drawn.farthest = format!(
+                    "{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) {refined:?}"
+                );
             }
         }
     }

@@ -7,8 +7,8 @@ use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::{Canvas, Filter, Outside};
 use crate::warp::{
-    CanvasSpec, Folds, GridSpec, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed, Region, RestSpec, Setup, Subject, Warning,
-    Warp,
+    CanvasSpec, Folds, GridSpec, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed,
+    Region, RestSpec, Setup, Subject, Warning, Warp,
 };
 
 const SIDE: (u32, u32) = (120, 90);
@@ -36,22 +36,39 @@ struct Disc {
 
 impl Disc {
     fn value(self, p: Point) -> f64 {
-        let far = p.distance(Point::new(f64::from(SIDE.0) / 2.0, f64::from(SIDE.1) / 2.0)) - self.radius;
-        if self.feather > 0.0 { (1.0 - far / self.feather).clamp(0.0, 1.0) } else { f64::from(u8::from(far <= 0.0)) }
+        let far =
+            p.distance(Point::new(f64::from(SIDE.0) / 2.0, f64::from(SIDE.1) / 2.0)) - self.radius;
+        if self.feather > 0.0 {
+            (1.0 - far / self.feather).clamp(0.0, 1.0)
+        } else {
+            f64::from(u8::from(far <= 0.0))
+        }
     }
 
     /// As grey values, or as an alpha of black pixels.
     fn image(self, channels: Channels, depth: Depth) -> Image {
-        let pixels = (0..SIDE.1).flat_map(|y| (0..SIDE.0).map(move |x| Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5)));
+        let pixels = (0..SIDE.1).flat_map(|y| {
+            (0..SIDE.0).map(move |x| Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+        });
         let values = pixels.flat_map(|p| match channels {
             Channels::Rgb => vec![self.value(p); 3],
             Channels::Rgba => vec![0.0, 0.0, 0.0, self.value(p)],
         });
         let samples = match depth {
-            Depth::Eight => Samples::Eight(values.map(|value| (value * 255.0).round() as u8).collect()),
-            Depth::Sixteen => Samples::Sixteen(values.map(|value| (value * 65_535.0).round() as u16).collect()),
+            Depth::Eight => {
+                Samples::Eight(values.map(|value| (value * 255.0).round() as u8).collect())
+            }
+            Depth::Sixteen => Samples::Sixteen(
+                values
+                    .map(|value| (value * 65_535.0).round() as u16)
+                    .collect(),
+            ),
         };
-        Image::of_pixmap(&format!("{self:?}"), Pixmap::new(extent(SIDE.0, SIDE.1), channels, samples), true)
+        Image::of_pixmap(
+            &format!("{self:?}"),
+            Pixmap::new(extent(SIDE.0, SIDE.1), channels, samples),
+            true,
+        )
     }
 
     fn region(self) -> Region {
@@ -59,16 +76,32 @@ impl Disc {
     }
 }
 
-const HARD: Disc = Disc { radius: 24.0, feather: 0.0 };
-const SOFT: Disc = Disc { radius: 15.0, feather: 20.0 };
+const HARD: Disc = Disc {
+    radius: 24.0,
+    feather: 0.0,
+};
+const SOFT: Disc = Disc {
+    radius: 15.0,
+    feather: 20.0,
+};
 
 fn posed(case: &Case) -> Posed {
     let setup = Setup::new(&case.rest, case.extent, &Limits::default()).unwrap();
-    Posed::new(&setup, &setup.plan(), &setup.pose(&case.q).unwrap(), Folds::Report, &|| false).unwrap()
+    Posed::new(
+        &setup,
+        &setup.plan(),
+        &setup.pose(&case.q).unwrap(),
+        Folds::Report,
+        &|| false,
+    )
+    .unwrap()
 }
 
 fn at_rest(case: &Case) -> Posed {
-    posed(&Case { q: case.rest.p.clone(), ..case.clone() })
+    posed(&Case {
+        q: case.rest.p.clone(),
+        ..case.clone()
+    })
 }
 
 /// The pixels of a warp, and its channels and depth.
@@ -84,11 +117,18 @@ impl Pixels {
     /// Samples of pixel `k`; alpha is the greatest value where there is none.
     fn at(&self, k: usize) -> [u16; 4] {
         let count = self.channels.count();
-        let most = if self.depth == Depth::Eight { 255 } else { u16::MAX };
+        let most = if self.depth == Depth::Eight {
+            255
+        } else {
+            u16::MAX
+        };
         [0, 1, 2, 3].map(|c| match self.depth {
             _ if c >= count => most,
             Depth::Eight => u16::from(self.bytes[k * count + c]),
-            Depth::Sixteen => u16::from_be_bytes([self.bytes[2 * (k * count + c)], self.bytes[2 * (k * count + c) + 1]]),
+            Depth::Sixteen => u16::from_be_bytes([
+                self.bytes[2 * (k * count + c)],
+                self.bytes[2 * (k * count + c) + 1],
+            ]),
         })
     }
 
@@ -101,11 +141,24 @@ fn pixels(warp: &Warp, step: usize, depth: Depth) -> Pixels {
     let (size, pixel) = (warp.drawer.target(), warp.drawer.pixel_bytes());
     let row = size.width() as usize * pixel;
     let mut bytes = vec![0; row * size.height() as usize];
-    for (first, out) in (0..size.height()).step_by(step).zip(bytes.chunks_mut(step * row)) {
-        warp.drawer.band(first..size.height().min(first + step as u32), out);
+    for (first, out) in (0..size.height())
+        .step_by(step)
+        .zip(bytes.chunks_mut(step * row))
+    {
+        warp.drawer
+            .band(first..size.height().min(first + step as u32), out);
     }
-    let channels = if pixel == 3 * depth.bytes() { Channels::Rgb } else { Channels::Rgba };
-    Pixels { size, bytes, channels, depth }
+    let channels = if pixel == 3 * depth.bytes() {
+        Channels::Rgb
+    } else {
+        Channels::Rgba
+    };
+    Pixels {
+        size,
+        bytes,
+        channels,
+        depth,
+    }
 }
 
 fn draw(subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Pixels {
@@ -113,18 +166,44 @@ fn draw(subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Pixels {
         Subject::Image(image) => image.source.pixmap().depth(),
         _ => Depth::Eight,
     };
-    pixels(&Warp::new(subject, posed, output, &Limits::default()).unwrap(), 1000, depth)
+    pixels(
+        &Warp::new(subject, posed, output, &Limits::default()).unwrap(),
+        1000,
+        depth,
+    )
 }
 
 fn cases() -> Vec<Case> {
     let size = extent(SIDE.0, SIDE.1);
-    let methods = [Method::Rigid, Method::Similarity, Method::Affine, Method::ThinPlateSpline];
+    let methods = [
+        Method::Rigid,
+        Method::Similarity,
+        Method::Affine,
+        Method::ThinPlateSpline,
+    ];
     // Not so far that means over what is shrunk reach into the mask from afar.
-    let kinds = [FEW, MORE, LINES, MIXED].map(|kind| Kind { reach: 0.03, ..kind });
-    let all = methods.into_iter().enumerate().flat_map(|(k, method)| (0..3).map(move |seed| (k, method, seed)));
+    let kinds = [FEW, MORE, LINES, MIXED].map(|kind| Kind {
+        reach: 0.03,
+        ..kind
+    });
+    let all = methods
+        .into_iter()
+        .enumerate()
+        .flat_map(|(k, method)| (0..3).map(move |seed| (k, method, seed)));
     all.filter(|(k, method, _)| kinds[*k].lines == 0 || *method != Method::ThinPlateSpline)
         .map(|(k, method, seed)| {
-            random(size, kinds[(k + seed) % if method == Method::ThinPlateSpline { 2 } else { 4 }], method, 1.5, seed as u64)
+            random(
+                size,
+                kinds[(k + seed)
+                    % if method == Method::ThinPlateSpline {
+                        2
+                    } else {
+                        4
+                    }],
+                method,
+                1.5,
+                seed as u64,
+            )
         })
         .collect()
 }
@@ -134,19 +213,37 @@ fn outside_is_the_source_and_inside_is_the_warp_bit_for_bit() {
     let size = extent(SIDE.0, SIDE.1);
     let mut counts = [0; 3];
     for (n, case) in cases().into_iter().enumerate() {
-        let (channels, depth) = [(Channels::Rgb, Depth::Eight), (Channels::Rgba, Depth::Eight), (Channels::Rgb, Depth::Sixteen)][n % 3];
+        let (channels, depth) = [
+            (Channels::Rgb, Depth::Eight),
+            (Channels::Rgba, Depth::Eight),
+            (Channels::Rgb, Depth::Sixteen),
+        ][n % 3];
         let image = noise(size, channels, depth);
         let disc = if n % 2 == 0 { HARD } else { SOFT };
-        let mask = [disc.image(Channels::Rgb, Depth::Eight), disc.image(Channels::Rgba, Depth::Sixteen)];
+        let mask = [
+            disc.image(Channels::Rgb, Depth::Eight),
+            disc.image(Channels::Rgba, Depth::Sixteen),
+        ];
         let filter = [Filter::Bilinear, Filter::Nearest, Filter::Bicubic][n / 2 % 3];
-        let output = OutputSpec { filter, ..OutputSpec::default() };
-        let (whole, source) =
-            (draw(Subject::Image(&image), &posed(&case), &output), draw(Subject::Image(&image), &at_rest(&case), &output));
+        let output = OutputSpec {
+            filter,
+            ..OutputSpec::default()
+        };
+        let (whole, source) = (
+            draw(Subject::Image(&image), &posed(&case), &output),
+            draw(Subject::Image(&image), &at_rest(&case), &output),
+        );
         let moved = posed(&case).within(Region::new(&mask[n % 2]));
         let part = draw(Subject::Image(&image), &moved, &output);
-        assert_eq!((part.channels, part.depth), (channels, depth), "no alpha is added");
+        assert_eq!(
+            (part.channels, part.depth),
+            (channels, depth),
+            "no alpha is added"
+        );
         for (k, position) in shown(&moved, size).into_iter().enumerate() {
-            let distance = position.map_or(f64::INFINITY, |p| p.distance(Point::new(f64::from(SIDE.0) / 2.0, f64::from(SIDE.1) / 2.0)));
+            let distance = position.map_or(f64::INFINITY, |p| {
+                p.distance(Point::new(f64::from(SIDE.0) / 2.0, f64::from(SIDE.1) / 2.0))
+            });
             if distance > disc.radius + disc.feather + NEAR {
                 assert_eq!(part.at(k), source.at(k), "{}: pixel {k}", case.name);
                 counts[0] += 1;
@@ -164,15 +261,35 @@ fn outside_is_the_source_and_inside_is_the_warp_bit_for_bit() {
 #[test]
 fn a_pose_at_rest_is_the_source() {
     let size = extent(SIDE.0, SIDE.1);
-    for (channels, depth) in [(Channels::Rgba, Depth::Eight), (Channels::Rgb, Depth::Sixteen), (Channels::Rgba, Depth::Sixteen)] {
+    for (channels, depth) in [
+        (Channels::Rgba, Depth::Eight),
+        (Channels::Rgb, Depth::Sixteen),
+        (Channels::Rgba, Depth::Sixteen),
+    ] {
         let image = noise(size, channels, depth);
         let still = at_rest(&cases()[0]);
-        for (holes, disc) in [(Holes::Keep, SOFT), (Holes::Transparent, SOFT), (Holes::Transparent, HARD)] {
-            let output = OutputSpec { holes, ..OutputSpec::default() };
+        for (holes, disc) in [
+            (Holes::Keep, SOFT),
+            (Holes::Transparent, SOFT),
+            (Holes::Transparent, HARD),
+        ] {
+            let output = OutputSpec {
+                holes,
+                ..OutputSpec::default()
+            };
             let want = draw(Subject::Image(&image), &still, &output);
             let still = at_rest(&cases()[0]).within(disc.region());
-            assert!(draw(Subject::Image(&image), &still, &output) == want, "{channels:?} {depth:?} {holes:?}");
-            assert!(draw(Subject::Holes(&disc.region()), &still, &output).bytes.iter().all(|hole| *hole == 0), "nothing has moved");
+            assert!(
+                draw(Subject::Image(&image), &still, &output) == want,
+                "{channels:?} {depth:?} {holes:?}"
+            );
+            assert!(
+                draw(Subject::Holes(&disc.region()), &still, &output)
+                    .bytes
+                    .iter()
+                    .all(|hole| *hole == 0),
+                "nothing has moved"
+            );
         }
     }
 }
@@ -180,14 +297,33 @@ fn a_pose_at_rest_is_the_source() {
 #[test]
 fn a_white_mask_is_the_warp_without_a_region_where_it_is_drawn() {
     let size = extent(SIDE.0, SIDE.1);
-    let white = Disc { radius: 1e3, feather: 0.0 }.region();
+    let white = Disc {
+        radius: 1e3,
+        feather: 0.0,
+    }
+    .region();
     for (n, case) in cases().into_iter().enumerate() {
         let image = noise(size, [Channels::Rgb, Channels::Rgba][n % 2], Depth::Eight);
         let holes = [Holes::Keep, Holes::Transparent][n / 2 % 2];
-        let canvas = CanvasSpec::Box(Canvas { x: -20, y: -15, extent: extent(160, 120) });
-        let output = OutputSpec { holes, canvas, ..OutputSpec::default() };
-        let (whole, still) = (draw(Subject::Image(&image), &posed(&case), &output), draw(Subject::Image(&image), &at_rest(&case), &output));
-        let part = draw(Subject::Image(&image), &posed(&case).within(white.clone()), &output);
+        let canvas = CanvasSpec::Box(Canvas {
+            x: -20,
+            y: -15,
+            extent: extent(160, 120),
+        });
+        let output = OutputSpec {
+            holes,
+            canvas,
+            ..OutputSpec::default()
+        };
+        let (whole, still) = (
+            draw(Subject::Image(&image), &posed(&case), &output),
+            draw(Subject::Image(&image), &at_rest(&case), &output),
+        );
+        let part = draw(
+            Subject::Image(&image),
+            &posed(&case).within(white.clone()),
+            &output,
+        );
         // Where the posed picture is drawn: without alpha, all of it.
         let solid = noise(size, Channels::Rgb, Depth::Eight);
         let covered = draw(Subject::Image(&solid), &posed(&case), &output);
@@ -210,13 +346,26 @@ fn holes_are_what_is_left_transparent() {
         let image = noise(size, Channels::Rgb, [Depth::Eight, Depth::Sixteen][n % 2]);
         let region = [HARD, SOFT][n / 2 % 2].region();
         let moved = posed(&case).within(region.clone());
-        let output = OutputSpec { holes: Holes::Transparent, ..OutputSpec::default() };
-        let (part, holes) = (draw(Subject::Image(&image), &moved, &output), draw(Subject::Holes(&region), &moved, &output));
+        let output = OutputSpec {
+            holes: Holes::Transparent,
+            ..OutputSpec::default()
+        };
+        let (part, holes) = (
+            draw(Subject::Image(&image), &moved, &output),
+            draw(Subject::Holes(&region), &moved, &output),
+        );
         let kept = draw(Subject::Image(&image), &moved, &OutputSpec::default());
-        assert_eq!((holes.channels, holes.depth, part.channels), (Channels::Rgb, Depth::Eight, Channels::Rgba));
+        assert_eq!(
+            (holes.channels, holes.depth, part.channels),
+            (Channels::Rgb, Depth::Eight, Channels::Rgba)
+        );
         for (k, (hole, pixel)) in holes.all().zip(part.all()).enumerate() {
             assert!(hole[0] == hole[1] && hole[1] == hole[2], "grey");
-            let alpha = if n % 2 == 0 { pixel[3] } else { (f64::from(pixel[3]) / 257.0).round() as u16 };
+            let alpha = if n % 2 == 0 {
+                pixel[3]
+            } else {
+                (f64::from(pixel[3]) / 257.0).round() as u16
+            };
             assert_eq!(alpha + hole[0], 255, "{}: pixel {k}", case.name);
             if hole[0] == 0 && alpha == 255 {
                 closed += 1;
@@ -231,16 +380,36 @@ fn holes_are_what_is_left_transparent() {
 /// The largest difference between neighbouring pixels of a grey ramp, whose middle is moved to the right.
 fn largest_step(disc: Disc, filter: Filter) -> u16 {
     let size = extent(SIDE.0, SIDE.1);
-    let ramp = (0..SIDE.1).flat_map(|_| (0..SIDE.0).flat_map(|x| [(x as u16) * 500; 3])).collect();
-    let image = Image::of_pixmap("ramp", Pixmap::new(size, Channels::Rgb, Samples::Sixteen(ramp)), true);
+    let ramp = (0..SIDE.1)
+        .flat_map(|_| (0..SIDE.0).flat_map(|x| [(x as u16) * 500; 3]))
+        .collect();
+    let image = Image::of_pixmap(
+        "ramp",
+        Pixmap::new(size, Channels::Rgb, Samples::Sixteen(ramp)),
+        true,
+    );
     let mut case = random(size, FEW, Method::Rigid, 1.0, 1);
     // A translation by 6 px, which changes the ramp by 3000.
-    case.q = case.rest.p.iter().map(|p| crate::deform::Handle::Point(Point::new(p.places()[0].x + 6.0, p.places()[0].y))).collect();
-    let output = OutputSpec { filter, ..OutputSpec::default() };
-    let part = draw(Subject::Image(&image), &posed(&case).within(disc.region()), &output);
+    case.q = case
+        .rest
+        .p
+        .iter()
+        .map(|p| crate::deform::Handle::Point(Point::new(p.places()[0].x + 6.0, p.places()[0].y)))
+        .collect();
+    let output = OutputSpec {
+        filter,
+        ..OutputSpec::default()
+    };
+    let part = draw(
+        Subject::Image(&image),
+        &posed(&case).within(disc.region()),
+        &output,
+    );
     let values: Vec<u16> = part.all().map(|pixel| pixel[0]).collect();
     let width = SIDE.0 as usize;
-    let across = values.chunks_exact(width).flat_map(|row| row.windows(2).map(|pair| pair[0].abs_diff(pair[1])));
+    let across = values
+        .chunks_exact(width)
+        .flat_map(|row| row.windows(2).map(|pair| pair[0].abs_diff(pair[1])));
     let down = (width..values.len()).map(|k| values[k].abs_diff(values[k - width]));
     across.chain(down).max().unwrap()
 }
@@ -251,7 +420,10 @@ fn a_feather_has_no_step() {
         // The ramp has 500 a pixel, and a feather of 20 px spreads 3000: 150 a pixel.
         let soft = largest_step(SOFT, filter);
         assert!(soft <= 500 + 150 + 10, "{filter:?}: {soft}");
-        assert!(largest_step(HARD, filter) > 2000, "a mask without a feather has a step");
+        assert!(
+            largest_step(HARD, filter) > 2000,
+            "a mask without a feather has a step"
+        );
     }
 }
 
@@ -261,27 +433,69 @@ fn canvases_are_crops_and_bands_do_not_matter() {
     let image = noise(size, Channels::Rgb, Depth::Eight);
     for (n, case) in cases().into_iter().enumerate() {
         let holes = [Holes::Keep, Holes::Transparent][n % 2];
-        let outside = [Outside::Transparent, Outside::Edge, Outside::Reflect, Outside::Colour([9, 8, 7, 255])][n % 4];
+        let outside = [
+            Outside::Transparent,
+            Outside::Edge,
+            Outside::Reflect,
+            Outside::Colour([9, 8, 7, 255]),
+        ][n % 4];
         let moved = posed(&case).within(SOFT.region());
         let of = |x, y, width, height| {
-            let canvas = CanvasSpec::Box(Canvas { x, y, extent: extent(width, height) });
-            let output = OutputSpec { holes, outside, canvas, ..OutputSpec::default() };
+            let canvas = CanvasSpec::Box(Canvas {
+                x,
+                y,
+                extent: extent(width, height),
+            });
+            let output = OutputSpec {
+                holes,
+                outside,
+                canvas,
+                ..OutputSpec::default()
+            };
             Warp::new(Subject::Image(&image), &moved, &output, &Limits::default()).unwrap()
         };
-        let (large, small) = (pixels(&of(-40, -30, 200, 150), 1000, Depth::Eight), pixels(&of(-7, 11, 90, 61), 1000, Depth::Eight));
+        let (large, small) = (
+            pixels(&of(-40, -30, 200, 150), 1000, Depth::Eight),
+            pixels(&of(-7, 11, 90, 61), 1000, Depth::Eight),
+        );
         for (k, pixel) in small.all().enumerate() {
             let (x, y) = (k % 90 + 33, k / 90 + 41);
             assert_eq!(pixel, large.at(y * 200 + x), "{}: pixel {k}", case.name);
         }
         for step in [1, 7, 32, 45] {
-            assert!(pixels(&of(-40, -30, 200, 150), step, Depth::Eight) == large, "{}: bands of {step}", case.name);
+            assert!(
+                pixels(&of(-40, -30, 200, 150), step, Depth::Eight) == large,
+                "{}: bands of {step}",
+                case.name
+            );
         }
         // What `fit` leaves out has nothing of the picture.
-        let output = OutputSpec { holes: Holes::Keep, canvas: CanvasSpec::Fit, ..OutputSpec::default() };
-        let canvas = output.target(size, &moved, &Limits::default(), &|| false).unwrap().canvas.unwrap();
-        let output = OutputSpec { canvas: CanvasSpec::Box(Canvas { x: -60, y: -60, extent: extent(240, 210) }), ..OutputSpec::default() };
-        for (k, pixel) in draw(Subject::Image(&image), &moved, &output).all().enumerate() {
-            let (x, y) = ((k % 240) as f64 - 60.0 - f64::from(canvas.x), (k / 240) as f64 - 60.0 - f64::from(canvas.y));
+        let output = OutputSpec {
+            holes: Holes::Keep,
+            canvas: CanvasSpec::Fit,
+            ..OutputSpec::default()
+        };
+        let canvas = output
+            .target(size, &moved, &Limits::default(), &|| false)
+            .unwrap()
+            .canvas
+            .unwrap();
+        let output = OutputSpec {
+            canvas: CanvasSpec::Box(Canvas {
+                x: -60,
+                y: -60,
+                extent: extent(240, 210),
+            }),
+            ..OutputSpec::default()
+        };
+        for (k, pixel) in draw(Subject::Image(&image), &moved, &output)
+            .all()
+            .enumerate()
+        {
+            let (x, y) = (
+                (k % 240) as f64 - 60.0 - f64::from(canvas.x),
+                (k / 240) as f64 - 60.0 - f64::from(canvas.y),
+            );
             let inside = |at: f64, side: u32| (0.0..f64::from(side)).contains(&at);
             let is_inside = inside(x, canvas.extent.width()) && inside(y, canvas.extent.height());
             assert!(is_inside || pixel == [0; 4], "{}: {x}, {y}", case.name);
@@ -297,31 +511,74 @@ fn a_box_contains_the_cells_that_have_some_of_the_mask() {
     let masks: [(&str, IsMasked<'_>); 5] = [
         ("nothing", &|_, _| false),
         ("everything", &|_, _| true),
-        ("a disc", &|x, y| HARD.value(Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5)) > 0.0),
+        ("a disc", &|x, y| {
+            HARD.value(Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5)) > 0.0
+        }),
         ("dots", &|x, y| x % 41 == 7 && y % 37 == 11),
-        ("corners", &|x, y| (x == 0 && y == 0) || (x + 1 == SIDE.0 && y + 1 == SIDE.1)),
+        ("corners", &|x, y| {
+            (x == 0 && y == 0) || (x + 1 == SIDE.0 && y + 1 == SIDE.1)
+        }),
     ];
     for (name, is_masked) in masks {
-        let values = (0..SIDE.1).flat_map(|y| (0..SIDE.0).flat_map(move |x| [255 * u8::from(is_masked(x, y)); 3])).collect();
-        let region = Region::new(&Image::of_pixmap(name, Pixmap::new(size, Channels::Rgb, Samples::Eight(values)), true));
+        let values = (0..SIDE.1)
+            .flat_map(|y| (0..SIDE.0).flat_map(move |x| [255 * u8::from(is_masked(x, y)); 3]))
+            .collect();
+        let region = Region::new(&Image::of_pixmap(
+            name,
+            Pixmap::new(size, Channels::Rgb, Samples::Eight(values)),
+            true,
+        ));
         for (case, grid) in cases().into_iter().flat_map(|case| {
-            let grids = [GridSpec::Pixel, GridSpec::Cell(7.3), GridSpec::Counts { columns: 2, rows: 3 }];
-            grids.map(|grid| (Case { rest: RestSpec { grid, ..case.rest.clone() }, ..case.clone() }, grid))
+            let grids = [
+                GridSpec::Pixel,
+                GridSpec::Cell(7.3),
+                GridSpec::Counts {
+                    columns: 2,
+                    rows: 3,
+                },
+            ];
+            grids.map(|grid| {
+                (
+                    Case {
+                        rest: RestSpec {
+                            grid,
+                            ..case.rest.clone()
+                        },
+                        ..case.clone()
+                    },
+                    grid,
+                )
+            })
         }) {
             let posed = posed(&case);
             let (mesh, grid_lines) = (posed.mesh(), posed.mesh().grid());
             let mut want = [0.0, 0.0, f64::from(SIDE.0), f64::from(SIDE.1)];
-            for (i, j) in (0..grid_lines.rows() - 1).flat_map(|j| (0..grid_lines.columns() - 1).map(move |i| (i, j))) {
+            for (i, j) in (0..grid_lines.rows() - 1)
+                .flat_map(|j| (0..grid_lines.columns() - 1).map(move |i| (i, j)))
+            {
                 let (from, to) = (grid_lines.vertex(i, j), grid_lines.vertex(i + 1, j + 1));
                 let range = |from: f64, to: f64, side: u32| {
-                    ((from - 2.0).floor().max(0.0) as u32).min(side - 1)..((to + 2.0).ceil() as u32).min(side)
+                    ((from - 2.0).floor().max(0.0) as u32).min(side - 1)
+                        ..((to + 2.0).ceil() as u32).min(side)
                 };
-                if range(from.y, to.y, SIDE.1).any(|y| range(from.x, to.x, SIDE.0).any(|x| is_masked(x, y))) {
+                if range(from.y, to.y, SIDE.1)
+                    .any(|y| range(from.x, to.x, SIDE.0).any(|x| is_masked(x, y)))
+                {
                     let cell = mesh.cell_bounds(i, j);
-                    want = [want[0].min(cell[0]), want[1].min(cell[1]), want[2].max(cell[2]), want[3].max(cell[3])];
+                    want = [
+                        want[0].min(cell[0]),
+                        want[1].min(cell[1]),
+                        want[2].max(cell[2]),
+                        want[3].max(cell[3]),
+                    ];
                 }
             }
-            assert_eq!(region.bounds(mesh, &|| false).unwrap(), want, "{name}: {}, {grid:?}", case.name);
+            assert_eq!(
+                region.bounds(mesh, &|| false).unwrap(),
+                want,
+                "{name}: {}, {grid:?}",
+                case.name
+            );
         }
     }
 }
@@ -332,14 +589,25 @@ fn a_smaller_picture_has_the_smaller_source_outside() {
     let image = noise(size, Channels::Rgb, Depth::Eight);
     let case = &cases()[0];
     for width in [40, 200] {
-        let output = OutputSpec { width: Some(width), ..OutputSpec::default() };
+        let output = OutputSpec {
+            width: Some(width),
+            ..OutputSpec::default()
+        };
         let (still, part) = (
             draw(Subject::Image(&image), &at_rest(case), &output),
-            draw(Subject::Image(&image), &posed(case).within(HARD.region()), &output),
+            draw(
+                Subject::Image(&image),
+                &posed(case).within(HARD.region()),
+                &output,
+            ),
         );
-        let differ = still.all().zip(part.all()).filter(|(a, b)| a != b).count() as f64 / still.size.pixels() as f64;
+        let differ = still.all().zip(part.all()).filter(|(a, b)| a != b).count() as f64
+            / still.size.pixels() as f64;
         let disc = std::f64::consts::PI * HARD.radius * HARD.radius / size.pixels() as f64;
-        assert!(differ > 0.6 * disc && differ < 1.5 * disc, "{width}: {differ} of the pixels differ, and the disc has {disc}");
+        assert!(
+            differ > 0.6 * disc && differ < 1.5 * disc,
+            "{width}: {differ} of the pixels differ, and the disc has {disc}"
+        );
     }
 }
 
@@ -349,30 +617,83 @@ fn what_a_picture_depends_on_is_in_its_digest() {
     let image = noise(size, Channels::Rgb, Depth::Eight);
     let case = &cases()[0];
     let etag = |posed: &Posed, holes| {
-        let output = OutputSpec { holes, ..OutputSpec::default() };
-        Warp::new(Subject::Image(&image), posed, &output, &Limits::default()).unwrap().etag()
+        let output = OutputSpec {
+            holes,
+            ..OutputSpec::default()
+        };
+        Warp::new(Subject::Image(&image), posed, &output, &Limits::default())
+            .unwrap()
+            .etag()
     };
-    let (plain, hard, soft) = (posed(case), posed(case).within(HARD.region()), posed(case).within(SOFT.region()));
-    let all = [etag(&plain, Holes::Keep), etag(&hard, Holes::Keep), etag(&soft, Holes::Keep), etag(&soft, Holes::Transparent)];
+    let (plain, hard, soft) = (
+        posed(case),
+        posed(case).within(HARD.region()),
+        posed(case).within(SOFT.region()),
+    );
+    let all = [
+        etag(&plain, Holes::Keep),
+        etag(&hard, Holes::Keep),
+        etag(&soft, Holes::Keep),
+        etag(&soft, Holes::Transparent),
+    ];
     for (k, tag) in all.iter().enumerate() {
         assert!(!all[..k].contains(tag), "{k}");
     }
-    assert_eq!(etag(&plain, Holes::Keep), etag(&plain, Holes::Transparent), "without a region there are no holes");
+    assert_eq!(
+        etag(&plain, Holes::Keep),
+        etag(&plain, Holes::Transparent),
+        "without a region there are no holes"
+    );
     // A picture of which nothing is posed on the canvas still shows the source.
-    let canvas = Canvas { x: 0, y: 0, extent: size };
+    let canvas = Canvas {
+        x: 0,
+        y: 0,
+        extent: size,
+    };
     let mut away = case.clone();
-    away.q = case.rest.p.iter().map(|p| crate::deform::Handle::Point(Point::new(p.places()[0].x + 5000.0, 0.0))).collect();
-    let warns = |posed: Posed| posed.into_report(Some(canvas), &|| false).unwrap().warnings.contains(&Warning::NothingVisible);
+    away.q = case
+        .rest
+        .p
+        .iter()
+        .map(|p| crate::deform::Handle::Point(Point::new(p.places()[0].x + 5000.0, 0.0)))
+        .collect();
+    let warns = |posed: Posed| {
+        posed
+            .into_report(Some(canvas), &|| false)
+            .unwrap()
+            .warnings
+            .contains(&Warning::NothingVisible)
+    };
     assert!(warns(posed(&away)) && !warns(posed(&away).within(HARD.region())));
-    let png = OutputSpec { format: Format::Png, ..OutputSpec::default() };
-    assert!(Warp::new(Subject::Holes(&HARD.region()), &hard, &png, &Limits::default()).unwrap().etag() != all[1]);
+    let png = OutputSpec {
+        format: Format::Png,
+        ..OutputSpec::default()
+    };
+    assert!(
+        Warp::new(
+            Subject::Holes(&HARD.region()),
+            &hard,
+            &png,
+            &Limits::default()
+        )
+        .unwrap()
+        .etag()
+            != all[1]
+    );
 }
 
 #[test]
 fn labels_are_chosen_and_coverage_is_mixed() {
     let size = extent(SIDE.0, SIDE.1);
-    let shape = PngShape { extent: size, channels: Channels::Rgb, grey: true, depth: Depth::Eight };
-    let values = (0..size.pixels()).map(|k| 1 + (k * 7919 % 251) as u8).collect();
+    let shape = PngShape {
+        extent: size,
+        channels: Channels::Rgb,
+        grey: true,
+        depth: Depth::Eight,
+    };
+    let values = (0..size.pixels())
+        .map(|k| 1 + (k * 7919 % 251) as u8)
+        .collect();
     let labels = LabelImage::of(Labels {
         shape,
         palette: None,
@@ -384,19 +705,33 @@ fn labels_are_chosen_and_coverage_is_mixed() {
     for (n, case) in cases().into_iter().enumerate() {
         let disc = [HARD, SOFT][n % 2];
         let (mask, region) = (disc.image(Channels::Rgb, Depth::Eight), disc.region());
-        let output = OutputSpec { holes: [Holes::Keep, Holes::Transparent][n / 2 % 2], ..OutputSpec::default() };
+        let output = OutputSpec {
+            holes: [Holes::Keep, Holes::Transparent][n / 2 % 2],
+            ..OutputSpec::default()
+        };
         let (whole, still) = (posed(&case), at_rest(&case));
         let moved = posed(&case).within(region.clone());
         let grey = |subject, posed: &Posed| {
             let warp = Warp::new(subject, posed, &output, &Limits::default()).unwrap();
             let mut bytes = vec![0; size.pixels() as usize * warp.drawer.pixel_bytes()];
             warp.drawer.band(0..SIDE.1, &mut bytes);
-            bytes.chunks_exact(warp.drawer.pixel_bytes()).map(|pixel| pixel[0]).collect::<Vec<u8>>()
+            bytes
+                .chunks_exact(warp.drawer.pixel_bytes())
+                .map(|pixel| pixel[0])
+                .collect::<Vec<u8>>()
         };
-        let [there, at_rest, part] = [&whole, &still, &moved].map(|posed| grey(Subject::Labels(&labels), posed));
-        let [covered, parts_covered] = [&whole, &moved].map(|posed| grey(Subject::Coverage(size), posed));
-        let outside = OutputSpec { outside: Outside::Colour([0, 0, 0, 255]), ..output };
-        let m: Vec<u16> = draw(Subject::Image(&mask), &whole, &outside).all().map(|pixel| pixel[0]).collect();
+        let [there, at_rest, part] =
+            [&whole, &still, &moved].map(|posed| grey(Subject::Labels(&labels), posed));
+        let [covered, parts_covered] =
+            [&whole, &moved].map(|posed| grey(Subject::Coverage(size), posed));
+        let outside = OutputSpec {
+            outside: Outside::Colour([0, 0, 0, 255]),
+            ..output
+        };
+        let m: Vec<u16> = draw(Subject::Image(&mask), &whole, &outside)
+            .all()
+            .map(|pixel| pixel[0])
+            .collect();
         let holes = grey(Subject::Holes(&region), &moved);
         for k in 0..part.len() {
             let is_hole = output.holes == Holes::Transparent && holes[k] >= 128;
@@ -407,12 +742,19 @@ fn labels_are_chosen_and_coverage_is_mixed() {
             };
             assert_eq!(part[k], want, "{}: pixel {k}", case.name);
             counts[kind] += 1;
-            let open = if output.holes == Holes::Transparent { holes[k] } else { 0 };
+            let open = if output.holes == Holes::Transparent {
+                holes[k]
+            } else {
+                0
+            };
             if covered[k] == 255 {
                 assert_eq!(parts_covered[k], 255 - open, "{}: pixel {k}", case.name);
                 partly += usize::from(open > 0);
             }
         }
     }
-    assert!(counts.into_iter().all(|count| count > 100) && partly > 100, "{counts:?} {partly}");
+    assert!(
+        counts.into_iter().all(|count| count > 100) && partly > 100,
+        "{counts:?} {partly}"
+    );
 }

@@ -81,7 +81,11 @@ impl BatchJob {
     /// The pose of a frame, by its number among the poses.
     fn pose_number(&self, frame: u32) -> u32 {
         let last = self.object.poses.count() - 1;
-        if frame <= last { frame } else { 2 * last - frame }
+        if frame <= last {
+            frame
+        } else {
+            2 * last - frame
+        }
     }
 
     /// Files of each frame in an archive.
@@ -90,15 +94,30 @@ impl BatchJob {
     }
 
     fn has_annotations(&self) -> bool {
-        !self.object.annotations.kinds.is_empty() || matches!(self.object.poses, BatchPoses::Jitter { .. })
+        !self.object.annotations.kinds.is_empty()
+            || matches!(self.object.poses, BatchPoses::Jitter { .. })
     }
 
     /// The job of drawing the picture or a layer.
     fn draw_job(&self, content: &Content, q: Arc<Held<Vec<Handle>>>, timing: Timing) -> DrawJob {
-        let planned = Planned { setup: Arc::clone(&self.rest.setup), plan: Arc::clone(&self.plan), timing, is_built: false };
+        let planned = Planned {
+            setup: Arc::clone(&self.rest.setup),
+            plan: Arc::clone(&self.plan),
+            timing,
+            is_built: false,
+        };
         let (quota, folds) = (self.quota.clone(), self.record.folds);
         let output = content.output_beside(self.output);
-        DrawJob { content: content.clone(), planned, q, folds, output, preview: None, force_alpha: self.force_alpha, quota }
+        DrawJob {
+            content: content.clone(),
+            planned,
+            q,
+            folds,
+            output,
+            preview: None,
+            force_alpha: self.force_alpha,
+            quota,
+        }
     }
 
     /// Memory of a frame besides its pictures.
@@ -107,24 +126,42 @@ impl BatchJob {
     }
 
     fn pose_of(&self, pose: u32) -> Result<FramePose, Problem> {
-        self.rest.pose_of(&self.object.poses, pose, &|bytes| self.reserve(bytes))
+        self.rest
+            .pose_of(&self.object.poses, pose, &|bytes| self.reserve(bytes))
     }
 
     /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
     fn located(&self, frame: u32, mut problem: Problem) -> Problem {
         problem.detail.insert_str(0, &format!("frame {frame}: "));
-        let is_pose = problem.pointer.as_deref().is_some_and(|pointer| pointer.starts_with("/q"));
-        if is_pose && matches!(self.object.poses, BatchPoses::Frames(_)) { in_frame(frame, problem) } else { problem }
+        let is_pose = problem
+            .pointer
+            .as_deref()
+            .is_some_and(|pointer| pointer.starts_with("/q"));
+        if is_pose && matches!(self.object.poses, BatchPoses::Frames(_)) {
+            in_frame(frame, problem)
+        } else {
+            problem
+        }
     }
 
     /// Checks all poses, and whether frames must be posed to find out what all pictures have in common.
     /// Errors: Those of a frame, or of the output.
     pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
-        self.rest.check(&self.object.poses, &|bytes| self.reserve(bytes), &|| cancel.is_cancelled())?;
-        self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
+        self.rest
+            .check(&self.object.poses, &|bytes| self.reserve(bytes), &|| {
+                cancel.is_cancelled()
+            })?;
+        self.output
+            .check(self.content.subject().extent(), &self.app.config().limits())?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
-        Ok(Survey { posed: 0, may_be_refused, needs_alpha: self.may_need_alpha(), canvas: None, has_one_canvas: true })
+        Ok(Survey {
+            posed: 0,
+            may_be_refused,
+            needs_alpha: self.may_need_alpha(),
+            canvas: None,
+            has_one_canvas: true,
+        })
     }
 
     /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an animation: none if nothing depends on
@@ -133,12 +170,24 @@ impl BatchJob {
     pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
         let began = Instant::now();
         // Any content that may gain alpha shows whether a frame needs it.
-        let content = self.contents().find(|content| content.may_gain_alpha()).unwrap_or(&self.content).clone();
+        let content = self
+            .contents()
+            .find(|content| content.may_gain_alpha())
+            .unwrap_or(&self.content)
+            .clone();
         while !self.is_surveyed(survey) {
             // The last in-between first: it moves the most, and is the likeliest to need alpha.
-            let frame = if survey.posed == 0 { self.object.poses.count() - 1 } else { survey.posed - 1 };
+            let frame = if survey.posed == 0 {
+                self.object.poses.count() - 1
+            } else {
+                survey.posed - 1
+            };
             let q = Arc::new(self.pose_of(frame)?.q);
-            let prepared = self.app.prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| cancel.is_cancelled());
+            let prepared = self
+                .app
+                .prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| {
+                    cancel.is_cancelled()
+                });
             let Prepared { warp, .. } = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
@@ -147,7 +196,9 @@ impl BatchJob {
             }
             survey.posed += 1;
             if !self.is_surveyed(survey) {
-                self.rest.setup.check_frames((self.object.poses.count() - survey.posed).into())?;
+                self.rest
+                    .setup
+                    .check_frames((self.object.poses.count() - survey.posed).into())?;
             }
             if began.elapsed() >= MAX_SURVEY_TIME {
                 return Ok(());
@@ -158,7 +209,8 @@ impl BatchJob {
 
     /// Whether no more frames need to be posed.
     pub(crate) fn is_surveyed(&self, survey: &Survey) -> bool {
-        survey.posed == self.object.poses.count() || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
+        survey.posed == self.object.poses.count()
+            || !survey.may_be_refused && (self.force_alpha || !survey.needs_alpha)
     }
 
     /// Decides on the canvas of all pictures of an animation.
@@ -167,7 +219,8 @@ impl BatchJob {
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {
             self.output.canvas = CanvasSpec::Box(canvas);
-            self.output.check(self.content.subject().extent(), &self.app.config().limits())?;
+            self.output
+                .check(self.content.subject().extent(), &self.app.config().limits())?;
             // A frame that is smaller than all together does not cover them.
             self.force_alpha |= survey.needs_alpha && !survey.has_one_canvas;
         }
@@ -187,11 +240,18 @@ impl BatchJob {
             Outside::Edge | Outside::Reflect | Outside::Value(_) => true,
         };
         let has_holes = self.output.holes == Holes::Transparent;
-        (!is_opaque || has_holes) && self.contents().any(Content::may_gain_alpha) && self.output.format != Format::Jpeg
+        (!is_opaque || has_holes)
+            && self.contents().any(Content::may_gain_alpha)
+            && self.output.format != Format::Jpeg
     }
 
     /// Draws a frame and maps its annotations.
-    pub(crate) fn draw(&self, frame: u32, timing: Timing, cancel: &Cancel) -> Result<Frame, Problem> {
+    pub(crate) fn draw(
+        &self,
+        frame: u32,
+        timing: Timing,
+        cancel: &Cancel,
+    ) -> Result<Frame, Problem> {
         let pose = self.pose_number(frame);
         let located = |problem| self.located(pose, problem);
         let FramePose { q, position } = self.pose_of(pose)?;
@@ -200,20 +260,39 @@ impl BatchJob {
         let (mut layers, mut layer_files) = (BTreeMap::new(), Vec::new());
         for (layer, content) in &self.layers {
             let job = self.draw_job(content, Arc::clone(&q), Timing::default());
-            let name = format!("{frame:04}.{}.{}", layer.as_str(), job.output.format.extension());
-            layer_files.push((name.clone(), self.app.draw_file(&job, &is_cancelled).map_err(located)?.bytes));
+            let name = format!(
+                "{frame:04}.{}.{}",
+                layer.as_str(),
+                job.output.format.extension()
+            );
+            layer_files.push((
+                name.clone(),
+                self.app
+                    .draw_file(&job, &is_cancelled)
+                    .map_err(located)?
+                    .bytes,
+            ));
             layers.insert(layer.as_str().to_owned(), name);
         }
         let job = self.draw_job(&self.content, q, timing);
-        let DrawnFile { report, target, bytes } = self.app.draw_file(&job, &is_cancelled).map_err(located)?;
+        let DrawnFile {
+            report,
+            target,
+            bytes,
+        } = self.app.draw_file(&job, &is_cancelled).map_err(located)?;
         let picture = self.rest.setup.frame_of(target);
         let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
-            Some((format!("{frame:04}.json"), self.annotate(&job.q, picture, cancel).map_err(located)?))
+            Some((
+                format!("{frame:04}.json"),
+                self.annotate(&job.q, picture, cancel).map_err(located)?,
+            ))
         } else {
             None
         };
         let mut warnings = report.warnings;
-        self.object.annotations.add_warnings(&self.rest.setup.source_frame(), &mut warnings);
+        self.object
+            .annotations
+            .add_warnings(&self.rest.setup.source_frame(), &mut warnings);
         let entry = BatchFrame {
             layers,
             picture: format!("{frame:04}.{}", self.output.format.extension()),
@@ -228,16 +307,31 @@ impl BatchJob {
             warnings: warnings.iter().map(|warning| warning.code()).collect(),
             exceeded: (report.exceeded > 0).then_some(report.exceeded),
         };
-        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes)).chain(layer_files).chain(annotations).collect();
+        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes))
+            .chain(layer_files)
+            .chain(annotations)
+            .collect();
         // The packed copy of each file, and then the bytes that are sent.
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
-        let held = self.app.reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
+        let held = self
+            .app
+            .reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
         let of_file = warnings.into_iter().filter(Warning::is_of_file).collect();
-        Ok(Frame { packed: self.form.pack(files)?, entry, of_file, held })
+        Ok(Frame {
+            packed: self.form.pack(files)?,
+            entry,
+            of_file,
+            held,
+        })
     }
 
     /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture; with jitter, also the handles.
-    fn annotate(&self, q: &[Handle], picture: PictureFrame, cancel: &Cancel) -> Result<Bytes, Problem> {
+    fn annotate(
+        &self,
+        q: &[Handle],
+        picture: PictureFrame,
+        cancel: &Cancel,
+    ) -> Result<Bytes, Problem> {
         let pose = self.rest.setup.pose(q)?;
         let transform = self.rest.setup.transform(&pose).onto(picture);
         let mut reservation = self.reserve(HANDLE_TEXT * q.len() as u64)?;
@@ -249,7 +343,13 @@ impl BatchJob {
         }
         let is_cancelled = || cancel.is_cancelled();
         let mut reserve = |bytes| self.app.reserve_more(&mut reservation, bytes);
-        while self.object.annotations.map_part(&mut cursor, &transform, &is_cancelled, &mut reserve, &mut body)? {}
+        while self.object.annotations.map_part(
+            &mut cursor,
+            &transform,
+            &is_cancelled,
+            &mut reserve,
+            &mut body,
+        )? {}
         body.shrink_to_fit();
         reservation.shrink_to(body.len() as u64);
         Ok(reservation.attach(body))

@@ -11,7 +11,9 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid};
+use mlswarp::warp::{
+    CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid,
+};
 
 use super::App;
 use super::draw::Planned;
@@ -62,26 +64,44 @@ impl App {
         most_frame_bytes: fn(u64) -> u64,
     ) -> Result<Batch, Problem> {
         let record = self.touch(id, None).await?.record;
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-        let (most, most_of_frame) = (self.0.config.max_warp_json_bytes, most_frame_bytes(columns(&record)));
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
+        let (most, most_of_frame) = (
+            self.0.config.max_warp_json_bytes,
+            most_frame_bytes(columns(&record)),
+        );
         let source = PictureFrame::of_source(record.extent, record.rest.units);
         let reserve = self.reserving(Purpose::Upload, client);
-        let parse = move |_: &_| Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, source, reserve);
+        let parse = move |_: &_| {
+            Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, source, reserve)
+        };
         let mut object = self.0.pool.run(&ticket, parse).await??;
         drop(ticket);
         check_form(&object, form)?;
         let (frames, names) = (object.count(), std::mem::take(&mut object.layers));
         let (output, delay, plays) = (object.output, object.delay, object.plays);
         let (record, content, layers, planned) = self.admit_layers(client, record, &names).await?;
-        let (planned, grid) = self.grid_unless_handles(client, &record, planned, &object.poses).await?;
+        let (planned, grid) = self
+            .grid_unless_handles(client, &record, planned, &object.poses)
+            .await?;
         let format = match form {
             BatchForm::Zip => Formats::ANY.choose(output.format, record.output.format)?,
             BatchForm::Apng => Format::Png,
             BatchForm::Gif => Format::Gif,
         };
-        let output = OutputSpec { format, ..output.merge_onto(&record.output) };
+        let output = OutputSpec {
+            format,
+            ..output.merge_onto(&record.output)
+        };
         let (plan, quota) = (planned.plan, self.response_quota(client));
-        let rest = Rest { record: Arc::clone(&record), grid, setup: planned.setup };
+        let rest = Rest {
+            record: Arc::clone(&record),
+            grid,
+            setup: planned.setup,
+        };
         let mut job = BatchJob {
             app: self.clone(),
             client,
@@ -97,13 +117,28 @@ impl App {
             form,
             force_alpha: false,
         };
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let mut survey;
-        (job, survey) = self.0.pool.run(&ticket, move |cancel| job.check(cancel).map(|survey| (job, survey))).await??;
+        (job, survey) = self
+            .0
+            .pool
+            .run(&ticket, move |cancel| {
+                job.check(cancel).map(|survey| (job, survey))
+            })
+            .await??;
         drop(ticket);
         while !job.is_surveyed(&survey) {
-            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            let surveyed = move |cancel: &Cancel| job.survey(&mut survey, cancel).map(|()| (job, survey));
+            let ticket = self
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::client(client))
+                .await?;
+            let surveyed =
+                move |cancel: &Cancel| job.survey(&mut survey, cancel).map(|()| (job, survey));
             (job, survey) = self.0.pool.run(&ticket, surveyed).await??;
         }
         job.decide(&survey)?;
@@ -114,9 +149,19 @@ impl App {
         let mut warnings = Vec::new();
         job.object.annotations.add_warnings(&source, &mut warnings);
         let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0)).await?;
-        let first = rest.next().await.unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
+        let first = rest
+            .next()
+            .await
+            .unwrap_or_else(|| Err(Problem::new(Code::Internal, "a batch without frames")))?;
         warnings.extend(rest.of_file.iter().cloned());
-        Ok(Batch { frames, canvas, plan_built: planned.is_built, warnings, first, rest })
+        Ok(Batch {
+            frames,
+            canvas,
+            plan_built: planned.is_built,
+            warnings,
+            first,
+            rest,
+        })
     }
 }
 
@@ -157,25 +202,50 @@ impl App {
         if !record.rest.p.is_empty() || !is_empty {
             return Ok((planned, None));
         }
-        let spec = RestSpec { p: jitter_grid(record.rest.units, record.extent), ..record.rest.clone() };
-        let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
+        let spec = RestSpec {
+            p: jitter_grid(record.rest.units, record.extent),
+            ..record.rest.clone()
+        };
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
         let (app, rest, extent) = (self.clone(), spec.clone(), record.extent);
         let new = move |cancel: &Cancel| app.new_setup(&rest, extent, cancel);
         let setup = Arc::new(self.0.pool.run(&ticket, new).await??);
-        Ok((self.plan(client, &ticket, &setup, planned.timing).await?, Some(spec)))
+        Ok((
+            self.plan(client, &ticket, &setup, planned.timing).await?,
+            Some(spec),
+        ))
     }
 
     /// The layers of these names, decoded.
     /// Errors: An unknown layer, or too little capacity.
-    async fn decode_layers(&self, client: Client, record: &Record, names: &[LayerRef]) -> Result<Layers, Problem> {
+    async fn decode_layers(
+        &self,
+        client: Client,
+        record: &Record,
+        names: &[LayerRef],
+    ) -> Result<Layers, Problem> {
         let mut layers = Vec::with_capacity(names.len());
         for (k, name) in names.iter().enumerate() {
-            let sources = self.fetch_sources(client, record, Some(name)).await.map_err(|mut problem| {
-                problem.pointer = problem.pointer.map(|_| format!("/layers/{k}"));
-                problem
-            })?;
-            let ticket = self.0.pool.admit(WorkClass::Upload, QueueKey::client(client)).await?;
-            layers.push((name.clone(), self.decode_content(client, &ticket, sources).await?));
+            let sources = self
+                .fetch_sources(client, record, Some(name))
+                .await
+                .map_err(|mut problem| {
+                    problem.pointer = problem.pointer.map(|_| format!("/layers/{k}"));
+                    problem
+                })?;
+            let ticket = self
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::client(client))
+                .await?;
+            layers.push((
+                name.clone(),
+                self.decode_content(client, &ticket, sources).await?,
+            ));
         }
         Ok(layers)
     }
@@ -183,19 +253,34 @@ impl App {
 
 /// Errors: A field that does not apply to the kind of file.
 fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
-    let refused = |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
+    let refused =
+        |pointer: &str, why: &str| Err(Problem::new(Code::BadValue, why).pointer(pointer));
     match form {
-        BatchForm::Zip if object.plays.is_some() => refused("/loop", "`loop` does not apply to an archive, only to an animation"),
-        BatchForm::Zip if object.delay.is_some() => refused("/delay", "`delay` does not apply to an archive, only to an animation"),
-        BatchForm::Apng | BatchForm::Gif if !object.layers.is_empty() => {
-            refused("/layers", "`layers` does not apply to an animation, which has pictures only, but to an archive (application/zip)")
-        }
+        BatchForm::Zip if object.plays.is_some() => refused(
+            "/loop",
+            "`loop` does not apply to an archive, only to an animation",
+        ),
+        BatchForm::Zip if object.delay.is_some() => refused(
+            "/delay",
+            "`delay` does not apply to an archive, only to an animation",
+        ),
+        BatchForm::Apng | BatchForm::Gif if !object.layers.is_empty() => refused(
+            "/layers",
+            "`layers` does not apply to an animation, which has pictures only, but to an archive (application/zip)",
+        ),
         BatchForm::Apng | BatchForm::Gif if !object.annotations.kinds.is_empty() => {
             let name = object.annotations.kinds[0].name();
-            let why = format!("`{name}` does not apply to an animation, which has pictures only, but to an archive (application/zip)");
+            let why = format!(
+                "`{name}` does not apply to an animation, which has pictures only, but to an archive (application/zip)"
+            );
             refused(&format!("/{name}"), &why)
         }
-        BatchForm::Apng if object.output.format.is_some_and(|format| format != Format::Png) => {
+        BatchForm::Apng
+            if object
+                .output
+                .format
+                .is_some_and(|format| format != Format::Png) =>
+        {
             let why = "`output.format` must be `png`: the frames of an animated PNG are PNG";
             Err(Problem::new(Code::NotAcceptable, why).pointer("/output/format"))
         }

@@ -64,7 +64,13 @@ impl BatchForm {
                 let entries = files.into_iter().map(|(name, bytes)| entry(&name, &bytes));
                 Packed::Entries(entries.collect::<Result<_, _>>()?)
             }
-            Self::Apng | Self::Gif => Packed::Picture(files.into_iter().next().map(|(_, bytes)| bytes).unwrap_or_default()),
+            Self::Apng | Self::Gif => Packed::Picture(
+                files
+                    .into_iter()
+                    .next()
+                    .map(|(_, bytes)| bytes)
+                    .unwrap_or_default(),
+            ),
         };
         Ok(PackedFrame { bytes, packed })
     }
@@ -92,7 +98,10 @@ impl PackedFrame {
 pub(crate) struct Package(Writer);
 
 enum Writer {
-    Zip { writer: Box<ZipWriter<StreamWriter<Written>>>, written: Written },
+    Zip {
+        writer: Box<ZipWriter<StreamWriter<Written>>>,
+        written: Written,
+    },
     Apng(Animation),
     Gif(GifAnimation),
 }
@@ -115,25 +124,42 @@ impl Package {
     /// Appends a frame; returns the bytes that it adds to the file.
     pub(crate) fn push(&mut self, frame: PackedFrame) -> Result<Vec<u8>, Problem> {
         let mut out = Vec::new();
-        let pushed = |pushed: Result<(), CodecError>| pushed.map_err(|error| Problem::new(Code::Internal, error.to_string()));
+        let pushed = |pushed: Result<(), CodecError>| {
+            pushed.map_err(|error| Problem::new(Code::Internal, error.to_string()))
+        };
         match (&mut self.0, frame.packed) {
             (Writer::Zip { writer, written }, Packed::Entries(entries)) => {
                 for entry in entries {
-                    writer.add_prepared_file(entry).map_err(|error| not_written(&error))?;
+                    writer
+                        .add_prepared_file(entry)
+                        .map_err(|error| not_written(&error))?;
                 }
                 Ok(written.take())
             }
-            (Writer::Apng(animation), Packed::Picture(file)) => pushed(animation.push(&file, &mut out)).map(|()| out),
-            (Writer::Gif(animation), Packed::Picture(file)) => pushed(animation.push(&file, &mut out)).map(|()| out),
-            _ => Err(Problem::new(Code::Internal, "a frame of another kind of file")),
+            (Writer::Apng(animation), Packed::Picture(file)) => {
+                pushed(animation.push(&file, &mut out)).map(|()| out)
+            }
+            (Writer::Gif(animation), Packed::Picture(file)) => {
+                pushed(animation.push(&file, &mut out)).map(|()| out)
+            }
+            _ => Err(Problem::new(
+                Code::Internal,
+                "a frame of another kind of file",
+            )),
         }
     }
 
     /// The last bytes of the file. `index`: the JSON of all frames, which an animation does not have.
     pub(crate) fn finish(self, index: &[u8]) -> Result<Vec<u8>, Problem> {
         match self.0 {
-            Writer::Zip { mut writer, written } => {
-                writer.add_prepared_file(entry(INDEX, index)?).and_then(|()| writer.finish()).map_err(|error| not_written(&error))?;
+            Writer::Zip {
+                mut writer,
+                written,
+            } => {
+                writer
+                    .add_prepared_file(entry(INDEX, index)?)
+                    .and_then(|()| writer.finish())
+                    .map_err(|error| not_written(&error))?;
                 Ok(written.take())
             }
             Writer::Apng(_) => Ok(Animation::tail()),
@@ -144,12 +170,22 @@ impl Package {
 
 /// An entry that is stored as it is, because pictures do not compress. Its metadata are the same on every machine and at every time.
 fn entry(name: &str, bytes: &[u8]) -> Result<PreparedZipFile, Problem> {
-    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).last_modified_time(DateTime::DEFAULT);
-    PreparedZipFile::from_data(name, options.unix_permissions(0o644).system(System::Unix), bytes).map_err(|error| not_written(&error))
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Stored)
+        .last_modified_time(DateTime::DEFAULT);
+    PreparedZipFile::from_data(
+        name,
+        options.unix_permissions(0o644).system(System::Unix),
+        bytes,
+    )
+    .map_err(|error| not_written(&error))
 }
 
 fn not_written(error: &ZipError) -> Problem {
-    Problem::new(Code::Internal, format!("the archive could not be written: {error}"))
+    Problem::new(
+        Code::Internal,
+        format!("the archive could not be written: {error}"),
+    )
 }
 
 /// The bytes that an archive's writer has written and that have not been taken yet.
@@ -164,7 +200,10 @@ impl Written {
 
 impl Write for Written {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .extend_from_slice(bytes);
         Ok(bytes.len())
     }
 
@@ -183,9 +222,16 @@ mod tests {
         let mut package = Package::new(BatchForm::Zip, frames, DELAY, 0);
         let mut out = Vec::new();
         for k in 0..frames {
-            let files = vec![(format!("{k:04}.png"), Bytes::from(vec![7; 100])), (format!("{k:04}.json"), Bytes::from_static(b"{}"))];
+            let files = vec![
+                (format!("{k:04}.png"), Bytes::from(vec![7; 100])),
+                (format!("{k:04}.json"), Bytes::from_static(b"{}")),
+            ];
             let bytes = package.push(BatchForm::Zip.pack(files).unwrap()).unwrap();
-            assert!(bytes.len() > 102 && bytes.len() < 400, "an entry appears when its frame is done: {}", bytes.len());
+            assert!(
+                bytes.len() > 102 && bytes.len() < 400,
+                "an entry appears when its frame is done: {}",
+                bytes.len()
+            );
             out.extend(bytes);
         }
         out.extend(package.finish(b"{\"frames\": []}").unwrap());
@@ -197,17 +243,39 @@ mod tests {
         let out = file(3);
         assert_eq!(out, file(3));
         let mut archive = zip::ZipArchive::new(Cursor::new(&out)).unwrap();
-        let names: Vec<String> = (0..archive.len()).map(|k| archive.by_index(k).unwrap().name().unwrap().into_owned()).collect();
-        assert_eq!(names, ["0000.png", "0000.json", "0001.png", "0001.json", "0002.png", "0002.json", "frames.json"]);
+        let names: Vec<String> = (0..archive.len())
+            .map(|k| archive.by_index(k).unwrap().name().unwrap().into_owned())
+            .collect();
+        assert_eq!(
+            names,
+            [
+                "0000.png",
+                "0000.json",
+                "0001.png",
+                "0001.json",
+                "0002.png",
+                "0002.json",
+                "frames.json"
+            ]
+        );
         for k in 0..archive.len() {
             let mut entry = archive.by_index(k).unwrap();
             let mut bytes = Vec::new();
             entry.read_to_end(&mut bytes).unwrap();
             let header = usize::try_from(entry.header_start()).unwrap();
             // Flags without bit 3; the length before the bytes; 1980-01-01.
-            assert_eq!(u16::from_le_bytes([out[header + 6], out[header + 7]]) & 8, 0);
-            assert_eq!(u32::from_le_bytes(out[header + 18..header + 22].try_into().unwrap()) as usize, bytes.len());
-            assert_eq!((entry.compression(), entry.last_modified()), (CompressionMethod::Stored, Some(DateTime::DEFAULT)));
+            assert_eq!(
+                u16::from_le_bytes([out[header + 6], out[header + 7]]) & 8,
+                0
+            );
+            assert_eq!(
+                u32::from_le_bytes(out[header + 18..header + 22].try_into().unwrap()) as usize,
+                bytes.len()
+            );
+            assert_eq!(
+                (entry.compression(), entry.last_modified()),
+                (CompressionMethod::Stored, Some(DateTime::DEFAULT))
+            );
         }
     }
 
@@ -216,7 +284,9 @@ mod tests {
         let mut package = Package::new(BatchForm::Zip, 10_000, DELAY, 0);
         let mut out = Vec::new();
         for k in 0..10_000 {
-            let files = (0..7).map(|layer| (format!("{k:04}.{layer}.png"), Bytes::from_static(b"x"))).collect();
+            let files = (0..7)
+                .map(|layer| (format!("{k:04}.{layer}.png"), Bytes::from_static(b"x")))
+                .collect();
             out.extend(package.push(BatchForm::Zip.pack(files).unwrap()).unwrap());
         }
         out.extend(package.finish(b"{}").unwrap());

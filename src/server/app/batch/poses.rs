@@ -39,7 +39,12 @@ impl Rest {
     }
 
     /// The pose that a frame begins with.
-    fn given(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<Held<Pose>, Problem> {
+    fn given(
+        &self,
+        poses: &BatchPoses,
+        frame: u32,
+        reserve: Reserve<'_>,
+    ) -> Result<Held<Pose>, Problem> {
         let (p, session) = (&self.spec().p, self.record.pose.as_ref());
         // Those at rest or of the session may take their place, and a jitter makes a copy.
         let others = handles_bytes(p).max(session.map_or(0, |pose| handles_bytes(&pose.q)));
@@ -60,41 +65,81 @@ impl Rest {
     }
 
     /// The pose of a frame.
-    pub(crate) fn pose_of(&self, poses: &BatchPoses, frame: u32, reserve: Reserve<'_>) -> Result<FramePose, Problem> {
+    pub(crate) fn pose_of(
+        &self,
+        poses: &BatchPoses,
+        frame: u32,
+        reserve: Reserve<'_>,
+    ) -> Result<FramePose, Problem> {
         let given = self.given(poses, frame, reserve)?;
         let strength = given.strength;
-        let posed = |strength| given.map(|pose| self.spec().posed(pose.q, strength, self.record.extent).0);
-        let plain = FramePosition { strength, t: None, jitter: None };
+        let posed =
+            |strength| given.map(|pose| self.spec().posed(pose.q, strength, self.record.extent).0);
+        let plain = FramePosition {
+            strength,
+            t: None,
+            jitter: None,
+        };
         Ok(match *poses {
-            BatchPoses::Frames(_) => FramePose { q: posed(strength), position: plain },
+            BatchPoses::Frames(_) => FramePose {
+                q: posed(strength),
+                position: plain,
+            },
             BatchPoses::Steps { steps, easing, .. } => {
                 let t = easing.at(frame, steps);
-                FramePose { q: posed(strength * t), position: FramePosition { strength: strength * t, t: Some(t), jitter: None } }
+                FramePose {
+                    q: posed(strength * t),
+                    position: FramePosition {
+                        strength: strength * t,
+                        t: Some(t),
+                        jitter: None,
+                    },
+                }
             }
             BatchPoses::Jitter { jitter, .. } => {
-                let position = FramePosition { jitter: Some(FrameJitter { seed: jitter.seed, frame }), ..plain };
-                FramePose { q: posed(strength).map(|q| jitter.displace(&self.setup, &self.spec().p, &q, frame)), position }
+                let position = FramePosition {
+                    jitter: Some(FrameJitter {
+                        seed: jitter.seed,
+                        frame,
+                    }),
+                    ..plain
+                };
+                FramePose {
+                    q: posed(strength)
+                        .map(|q| jitter.displace(&self.setup, &self.spec().p, &q, frame)),
+                    position,
+                }
             }
         })
     }
 
     /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
     /// Errors: The first invalid pose.
-    pub(crate) fn check(&self, poses: &BatchPoses, reserve: Reserve<'_>, is_cancelled: &dyn Fn() -> bool) -> Result<(), Problem> {
+    pub(crate) fn check(
+        &self,
+        poses: &BatchPoses,
+        reserve: Reserve<'_>,
+        is_cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), Problem> {
         match poses {
             BatchPoses::Frames(_) => {
                 for frame in (0..poses.count()).take_while(|_| !is_cancelled()) {
-                    self.setup.pose(&self.pose_of(poses, frame, reserve)?.q).map_err(|error| in_frame(frame, error.into()))?;
+                    self.setup
+                        .pose(&self.pose_of(poses, frame, reserve)?.q)
+                        .map_err(|error| in_frame(frame, error.into()))?;
                 }
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
                 let given = self.given(poses, 0, reserve)?;
-                let q = given.map(|Pose { q, strength }| self.spec().posed(q, strength, self.record.extent).0);
+                let q = given.map(|Pose { q, strength }| {
+                    self.spec().posed(q, strength, self.record.extent).0
+                });
                 self.setup.pose(&q)?;
                 if let BatchPoses::Jitter { jitter, .. } = poses {
                     for q in jitter.extremes(&self.setup, &q) {
                         let too_far = |error: WarpError| {
-                            Problem::new(Code::BadValue, format!("displaced by 16 sigma: {error}")).pointer("/jitter/sigma")
+                            Problem::new(Code::BadValue, format!("displaced by 16 sigma: {error}"))
+                                .pointer("/jitter/sigma")
                         };
                         self.setup.pose(&q).map_err(too_far)?;
                     }

@@ -63,7 +63,10 @@ impl File {
     }
 
     fn finish(self) -> Result<Vec<u8>, Problem> {
-        let index = serde_json::to_vec(&BatchIndex { frames: &self.entries }).unwrap_or_default();
+        let index = serde_json::to_vec(&BatchIndex {
+            frames: &self.entries,
+        })
+        .unwrap_or_default();
         self.package.finish(&index)
     }
 }
@@ -84,9 +87,21 @@ impl BatchStream {
         let take = |budget: &Budget| budget.take_for(Purpose::Frame, &job.quota, directory);
         let held = Some(job.app.reserve_aside(take).await?);
         let package = Package::new(job.form, job.frames, delay, plays);
-        let file = Some(File { package, entries: Vec::new() });
+        let file = Some(File {
+            package,
+            entries: Vec::new(),
+        });
         let width = most_ahead(&job);
-        Ok(Self { job: Arc::new(job), ahead: VecDeque::new(), width, begun: 0, done: 0, of_file: Vec::new(), file, held })
+        Ok(Self {
+            job: Arc::new(job),
+            ahead: VecDeque::new(),
+            width,
+            begun: 0,
+            done: 0,
+            of_file: Vec::new(),
+            file,
+            held,
+        })
     }
 
     /// The next bytes; `None` at the end, also after an error.
@@ -109,7 +124,12 @@ impl BatchStream {
     }
 
     async fn next_frame(&mut self, mut file: File) -> Result<Bytes, Problem> {
-        let Frame { packed, entry, of_file, mut held } = self.made().await?;
+        let Frame {
+            packed,
+            entry,
+            of_file,
+            mut held,
+        } = self.made().await?;
         let is_long = packed.bytes() > MAX_COPIED_HERE;
         let append = move || file.push(packed, entry).map(|bytes| (file, bytes));
         let (file, bytes) = aside(is_long, append).await?;
@@ -127,17 +147,28 @@ impl BatchStream {
         let most = most_ahead(&self.job);
         loop {
             self.begin();
-            let task = self.ahead.front_mut().ok_or_else(|| Problem::new(Code::Internal, "no frame was begun"))?;
-            let made = tokio::time::timeout(limit.saturating_sub(began.elapsed()), &mut task.0).await;
+            let task = self
+                .ahead
+                .front_mut()
+                .ok_or_else(|| Problem::new(Code::Internal, "no frame was begun"))?;
+            let made =
+                tokio::time::timeout(limit.saturating_sub(began.elapsed()), &mut task.0).await;
             let made = match made {
                 Ok(made) => made.unwrap_or_else(|_| Err(PoolError::Panicked.into())),
                 Err(_) => {
-                    let detail = format!("a frame was not finished within {} s, the time limit of a request", limit.as_secs_f64());
+                    let detail = format!(
+                        "a frame was not finished within {} s, the time limit of a request",
+                        limit.as_secs_f64()
+                    );
                     return Err(Problem::new(Code::Overloaded, detail));
                 }
             };
             match made {
-                Err(problem) if problem.code == Code::Overloaded && self.done > 0 && began.elapsed() < limit => {
+                Err(problem)
+                    if problem.code == Code::Overloaded
+                        && self.done > 0
+                        && began.elapsed() < limit =>
+                {
                     // Later frames may hold what this one needs: they are made again.
                     self.ahead.clear();
                     self.begun = self.done;
@@ -158,7 +189,11 @@ impl BatchStream {
     /// Begins as many frames as may be made ahead.
     fn begin(&mut self) {
         while self.ahead.len() < self.width && self.begun < self.job.frames {
-            self.ahead.push_back(FrameTask(tokio::spawn(Scope::current().answered().wrap(make(Arc::clone(&self.job), self.begun)))));
+            self.ahead.push_back(FrameTask(tokio::spawn(
+                Scope::current()
+                    .answered()
+                    .wrap(make(Arc::clone(&self.job), self.begun)),
+            )));
             self.begun += 1;
         }
     }
@@ -171,7 +206,13 @@ fn most_ahead(job: &BatchJob) -> usize {
 /// Makes a frame on a worker. The batches of a client wait in the queue like one request of the client.
 async fn make(job: Arc<BatchJob>, frame: u32) -> Result<Frame, Problem> {
     let pool = job.app.pool().clone();
-    let ticket = pool.admit(WorkClass::Upload, QueueKey::client(job.client)).await?;
-    let timing = Timing { queue: ticket.waited(), ..Timing::default() };
-    pool.run(&ticket, move |cancel| job.draw(frame, timing, cancel)).await?
+    let ticket = pool
+        .admit(WorkClass::Upload, QueueKey::client(job.client))
+        .await?;
+    let timing = Timing {
+        queue: ticket.waited(),
+        ..Timing::default()
+    };
+    pool.run(&ticket, move |cancel| job.draw(frame, timing, cancel))
+        .await?
 }

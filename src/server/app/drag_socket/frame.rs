@@ -57,11 +57,15 @@ type LatticeOf = (Arc<Record>, Arc<CompactLattice>);
 impl KnownLattice {
     fn of(&self, record: &Arc<Record>) -> Option<Arc<CompactLattice>> {
         let known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        known.as_ref().filter(|(known, _)| same(known, record)).map(|(_, lattice)| Arc::clone(lattice))
+        known
+            .as_ref()
+            .filter(|(known, _)| same(known, record))
+            .map(|(_, lattice)| Arc::clone(lattice))
     }
 
     fn set(&self, record: &Arc<Record>, lattice: &Arc<CompactLattice>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some((Arc::clone(record), Arc::clone(lattice)));
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some((Arc::clone(record), Arc::clone(lattice)));
     }
 }
 
@@ -90,19 +94,45 @@ pub(crate) fn full_width(record: &Record) -> Option<u32> {
 }
 
 /// The output of a frame, and the largest width of a preview. Previews are compressed fast.
-fn output(record: &Record, format: Option<Format>, request: &FrameRequest) -> (OutputSpec, Option<u32>) {
-    let base = OutputSpec { format: format.unwrap_or(record.output.format), ..record.output };
+fn output(
+    record: &Record,
+    format: Option<Format>,
+    request: &FrameRequest,
+) -> (OutputSpec, Option<u32>) {
+    let base = OutputSpec {
+        format: format.unwrap_or(record.output.format),
+        ..record.output
+    };
     let output = match request.encoding {
         None => base,
-        Some(Encoding::Png) => OutputSpec { format: Format::Png, ..base },
-        Some(Encoding::Jpeg(quality)) => OutputSpec { format: Format::Jpeg, quality, ..base },
+        Some(Encoding::Png) => OutputSpec {
+            format: Format::Png,
+            ..base
+        },
+        Some(Encoding::Jpeg(quality)) => OutputSpec {
+            format: Format::Jpeg,
+            quality,
+            ..base
+        },
     };
     let is_lossy = matches!(request.encoding, Some(Encoding::Jpeg(_)));
     match (request.width, full_width(record)) {
         (None, _) => (output, None),
         (Some(width), Some(full)) if width == full && !is_lossy => (output, None),
-        (Some(width), Some(full)) if width > full => (OutputSpec { width: Some(width), ..output }, None),
-        (Some(width), _) => (OutputSpec { compression: Compression::Fast, ..output }, Some(width)),
+        (Some(width), Some(full)) if width > full => (
+            OutputSpec {
+                width: Some(width),
+                ..output
+            },
+            None,
+        ),
+        (Some(width), _) => (
+            OutputSpec {
+                compression: Compression::Fast,
+                ..output
+            },
+            Some(width),
+        ),
     }
 }
 
@@ -130,31 +160,72 @@ async fn try_draw_frame(
     (form, known): (Form, KnownLattice),
     request: FrameRequest,
 ) -> Result<Frame, Problem> {
-    let permit = frames.acquire_owned().await.expect("the semaphore is never closed");
+    let permit = frames
+        .acquire_owned()
+        .await
+        .expect("the semaphore is never closed");
     let quota = app.response_quota(client);
     // Once per frame, not once per pose: the store knows whether the session still exists and has changed.
     let record = app.touch(id, None).await?.record;
     let seq = request.pose.seq;
     match form {
         Form::Picture(_) | Form::Auto => {
-            let format = if let Form::Picture(format) = form { format } else { None };
+            let format = if let Form::Picture(format) = form {
+                format
+            } else {
+                None
+            };
             let (record, content, plan) = app.admit_newest(client, record, None).await?;
             drop(permit);
             let strength = request.pose.q.strength(record.pose.as_ref());
-            let q = read_handles(&app, client, &plan.ticket, Arc::clone(&request.pose.q), &record).await?;
+            let q = read_handles(
+                &app,
+                client,
+                &plan.ticket,
+                Arc::clone(&request.pose.q),
+                &record,
+            )
+            .await?;
             let shape = plan.shape(record.extent);
             let (output, preview) = output(&record, format, &request);
             let AdmittedPlan { ticket, planned } = plan;
-            let job = DrawJob { content, planned, q, folds: record.folds, output, preview, force_alpha: false, quota };
+            let job = DrawJob {
+                content,
+                planned,
+                q,
+                folds: record.folds,
+                output,
+                preview,
+                force_alpha: false,
+                quota,
+            };
             let drawn = app.draw(ticket, job).await?;
-            let Drawn { report, target, timing, picture, format, .. } = drawn;
+            let Drawn {
+                report,
+                target,
+                timing,
+                picture,
+                format,
+                ..
+            } = drawn;
             let quality = (format == Format::Jpeg).then_some(output.quality);
             let (pieces, cost) = collect(picture).await?;
             let file = (format.media_type().trim_start_matches("image/"), quality);
             let picture = PictureFrame::of_target(target, record.extent, record.rest.units);
-            let head = ReportHead { seq, strength, picture, full: preview.is_none() };
+            let head = ReportHead {
+                seq,
+                strength,
+                picture,
+                full: preview.is_none(),
+            };
             let report = report_json(head, file, (&report, None), timing, cost);
-            Ok(Frame { seq, record, shape, pieces, report })
+            Ok(Frame {
+                seq,
+                record,
+                shape,
+                pieces,
+                report,
+            })
         }
         Form::Mesh | Form::CompactMesh(_) => {
             // The lattice is chosen after admission; only JSON has a limit of its own.
@@ -164,11 +235,34 @@ async fn try_draw_frame(
             let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
-            let PosedMesh { report, timing, body, error, .. } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
+            let PosedMesh {
+                report,
+                timing,
+                body,
+                error,
+                ..
+            } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
             let picture = PictureFrame::of_source(record.extent, record.rest.units);
-            let head = ReportHead { seq, strength, picture, full: true };
-            let report = report_json(head, ("mesh", None), (&report, error), timing, Cost::default());
-            Ok(Frame { seq, record, shape, pieces: vec![body], report })
+            let head = ReportHead {
+                seq,
+                strength,
+                picture,
+                full: true,
+            };
+            let report = report_json(
+                head,
+                ("mesh", None),
+                (&report, error),
+                timing,
+                Cost::default(),
+            );
+            Ok(Frame {
+                seq,
+                record,
+                shape,
+                pieces: vec![body],
+                report,
+            })
         }
     }
 }
@@ -181,7 +275,9 @@ pub(super) async fn mesh_shape(
     record: &Arc<Record>,
     quota: &ClientQuota,
 ) -> Result<(MeshShape, Option<Arc<CompactLattice>>), Problem> {
-    let Form::CompactMesh(tolerance) = form else { return Ok((plan.shape(record.extent), None)) };
+    let Form::CompactMesh(tolerance) = form else {
+        return Ok((plan.shape(record.extent), None));
+    };
     let lattice = match known.of(record) {
         Some(lattice) => lattice,
         None => Arc::new(app.compact_lattice(plan, tolerance, quota.clone()).await?),
@@ -198,10 +294,24 @@ async fn read_handles(
     q: Arc<UnreadHandles>,
     record: &Arc<Record>,
 ) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
-    let is_short = q.len() <= MAX_INLINE && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
+    let is_short = q.len() <= MAX_INLINE
+        && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
     let (record, reserve) = (Arc::clone(record), app.reserving(Purpose::Frame, client));
-    let read = move || Held::of_pose(&q, &record.rest, record.pose.as_ref(), record.extent, reserve).map(Arc::new);
-    if is_short { read() } else { app.0.pool.run(ticket, move |_| read()).await? }
+    let read = move || {
+        Held::of_pose(
+            &q,
+            &record.rest,
+            record.pose.as_ref(),
+            record.extent,
+            reserve,
+        )
+        .map(Arc::new)
+    };
+    if is_short {
+        read()
+    } else {
+        app.0.pool.run(ticket, move |_| read()).await?
+    }
 }
 
 /// All pieces of an image.
@@ -235,16 +345,32 @@ struct ReportHead {
 
 /// `file`: its format, and the quality of a JPEG; `error`: of a compact mesh.
 fn report_json(
-    ReportHead { seq, strength, picture, full }: ReportHead,
+    ReportHead {
+        seq,
+        strength,
+        picture,
+        full,
+    }: ReportHead,
     (format, quality): (&'static str, Option<u8>),
     (report, error): (&Report, Option<f64>),
     timing: Timing,
     cost: Cost,
 ) -> String {
     let ms = |time: Duration| (time.as_secs_f64() * 1e6).round() / 1e3;
-    let timing = FrameTiming { queue: ms(timing.queue), deform: ms(timing.deform), render: ms(cost.render), encode: ms(cost.encode) };
+    let timing = FrameTiming {
+        queue: ms(timing.queue),
+        deform: ms(timing.deform),
+        render: ms(cost.render),
+        encode: ms(cost.encode),
+    };
     let warnings = report.warnings.iter().map(|w| w.code()).collect();
-    let Report { folds, residual, exceeded, ref coincident, .. } = *report;
+    let Report {
+        folds,
+        residual,
+        exceeded,
+        ref coincident,
+        ..
+    } = *report;
     let report = FrameReport {
         seq,
         width: picture.image().width(),

@@ -99,24 +99,46 @@ pub struct Drag {
 
 impl std::fmt::Debug for Drag {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Drag").field("id", &self.id).field("options", &self.options).finish_non_exhaustive()
+        f.debug_struct("Drag")
+            .field("id", &self.id)
+            .field("options", &self.options)
+            .finish_non_exhaustive()
     }
 }
 
 impl App {
     /// Opens a drag of a session.
     /// Errors: Unknown session, or too little capacity.
-    pub async fn open_drag(&self, client: Client, id: SessionId, options: DragOptions) -> Result<Drag, Problem> {
+    pub async fn open_drag(
+        &self,
+        client: Client,
+        id: SessionId,
+        options: DragOptions,
+    ) -> Result<Drag, Problem> {
         let record = self.peek_session(id).await?.record;
         self.require_running()?;
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
-        let reservation = self.reserve_aside(|budget| budget.take(Purpose::Socket, bytes)).await?;
+        let reservation = self
+            .reserve_aside(|budget| budget.take(Purpose::Socket, bytes))
+            .await?;
         let lattice = KnownLattice::default();
         let shape = if let Form::CompactMesh(_) = options.form {
-            let _permit = slot.frames.acquire().await.expect("the semaphore is never closed");
+            let _permit = slot
+                .frames
+                .acquire()
+                .await
+                .expect("the semaphore is never closed");
             let plan = self.admit_mesh(client, &record, &MeshForm::F32).await?;
-            mesh_shape(self, &plan, (options.form, &lattice), &record, &self.response_quota(client)).await?.0
+            mesh_shape(
+                self,
+                &plan,
+                (options.form, &lattice),
+                &record,
+                &self.response_quota(client),
+            )
+            .await?
+            .0
         } else {
             let setup = self.session_setup(client, &record).await?;
             MeshShape::new(&setup, record.extent)
@@ -125,7 +147,12 @@ impl App {
             app: self.clone(),
             id,
             client,
-            scheduler: FrameScheduler::new(previews(options, &record), pictures(options, &record), full(options, &record), options.window),
+            scheduler: FrameScheduler::new(
+                previews(options, &record),
+                pictures(options, &record),
+                full(options, &record),
+                options.window,
+            ),
             options,
             drawing: None,
             reading: None,
@@ -151,8 +178,16 @@ const MESH: u32 = 1;
 /// The size of the session's images; of the source if it depends on the pose.
 fn size(record: &Record) -> (u32, u32) {
     let width = full_width(record).unwrap_or(record.extent.width());
-    let (w, h) = (u64::from(record.extent.width()), u64::from(record.extent.height()));
-    (width, u32::try_from(h * u64::from(width) / w).unwrap_or(u32::MAX).max(1))
+    let (w, h) = (
+        u64::from(record.extent.width()),
+        u64::from(record.extent.height()),
+    );
+    (
+        width,
+        u32::try_from(h * u64::from(width) / w)
+            .unwrap_or(u32::MAX)
+            .max(1),
+    )
 }
 
 fn previews(options: DragOptions, record: &Record) -> PreviewController {
@@ -174,7 +209,11 @@ fn pictures(options: DragOptions, record: &Record) -> Option<PictureLadder> {
 
 fn full(options: DragOptions, record: &Record) -> u32 {
     // Unless the full width is known, every picture is a preview.
-    if options.form.is_mesh() { MESH } else { full_width(record).unwrap_or(u32::MAX) }
+    if options.form.is_mesh() {
+        MESH
+    } else {
+        full_width(record).unwrap_or(u32::MAX)
+    }
 }
 
 impl Drag {
@@ -183,7 +222,11 @@ impl Drag {
         if text.len() <= MAX_INLINE {
             return self.on_message(parse(&text), now);
         }
-        let (app, key, frames) = (self.app.clone(), QueueKey::session(self.client, self.id), Arc::clone(&self.slot.frames));
+        let (app, key, frames) = (
+            self.app.clone(),
+            QueueKey::session(self.client, self.id),
+            Arc::clone(&self.slot.frames),
+        );
         self.reading = Some(Box::pin(read_long(app, key, frames, text)));
     }
 
@@ -205,18 +248,33 @@ impl Drag {
                 if self.scheduler.ack(seq, now).is_err() {
                     self.send_problem(
                         None,
-                        &Problem::new(Code::BadValue, format!("there is no frame {seq} to acknowledge")).pointer("/ack"),
+                        &Problem::new(
+                            Code::BadValue,
+                            format!("there is no frame {seq} to acknowledge"),
+                        )
+                        .pointer("/ack"),
                     );
                 }
             }
             Ok(DragMessage::Pose { seq, q }) => {
                 if let Some(newest) = self.newest.filter(|newest| seq <= *newest) {
-                    let detail = format!("each pose needs a higher `seq` than the one before: {seq} follows {newest}");
-                    self.send_problem(Some(seq), &Problem::new(Code::BadValue, detail).pointer("/seq").actual(seq));
+                    let detail = format!(
+                        "each pose needs a higher `seq` than the one before: {seq} follows {newest}"
+                    );
+                    self.send_problem(
+                        Some(seq),
+                        &Problem::new(Code::BadValue, detail)
+                            .pointer("/seq")
+                            .actual(seq),
+                    );
                     return;
                 }
                 self.newest = Some(seq);
-                self.scheduler.pose(Pose { seq, q: Arc::new(q), at: now });
+                self.scheduler.pose(Pose {
+                    seq,
+                    q: Arc::new(q),
+                    at: now,
+                });
             }
             Err(BadMessage { seq, problem }) => self.send_problem(seq, &problem),
         }
@@ -229,7 +287,8 @@ impl Drag {
         if let (Some(seq), Some(members)) = (seq, document.as_object_mut()) {
             members.insert("seq".to_owned(), seq.into());
         }
-        self.outgoing.push_back(Outgoing::Text(document.to_string()));
+        self.outgoing
+            .push_back(Outgoing::Text(document.to_string()));
     }
 
     /// Starts, cancels and sends the frames that are due; returns the time of the next step, if nothing happens before.
@@ -238,8 +297,18 @@ impl Drag {
             match self.scheduler.next(now) {
                 Step::Draw(request) => {
                     let scope = Scope::current().frame(self.app.tracer());
-                    let (frames, form) = (self.slot.frames.clone(), (self.options.form, self.lattice.clone()));
-                    let drawing = draw_frame(self.app.clone(), self.client, self.id, frames, form, request);
+                    let (frames, form) = (
+                        self.slot.frames.clone(),
+                        (self.options.form, self.lattice.clone()),
+                    );
+                    let drawing = draw_frame(
+                        self.app.clone(),
+                        self.client,
+                        self.id,
+                        frames,
+                        form,
+                        request,
+                    );
                     self.drawing = Some(Box::pin(scope.wrap(drawing)));
                 }
                 Step::Cancel => self.drawing = None,
@@ -247,7 +316,10 @@ impl Drag {
                 Step::Wait(until) => break until,
             }
         };
-        self.app.metrics().poses_superseded.inc_by(self.scheduler.take_superseded());
+        self.app
+            .metrics()
+            .poses_superseded
+            .inc_by(self.scheduler.take_superseded());
         until
     }
 
@@ -259,7 +331,8 @@ impl Drag {
         if self.options.report {
             self.outgoing.push_back(Outgoing::Text(frame.report));
         }
-        self.outgoing.push_back(Outgoing::Frame(frame.seq, frame.pieces));
+        self.outgoing
+            .push_back(Outgoing::Frame(frame.seq, frame.pieces));
         self.app.metrics().frames_sent.inc();
     }
 
@@ -277,7 +350,11 @@ impl Drag {
                 if !same(&self.record, &frame.record) {
                     self.record = Arc::clone(&frame.record);
                     let (options, record) = (self.options, &*self.record);
-                    self.scheduler.resize(previews(options, record), pictures(options, record), full(options, record));
+                    self.scheduler.resize(
+                        previews(options, record),
+                        pictures(options, record),
+                        full(options, record),
+                    );
                 }
                 let bytes = 8 + frame.pieces.iter().map(Bytes::len).sum::<usize>() as u64;
                 self.scheduler.drawn(frame, bytes, now);
@@ -287,7 +364,9 @@ impl Drag {
                 let request = self.scheduler.failed();
                 self.is_over = matches!(problem.code, Code::NoSuchSession | Code::SessionExpired);
                 // The preview of a full frame was sent already; a problem that arose since is sent with the next pose.
-                if let Some(request) = request.filter(|request| self.is_over || !request.is_full_quality) {
+                if let Some(request) =
+                    request.filter(|request| self.is_over || !request.is_full_quality)
+                {
                     self.send_problem(Some(request.pose.seq), &problem);
                 }
             }
@@ -333,7 +412,9 @@ impl Drag {
 
 /// Waits for a task, or forever if there is none.
 async fn done<T>(task: &mut Option<Task<T>>) -> T {
-    let Some(running) = task else { return pending().await };
+    let Some(running) = task else {
+        return pending().await;
+    };
     let result = running.await;
     *task = None;
     result
@@ -346,14 +427,21 @@ fn parse(text: &[u8]) -> Read {
 
 /// Reads a long text message on a compute thread, when there is one.
 async fn read_long(app: App, key: QueueKey, frames: Arc<Semaphore>, text: Bytes) -> Read {
-    let _permit = frames.acquire_owned().await.expect("the semaphore is never closed");
+    let _permit = frames
+        .acquire_owned()
+        .await
+        .expect("the semaphore is never closed");
     let ticket = loop {
         match app.0.pool.admit(WorkClass::Drag, key).await {
             Ok(ticket) => break ticket,
             Err(_) => tokio::time::sleep(RETRY).await,
         }
     };
-    app.0.pool.run(&ticket, move |_| parse(&text)).await.unwrap_or_else(|error| Err(Problem::from(error).into()))
+    app.0
+        .pool
+        .run(&ticket, move |_| parse(&text))
+        .await
+        .unwrap_or_else(|error| Err(Problem::from(error).into()))
 }
 
 /// Whether frames of both records have the same shape: layers do not change it.

@@ -130,7 +130,12 @@ struct Sent {
 impl<F> FrameScheduler<F> {
     /// `full`: the full width; narrower previews are followed by a full frame when the pointer rests.
     /// `pictures`: chooses the encoding; then the width of `previews` is fixed.
-    pub fn new(previews: PreviewController, pictures: Option<PictureLadder>, full: u32, window: Window) -> Self {
+    pub fn new(
+        previews: PreviewController,
+        pictures: Option<PictureLadder>,
+        full: u32,
+        window: Window,
+    ) -> Self {
         Self {
             previews,
             pictures,
@@ -152,7 +157,12 @@ impl<F> FrameScheduler<F> {
     }
 
     /// The session's images have another size from now on.
-    pub fn resize(&mut self, previews: PreviewController, pictures: Option<PictureLadder>, full: u32) {
+    pub fn resize(
+        &mut self,
+        previews: PreviewController,
+        pictures: Option<PictureLadder>,
+        full: u32,
+    ) {
         self.previews = previews;
         self.pictures = pictures;
         self.full = full;
@@ -184,7 +194,11 @@ impl<F> FrameScheduler<F> {
             return Err(NotSent);
         }
         let (mut newest, mut bytes) = (None, 0);
-        while self.sent.front().is_some_and(|sent| sent.request.pose.seq <= seq) {
+        while self
+            .sent
+            .front()
+            .is_some_and(|sent| sent.request.pose.seq <= seq)
+        {
             newest = self.sent.pop_front();
             bytes += newest.as_ref().map_or(0, |sent| sent.bytes);
         }
@@ -197,28 +211,56 @@ impl<F> FrameScheduler<F> {
     /// `sent`: the newest acknowledged frame; `bytes`: those of all acknowledged frames.
     fn acknowledged(&mut self, sent: Sent, bytes: u64, now: Instant) {
         let measured = self.link.acknowledged(now, sent.mark, bytes);
-        let possible = self.pictures.as_ref().map(|pictures| pictures.possible_steps(self.link.possible_rate())).unwrap_or_default();
-        let advice = self.window.acknowledged(now, sent.number, self.count, sent.unacknowledged == 1, measured, possible);
+        let possible = self
+            .pictures
+            .as_ref()
+            .map(|pictures| pictures.possible_steps(self.link.possible_rate()))
+            .unwrap_or_default();
+        let advice = self.window.acknowledged(
+            now,
+            sent.number,
+            self.count,
+            sent.unacknowledged == 1,
+            measured,
+            possible,
+        );
         if let Some(pictures) = &mut self.pictures {
             pictures.follow(advice);
         }
         if let Some(width) = sent.request.width {
             let ack_time = now.saturating_duration_since(sent.mark.at());
-            let averaged = if self.pictures.is_some() { self.previews.width() } else { width };
-            self.previews.acknowledged(now, averaged, sent.draw_time, ack_time, sent.unacknowledged);
-            let is_full = width >= self.full && !matches!(sent.request.encoding, Some(Encoding::Jpeg(_)));
+            let averaged = if self.pictures.is_some() {
+                self.previews.width()
+            } else {
+                width
+            };
+            self.previews.acknowledged(
+                now,
+                averaged,
+                sent.draw_time,
+                ack_time,
+                sent.unacknowledged,
+            );
+            let is_full =
+                width >= self.full && !matches!(sent.request.encoding, Some(Encoding::Jpeg(_)));
             if !is_full && self.ready.is_none() {
                 self.preview = Some(sent.request.pose);
             }
         }
-        if self.waiting.is_some() && self.ready.as_ref().is_some_and(|ready| self.is_outdated(ready, now)) {
+        if self.waiting.is_some()
+            && self
+                .ready
+                .as_ref()
+                .is_some_and(|ready| self.is_outdated(ready, now))
+        {
             self.ready = None;
             self.superseded += 1;
         }
     }
 
     fn is_outdated(&self, ready: &Ready<F>, now: Instant) -> bool {
-        now.saturating_duration_since(ready.since) > OUTDATED * self.previews.draw_time().max(ready.draw_time)
+        now.saturating_duration_since(ready.since)
+            > OUTDATED * self.previews.draw_time().max(ready.draw_time)
     }
 
     /// The frame in progress is ready.
@@ -229,7 +271,13 @@ impl<F> FrameScheduler<F> {
             if let (Some(pictures), Some(encoding)) = (&mut self.pictures, request.encoding) {
                 pictures.drawn(request.width, encoding, bytes, draw_time);
             }
-            self.ready = Some(Ready { frame, bytes, request, draw_time, since: now });
+            self.ready = Some(Ready {
+                frame,
+                bytes,
+                request,
+                draw_time,
+                since: now,
+            });
         }
     }
 
@@ -256,7 +304,10 @@ impl<F> FrameScheduler<F> {
     pub fn next(&mut self, now: Instant) -> Step<F> {
         if self.waiting.is_some() {
             // The waiting pose may fail; then a full frame still has to follow the preview.
-            if let Some(drawing) = self.drawing.take_if(|drawing| drawing.request.is_full_quality) {
+            if let Some(drawing) = self
+                .drawing
+                .take_if(|drawing| drawing.request.is_full_quality)
+            {
                 self.preview = Some(drawing.request.pose);
                 return Step::Cancel;
             }
@@ -274,16 +325,26 @@ impl<F> FrameScheduler<F> {
         }
         let (begin, is_full_quality) = match (&self.waiting, &self.preview) {
             (Some(_), _) => (self.begin(now), false),
-            (None, Some(_)) if self.sent.is_empty() => (self.last_pose.map_or(now, |last| last + REST), true),
+            (None, Some(_)) if self.sent.is_empty() => {
+                (self.last_pose.map_or(now, |last| last + REST), true)
+            }
             _ => return Step::Wait(None),
         };
-        let begin = self.not_before.map_or(begin, |not_before| begin.max(not_before));
+        let begin = self
+            .not_before
+            .map_or(begin, |not_before| begin.max(not_before));
         if begin > now {
             return Step::Wait(Some(begin));
         }
         self.not_before = None;
-        let pose = if is_full_quality { self.preview.take() } else { self.waiting.take() };
-        let Some(pose) = pose else { return Step::Wait(None) };
+        let pose = if is_full_quality {
+            self.preview.take()
+        } else {
+            self.waiting.take()
+        };
+        let Some(pose) = pose else {
+            return Step::Wait(None);
+        };
         let (width, encoding) = match (&self.pictures, is_full_quality) {
             (None, _) => ((!is_full_quality).then(|| self.previews.width()), None),
             (Some(pictures), true) => (None, Some(pictures.at_rest(self.link.rate()))),
@@ -292,30 +353,63 @@ impl<F> FrameScheduler<F> {
                 (Some(width), Some(encoding))
             }
         };
-        let request = FrameRequest { pose, width, encoding, is_full_quality };
-        self.drawing = Some(Drawing { request: request.clone(), began: now });
+        let request = FrameRequest {
+            pose,
+            width,
+            encoding,
+            is_full_quality,
+        };
+        self.drawing = Some(Drawing {
+            request: request.clone(),
+            began: now,
+        });
         Step::Draw(request)
     }
 
     fn send(&mut self, ready: Ready<F>, now: Instant) -> F {
-        let Ready { frame, bytes, request, draw_time, .. } = ready;
+        let Ready {
+            frame,
+            bytes,
+            request,
+            draw_time,
+            ..
+        } = ready;
         let mark = self.link.sent(now, bytes, self.sent.is_empty());
-        let unacknowledged = u32::try_from(self.sent.len()).unwrap_or(u32::MAX).saturating_add(1);
+        let unacknowledged = u32::try_from(self.sent.len())
+            .unwrap_or(u32::MAX)
+            .saturating_add(1);
         self.newest_sent = self.newest_sent.max(Some(request.pose.seq));
         self.last_sent = Some((now, bytes));
-        self.sent.push_back(Sent { request, draw_time, mark, bytes, number: self.count, unacknowledged });
+        self.sent.push_back(Sent {
+            request,
+            draw_time,
+            mark,
+            bytes,
+            number: self.count,
+            unacknowledged,
+        });
         self.count += 1;
         frame
     }
 
     /// The number of frames that may be unacknowledged: one while that is a full frame, which may be large.
     fn frames(&self) -> usize {
-        if self.sent.back().is_some_and(|sent| sent.request.is_full_quality) { 1 } else { self.window.frames() }
+        if self
+            .sent
+            .back()
+            .is_some_and(|sent| sent.request.is_full_quality)
+        {
+            1
+        } else {
+            self.window.frames()
+        }
     }
 
     /// When to start the frame of the waiting pose.
     fn begin(&mut self, now: Instant) -> Instant {
-        let Some(oldest) = self.sent.front().map(|sent| sent.mark.at()) else { return now };
+        let Some(oldest) = self.sent.front().map(|sent| sent.mark.at()) else {
+            return now;
+        };
         let window = self.frames();
         let lead = self.previews.draw_time().mul_f64(EARLY);
         let mut begin = now;
@@ -327,7 +421,8 @@ impl<F> FrameScheduler<F> {
             && let Some((at, bytes)) = self.last_sent
             && let Some(time) = self.link.frame_time(bytes)
         {
-            begin = begin.max(at + Duration::from_secs_f64(time / window as f64).saturating_sub(lead));
+            begin =
+                begin.max(at + Duration::from_secs_f64(time / window as f64).saturating_sub(lead));
         }
         begin
     }

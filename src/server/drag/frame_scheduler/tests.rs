@@ -42,7 +42,11 @@ impl World {
     }
 
     fn pose(&mut self, seq: u64) {
-        self.desk.pose(Pose { seq, q: Arc::default(), at: self.start + self.now * MS });
+        self.desk.pose(Pose {
+            seq,
+            q: Arc::default(),
+            at: self.start + self.now * MS,
+        });
     }
 
     fn tick(&mut self) {
@@ -100,7 +104,12 @@ impl World {
 
     /// Ages of what was shown but the first few frames: when shown less when sent.
     fn ages(&self) -> Vec<u64> {
-        let mut ages: Vec<u64> = self.shown.iter().skip(8).map(|(seq, at, _)| u64::from(*at) - 8 * seq).collect();
+        let mut ages: Vec<u64> = self
+            .shown
+            .iter()
+            .skip(8)
+            .map(|(seq, at, _)| u64::from(*at) - 8 * seq)
+            .collect();
         ages.sort_unstable();
         ages
     }
@@ -112,7 +121,14 @@ fn what_keeps_up_shows_every_pose_at_once() {
     world.drag(100);
     world.rest(300);
     assert_eq!(world.shown.len(), 100);
-    assert!(world.shown.iter().all(|(seq, at, is_full_quality)| u64::from(*at) == 8 * seq + 3 && !is_full_quality), "{:?}", world.shown);
+    assert!(
+        world
+            .shown
+            .iter()
+            .all(|(seq, at, is_full_quality)| u64::from(*at) == 8 * seq + 3 && !is_full_quality),
+        "{:?}",
+        world.shown
+    );
     assert_eq!(world.desk.take_superseded(), 0);
 }
 
@@ -125,7 +141,11 @@ fn what_is_slow_shows_the_newest_and_the_last() {
         let seqs: Vec<u64> = world.shown.iter().map(|(seq, ..)| *seq).collect();
         assert!(seqs.is_sorted_by(|a, b| a < b), "{seqs:?}");
         assert_eq!(seqs.last(), Some(&299), "make {make}, ack {ack}");
-        assert_eq!(world.desk.take_superseded() + seqs.len() as u64, 300, "make {make}, ack {ack}");
+        assert_eq!(
+            world.desk.take_superseded() + seqs.len() as u64,
+            300,
+            "make {make}, ack {ack}"
+        );
     }
 }
 
@@ -137,7 +157,12 @@ fn a_long_way_is_never_idle_and_its_frames_are_young() {
     // Two milliseconds of making, fifty of way, and up to eight since the last pose.
     assert!(*ages.last().unwrap() <= 2 + 50 + 8 + 2, "{ages:?}");
     assert!(world.shown.len() >= 4000 / 53, "{}", world.shown.len());
-    assert!(world.made as usize <= world.shown.len() + 8, "{} frames made for {} shown", world.made, world.shown.len());
+    assert!(
+        world.made as usize <= world.shown.len() + 8,
+        "{} frames made for {} shown",
+        world.made,
+        world.shown.len()
+    );
 }
 
 #[test]
@@ -148,7 +173,11 @@ fn a_client_that_is_later_than_expected_gets_a_young_frame() {
     world.rest(500);
     world.pose(1000);
     world.rest(100);
-    assert_eq!(world.made as usize, world.shown.len() + 2, "one under way and one ready, however long the client is silent");
+    assert_eq!(
+        world.made as usize,
+        world.shown.len() + 2,
+        "one under way and one ready, however long the client is silent"
+    );
     world.deaf = false;
     let shown = world.shown.len();
     world.rest(60);
@@ -163,7 +192,11 @@ fn a_hand_that_rests_gets_the_full_frame_once() {
     world.drag(20);
     let last = 8 * 19;
     world.rest(1000);
-    let is_full_quality: Vec<_> = world.shown.iter().filter(|(.., is_full_quality)| *is_full_quality).collect();
+    let is_full_quality: Vec<_> = world
+        .shown
+        .iter()
+        .filter(|(.., is_full_quality)| *is_full_quality)
+        .collect();
     assert_eq!(is_full_quality, [&(19, last + 150 + 5, true)]);
     // Nothing is missing in a preview of the full width.
     let mut world = World::new(PreviewController::fixed(512), 512, 2, 3);
@@ -183,7 +216,11 @@ fn a_hand_that_moves_on_gives_up_the_full_frame() {
     assert_eq!(world.given_up, 1);
     world.rest(1000);
     assert_eq!(
-        world.shown.iter().map(|(seq, _, is_full_quality)| (*seq, *is_full_quality)).collect::<Vec<_>>(),
+        world
+            .shown
+            .iter()
+            .map(|(seq, _, is_full_quality)| (*seq, *is_full_quality))
+            .collect::<Vec<_>>(),
         [(0, false), (1, false), (1, true)]
     );
 }
@@ -191,9 +228,14 @@ fn a_hand_that_moves_on_gives_up_the_full_frame() {
 #[test]
 fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
     for acknowledged_while_making in [false, true] {
-        let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(256), None, 512, Window::Fixed(1));
+        let mut desk: FrameScheduler<()> =
+            FrameScheduler::new(PreviewController::fixed(256), None, 512, Window::Fixed(1));
         let start = Instant::now();
-        let pose = |seq| Pose { seq, q: Arc::default(), at: start };
+        let pose = |seq| Pose {
+            seq,
+            q: Arc::default(),
+            at: start,
+        };
         desk.pose(pose(1));
         assert!(matches!(desk.next(start), Step::Draw(_)));
         desk.drawn((), 1000, start);
@@ -202,13 +244,26 @@ fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
             desk.ack(1, start).unwrap();
         }
         desk.pose(pose(2));
-        assert!(matches!(desk.next(start + MS), Step::Draw(FrameRequest { is_full_quality: false, .. })));
+        assert!(matches!(
+            desk.next(start + MS),
+            Step::Draw(FrameRequest {
+                is_full_quality: false,
+                ..
+            })
+        ));
         if acknowledged_while_making {
             desk.ack(1, start + MS).unwrap();
         }
         assert!(desk.failed().is_some());
         assert!(matches!(desk.next(start + MS), Step::Wait(Some(until)) if until == start + REST));
-        assert!(matches!(desk.next(start + REST), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, is_full_quality: true, .. })));
+        assert!(matches!(
+            desk.next(start + REST),
+            Step::Draw(FrameRequest {
+                pose: Pose { seq: 1, .. },
+                is_full_quality: true,
+                ..
+            })
+        ));
     }
 }
 
@@ -220,21 +275,53 @@ fn acknowledgements_are_of_frames_that_were_sent() {
     world.rest(10);
     assert_eq!(world.shown.len(), 1);
     let now = world.start + world.now * MS;
-    assert_eq!((world.desk.ack(6, now), world.desk.ack(5, now), world.desk.ack(4, now)), (Err(NotSent), Ok(()), Ok(())));
+    assert_eq!(
+        (
+            world.desk.ack(6, now),
+            world.desk.ack(5, now),
+            world.desk.ack(4, now)
+        ),
+        (Err(NotSent), Ok(()), Ok(()))
+    );
 }
 
 #[test]
 fn a_pose_that_found_no_room_waits_unless_there_is_a_newer_one() {
-    let mut desk: FrameScheduler<()> = FrameScheduler::new(PreviewController::fixed(512), None, 512, Window::Fixed(1));
+    let mut desk: FrameScheduler<()> =
+        FrameScheduler::new(PreviewController::fixed(512), None, 512, Window::Fixed(1));
     let now = Instant::now();
-    let pose = |seq| Pose { seq, q: Arc::default(), at: now };
+    let pose = |seq| Pose {
+        seq,
+        q: Arc::default(),
+        at: now,
+    };
     desk.pose(pose(1));
-    assert!(matches!(desk.next(now), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
+    assert!(matches!(
+        desk.next(now),
+        Step::Draw(FrameRequest {
+            pose: Pose { seq: 1, .. },
+            ..
+        })
+    ));
     desk.rejected(now);
-    assert!(matches!(desk.next(now), Step::Wait(Some(until)) if until == now + REJECTED_POSE_RETRY));
-    assert!(matches!(desk.next(now + REJECTED_POSE_RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 1, .. }, .. })));
+    assert!(
+        matches!(desk.next(now), Step::Wait(Some(until)) if until == now + REJECTED_POSE_RETRY)
+    );
+    assert!(matches!(
+        desk.next(now + REJECTED_POSE_RETRY),
+        Step::Draw(FrameRequest {
+            pose: Pose { seq: 1, .. },
+            ..
+        })
+    ));
     desk.pose(pose(2));
     desk.rejected(now);
-    assert!(matches!(desk.next(now + REJECTED_POSE_RETRY), Step::Draw(FrameRequest { pose: Pose { seq: 2, .. }, .. })));
+    assert!(matches!(
+        desk.next(now + REJECTED_POSE_RETRY),
+        Step::Draw(FrameRequest {
+            pose: Pose { seq: 2, .. },
+            ..
+        })
+    ));
     assert_eq!(desk.take_superseded(), 1);
 }

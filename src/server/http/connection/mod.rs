@@ -39,7 +39,10 @@ const OTHER_FILES: u64 = 256;
 /// Errors: it cannot start, or the listener failed.
 pub fn run(config: Config) -> io::Result<()> {
     let threads = config.work.workers.div_ceil(WORKERS_PER_ASYNC_THREAD);
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(threads).enable_all().build()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(threads)
+        .enable_all()
+        .build()?;
     let ended = runtime.block_on(async {
         let listener = listen(config.listen)?;
         let app = App::new(config).map_err(io::Error::other)?;
@@ -54,25 +57,56 @@ pub fn run(config: Config) -> io::Result<()> {
 /// Binds an address.
 /// Errors: the address cannot be bound.
 pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
-    let listener = TcpListener::bind(address).and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
-    listener.map_err(|error| io::Error::new(error.kind(), format!("cannot listen on {address}: {error}")))
+    let listener = TcpListener::bind(address)
+        .and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
+    listener.map_err(|error| {
+        io::Error::new(error.kind(), format!("cannot listen on {address}: {error}"))
+    })
 }
 
 /// Serves on a bound socket until `stop` completes, then drains.
 /// Errors: the listener failed, or the certificate cannot be read.
-pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = ()> + Send + 'static) -> io::Result<()> {
+pub async fn serve(
+    app: App,
+    listener: TcpListener,
+    stop: impl Future<Output = ()> + Send + 'static,
+) -> io::Result<()> {
     let (access, work, timeouts) = (&app.config().auth, app.config().work, app.config().timeouts);
     app.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let ops_listener = app.config().telemetry.metrics_listen.map(listen).transpose()?;
+    let ops_listener = app
+        .config()
+        .telemetry
+        .metrics_listen
+        .map(listen)
+        .transpose()?;
     raise_open_files(app.config().clients.max_connections);
-    let tls = access.tls.as_ref().map(TlsFiles::load).transpose().map_err(io::Error::other)?.map(watch::Sender::new);
-    let connections = Arc::new(Connections::new(&app, tls.as_ref().map(watch::Sender::subscribe)));
+    let tls = access
+        .tls
+        .as_ref()
+        .map(TlsFiles::load)
+        .transpose()
+        .map_err(io::Error::other)?
+        .map(watch::Sender::new);
+    let connections = Arc::new(Connections::new(
+        &app,
+        tls.as_ref().map(watch::Sender::subscribe),
+    ));
     let reloader = Reloader::new(&app, tls);
-    let scheme = if access.tls.is_some() { "https" } else { "http" };
+    let scheme = if access.tls.is_some() {
+        "https"
+    } else {
+        "http"
+    };
     let keys = access.keys.as_ref().map_or(0, |keys| keys.all.len());
-    tracing::info!(workers = work.workers, queue = work.queue(), memory = work.memory_bytes, keys, "listening on {scheme}://{address}");
+    tracing::info!(
+        workers = work.workers,
+        queue = work.queue(),
+        memory = work.memory_bytes,
+        keys,
+        "listening on {scheme}://{address}"
+    );
     reloader.warn_of_readable_secrets();
     if access.has_keys_in_plain(address) {
         tracing::warn!(
@@ -81,7 +115,9 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
         );
     }
     // Serves until this function returns.
-    let _ops = ops_listener.map(|listener| serve_ops(&app, listener)).transpose()?;
+    let _ops = ops_listener
+        .map(|listener| serve_ops(&app, listener))
+        .transpose()?;
     let mut tasks = JoinSet::new();
     let leaving = async {
         stop.await;
@@ -101,7 +137,10 @@ pub async fn serve(app: App, listener: TcpListener, stop: impl Future<Output = (
     app.stop();
     let draining = async {
         // What has not ended after the grace is aborted.
-        let _ = timeout(timeouts.shutdown_grace, async { while tasks.join_next().await.is_some() {} }).await;
+        let _ = timeout(timeouts.shutdown_grace, async {
+            while tasks.join_next().await.is_some() {}
+        })
+        .await;
         tasks.abort_all();
         // Drag sockets have tasks of their own.
         let _ = timeout(FINISH, app.sockets_closed()).await;
@@ -141,7 +180,11 @@ fn serve_ops(app: &App, listener: TcpListener) -> io::Result<JoinSet<()>> {
 }
 
 /// Accepts connections forever, one task each.
-async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connections>, tasks: &mut JoinSet<()>) {
+async fn accept(
+    listener: &tokio::net::TcpListener,
+    connections: &Arc<Connections>,
+    tasks: &mut JoinSet<()>,
+) {
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
@@ -153,16 +196,23 @@ async fn accept(listener: &tokio::net::TcpListener, connections: &Arc<Connection
                     let connections = Arc::clone(connections);
                     let turns = connections.turns(peer.ip());
                     let take = turns.clone();
-                    let serving = async move { connections.serve(socket, peer, permit, turns).await };
+                    let serving =
+                        async move { connections.serve(socket, peer, permit, turns).await };
                     match take {
                         Some(turns) => tasks.spawn(turns.take(serving)),
                         None => tasks.spawn(serving),
                     };
                 }
-                None => tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed"),
+                None => {
+                    tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed")
+                }
             },
             // The client has closed the connection already.
-            Err(error) if matches!(error.kind(), io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset) => {}
+            Err(error)
+                if matches!(
+                    error.kind(),
+                    io::ErrorKind::ConnectionAborted | io::ErrorKind::ConnectionReset
+                ) => {}
             Err(error) => {
                 // Out of files or memory: connections wait in the backlog.
                 tracing::warn!(%error, "cannot accept a connection");
@@ -183,9 +233,19 @@ fn raise_open_files(connections: usize) {
             return;
         }
         let raised = maximum.map_or(wanted, |maximum| maximum.min(wanted));
-        let set = setrlimit(Resource::Nofile, Rlimit { current: Some(raised), maximum });
+        let set = setrlimit(
+            Resource::Nofile,
+            Rlimit {
+                current: Some(raised),
+                maximum,
+            },
+        );
         if set.is_err() || raised < wanted {
-            tracing::warn!(limit = raised, wanted, "the limit of open files is too low for --max-connections: raise it (ulimit -n)");
+            tracing::warn!(
+                limit = raised,
+                wanted,
+                "the limit of open files is too low for --max-connections: raise it (ulimit -n)"
+            );
         }
     }
 }

@@ -30,7 +30,12 @@ pub(crate) struct Reloader {
 impl Reloader {
     pub(crate) fn new(app: &App, tls: Option<watch::Sender<Arc<ServerConfig>>>) -> Self {
         let access = &app.config().auth;
-        let mut reloader = Self { app: app.clone(), keys: access.keys.clone(), tls: access.tls.clone().zip(tls), stamps: Vec::new() };
+        let mut reloader = Self {
+            app: app.clone(),
+            keys: access.keys.clone(),
+            tls: access.tls.clone().zip(tls),
+            stamps: Vec::new(),
+        };
         reloader.stamps = reloader.stamps();
         reloader
     }
@@ -55,10 +60,17 @@ impl Reloader {
     /// Warns of files with secrets that other users can read or write. Access by the group is usual: Kubernetes mounts secrets so.
     pub(crate) fn warn_of_readable_secrets(&self) {
         let key = self.tls.iter().map(|(files, _)| &files.key);
-        for path in self.keys.iter().filter_map(|keys| keys.file.as_ref()).chain(key) {
+        for path in self
+            .keys
+            .iter()
+            .filter_map(|keys| keys.file.as_ref())
+            .chain(key)
+        {
             if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
                 let path = path.display();
-                tracing::warn!("other users can read or write {path} (mode {mode:03o}), which holds secrets: run chmod o-rwx {path}");
+                tracing::warn!(
+                    "other users can read or write {path} (mode {mode:03o}), which holds secrets: run chmod o-rwx {path}"
+                );
             }
         }
     }
@@ -69,7 +81,13 @@ impl Reloader {
             Some((metadata.modified().ok()?, metadata.len()))
         };
         let keys = self.keys.iter().filter_map(|keys| keys.file.as_ref());
-        keys.chain(self.tls.iter().flat_map(|(files, _)| [&files.cert, &files.key])).map(stamp).collect()
+        keys.chain(
+            self.tls
+                .iter()
+                .flat_map(|(files, _)| [&files.cert, &files.key]),
+        )
+        .map(stamp)
+        .collect()
     }
 
     /// Reloads the files if one has changed. A file that cannot be used leaves everything as it was.

@@ -113,7 +113,12 @@ impl Connections {
     }
 
     fn is_proxy(&self, peer: IpAddr) -> bool {
-        self.app.config().auth.trusted_proxies.iter().any(|network| network.contains(peer))
+        self.app
+            .config()
+            .auth
+            .trusted_proxies
+            .iter()
+            .any(|network| network.contains(peer))
     }
 
     /// The turns of a peer's connections; none of a proxy, whose requests are those of many clients.
@@ -126,15 +131,31 @@ impl Connections {
     }
 
     /// Serves a connection until it ends.
-    pub(crate) async fn serve(&self, socket: TcpStream, peer: SocketAddr, permit: ConnectionPermit, turns: Option<AddressTurns>) {
+    pub(crate) async fn serve(
+        &self,
+        socket: TcpStream,
+        peer: SocketAddr,
+        permit: ConnectionPermit,
+        turns: Option<AddressTurns>,
+    ) {
         let opening = async {
             let stream = WriteTimeoutStream::new(socket, self.timeouts().write, permit)?;
-            let opened = unless(self.first_head_grace(), timeout(self.timeouts().header, self.open(stream))).await;
-            opened.and_then(Result::ok).unwrap_or_else(|| Err(io::ErrorKind::TimedOut.into()))
+            let opened = unless(
+                self.first_head_grace(),
+                timeout(self.timeouts().header, self.open(stream)),
+            )
+            .await;
+            opened
+                .and_then(Result::ok)
+                .unwrap_or_else(|| Err(io::ErrorKind::TimedOut.into()))
         };
         match opening.await {
-            Ok((transport, Protocol::Http1)) => self.http1(transport, peer, &self.router, true).await,
-            Ok((transport, Protocol::NotTls)) => self.http1(transport, peer, &self.tls_required, false).await,
+            Ok((transport, Protocol::Http1)) => {
+                self.http1(transport, peer, &self.router, true).await
+            }
+            Ok((transport, Protocol::NotTls)) => {
+                self.http1(transport, peer, &self.tls_required, false).await
+            }
             Ok((transport, Protocol::Http2)) => self.http2(transport, peer, turns).await,
             Err(error) => tracing::debug!(%error, "a connection ended before its first request"),
         }
@@ -158,15 +179,43 @@ impl Connections {
         }
         let config = Arc::clone(&tls.borrow());
         let (stream, is_http2) = accept(config, stream).await?;
-        Ok((Transport::Right(Box::new(stream)), if is_http2 { Protocol::Http2 } else { Protocol::Http1 }))
+        Ok((
+            Transport::Right(Box::new(stream)),
+            if is_http2 {
+                Protocol::Http2
+            } else {
+                Protocol::Http1
+            },
+        ))
     }
 
-    async fn http1(&self, transport: Transport, peer: SocketAddr, router: &Router, keep_alive: bool) {
+    async fn http1(
+        &self,
+        transport: Transport,
+        peer: SocketAddr,
+        router: &Router,
+        keep_alive: bool,
+    ) {
         let mut builder = http1::Builder::new();
-        builder.timer(TokioTimer::new()).header_read_timeout(self.timeouts().header).max_buf_size(HTTP1_HEAD).keep_alive(keep_alive);
+        builder
+            .timer(TokioTimer::new())
+            .header_read_timeout(self.timeouts().header)
+            .max_buf_size(HTTP1_HEAD)
+            .keep_alive(keep_alive);
         let has_request = Arc::default();
-        let connection = builder.serve_connection(TokioIo::new(transport), self.service(router, peer, &has_request)).with_upgrades();
-        self.drive(pin!(connection), http1::UpgradeableConnection::graceful_shutdown, &has_request, pending()).await;
+        let connection = builder
+            .serve_connection(
+                TokioIo::new(transport),
+                self.service(router, peer, &has_request),
+            )
+            .with_upgrades();
+        self.drive(
+            pin!(connection),
+            http1::UpgradeableConnection::graceful_shutdown,
+            &has_request,
+            pending(),
+        )
+        .await;
     }
 
     async fn http2(&self, transport: Transport, peer: SocketAddr, turns: Option<AddressTurns>) {
@@ -185,8 +234,17 @@ impl Connections {
             .keep_alive_interval(timeouts.header)
             .keep_alive_timeout(timeouts.header);
         let has_request = Arc::default();
-        let connection = builder.serve_connection(TokioIo::new(transport), self.service(&self.router, peer, &has_request));
-        self.drive(pin!(connection), http2::Connection::graceful_shutdown, &has_request, streams.idle(timeouts.header)).await;
+        let connection = builder.serve_connection(
+            TokioIo::new(transport),
+            self.service(&self.router, peer, &has_request),
+        );
+        self.drive(
+            pin!(connection),
+            http2::Connection::graceful_shutdown,
+            &has_request,
+            streams.idle(timeouts.header),
+        )
+        .await;
     }
 
     /// Runs a connection to its end. It is shut down gracefully when the service stops or when `idle` completes.
@@ -220,7 +278,9 @@ impl Connections {
         match ended {
             Some(Ok(())) => {}
             Some(Err(error)) => tracing::debug!(%error, "a connection ended early"),
-            None => tracing::debug!("a connection did not end after its graceful shutdown: it is closed"),
+            None => tracing::debug!(
+                "a connection did not end after its graceful shutdown: it is closed"
+            ),
         }
     }
 
@@ -230,9 +290,18 @@ impl Connections {
         router: &Router,
         peer: SocketAddr,
         has_request: &Arc<AtomicBool>,
-    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send> + Clone + Send + use<> {
-        let (router, has_request) = (TowerToHyperService::new(router.clone()), Arc::clone(has_request));
-        let turns = RequestTurns { turns: self.turns.clone(), is_of_proxy: self.is_proxy(peer.ip()) };
+    ) -> impl Service<Request<Incoming>, Response = Response<Body>, Error = Infallible, Future: Send>
+    + Clone
+    + Send
+    + use<> {
+        let (router, has_request) = (
+            TowerToHyperService::new(router.clone()),
+            Arc::clone(has_request),
+        );
+        let turns = RequestTurns {
+            turns: self.turns.clone(),
+            is_of_proxy: self.is_proxy(peer.ip()),
+        };
         service_fn(move |mut request: Request<Incoming>| {
             has_request.store(true, Ordering::Relaxed);
             request.extensions_mut().insert(ConnectInfo(peer));

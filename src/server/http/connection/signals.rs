@@ -13,7 +13,10 @@ mod platform {
 
     impl Signals {
         pub(crate) fn stop() -> io::Result<Self> {
-            Ok(Self(vec![signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?]))
+            Ok(Self(vec![
+                signal(SignalKind::terminate())?,
+                signal(SignalKind::interrupt())?,
+            ]))
         }
 
         pub(crate) fn reload() -> io::Result<Self> {
@@ -22,8 +25,15 @@ mod platform {
 
         pub(crate) async fn recv(&mut self) {
             poll_fn(|cx| {
-                let is_ready = self.0.iter_mut().any(|signal| signal.poll_recv(cx).is_ready());
-                if is_ready { Poll::Ready(()) } else { Poll::Pending }
+                let is_ready = self
+                    .0
+                    .iter_mut()
+                    .any(|signal| signal.poll_recv(cx).is_ready());
+                if is_ready {
+                    Poll::Ready(())
+                } else {
+                    Poll::Pending
+                }
             })
             .await;
         }

@@ -42,7 +42,11 @@ pub(crate) struct Streams {
 
 impl Streams {
     pub(crate) fn new(timeout: Duration, turns: Option<AddressTurns>) -> Self {
-        Self { open: watch::Sender::new(0), timeout, turns }
+        Self {
+            open: watch::Sender::new(0),
+            timeout,
+            turns,
+        }
     }
 
     /// Completes when no stream has been open for this time.
@@ -64,7 +68,13 @@ impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
         self.open.send_modify(|open| *open += 1);
         let progress = Arc::<Progress>::default();
         let (open, timeout) = (self.open.clone(), self.timeout);
-        let stream = StreamStallTimeout { stream: Box::pin(stream), progress: Arc::clone(&progress), deadline: None, timeout, open };
+        let stream = StreamStallTimeout {
+            stream: Box::pin(stream),
+            progress: Arc::clone(&progress),
+            deadline: None,
+            timeout,
+            open,
+        };
         let stream = CURRENT.scope(progress, stream);
         match &self.turns {
             Some(turns) => tokio::spawn(turns.take(stream)),
@@ -91,13 +101,23 @@ impl<F: Future<Output = ()>> Future for StreamStallTimeout<F> {
         }
         let this = &mut *self;
         loop {
-            let Some(taken) = *lock(&this.progress) else { return Poll::Pending };
+            let Some(taken) = *lock(&this.progress) else {
+                return Poll::Pending;
+            };
             let left = this.timeout.saturating_sub(taken.elapsed());
             if left.is_zero() {
-                tracing::debug!("a client read nothing of a stream for {:?}: the stream is reset", this.timeout);
+                tracing::debug!(
+                    "a client read nothing of a stream for {:?}: the stream is reset",
+                    this.timeout
+                );
                 return Poll::Ready(());
             }
-            ready!(this.deadline.get_or_insert_with(|| Box::pin(sleep(left))).as_mut().poll(cx));
+            ready!(
+                this.deadline
+                    .get_or_insert_with(|| Box::pin(sleep(left)))
+                    .as_mut()
+                    .poll(cx)
+            );
             // It may have been set for an earlier piece.
             this.deadline = None;
         }
@@ -113,7 +133,11 @@ impl<F> Drop for StreamStallTimeout<F> {
 /// Adds the stall timeout to a response's body. On HTTP/1.1 the body is unchanged.
 pub(crate) fn with_stall_timeout(body: Body) -> Body {
     match CURRENT.try_with(Arc::clone) {
-        Ok(progress) if !body.is_end_stream() => Body::new(PiecewiseBody { body, progress, rest: Bytes::new() }),
+        Ok(progress) if !body.is_end_stream() => Body::new(PiecewiseBody {
+            body,
+            progress,
+            rest: Bytes::new(),
+        }),
         _ => body,
     }
 }
@@ -128,7 +152,10 @@ impl HttpBody for PiecewiseBody {
     type Data = Bytes;
     type Error = axum::Error;
 
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let this = &mut *self;
         *lock(&this.progress) = None;
         if this.rest.is_empty() {
@@ -151,6 +178,10 @@ impl HttpBody for PiecewiseBody {
 
     /// Exact sizes become `Content-Length`, which is asked for before the first piece.
     fn size_hint(&self) -> SizeHint {
-        if self.rest.is_empty() { self.body.size_hint() } else { SizeHint::default() }
+        if self.rest.is_empty() {
+            self.body.size_hint()
+        } else {
+            SizeHint::default()
+        }
     }
 }

@@ -52,12 +52,21 @@ struct Blocked {
 }
 
 impl WriteTimeoutStream {
-    pub(crate) fn new(socket: TcpStream, timeout: Duration, permit: ConnectionPermit) -> io::Result<Self> {
+    pub(crate) fn new(
+        socket: TcpStream,
+        timeout: Duration,
+        permit: ConnectionPermit,
+    ) -> io::Result<Self> {
         // Nagle's algorithm would delay the last strip of a picture.
         socket.set_nodelay(true)?;
         // On failure the kernel keeps its own size, which only costs memory.
         let _ = SockRef::from(&socket).set_send_buffer_size(SEND_BUFFER);
-        Ok(Self { socket, timeout: Some(timeout), blocked: None, _permit: permit })
+        Ok(Self {
+            socket,
+            timeout: Some(timeout),
+            blocked: None,
+            _permit: permit,
+        })
     }
 
     pub(crate) const fn socket(&self) -> &TcpStream {
@@ -67,9 +76,14 @@ impl WriteTimeoutStream {
     /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of the buffer is free, which a slow client
     /// may not reach within the timeout; so the write is also retried on a timer.
     fn poll_blocked(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        let Some(timeout) = self.timeout else { return Poll::Pending };
+        let Some(timeout) = self.timeout else {
+            return Poll::Pending;
+        };
         let pause = timeout / RETRIES;
-        let blocked = self.blocked.get_or_insert_with(|| Blocked { since: Instant::now(), retry: Box::pin(sleep(pause)) });
+        let blocked = self.blocked.get_or_insert_with(|| Blocked {
+            since: Instant::now(),
+            retry: Box::pin(sleep(pause)),
+        });
         while blocked.retry.as_mut().poll(cx).is_ready() {
             match SockRef::from(&self.socket).send(bytes) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
@@ -82,16 +96,26 @@ impl WriteTimeoutStream {
                 // Discards what the kernel still holds.
                 let _ = SockRef::from(&self.socket).set_linger(Some(Duration::ZERO));
                 tracing::debug!("a client read nothing for {timeout:?}: its connection is closed");
-                return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client reads nothing")));
+                return Poll::Ready(Err(io::Error::new(
+                    io::ErrorKind::TimedOut,
+                    "the client reads nothing",
+                )));
             }
-            blocked.retry.as_mut().reset(tokio::time::Instant::now() + pause);
+            blocked
+                .retry
+                .as_mut()
+                .reset(tokio::time::Instant::now() + pause);
         }
         Poll::Pending
     }
 }
 
 impl AsyncRead for WriteTimeoutStream {
-    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         let read = Pin::new(&mut self.socket).poll_read(cx, into);
         charge(cx, into.filled().len() - before);
@@ -119,15 +143,28 @@ fn piece<'s, 'b>(slices: &'s [IoSlice<'b>]) -> &'s [IoSlice<'b>] {
         bytes += slice.len();
         bytes <= PIECE
     };
-    &slices[..slices.iter().take_while(fits).count().max(1).min(slices.len())]
+    &slices[..slices
+        .iter()
+        .take_while(fits)
+        .count()
+        .max(1)
+        .min(slices.len())]
 }
 
 impl AsyncWrite for WriteTimeoutStream {
-    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
         self.poll_write_vectored(cx, &[IoSlice::new(bytes)])
     }
 
-    fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, slices: &[IoSlice<'_>]) -> Poll<io::Result<usize>> {
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        slices: &[IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
         // The turn is over, which says nothing of the client.
         drop(ready!(coop::poll_proceed(cx)));
         let slices = piece(slices);

@@ -81,7 +81,10 @@ impl Turns {
         }
         let known = addresses.entry(Tenant::of_address(address)).or_default();
         AddressTurns(known.upgrade().unwrap_or_else(|| {
-            let new = Arc::new(Address { rounds: Arc::clone(&self.0), state: Mutex::default() });
+            let new = Arc::new(Address {
+                rounds: Arc::clone(&self.0),
+                state: Mutex::default(),
+            });
             *known = Arc::downgrade(&new);
             new
         }))
@@ -155,7 +158,11 @@ impl Address {
     fn used(&self, time: Duration) {
         let mut state = self.now();
         state.used += time;
-        let next = if state.used < TURN { state.next() } else { None };
+        let next = if state.used < TURN {
+            state.next()
+        } else {
+            None
+        };
         drop(state);
         next.into_iter().for_each(Waker::wake);
     }
@@ -164,14 +171,20 @@ impl Address {
 impl State {
     fn forgive(&mut self) {
         let now = Instant::now();
-        let passed = self.forgiven.replace(now).map_or(Duration::MAX, |forgiven| now.saturating_duration_since(forgiven));
+        let passed = self
+            .forgiven
+            .replace(now)
+            .map_or(Duration::MAX, |forgiven| {
+                now.saturating_duration_since(forgiven)
+            });
         self.used = self.used.saturating_sub(passed / 2);
     }
 
     /// The next waiting task.
     fn next(&mut self) -> Option<Waker> {
         // A task that was dropped has left its place.
-        let place = std::iter::from_fn(|| self.waiting.pop_front()).find(|place| Arc::strong_count(place) > 1)?;
+        let place = std::iter::from_fn(|| self.waiting.pop_front())
+            .find(|place| Arc::strong_count(place) > 1)?;
         lock(&place.0).take()
     }
 }
@@ -179,7 +192,11 @@ impl State {
 impl AddressTurns {
     /// The future, polled in the turns of the address.
     pub(crate) fn take<F: Future>(&self, future: F) -> impl Future<Output = F::Output> + use<F> {
-        InTurn { future: Box::pin(future), address: Arc::clone(&self.0), place: None }
+        InTurn {
+            future: Box::pin(future),
+            address: Arc::clone(&self.0),
+            place: None,
+        }
     }
 }
 
@@ -250,11 +267,19 @@ mod tests {
 
     /// Runs so many busy tasks of an address beside one of another, until that was polled a hundred times; how often the others were.
     async fn beside(tasks: usize, time: Duration) -> usize {
-        let (turns, polls, own) = (Turns::default(), Arc::<AtomicUsize>::default(), Arc::<AtomicUsize>::default());
+        let (turns, polls, own) = (
+            Turns::default(),
+            Arc::<AtomicUsize>::default(),
+            Arc::<AtomicUsize>::default(),
+        );
         let is_over = Arc::<AtomicBool>::default();
         let spawn = |n: u8, time: Duration, polls: &Arc<AtomicUsize>| {
             let (polls, is_over) = (Arc::clone(polls), Arc::clone(&is_over));
-            tokio::spawn(turns.of(address(n)).take(async move { busy(time, &polls, &is_over).await }))
+            tokio::spawn(
+                turns
+                    .of(address(n))
+                    .take(async move { busy(time, &polls, &is_over).await }),
+            )
         };
         let mut spawned: Vec<_> = (0..tasks).map(|_| spawn(1, time, &polls)).collect();
         tokio::task::yield_now().await;
@@ -286,7 +311,11 @@ mod tests {
             .iter()
             .map(|polls| {
                 let (polls, is_over) = (Arc::clone(polls), Arc::clone(&is_over));
-                tokio::spawn(turns.of(address(1)).take(async move { busy(TURN / 5, &polls, &is_over).await }))
+                tokio::spawn(
+                    turns
+                        .of(address(1))
+                        .take(async move { busy(TURN / 5, &polls, &is_over).await }),
+                )
             })
             .collect();
         let (mut looks, began) = (0, Instant::now());
@@ -298,8 +327,14 @@ mod tests {
         for task in tasks {
             task.await.unwrap();
         }
-        let counts: Vec<usize> = polls.iter().map(|polls| polls.load(Ordering::Relaxed)).collect();
-        assert!(counts.iter().all(|count| (45..=55).contains(count)), "{counts:?} in {looks} looks");
+        let counts: Vec<usize> = polls
+            .iter()
+            .map(|polls| polls.load(Ordering::Relaxed))
+            .collect();
+        assert!(
+            counts.iter().all(|count| (45..=55).contains(count)),
+            "{counts:?} in {looks} looks"
+        );
     }
 
     #[tokio::test]
@@ -308,7 +343,9 @@ mod tests {
         // The turn is over, and will not be forgiven soon.
         of.0.now().forgive();
         of.0.used(Duration::from_secs(60));
-        let mut waits: Vec<_> = (0..3).map(|n| Box::pin(of.take(async move { n }))).collect();
+        let mut waits: Vec<_> = (0..3)
+            .map(|n| Box::pin(of.take(async move { n })))
+            .collect();
         for task in &mut waits {
             assert!(task.now_or_never().is_none());
         }

@@ -5,7 +5,9 @@ use std::convert::Infallible;
 use std::net::SocketAddr;
 
 use axum::extract::{ConnectInfo, FromRequestParts, Request, State};
-use axum::http::header::{AUTHORIZATION, HeaderName, SEC_WEBSOCKET_PROTOCOL, UPGRADE, WWW_AUTHENTICATE};
+use axum::http::header::{
+    AUTHORIZATION, HeaderName, SEC_WEBSOCKET_PROTOCOL, UPGRADE, WWW_AUTHENTICATE,
+};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::middleware::Next;
@@ -44,26 +46,46 @@ impl FromRequestParts<App> for Caller {
     type Rejection = Infallible;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Infallible> {
-        Ok(Self { app: app.clone(), client: parts.extensions.get().copied().unwrap_or_default() })
+        Ok(Self {
+            app: app.clone(),
+            client: parts.extensions.get().copied().unwrap_or_default(),
+        })
     }
 }
 
 /// The client of a request before its key is known.
 pub(super) fn client(app: &App, request: &Request) -> Client {
-    let Some(ConnectInfo(peer)) = request.extensions().get::<ConnectInfo<SocketAddr>>() else { return Client::default() };
-    let forwarded = request.headers().get_all(FORWARDED_FOR).iter().map(|value| value.to_str().unwrap_or_default());
+    let Some(ConnectInfo(peer)) = request.extensions().get::<ConnectInfo<SocketAddr>>() else {
+        return Client::default();
+    };
+    let forwarded = request
+        .headers()
+        .get_all(FORWARDED_FOR)
+        .iter()
+        .map(|value| value.to_str().unwrap_or_default());
     // Several headers are one list (RFC 9110, section 5.3).
     let hops = forwarded.flat_map(|value| value.split(','));
-    Client { address: client_ip(peer.ip(), hops, &app.config().auth.trusted_proxies), ..Client::default() }
+    Client {
+        address: client_ip(peer.ip(), hops, &app.config().auth.trusted_proxies),
+        ..Client::default()
+    }
 }
 
 /// Checks the key and the rate, and passes the owner on to the handler instead of the key.
-pub(crate) async fn authenticate(State(app): State<App>, Caller { client, .. }: Caller, mut request: Request, next: Next) -> Response {
+pub(crate) async fn authenticate(
+    State(app): State<App>,
+    Caller { client, .. }: Caller,
+    mut request: Request,
+    next: Next,
+) -> Response {
     let key = key(request.headers());
     let authorization = request.headers_mut().remove(AUTHORIZATION);
     match app.access().admit(client.address, key.as_deref()) {
         Ok(credential) => {
-            request.extensions_mut().insert(Client { owner: credential.owner(), ..client });
+            request.extensions_mut().insert(Client {
+                owner: credential.owner(),
+                ..client
+            });
             request.extensions_mut().insert(credential);
             next.run(request).await
         }
@@ -75,8 +97,12 @@ pub(crate) async fn authenticate(State(app): State<App>, Caller { client, .. }: 
         }
         Err(mut problem) => {
             // Nothing of the key is repeated.
-            if problem.code == Code::Forbidden && key.is_some_and(|key| key.starts_with(['"', '\'', '<', '`'])) {
-                problem.detail.push_str("; send the key without quotes or brackets");
+            if problem.code == Code::Forbidden
+                && key.is_some_and(|key| key.starts_with(['"', '\'', '<', '`']))
+            {
+                problem
+                    .detail
+                    .push_str("; send the key without quotes or brackets");
             }
             problem.into_response()
         }
@@ -88,19 +114,27 @@ fn key(headers: &HeaderMap) -> Option<String> {
     let mut fields = headers.get_all(AUTHORIZATION).iter();
     if let Some(field) = fields.next() {
         let (scheme, key) = field.to_str().ok()?.split_once(' ')?;
-        return (fields.next().is_none() && scheme.eq_ignore_ascii_case("bearer")).then(|| key.trim().to_owned());
+        return (fields.next().is_none() && scheme.eq_ignore_ascii_case("bearer"))
+            .then(|| key.trim().to_owned());
     }
     if !headers.contains_key(UPGRADE) {
         return None;
     }
     let mut offered = protocols(headers).filter_map(|protocol| protocol.strip_prefix(KEY_PROTOCOL));
     let key = BASE64URL_NOPAD.decode(offered.next()?.as_bytes()).ok()?;
-    offered.next().is_none().then(|| String::from_utf8(key).ok()).flatten()
+    offered
+        .next()
+        .is_none()
+        .then(|| String::from_utf8(key).ok())
+        .flatten()
 }
 
 /// What is wrong with a field `Authorization` from which no key was read. Nothing of it is repeated: it may be a key.
 fn unreadable(field: &[u8]) -> &'static str {
-    let is_bearer = field.split(|b| *b == b' ').next().is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer"));
+    let is_bearer = field
+        .split(|b| *b == b' ')
+        .next()
+        .is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer"));
     if is_bearer && !field.is_ascii() {
         "the key in `Authorization` has characters outside ASCII, which no key has: send `Authorization: Bearer <key>`"
     } else if is_bearer {
@@ -120,23 +154,44 @@ mod tests {
     use super::*;
 
     fn of(headers: &[(HeaderName, &str)]) -> Option<String> {
-        key(&headers.iter().map(|(name, value)| (name.clone(), HeaderValue::from_str(value).unwrap())).collect())
+        key(&headers
+            .iter()
+            .map(|(name, value)| (name.clone(), HeaderValue::from_str(value).unwrap()))
+            .collect())
     }
 
     #[test]
     fn a_key_is_a_bearer_token_or_a_subprotocol() {
-        assert_eq!(of(&[(AUTHORIZATION, "Bearer 0123456789abcdef")]).as_deref(), Some("0123456789abcdef"));
-        assert_eq!(of(&[(AUTHORIZATION, "bearer  0123456789abcdef ")]).as_deref(), Some("0123456789abcdef"));
+        assert_eq!(
+            of(&[(AUTHORIZATION, "Bearer 0123456789abcdef")]).as_deref(),
+            Some("0123456789abcdef")
+        );
+        assert_eq!(
+            of(&[(AUTHORIZATION, "bearer  0123456789abcdef ")]).as_deref(),
+            Some("0123456789abcdef")
+        );
         let offered = "mlswarp, mlswarp.bearer.MDEyMzQ1Njc4OWFiY2RlZi8r";
-        assert_eq!(of(&[(UPGRADE, "websocket"), (SEC_WEBSOCKET_PROTOCOL, offered)]).as_deref(), Some("0123456789abcdef/+"));
+        assert_eq!(
+            of(&[(UPGRADE, "websocket"), (SEC_WEBSOCKET_PROTOCOL, offered)]).as_deref(),
+            Some("0123456789abcdef/+")
+        );
         for none in [
             &[][..],
             &[(AUTHORIZATION, "Basic dXNlcjpwYXNz")],
             &[(AUTHORIZATION, "0123456789abcdef")],
             &[(AUTHORIZATION, "Bearer one"), (AUTHORIZATION, "Bearer two")],
             &[(SEC_WEBSOCKET_PROTOCOL, offered)],
-            &[(UPGRADE, "websocket"), (SEC_WEBSOCKET_PROTOCOL, "mlswarp.bearer.???")],
-            &[(UPGRADE, "websocket"), (SEC_WEBSOCKET_PROTOCOL, "mlswarp.bearer.MDEy, mlswarp.bearer.MDEz")],
+            &[
+                (UPGRADE, "websocket"),
+                (SEC_WEBSOCKET_PROTOCOL, "mlswarp.bearer.???"),
+            ],
+            &[
+                (UPGRADE, "websocket"),
+                (
+                    SEC_WEBSOCKET_PROTOCOL,
+                    "mlswarp.bearer.MDEy, mlswarp.bearer.MDEz",
+                ),
+            ],
         ] {
             assert_eq!(of(none), None, "{none:?}");
         }

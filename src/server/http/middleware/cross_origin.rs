@@ -12,8 +12,22 @@ use crate::auth::cors::Origins;
 use crate::config::AuthConfig;
 use crate::problem::{Code, Problem};
 
-const METHODS: [Method; 5] = [Method::GET, Method::HEAD, Method::POST, Method::PUT, Method::DELETE];
-const REQUEST_HEADERS: [&str; 7] = ["accept", "authorization", "content-type", "if-none-match", "te", "traceparent", "x-request-id"];
+const METHODS: [Method; 5] = [
+    Method::GET,
+    Method::HEAD,
+    Method::POST,
+    Method::PUT,
+    Method::DELETE,
+];
+const REQUEST_HEADERS: [&str; 7] = [
+    "accept",
+    "authorization",
+    "content-type",
+    "if-none-match",
+    "te",
+    "traceparent",
+    "x-request-id",
+];
 const RESPONSE_HEADERS: [&str; 15] = [
     "allow",
     "etag",
@@ -39,10 +53,17 @@ const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
 pub(super) fn cors_layer(origins: &Origins) -> Option<CorsLayer> {
     let (allowed, vary) = match origins {
         Origins::Own => return None,
-        Origins::Listed(listed) => (AllowOrigin::list(listed.iter().flat_map(|origin| origin.parse())), vec![ORIGIN]),
+        Origins::Listed(listed) => (
+            AllowOrigin::list(listed.iter().flat_map(|origin| origin.parse())),
+            vec![ORIGIN],
+        ),
         Origins::Any => (AllowOrigin::any(), vec![]),
     };
-    let layer = CorsLayer::new().allow_origin(allowed).vary(Vary::list(vary)).allow_methods(METHODS).max_age(PREFLIGHT_AGE);
+    let layer = CorsLayer::new()
+        .allow_origin(allowed)
+        .vary(Vary::list(vary))
+        .allow_methods(METHODS)
+        .max_age(PREFLIGHT_AGE);
     let names = layer.allow_headers(REQUEST_HEADERS.map(HeaderName::from_static));
     Some(names.expose_headers(RESPONSE_HEADERS.map(HeaderName::from_static)))
 }
@@ -60,7 +81,10 @@ pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Proble
         None => config.keys.is_none() && !is_same_origin(headers, request.uri().authority()),
     };
     if is_cross_origin && !request.method().is_safe() && !is_listed(headers, &config.cors_origin) {
-        return Err(Problem::new(Code::Forbidden, "cross-origin request rejected; --cors-origin lists the sites whose pages may send it"));
+        return Err(Problem::new(
+            Code::Forbidden,
+            "cross-origin request rejected; --cors-origin lists the sites whose pages may send it",
+        ));
     }
     Ok(())
 }
@@ -69,7 +93,11 @@ pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Proble
 /// opens nothing for others, whose pages send no `Origin` when they embed a picture; so a listed one embeds it with `crossorigin`.
 pub(super) fn resource_policy(headers: &HeaderMap, origins: &Origins) -> HeaderValue {
     let is_open = *origins == Origins::Any || is_listed(headers, origins);
-    HeaderValue::from_static(if is_open { "cross-origin" } else { "same-origin" })
+    HeaderValue::from_static(if is_open {
+        "cross-origin"
+    } else {
+        "same-origin"
+    })
 }
 
 /// Whether the page that sends a request is of a listed site.
@@ -80,14 +108,25 @@ pub(crate) fn is_listed(headers: &HeaderMap, origins: &Origins) -> bool {
 
 /// Whether a request is sent by no page, or by one of this server. The authority of the `target` takes precedence over the `Host` header.
 pub(crate) fn is_same_origin(headers: &HeaderMap, target: Option<&Authority>) -> bool {
-    let Some(origin) = headers.get(ORIGIN) else { return true };
-    let own = target.map(Authority::as_str).or_else(|| headers.get(HOST)?.to_str().ok());
-    let origin = HeaderValue::to_str(origin).ok().and_then(|origin| origin.split_once("://"));
-    own.zip(origin).is_some_and(|(own, (scheme, origin))| normalized(own, scheme) == normalized(origin, scheme))
+    let Some(origin) = headers.get(ORIGIN) else {
+        return true;
+    };
+    let own = target
+        .map(Authority::as_str)
+        .or_else(|| headers.get(HOST)?.to_str().ok());
+    let origin = HeaderValue::to_str(origin)
+        .ok()
+        .and_then(|origin| origin.split_once("://"));
+    own.zip(origin).is_some_and(|(own, (scheme, origin))| {
+        normalized(own, scheme) == normalized(origin, scheme)
+    })
 }
 
 /// An authority in lower case, without the scheme's default port.
 fn normalized(authority: &str, scheme: &str) -> String {
     let default_port = if scheme == "https" { ":443" } else { ":80" };
-    authority.strip_suffix(default_port).unwrap_or(authority).to_ascii_lowercase()
+    authority
+        .strip_suffix(default_port)
+        .unwrap_or(authority)
+        .to_ascii_lowercase()
 }

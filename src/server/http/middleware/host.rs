@@ -15,7 +15,9 @@ const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
 /// Errors: [`Code::MalformedRequest`], [`Code::Misdirected`].
 pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Problem> {
     let host = host(request)?;
-    let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else { return Ok(()) };
+    let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else {
+        return Ok(());
+    };
     if host.as_ref().is_some_and(|host| served.allow(host)) {
         return Ok(());
     }
@@ -23,7 +25,9 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
         Some(Host::Name(name)) => quote(&name),
         _ => "of a request that names none".to_owned(),
     };
-    let detail = format!("this server does not serve the host {host}; --allowed-hosts adds names to localhost and IP addresses");
+    let detail = format!(
+        "this server does not serve the host {host}; --allowed-hosts adds names to localhost and IP addresses"
+    );
     Err(Problem::new(Code::Misdirected, detail))
 }
 
@@ -31,19 +35,37 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
 fn host(request: &Request) -> Result<Option<Host>, Problem> {
     let malformed = |detail: &str| Problem::new(Code::MalformedRequest, detail);
     let parse = |text: Option<&str>, name: &str| {
-        text.and_then(Authority::parse).ok_or_else(|| malformed(&format!("the {name} is not `host` or `host:port`")))
+        text.and_then(Authority::parse)
+            .ok_or_else(|| malformed(&format!("the {name} is not `host` or `host:port`")))
     };
     let mut fields = request.headers().get_all(HOST).iter();
-    let field = fields.next().map(|field| parse(field.to_str().ok(), "Host header")).transpose()?;
+    let field = fields
+        .next()
+        .map(|field| parse(field.to_str().ok(), "Host header"))
+        .transpose()?;
     if fields.next().is_some() {
         return Err(malformed("the request has more than one Host header"));
     }
-    let target = request.uri().authority().map(|target| parse(Some(target.as_str()), "target's host")).transpose()?;
+    let target = request
+        .uri()
+        .authority()
+        .map(|target| parse(Some(target.as_str()), "target's host"))
+        .transpose()?;
     match (request.version(), &target, &field) {
-        (Version::HTTP_11, _, None) => return Err(malformed("an HTTP/1.1 request needs a Host header")),
-        (Version::HTTP_2, None, None) => return Err(malformed("an HTTP/2 request needs :authority or a Host header")),
+        (Version::HTTP_11, _, None) => {
+            return Err(malformed("an HTTP/1.1 request needs a Host header"));
+        }
+        (Version::HTTP_2, None, None) => {
+            return Err(malformed(
+                "an HTTP/2 request needs :authority or a Host header",
+            ));
+        }
         (Version::HTTP_2, Some(target), Some(field)) => {
-            let default_port = if request.uri().scheme_str() == Some("https") { 443 } else { 80 };
+            let default_port = if request.uri().scheme_str() == Some("https") {
+                443
+            } else {
+                80
+            };
             let port = |authority: &Authority| authority.port.unwrap_or(default_port);
             if target.host != field.host || port(target) != port(field) {
                 return Err(malformed(":authority and the Host header differ"));
@@ -60,13 +82,19 @@ mod tests {
 
     use super::*;
 
-    fn checked(version: Version, target: &str, fields: &[&str], served: Option<&str>) -> Result<(), Code> {
+    fn checked(
+        version: Version,
+        target: &str,
+        fields: &[&str],
+        served: Option<&str>,
+    ) -> Result<(), Code> {
         let mut request = Request::builder().version(version).uri(target);
         for field in fields {
             request = request.header(HOST, *field);
         }
         let served = served.map(|list| Hosts::parse(list).unwrap());
-        check(&request.body(Body::empty()).unwrap(), served.as_ref()).map_err(|problem| problem.code)
+        check(&request.body(Body::empty()).unwrap(), served.as_ref())
+            .map_err(|problem| problem.code)
     }
 
     #[test]
@@ -75,11 +103,24 @@ mod tests {
         let (old, one, two) = (Version::HTTP_10, Version::HTTP_11, Version::HTTP_2);
         assert_eq!(checked(one, "/warp", &["a.example"], None), Ok(()));
         assert_eq!(checked(old, "/warp", &[], None), Ok(()));
-        for fields in [&[][..], &[""], &["a.example", "a.example"], &["a b"], &["a:x"]] {
+        for fields in [
+            &[][..],
+            &[""],
+            &["a.example", "a.example"],
+            &["a b"],
+            &["a:x"],
+        ] {
             assert_eq!(checked(one, "/warp", fields, None), malformed, "{fields:?}");
-            assert_eq!(checked(one, "/healthz", fields, None), malformed, "{fields:?}");
+            assert_eq!(
+                checked(one, "/healthz", fields, None),
+                malformed,
+                "{fields:?}"
+            );
         }
-        assert_eq!(checked(one, "http://user@a.example/warp", &["a.example"], None), malformed);
+        assert_eq!(
+            checked(one, "http://user@a.example/warp", &["a.example"], None),
+            malformed
+        );
         assert_eq!(checked(two, "/warp", &[], None), malformed);
         assert_eq!(checked(two, "/warp", &["a.example"], None), Ok(()));
         for (target, field, same) in [
@@ -90,7 +131,11 @@ mod tests {
             ("http://a.example/warp", "b.example", false),
             ("http://127.0.0.1/warp", "localhost", false),
         ] {
-            assert_eq!(checked(two, target, &[field], None), if same { Ok(()) } else { malformed }, "{target} {field}");
+            assert_eq!(
+                checked(two, target, &[field], None),
+                if same { Ok(()) } else { malformed },
+                "{target} {field}"
+            );
         }
     }
 
@@ -112,7 +157,11 @@ mod tests {
             (one, "/readyz", &["evil.example"], Ok(())),
             (one, "/metrics", &["evil.example"], misdirected),
         ] {
-            assert_eq!(checked(version, target, fields, Some("warp.example")), answer, "{version:?} {target} {fields:?}");
+            assert_eq!(
+                checked(version, target, fields, Some("warp.example")),
+                answer,
+                "{version:?} {target} {fields:?}"
+            );
         }
     }
 }

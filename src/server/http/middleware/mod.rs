@@ -12,7 +12,9 @@ use std::time::Instant;
 
 use axum::Router;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header::{CONNECTION, EXPECT, REFERRER_POLICY, STRICT_TRANSPORT_SECURITY, X_CONTENT_TYPE_OPTIONS};
+use axum::http::header::{
+    CONNECTION, EXPECT, REFERRER_POLICY, STRICT_TRANSPORT_SECURITY, X_CONTENT_TYPE_OPTIONS,
+};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
@@ -55,31 +57,51 @@ struct MiddlewareState {
 
 /// Completes a router by its middleware. `hosts`: the hosts that requests may name; none: any host.
 pub(crate) fn apply(router: Router<App>, app: &App, hosts: Option<&Hosts>) -> Router {
-    let router = router.layer(CatchPanicLayer::custom(on_panic)).layer(from_fn_with_state(app.clone(), limit));
+    let router = router
+        .layer(CatchPanicLayer::custom(on_panic))
+        .layer(from_fn_with_state(app.clone(), limit));
     let router = match cross_origin::cors_layer(&app.config().auth.cors_origin) {
         Some(cors) => router.layer(cors),
         None => router,
     };
-    let state = MiddlewareState { app: app.clone(), hosts: hosts.cloned() };
-    router.layer(from_fn_with_state(state, outermost)).with_state(app.clone())
+    let state = MiddlewareState {
+        app: app.clone(),
+        hosts: hosts.cloned(),
+    };
+    router
+        .layer(from_fn_with_state(state, outermost))
+        .with_state(app.clone())
 }
 
 /// Identifies, logs and traces a request, checks its host, and completes its response.
-async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>, mut request: Request, next: Next) -> Response {
+async fn outermost(
+    State(MiddlewareState { app, hosts }): State<MiddlewareState>,
+    mut request: Request,
+    next: Next,
+) -> Response {
     let began = Instant::now();
     let id = request_id(request.headers());
     // The pattern, never the path: neither a log nor a trace may hold session ids.
     let route = request.extensions().get::<MatchedPath>().cloned();
-    let tracer = app.tracer().filter(|_| !route.as_ref().is_some_and(|route| UNTRACED_ROUTES.contains(&route.as_str())));
+    let tracer = app.tracer().filter(|_| {
+        !route
+            .as_ref()
+            .is_some_and(|route| UNTRACED_ROUTES.contains(&route.as_str()))
+    });
     let scope = match tracer {
         None => Scope::untraced(&id),
         Some(tracer) => {
             let info = RequestInfo {
-                parent: TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(request.headers())),
+                parent: TraceContextPropagator::new()
+                    .extract_with_context(&Context::new(), &HeaderExtractor(request.headers())),
                 began,
                 method: known_method(request.method().as_str()),
                 route: route.as_ref().map(MatchedPath::as_str),
-                scheme: if app.config().auth.tls.is_some() { "https" } else { "http" },
+                scheme: if app.config().auth.tls.is_some() {
+                    "https"
+                } else {
+                    "http"
+                },
             };
             Scope::request(&id, tracer, &info)
         }
@@ -108,7 +130,10 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
         let headers = response.headers_mut();
         set_security_headers(&app, headers, policy);
         // The server may have stopped before the connection's next request.
-        if app.is_leaving() && version < Version::HTTP_2 && status != StatusCode::SWITCHING_PROTOCOLS {
+        if app.is_leaving()
+            && version < Version::HTTP_2
+            && status != StatusCode::SWITCHING_PROTOCOLS
+        {
             headers.insert(CONNECTION, HeaderValue::from_static("close"));
         }
         if let Ok(id) = HeaderValue::from_str(&id) {
@@ -117,7 +142,8 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
         let status = status.as_u16();
         Scope::current().set_response(status, code);
         let route = route.as_ref().map_or("-", MatchedPath::as_str);
-        app.metrics().answered(route, method.as_str(), status, began.elapsed());
+        app.metrics()
+            .answered(route, method.as_str(), status, began.elapsed());
         let ms = began.elapsed().as_secs_f64() * 1e3;
         // A client may send any word as its method, as long as a head may be.
         let method = known_method(method.as_str()).unwrap_or("other");
@@ -126,7 +152,9 @@ async fn outermost(State(MiddlewareState { app, hosts }): State<MiddlewareState>
     };
     // A proxy's connection has the requests of many clients.
     match turns.filter(|turns| turns.is_of_proxy) {
-        Some(RequestTurns { turns, .. }) => turns.of(client.address).take(scope.wrap(answered)).await,
+        Some(RequestTurns { turns, .. }) => {
+            turns.of(client.address).take(scope.wrap(answered)).await
+        }
         None => scope.wrap(answered).await,
     }
 }
@@ -151,7 +179,15 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     let length = content_length(request.headers());
     let expects_continue = request.headers().contains_key(EXPECT);
     let waits = Arc::<AtomicBool>::default();
-    let request = request.map(|body| LimitedBody::wrap(body, max_bytes, timeouts.body, expects_continue, Arc::clone(&waits)));
+    let request = request.map(|body| {
+        LimitedBody::wrap(
+            body,
+            max_bytes,
+            timeouts.body,
+            expects_continue,
+            Arc::clone(&waits),
+        )
+    });
     if let Some(length) = length.filter(|length| *length > max_bytes) {
         return Err(too_large("body_bytes", max_bytes, length));
     }
@@ -162,9 +198,13 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
     }
     let seconds = timeouts.request.as_secs_f64();
     Err(if waits.load(Ordering::Relaxed) {
-        Problem::new(Code::Timeout, format!("the body was not complete after {seconds} s, the time limit of a request"))
+        Problem::new(
+            Code::Timeout,
+            format!("the body was not complete after {seconds} s, the time limit of a request"),
+        )
     } else {
-        let detail = format!("the server did not finish within {seconds} s, the time limit of a request");
+        let detail =
+            format!("the server did not finish within {seconds} s, the time limit of a request");
         Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
     })
 }
@@ -177,9 +217,15 @@ fn on_panic(panic: Box<dyn Any + Send>) -> Response {
 /// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id` accepts any id.
 fn request_id(headers: &HeaderMap) -> String {
     let is_plain = |id: &&str| {
-        (1..=MAX_REQUEST_ID).contains(&id.len()) && id.bytes().all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.'))
+        (1..=MAX_REQUEST_ID).contains(&id.len())
+            && id
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || matches!(b, b'-' | b'_' | b'.'))
     };
-    let given = headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).filter(is_plain);
+    let given = headers
+        .get(REQUEST_ID)
+        .and_then(|id| id.to_str().ok())
+        .filter(is_plain);
     given.map_or_else(|| Uuid::new_v4().to_string(), str::to_owned)
 }
 
@@ -194,17 +240,33 @@ mod tests {
             panic!("on purpose")
         }
         let app = App::new(crate::config::Config::default()).unwrap();
-        let router = Router::new().route("/boom", axum::routing::get(boom)).route("/well", axum::routing::get(|| async { "well" }));
+        let router = Router::new()
+            .route("/boom", axum::routing::get(boom))
+            .route("/well", axum::routing::get(|| async { "well" }));
         let router = apply(router, &app, None);
-        let get =
-            |path: &str| router.clone().oneshot(Request::get(path).header("host", "localhost").body(axum::body::Body::empty()).unwrap());
+        let get = |path: &str| {
+            router.clone().oneshot(
+                Request::get(path)
+                    .header("host", "localhost")
+                    .body(axum::body::Body::empty())
+                    .unwrap(),
+            )
+        };
         let response = get("/boom").await.unwrap();
         assert_eq!(response.status(), 500);
         let id = response.headers()[REQUEST_ID].to_str().unwrap().to_owned();
-        let body = axum::body::to_bytes(response.into_body(), 1 << 16).await.unwrap();
+        let body = axum::body::to_bytes(response.into_body(), 1 << 16)
+            .await
+            .unwrap();
         let document: serde_json::Value = serde_json::from_slice(&body).unwrap();
-        assert_eq!((&document["code"], &document["request_id"]), (&"internal".into(), &id.into()));
-        assert!(!document.to_string().contains("purpose"), "a panic's words stay in the log");
+        assert_eq!(
+            (&document["code"], &document["request_id"]),
+            (&"internal".into(), &id.into())
+        );
+        assert!(
+            !document.to_string().contains("purpose"),
+            "a panic's words stay in the log"
+        );
         assert_eq!(get("/well").await.unwrap().status(), 200);
     }
 

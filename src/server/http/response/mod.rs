@@ -39,7 +39,13 @@ const WARP_WARNING: HeaderName = HeaderName::from_static("warp-warning");
 
 /// Mapped annotations, of which later parts are mapped as they are sent.
 pub(crate) fn mapped(file: MappedFile) -> Response {
-    let MappedFile { warnings, canvas, method, first, rest } = file;
+    let MappedFile {
+        warnings,
+        canvas,
+        method,
+        first,
+        rest,
+    } = file;
     let mut headers = HeaderMap::new();
     headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/json"));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -49,13 +55,20 @@ pub(crate) fn mapped(file: MappedFile) -> Response {
     insert_warnings(&mut headers, &warnings);
     let response = match rest {
         None => (headers, first).into_response(),
-        Some(rest) => streamed(headers, first, unfold(rest, async |mut rest| Some((rest.next().await?, rest)))),
+        Some(rest) => streamed(
+            headers,
+            first,
+            unfold(rest, async |mut rest| Some((rest.next().await?, rest))),
+        ),
     };
     with_method(response, method)
 }
 
 /// A response with the warnings of its handles.
-pub(crate) fn with_warnings(mut response: Response, warnings: &[mlswarp::warp::Warning]) -> Response {
+pub(crate) fn with_warnings(
+    mut response: Response,
+    warnings: &[mlswarp::warp::Warning],
+) -> Response {
     insert_warnings(response.headers_mut(), warnings);
     response
 }
@@ -70,7 +83,16 @@ pub(crate) fn with_method(mut response: Response, method: Option<String>) -> Res
 
 fn insert_warnings(headers: &mut HeaderMap, warnings: &[mlswarp::warp::Warning]) {
     if !warnings.is_empty() {
-        headers.insert(WARP_WARNING, text(warnings.iter().map(|w| w.code()).collect::<Vec<_>>().join(", ")));
+        headers.insert(
+            WARP_WARNING,
+            text(
+                warnings
+                    .iter()
+                    .map(|w| w.code())
+                    .collect::<Vec<_>>()
+                    .join(", "),
+            ),
+        );
     }
 }
 
@@ -83,7 +105,10 @@ pub(crate) fn takes_trailers(headers: &HeaderMap) -> bool {
 fn report_headers(report: &Report, plan_built: bool) -> HeaderMap {
     let mut headers = HeaderMap::with_capacity(16);
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    headers.insert(WARP_PLAN, HeaderValue::from_static(if plan_built { "built" } else { "hit" }));
+    headers.insert(
+        WARP_PLAN,
+        HeaderValue::from_static(if plan_built { "built" } else { "hit" }),
+    );
     headers.insert(WARP_FOLDS, report.folds.into());
     headers.insert(WARP_RESIDUAL, text(format!("{:.4}", report.residual)));
     insert_warnings(&mut headers, &report.warnings);
@@ -95,7 +120,13 @@ fn text(text: String) -> HeaderValue {
 }
 
 /// A posed grid; `body` is its JSON or its numbers.
-pub(crate) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type: &'static str, body: Bytes) -> Response {
+pub(crate) fn mesh(
+    report: &Report,
+    timing: Timing,
+    plan_built: bool,
+    media_type: &'static str,
+    body: Bytes,
+) -> Response {
     let mut headers = report_headers(report, plan_built);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
     headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
@@ -104,7 +135,15 @@ pub(crate) fn mesh(report: &Report, timing: Timing, plan_built: bool, media_type
 
 /// A picture.
 pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
-    let Drawn { report, etag, target, format, timing, plan_built, picture } = drawn;
+    let Drawn {
+        report,
+        etag,
+        target,
+        format,
+        timing,
+        plan_built,
+        picture,
+    } = drawn;
     let mut headers = report_headers(&report, plan_built);
     if let Some(canvas) = target.canvas {
         headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
@@ -130,20 +169,44 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
 
 /// A table of coefficients, its length, or 304 if the client has it.
 pub(crate) fn plan(PlanFile { etag, content }: PlanFile) -> Response {
-    let headers = [(ETAG, text(etag)), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
-    let media_type = (CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    let headers = [
+        (ETAG, text(etag)),
+        (CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
+    let media_type = (
+        CONTENT_TYPE,
+        HeaderValue::from_static("application/octet-stream"),
+    );
     match content {
         PlanContent::Known => (StatusCode::NOT_MODIFIED, headers).into_response(),
-        PlanContent::Length(length) => (headers, [media_type, (CONTENT_LENGTH, length.into())]).into_response(),
-        PlanContent::File(timing, bytes) => {
-            (headers, [media_type, (SERVER_TIMING, text(timing_text(Some(timing), None)))], bytes).into_response()
+        PlanContent::Length(length) => {
+            (headers, [media_type, (CONTENT_LENGTH, length.into())]).into_response()
         }
+        PlanContent::File(timing, bytes) => (
+            headers,
+            [
+                media_type,
+                (SERVER_TIMING, text(timing_text(Some(timing), None))),
+            ],
+            bytes,
+        )
+            .into_response(),
     }
 }
 
 /// A coordinate map, computed as it is sent.
 pub(crate) fn map(file: MapFile) -> Response {
-    let MapFile { report, timing, plan_built, etag, canvas, format, length, first, rest } = file;
+    let MapFile {
+        report,
+        timing,
+        plan_built,
+        etag,
+        canvas,
+        format,
+        length,
+        first,
+        rest,
+    } = file;
     let mut headers = report_headers(&report, plan_built);
     if let Some(canvas) = canvas {
         headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
@@ -160,7 +223,14 @@ pub(crate) fn map(file: MapFile) -> Response {
 /// The value of `Server-Timing`.
 fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     let mut stages = Vec::with_capacity(7);
-    if let Some(Timing { queue, decode, plan, reduce, deform }) = timing {
+    if let Some(Timing {
+        queue,
+        decode,
+        plan,
+        reduce,
+        deform,
+    }) = timing
+    {
         stages.extend([("queue", queue), ("decode", decode), ("plan", plan)]);
         stages.extend((!reduce.is_zero()).then_some(("reduce", reduce)));
         stages.push(("deform", deform));
@@ -168,7 +238,9 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
     if let Some(Cost { render, encode }) = cost {
         stages.extend([("render", render), ("encode", encode)]);
     }
-    let texts = stages.into_iter().map(|(name, duration)| format!("{name};dur={:.3}", duration.as_secs_f64() * 1e3));
+    let texts = stages
+        .into_iter()
+        .map(|(name, duration)| format!("{name};dur={:.3}", duration.as_secs_f64() * 1e3));
     texts.collect::<Vec<_>>().join(", ")
 }
 
@@ -177,7 +249,8 @@ fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
     let (mut is_ended, mut trailer) = (false, None);
     Body::new(StreamBody::new(poll_fn(move |cx| {
         if is_ended {
-            let timing = |cost| HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
+            let timing =
+                |cost| HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
             return Poll::Ready(trailer.take().map(|cost| Ok(Frame::trailers(timing(cost)))));
         }
         let piece = ready!(strips.poll_recv(cx));
@@ -185,7 +258,11 @@ fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
         is_ended = end.is_none_or(|end| end.is_some());
         trailer = end.flatten().filter(|_| trailers);
         // The status was sent already: only a broken connection tells the client.
-        Poll::Ready(Some(piece.map(|piece| Frame::data(piece.bytes)).ok_or_else(|| io::Error::other("the picture was not finished"))))
+        Poll::Ready(Some(
+            piece
+                .map(|piece| Frame::data(piece.bytes))
+                .ok_or_else(|| io::Error::other("the picture was not finished")),
+        ))
     })))
 }
 
@@ -196,7 +273,10 @@ pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(VARY, HeaderValue::from_static("accept"));
     headers.insert(WARP_FRAMES, batch.frames.into());
-    headers.insert(WARP_PLAN, HeaderValue::from_static(if batch.plan_built { "built" } else { "hit" }));
+    headers.insert(
+        WARP_PLAN,
+        HeaderValue::from_static(if batch.plan_built { "built" } else { "hit" }),
+    );
     if let Some(canvas) = batch.canvas {
         headers.insert(WARP_CANVAS, text(canvas_text(canvas)));
     }
@@ -206,13 +286,21 @@ pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
 
 /// A response whose body is computed as the client takes it: the next piece when hyper asks for it. The first piece is known, so that its
 /// problems are problem documents. A later problem ends the connection, which is all that can still be said.
-pub(crate) fn streamed(headers: HeaderMap, first: Bytes, rest: impl Stream<Item = Result<Bytes, Problem>> + Send + 'static) -> Response {
+pub(crate) fn streamed(
+    headers: HeaderMap,
+    first: Bytes,
+    rest: impl Stream<Item = Result<Bytes, Problem>> + Send + 'static,
+) -> Response {
     let failed = |problem: Problem| {
         tracing::warn!(%problem, "a response ends before it is complete");
         io::Error::other(problem)
     };
     let rest = rest.map(move |piece| piece.map_err(failed));
-    (headers, Body::from_stream(once(async { Ok(first) }).chain(rest))).into_response()
+    (
+        headers,
+        Body::from_stream(once(async { Ok(first) }).chain(rest)),
+    )
+        .into_response()
 }
 
 /// The session object, with the warnings of its handles.
@@ -222,18 +310,30 @@ pub(crate) fn session(shown: ShownSession) -> Response {
     let pieces = shown.into_json();
     let length: usize = pieces.iter().map(Bytes::len).sum();
     headers.insert(CONTENT_LENGTH, length.into());
-    (headers, Body::from_stream(iter(pieces.map(Ok::<_, Infallible>)))).into_response()
+    (
+        headers,
+        Body::from_stream(iter(pieces.map(Ok::<_, Infallible>))),
+    )
+        .into_response()
 }
 
 /// The head of a JSON response whose content is not wanted.
 pub(crate) fn json_head() -> Response {
     // Of unknown length.
-    (json_headers(), Body::from_stream(empty::<Result<Bytes, Infallible>>())).into_response()
+    (
+        json_headers(),
+        Body::from_stream(empty::<Result<Bytes, Infallible>>()),
+    )
+        .into_response()
 }
 
 /// A JSON value.
 pub(crate) fn json(value: &impl serde::Serialize) -> Response {
-    json_text(serde_json::to_vec(value).expect("objects of the contract have string keys").into())
+    json_text(
+        serde_json::to_vec(value)
+            .expect("objects of the contract have string keys")
+            .into(),
+    )
 }
 
 /// Serialized JSON.
@@ -243,5 +343,8 @@ pub(crate) fn json_text(body: Bytes) -> Response {
 
 fn json_headers() -> HeaderMap {
     let media_type = HeaderValue::from_static("application/json");
-    HeaderMap::from_iter([(CONTENT_TYPE, media_type), (CACHE_CONTROL, HeaderValue::from_static("no-store"))])
+    HeaderMap::from_iter([
+        (CONTENT_TYPE, media_type),
+        (CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ])
 }

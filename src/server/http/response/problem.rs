@@ -8,7 +8,9 @@ use crate::problem::{Code, Problem};
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let mut response = StatusCode::from_u16(self.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR).into_response();
+        let mut response = StatusCode::from_u16(self.status())
+            .unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
+            .into_response();
         response.extensions_mut().insert(self);
         response
     }
@@ -21,19 +23,34 @@ pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) ->
         return response;
     }
     let (mut head, _) = response.into_parts();
-    let problem = head.extensions.remove::<Problem>().unwrap_or_else(|| of_status(status));
+    let problem = head
+        .extensions
+        .remove::<Problem>()
+        .unwrap_or_else(|| of_status(status));
     if let Some(seconds) = problem.retry_after {
         head.headers.insert(RETRY_AFTER, seconds.into());
     }
     head.status = StatusCode::from_u16(problem.status()).unwrap_or(status);
     head.headers.remove(CONTENT_LENGTH);
-    head.headers.insert(CONTENT_TYPE, HeaderValue::from_static(Problem::MEDIA_TYPE));
-    head.headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    Response::from_parts(head, problem.to_json(public_path, Some(request_id)).to_string().into())
+    head.headers
+        .insert(CONTENT_TYPE, HeaderValue::from_static(Problem::MEDIA_TYPE));
+    head.headers
+        .insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    Response::from_parts(
+        head,
+        problem
+            .to_json(public_path, Some(request_id))
+            .to_string()
+            .into(),
+    )
 }
 
 /// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.
 fn of_status(status: StatusCode) -> Problem {
-    let code = if status.is_client_error() { Code::MalformedRequest } else { Code::Internal };
+    let code = if status.is_client_error() {
+        Code::MalformedRequest
+    } else {
+        Code::Internal
+    };
     Problem::new(code, status.canonical_reason().unwrap_or("refused"))
 }

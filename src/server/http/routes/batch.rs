@@ -13,13 +13,23 @@ use crate::http::response::{batch_headers, streamed};
 use crate::http::upload::{large_json_or_form, pose_of};
 use crate::problem::Problem;
 
-pub(crate) async fn batch(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let form = BatchForm::ALL[choose(request.headers(), BatchForm::ALL.map(BatchForm::media_type))?];
+pub(crate) async fn batch(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let form =
+        BatchForm::ALL[choose(request.headers(), BatchForm::ALL.map(BatchForm::media_type))?];
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = large_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    let batch = caller.app.batch(caller.client, id, body, form, drag_limit).await?;
+    let batch = caller
+        .app
+        .batch(caller.client, id, body, form, drag_limit)
+        .await?;
     let headers = batch_headers(&batch, form);
-    let rest = unfold(batch.rest, async |mut rest| Some((rest.next().await?, rest)));
+    let rest = unfold(batch.rest, async |mut rest| {
+        Some((rest.next().await?, rest))
+    });
     Ok(streamed(headers, batch.first, rest))
 }

@@ -31,11 +31,21 @@ macro_rules! assets {
     };
 }
 
-static INDEX: LazyLock<Asset> = LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/index.html"))));
-static REFERENCE: LazyLock<Asset> =
-    LazyLock::new(|| Asset::new(HTML, Bytes::from_static(include_bytes!("../../../web/docs/reference.html"))));
-static FILES: LazyLock<[(&str, Asset); 4]> =
-    LazyLock::new(|| assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,]);
+static INDEX: LazyLock<Asset> = LazyLock::new(|| {
+    Asset::new(
+        HTML,
+        Bytes::from_static(include_bytes!("../../../web/docs/index.html")),
+    )
+});
+static REFERENCE: LazyLock<Asset> = LazyLock::new(|| {
+    Asset::new(
+        HTML,
+        Bytes::from_static(include_bytes!("../../../web/docs/reference.html")),
+    )
+});
+static FILES: LazyLock<[(&str, Asset); 4]> = LazyLock::new(
+    || assets!["docs.css" CSS, "docs.js" JS, "reference.css" CSS, "reference.js" JS,],
+);
 static EXAMPLES: LazyLock<[(&str, Asset); 39]> = LazyLock::new(|| {
     assets![
         "examples/here.js" JS,
@@ -79,7 +89,9 @@ pub(crate) fn files() -> Router<App> {
 
 async fn reference(headers: HeaderMap) -> Response {
     let mut response = REFERENCE.response(&headers);
-    response.headers_mut().insert(CONTENT_SECURITY_POLICY, REFERENCE_POLICY);
+    response
+        .headers_mut()
+        .insert(CONTENT_SECURITY_POLICY, REFERENCE_POLICY);
     response
 }
 
@@ -94,9 +106,16 @@ async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Respons
 /// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and nothing else reads this file.
 async fn scalar(headers: HeaderMap) -> Result<Response, Problem> {
     // Compressing takes some tenths of a second, once.
-    let asset = tokio::task::spawn_blocking(|| SCALAR.as_ref()).await.ok().flatten();
-    let mut response = asset.ok_or_else(|| Problem::new(Code::Internal, "internal error"))?.response(&headers);
-    response.headers_mut().insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+    let asset = tokio::task::spawn_blocking(|| SCALAR.as_ref())
+        .await
+        .ok()
+        .flatten();
+    let mut response = asset
+        .ok_or_else(|| Problem::new(Code::Internal, "internal error"))?
+        .response(&headers);
+    response
+        .headers_mut()
+        .insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
     Ok(response)
 }
 
@@ -114,9 +133,16 @@ mod tests {
         for example in text(&INDEX).split("data-name=\"").skip(1) {
             let mut quoted = example.split('"');
             let (name, languages) = (quoted.next().unwrap(), quoted.nth(1).unwrap());
-            named.extend(languages.split(' ').map(|language| format!("examples/{name}.{language}")));
+            named.extend(
+                languages
+                    .split(' ')
+                    .map(|language| format!("examples/{name}.{language}")),
+            );
         }
-        let mut served: Vec<_> = EXAMPLES.iter().map(|(name, _)| (*name).to_owned()).collect();
+        let mut served: Vec<_> = EXAMPLES
+            .iter()
+            .map(|(name, _)| (*name).to_owned())
+            .collect();
         named.sort_unstable();
         served.sort_unstable();
         assert_eq!(named, served);
@@ -126,16 +152,31 @@ mod tests {
     fn both_pages_ask_for_files_that_are_served_and_for_nothing_from_elsewhere() {
         for (page, place) in [(&INDEX, "docs/"), (&REFERENCE, "")] {
             let html = text(page);
-            assert!(!html.contains("://") && !html.contains("<style") && !html.contains(" style=") && !html.contains("<script>"));
-            for link in html.split(['"', '\'']).filter(|part| part.ends_with(".css") || part.ends_with(".js")) {
+            assert!(
+                !html.contains("://")
+                    && !html.contains("<style")
+                    && !html.contains(" style=")
+                    && !html.contains("<script>")
+            );
+            for link in html
+                .split(['"', '\''])
+                .filter(|part| part.ends_with(".css") || part.ends_with(".js"))
+            {
                 let name = link.strip_prefix(place).expect(link);
-                assert!(name == "scalar.js" || FILES.iter().any(|(known, _)| *known == name), "{link}");
+                assert!(
+                    name == "scalar.js" || FILES.iter().any(|(known, _)| *known == name),
+                    "{link}"
+                );
             }
         }
         for (name, asset) in FILES.iter() {
             let outside = text(asset).replace("http://127.0.0.1:8080", "");
             assert!(!outside.contains("://"), "{name}");
         }
-        assert!(SCALAR.as_ref().is_some_and(|script| script.bytes.len() > 100_000));
+        assert!(
+            SCALAR
+                .as_ref()
+                .is_some_and(|script| script.bytes.len() > 100_000)
+        );
     }
 }

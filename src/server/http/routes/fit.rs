@@ -16,7 +16,11 @@ pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, P
     Ok(with_warnings(json_text(json), &warnings))
 }
 
-pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn of_session(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;

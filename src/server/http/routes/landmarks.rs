@@ -28,26 +28,50 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
     let mut files = if upload::is_multipart(&request) {
         upload::read_landmark_parts(&caller, request).await?
     } else {
-        let file = body::raw(&caller, request, Purpose::Upload, "body_bytes", caller.app.config().max_body_bytes).await?;
-        LandmarkFiles { both: Some(file), ..LandmarkFiles::default() }
+        let file = body::raw(
+            &caller,
+            request,
+            Purpose::Upload,
+            "body_bytes",
+            caller.app.config().max_body_bytes,
+        )
+        .await?;
+        LandmarkFiles {
+            both: Some(file),
+            ..LandmarkFiles::default()
+        }
     };
-    for (name, of_query, of_part) in [("extent_p", extent_p, &mut files.extent_p), ("extent_q", extent_q, &mut files.extent_q)] {
+    for (name, of_query, of_part) in [
+        ("extent_p", extent_p, &mut files.extent_p),
+        ("extent_q", extent_q, &mut files.extent_q),
+    ] {
         if of_query.is_some() && of_part.is_some() {
-            return Err(Problem::new(Code::BadValue, format!("`{name}` is given twice: in the query and as a part")));
+            return Err(Problem::new(
+                Code::BadValue,
+                format!("`{name}` is given twice: in the query and as a part"),
+            ));
         }
         *of_part = of_part.or(of_query);
     }
     files.choice.add(choice)?;
-    Ok(json_text(caller.app.convert_landmarks(caller.client, files).await?))
+    Ok(json_text(
+        caller.app.convert_landmarks(caller.client, files).await?,
+    ))
 }
 
 /// The text of a field of a query: clients escape bytes, and write a space as `+`.
 fn decoded(value: &str) -> String {
     let bytes = value.as_bytes();
-    let digit = |at: usize| bytes.get(at).and_then(|digit| char::from(*digit).to_digit(16));
+    let digit = |at: usize| {
+        bytes
+            .get(at)
+            .and_then(|digit| char::from(*digit).to_digit(16))
+    };
     let (mut text, mut at) = (Vec::with_capacity(bytes.len()), 0);
     while let Some(byte) = bytes.get(at) {
-        let escaped = digit(at + 1).zip(digit(at + 2)).and_then(|(high, low)| u8::try_from(16 * high + low).ok());
+        let escaped = digit(at + 1)
+            .zip(digit(at + 2))
+            .and_then(|(high, low)| u8::try_from(16 * high + low).ok());
         let (byte, length) = match (byte, escaped) {
             (b'%', Some(byte)) => (byte, 3),
             (b'+', _) => (b' ', 1),

@@ -17,7 +17,11 @@ use crate::problem::{Code, Problem};
 use crate::wire::EnumName as _;
 
 /// Stores or replaces a layer; the body is its file, of any media type.
-pub(crate) async fn put(caller: Caller, Path((id, name)): Path<(String, String)>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn put(
+    caller: Caller,
+    Path((id, name)): Path<(String, String)>,
+    request: Request,
+) -> Result<Response, Problem> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
     app.peek_session(id).await?;
@@ -25,29 +29,56 @@ pub(crate) async fn put(caller: Caller, Path((id, name)): Path<(String, String)>
     let [kind] = query_fields(request.uri().query(), ["kind"])?;
     let kind = kind.map_or(Ok(LayerKind::default()), parse_kind)?;
     if name.is_region() && kind != LayerKind::Image {
-        return Err(bad_query_value("kind", kind.as_str(), "`image` for the layer `region`, which is a mask"));
+        return Err(bad_query_value(
+            "kind",
+            kind.as_str(),
+            "`image` for the layer `region`, which is a mask",
+        ));
     }
     let file = body::file(&caller, request).await?;
     let put = app.put_layer(*client, id, &name, kind, file).await?;
-    let status = if put.is_new { StatusCode::CREATED } else { StatusCode::OK };
+    let status = if put.is_new {
+        StatusCode::CREATED
+    } else {
+        StatusCode::OK
+    };
     Ok((status, session(put.session)).into_response())
 }
 
 /// The stored file of a layer.
-pub(crate) async fn read(caller: Caller, Path((id, name)): Path<(String, String)>) -> Result<Response, Problem> {
-    let file = caller.app.layer_file(caller.client, session_id(caller.client, &id)?, &name).await?;
-    let media_type = SourceFormat::of(&file).map_err(|_| Problem::new(Code::Internal, "internal error"))?.media_type();
-    let headers = [(CONTENT_TYPE, HeaderValue::from_static(media_type)), (CACHE_CONTROL, HeaderValue::from_static("no-store"))];
+pub(crate) async fn read(
+    caller: Caller,
+    Path((id, name)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let file = caller
+        .app
+        .layer_file(caller.client, session_id(caller.client, &id)?, &name)
+        .await?;
+    let media_type = SourceFormat::of(&file)
+        .map_err(|_| Problem::new(Code::Internal, "internal error"))?
+        .media_type();
+    let headers = [
+        (CONTENT_TYPE, HeaderValue::from_static(media_type)),
+        (CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
     Ok((headers, file).into_response())
 }
 
 /// Deletes a layer.
-pub(crate) async fn delete(caller: Caller, Path((id, name)): Path<(String, String)>) -> Result<StatusCode, Problem> {
-    caller.app.delete_layer(caller.client, session_id(caller.client, &id)?, &name).await?;
+pub(crate) async fn delete(
+    caller: Caller,
+    Path((id, name)): Path<(String, String)>,
+) -> Result<StatusCode, Problem> {
+    caller
+        .app
+        .delete_layer(caller.client, session_id(caller.client, &id)?, &name)
+        .await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
 fn parse_kind(text: &str) -> Result<LayerKind, Problem> {
     let found = LayerKind::ALL.iter().find(|kind| kind.as_str() == text);
-    found.copied().ok_or_else(|| bad_query_value("kind", text, "`image` or `labels`"))
+    found
+        .copied()
+        .ok_or_else(|| bad_query_value("kind", text, "`image` or `labels`"))
 }

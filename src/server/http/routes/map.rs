@@ -19,14 +19,22 @@ pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, P
     Ok(with_method(map(file), method))
 }
 
-pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn of_session(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let format = format(&request)?;
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    Ok(map(caller.app.map_session(caller.client, id, body, format).await?))
+    Ok(map(caller
+        .app
+        .map_session(caller.client, id, body, format)
+        .await?))
 }
 
 fn format(request: &Request) -> Result<MapFormat, Problem> {
-    Ok(MapFormat::ALL[accept::choose(request.headers(), MapFormat::ALL.map(MapFormat::media_type))?])
+    Ok(MapFormat::ALL
+        [accept::choose(request.headers(), MapFormat::ALL.map(MapFormat::media_type))?])
 }

@@ -13,11 +13,31 @@ use crate::problem::Problem;
 const FORMS: [&str; 2] = ["application/json", "application/octet-stream"];
 
 /// The posed grid as JSON, or as little-endian f32.
-pub(crate) async fn mesh(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn mesh(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let chosen = accept::choose(request.headers(), FORMS)?;
-    let (media_type, form) = (FORMS[chosen], if chosen == 0 { MeshForm::Json } else { MeshForm::F32 });
+    let (media_type, form) = (
+        FORMS[chosen],
+        if chosen == 0 {
+            MeshForm::Json
+        } else {
+            MeshForm::F32
+        },
+    );
     let id = session_id(caller.client, &id)?;
     let drag = read_drag(&caller, id, request, DragRoute::Mesh).await?;
-    let mesh = caller.app.mesh_session(caller.client, id, drag, form).await?;
-    Ok(response::mesh(&mesh.report, mesh.timing, mesh.plan_built, media_type, mesh.body))
+    let mesh = caller
+        .app
+        .mesh_session(caller.client, id, drag, form)
+        .await?;
+    Ok(response::mesh(
+        &mesh.report,
+        mesh.timing,
+        mesh.plan_built,
+        media_type,
+        mesh.body,
+    ))
 }

@@ -8,7 +8,9 @@ use crate::problem::{Code, Problem};
 
 pub(crate) async fn page(State(app): State<App>) -> Problem {
     let public = &app.config().public_path;
-    let detail = format!("this build has no documentation page (feature `docs`); the contract is at {public}/openapi.json");
+    let detail = format!(
+        "this build has no documentation page (feature `docs`); the contract is at {public}/openapi.json"
+    );
     Problem::new(Code::NotFound, detail)
 }
 

@@ -13,12 +13,23 @@ use crate::wire::landmarks::Target;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
     let body = large_json_or_form(&caller, request, Target::Request).await?;
-    Ok(mapped(caller.app.points_once(caller.client, body, Cursor::default()).await?))
+    Ok(mapped(
+        caller
+            .app
+            .points_once(caller.client, body, Cursor::default())
+            .await?,
+    ))
 }
 
-pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn of_session(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = large_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    Ok(mapped(caller.app.points_session(caller.client, id, body).await?))
+    Ok(mapped(
+        caller.app.points_session(caller.client, id, body).await?,
+    ))
 }

@@ -17,13 +17,26 @@ pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, P
     Ok(with_method(answer(report), method))
 }
 
-pub(crate) async fn of_session(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn of_session(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    Ok(answer(caller.app.report_session(caller.client, id, body).await?))
+    Ok(answer(
+        caller.app.report_session(caller.client, id, body).await?,
+    ))
 }
 
-fn answer(QualityReport { report, timing, plan_built, body }: QualityReport) -> Response {
+fn answer(
+    QualityReport {
+        report,
+        timing,
+        plan_built,
+        body,
+    }: QualityReport,
+) -> Response {
     response::mesh(&report, timing, plan_built, "application/json", body)
 }

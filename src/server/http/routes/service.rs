@@ -31,7 +31,13 @@ pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Problem> 
 
 /// `GET /metrics`.
 pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
-    let headers = [(CONTENT_TYPE, "application/openmetrics-text; version=1.0.0; charset=utf-8"), (CACHE_CONTROL, "no-store")];
+    let headers = [
+        (
+            CONTENT_TYPE,
+            "application/openmetrics-text; version=1.0.0; charset=utf-8",
+        ),
+        (CACHE_CONTROL, "no-store"),
+    ];
     (headers, app.metrics_text())
 }
 
@@ -39,7 +45,9 @@ pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
 pub(crate) fn openapi(public_path: &str) -> Asset {
     let document = match public_path {
         "" => Bytes::from_static(OPENAPI.as_bytes()),
-        path => OPENAPI.replacen(SERVERS, &SERVERS.replace('/', path), 1).into(),
+        path => OPENAPI
+            .replacen(SERVERS, &SERVERS.replace('/', path), 1)
+            .into(),
     };
     Asset::new("application/json", document)
 }

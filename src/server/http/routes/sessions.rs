@@ -27,16 +27,29 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
 }
 
 /// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
-pub(crate) async fn put(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
-    let id = SessionId::parse(caller.client.owner, &id).ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
+pub(crate) async fn put(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let id = SessionId::parse(caller.client.owner, &id)
+        .ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
     let (is_new, (shown, method)) = caller.app.put_session(caller.client, id, upload).await?;
-    let response = if is_new { created(&caller, shown) } else { session(shown) };
+    let response = if is_new {
+        created(&caller, shown)
+    } else {
+        session(shown)
+    };
     Ok(with_method(response, method))
 }
 
 /// Replaces the rest handles of a session.
-pub(crate) async fn handles(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn handles(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
     let target = Target::Session(app.peek_session(id).await?.record.extent);
@@ -47,17 +60,29 @@ pub(crate) async fn handles(caller: Caller, Path(id): Path<String>, request: Req
 }
 
 /// The session object; of `HEAD` only whether there is the session. Reading does not extend the session's life.
-pub(crate) async fn read(caller: Caller, Path(id): Path<String>, method: Method) -> Result<Response, Problem> {
-    let found = caller.app.peek_session(session_id(caller.client, &id)?).await?;
+pub(crate) async fn read(
+    caller: Caller,
+    Path(id): Path<String>,
+    method: Method,
+) -> Result<Response, Problem> {
+    let found = caller
+        .app
+        .peek_session(session_id(caller.client, &id)?)
+        .await?;
     if method == Method::HEAD {
         return Ok(json_head());
     }
-    Ok(session(caller.app.read_session(caller.client, found).await?))
+    Ok(session(
+        caller.app.read_session(caller.client, found).await?,
+    ))
 }
 
 /// Deletes a session.
 pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<StatusCode, Problem> {
-    caller.app.delete_session(session_id(caller.client, &id)?).await?;
+    caller
+        .app
+        .delete_session(session_id(caller.client, &id)?)
+        .await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -68,12 +93,21 @@ fn created(caller: &Caller, shown: ShownSession) -> Response {
 
 /// The path of a session as clients see it.
 pub(super) fn location(app: &App, id: SessionId) -> HeaderValue {
-    HeaderValue::try_from(format!("{}/sessions/{id}", app.config().public_path)).expect("a public path and a UUID are visible ASCII")
+    HeaderValue::try_from(format!("{}/sessions/{id}", app.config().public_path))
+        .expect("a public path and a UUID are visible ASCII")
 }
 
 /// The session that a path names. A text that is no id names no session.
 pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Problem> {
-    let none = || Problem::new(Code::NoSuchSession, format!("{}; POST /sessions opens a session and returns its id", not_an_id(text)));
+    let none = || {
+        Problem::new(
+            Code::NoSuchSession,
+            format!(
+                "{}; POST /sessions opens a session and returns its id",
+                not_an_id(text)
+            ),
+        )
+    };
     SessionId::parse(client.owner, text).ok_or_else(none)
 }
 
@@ -81,5 +115,8 @@ fn not_an_id(text: &str) -> String {
     if text.is_empty() {
         return "the id of the session is empty in the path, as if a variable of a script were empty".to_owned();
     }
-    format!("{} is not a session id: a session id is a hyphenated UUID of version 4, such as {EXAMPLE_ID}", quote(text))
+    format!(
+        "{} is not a session id: a session id is a hyphenated UUID of version 4, such as {EXAMPLE_ID}",
+        quote(text)
+    )
 }

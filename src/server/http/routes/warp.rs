@@ -32,30 +32,54 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
     let Caller { app, client } = caller;
     let (drawn, material) = app.warp_once(client, upload, formats).await?;
     let method = material.chosen_method();
-    let session = if keeps_session { Some(app.create_session_from(client, material).await?) } else { None };
+    let session = if keeps_session {
+        Some(app.create_session_from(client, material).await?)
+    } else {
+        None
+    };
     let mut response = with_method(picture(drawn, trailers), method);
     if let Some(id) = session {
         let text = HeaderValue::try_from(id.to_string()).expect("a UUID is visible ASCII");
-        response.headers_mut().extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);
+        response
+            .headers_mut()
+            .extend([(WARP_SESSION, text), (LOCATION, location(&app, id))]);
     }
     Ok(response)
 }
 
 /// A picture of a session, by `q` alone.
-pub(crate) async fn drag(caller: Caller, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn drag(
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(caller.client, &id)?;
     let drag = read_drag(&caller, id, request, DragRoute::Picture).await?;
-    Ok(picture(caller.app.warp_session(caller.client, id, drag, formats).await?, trailers))
+    Ok(picture(
+        caller
+            .app
+            .warp_session(caller.client, id, drag, formats)
+            .await?,
+        trailers,
+    ))
 }
 
 /// Reads the body of a drag.
-pub(super) async fn read_drag(caller: &Caller, id: SessionId, request: Request, route: DragRoute) -> Result<Held<DragObject>, Problem> {
+pub(super) async fn read_drag(
+    caller: &Caller,
+    id: SessionId,
+    request: Request,
+    route: DragRoute,
+) -> Result<Held<DragObject>, Problem> {
     let record = caller.app.peek_session(id).await?.record;
     let limit = ("drag_json_bytes", drag_limit(columns(&record)));
     let body = json_or_form(caller, request, Purpose::Frame, limit, pose_of(&record)).await?;
-    caller.app.read_drag(caller.client, &record, body, route).await
+    caller
+        .app
+        .read_drag(caller.client, &record, body, route)
+        .await
 }
 
 /// Maximum size of the JSON of a drag with this many columns.

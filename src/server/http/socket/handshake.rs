@@ -3,7 +3,8 @@
 use axum::body::{Body, HttpBody as _};
 use axum::extract::Request;
 use axum::http::header::{
-    ALLOW, CONNECTION, HeaderName, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL, SEC_WEBSOCKET_VERSION, UPGRADE,
+    ALLOW, CONNECTION, HeaderName, SEC_WEBSOCKET_ACCEPT, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL,
+    SEC_WEBSOCKET_VERSION, UPGRADE,
 };
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version};
@@ -31,38 +32,65 @@ pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, R
         let problem = not_allowed(request, "");
         return Err(([(ALLOW, HeaderValue::from_static("GET"))], problem).into_response());
     }
-    let has = |name: HeaderName, element: &str| elements(headers, name).any(|other| other.eq_ignore_ascii_case(element));
-    if request.version() != Version::HTTP_11 || !has(CONNECTION, "upgrade") || !has(UPGRADE, "websocket") {
-        return Err(upgrade_required("this route is a WebSocket: connect with a WebSocket client (an upgrade of an HTTP/1.1 connection)"));
+    let has = |name: HeaderName, element: &str| {
+        elements(headers, name).any(|other| other.eq_ignore_ascii_case(element))
+    };
+    if request.version() != Version::HTTP_11
+        || !has(CONNECTION, "upgrade")
+        || !has(UPGRADE, "websocket")
+    {
+        return Err(upgrade_required(
+            "this route is a WebSocket: connect with a WebSocket client (an upgrade of an HTTP/1.1 connection)",
+        ));
     }
     if headers.get(SEC_WEBSOCKET_VERSION) != Some(&VERSION) {
-        return Err(upgrade_required("this route is a WebSocket of version 13: send `Sec-WebSocket-Version: 13`"));
+        return Err(upgrade_required(
+            "this route is a WebSocket of version 13: send `Sec-WebSocket-Version: 13`",
+        ));
     }
     let malformed = |detail| Problem::new(Code::MalformedRequest, detail).into_response();
-    let mut keys = headers.get_all(SEC_WEBSOCKET_KEY).iter().map(HeaderValue::as_bytes);
+    let mut keys = headers
+        .get_all(SEC_WEBSOCKET_KEY)
+        .iter()
+        .map(HeaderValue::as_bytes);
     let is_key = |key: &&[u8]| BASE64.decode(key).is_ok_and(|key| key.len() == KEY_BYTES);
     let key = keys.next().filter(is_key).filter(|_| keys.next().is_none());
-    let key = key.ok_or_else(|| malformed("Sec-WebSocket-Key must be given once, as 16 bytes in base64"))?;
+    let key = key
+        .ok_or_else(|| malformed("Sec-WebSocket-Key must be given once, as 16 bytes in base64"))?;
     if !request.body().is_end_stream() {
         return Err(malformed("a request that opens a WebSocket has no body"));
     }
     check_origin(headers, request.uri().authority(), origins).map_err(Problem::into_response)?;
     let accept = HeaderValue::from_str(&derive_accept_key(key)).expect("base64 is visible ASCII");
-    let upgrade = [(CONNECTION, HeaderValue::from_static("upgrade")), (UPGRADE, WEBSOCKET), (SEC_WEBSOCKET_ACCEPT, accept)];
+    let upgrade = [
+        (CONNECTION, HeaderValue::from_static("upgrade")),
+        (UPGRADE, WEBSOCKET),
+        (SEC_WEBSOCKET_ACCEPT, accept),
+    ];
     let mut response = (StatusCode::SWITCHING_PROTOCOLS, upgrade, Body::empty()).into_response();
     if protocols(headers).any(|protocol| protocol == PROTOCOL) {
-        response.headers_mut().insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(PROTOCOL));
+        response
+            .headers_mut()
+            .insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(PROTOCOL));
     }
     Ok(response)
 }
 
 fn upgrade_required(detail: &str) -> Response {
-    let headers = [(UPGRADE, WEBSOCKET), (CONNECTION, HeaderValue::from_static("upgrade")), (SEC_WEBSOCKET_VERSION, VERSION)];
+    let headers = [
+        (UPGRADE, WEBSOCKET),
+        (CONNECTION, HeaderValue::from_static("upgrade")),
+        (SEC_WEBSOCKET_VERSION, VERSION),
+    ];
     (headers, Problem::new(Code::UpgradeRequired, detail)).into_response()
 }
 
 /// Browsers let a page of any site open a WebSocket to any other site, and send the page's origin.
-fn check_origin(headers: &HeaderMap, target: Option<&Authority>, origins: &Origins) -> Result<(), Problem> {
+fn check_origin(
+    headers: &HeaderMap,
+    target: Option<&Authority>,
+    origins: &Origins,
+) -> Result<(), Problem> {
     if is_same_origin(headers, target) || is_listed(headers, origins) {
         return Ok(());
     }

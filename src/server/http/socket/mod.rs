@@ -33,13 +33,29 @@ use websocket::{Ending, Event, WebSocketConnection};
 const MESSAGES: (f64, f64) = (1000.0, 2000.0);
 
 /// Opens the socket.
-pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>, mut request: Request) -> Result<Response, Response> {
+pub(crate) async fn drag(
+    Caller { app, client }: Caller,
+    Path(id): Path<String>,
+    mut request: Request,
+) -> Result<Response, Response> {
     let response = handshake::accept(&request, &app.config().auth.cors_origin)?;
-    let options = query::options(request.uri().query(), app.config().limits().image.max_side).map_err(Problem::into_response)?;
+    let options = query::options(request.uri().query(), app.config().limits().image.max_side)
+        .map_err(Problem::into_response)?;
     let id = session_id(client, &id).map_err(Problem::into_response)?;
-    let drag = app.open_drag(client, id, options).await.map_err(Problem::into_response)?;
-    let credential = request.extensions().get::<Credential>().copied().unwrap_or(Credential::ANYBODY);
-    let turns = request.extensions().get::<RequestTurns>().map(|turns| turns.turns.of(client.address)).unwrap_or_default();
+    let drag = app
+        .open_drag(client, id, options)
+        .await
+        .map_err(Problem::into_response)?;
+    let credential = request
+        .extensions()
+        .get::<Credential>()
+        .copied()
+        .unwrap_or(Credential::ANYBODY);
+    let turns = request
+        .extensions()
+        .get::<RequestTurns>()
+        .map(|turns| turns.turns.of(client.address))
+        .unwrap_or_default();
     let upgrade = hyper::upgrade::on(&mut request);
     // Log lines of the socket have the id of the handshake.
     tokio::spawn(turns.take(Scope::current().answered().wrap(async move {
@@ -47,9 +63,16 @@ pub(crate) async fn drag(Caller { app, client }: Caller, Path(id): Path<String>,
         let Ok(upgraded) = upgrade.await else { return };
         match upgraded.downcast::<TokioIo<Transport>>() {
             Ok(parts) => {
-                let max_message = usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
+                let max_message =
+                    usize::try_from(drag_limit(columns(drag.record()))).unwrap_or(usize::MAX);
                 let transport = without_write_timeout(parts.io.into_inner());
-                run(&app, credential, drag, WebSocketConnection::new(transport, parts.read_buf, max_message).await).await;
+                run(
+                    &app,
+                    credential,
+                    drag,
+                    WebSocketConnection::new(transport, parts.read_buf, max_message).await,
+                )
+                .await;
             }
             Err(_) => tracing::error!("an upgraded connection has an unknown type"),
         }
@@ -72,17 +95,25 @@ async fn run(app: &App, credential: Credential, mut drag: Drag, mut socket: WebS
     socket.close(ending).await;
 }
 
-async fn exchange(app: &App, credential: Credential, drag: &mut Drag, socket: &mut WebSocketConnection) -> Ending {
+async fn exchange(
+    app: &App,
+    credential: Credential,
+    drag: &mut Drag,
+    socket: &mut WebSocketConnection,
+) -> Ending {
     let mut heard = Instant::now();
     let mut pinged = None;
     let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, heard);
-    let (mut stopping, mut revoked) = (pin!(app.stopping()), pin!(app.access().revoked(credential)));
+    let (mut stopping, mut revoked) =
+        (pin!(app.stopping()), pin!(app.access().revoked(credential)));
     loop {
         let due = drag.act(Instant::now());
         while let Some(outgoing) = drag.next_outgoing() {
             match outgoing {
                 Outgoing::Text(text) => socket.send_text(text),
-                Outgoing::Frame(seq, pieces) => socket.send_binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces),
+                Outgoing::Frame(seq, pieces) => {
+                    socket.send_binary(Bytes::copy_from_slice(&seq.to_le_bytes()), pieces)
+                }
             }
         }
         if drag.is_over() {
@@ -140,18 +171,39 @@ enum Action {
 }
 
 /// The next deadline of a client: to read what it is sent, to acknowledge a frame, to send something or to answer a ping.
-fn next_deadline(heard: Instant, pinged: Option<Instant>, drag: &Drag, socket: &WebSocketConnection, config: &Config) -> (Instant, Action) {
+fn next_deadline(
+    heard: Instant,
+    pinged: Option<Instant>,
+    drag: &Drag,
+    socket: &WebSocketConnection,
+    config: &Config,
+) -> (Instant, Action) {
     if let Some(since) = socket.blocked_since() {
-        return (since + config.timeouts.socket, Action::Close("the client reads nothing"));
+        return (
+            since + config.timeouts.socket,
+            Action::Close("the client reads nothing"),
+        );
     }
     let written = socket.last_written();
     let silence = match pinged {
         // A client that reads is connected, and receives a ping only after what is queued.
-        None => (heard.max(written) + config.timeouts.socket_idle, Action::Ping),
-        Some(pinged) => (pinged.max(written) + config.timeouts.socket_idle, Action::Close("no answer to a ping")),
+        None => (
+            heard.max(written) + config.timeouts.socket_idle,
+            Action::Ping,
+        ),
+        Some(pinged) => (
+            pinged.max(written) + config.timeouts.socket_idle,
+            Action::Close("no answer to a ping"),
+        ),
     };
-    match drag.owed_since().filter(|_| socket.is_idle()).map(|since| since.max(written) + config.timeouts.socket) {
-        Some(owed) if owed < silence.0 => (owed, Action::Close("a frame was not acknowledged in time")),
+    match drag
+        .owed_since()
+        .filter(|_| socket.is_idle())
+        .map(|since| since.max(written) + config.timeouts.socket)
+    {
+        Some(owed) if owed < silence.0 => {
+            (owed, Action::Close("a frame was not acknowledged in time"))
+        }
         _ => silence,
     }
 }

@@ -18,8 +18,10 @@ const TOLERANCE: f64 = 0.5;
 /// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`.
 /// Errors: Unknown fields, bad values, and fields that do not suit the frames.
 pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
-    let [frames, mesh, tolerance, width, window, report] =
-        query_fields(query, ["frames", "mesh", "tolerance", "width", "window", "report"])?;
+    let [frames, mesh, tolerance, width, window, report] = query_fields(
+        query,
+        ["frames", "mesh", "tolerance", "width", "window", "report"],
+    )?;
     let form = match (mesh, frames) {
         (None, None) => Form::Picture(None),
         (None, Some(frames)) => frames_of(frames)?,
@@ -27,12 +29,16 @@ pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions,
     };
     let options = DragOptions {
         form: tolerance.map_or(Ok(form), |value| with_tolerance(form, value))?,
-        width: number("width", width, 1..=max_side)?.map_or(PreviewWidth::Auto, PreviewWidth::Fixed),
+        width: number("width", width, 1..=max_side)?
+            .map_or(PreviewWidth::Auto, PreviewWidth::Fixed),
         report: report.map_or(Ok(false), |value| query_bool("report", value))?,
         window: number("window", window, 1..=MAX_WINDOW)?.map_or(Window::Auto, Window::Fixed),
     };
     if options.form.is_mesh() && options.width != PreviewWidth::Auto {
-        return Err(Problem::new(Code::BadValue, "a mesh has no width: remove `width` from the query"));
+        return Err(Problem::new(
+            Code::BadValue,
+            "a mesh has no width: remove `width` from the query",
+        ));
     }
     Ok(options)
 }
@@ -43,8 +49,12 @@ fn frames_of(name: &str) -> Result<Form, Problem> {
         "mesh" => Ok(Form::Mesh),
         "auto" => Ok(Form::Auto),
         _ => {
-            let format = Format::ALL.into_iter().find(|format| format.media_type().strip_prefix("image/") == Some(name));
-            format.map(|format| Form::Picture(Some(format))).ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
+            let format = Format::ALL
+                .into_iter()
+                .find(|format| format.media_type().strip_prefix("image/") == Some(name));
+            format
+                .map(|format| Form::Picture(Some(format)))
+                .ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
         }
     }
 }
@@ -52,7 +62,8 @@ fn frames_of(name: &str) -> Result<Form, Problem> {
 /// `mesh` implies meshes as frames.
 fn mesh_of(value: &str, frames: Option<Form>) -> Result<Form, Problem> {
     if frames.is_some_and(|frames| frames != Form::Mesh) {
-        let detail = "`mesh` in the query needs meshes as frames: send `frames=mesh`, or remove `mesh`";
+        let detail =
+            "`mesh` in the query needs meshes as frames: send `frames=mesh`, or remove `mesh`";
         return Err(Problem::new(Code::BadValue, detail));
     }
     match value {
@@ -67,17 +78,38 @@ fn with_tolerance(form: Form, value: &str) -> Result<Form, Problem> {
         let detail = "`tolerance` in the query needs compact meshes: add `mesh=compact`, or remove `tolerance`";
         return Err(Problem::new(Code::BadValue, detail));
     };
-    let expected = || format!("a number of px, {} to {}", TOLERANCES.start(), TOLERANCES.end());
+    let expected = || {
+        format!(
+            "a number of px, {} to {}",
+            TOLERANCES.start(),
+            TOLERANCES.end()
+        )
+    };
     let tolerance = value.parse().ok().filter(|px| TOLERANCES.contains(px));
-    tolerance.map(Form::CompactMesh).ok_or_else(|| bad_query_value("tolerance", value, &expected()))
+    tolerance
+        .map(Form::CompactMesh)
+        .ok_or_else(|| bad_query_value("tolerance", value, &expected()))
 }
 
 /// A whole number; `None` if it is absent or `auto`.
-fn number<T: FromStr + PartialOrd + Display>(name: &str, value: Option<&str>, range: RangeInclusive<T>) -> Result<Option<T>, Problem> {
-    let Some(value) = value.filter(|value| *value != "auto") else { return Ok(None) };
-    let expected = || format!("`auto` or a whole number of {} to {}", range.start(), range.end());
+fn number<T: FromStr + PartialOrd + Display>(
+    name: &str,
+    value: Option<&str>,
+    range: RangeInclusive<T>,
+) -> Result<Option<T>, Problem> {
+    let Some(value) = value.filter(|value| *value != "auto") else {
+        return Ok(None);
+    };
+    let expected = || {
+        format!(
+            "`auto` or a whole number of {} to {}",
+            range.start(),
+            range.end()
+        )
+    };
     let read = value.parse().ok().filter(|number| range.contains(number));
-    read.map(Some).ok_or_else(|| bad_query_value(name, value, &expected()))
+    read.map(Some)
+        .ok_or_else(|| bad_query_value(name, value, &expected()))
 }
 
 #[cfg(test)]
@@ -87,25 +119,66 @@ mod tests {
     #[test]
     fn the_query_says_what_frames_are() {
         let read = |query: &str| options(Some(query), 16384);
-        let usual = DragOptions { form: Form::Picture(None), width: PreviewWidth::Auto, report: false, window: Window::Auto };
+        let usual = DragOptions {
+            form: Form::Picture(None),
+            width: PreviewWidth::Auto,
+            report: false,
+            window: Window::Auto,
+        };
         assert_eq!(options(None, 16384), Ok(usual));
         assert_eq!(read("width=auto&report=false&window=auto"), Ok(usual));
-        assert_eq!(read("window=8"), Ok(DragOptions { window: Window::Fixed(8), ..usual }));
-        assert_eq!(read("width=1024&report=true"), Ok(DragOptions { width: PreviewWidth::Fixed(1024), report: true, ..usual }));
-        assert_eq!(read("frames=auto"), Ok(DragOptions { form: Form::Auto, ..usual }));
+        assert_eq!(
+            read("window=8"),
+            Ok(DragOptions {
+                window: Window::Fixed(8),
+                ..usual
+            })
+        );
+        assert_eq!(
+            read("width=1024&report=true"),
+            Ok(DragOptions {
+                width: PreviewWidth::Fixed(1024),
+                report: true,
+                ..usual
+            })
+        );
+        assert_eq!(
+            read("frames=auto"),
+            Ok(DragOptions {
+                form: Form::Auto,
+                ..usual
+            })
+        );
         for (query, form) in [
             ("frames=mesh", Form::Mesh),
             ("mesh=f32", Form::Mesh),
             ("frames=mesh&mesh=f32", Form::Mesh),
             ("mesh=compact", Form::CompactMesh(0.5)),
-            ("frames=mesh&mesh=compact&tolerance=2", Form::CompactMesh(2.0)),
-            ("tolerance=0.1&frames=mesh&mesh=compact", Form::CompactMesh(0.1)),
+            (
+                "frames=mesh&mesh=compact&tolerance=2",
+                Form::CompactMesh(2.0),
+            ),
+            (
+                "tolerance=0.1&frames=mesh&mesh=compact",
+                Form::CompactMesh(0.1),
+            ),
             ("mesh=compact&tolerance=1.6e1", Form::CompactMesh(16.0)),
         ] {
             assert_eq!(read(query), Ok(DragOptions { form, ..usual }), "{query}");
         }
-        for (name, format) in [("png", Format::Png), ("jpeg", Format::Jpeg), ("webp", Format::WebP), ("tiff", Format::Tiff)] {
-            assert_eq!(read(&format!("frames={name}")), Ok(DragOptions { form: Form::Picture(Some(format)), ..usual }));
+        for (name, format) in [
+            ("png", Format::Png),
+            ("jpeg", Format::Jpeg),
+            ("webp", Format::WebP),
+            ("tiff", Format::Tiff),
+        ] {
+            assert_eq!(
+                read(&format!("frames={name}")),
+                Ok(DragOptions {
+                    form: Form::Picture(Some(format)),
+                    ..usual
+                })
+            );
         }
         for (query, code) in [
             ("frames=gif", Code::BadValue),

@@ -93,7 +93,13 @@ impl WebSocketConnection {
         };
         let stream: CountingTransport = InspectReader::new(transport, Box::new(count));
         Self {
-            socket: WebSocketStream::from_partially_read(stream, read.into(), Role::Server, Some(config)).await,
+            socket: WebSocketStream::from_partially_read(
+                stream,
+                read.into(),
+                Role::Server,
+                Some(config),
+            )
+            .await,
             unread,
             max_unread: max_message.saturating_add(FRAME_HEADS),
             queue: VecDeque::new(),
@@ -119,14 +125,17 @@ impl WebSocketConnection {
 
     /// Sends a binary message that begins with `head`.
     pub(crate) fn send_binary(&mut self, head: Bytes, pieces: Vec<Bytes>) {
-        let fragments = pieces
-            .into_iter()
-            .flat_map(|mut piece| std::iter::from_fn(move || (!piece.is_empty()).then(|| piece.split_to(piece.len().min(FRAGMENT)))));
+        let fragments = pieces.into_iter().flat_map(|mut piece| {
+            std::iter::from_fn(move || {
+                (!piece.is_empty()).then(|| piece.split_to(piece.len().min(FRAGMENT)))
+            })
+        });
         let mut fragments = std::iter::once(head).chain(fragments).peekable();
         let mut opcode = OpCode::Data(Data::Binary);
         while let Some(fragment) = fragments.next() {
             let is_last = fragments.peek().is_none();
-            self.queue.push_back(Message::Frame(Frame::message(fragment, opcode, is_last)));
+            self.queue
+                .push_back(Message::Frame(Frame::message(fragment, opcode, is_last)));
             opcode = OpCode::Data(Data::Continue);
         }
     }
@@ -157,7 +166,9 @@ impl WebSocketConnection {
             }
             match Pin::new(&mut self.socket).poll_next(cx) {
                 Poll::Ready(next) => Poll::Ready(self.event(next)),
-                Poll::Pending if self.unread.load(Ordering::Relaxed) >= self.max_unread => Poll::Ready(Event::Ended(TOO_LARGE)),
+                Poll::Pending if self.unread.load(Ordering::Relaxed) >= self.max_unread => {
+                    Poll::Ready(Event::Ended(TOO_LARGE))
+                }
                 Poll::Pending => Poll::Pending,
             }
         })
@@ -167,11 +178,14 @@ impl WebSocketConnection {
     fn event(&mut self, next: Option<Result<Message, Error>>) -> Event {
         let counted = match &next {
             // Control frames come between the fragments of a message and do not count.
-            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => CONTROL_HEAD + payload.len(),
+            Some(Ok(Message::Ping(payload) | Message::Pong(payload))) => {
+                CONTROL_HEAD + payload.len()
+            }
             _ => usize::MAX,
         };
         let unread = self.unread.load(Ordering::Relaxed);
-        self.unread.store(unread.saturating_sub(counted), Ordering::Relaxed);
+        self.unread
+            .store(unread.saturating_sub(counted), Ordering::Relaxed);
         Event::Ended(match next {
             Some(Ok(Message::Text(text))) => return Event::Text(text),
             Some(Ok(Message::Binary(bytes))) => return Event::Binary(bytes),
@@ -179,8 +193,12 @@ impl WebSocketConnection {
             Some(Ok(Message::Frame(frame))) => return Event::Binary(frame.into_payload()),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Event::Ping,
             Some(Err(Error::Capacity(_))) => TOO_LARGE,
-            Some(Err(Error::Utf8(_))) => Ending::Close(CloseCode::Invalid, "a text message is UTF-8"),
-            Some(Err(Error::Protocol(_))) => Ending::Close(CloseCode::Protocol, "not the WebSocket protocol"),
+            Some(Err(Error::Utf8(_))) => {
+                Ending::Close(CloseCode::Invalid, "a text message is UTF-8")
+            }
+            Some(Err(Error::Protocol(_))) => {
+                Ending::Close(CloseCode::Protocol, "not the WebSocket protocol")
+            }
             Some(Ok(Message::Close(_)) | Err(_)) | None => Ending::Disconnected,
         })
     }
@@ -216,12 +234,15 @@ impl WebSocketConnection {
             if let Ending::Close(code, reason) = ending {
                 if code != CloseCode::Normal {
                     // Between two fragments only a control frame is allowed.
-                    let is_continued =
-                        matches!(self.queue.front(), Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(Data::Continue));
+                    let is_continued = matches!(self.queue.front(), Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(Data::Continue));
                     self.queue.clear();
-                    self.queue.extend(self.before_close.take().filter(|_| !is_continued));
+                    self.queue
+                        .extend(self.before_close.take().filter(|_| !is_continued));
                 }
-                self.queue.push_back(Message::Close(Some(CloseFrame { code, reason: reason.into() })));
+                self.queue.push_back(Message::Close(Some(CloseFrame {
+                    code,
+                    reason: reason.into(),
+                })));
             }
             // tungstenite has queued the reply to a client's close.
             self.is_flushed = false;

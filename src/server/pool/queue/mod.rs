@@ -52,12 +52,18 @@ enum KeyPart {
 impl QueueKey {
     /// The key of a client's requests for a session.
     pub fn session(client: Client, id: SessionId) -> Self {
-        Self { tenant: client.tenant(), part: KeyPart::Session(id) }
+        Self {
+            tenant: client.tenant(),
+            part: KeyPart::Session(id),
+        }
     }
 
     /// The key of a client's requests without a session.
     pub fn client(client: Client) -> Self {
-        Self { tenant: client.tenant(), part: KeyPart::Address(Tenant::of_address(client.address)) }
+        Self {
+            tenant: client.tenant(),
+            part: KeyPart::Address(Tenant::of_address(client.address)),
+        }
     }
 
     /// The client that is charged for the request.
@@ -113,7 +119,13 @@ struct Usage {
 
 impl Usage {
     fn new(now: Instant) -> Self {
-        Self { waiting: 0, keys: VecDeque::new(), running: 0, used: 0.0, at: now }
+        Self {
+            waiting: 0,
+            keys: VecDeque::new(),
+            running: 0,
+            used: 0.0,
+            at: now,
+        }
     }
 
     /// Recently used worker time, as of now.
@@ -139,7 +151,17 @@ impl<W> FairQueue<W> {
     /// `permits` requests and [`SPARE`] run at one time; `max_waiting` wait.
     pub(crate) fn new(permits: usize, max_waiting: usize) -> Self {
         let (waiters, usage, order) = (HashMap::new(), HashMap::new(), VecDeque::new());
-        Self { permits, max_waiting, running: 0, waiting: 0, waiters, usage, order, paused: Vec::new(), next_id: 0 }
+        Self {
+            permits,
+            max_waiting,
+            running: 0,
+            waiting: 0,
+            waiters,
+            usage,
+            order,
+            paused: Vec::new(),
+            next_id: 0,
+        }
     }
 
     pub(crate) const fn waiting(&self) -> usize {
@@ -171,7 +193,11 @@ impl<W> FairQueue<W> {
         let most = self.order.iter().map(waiting).max().unwrap_or(0);
         if most > waiting(&key.tenant) + 1 {
             // Among equals, the client that got a permit last.
-            let tenant = self.order.iter().rev().find(|tenant| waiting(tenant) == most)?;
+            let tenant = self
+                .order
+                .iter()
+                .rev()
+                .find(|tenant| waiting(tenant) == most)?;
             return self.longest(*tenant).map(|(key, _)| key);
         }
         let own = self.waiters.get(&key).map_or(0, VecDeque::len);
@@ -184,7 +210,8 @@ impl<W> FairQueue<W> {
     /// The client's key with the most waiting requests, and their number; among equals, the one that is farthest from its turn.
     fn longest(&self, tenant: Tenant) -> Option<(QueueKey, usize)> {
         let keys = self.usage.get(&tenant)?.keys.iter();
-        keys.map(|key| (*key, self.waiters.get(key).map_or(0, VecDeque::len))).max_by_key(|(_, length)| *length)
+        keys.map(|key| (*key, self.waiters.get(key).map_or(0, VecDeque::len)))
+            .max_by_key(|(_, length)| *length)
     }
 
     fn may_run(&self, tenant: Tenant) -> bool {
@@ -192,13 +219,19 @@ impl<W> FairQueue<W> {
     }
 
     fn may_run_beside(&self, running: usize, tenant: Tenant) -> bool {
-        let has_none = || self.usage.get(&tenant).is_none_or(|usage| usage.running == 0);
+        let has_none = || {
+            self.usage
+                .get(&tenant)
+                .is_none_or(|usage| usage.running == 0)
+        };
         running < self.permits || (running < self.permits + SPARE && has_none())
     }
 
     /// The client with the least is next: recently used worker time, running requests.
     fn rank(&self, tenant: Tenant, now: Instant) -> (f64, usize) {
-        self.usage.get(&tenant).map_or((0.0, 0), |usage| (usage.used(now), usage.running))
+        self.usage
+            .get(&tenant)
+            .map_or((0.0, 0), |usage| (usage.used(now), usage.running))
     }
 
     fn usage(&mut self, tenant: Tenant, now: Instant) -> &mut Usage {
@@ -224,7 +257,9 @@ impl<W> FairQueue<W> {
         }
         let mut rejected = None;
         if self.waiting >= self.max_waiting {
-            let Some(victim) = self.victim(key) else { return Arrival::Rejected };
+            let Some(victim) = self.victim(key) else {
+                return Arrival::Rejected;
+            };
             rejected = self.take(victim, VecDeque::pop_front);
         }
         let id = self.next_id;
@@ -248,7 +283,11 @@ impl<W> FairQueue<W> {
     }
 
     /// Removes a waiting request of a key.
-    fn take(&mut self, key: QueueKey, which: impl FnOnce(&mut VecDeque<(u64, W)>) -> Option<(u64, W)>) -> Option<(u64, W)> {
+    fn take(
+        &mut self,
+        key: QueueKey,
+        which: impl FnOnce(&mut VecDeque<(u64, W)>) -> Option<(u64, W)>,
+    ) -> Option<(u64, W)> {
         let waiters = self.waiters.get_mut(&key)?;
         let taken = which(waiters)?;
         self.waiting -= 1;
@@ -288,9 +327,16 @@ impl<W> FairQueue<W> {
         let (used, _) = self.rank(tenant, now);
         // More run than permits allow if jobs have waited too long; then it helps to run less.
         let is_excess = self.running > self.permits + SPARE;
-        let would_run = |other| is_excess || self.may_run_beside(self.running.saturating_sub(1), other);
-        let mut others = self.order.iter().chain(self.paused.iter().map(|(_, tenant, _)| tenant));
-        self.paused.len() < MOST_PAUSED && others.any(|other| *other != tenant && self.rank(*other, now).0 < used && would_run(*other))
+        let would_run =
+            |other| is_excess || self.may_run_beside(self.running.saturating_sub(1), other);
+        let mut others = self
+            .order
+            .iter()
+            .chain(self.paused.iter().map(|(_, tenant, _)| tenant));
+        self.paused.len() < MOST_PAUSED
+            && others.any(|other| {
+                *other != tenant && self.rank(*other, now).0 < used && would_run(*other)
+            })
     }
 
     /// A job of this client gives way; `waiter` wakes it. Returns its number.
@@ -316,9 +362,17 @@ impl<W> FairQueue<W> {
         let paused = self.first(self.paused.iter().map(|(_, tenant, _)| *tenant), now);
         match (waiting, paused) {
             // A client's paused jobs come before its waiting requests.
-            (Some((at, rank)), paused) if paused.is_none_or(|(_, other)| by_rank(rank, other).is_lt()) => {
+            (Some((at, rank)), paused)
+                if paused.is_none_or(|(_, other)| by_rank(rank, other).is_lt()) =>
+            {
                 let key = self.take_turn(at)?;
-                let next = self.take(key, |waiters| if key.is_newest_first() { waiters.pop_back() } else { waiters.pop_front() });
+                let next = self.take(key, |waiters| {
+                    if key.is_newest_first() {
+                        waiters.pop_back()
+                    } else {
+                        waiters.pop_front()
+                    }
+                });
                 self.run(key.tenant, now);
                 Some((key.tenant, next.expect("a key in order has a request").1))
             }
@@ -332,9 +386,17 @@ impl<W> FairQueue<W> {
     }
 
     /// The place of the client that is next, and its rank.
-    fn first(&self, tenants: impl Iterator<Item = Tenant>, now: Instant) -> Option<(usize, (f64, usize))> {
-        let candidates = tenants.enumerate().filter(|(_, tenant)| self.may_run(*tenant));
-        candidates.map(|(at, tenant)| (at, self.rank(tenant, now))).min_by(|(_, a), (_, b)| by_rank(*a, *b))
+    fn first(
+        &self,
+        tenants: impl Iterator<Item = Tenant>,
+        now: Instant,
+    ) -> Option<(usize, (f64, usize))> {
+        let candidates = tenants
+            .enumerate()
+            .filter(|(_, tenant)| self.may_run(*tenant));
+        candidates
+            .map(|(at, tenant)| (at, self.rank(tenant, now)))
+            .min_by(|(_, a), (_, b)| by_rank(*a, *b))
     }
 
     /// The next key of the client at this place in `order`. It becomes the last of its client, and its client the last among equals.
@@ -348,12 +410,18 @@ impl<W> FairQueue<W> {
 
     /// A waiting request leaves; nothing happens if it no longer waits.
     pub(crate) fn leave(&mut self, key: QueueKey, id: u64) {
-        self.take(key, |waiters| waiters.iter().position(|(other, _)| *other == id).and_then(|at| waiters.remove(at)));
+        self.take(key, |waiters| {
+            waiters
+                .iter()
+                .position(|(other, _)| *other == id)
+                .and_then(|at| waiters.remove(at))
+        });
     }
 }
 
 fn by_rank((used, running): (f64, usize), (other_used, other_running): (f64, usize)) -> Ordering {
-    used.total_cmp(&other_used).then(running.cmp(&other_running))
+    used.total_cmp(&other_used)
+        .then(running.cmp(&other_running))
 }
 
 #[cfg(test)]

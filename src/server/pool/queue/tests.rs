@@ -9,7 +9,10 @@ use crate::client::Owner;
 
 /// The client at an address, without a key.
 fn at(n: u8) -> Client {
-    Client { address: Ipv4Addr::new(192, 0, 2, n).into(), ..Client::default() }
+    Client {
+        address: Ipv4Addr::new(192, 0, 2, n).into(),
+        ..Client::default()
+    }
 }
 
 fn id(n: u8) -> SessionId {
@@ -69,7 +72,14 @@ fn lanes_take_turns_and_the_newest_of_a_session_comes_first() {
     busy.arrive(session(3), 30);
     assert_eq!((busy.queue.waiting(), busy.queue.running()), (6, 2));
     assert_eq!(busy.served(), [12, 20, 30, 11, 21, 10]);
-    assert_eq!((busy.queue.waiting(), busy.queue.running(), busy.queue.usage.len()), (0, 0, 0));
+    assert_eq!(
+        (
+            busy.queue.waiting(),
+            busy.queue.running(),
+            busy.queue.usage.len()
+        ),
+        (0, 0, 0)
+    );
     assert_eq!(busy.arrive(session(1), 1), Arrival::Runs);
 }
 
@@ -84,7 +94,11 @@ fn a_full_queue_makes_room_at_the_cost_of_the_longest_lane() {
     assert_eq!(busy.arrive(client(1), 13), Arrival::Rejected);
     assert_eq!(busy.arrive(session(2), 20), Arrival::Replaces(3, 10));
     // Two of the one, one of the other: a second one would only turn it round.
-    assert_eq!(busy.arrive(session(2), 21), Arrival::Replaces(4, 20), "a newer pose takes the place of an older one");
+    assert_eq!(
+        busy.arrive(session(2), 21),
+        Arrival::Replaces(4, 20),
+        "a newer pose takes the place of an older one"
+    );
     assert_eq!(busy.arrive(client(3), 30), Arrival::Replaces(5, 11));
     assert!(busy.queue.is_full());
     assert_eq!(busy.arrive(client(4), 40), Arrival::Rejected);
@@ -93,25 +107,46 @@ fn a_full_queue_makes_room_at_the_cost_of_the_longest_lane() {
 
 #[test]
 fn many_sessions_of_one_client_keep_no_other_out() {
-    let keyed = |owner: u8| Client { owner: Owner::from_bytes([owner; 16]), ..Client::default() };
+    let keyed = |owner: u8| Client {
+        owner: Owner::from_bytes([owner; 16]),
+        ..Client::default()
+    };
     // With keys the name counts, without keys the address.
     for [one, other] in [[keyed(1), keyed(2)], [at(1), at(2)]] {
         let mut busy = busy(4);
         for n in 0..4 {
             busy.arrive(QueueKey::session(one, id(n)), u32::from(n));
         }
-        assert!(busy.queue.rejects(QueueKey::session(one, id(9))) && !busy.queue.rejects(QueueKey::session(other, id(10))));
-        assert_eq!(busy.arrive(QueueKey::session(other, id(10)), 20), Arrival::Replaces(4, 3));
-        assert_eq!(busy.arrive(QueueKey::session(other, id(11)), 21), Arrival::Replaces(5, 2));
-        assert_eq!(busy.arrive(QueueKey::session(other, id(12)), 22), Arrival::Rejected);
-        assert_eq!(busy.served(), [0, 20, 1, 21], "clients take permits, however many sessions each has");
+        assert!(
+            busy.queue.rejects(QueueKey::session(one, id(9)))
+                && !busy.queue.rejects(QueueKey::session(other, id(10)))
+        );
+        assert_eq!(
+            busy.arrive(QueueKey::session(other, id(10)), 20),
+            Arrival::Replaces(4, 3)
+        );
+        assert_eq!(
+            busy.arrive(QueueKey::session(other, id(11)), 21),
+            Arrival::Replaces(5, 2)
+        );
+        assert_eq!(
+            busy.arrive(QueueKey::session(other, id(12)), 22),
+            Arrival::Rejected
+        );
+        assert_eq!(
+            busy.served(),
+            [0, 20, 1, 21],
+            "clients take permits, however many sessions each has"
+        );
     }
 }
 
 #[test]
 fn who_leaves_is_not_served() {
     let mut busy = busy(10);
-    let Arrival::Waits(first) = busy.arrive(session(1), 10) else { panic!() };
+    let Arrival::Waits(first) = busy.arrive(session(1), 10) else {
+        panic!()
+    };
     busy.arrive(session(2), 20);
     busy.queue.leave(session(1), first);
     busy.queue.leave(session(1), first);
@@ -131,9 +166,17 @@ fn without_a_queue_there_are_turns_alone() {
 #[test]
 fn one_client_has_every_turn_and_another_gets_the_spare_one() {
     let (mut queue, now) = (FairQueue::new(2, 9), Instant::now());
-    let runs = |queue: &mut FairQueue<u32>, n: u8| queue.arrive(client(n), now, u32::from(n)) == Arrival::Runs;
-    assert!(runs(&mut queue, 1) && runs(&mut queue, 1) && !runs(&mut queue, 1), "as many permits as workers, and no more");
-    assert!(runs(&mut queue, 2), "another client does not wait for the end of those");
+    let runs = |queue: &mut FairQueue<u32>, n: u8| {
+        queue.arrive(client(n), now, u32::from(n)) == Arrival::Runs
+    };
+    assert!(
+        runs(&mut queue, 1) && runs(&mut queue, 1) && !runs(&mut queue, 1),
+        "as many permits as workers, and no more"
+    );
+    assert!(
+        runs(&mut queue, 2),
+        "another client does not wait for the end of those"
+    );
     assert!(!runs(&mut queue, 3) && queue.running() == 2 + SPARE);
     // The spare turn is free: of those who wait only client 3 has none.
     queue.end(at(2).tenant(), now);
@@ -161,7 +204,11 @@ fn minute(permits: usize, costs: &[(u8, u32)]) -> BTreeMap<u8, u32> {
             begin(n, cost);
         }
         for (waiter, (n, cost)) in (0..).zip(costs) {
-            while queue.usage.get(&at(*n).tenant()).is_none_or(|usage| usage.waiting < 3) {
+            while queue
+                .usage
+                .get(&at(*n).tenant())
+                .is_none_or(|usage| usage.waiting < 3)
+            {
                 if queue.arrive(client(*n), now, waiter) == Arrival::Runs {
                     begin(*n, *cost);
                 }
@@ -174,11 +221,20 @@ fn minute(permits: usize, costs: &[(u8, u32)]) -> BTreeMap<u8, u32> {
 #[test]
 fn clients_get_equal_worker_time_whatever_one_request_costs() {
     for permits in [1, 2, 4] {
-        for costs in [&[(1, 2000), (2, 5)][..], &[(1, 500), (2, 20), (3, 20)], &[(1, 7), (2, 9)]] {
+        for costs in [
+            &[(1, 2000), (2, 5)][..],
+            &[(1, 500), (2, 20), (3, 20)],
+            &[(1, 7), (2, 9)],
+        ] {
             let got = minute(permits, costs);
             let (least, most) = (got.values().min().unwrap(), got.values().max().unwrap());
-            eprintln!("{permits} permits, (client, ms a request) {costs:?}: worker time in a minute {got:?} ms");
-            assert!(got.len() == costs.len() && *most <= *least * 3 / 2, "{permits} permits, {costs:?}: {got:?}");
+            eprintln!(
+                "{permits} permits, (client, ms a request) {costs:?}: worker time in a minute {got:?} ms"
+            );
+            assert!(
+                got.len() == costs.len() && *most <= *least * 3 / 2,
+                "{permits} permits, {costs:?}: {got:?}"
+            );
         }
     }
 }
@@ -199,7 +255,8 @@ fn beside(attackers: u8, cost: u32) -> Vec<u32> {
     const CALM: u8 = 255;
     const PERMITS: usize = 2;
     let (mut queue, start) = (FairQueue::new(PERMITS, 1000), Instant::now());
-    let (mut running, mut paused, mut took): (Vec<Job>, BTreeMap<u32, Job>, _) = (Vec::new(), BTreeMap::new(), Vec::new());
+    let (mut running, mut paused, mut took): (Vec<Job>, BTreeMap<u32, Job>, _) =
+        (Vec::new(), BTreeMap::new(), Vec::new());
     let (mut asked, mut next_paused) = (None, 1000);
     for ms in 0..30_000 {
         let now = start + ms * MS;
@@ -218,9 +275,17 @@ fn beside(attackers: u8, cost: u32) -> Vec<u32> {
             paused.insert(next_paused, job);
             next_paused += 1;
         }
-        let job = |client: u8| Job { client, left: if client == CALM { 20 } else { cost }, turn: ms + TURN };
+        let job = |client: u8| Job {
+            client,
+            left: if client == CALM { 20 } else { cost },
+            turn: ms + TURN,
+        };
         for client in 0..attackers {
-            while queue.usage.get(&at(client).tenant()).is_none_or(|usage| usage.waiting < 2) {
+            while queue
+                .usage
+                .get(&at(client).tenant())
+                .is_none_or(|usage| usage.waiting < 2)
+            {
                 if queue.arrive(QueueKey::client(at(client)), now, client.into()) == Arrival::Runs {
                     running.push(job(client));
                 }
@@ -233,7 +298,10 @@ fn beside(attackers: u8, cost: u32) -> Vec<u32> {
             }
         }
         while let Some((_, waiter)) = queue.next(now) {
-            let resumed = paused.remove(&waiter).map(|job| Job { turn: ms + TURN, ..job });
+            let resumed = paused.remove(&waiter).map(|job| Job {
+                turn: ms + TURN,
+                ..job
+            });
             running.push(resumed.unwrap_or_else(|| job(u8::try_from(waiter).unwrap())));
         }
         assert!(running.len() <= PERMITS + SPARE && queue.paused() == paused.len());
@@ -247,8 +315,14 @@ fn many_clients_with_long_requests_delay_a_short_one_no_more_than_one_does() {
         for attackers in [1, 3, 30] {
             let took = beside(attackers, cost);
             let worst = *took.iter().max().unwrap();
-            eprintln!("{attackers} clients with requests of {cost} ms: {} answers of 20 ms, the last after {worst} ms", took.len());
-            assert!(took.len() >= 29 && worst <= 20 + TURN, "{attackers} clients, {cost} ms: {took:?}");
+            eprintln!(
+                "{attackers} clients with requests of {cost} ms: {} answers of 20 ms, the last after {worst} ms",
+                took.len()
+            );
+            assert!(
+                took.len() >= 29 && worst <= 20 + TURN,
+                "{attackers} clients, {cost} ms: {took:?}"
+            );
         }
     }
 }
@@ -262,25 +336,41 @@ fn a_job_gives_way_to_one_that_has_used_less_and_goes_on_afterwards() {
     }
     assert!(!queue.gives_way(at(1).tenant(), second), "nobody waits");
     assert_eq!(queue.arrive(client(1), second, 1), Arrival::Waits(0));
-    assert!(!queue.gives_way(at(1).tenant(), second), "a client does not give way to itself");
+    assert!(
+        !queue.gives_way(at(1).tenant(), second),
+        "a client does not give way to itself"
+    );
     assert_eq!(queue.arrive(client(3), second, 3), Arrival::Waits(1));
     assert!(queue.gives_way(at(1).tenant(), second) && queue.gives_way(at(2).tenant(), second));
     queue.pause(at(1).tenant(), second, 11);
     assert_eq!(queue.next(second), Some((at(3).tenant(), 3)));
-    assert!(!queue.gives_way(at(3).tenant(), second), "it has used nothing");
+    assert!(
+        !queue.gives_way(at(3).tenant(), second),
+        "it has used nothing"
+    );
     assert_eq!((queue.next(second), queue.paused()), (None, 1));
     queue.end(at(3).tenant(), second + MS);
-    assert_eq!(queue.next(second + MS), Some((at(1).tenant(), 11)), "before the other request of its client");
+    assert_eq!(
+        queue.next(second + MS),
+        Some((at(1).tenant(), 11)),
+        "before the other request of its client"
+    );
     queue.end(at(1).tenant(), second + 2 * MS);
     assert_eq!(queue.next(second + 2 * MS), Some((at(1).tenant(), 1)));
     // A job that has waited too long goes on beyond the permits, and the next to end is not replaced.
     let id = queue.pause(at(1).tenant(), second, 11);
     for n in [4, 5] {
-        assert_eq!(queue.arrive(client(n), second, n.into()) == Arrival::Runs, n == 4);
+        assert_eq!(
+            queue.arrive(client(n), second, n.into()) == Arrival::Runs,
+            n == 4
+        );
     }
     queue.resume(id, second);
     queue.resume(id, second);
-    assert_eq!((queue.running(), queue.paused(), queue.next(second)), (3, 0, None));
+    assert_eq!(
+        (queue.running(), queue.paused(), queue.next(second)),
+        (3, 0, None)
+    );
     queue.end(at(4).tenant(), second);
     assert_eq!(queue.next(second), None);
     queue.end(at(2).tenant(), second);
@@ -290,21 +380,36 @@ fn a_job_gives_way_to_one_that_has_used_less_and_goes_on_afterwards() {
 #[test]
 fn what_was_used_is_forgotten_and_so_are_clients() {
     let (mut queue, start) = (FairQueue::<u32>::new(1, 9), Instant::now());
-    let used = |queue: &FairQueue<u32>, n: u8, now: Instant| queue.usage.get(&at(n).tenant()).map(|usage| usage.used(now));
+    let used = |queue: &FairQueue<u32>, n: u8, now: Instant| {
+        queue
+            .usage
+            .get(&at(n).tenant())
+            .map(|usage| usage.used(now))
+    };
     queue.arrive(client(1), start, 1);
     let now = start + 1000 * MS;
     queue.end(at(1).tenant(), now);
     let one = used(&queue, 1, now).unwrap();
-    assert!((0.9..1.0).contains(&one), "a little of it is old already: {one}");
+    assert!(
+        (0.9..1.0).contains(&one),
+        "a little of it is old already: {one}"
+    );
     let later = now + Duration::from_secs_f64(HALF_LIFE);
     assert!((used(&queue, 1, later).unwrap() - one / 2.0).abs() < 1e-9);
     queue.arrive(client(2), now, 2);
     queue.end(at(2).tenant(), now + MS);
-    assert_eq!(used(&queue, 2, now + MS), None, "a millisecond is not remembered");
+    assert_eq!(
+        used(&queue, 2, now + MS),
+        None,
+        "a millisecond is not remembered"
+    );
     // Thousands of clients, each of whom is remembered for a while.
     let step = 20 * MS;
     for n in 0..10_000_u32 {
-        let address = Client { address: Ipv4Addr::from_bits(n).into(), ..Client::default() };
+        let address = Client {
+            address: Ipv4Addr::from_bits(n).into(),
+            ..Client::default()
+        };
         let now = later + step * n;
         queue.arrive(QueueKey::client(address), now, 0);
         queue.end(address.tenant(), now + step);

@@ -14,7 +14,10 @@ use std::time::{Duration, Instant};
 
 use mlswarp::warp::Digest;
 use redb::backends::FileBackend;
-use redb::{Database, DatabaseError, ReadableDatabase as _, ReadableTable, Table, TableDefinition, TableHandle as _, WriteTransaction};
+use redb::{
+    Database, DatabaseError, ReadableDatabase as _, ReadableTable, Table, TableDefinition,
+    TableHandle as _, WriteTransaction,
+};
 
 use super::backend::DurableLength;
 use crate::store::{NotOpened, StoreError};
@@ -60,11 +63,15 @@ impl<'t> Change<'t> {
     }
 
     pub(crate) fn remove_file(&mut self, digest: Digest) -> Result<(), redb::Error> {
-        Ok(self.pieces.retain_in((digest.0, 0)..=(digest.0, u32::MAX), |_, _| false)?)
+        Ok(self
+            .pieces
+            .retain_in((digest.0, 0)..=(digest.0, u32::MAX), |_, _| false)?)
     }
 
     pub(crate) fn remove_files(&mut self, digests: &[Digest]) -> Result<(), redb::Error> {
-        digests.iter().try_for_each(|digest| self.remove_file(*digest))
+        digests
+            .iter()
+            .try_for_each(|digest| self.remove_file(*digest))
     }
 
     /// Digests of all files.
@@ -84,7 +91,11 @@ impl<'t> Change<'t> {
     }
 }
 
-fn join(pieces: &impl ReadableTable<([u8; 32], u32), &'static [u8]>, digest: Digest, len: usize) -> Result<Vec<u8>, redb::Error> {
+fn join(
+    pieces: &impl ReadableTable<([u8; 32], u32), &'static [u8]>,
+    digest: Digest,
+    len: usize,
+) -> Result<Vec<u8>, redb::Error> {
     let mut file = Vec::with_capacity(len);
     for piece in pieces.range((digest.0, 0)..=(digest.0, u32::MAX))? {
         file.extend_from_slice(piece?.1.value());
@@ -141,15 +152,24 @@ impl Disk {
     }
 
     fn of(path: &Path, database: Database) -> Self {
-        let state = DiskState { database: Some(OpenDatabase::new(database)), tried: Instant::now(), failures: 0 };
-        Self { path: path.to_owned(), state: Mutex::new(state) }
+        let state = DiskState {
+            database: Some(OpenDatabase::new(database)),
+            tried: Instant::now(),
+            failures: 0,
+        };
+        Self {
+            path: path.to_owned(),
+            state: Mutex::new(state),
+        }
     }
 
     #[cfg(test)]
     pub(crate) fn over(disk: impl redb::StorageBackend) -> Result<Self, NotOpened> {
         let nowhere = Path::new("nowhere");
         let opened = guarded(|| Ok(builder().create_with_backend(DurableLength(disk))?));
-        opened.map(|database| Self::of(nowhere, database)).map_err(|failed| not_opened(nowhere, failed.why))
+        opened
+            .map(|database| Self::of(nowhere, database))
+            .map_err(|failed| not_opened(nowhere, failed.why))
     }
 
     pub(crate) fn not_opened(&self, why: &str) -> NotOpened {
@@ -203,7 +223,10 @@ impl Disk {
     }
 
     /// Runs one transaction. When this returns, it has reached the disk, or the database is closed.
-    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Change<'_>) -> Result<T, redb::Error>) -> Result<T, StoreError> {
+    pub(crate) fn change<T>(
+        &self,
+        change: impl FnOnce(&mut Change<'_>) -> Result<T, redb::Error>,
+    ) -> Result<T, StoreError> {
         let database = self.database()?;
         let changed = guarded(|| {
             let mut transaction = database.begin_write()?;
@@ -237,22 +260,38 @@ impl Disk {
         drop(state);
         drop(closed);
         tracing::error!(why = failed.why, "the session file does not do its work");
-        if failed.is_full { StoreError::NoRoom } else { StoreError::Away }
+        if failed.is_full {
+            StoreError::NoRoom
+        } else {
+            StoreError::Away
+        }
     }
 
     /// Compacts the file when much of it is free. Only while nothing else uses it.
     pub(crate) fn compact(&self, content: u64) -> Result<(), NotOpened> {
-        let size = || fs::metadata(&self.path).map(|file| file.len()).map_err(|e| self.not_opened(&e.to_string()));
+        let size = || {
+            fs::metadata(&self.path)
+                .map(|file| file.len())
+                .map_err(|e| self.not_opened(&e.to_string()))
+        };
         let before = size()?;
         if before < 2 * content + SLACK {
             return Ok(());
         }
         let mut state = self.lock();
-        let Some(database) = state.database.as_mut().and_then(Arc::get_mut).and_then(|open| open.0.as_mut()) else { return Ok(()) };
+        let Some(database) = state
+            .database
+            .as_mut()
+            .and_then(Arc::get_mut)
+            .and_then(|open| open.0.as_mut())
+        else {
+            return Ok(());
+        };
         guarded(|| Ok(database.compact()?)).map_err(|failed| self.not_opened(&failed.why))?;
         drop(state);
         // Stores the allocator's state again.
-        self.change(|_| Ok(())).map_err(|e| self.not_opened(&e.to_string()))?;
+        self.change(|_| Ok(()))
+            .map_err(|e| self.not_opened(&e.to_string()))?;
         tracing::info!(before, after = size()?, "the session file was made compact");
         Ok(())
     }
@@ -266,9 +305,16 @@ struct Failed {
 
 impl From<redb::Error> for Failed {
     fn from(error: redb::Error) -> Self {
-        let full = [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded, io::ErrorKind::FileTooLarge];
+        let full = [
+            io::ErrorKind::StorageFull,
+            io::ErrorKind::QuotaExceeded,
+            io::ErrorKind::FileTooLarge,
+        ];
         let is_full = matches!(&error, redb::Error::Io(error) if full.contains(&error.kind()));
-        Self { why: error.to_string(), is_full }
+        Self {
+            why: error.to_string(),
+            is_full,
+        }
     }
 }
 
@@ -276,12 +322,18 @@ impl From<redb::Error> for Failed {
 fn guarded<T>(work: impl FnOnce() -> Result<T, redb::Error>) -> Result<T, Failed> {
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(worked) => worked.map_err(Failed::from),
-        Err(_) => Err(Failed { why: "it is damaged beyond reading".to_owned(), is_full: false }),
+        Err(_) => Err(Failed {
+            why: "it is damaged beyond reading".to_owned(),
+            is_full: false,
+        }),
     }
 }
 
 fn not_opened(path: &Path, why: String) -> NotOpened {
-    NotOpened { what: format!("the session file {}", path.display()), why }
+    NotOpened {
+        what: format!("the session file {}", path.display()),
+        why,
+    }
 }
 
 fn builder() -> redb::Builder {
@@ -312,12 +364,22 @@ fn open_or_create(path: &Path) -> Result<Database, String> {
         Err(DatabaseError::DatabaseAlreadyOpen) => Ok(None),
         opened => Ok(Some(opened?)),
     });
-    let database = database.map_err(failed)?.ok_or("another process has it open")?;
+    let database = database
+        .map_err(failed)?
+        .ok_or("another process has it open")?;
     let ours = guarded(|| {
-        let tables: Vec<_> = database.begin_read()?.list_tables()?.map(|table| table.name().to_owned()).collect();
+        let tables: Vec<_> = database
+            .begin_read()?
+            .list_tables()?
+            .map(|table| table.name().to_owned())
+            .collect();
         Ok(tables.iter().any(|name| name == RECORDS.name()))
     });
-    if ours.map_err(failed)? { Ok(database) } else { Err("it is a database of something else; it was left as it is".to_owned()) }
+    if ours.map_err(failed)? {
+        Ok(database)
+    } else {
+        Err("it is a database of something else; it was left as it is".to_owned())
+    }
 }
 
 /// Creates an empty database under a temporary name and links it to `path`, so that an interruption leaves no half of it.
@@ -340,7 +402,9 @@ fn create(path: &Path) -> Result<(), String> {
             Ok(transaction.commit()?)
         });
         empty.map_err(|failed| failed.why)?;
-        File::open(&temporary).and_then(|file| file.sync_all()).map_err(why)?;
+        File::open(&temporary)
+            .and_then(|file| file.sync_all())
+            .map_err(why)?;
         // Unlike a rename, a link does not replace a file that another process has put there.
         match fs::hard_link(&temporary, path) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(why(error)),
@@ -349,9 +413,14 @@ fn create(path: &Path) -> Result<(), String> {
     })();
     let removed = fs::remove_file(&temporary).map_err(why);
     created.and(removed)?;
-    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let directory = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     // The new name is in the directory, which is synchronised separately.
-    File::open(directory).and_then(|directory| directory.sync_all()).map_err(why)
+    File::open(directory)
+        .and_then(|directory| directory.sync_all())
+        .map_err(why)
 }
 
 #[cfg(test)]
@@ -385,7 +454,10 @@ mod tests {
             let _held = held;
             panic!("of another cause");
         }));
-        assert_eq!(failed.unwrap_err().downcast_ref(), Some(&"of another cause"));
+        assert_eq!(
+            failed.unwrap_err().downcast_ref(),
+            Some(&"of another cause")
+        );
         assert_eq!(closed.load(Ordering::Relaxed), 2);
     }
 }

@@ -25,7 +25,9 @@ use redb::ReadableTable as _;
 use super::index::{Index, PutOutcome};
 use super::record;
 use super::record::Unreadable;
-use super::{Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError, known};
+use super::{
+    Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError, known,
+};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
@@ -62,7 +64,12 @@ impl FileStore {
     /// Errors: The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
     pub fn open(path: &Path, bounds: Bounds) -> Result<Self, NotOpened> {
         let store = Self::on(Disk::open(path)?, bounds)?;
-        let Figures { sessions, bytes, damaged, .. } = store.figures();
+        let Figures {
+            sessions,
+            bytes,
+            damaged,
+            ..
+        } = store.figures();
         store.0.disk.compact(bytes)?;
         tracing::info!(sessions, bytes, damaged, "the session file is open");
         Ok(store)
@@ -78,7 +85,9 @@ impl FileStore {
             damaged: AtomicU64::new(0),
             other_version: AtomicU64::new(0),
         };
-        state.read_all(&mut state.written()).map_err(|_| not_opened)?;
+        state
+            .read_all(&mut state.written())
+            .map_err(|_| not_opened)?;
         Ok(Self(Arc::new(state)))
     }
 
@@ -88,7 +97,10 @@ impl FileStore {
     }
 
     /// Runs on a blocking thread, to its end even if the answer is dropped.
-    fn blocking<T: Send + 'static>(&self, work: impl FnOnce(&FileStoreState) -> Result<T, StoreError> + Send + 'static) -> Answer<'_, T> {
+    fn blocking<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&FileStoreState) -> Result<T, StoreError> + Send + 'static,
+    ) -> Answer<'_, T> {
         let (state, scope) = (Arc::clone(&self.0), Scope::current());
         let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&state)));
         Box::pin(async move { task.await.unwrap_or(Err(StoreError::Away)) })
@@ -173,13 +185,20 @@ impl FileStoreState {
         }
         let outcome = self.index().check_put(&record, files)?;
         if outcome != PutOutcome::Stay {
-            self.write_record(&record, files, |change| Ok(change.numbers.remove(&record.id.to_bytes()).map(drop)?))?;
+            self.write_record(&record, files, |change| {
+                Ok(change.numbers.remove(&record.id.to_bytes()).map(drop)?)
+            })?;
             written.remove(&record.id);
         }
         Ok(self.index().put(record, files, outcome))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>, layer: &[NamedFile]) -> Result<Option<Session>, StoreError> {
+    fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: &[NamedFile],
+    ) -> Result<Option<Session>, StoreError> {
         let _written = self.begin()?;
         if !self.index().check_revise(old, &new, layer)? {
             return Ok(None);
@@ -195,12 +214,19 @@ impl FileStoreState {
         files: &[NamedFile],
         more: impl FnOnce(&mut Change<'_>) -> Result<(), redb::Error>,
     ) -> Result<(), StoreError> {
-        let (name, bytes, kept) = (record.id.to_bytes(), record::write(record), record.files().collect::<Vec<_>>());
+        let (name, bytes, kept) = (
+            record.id.to_bytes(),
+            record::write(record),
+            record.files().collect::<Vec<_>>(),
+        );
         let (added, freed) = {
             let index = self.index();
             // A file that only another owner has is written again: a faster answer would reveal it.
             let is_new = |file: &&NamedFile| !index.names(record.id.owner(), file.digest);
-            (files.iter().filter(is_new).collect::<Vec<_>>(), index.freed(&[record.id], &kept))
+            (
+                files.iter().filter(is_new).collect::<Vec<_>>(),
+                index.freed(&[record.id], &kept),
+            )
         };
         self.disk.change(|change| {
             change.records.insert(&name, bytes.as_slice())?;
@@ -252,7 +278,11 @@ impl FileStoreState {
     }
 
     fn write_numbers(&self, written: &mut Numbers) -> Result<(), StoreError> {
-        let newer: Vec<(SessionId, u64)> = self.index().numbers().filter(|(id, number)| written.get(id) != Some(number)).collect();
+        let newer: Vec<(SessionId, u64)> = self
+            .index()
+            .numbers()
+            .filter(|(id, number)| written.get(id) != Some(number))
+            .collect();
         if newer.is_empty() {
             return Ok(());
         }
@@ -277,7 +307,12 @@ impl FileStoreState {
             return Ok(file);
         }
         let names = |record: &&Arc<Record>| record.files().any(|file| file == digest);
-        let lost: Vec<SessionId> = self.index().records().filter(names).map(|record| record.id).collect();
+        let lost: Vec<SessionId> = self
+            .index()
+            .records()
+            .filter(names)
+            .map(|record| record.id)
+            .collect();
         tracing::error!(sessions = ?lost, "sessions have ended: the file of their picture or of a layer is damaged");
         self.remove(&lost, &mut written)?;
         self.damaged.fetch_add(lost.len() as u64, Ordering::Relaxed);
@@ -291,7 +326,10 @@ impl FileStoreState {
 
     /// The file of a living session, unless it is damaged.
     fn undamaged(&self, owner: Owner, digest: Digest) -> Result<Option<Bytes>, StoreError> {
-        let len = self.index().file_bytes(owner, digest).ok_or(StoreError::NoSuchSession)?;
+        let len = self
+            .index()
+            .file_bytes(owner, digest)
+            .ok_or(StoreError::NoSuchSession)?;
         let bytes = self.disk.file(digest, len)?;
         Ok((check_file(&bytes, digest) == Ok(len)).then(|| bytes.into()))
     }
@@ -316,16 +354,29 @@ fn check_file(file: &[u8], digest: Digest) -> Result<u64, &'static str> {
 }
 
 /// As [`check_file`], once for each file.
-fn checked_file(change: &Change<'_>, files: &mut Files, digest: Digest) -> Result<Result<u64, &'static str>, redb::Error> {
+fn checked_file(
+    change: &Change<'_>,
+    files: &mut Files,
+    digest: Digest,
+) -> Result<Result<u64, &'static str>, redb::Error> {
     Ok(match files.get(&digest) {
         Some(file) => *file,
-        None => *files.entry(digest).or_insert(check_file(&change.file(digest)?, digest)),
+        None => *files
+            .entry(digest)
+            .or_insert(check_file(&change.file(digest)?, digest)),
     })
 }
 
 /// The sizes of a record's files in their order, or what is wrong with one of them.
-fn checked_files(change: &Change<'_>, files: &mut Files, record: &Record) -> Result<Result<Vec<u64>, &'static str>, redb::Error> {
-    record.files().map(|digest| checked_file(change, files, digest)).collect()
+fn checked_files(
+    change: &Change<'_>,
+    files: &mut Files,
+    record: &Record,
+) -> Result<Result<Vec<u64>, &'static str>, redb::Error> {
+    record
+        .files()
+        .map(|digest| checked_file(change, files, digest))
+        .collect()
 }
 
 impl Store for FileStore {
@@ -333,7 +384,12 @@ impl Store for FileStore {
         self.blocking(move |state| state.put(record, &files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+    fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: Option<NamedFile>,
+    ) -> Answer<'_, Option<Session>> {
         self.blocking(move |state| state.revise(old, new, layer.as_slice()))
     }
 
@@ -350,7 +406,12 @@ impl Store for FileStore {
     }
 
     fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
-        known(self.0.index().file_bytes(id.owner(), digest).ok_or(StoreError::NoSuchSession))
+        known(
+            self.0
+                .index()
+                .file_bytes(id.owner(), digest)
+                .ok_or(StoreError::NoSuchSession),
+        )
     }
 
     fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
@@ -373,7 +434,11 @@ impl Store for FileStore {
             return known(Ok(()));
         }
         let opened = self.blocking(|state| state.begin().map(drop));
-        Box::pin(async { tokio::time::timeout(READY_TIMEOUT, opened).await.unwrap_or(Err(StoreError::Away)) })
+        Box::pin(async {
+            tokio::time::timeout(READY_TIMEOUT, opened)
+                .await
+                .unwrap_or(Err(StoreError::Away))
+        })
     }
 
     fn figures(&self) -> Figures {

@@ -25,7 +25,12 @@ impl Address {
 
     fn parts(&self) -> (String, i64, Option<&str>, Option<&str>) {
         let settings = self.0.redis_settings();
-        (self.0.addr().to_string(), settings.db(), settings.username(), settings.password())
+        (
+            self.0.addr().to_string(),
+            settings.db(),
+            settings.username(),
+            settings.password(),
+        )
     }
 }
 

@@ -45,8 +45,17 @@ pub(crate) struct Health {
 }
 
 impl Endpoint {
-    pub(crate) fn new(name: &'static str, address: &Address, is_prompt: bool) -> Result<Arc<Self>, RedisError> {
-        Ok(Arc::new(Self { name, is_prompt, client: Client::open(address.info().clone())?, health: SyncMutex::default() }))
+    pub(crate) fn new(
+        name: &'static str,
+        address: &Address,
+        is_prompt: bool,
+    ) -> Result<Arc<Self>, RedisError> {
+        Ok(Arc::new(Self {
+            name,
+            is_prompt,
+            client: Client::open(address.info().clone())?,
+            health: SyncMutex::default(),
+        }))
     }
 
     pub(crate) fn health(&self) -> MutexGuard<'_, Health> {
@@ -99,7 +108,10 @@ impl Slot {
 
 impl RedisConnection {
     pub(crate) fn new(endpoint: &Arc<Endpoint>) -> Self {
-        Self(Arc::new(RedisConnectionState { endpoint: Arc::clone(endpoint), slot: Mutex::default() }))
+        Self(Arc::new(RedisConnectionState {
+            endpoint: Arc::clone(endpoint),
+            slot: Mutex::default(),
+        }))
     }
 
     /// Closes the connection. Only while no request uses it.
@@ -111,7 +123,11 @@ impl RedisConnection {
 
     /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that turns out to be broken it is sent once
     /// more: all requests are idempotent.
-    pub(crate) async fn ask<T, F>(&self, limit: Duration, ask: impl Fn(MultiplexedConnection) -> F) -> Result<T, StoreError>
+    pub(crate) async fn ask<T, F>(
+        &self,
+        limit: Duration,
+        ask: impl Fn(MultiplexedConnection) -> F,
+    ) -> Result<T, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {
@@ -144,7 +160,11 @@ impl RedisConnection {
     }
 
     /// `used` is set to the generation of the connection.
-    async fn try_once<T, F>(&self, used: &AtomicU64, ask: &impl Fn(MultiplexedConnection) -> F) -> Result<RedisResult<T>, StoreError>
+    async fn try_once<T, F>(
+        &self,
+        used: &AtomicU64,
+        ask: &impl Fn(MultiplexedConnection) -> F,
+    ) -> Result<RedisResult<T>, StoreError>
     where
         F: Future<Output = RedisResult<T>>,
     {
@@ -154,7 +174,9 @@ impl RedisConnection {
             None => {
                 // A task: it goes on when the request is dropped.
                 let this = self.clone();
-                tokio::spawn(Scope::current().wrap(async move { this.connect().await })).await.unwrap_or(Err(StoreError::Away))?
+                tokio::spawn(Scope::current().wrap(async move { this.connect().await }))
+                    .await
+                    .unwrap_or(Err(StoreError::Away))?
             }
         };
         used.store(generation, Ordering::Relaxed);
@@ -168,14 +190,27 @@ impl RedisConnection {
         if let Some(open) = slot.get() {
             return Ok(open);
         }
-        if endpoint.health().paused_until.is_some_and(|until| Instant::now() < until) {
+        if endpoint
+            .health()
+            .paused_until
+            .is_some_and(|until| Instant::now() < until)
+        {
             endpoint.health().failures += 1;
             return Err(StoreError::Away);
         }
         // Each request has a time limit of its own.
-        let config =
-            AsyncConnectionConfig::new().set_connection_timeout(None).set_response_timeout(None).set_pipeline_buffer_size(WRITE_QUEUE);
-        let why = match timeout(CONNECT_TIMEOUT, endpoint.client.get_multiplexed_async_connection_with_config(&config)).await {
+        let config = AsyncConnectionConfig::new()
+            .set_connection_timeout(None)
+            .set_response_timeout(None)
+            .set_pipeline_buffer_size(WRITE_QUEUE);
+        let why = match timeout(
+            CONNECT_TIMEOUT,
+            endpoint
+                .client
+                .get_multiplexed_async_connection_with_config(&config),
+        )
+        .await
+        {
             Ok(Ok(connection)) => {
                 slot.generation += 1;
                 slot.connection = Some(connection.clone());

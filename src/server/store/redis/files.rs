@@ -36,14 +36,23 @@ impl Drop for Transfer<'_> {
         if !self.is_reusable {
             self.connection.close();
         }
-        self.files.idle.lock().unwrap_or_else(PoisonError::into_inner).push(self.connection.clone());
+        self.files
+            .idle
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(self.connection.clone());
     }
 }
 
 impl FileConnections {
     pub(crate) fn new(endpoint: &Arc<Endpoint>) -> Self {
-        let idle = (0..TRANSFERS).map(|_| RedisConnection::new(endpoint)).collect();
-        Self { permits: Semaphore::new(TRANSFERS), idle: Mutex::new(idle) }
+        let idle = (0..TRANSFERS)
+            .map(|_| RedisConnection::new(endpoint))
+            .collect();
+        Self {
+            permits: Semaphore::new(TRANSFERS),
+            idle: Mutex::new(idle),
+        }
     }
 
     /// As [`RedisConnection::ask`], on a connection that transfers nothing else. `len` is the size of the transferred file in bytes.
@@ -57,12 +66,29 @@ impl FileConnections {
         F: Future<Output = RedisResult<T>>,
     {
         let until = Instant::now() + limit;
-        let Ok(Ok(_permit)) = timeout(limit, self.permits.acquire()).await else { return Err(StoreError::Away) };
-        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let Some(connection) = idle else { return Err(StoreError::Away) };
-        let mut transfer = Transfer { files: self, connection, is_reusable: false };
-        let answer = transfer.connection.ask(until.saturating_duration_since(Instant::now()), ask).await;
-        transfer.is_reusable = answer.as_ref().is_ok_and(|answer| len(answer) <= LARGE_FILE);
+        let Ok(Ok(_permit)) = timeout(limit, self.permits.acquire()).await else {
+            return Err(StoreError::Away);
+        };
+        let idle = self
+            .idle
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop();
+        let Some(connection) = idle else {
+            return Err(StoreError::Away);
+        };
+        let mut transfer = Transfer {
+            files: self,
+            connection,
+            is_reusable: false,
+        };
+        let answer = transfer
+            .connection
+            .ask(until.saturating_duration_since(Instant::now()), ask)
+            .await;
+        transfer.is_reusable = answer
+            .as_ref()
+            .is_ok_and(|answer| len(answer) <= LARGE_FILE);
         answer
     }
 }

@@ -27,7 +27,9 @@ use redis::{Cmd, FromRedisValue, Pipeline};
 
 use super::record;
 use super::record::Unreadable;
-use super::{Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError};
+use super::{
+    Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError,
+};
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
@@ -87,7 +89,10 @@ impl RedisStore {
     /// A store on the server of that address, which may be down at this moment.
     /// Errors: The client library rejects the address.
     pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
-        let not_opened = |e: redis::RedisError| NotOpened { what: address.to_string(), why: e.to_string() };
+        let not_opened = |e: redis::RedisError| NotOpened {
+            what: address.to_string(),
+            why: e.to_string(),
+        };
         let endpoint = Endpoint::new("records", address, true).map_err(not_opened)?;
         let files_endpoint = Endpoint::new("files", address, false).map_err(not_opened)?;
         Ok(Self(Arc::new(RedisStoreState {
@@ -108,21 +113,41 @@ impl RedisStore {
 impl RedisStoreState {
     async fn call<T: FromRedisValue>(&self, call: Call) -> Result<T, StoreError> {
         let call = &call;
-        self.connection.ask(ANSWER_TIMEOUT, |mut connection| async move { call.invoke_async(&mut connection).await }).await
+        self.connection
+            .ask(ANSWER_TIMEOUT, |mut connection| async move {
+                call.invoke_async(&mut connection).await
+            })
+            .await
     }
 
-    async fn run<T: FromRedisValue>(&self, limit: Duration, command: &Cmd) -> Result<T, StoreError> {
-        self.connection.ask(limit, |mut connection| async move { command.query_async(&mut connection).await }).await
+    async fn run<T: FromRedisValue>(
+        &self,
+        limit: Duration,
+        command: &Cmd,
+    ) -> Result<T, StoreError> {
+        self.connection
+            .ask(limit, |mut connection| async move {
+                command.query_async(&mut connection).await
+            })
+            .await
     }
 
     fn session(&self, record: Arc<Record>, seq: Option<u64>, left: Duration) -> Session {
-        Session { record, seq, expires: SystemTime::now() + left.min(self.idle) }
+        Session {
+            record,
+            seq,
+            expires: SystemTime::now() + left.min(self.idle),
+        }
     }
 
     /// Forgets a session that the server does not have.
     fn absent(&self, id: SessionId, status: i64) -> StoreError {
         self.sessions.forget(id);
-        if status == status::EXPIRED { StoreError::Expired { idle: self.idle } } else { StoreError::NoSuchSession }
+        if status == status::EXPIRED {
+            StoreError::Expired { idle: self.idle }
+        } else {
+            StoreError::NoSuchSession
+        }
     }
 
     /// Reads a stored record. `None`: it is damaged, which counts as no session.
@@ -153,8 +178,13 @@ impl RedisStoreState {
     async fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Result<Put, StoreError> {
         for _ in 0..PUT_ATTEMPTS {
             // A file that is there is not sent, and an unreadable record is not replaced.
-            let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) = self.call(script::same(&record, self.idle)).await?;
-            let old = if status == status::ABSENT { None } else { self.readable(record.id, &bytes)? };
+            let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) =
+                self.call(script::same(&record, self.idle)).await?;
+            let old = if status == status::ABSENT {
+                None
+            } else {
+                self.readable(record.id, &bytes)?
+            };
             if status == status::FOUND
                 && let Some(old) = old
             {
@@ -162,8 +192,13 @@ impl RedisStoreState {
             }
             // The server has just answered.
             self.files_endpoint.health().paused_until = None;
-            let replaces = Replaces { revision, is_readable: old.is_some() };
-            let (status, seq) = self.send(&files, &script::put(&record, &files, &replaces, self.idle)).await?;
+            let replaces = Replaces {
+                revision,
+                is_readable: old.is_some(),
+            };
+            let (status, seq) = self
+                .send(&files, &script::put(&record, &files, &replaces, self.idle))
+                .await?;
             match (status, old) {
                 (status::OTHER, _) => {}
                 // Only the file was missing.
@@ -182,7 +217,11 @@ impl RedisStoreState {
     }
 
     /// Runs a transaction that stores files; returns its script's reply.
-    async fn send(&self, files: &[NamedFile], transaction: &Pipeline) -> Result<(i64, String), StoreError> {
+    async fn send(
+        &self,
+        files: &[NamedFile],
+        transaction: &Pipeline,
+    ) -> Result<(i64, String), StoreError> {
         let len: usize = files.iter().map(|file| file.bytes.len()).sum();
         // At 4 MB a second.
         let limit = ANSWER_TIMEOUT + Duration::from_micros(len as u64 / 4);
@@ -197,9 +236,20 @@ impl RedisStoreState {
         Ok(Put::Same(self.session(record, seq, self.idle)))
     }
 
-    async fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Result<Option<Session>, StoreError> {
+    async fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: Option<NamedFile>,
+    ) -> Result<Option<Session>, StoreError> {
         let (status, seq): (i64, String) = match &layer {
-            Some(file) => self.send(layer.as_slice(), &script::revise_with(file, old, &new, self.idle)).await?,
+            Some(file) => {
+                self.send(
+                    layer.as_slice(),
+                    &script::revise_with(file, old, &new, self.idle),
+                )
+                .await?
+            }
             None => self.call(script::revise(old, &new, self.idle)).await?,
         };
         match status {
@@ -217,22 +267,42 @@ impl RedisStoreState {
         }
     }
 
-    async fn look_up(self: &Arc<Self>, id: SessionId, lookup: Lookup) -> Result<Session, StoreError> {
-        let Some(cached) = self.sessions.get(id) else { return Arc::clone(self).ask(id, lookup, None).await };
-        match self.ask_briefly(Arc::clone(self).ask(id, lookup, Some(Arc::clone(&cached)))).await {
+    async fn look_up(
+        self: &Arc<Self>,
+        id: SessionId,
+        lookup: Lookup,
+    ) -> Result<Session, StoreError> {
+        let Some(cached) = self.sessions.get(id) else {
+            return Arc::clone(self).ask(id, lookup, None).await;
+        };
+        match self
+            .ask_briefly(Arc::clone(self).ask(id, lookup, Some(Arc::clone(&cached))))
+            .await
+        {
             Err(StoreError::Away | StoreError::NoRoom) => {
                 let mut progress = cached.progress();
                 if let Lookup::Touch(seq) = lookup {
                     progress.seq = progress.seq.max(seq);
                 }
-                Ok(self.session(Arc::clone(&cached.record), progress.seq, self.idle.saturating_sub(progress.confirmed.elapsed())))
+                Ok(self.session(
+                    Arc::clone(&cached.record),
+                    progress.seq,
+                    self.idle.saturating_sub(progress.confirmed.elapsed()),
+                ))
             }
             answer => answer,
         }
     }
 
-    async fn ask(self: Arc<Self>, id: SessionId, lookup: Lookup, cached: Option<Arc<CachedSession>>) -> Result<Session, StoreError> {
-        let known = cached.as_deref().map(|cached| (cached.record.as_ref(), cached.progress().seq));
+    async fn ask(
+        self: Arc<Self>,
+        id: SessionId,
+        lookup: Lookup,
+        cached: Option<Arc<CachedSession>>,
+    ) -> Result<Session, StoreError> {
+        let known = cached
+            .as_deref()
+            .map(|cached| (cached.record.as_ref(), cached.progress().seq));
         let call = match lookup {
             Lookup::Peek => script::peek(id, known.map(|(record, _)| record), self.idle),
             Lookup::Touch(seq) => script::touch(id, seq, known, self.idle),
@@ -241,7 +311,10 @@ impl RedisStoreState {
         if status != status::FOUND {
             return Err(self.absent(id, status));
         }
-        let (seq, left) = (number(&seq)?, Duration::from_millis(u64::try_from(left).unwrap_or(0)));
+        let (seq, left) = (
+            number(&seq)?,
+            Duration::from_millis(u64::try_from(left).unwrap_or(0)),
+        );
         if let Some(cached) = cached.as_ref().filter(|_| bytes.is_empty()) {
             let mut progress = cached.progress();
             // This process may know of higher numbers, given while the server did not answer.
@@ -251,8 +324,12 @@ impl RedisStoreState {
             }
             return Ok(self.session(Arc::clone(&cached.record), progress.seq, left));
         }
-        let record = self.readable(id, &bytes)?.ok_or(StoreError::NoSuchSession)?;
-        let here = cached.filter(|cached| cached.record.created == record.created).and_then(|cached| cached.progress().seq);
+        let record = self
+            .readable(id, &bytes)?
+            .ok_or(StoreError::NoSuchSession)?;
+        let here = cached
+            .filter(|cached| cached.record.created == record.created)
+            .and_then(|cached| cached.progress().seq);
         let seq = seq.max(here);
         match lookup {
             Lookup::Touch(_) => self.sessions.learn(Arc::clone(&record), seq),
@@ -268,7 +345,11 @@ impl RedisStoreState {
         &self,
         answer: impl Future<Output = Result<T, StoreError>> + Send + 'static,
     ) -> Result<T, StoreError> {
-        let backed_off_until = || self.backed_off_until.lock().unwrap_or_else(PoisonError::into_inner);
+        let backed_off_until = || {
+            self.backed_off_until
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+        };
         if backed_off_until().is_some_and(|until| Instant::now() < until) {
             return Err(StoreError::Away);
         }
@@ -284,7 +365,11 @@ impl RedisStoreState {
     async fn delete(&self, id: SessionId) -> Result<(), StoreError> {
         let status = self.call(script::delete(id, self.idle)).await?;
         let absent = self.absent(id, status);
-        if status == status::FOUND { Ok(()) } else { Err(absent) }
+        if status == status::FOUND {
+            Ok(())
+        } else {
+            Err(absent)
+        }
     }
 
     async fn file_bytes(&self, id: SessionId, digest: Digest) -> Result<u64, StoreError> {
@@ -303,25 +388,47 @@ impl RedisStoreState {
             }
         };
         let len = |file: &Option<Vec<u8>>| file.as_ref().map_or(0, Vec::len);
-        let file = Bytes::from(self.files.ask(FILE_TIMEOUT, len, ask).await?.ok_or(StoreError::NoSuchSession)?);
+        let file = Bytes::from(
+            self.files
+                .ask(FILE_TIMEOUT, len, ask)
+                .await?
+                .ok_or(StoreError::NoSuchSession)?,
+        );
         let hashed = file.clone();
-        let found = tokio::task::spawn_blocking(move || Digest::of(&hashed)).await.map_err(|_| StoreError::Away)?;
+        let found = tokio::task::spawn_blocking(move || Digest::of(&hashed))
+            .await
+            .map_err(|_| StoreError::Away)?;
         // A replaced session has another picture's file, and so has one without that layer.
-        if found == digest { Ok(file) } else { Err(StoreError::NoSuchSession) }
+        if found == digest {
+            Ok(file)
+        } else {
+            Err(StoreError::NoSuchSession)
+        }
     }
 
     async fn ready(&self) -> Result<(), StoreError> {
-        let readiness = || self.readiness.lock().unwrap_or_else(PoisonError::into_inner);
+        let readiness = || {
+            self.readiness
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+        };
         let known = readiness().filter(|(at, _)| at.elapsed() < READY_TIMEOUT);
         let is_ready = match known {
             Some((_, is_ready)) => is_ready,
             None => {
-                let is_ready = self.run::<String>(READY_TIMEOUT, &redis::cmd("PING")).await.is_ok();
+                let is_ready = self
+                    .run::<String>(READY_TIMEOUT, &redis::cmd("PING"))
+                    .await
+                    .is_ok();
                 *readiness() = Some((Instant::now(), is_ready));
                 is_ready
             }
         };
-        if is_ready { Ok(()) } else { Err(StoreError::Away) }
+        if is_ready {
+            Ok(())
+        } else {
+            Err(StoreError::Away)
+        }
     }
 }
 
@@ -330,7 +437,12 @@ impl Store for RedisStore {
         Box::pin(self.0.put(record, files))
     }
 
-    fn revise(&self, old: Revision, new: Arc<Record>, layer: Option<NamedFile>) -> Answer<'_, Option<Session>> {
+    fn revise(
+        &self,
+        old: Revision,
+        new: Arc<Record>,
+        layer: Option<NamedFile>,
+    ) -> Answer<'_, Option<Session>> {
         Box::pin(self.0.revise(old, new, layer))
     }
 

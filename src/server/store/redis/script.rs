@@ -135,7 +135,8 @@ redis.call('PEXPIRE', KEYS[2], ARGV[1])
 redis.call('PEXPIRE', KEYS[3], 2 * ARGV[1])
 return {2, is[2] or ''}";
 
-static REVISE_ALONE: LazyLock<Script> = LazyLock::new(|| Script::new(&[KEEP_NAMED, REVISE].concat()));
+static REVISE_ALONE: LazyLock<Script> =
+    LazyLock::new(|| Script::new(&[KEEP_NAMED, REVISE].concat()));
 
 /// KEYS[4]: says that the session was deleted before. ARGV: idle.
 static DELETE: LazyLock<Script> = LazyLock::new(|| {
@@ -156,7 +157,11 @@ pub(crate) type Call = ScriptInvocation<'static>;
 
 /// Reads a sequence number; an empty text means that there is no number.
 pub(crate) fn number(digits: &str) -> Result<Option<u64>, StoreError> {
-    if digits.is_empty() { Ok(None) } else { digits.parse().map(Some).map_err(|_| StoreError::Away) }
+    if digits.is_empty() {
+        Ok(None)
+    } else {
+        digits.parse().map(Some).map_err(|_| StoreError::Away)
+    }
 }
 
 /// Writes a sequence number; the empty string sorts before all of them.
@@ -169,12 +174,18 @@ fn revision(revision: Revision) -> String {
 }
 
 fn life(created: SystemTime) -> String {
-    created.duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos().to_string()
+    created
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default()
+        .as_nanos()
+        .to_string()
 }
 
 fn millis(idle: Duration) -> u64 {
     // The scripts compute twice as much, in floating point.
-    u64::try_from(idle.as_millis()).unwrap_or(u64::MAX).clamp(1, 1 << 50)
+    u64::try_from(idle.as_millis())
+        .unwrap_or(u64::MAX)
+        .clamp(1, 1 << 50)
 }
 
 pub(crate) fn key(id: SessionId, part: &str) -> String {
@@ -206,30 +217,65 @@ pub(crate) struct Replaces {
 }
 
 /// Stores the files and the record in one transaction.
-pub(crate) fn put(record: &Record, files: &[NamedFile], replaces: &Replaces, idle: Duration) -> Pipeline {
+pub(crate) fn put(
+    record: &Record,
+    files: &[NamedFile],
+    replaces: &Replaces,
+    idle: Duration,
+) -> Pipeline {
     let upload = key(record.id, "upload");
     let mut transaction = redis::pipe();
     transaction.atomic();
     for file in files {
         if file.digest == record.image {
-            transaction.cmd("SET").arg(&upload).arg(&file.bytes[..]).arg("PX").arg(millis(idle)).ignore();
+            transaction
+                .cmd("SET")
+                .arg(&upload)
+                .arg(&file.bytes[..])
+                .arg("PX")
+                .arg(millis(idle))
+                .ignore();
         }
-        if record.layers.values().any(|layer| layer.digest == file.digest) {
+        if record
+            .layers
+            .values()
+            .any(|layer| layer.digest == file.digest)
+        {
             set_layer(&mut transaction, record.id, file);
         }
     }
-    transaction.cmd("EVAL").arg([KEEP_NAMED, PUT].concat()).arg(4).arg(&keys(record.id)).arg(upload).arg(millis(idle));
-    transaction.arg(made(record).to_string()).arg(write(record)).arg(revision(record.revision)).arg(life(record.created));
-    transaction.arg(&replaces.revision).arg(u8::from(replaces.is_readable));
+    transaction
+        .cmd("EVAL")
+        .arg([KEEP_NAMED, PUT].concat())
+        .arg(4)
+        .arg(&keys(record.id))
+        .arg(upload)
+        .arg(millis(idle));
+    transaction
+        .arg(made(record).to_string())
+        .arg(write(record))
+        .arg(revision(record.revision))
+        .arg(life(record.created));
+    transaction
+        .arg(&replaces.revision)
+        .arg(u8::from(replaces.is_readable));
     transaction
 }
 
 /// `cached`: the record in this process, and the highest number that it knows of.
-pub(crate) fn touch(id: SessionId, seq: Option<u64>, cached: Option<(&Record, Option<u64>)>, idle: Duration) -> Call {
+pub(crate) fn touch(
+    id: SessionId,
+    seq: Option<u64>,
+    cached: Option<(&Record, Option<u64>)>,
+    idle: Duration,
+) -> Call {
     let mut call = call(&TOUCH, id, idle);
     call.arg(digits(seq));
     match cached {
-        Some((record, seq)) => call.arg(revision(record.revision)).arg(life(record.created)).arg(digits(seq)),
+        Some((record, seq)) => call
+            .arg(revision(record.revision))
+            .arg(life(record.created))
+            .arg(digits(seq)),
         None => call.arg("").arg("").arg(""),
     };
     call
@@ -242,7 +288,12 @@ pub(crate) fn peek(id: SessionId, cached: Option<&Record>, idle: Duration) -> Ca
 }
 
 fn set_layer(transaction: &mut Pipeline, id: SessionId, file: &NamedFile) {
-    transaction.cmd("HSET").arg(key(id, "session")).arg(layer(file.digest)).arg(&file.bytes[..]).ignore();
+    transaction
+        .cmd("HSET")
+        .arg(key(id, "session"))
+        .arg(layer(file.digest))
+        .arg(&file.bytes[..])
+        .ignore();
 }
 
 /// The field of a layer's file.
@@ -252,16 +303,33 @@ fn layer(digest: Digest) -> String {
 
 pub(crate) fn revise(old: Revision, new: &Record, idle: Duration) -> Call {
     let mut call = call(&REVISE_ALONE, new.id, idle);
-    call.arg(revision(old)).arg(made(new).to_string()).arg(write(new)).arg(revision(new.revision));
+    call.arg(revision(old))
+        .arg(made(new).to_string())
+        .arg(write(new))
+        .arg(revision(new.revision));
     call
 }
 
 /// As [`revise`], with the file of a layer.
-pub(crate) fn revise_with(file: &NamedFile, old: Revision, new: &Record, idle: Duration) -> Pipeline {
+pub(crate) fn revise_with(
+    file: &NamedFile,
+    old: Revision,
+    new: &Record,
+    idle: Duration,
+) -> Pipeline {
     let mut transaction = redis::pipe();
     set_layer(transaction.atomic(), new.id, file);
-    transaction.cmd("EVAL").arg([KEEP_NAMED, REVISE].concat()).arg(3).arg(&keys(new.id)).arg(millis(idle));
-    transaction.arg(revision(old)).arg(made(new).to_string()).arg(write(new)).arg(revision(new.revision));
+    transaction
+        .cmd("EVAL")
+        .arg([KEEP_NAMED, REVISE].concat())
+        .arg(3)
+        .arg(&keys(new.id))
+        .arg(millis(idle));
+    transaction
+        .arg(revision(old))
+        .arg(made(new).to_string())
+        .arg(write(new))
+        .arg(revision(new.revision));
     transaction
 }
 
@@ -274,7 +342,9 @@ pub(crate) fn delete(id: SessionId, idle: Duration) -> Call {
 /// Bytes of the layer's file of that digest, and of the picture's file; 0 if one is not there.
 pub(crate) fn file_bytes(id: SessionId, digest: Digest) -> Pipeline {
     let mut both = redis::pipe();
-    both.cmd("HSTRLEN").arg(key(id, "session")).arg(layer(digest));
+    both.cmd("HSTRLEN")
+        .arg(key(id, "session"))
+        .arg(layer(digest));
     both.cmd("STRLEN").arg(key(id, "file"));
     both
 }
@@ -284,5 +354,8 @@ pub(crate) fn picture_file(id: SessionId) -> Cmd {
 }
 
 pub(crate) fn layer_file(id: SessionId, digest: Digest) -> Cmd {
-    redis::cmd("HGET").arg(key(id, "session")).arg(layer(digest)).take()
+    redis::cmd("HGET")
+        .arg(key(id, "session"))
+        .arg(layer(digest))
+        .take()
 }

@@ -46,7 +46,14 @@ struct SessionCacheState {
 
 impl SessionCache {
     pub(crate) fn new(idle: Duration, limit: u64) -> Self {
-        Self { idle, limit, state: Mutex::new(SessionCacheState { sessions: LruCache::unbounded(), bytes: 0 }) }
+        Self {
+            idle,
+            limit,
+            state: Mutex::new(SessionCacheState {
+                sessions: LruCache::unbounded(),
+                bytes: 0,
+            }),
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, SessionCacheState> {
@@ -58,21 +65,34 @@ impl SessionCache {
     pub(crate) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
         let mut state = self.lock();
         let before = state.sessions.pop(&record.id);
-        state.bytes -= before.as_ref().map_or(0, |before| record_bytes(&before.record));
+        state.bytes -= before
+            .as_ref()
+            .map_or(0, |before| record_bytes(&before.record));
         let before = before.filter(|before| before.record.created == record.created);
         let seq = seq.max(before.and_then(|before| before.progress().seq));
         state.bytes += record_bytes(&record);
-        let progress = Mutex::new(Progress { seq, confirmed: Instant::now() });
-        state.sessions.put(record.id, Arc::new(CachedSession { record, progress }));
+        let progress = Mutex::new(Progress {
+            seq,
+            confirmed: Instant::now(),
+        });
+        state
+            .sessions
+            .put(record.id, Arc::new(CachedSession { record, progress }));
         while state.bytes > self.limit {
-            let Some((_, oldest)) = state.sessions.pop_lru() else { break };
+            let Some((_, oldest)) = state.sessions.pop_lru() else {
+                break;
+            };
             state.bytes -= record_bytes(&oldest.record);
         }
     }
 
     /// The session, unless it has expired since the server confirmed it.
     pub(crate) fn get(&self, id: SessionId) -> Option<Arc<CachedSession>> {
-        self.lock().sessions.get(&id).filter(|cached| cached.progress().confirmed.elapsed() < self.idle).cloned()
+        self.lock()
+            .sessions
+            .get(&id)
+            .filter(|cached| cached.progress().confirmed.elapsed() < self.idle)
+            .cloned()
     }
 
     pub(crate) fn forget(&self, id: SessionId) {
@@ -88,7 +108,11 @@ impl SessionCache {
         let (before, mut bytes) = (state.sessions.len(), 0);
         state.sessions.retain(|_, cached| {
             let is_kept = cached.progress().confirmed.elapsed() < self.idle;
-            bytes += if is_kept { record_bytes(&cached.record) } else { 0 };
+            bytes += if is_kept {
+                record_bytes(&cached.record)
+            } else {
+                0
+            };
             is_kept
         });
         state.bytes = bytes;
@@ -97,7 +121,9 @@ impl SessionCache {
 
     /// Whether a cached session of that owner names that file.
     pub(crate) fn names(&self, owner: Owner, digest: Digest) -> bool {
-        self.lock().sessions.iter().any(|(id, cached)| id.owner() == owner && cached.record.files().any(|file| file == digest))
+        self.lock().sessions.iter().any(|(id, cached)| {
+            id.owner() == owner && cached.record.files().any(|file| file == digest)
+        })
     }
 
     /// The number of sessions, and their bytes.
@@ -122,9 +148,18 @@ mod tests {
         assert_eq!(cache.size(), (14, 14 * 512));
         assert!(cache.get(records[2].id).is_none() && cache.get(records[3].id).is_some());
         cache.learn(Arc::clone(&records[16]), Some(2));
-        assert_eq!((cache.size(), cache.get(records[16].id).unwrap().progress().seq), ((14, 14 * 512), Some(2)));
+        assert_eq!(
+            (
+                cache.size(),
+                cache.get(records[16].id).unwrap().progress().seq
+            ),
+            ((14, 14 * 512), Some(2))
+        );
         cache.forget(records[16].id);
-        assert!(!cache.names(records[16].id.owner(), records[16].image) && cache.names(records[15].id.owner(), records[15].image));
+        assert!(
+            !cache.names(records[16].id.owner(), records[16].image)
+                && cache.names(records[15].id.owner(), records[15].image)
+        );
         let brief = SessionCache::new(Duration::ZERO, 1 << 20);
         brief.learn(Arc::clone(&records[0]), None);
         assert!(brief.get(records[0].id).is_none());

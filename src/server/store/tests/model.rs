@@ -18,7 +18,11 @@ const IDLE: Duration = Duration::from_millis(400);
 const NAMES: usize = 5;
 
 pub(crate) const fn bounds() -> Bounds {
-    Bounds { idle: IDLE, sessions: 5, bytes: 5500 }
+    Bounds {
+        idle: IDLE,
+        sessions: 5,
+        bytes: 5500,
+    }
 }
 
 /// Enough chance for a test (splitmix64).
@@ -82,20 +86,30 @@ fn is_within(used: Moment, span: Duration, asked: Moment) -> Truth {
 
 impl Known {
     fn lives(&self, asked: Moment) -> Truth {
-        self.live.as_ref().map_or(Truth::No, |live| is_within(live.used, IDLE, asked))
+        self.live
+            .as_ref()
+            .map_or(Truth::No, |live| is_within(live.used, IDLE, asked))
     }
 
     fn was_deleted(&self, asked: Moment) -> Truth {
-        self.deleted.map_or(Truth::No, |deleted| is_within(deleted, IDLE, asked))
+        self.deleted
+            .map_or(Truth::No, |deleted| is_within(deleted, IDLE, asked))
     }
 
     /// The answer says that there is no such session: that must be possible, and is believed.
     fn absent(&mut self, error: &StoreError, asked: Moment, what: &str) {
-        assert_ne!(self.lives(asked), Truth::Yes, "{what}: lost: {error:?}; {self:?}");
+        assert_ne!(
+            self.lives(asked),
+            Truth::Yes,
+            "{what}: lost: {error:?}; {self:?}"
+        );
         if let Some(live) = self.live.take() {
             (self.dead, self.swept) = (Some(live), false);
         }
-        let told = self.dead.as_ref().map_or(Truth::No, |dead| is_within(dead.used, 2 * IDLE, asked));
+        let told = self
+            .dead
+            .as_ref()
+            .map_or(Truth::No, |dead| is_within(dead.used, 2 * IDLE, asked));
         let right = match error {
             StoreError::Expired { .. } => told != Truth::No,
             StoreError::NoSuchSession => told != Truth::Yes || self.forgets,
@@ -113,7 +127,11 @@ impl Known {
 
 impl Live {
     fn is(&self, session: &Session, what: &str) {
-        assert_eq!((&session.record, session.seq), (&self.record, self.seq), "{what}");
+        assert_eq!(
+            (&session.record, session.seq),
+            (&self.record, self.seq),
+            "{what}"
+        );
     }
 
     fn bytes(&self) -> u64 {
@@ -147,7 +165,11 @@ pub(crate) async fn follows<S: Store>(
             0..=4 => {
                 let picture = dice.picture(4);
                 let base = made_anew(&ids[k], picture);
-                let new = if dice.below(2) == 0 { base } else { with_weights(&base, 1 + dice.below(2) * 40) };
+                let new = if dice.below(2) == 0 {
+                    base
+                } else {
+                    with_weights(&base, 1 + dice.below(2) * 40)
+                };
                 let answer = store.put(Arc::clone(&new), files(picture)).await;
                 let asked = asked();
                 // What there would be, with those that may live and with those that do.
@@ -172,7 +194,10 @@ pub(crate) async fn follows<S: Store>(
                 match answer {
                     Err(StoreError::Full { .. }) => {
                         let (n, bytes) = lives(&all, false);
-                        assert!(is_bounded && (n > b.sessions || bytes > b.bytes), "{what}: full at {n} sessions, {bytes} bytes");
+                        assert!(
+                            is_bounded && (n > b.sessions || bytes > b.bytes),
+                            "{what}: full at {n} sessions, {bytes} bytes"
+                        );
                         *seen.entry("full").or_default() += 1;
                     }
                     Err(error) => panic!("{what}: {error:?}"),
@@ -186,7 +211,10 @@ pub(crate) async fn follows<S: Store>(
                     Ok(put) => {
                         if is_bounded {
                             let (n, bytes) = lives(&all, true);
-                            assert!(n <= b.sessions && bytes <= b.bytes, "{what}: {n} sessions, {bytes} bytes");
+                            assert!(
+                                n <= b.sessions && bytes <= b.bytes,
+                                "{what}: {n} sessions, {bytes} bytes"
+                            );
                         }
                         let truth = all[k].lives(asked);
                         let session = match put {
@@ -198,30 +226,51 @@ pub(crate) async fn follows<S: Store>(
                                 session
                             }
                             Put::Created(session) => {
-                                assert_ne!(truth, Truth::Yes, "{what}: lost: created though it was there");
+                                assert_ne!(
+                                    truth,
+                                    Truth::Yes,
+                                    "{what}: lost: created though it was there"
+                                );
                                 *seen.entry("created").or_default() += 1;
                                 session
                             }
                             Put::Same(_) => unreachable!(),
                         };
-                        let live = Live { record: new, seq: None, used: asked };
+                        let live = Live {
+                            record: new,
+                            seq: None,
+                            used: asked,
+                        };
                         live.is(&session, &what);
-                        all[k] = Known { live: Some(live), ..Known::default() };
+                        all[k] = Known {
+                            live: Some(live),
+                            ..Known::default()
+                        };
                     }
                 }
             }
             5 | 6 => {
                 let right = dice.below(3) > 0;
-                let base = all[k].live.as_ref().map_or_else(|| Arc::clone(&ids[k]), |live| Arc::clone(&live.record));
+                let base = all[k]
+                    .live
+                    .as_ref()
+                    .map_or_else(|| Arc::clone(&ids[k]), |live| Arc::clone(&live.record));
                 let mut new = with_weights(&base, 1 + dice.below(3));
                 let mut layer = None;
                 if dice.below(2) == 0 {
-                    let (name, added) = (["a", "region"][dice.below(2)], (dice.below(3) > 0).then(|| dice.picture(6)));
+                    let (name, added) = (
+                        ["a", "region"][dice.below(2)],
+                        (dice.below(3) > 0).then(|| dice.picture(6)),
+                    );
                     new = with_layer(&new, name, added);
                     layer = added.and_then(|added| files(added).pop());
                     *seen.entry("layers").or_default() += 1;
                 }
-                let old = if right { base.revision } else { Revision::random() };
+                let old = if right {
+                    base.revision
+                } else {
+                    Revision::random()
+                };
                 let answer = store.revise(old, Arc::clone(&new), layer).await;
                 let asked = asked();
                 match answer {
@@ -269,29 +318,44 @@ pub(crate) async fn follows<S: Store>(
                 let asked = asked();
                 match answer {
                     Ok(()) if all[k].lives(asked) == Truth::No => {
-                        assert_ne!(all[k].was_deleted(asked), Truth::No, "{what}: deleted what was not there: {:?}", all[k]);
+                        assert_ne!(
+                            all[k].was_deleted(asked),
+                            Truth::No,
+                            "{what}: deleted what was not there: {:?}",
+                            all[k]
+                        );
                         *seen.entry("deleted again").or_default() += 1;
                     }
                     Ok(()) => {
-                        all[k] = Known { deleted: Some(asked), ..Known::default() };
+                        all[k] = Known {
+                            deleted: Some(asked),
+                            ..Known::default()
+                        };
                         *seen.entry("deleted").or_default() += 1;
                     }
                     Err(error) => {
-                        let is_forgotten = all[k].forgets || all[k].was_deleted(asked) != Truth::Yes;
+                        let is_forgotten =
+                            all[k].forgets || all[k].was_deleted(asked) != Truth::Yes;
                         assert!(is_forgotten, "{what}: {error:?}; {:?}", all[k]);
                         all[k].absent(&error, asked, &what);
                     }
                 }
             }
             13 | 14 => {
-                let Some(live) = all[k].live.clone() else { continue };
+                let Some(live) = all[k].live.clone() else {
+                    continue;
+                };
                 let named: Vec<Digest> = live.record.files().collect();
                 let digest = named[dice.below(named.len())];
                 match store.file(id, digest).await {
                     Ok(bytes) => assert_eq!(Digest::of(&bytes), digest, "{what}"),
                     Err(error) => {
                         assert_eq!(error, StoreError::NoSuchSession, "{what}");
-                        assert_ne!(all[k].lives(asked()), Truth::Yes, "{what}: its picture is lost");
+                        assert_ne!(
+                            all[k].lives(asked()),
+                            Truth::Yes,
+                            "{what}: its picture is lost"
+                        );
                     }
                 }
             }
@@ -301,11 +365,20 @@ pub(crate) async fn follows<S: Store>(
                 let asked = asked();
                 let figures = store.figures();
                 if is_bounded && all.iter().all(|known| known.lives(asked) != Truth::Either) {
-                    let living: Vec<&Live> =
-                        all.iter().filter(|known| known.lives(asked) == Truth::Yes).flat_map(|known| &known.live).collect();
-                    let files: HashSet<Digest> = living.iter().flat_map(|live| live.record.files()).collect();
-                    let bytes = living.iter().map(|live| live.bytes()).sum::<u64>() + 1000 * files.len() as u64;
-                    assert_eq!((figures.sessions, figures.bytes), (living.len() as u64, bytes), "{what}");
+                    let living: Vec<&Live> = all
+                        .iter()
+                        .filter(|known| known.lives(asked) == Truth::Yes)
+                        .flat_map(|known| &known.live)
+                        .collect();
+                    let files: HashSet<Digest> =
+                        living.iter().flat_map(|live| live.record.files()).collect();
+                    let bytes = living.iter().map(|live| live.bytes()).sum::<u64>()
+                        + 1000 * files.len() as u64;
+                    assert_eq!(
+                        (figures.sessions, figures.bytes),
+                        (living.len() as u64, bytes),
+                        "{what}"
+                    );
                     *seen.entry("swept").or_default() += 1;
                 }
             }
@@ -329,14 +402,21 @@ pub(crate) async fn follows<S: Store>(
                     }
                     match found {
                         Ok(session) => {
-                            let live = known.live.as_mut().unwrap_or_else(|| panic!("{what}: came back"));
+                            let live = known
+                                .live
+                                .as_mut()
+                                .unwrap_or_else(|| panic!("{what}: came back"));
                             live.is(&session, &what);
                             if lives_anew {
                                 live.used = Moment(again, Instant::now());
                             }
                         }
                         Err(error) => {
-                            assert_ne!(truth, Truth::Yes, "{what}: lost after it was opened again: {error:?}");
+                            assert_ne!(
+                                truth,
+                                Truth::Yes,
+                                "{what}: lost after it was opened again: {error:?}"
+                            );
                             known.absent(&error, Moment(again, Instant::now()), &what);
                         }
                     }
@@ -349,31 +429,50 @@ pub(crate) async fn follows<S: Store>(
 
 /// Each of some clients has sessions of its own, all of the same few pictures, and looks at everybody's pictures: nobody loses anything by
 /// what the others do.
-pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(stores: Vec<Arc<S>>, span: Duration) {
+pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(
+    stores: Vec<Arc<S>>,
+    span: Duration,
+) {
     let mut clients = Vec::new();
     for client in 0..4 {
         let stores = stores.clone();
         clients.push(tokio::spawn(async move {
             let (mut dice, began, mut changes) = (Dice(client), Instant::now(), 0);
-            let mut mine: Vec<(Arc<Record>, Option<u8>)> = (0..2).map(|_| (record(0), None)).collect();
+            let mut mine: Vec<(Arc<Record>, Option<u8>)> =
+                (0..2).map(|_| (record(0), None)).collect();
             while began.elapsed() < span {
                 let store = |dice: &mut Dice| &stores[dice.below(stores.len())];
                 let (held, there) = &mut mine[dice.below(2)];
                 match (dice.below(4), *there) {
                     (0, Some(_)) => {
-                        store(&mut dice).delete(held.id).await.expect("it was there");
+                        store(&mut dice)
+                            .delete(held.id)
+                            .await
+                            .expect("it was there");
                         *there = None;
                     }
                     (0..=1, _) => {
                         let picture = dice.picture(2);
                         let new = made_anew(held, picture);
-                        let (Put::Created(session) | Put::Same(session) | Put::Replaced(session, _)) =
+                        let (Put::Created(session)
+                        | Put::Same(session)
+                        | Put::Replaced(session, _)) =
                             store(&mut dice).put(new, files(picture)).await.unwrap();
                         (*held, *there) = (session.record, Some(picture));
                     }
                     (2, Some(picture)) => {
-                        assert_eq!(store(&mut dice).peek(held.id).await.expect("it was answered").record, *held);
-                        assert_eq!(store(&mut dice).file(held.id, held.image).await, Ok(file(picture)));
+                        assert_eq!(
+                            store(&mut dice)
+                                .peek(held.id)
+                                .await
+                                .expect("it was answered")
+                                .record,
+                            *held
+                        );
+                        assert_eq!(
+                            store(&mut dice).file(held.id, held.image).await,
+                            Ok(file(picture))
+                        );
                     }
                     _ => {
                         // Whether it is there is no matter.
@@ -394,6 +493,12 @@ pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(sto
     for client in clients {
         all += client.await.expect("a client lost something");
     }
-    assert_eq!(stores.iter().map(|store| store.figures().damaged).sum::<u64>(), 0);
+    assert_eq!(
+        stores
+            .iter()
+            .map(|store| store.figures().damaged)
+            .sum::<u64>(),
+        0
+    );
     println!("{all} questions, nobody was disturbed");
 }

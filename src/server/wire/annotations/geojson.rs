@@ -12,7 +12,8 @@ use super::reader::{Geometry, Object, Reader};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
-const SHAPES: &str = "GeoJSON: a FeatureCollection, a list of features, one Feature, or one geometry";
+const SHAPES: &str =
+    "GeoJSON: a FeatureCollection, a list of features, one Feature, or one geometry";
 const FEATURES: &str = "an array of GeoJSON features";
 const OBJECT: &str = "a GeoJSON Feature or geometry: {\"type\": ...}";
 const GEOMETRY: &str = "a GeoJSON geometry: {\"type\": \"Polygon\", \"coordinates\": [...]}";
@@ -52,7 +53,11 @@ pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(Shape, &'j str), Prob
     match &*kind.string(SHAPES)? {
         "FeatureCollection" => {
             let features = features.ok_or_else(|| node.missing("features", FEATURES))?;
-            if features.kind() == Kind::Array { Ok((Shape::FeatureCollection, features.text)) } else { Err(features.wrong_kind(FEATURES)) }
+            if features.kind() == Kind::Array {
+                Ok((Shape::FeatureCollection, features.text))
+            } else {
+                Err(features.wrong_kind(FEATURES))
+            }
         }
         name if name == "Feature" || is_geometry_type(name) => Ok((Shape::Single, node.text)),
         name => Err(kind.unexpected(SHAPES, format_args!("the type {}", quote(name)))),
@@ -61,7 +66,8 @@ pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(Shape, &'j str), Prob
 
 /// Whether a text is GeoJSON and not an object of annotations.
 pub(super) fn is_geojson(node: &Node<'_, '_>) -> bool {
-    let is_type = |name: &str| ["FeatureCollection", "Feature"].contains(&name) || is_geometry_type(name);
+    let is_type =
+        |name: &str| ["FeatureCollection", "Feature"].contains(&name) || is_geometry_type(name);
     match node.kind() {
         Kind::Array => true,
         Kind::Object => type_of(node).is_some_and(|name| is_type(&name)),
@@ -70,7 +76,10 @@ pub(super) fn is_geojson(node: &Node<'_, '_>) -> bool {
 }
 
 /// The members of a FeatureCollection, without its features.
-pub(super) fn read_collection<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
+pub(super) fn read_collection<'j>(
+    node: &Node<'j, '_>,
+    reader: &mut Reader<'j>,
+) -> Result<(), Problem> {
     let first = reader.line_count();
     let [bbox] = node.find(&["bbox"])?;
     object(reader, |reader| {
@@ -92,7 +101,11 @@ pub(super) fn read_object<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> R
             let [own, properties, bbox] = node.find(&["geometry", "properties", "bbox"])?;
             own.map(|own| geometry(&own, reader)).transpose()?;
             let own = first..reader.line_count();
-            members(node, &["type", "id", "geometry", "properties", "bbox"], reader)?;
+            members(
+                node,
+                &["type", "id", "geometry", "properties", "bbox"],
+                reader,
+            )?;
             if let Some(properties) = properties.filter(|p| p.kind() == Kind::Object) {
                 members(&properties, &[], reader)?;
             }
@@ -109,22 +122,39 @@ pub(super) fn read_object<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> R
 type Own<'j> = (std::ops::Range<usize>, Option<&'j str>);
 
 /// Reads an object with geometries by `read`.
-fn object<'j>(reader: &mut Reader<'j>, read: impl FnOnce(&mut Reader<'j>) -> Result<Own<'j>, Problem>) -> Result<(), Problem> {
+fn object<'j>(
+    reader: &mut Reader<'j>,
+    read: impl FnOnce(&mut Reader<'j>) -> Result<Own<'j>, Problem>,
+) -> Result<(), Problem> {
     let count = |reader: &Reader<'_>| reader.kept.as_ref().map_or(0, |kept| kept.geometries.len());
     let first = count(reader);
     let (own, bbox) = read(reader)?;
     let geometries = first..count(reader);
     if let Some(kept) = &mut reader.kept {
-        kept.objects.push(Object { geometries, own, bbox });
+        kept.objects.push(Object {
+            geometries,
+            own,
+            bbox,
+        });
     }
     Ok(())
 }
 
 /// The members that are geometries, without the `known` ones.
-fn members<'j>(node: &Node<'j, '_>, known: &[&str], reader: &mut Reader<'j>) -> Result<(), Problem> {
+fn members<'j>(
+    node: &Node<'j, '_>,
+    known: &[&str],
+    reader: &mut Reader<'j>,
+) -> Result<(), Problem> {
     for (name, text) in node.pairs().filter(|(_, text)| text.starts_with('{')) {
-        let Some(name) = Node::name(name).filter(|name| !known.contains(&&**name)) else { continue };
-        let member = Node { text, at: At::Member(&node.at, &name), work: node.work };
+        let Some(name) = Node::name(name).filter(|name| !known.contains(&&**name)) else {
+            continue;
+        };
+        let member = Node {
+            text,
+            at: At::Member(&node.at, &name),
+            work: node.work,
+        };
         if is_geometry(&member) {
             geometry(&member, reader)?;
         }
@@ -143,9 +173,16 @@ fn is_geometry_type(name: &str) -> bool {
 
 /// Whether a member that has any name is a geometry: it has the type and the list of one.
 fn is_geometry(node: &Node<'_, '_>) -> bool {
-    let Some(name) = type_of(node).filter(|name| is_geometry_type(name)) else { return false };
-    let list = if name == COLLECTION { "geometries" } else { "coordinates" };
-    node.find(&[list]).is_ok_and(|[list]| list.is_some_and(|list| list.kind() == Kind::Array))
+    let Some(name) = type_of(node).filter(|name| is_geometry_type(name)) else {
+        return false;
+    };
+    let list = if name == COLLECTION {
+        "geometries"
+    } else {
+        "coordinates"
+    };
+    node.find(&[list])
+        .is_ok_and(|[list]| list.is_some_and(|list| list.kind() == Kind::Array))
 }
 
 fn geometry<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
@@ -153,7 +190,11 @@ fn geometry<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Prob
     nested(node, reader, &mut boxes, 0)?;
     let lines = first..reader.line_count();
     if let Some(kept) = &mut reader.kept {
-        kept.geometries.push(Geometry { text: node.text, lines, boxes });
+        kept.geometries.push(Geometry {
+            text: node.text,
+            lines,
+            boxes,
+        });
     }
     Ok(())
 }
@@ -168,7 +209,8 @@ fn nested<'j>(
     if node.kind() != Kind::Object {
         return Err(node.wrong_kind(GEOMETRY));
     }
-    let [kind, coordinates, geometries, bbox] = node.find(&["type", "coordinates", "geometries", "bbox"])?;
+    let [kind, coordinates, geometries, bbox] =
+        node.find(&["type", "coordinates", "geometries", "bbox"])?;
     let kind = kind.ok_or_else(|| node.missing("type", GEOMETRY))?;
     let (name, first) = (kind.string(GEOMETRY)?, reader.line_count());
     if name == COLLECTION {
@@ -177,13 +219,21 @@ fn nested<'j>(
             return Err(node.problem(Code::BadValue, detail));
         }
         let missing = || node.missing("geometries", "an array of GeoJSON geometries");
-        geometries.ok_or_else(missing)?.items("an array of GeoJSON geometries", |_, inner| nested(&inner, reader, boxes, depth + 1))?;
+        geometries
+            .ok_or_else(missing)?
+            .items("an array of GeoJSON geometries", |_, inner| {
+                nested(&inner, reader, boxes, depth + 1)
+            })?;
     } else {
         let Some((_, depth, edges)) = GEOMETRIES.iter().find(|(known, ..)| *known == name) else {
             return Err(kind.unexpected(GEOMETRY, format_args!("the type {}", quote(&name))));
         };
         let positions = coordinates.ok_or_else(|| node.missing("coordinates", "an array"))?;
-        if name == "Point" { single(&positions, reader)? } else { lists(&positions, *depth, *edges, reader)? }
+        if name == "Point" {
+            single(&positions, reader)?
+        } else {
+            lists(&positions, *depth, *edges, reader)?
+        }
     }
     // Only what is kept is replaced.
     if let (Some(bbox), true) = (bbox, reader.kept.is_some()) {
@@ -202,15 +252,26 @@ fn single<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Proble
     if is_empty {
         return Ok(());
     }
-    reader.line(node.text, Edges::None, true, |reader| position(node, reader))
+    reader.line(node.text, Edges::None, true, |reader| {
+        position(node, reader)
+    })
 }
 
 /// Lists of positions in lists of this depth.
-fn lists<'j>(node: &Node<'j, '_>, depth: usize, edges: Edges, reader: &mut Reader<'j>) -> Result<(), Problem> {
+fn lists<'j>(
+    node: &Node<'j, '_>,
+    depth: usize,
+    edges: Edges,
+    reader: &mut Reader<'j>,
+) -> Result<(), Problem> {
     if depth > 0 {
-        return node.items("an array of arrays of positions", |_, inner| lists(&inner, depth - 1, edges, reader));
+        return node.items("an array of arrays of positions", |_, inner| {
+            lists(&inner, depth - 1, edges, reader)
+        });
     }
-    reader.line(node.text, edges, false, |reader| node.items("an array of positions", |_, item| position(&item, reader)))
+    reader.line(node.text, edges, false, |reader| {
+        node.items("an array of positions", |_, item| position(&item, reader))
+    })
 }
 
 /// A position of two numbers, or more: those after them, such as a height, stay as they are.
@@ -229,7 +290,11 @@ fn position<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Prob
         1 => Err(node.unexpected(POSITION, "1 number")),
         // Without the bracket.
         _ => {
-            let more = node.text.get(end..node.text.len() - 1).unwrap_or_default().trim_end();
+            let more = node
+                .text
+                .get(end..node.text.len() - 1)
+                .unwrap_or_default()
+                .trim_end();
             reader.place(node, Point::new(place[0], place[1]), more)
         }
     }

@@ -76,7 +76,10 @@ impl AnnotationKind {
 
 /// Whether a file is GeoJSON, not a JSON object with annotations in its fields.
 pub(crate) fn is_geojson(file: &[u8]) -> bool {
-    let text = std::str::from_utf8(file).ok().map(str::trim).unwrap_or_default();
+    let text = std::str::from_utf8(file)
+        .ok()
+        .map(str::trim)
+        .unwrap_or_default();
     geojson::is_geojson(&Node::new(text, At::Root))
 }
 
@@ -95,12 +98,16 @@ impl Annotations {
             (AnnotationKind::Boxes, boxes),
             (AnnotationKind::GeoJson, geojson),
         ];
-        let mut given: Vec<_> = fields.into_iter().filter_map(|(kind, node)| Some((kind, node?))).collect();
+        let mut given: Vec<_> = fields
+            .into_iter()
+            .filter_map(|(kind, node)| Some((kind, node?)))
+            .collect();
         // The position in the text is the order of the request.
         given.sort_by_key(|(_, node)| node.text.as_ptr());
         let (mut kinds, mut positions, mut samples, image) = (Vec::new(), 0, 0, image(is_inverse));
         for (kind, node) in given {
-            let mut reader = Reader::checking(image, is_refined || kind == AnnotationKind::Boxes, samples);
+            let mut reader =
+                Reader::checking(image, is_refined || kind == AnnotationKind::Boxes, samples);
             let (shape, items) = kind.read_all(&node, &mut reader)?;
             let start = items.as_ptr() as usize - node.text.as_ptr() as usize;
             let items = match shape {
@@ -112,9 +119,20 @@ impl Annotations {
             positions += reader.positions;
             let seen;
             (seen, samples) = reader.finish(&node)?;
-            kinds.push(Annotation { kind, shape, text, items, seen });
+            kinds.push(Annotation {
+                kind,
+                shape,
+                text,
+                items,
+                seen,
+            });
         }
-        Ok(Self { kinds, is_inverse, is_refined, positions })
+        Ok(Self {
+            kinds,
+            is_inverse,
+            is_refined,
+            positions,
+        })
     }
 
     /// Adds what the annotations of this image cause to the warnings of the handles.
@@ -139,20 +157,32 @@ impl Annotation {
 
 impl AnnotationKind {
     /// Reads a field, whose form and annotations it returns.
-    fn read_all<'j>(self, node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(Shape, &'j str), Problem> {
+    fn read_all<'j>(
+        self,
+        node: &Node<'j, '_>,
+        reader: &mut Reader<'j>,
+    ) -> Result<(Shape, &'j str), Problem> {
         let expected = match self {
             Self::Points => "an array of positions",
             Self::Polygons => "an array of polygons",
             Self::Boxes => "an array of boxes",
             Self::GeoJson => "an array of GeoJSON features",
         };
-        let (shape, text) = if self == Self::GeoJson { shape_of(node)? } else { (Shape::List, node.text) };
+        let (shape, text) = if self == Self::GeoJson {
+            shape_of(node)?
+        } else {
+            (Shape::List, node.text)
+        };
         let features = At::Field(&node.at, "features");
         let list = match shape {
             Shape::List => *node,
             Shape::FeatureCollection => {
                 read_collection(node, reader)?;
-                Node { text, at: features, work: node.work }
+                Node {
+                    text,
+                    at: features,
+                    work: node.work,
+                }
             }
             Shape::Single => return self.read_item(node, reader).map(|()| (shape, text)),
         };
@@ -184,13 +214,22 @@ fn read_polygon<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), 
             reader.place(&vertex, place(&vertex, PLACE)?, "")
         })
     })?;
-    if count < 3 { Err(node.unexpected(POLYGON, format_args!("{count} positions")).actual(count)) } else { Ok(()) }
+    if count < 3 {
+        Err(node
+            .unexpected(POLYGON, format_args!("{count} positions"))
+            .actual(count))
+    } else {
+        Ok(())
+    }
 }
 
 fn read_box<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Problem> {
     let (mut sides, mut count) = ([0.0; 4], 0);
     node.items::<Problem>(BOX, |index, side| {
-        *sides.get_mut(index).ok_or_else(|| node.unexpected(BOX, "more than 4 numbers"))? = number(&side, "a number")?;
+        *sides
+            .get_mut(index)
+            .ok_or_else(|| node.unexpected(BOX, "more than 4 numbers"))? =
+            number(&side, "a number")?;
         count += 1;
         Ok(())
     })?;
@@ -203,6 +242,9 @@ fn read_box<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Prob
         return Err(node.unexpected(BOX, found));
     }
     let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
-    reader
-        .line(node.text, Edges::Closed, false, |reader| corners.into_iter().try_for_each(|(x, y)| reader.place(node, Point::new(x, y), "")))
+    reader.line(node.text, Edges::Closed, false, |reader| {
+        corners
+            .into_iter()
+            .try_for_each(|(x, y)| reader.place(node, Point::new(x, y), ""))
+    })
 }

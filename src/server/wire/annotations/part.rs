@@ -9,7 +9,10 @@ use mlswarp::warp::{MappedOutline, Outline, Transform, WarpError};
 use super::super::json::{At, Node, next_value};
 use super::geojson::{Shape, read_collection};
 use super::reader::{Kept, Line, Reader};
-use super::write::{Bounds, Tail, items, write_head, write_items, write_objects, write_place, write_places, write_tail};
+use super::write::{
+    Bounds, Tail, items, write_head, write_items, write_objects, write_place, write_places,
+    write_tail,
+};
 use super::{Annotation, AnnotationKind, Annotations};
 use crate::problem::Problem;
 
@@ -50,12 +53,18 @@ struct Mapping<'a> {
 impl Cursor {
     /// Continues an object that has fields and no last bracket.
     pub(crate) fn after_fields() -> Self {
-        Self { has_fields: true, ..Self::default() }
+        Self {
+            has_fields: true,
+            ..Self::default()
+        }
     }
 
     /// Writes the value of the field in place of an object, if there is only one.
     pub(crate) fn bare() -> Self {
-        Self { is_bare: true, ..Self::default() }
+        Self {
+            is_bare: true,
+            ..Self::default()
+        }
     }
 }
 
@@ -71,11 +80,17 @@ impl Annotations {
         reserve: Reserve<'_>,
         out: &mut Vec<u8>,
     ) -> Result<bool, Problem> {
-        let mapping = Mapping { transform, is_refined: self.is_refined, cancelled };
+        let mapping = Mapping {
+            transform,
+            is_refined: self.is_refined,
+            cancelled,
+        };
         let is_bare = cursor.is_bare && self.kinds.len() == 1;
         if let (Some(kind), 0, None) = (self.kinds.first(), cursor.kind, cursor.next) {
             // What would take too long is refused before anything is written.
-            transform.check_positions(self.positions).map_err(|error| kind.problem(error))?;
+            transform
+                .check_positions(self.positions)
+                .map_err(|error| kind.problem(error))?;
         }
         if !(is_bare || cursor.has_fields) {
             out.push(b'{');
@@ -138,7 +153,9 @@ impl Annotation {
     fn around_bytes(&self) -> u64 {
         let around = self.text.len() - self.items.len();
         // Once as it is read, and its copies.
-        reading_bytes(&self.text[..self.items.start]) + reading_bytes(&self.text[self.items.end..]) + 2 * around as u64
+        reading_bytes(&self.text[..self.items.start])
+            + reading_bytes(&self.text[self.items.end..])
+            + 2 * around as u64
     }
 
     /// Writes the text before the annotations.
@@ -203,7 +220,12 @@ impl Annotation {
         }
         let mapped = self.map_lines(&kept, mapping)?;
         let vertices: usize = mapped.iter().flatten().map(|line| line.places.len()).sum();
-        let more = kept.more.iter().map(|more| more.len()).max().unwrap_or_default();
+        let more = kept
+            .more
+            .iter()
+            .map(|more| more.len())
+            .max()
+            .unwrap_or_default();
         reserve_text(text.len() + (PLACE_TEXT + more) * vertices, reserve, out)?;
         let mut lines = mapped.iter();
         match self.kind {
@@ -226,7 +248,11 @@ impl Annotation {
     fn map_lines(
         &self,
         kept: &Kept<'_>,
-        Mapping { transform, is_refined, cancelled }: &Mapping<'_>,
+        Mapping {
+            transform,
+            is_refined,
+            cancelled,
+        }: &Mapping<'_>,
     ) -> Result<Vec<Option<MappedOutline>>, Problem> {
         let tolerance = match self.kind {
             AnnotationKind::Boxes => Some(BOX_WITHIN),
@@ -234,7 +260,10 @@ impl Annotation {
         };
         let outline = |line: &Line<'_>| {
             let places = &kept.places[line.places.clone()];
-            Outline { places, edges: line.edges }
+            Outline {
+                places,
+                edges: line.edges,
+            }
         };
         let outlines: Vec<Outline<'_>> = kept.lines.iter().map(outline).collect();
         let mapped = transform.map_outlines(&outlines, tolerance, *cancelled);
@@ -243,7 +272,9 @@ impl Annotation {
 
     fn problem(&self, error: WarpError) -> Problem {
         match error {
-            WarpError::BadPlace { .. } | WarpError::TooLarge { .. } => Problem::from(error).pointer(format!("/{}", self.name())),
+            WarpError::BadPlace { .. } | WarpError::TooLarge { .. } => {
+                Problem::from(error).pointer(format!("/{}", self.name()))
+            }
             error => error.into(),
         }
     }

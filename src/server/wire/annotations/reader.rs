@@ -64,7 +64,13 @@ pub(super) struct Object<'j> {
 impl<'j> Reader<'j> {
     /// `image`: that of the positions; `samples`: those of other annotations.
     pub(super) fn checking(image: Frame, is_refined: bool, samples: usize) -> Self {
-        Self { image: Some(image), is_refined, samples, kept: None, ..Self::keeping() }
+        Self {
+            image: Some(image),
+            is_refined,
+            samples,
+            kept: None,
+            ..Self::keeping()
+        }
     }
 
     /// For positions that have been checked.
@@ -85,7 +91,11 @@ impl<'j> Reader<'j> {
     pub(super) fn finish(self, node: &Node<'_, '_>) -> Result<(Seen, usize), Problem> {
         let (limit, actual) = (SAMPLES as u64, self.samples as u64);
         if self.samples > SAMPLES {
-            let error = WarpError::TooLarge { what: "outline_samples", limit, actual };
+            let error = WarpError::TooLarge {
+                what: "outline_samples",
+                limit,
+                actual,
+            };
             return Err(Problem::from(error).pointer(node.at.to_string()));
         }
         Ok((self.seen, self.samples))
@@ -98,12 +108,21 @@ impl<'j> Reader<'j> {
 
     /// A position. `more`: what its text has after the second number.
     /// Errors: It is out of range.
-    pub(super) fn place(&mut self, node: &Node<'j, '_>, place: Point, more: &'j str) -> Result<(), Problem> {
+    pub(super) fn place(
+        &mut self,
+        node: &Node<'j, '_>,
+        place: Point,
+        more: &'j str,
+    ) -> Result<(), Problem> {
         if let Some(image) = self.image {
             let px = image.to_plane(place);
             let is_in_range = |c: &f64| c.abs() <= MAX_COORDINATE;
             if let Some(value) = [px.x, px.y].into_iter().find(|c| !is_in_range(c)) {
-                let error = WarpError::BadPlace { index: 0, value, limit: MAX_COORDINATE };
+                let error = WarpError::BadPlace {
+                    index: 0,
+                    value,
+                    limit: MAX_COORDINATE,
+                };
                 return Err(Problem::from(error).pointer(node.at.to_string()));
             }
             self.seen.add(place);
@@ -137,7 +156,12 @@ impl<'j> Reader<'j> {
             self.edge(last, first);
         }
         if let Some(kept) = &mut self.kept {
-            kept.lines.push(Line { text, edges, is_single, places: start..kept.places.len() });
+            kept.lines.push(Line {
+                text,
+                edges,
+                is_single,
+                places: start..kept.places.len(),
+            });
         }
         Ok(())
     }

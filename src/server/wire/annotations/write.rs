@@ -42,36 +42,57 @@ type Mapped = [Option<MappedOutline>];
 
 impl Default for Bounds {
     fn default() -> Self {
-        Self([f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY])
+        Self([
+            f64::INFINITY,
+            f64::INFINITY,
+            f64::NEG_INFINITY,
+            f64::NEG_INFINITY,
+        ])
     }
 }
 
 impl Bounds {
     pub(super) fn of(line: &MappedOutline) -> Self {
         let mut bounds = Self::default();
-        line.places.iter().for_each(|p| bounds.merge(Self([p.x, p.y, p.x, p.y])));
+        line.places
+            .iter()
+            .for_each(|p| bounds.merge(Self([p.x, p.y, p.x, p.y])));
         bounds
     }
 
     fn of_lines(lines: &Mapped) -> Self {
         let mut bounds = Self::default();
-        lines.iter().flatten().for_each(|line| bounds.merge(Self::of(line)));
+        lines
+            .iter()
+            .flatten()
+            .for_each(|line| bounds.merge(Self::of(line)));
         bounds
     }
 
     pub(super) const fn merge(&mut self, Self([left, top, right, bottom]): Self) {
         let Self(own) = self;
-        *own = [own[0].min(left), own[1].min(top), own[2].max(right), own[3].max(bottom)];
+        *own = [
+            own[0].min(left),
+            own[1].min(top),
+            own[2].max(right),
+            own[3].max(bottom),
+        ];
     }
 
     /// `null` if it is empty.
     pub(super) fn write(self, out: &mut Vec<u8>) {
-        if self.0[0] <= self.0[2] { write_json(&self.0, out) } else { out.extend(b"null") }
+        if self.0[0] <= self.0[2] {
+            write_json(&self.0, out)
+        } else {
+            out.extend(b"null")
+        }
     }
 
     /// The box in place of one with these numbers, of which further dimensions stay.
     fn write_like(self, text: &str, out: &mut Vec<u8>) {
-        let sides: Vec<&str> = text.strip_prefix('[').map_or_else(Vec::new, |inside| items(inside).collect());
+        let sides: Vec<&str> = text
+            .strip_prefix('[')
+            .map_or_else(Vec::new, |inside| items(inside).collect());
         let half = sides.len() / 2;
         if sides.len() <= SIDES || !sides.len().is_multiple_of(2) || self.0[0] > self.0[2] {
             return self.write(out);
@@ -98,12 +119,21 @@ pub(super) fn items(text: &str) -> impl Iterator<Item = &str> {
 }
 
 /// Writes values in place of those in a text; `null` stays.
-pub(super) fn write_items(text: &str, mut is_first: bool, out: &mut Vec<u8>, mut each: impl FnMut(&mut Vec<u8>)) {
+pub(super) fn write_items(
+    text: &str,
+    mut is_first: bool,
+    out: &mut Vec<u8>,
+    mut each: impl FnMut(&mut Vec<u8>),
+) {
     for item in items(text) {
         if !std::mem::take(&mut is_first) {
             out.push(b',');
         }
-        if item == "null" { out.extend(b"null") } else { each(out) }
+        if item == "null" {
+            out.extend(b"null")
+        } else {
+            each(out)
+        }
     }
 }
 
@@ -122,7 +152,11 @@ pub(super) fn write_place(place: Point, more: &str, out: &mut Vec<u8>) {
 }
 
 /// Writes a list of positions.
-pub(super) fn write_places<'a>(line: &MappedOutline, more: impl Fn(f64) -> Cow<'a, str>, out: &mut Vec<u8>) {
+pub(super) fn write_places<'a>(
+    line: &MappedOutline,
+    more: impl Fn(f64) -> Cow<'a, str>,
+    out: &mut Vec<u8>,
+) {
     out.push(b'[');
     for (k, (place, at)) in line.places.iter().zip(&line.at).enumerate() {
         if k > 0 {
@@ -134,13 +168,22 @@ pub(super) fn write_places<'a>(line: &MappedOutline, more: impl Fn(f64) -> Cow<'
 }
 
 /// Writes a text of GeoJSON objects; returns the box around those that a bounding box is about.
-pub(super) fn write_objects(text: &str, kept: &Kept<'_>, mapped: &Mapped, out: &mut Vec<u8>) -> Bounds {
+pub(super) fn write_objects(
+    text: &str,
+    kept: &Kept<'_>,
+    mapped: &Mapped,
+    out: &mut Vec<u8>,
+) -> Bounds {
     let (mut replaced, mut all) = (Vec::new(), Bounds::default());
     for object in &kept.objects {
         add_geometries(object, kept, mapped, &mut replaced);
         let own = mapped.get(object.own.clone()).unwrap_or_default();
         // A geometry that is null has no box.
-        let bounds = if own.iter().all(Option::is_some) { Bounds::of_lines(own) } else { Bounds::default() };
+        let bounds = if own.iter().all(Option::is_some) {
+            Bounds::of_lines(own)
+        } else {
+            Bounds::default()
+        };
         all.merge(bounds);
         replaced.extend(object.bbox.map(|bbox| (bbox, New::Bounds(bounds))));
     }
@@ -150,9 +193,17 @@ pub(super) fn write_objects(text: &str, kept: &Kept<'_>, mapped: &Mapped, out: &
 
 /// Writes a FeatureCollection up to its features; returns the rest. Its bounding box is known when
 /// they have been mapped: one that stands before them is moved to the end.
-pub(super) fn write_head(text: &str, features: Range<usize>, kept: &Kept<'_>, mapped: &Mapped, out: &mut Vec<u8>) -> Tail {
+pub(super) fn write_head(
+    text: &str,
+    features: Range<usize>,
+    kept: &Kept<'_>,
+    mapped: &Mapped,
+    out: &mut Vec<u8>,
+) -> Tail {
     let (mut before, mut tail) = (Vec::new(), Tail::default());
-    kept.objects.iter().for_each(|object| add_geometries(object, kept, mapped, &mut before));
+    kept.objects
+        .iter()
+        .for_each(|object| add_geometries(object, kept, mapped, &mut before));
     let split = |(old, _): &(&str, New)| offset(text, old) < features.start;
     let (mut before, after): (Replaced<'_>, Replaced<'_>) = before.into_iter().partition(split);
     let bbox = kept.objects.iter().find_map(|object| object.bbox);
@@ -160,14 +211,31 @@ pub(super) fn write_head(text: &str, features: Range<usize>, kept: &Kept<'_>, ma
     let at = bbox.map(|bbox| offset(text, bbox));
     match (bbox, at) {
         (Some(bbox), Some(at)) if at > features.end => {
-            let (first, second): (Replaced<'_>, Replaced<'_>) = after.into_iter().partition(|(old, _)| offset(text, old) < at);
+            let (first, second): (Replaced<'_>, Replaced<'_>) = after
+                .into_iter()
+                .partition(|(old, _)| offset(text, old) < at);
             write_replaced(text, features.end..at, first, lines, &mut tail.text);
             tail.bbox = Some((tail.text.len(), bbox.to_owned()));
-            write_replaced(text, at + bbox.len()..text.len(), second, lines, &mut tail.text);
+            write_replaced(
+                text,
+                at + bbox.len()..text.len(),
+                second,
+                lines,
+                &mut tail.text,
+            );
         }
         (Some(bbox), Some(at)) => {
-            before.push((text.get(pair_of(text, at)).unwrap_or_default(), New::Nothing));
-            write_replaced(text, features.end..text.len() - 1, after, lines, &mut tail.text);
+            before.push((
+                text.get(pair_of(text, at)).unwrap_or_default(),
+                New::Nothing,
+            ));
+            write_replaced(
+                text,
+                features.end..text.len() - 1,
+                after,
+                lines,
+                &mut tail.text,
+            );
             tail.text.extend(b",\"bbox\":");
             tail.bbox = Some((tail.text.len(), bbox.to_owned()));
             tail.text.push(b'}');
@@ -190,20 +258,35 @@ pub(super) fn write_tail(Tail { text, bbox, bounds }: &Tail, out: &mut Vec<u8>) 
 
 /// The lines and boxes of the geometries of an object; `null` for a geometry of which a position
 /// has no image.
-fn add_geometries<'j>(object: &Object<'j>, kept: &Kept<'j>, mapped: &Mapped, replaced: &mut Replaced<'j>) {
+fn add_geometries<'j>(
+    object: &Object<'j>,
+    kept: &Kept<'j>,
+    mapped: &Mapped,
+    replaced: &mut Replaced<'j>,
+) {
     for Geometry { text, lines, boxes } in &kept.geometries[object.geometries.clone()] {
         if mapped[lines.clone()].iter().any(Option::is_none) {
             replaced.push((text, New::Null));
             continue;
         }
-        replaced.extend(lines.clone().map(|line| (kept.lines[line].text, New::Line(line))));
+        replaced.extend(
+            lines
+                .clone()
+                .map(|line| (kept.lines[line].text, New::Line(line))),
+        );
         let bounds = |lines: &Range<usize>| New::Bounds(Bounds::of_lines(&mapped[lines.clone()]));
         replaced.extend(boxes.iter().map(|(text, lines)| (*text, bounds(lines))));
     }
 }
 
 /// Writes a range of a text with the replacements in it.
-fn write_replaced(text: &str, range: Range<usize>, mut replaced: Replaced<'_>, (kept, mapped): (&Kept<'_>, &Mapped), out: &mut Vec<u8>) {
+fn write_replaced(
+    text: &str,
+    range: Range<usize>,
+    mut replaced: Replaced<'_>,
+    (kept, mapped): (&Kept<'_>, &Mapped),
+    out: &mut Vec<u8>,
+) {
     replaced.sort_by_key(|(old, _)| offset(text, old));
     let mut at = range.start;
     for (old, new) in replaced {
@@ -221,14 +304,20 @@ fn write_replaced(text: &str, range: Range<usize>, mut replaced: Replaced<'_>, (
 }
 
 fn write_line(line: &Line<'_>, mapped: Option<&MappedOutline>, kept: &Kept<'_>, out: &mut Vec<u8>) {
-    let Some(mapped) = mapped else { return out.extend(b"null") };
+    let Some(mapped) = mapped else {
+        return out.extend(b"null");
+    };
     let more = |k: usize| kept.more(line.places.start + k);
     if line.is_single {
         let place = mapped.places.first().copied().unwrap_or_default();
         return write_place(place, more(0), out);
     }
     let vertex_and_share = |at: f64| {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "an index"
+        )]
         let vertex = at as usize;
         (vertex, at.fract())
     };
@@ -236,7 +325,11 @@ fn write_line(line: &Line<'_>, mapped: Option<&MappedOutline>, kept: &Kept<'_>, 
         mapped,
         |at| {
             let (k, t) = vertex_and_share(at);
-            if t > 0.0 { between(more(k), more(k + 1), t) } else { more(k).into() }
+            if t > 0.0 {
+                between(more(k), more(k + 1), t)
+            } else {
+                more(k).into()
+            }
         },
         out,
     );
@@ -244,7 +337,11 @@ fn write_line(line: &Line<'_>, mapped: Option<&MappedOutline>, kept: &Kept<'_>, 
 
 /// What an added vertex has after its two numbers: numbers between those of both ends of its edge.
 fn between<'j>(from: &'j str, to: &'j str, t: f64) -> Cow<'j, str> {
-    let numbers = |text: &str| items(text).map(|number| number.parse::<f64>().ok()).collect::<Option<Vec<_>>>();
+    let numbers = |text: &str| {
+        items(text)
+            .map(|number| number.parse::<f64>().ok())
+            .collect::<Option<Vec<_>>>()
+    };
     match (numbers(from), numbers(to)) {
         (Some(from), Some(to)) if from != to && from.len() == to.len() => {
             let number = |(a, b): (&f64, &f64)| format!(",{}", (1.0 - t) * a + t * b);
@@ -263,7 +360,9 @@ fn offset(text: &str, part: &str) -> usize {
 fn pair_of(text: &str, value: usize) -> Range<usize> {
     let (bytes, mut at) = (text.as_bytes(), 1);
     while let Some(name) = next_value(bytes, at) {
-        let Some(found) = next_value(bytes, name.end) else { break };
+        let Some(found) = next_value(bytes, name.end) else {
+            break;
+        };
         if found.start == value {
             let next = next_value(bytes, found.end).map_or(found.end, |next| next.start);
             return name.start..next;

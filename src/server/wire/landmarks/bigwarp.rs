@@ -11,11 +11,17 @@ use super::collect::Collector;
 use super::table::{Field, Row, Table, flag};
 use super::{Form, Format};
 
-pub(super) const FORMAT: Format = Format { name: "bigwarp", title: "BigWarp CSV", items: "tables", form: Form::Table(is_bigwarp, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "bigwarp",
+    title: "BigWarp CSV",
+    items: "tables",
+    form: Form::Table(is_bigwarp, read),
+};
 const CENTRE: f64 = 0.5;
 
 fn is_bigwarp(first: &Row) -> bool {
-    let is_flag = |text: &str| text.eq_ignore_ascii_case("true") || text.eq_ignore_ascii_case("false");
+    let is_flag =
+        |text: &str| text.eq_ignore_ascii_case("true") || text.eq_ignore_ascii_case("false");
     (6..=9).contains(&first.fields.len()) && is_flag(first.fields[1].text.trim())
 }
 
@@ -23,7 +29,12 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let Table { first, mut rows } = table;
     let width = first.fields.len();
     if width > 7 {
-        return Err(Bad::new(first.at, format!("expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 dimensions")));
+        return Err(Bad::new(
+            first.at,
+            format!(
+                "expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 dimensions"
+            ),
+        ));
     }
     let numbers = width - 4;
     let mut next = Some(first);

@@ -12,13 +12,19 @@ use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
 
-pub(super) const FORMAT: Format = Format { name: "bigwarp", title: "BigWarp JSON", items: "tables", form: Form::Json(is_bigwarp, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "bigwarp",
+    title: "BigWarp JSON",
+    items: "tables",
+    form: Form::Json(is_bigwarp, read),
+};
 const CENTRE: f64 = 0.5;
 const POINTS: &str = "an array of positions, [x, y] each";
 
 fn is_bigwarp(fields: &Fields<'_>) -> bool {
     let is_object = |name: &str| fields.kind(name) == Some(Kind::Object);
-    !fields.is_list && (fields.has("movingPoints") || is_object("landmarks") || is_object("Transform"))
+    !fields.is_list
+        && (fields.has("movingPoints") || is_object("landmarks") || is_object("Transform"))
 }
 
 fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
@@ -27,7 +33,12 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
         (Some(table), _) => read_table(text, &table, out),
         (None, Some(transform)) => {
             let [landmarks] = transform.find(&["landmarks"])?;
-            let missing = || Bad::new(offset(text, &transform), "expected `landmarks` in `Transform`; found a transform without them");
+            let missing = || {
+                Bad::new(
+                    offset(text, &transform),
+                    "expected `landmarks` in `Transform`; found a transform without them",
+                )
+            };
             read_table(text, &landmarks.ok_or_else(missing)?, out)
         }
         (None, None) => read_table(text, root, out),
@@ -35,7 +46,8 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
 }
 
 fn read_table(text: &str, table: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
-    let [moving, fixed, active, names] = table.find(&["movingPoints", "fixedPoints", "active", "names"])?;
+    let [moving, fixed, active, names] =
+        table.find(&["movingPoints", "fixedPoints", "active", "names"])?;
     let moving = moving.ok_or_else(|| table.missing("movingPoints", POINTS))?;
     let fixed = fixed.ok_or_else(|| table.missing("fixedPoints", POINTS))?;
     let p = points(text, &moving, out)?;
@@ -48,9 +60,16 @@ fn read_table(text: &str, table: &Node<'_, '_>, out: &mut Collector) -> Result<u
             Ok(())
         })
     })?;
-    let names = names.map(|names| super::own::read_names(text, &names, p.len())).transpose()?;
+    let names = names
+        .map(|names| super::own::read_names(text, &names, p.len()))
+        .transpose()?;
     if q.len() != p.len() || !(is_active.is_empty() || is_active.len() == p.len()) {
-        let detail = format!("expected {} fixed points and flags, as moving points; found {} and {}", p.len(), q.len(), is_active.len());
+        let detail = format!(
+            "expected {} fixed points and flags, as moving points; found {} and {}",
+            p.len(),
+            q.len(),
+            is_active.len()
+        );
         return Err(Bad::new(offset(text, &fixed), detail).into());
     }
     for (k, ((at, p), (_, q))) in p.into_iter().zip(q).enumerate() {
@@ -58,13 +77,20 @@ fn read_table(text: &str, table: &Node<'_, '_>, out: &mut Collector) -> Result<u
             out.pass(at)?;
             continue;
         }
-        let name = names.as_ref().map(|names| Located { at: names[k].0, text: &names[k].1 });
+        let name = names.as_ref().map(|names| Located {
+            at: names[k].0,
+            text: &names[k].1,
+        });
         out.pair(at, [Some(p), Some(q)], name)?;
     }
     Ok(offset(text, table))
 }
 
-fn points(text: &str, list: &Node<'_, '_>, out: &Collector) -> Result<Vec<(usize, [f64; 2])>, BadJson> {
+fn points(
+    text: &str,
+    list: &Node<'_, '_>,
+    out: &Collector,
+) -> Result<Vec<(usize, [f64; 2])>, BadJson> {
     let mut points = Vec::new();
     list.items::<BadJson>(POINTS, |index, item| {
         let at = offset(text, &item);
@@ -78,7 +104,11 @@ fn points(text: &str, list: &Node<'_, '_>, out: &Collector) -> Result<Vec<(usize
             Ok(())
         })?;
         if count != 2 {
-            return Err(Bad::new(at, format!("expected landmarks in 2 dimensions; found {count}")).into());
+            return Err(Bad::new(
+                at,
+                format!("expected landmarks in 2 dimensions; found {count}"),
+            )
+            .into());
         }
         points.push((at, place));
         Ok(())

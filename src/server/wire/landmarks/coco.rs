@@ -17,7 +17,12 @@ use crate::problem::Problem;
 use crate::wire::json::{At, Kind, Node, optional};
 use crate::wire::number::number;
 
-pub(super) const FORMAT: Format = Format { name: "coco", title: "COCO keypoints", items: "annotations", form: Form::Json(is_coco, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "coco",
+    title: "COCO keypoints",
+    items: "annotations",
+    form: Form::Json(is_coco, read),
+};
 const CENTRE: f64 = 0.5;
 const ANNOTATIONS: &str = "an array of annotations";
 const KEYPOINTS: &str = "an array of numbers, x, y and v of each keypoint";
@@ -25,7 +30,11 @@ const KEYPOINTS: &str = "an array of numbers, x, y and v of each keypoint";
 const MOST_IMAGES: usize = 1 << 16;
 
 fn is_coco(fields: &Fields<'_>) -> bool {
-    if fields.is_list { fields.has("keypoints") } else { fields.has("annotations") && (fields.has("images") || fields.has("categories")) }
+    if fields.is_list {
+        fields.has("keypoints")
+    } else {
+        fields.has("annotations") && (fields.has("images") || fields.has("categories"))
+    }
 }
 
 fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
@@ -33,22 +42,47 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
         return people(text, root, [None, None], out);
     }
     let [images, annotations, categories] = root.find(&["images", "annotations", "categories"])?;
-    people(text, &annotations.ok_or_else(|| root.missing("annotations", ANNOTATIONS))?, [images, categories], out)
+    people(
+        text,
+        &annotations.ok_or_else(|| root.missing("annotations", ANNOTATIONS))?,
+        [images, categories],
+        out,
+    )
 }
 
-fn people(text: &str, list: &Node<'_, '_>, [images, categories]: [Option<Node<'_, '_>>; 2], out: &mut Collector) -> Result<usize, BadJson> {
-    let files = images.map(|images| files(text, &images)).transpose()?.unwrap_or_default();
+fn people(
+    text: &str,
+    list: &Node<'_, '_>,
+    [images, categories]: [Option<Node<'_, '_>>; 2],
+    out: &mut Collector,
+) -> Result<usize, BadJson> {
+    let files = images
+        .map(|images| files(text, &images))
+        .transpose()?
+        .unwrap_or_default();
     list.items::<BadJson>(ANNOTATIONS, |_, person| {
         let at = offset(text, &person);
-        let [keypoints, image, id, category] = person.find(&["keypoints", "image_id", "id", "category_id"])?;
+        let [keypoints, image, id, category] =
+            person.find(&["keypoints", "image_id", "id", "category_id"])?;
         // Others are boxes and outlines.
-        let Some(keypoints) = keypoints else { return Ok(()) };
+        let Some(keypoints) = keypoints else {
+            return Ok(());
+        };
         let (count, labelled) = count(text, &keypoints)?;
         if labelled == 0 {
             return Ok(());
         }
-        let file = image.map(|image| name_in(&files.get(image.text).map_or(image, |file| Node::new(file, At::Root))));
-        let (file, part) = (file.transpose()?.unwrap_or_default(), optional(id, name_in)?.unwrap_or_default());
+        let file = image.map(|image| {
+            name_in(
+                &files
+                    .get(image.text)
+                    .map_or(image, |file| Node::new(file, At::Root)),
+            )
+        });
+        let (file, part) = (
+            file.transpose()?.unwrap_or_default(),
+            optional(id, name_in)?.unwrap_or_default(),
+        );
         if !out.item(at, &ItemNames::new(&file, &part).list())? {
             return Ok(());
         }
@@ -62,8 +96,15 @@ fn people(text: &str, list: &Node<'_, '_>, [images, categories]: [Option<Node<'_
             values[index % 3] = number(&value, "a number")?;
             if index % 3 == 2 {
                 let [x, y, v] = values;
-                let name = labels.get(k).map(|(at, name)| Located { at: *at, text: name });
-                out.point(offset(text, &value), (v > 0.0).then_some([x + CENTRE, y + CENTRE]), name)?;
+                let name = labels.get(k).map(|(at, name)| Located {
+                    at: *at,
+                    text: name,
+                });
+                out.point(
+                    offset(text, &value),
+                    (v > 0.0).then_some([x + CENTRE, y + CENTRE]),
+                    name,
+                )?;
                 k += 1;
             }
             Ok(())
@@ -81,7 +122,11 @@ fn count(text: &str, keypoints: &Node<'_, '_>) -> Result<(usize, usize), BadJson
         Ok(())
     })?;
     if numbers % 3 != 0 {
-        return Err(Bad::new(offset(text, keypoints), format!("expected {KEYPOINTS}; found {numbers} numbers")).into());
+        return Err(Bad::new(
+            offset(text, keypoints),
+            format!("expected {KEYPOINTS}; found {numbers} numbers"),
+        )
+        .into());
     }
     Ok((numbers / 3, labelled))
 }
@@ -103,7 +148,12 @@ fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, &'j s
 }
 
 /// The names of the keypoints of a category.
-fn labels(text: &str, categories: &Node<'_, '_>, wanted: &str, count: usize) -> Result<Vec<(usize, String)>, BadJson> {
+fn labels(
+    text: &str,
+    categories: &Node<'_, '_>,
+    wanted: &str,
+    count: usize,
+) -> Result<Vec<(usize, String)>, BadJson> {
     let mut labels = Vec::new();
     categories.items::<BadJson>("an array of categories", |_, category| {
         let [id, keypoints] = category.find(&["id", "keypoints"])?;

@@ -30,26 +30,41 @@ impl Located<'_> {
 
     /// Whether this cell has no value: it is empty, or not a number by its own account.
     pub(super) fn is_missing(self) -> bool {
-        ["", "nan", "na", "n/a"].iter().any(|missing| self.text.trim().eq_ignore_ascii_case(missing))
+        ["", "nan", "na", "n/a"]
+            .iter()
+            .any(|missing| self.text.trim().eq_ignore_ascii_case(missing))
     }
 
     /// As [`Located::number`]; `decimal_comma`: as spreadsheets of many countries write it.
     pub(super) fn parse(self, decimal_comma: bool) -> Result<f64, Bad> {
         let text = self.text.trim();
         let value = match text.parse() {
-            Err(_) if decimal_comma && text.contains(',') && text.len() <= 64 => text.replacen(',', ".", 1).parse(),
+            Err(_) if decimal_comma && text.contains(',') && text.len() <= 64 => {
+                text.replacen(',', ".", 1).parse()
+            }
             parsed => parsed,
         };
-        let found = if text.is_empty() { "nothing".to_owned() } else { quote(text) };
-        let value: f64 = value.map_err(|_| Bad::new(self.at, format!("expected a number; found {found}")))?;
+        let found = if text.is_empty() {
+            "nothing".to_owned()
+        } else {
+            quote(text)
+        };
+        let value: f64 =
+            value.map_err(|_| Bad::new(self.at, format!("expected a number; found {found}")))?;
         in_range(self.at, value, MAX_PX, &found)
     }
 }
 
 fn in_range(at: usize, value: f64, max: f64, found: &str) -> Result<f64, Bad> {
     match value {
-        _ if !value.is_finite() => Err(Bad::new(at, format!("expected a finite number; found {found}"))),
-        _ if value.abs() > max => Err(Bad::new(at, format!("expected a coordinate from -{max} to {max}; found {found}"))),
+        _ if !value.is_finite() => Err(Bad::new(
+            at,
+            format!("expected a finite number; found {found}"),
+        )),
+        _ if value.abs() > max => Err(Bad::new(
+            at,
+            format!("expected a coordinate from -{max} to {max}; found {found}"),
+        )),
         _ => Ok(value),
     }
 }
@@ -68,7 +83,11 @@ pub(super) enum Frame {
 impl Frame {
     /// The largest coordinate.
     fn max(self) -> f64 {
-        if self == Self::Normalized { MAX_NORMALIZED } else { MAX_PX }
+        if self == Self::Normalized {
+            MAX_NORMALIZED
+        } else {
+            MAX_PX
+        }
     }
 }
 
@@ -133,7 +152,17 @@ impl Collector {
     pub(super) fn new(max_columns: usize, item: Option<Item>) -> Self {
         let (p, q, at, names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (frame, unmatched, items) = (Frame::Px, Unmatched::default(), Items::new(item));
-        Self { max_columns, columns: 0, p, q, at, names, frame, unmatched, items }
+        Self {
+            max_columns,
+            columns: 0,
+            p,
+            q,
+            at,
+            names,
+            frame,
+            unmatched,
+            items,
+        }
     }
 
     pub(super) fn set_frame(&mut self, frame: Frame) {
@@ -147,7 +176,8 @@ impl Collector {
         let turn = self.items.next(at, names)?;
         if turn == Turn::ReadInstead {
             (self.columns, self.unmatched) = (0, Unmatched::default());
-            (self.p, self.q, self.at, self.names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+            (self.p, self.q, self.at, self.names) =
+                (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         }
         Ok(turn != Turn::Skip)
     }
@@ -155,26 +185,58 @@ impl Collector {
     /// Counts the columns of a handle of so many positions, before memory is allocated for it.
     /// Errors: Too many.
     pub(super) fn count(&mut self, at: usize, positions: usize) -> Result<(), Bad> {
-        self.columns = self.columns.saturating_add(if positions < 2 { 1 } else { 2 * (positions - 1) });
-        if self.columns > self.max_columns { Err(Bad::too_many(at, self.max_columns)) } else { Ok(()) }
+        self.columns = self.columns.saturating_add(if positions < 2 {
+            1
+        } else {
+            2 * (positions - 1)
+        });
+        if self.columns > self.max_columns {
+            Err(Bad::too_many(at, self.max_columns))
+        } else {
+            Ok(())
+        }
     }
 
     /// Errors: More positions than columns, for a list that is not counted yet.
     pub(super) fn require_below(&self, at: usize, positions: usize) -> Result<(), Bad> {
-        if positions > self.max_columns { Err(Bad::too_many(at, self.max_columns)) } else { Ok(()) }
+        if positions > self.max_columns {
+            Err(Bad::too_many(at, self.max_columns))
+        } else {
+            Ok(())
+        }
     }
 
     /// Adds a point of one side, or a landmark without a position; it is counted here.
-    pub(super) fn point(&mut self, at: usize, p: Option<[f64; 2]>, name: Option<Located<'_>>) -> Result<(), Bad> {
+    pub(super) fn point(
+        &mut self,
+        at: usize,
+        p: Option<[f64; 2]>,
+        name: Option<Located<'_>>,
+    ) -> Result<(), Bad> {
         self.count(at, 1)?;
-        self.push(Landmark { at, p: point(p), q: None, name })
+        self.push(Landmark {
+            at,
+            p: point(p),
+            q: None,
+            name,
+        })
     }
 
     /// Adds a point of both sides, or a landmark without a position on one; it is counted here.
-    pub(super) fn pair(&mut self, at: usize, sides: [Option<[f64; 2]>; 2], name: Option<Located<'_>>) -> Result<(), Bad> {
+    pub(super) fn pair(
+        &mut self,
+        at: usize,
+        sides: [Option<[f64; 2]>; 2],
+        name: Option<Located<'_>>,
+    ) -> Result<(), Bad> {
         self.count(at, 1)?;
         let [p, q] = sides.map(point);
-        self.push(Landmark { at, p, q: Some(q), name })
+        self.push(Landmark {
+            at,
+            p,
+            q: Some(q),
+            name,
+        })
     }
 
     /// Adds a landmark that has been counted.
@@ -187,7 +249,12 @@ impl Collector {
                 }
             }
         }
-        let name = name.map(|name| Located { text: name.text.trim(), ..name }).filter(|name| !name.text.is_empty());
+        let name = name
+            .map(|name| Located {
+                text: name.text.trim(),
+                ..name
+            })
+            .filter(|name| !name.text.is_empty());
         let (name_at, name) = match name {
             Some(name) => (name.at, Some(checked_name(name)?)),
             None => (at, None),
@@ -205,9 +272,18 @@ impl Collector {
     }
 
     /// Notes a landmark that has a position on one side only.
-    pub(super) fn one_sided(&mut self, at: usize, has_p: bool, name: Located<'_>) -> Result<(), Bad> {
+    pub(super) fn one_sided(
+        &mut self,
+        at: usize,
+        has_p: bool,
+        name: Located<'_>,
+    ) -> Result<(), Bad> {
         self.count(at, 1)?;
-        let side = if has_p { &mut self.unmatched.p } else { &mut self.unmatched.q };
+        let side = if has_p {
+            &mut self.unmatched.p
+        } else {
+            &mut self.unmatched.q
+        };
         side.push(checked_name(name)?);
         Ok(())
     }
@@ -215,20 +291,50 @@ impl Collector {
     /// The file. `end`: where a missing landmark would be.
     /// Errors: No landmarks, or names of some of them only; several items and none was chosen.
     pub(super) fn finish(self, format: &'static Format, end: usize) -> Result<File, Bad> {
-        let Self { p, q, at, names, frame, unmatched, items, .. } = self;
+        let Self {
+            p,
+            q,
+            at,
+            names,
+            frame,
+            unmatched,
+            items,
+            ..
+        } = self;
         items.check(format.items, end)?;
         if p.iter().all(|handle| *handle == Handle::Missing) {
-            let found = if p.is_empty() { "none" } else { "landmarks without positions only" };
-            return Err(Bad::new(end, format!("expected at least one landmark; found {found}")));
+            let found = if p.is_empty() {
+                "none"
+            } else {
+                "landmarks without positions only"
+            };
+            return Err(Bad::new(
+                end,
+                format!("expected at least one landmark; found {found}"),
+            ));
         }
         let q = (!q.is_empty()).then_some(q);
-        Ok(File { p, q, names: all_or_none(names)?, at, frame, format: format.name, unmatched })
+        Ok(File {
+            p,
+            q,
+            names: all_or_none(names)?,
+            at,
+            frame,
+            format: format.name,
+            unmatched,
+        })
     }
 }
 
 fn checked_name(name: Located<'_>) -> Result<String, Bad> {
     if name.text.len() > LONGEST_NAME {
-        return Err(Bad::new(name.at, format!("expected a name of at most {LONGEST_NAME} bytes; found {}", quote(name.text))));
+        return Err(Bad::new(
+            name.at,
+            format!(
+                "expected a name of at most {LONGEST_NAME} bytes; found {}",
+                quote(name.text)
+            ),
+        ));
     }
     Ok(name.text.to_owned())
 }
@@ -240,7 +346,14 @@ fn all_or_none(names: Vec<(usize, Option<String>)>) -> Result<Option<Vec<(usize,
     }
     let named = |(at, name): (usize, Option<String>)| match name {
         Some(name) => Ok((at, name)),
-        None => Err(Bad::new(at, "expected a name, because other landmarks have names; found none")),
+        None => Err(Bad::new(
+            at,
+            "expected a name, because other landmarks have names; found none",
+        )),
     };
-    names.into_iter().map(named).collect::<Result<_, _>>().map(Some)
+    names
+        .into_iter()
+        .map(named)
+        .collect::<Result<_, _>>()
+        .map(Some)
 }

@@ -10,7 +10,12 @@ use super::table::{Row, Table};
 use super::{Form, Format, titles};
 use crate::problem::words::quote;
 
-pub(super) const FORMAT: Format = Format { name: "csv", title: "CSV", items: "tables", form: Form::Table(|_| true, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "csv",
+    title: "CSV",
+    items: "tables",
+    form: Form::Table(|_| true, read),
+};
 pub(super) const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
 /// The most columns of a header that an error names.
 const MOST_NAMED: usize = 8;
@@ -33,7 +38,11 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
         None => unnamed(&first)?,
     };
     let mut mark = None;
-    let mut next = if header.is_some() { rows.next_row()? } else { Some(first) };
+    let mut next = if header.is_some() {
+        rows.next_row()?
+    } else {
+        Some(first)
+    };
     while let Some(row) = next {
         row.require_width(columns.width, columns.like)?;
         let name = columns.name.map(|name| row.fields[name].located());
@@ -63,12 +72,17 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
 
 /// Errors: Another decimal mark than in the numbers before.
 fn same_mark(field: Located<'_>, mark: &mut Option<char>) -> Result<(), Bad> {
-    let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)) else { return Ok(()) };
+    let Some(found) = field.text.chars().find(|c| [',', '.'].contains(c)) else {
+        return Ok(());
+    };
     if *mark.get_or_insert(found) == found {
         return Ok(());
     }
     let expected = if found == '.' { "comma" } else { "point" };
-    let detail = format!("expected a decimal {expected}, as in the numbers before; found {}", quote(field.text));
+    let detail = format!(
+        "expected a decimal {expected}, as in the numbers before; found {}",
+        quote(field.text)
+    );
     Err(Bad::new(field.at, detail))
 }
 
@@ -76,8 +90,12 @@ fn same_mark(field: Located<'_>, mark: &mut Option<char>) -> Result<(), Bad> {
 fn named(header: &Row, names: &[String]) -> Result<Columns, Bad> {
     let find = |wanted: &str| names.iter().position(|name| name == wanted);
     for (index, name) in names.iter().enumerate() {
-        if ["x", "y", "px", "py", "qx", "qy"].contains(&name.as_str()) && find(name) != Some(index) {
-            return Err(Bad::new(header.fields[index].at, format!("expected each column once; {} occurs twice", quote(name))));
+        if ["x", "y", "px", "py", "qx", "qy"].contains(&name.as_str()) && find(name) != Some(index)
+        {
+            return Err(Bad::new(
+                header.fields[index].at,
+                format!("expected each column once; {} occurs twice", quote(name)),
+            ));
         }
     }
     let pair = |x: &str, y: &str| match (find(x), find(y)) {
@@ -85,25 +103,52 @@ fn named(header: &Row, names: &[String]) -> Result<Columns, Bad> {
         (None, None) => Ok(None),
         (found, _) => {
             let (other, missing) = if found.is_some() { (x, y) } else { (y, x) };
-            Err(Bad::new(header.at, format!("expected the column `{missing}` beside `{other}`; it is missing")))
+            Err(Bad::new(
+                header.at,
+                format!("expected the column `{missing}` beside `{other}`; it is missing"),
+            ))
         }
     };
     let (x, p, q) = (pair("x", "y")?, pair("px", "py")?, pair("qx", "qy")?);
     let (p, q) = match (x, p, q) {
         (Some(p), None, None) => (p, None),
         (None, Some(p), q) => (p, q),
-        (Some(_), ..) => return Err(Bad::new(header.at, "expected `x`, `y` or `px`, `py`, `qx`, `qy`; found columns of both kinds")),
+        (Some(_), ..) => {
+            return Err(Bad::new(
+                header.at,
+                "expected `x`, `y` or `px`, `py`, `qx`, `qy`; found columns of both kinds",
+            ));
+        }
         (None, None, _) => {
-            let found: Vec<String> = names.iter().take(MOST_NAMED).map(|name| quote(name)).collect();
+            let found: Vec<String> = names
+                .iter()
+                .take(MOST_NAMED)
+                .map(|name| quote(name))
+                .collect();
             let more = names.len() - found.len();
-            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let expected = "the columns `x`, `y` or `px`, `py`, `qx`, `qy`, beside which there may be others";
-            let detail = format!("expected a landmark file ({}) or {expected}; found {}{more}", titles(), found.join(", "));
+            let more = if more > 0 {
+                format!(" and {more} more")
+            } else {
+                String::new()
+            };
+            let expected =
+                "the columns `x`, `y` or `px`, `py`, `qx`, `qy`, beside which there may be others";
+            let detail = format!(
+                "expected a landmark file ({}) or {expected}; found {}{more}",
+                titles(),
+                found.join(", ")
+            );
             return Err(Bad::new(header.at, detail));
         }
     };
     let name = NAMES.iter().find_map(|name| find(name));
-    Ok(Columns { p, q, name, width: names.len(), like: "as the header has" })
+    Ok(Columns {
+        p,
+        q,
+        name,
+        width: names.len(),
+        like: "as the header has",
+    })
 }
 
 /// The columns of a first row without header.
@@ -116,11 +161,20 @@ fn unnamed(first: &Row) -> Result<Columns, Bad> {
         3 | 5 if !is_number(width - 1) => (0, Some(width - 1)),
         _ => {
             let detail = "expected x, y or px, py, qx, qy, with or without a name, or a header that names the columns";
-            return Err(Bad::new(first.at, format!("{detail}; found {width} fields{}", hint(first))));
+            return Err(Bad::new(
+                first.at,
+                format!("{detail}; found {width} fields{}", hint(first)),
+            ));
         }
     };
     let q = (width > 3).then_some([start + 2, start + 3]);
-    Ok(Columns { p: [start, start + 1], q, name, width, like: "as the first row has" })
+    Ok(Columns {
+        p: [start, start + 1],
+        q,
+        name,
+        width,
+        like: "as the first row has",
+    })
 }
 
 /// What probably is the matter with a row of so many fields.
@@ -132,10 +186,14 @@ fn hint(first: &Row) -> &'static str {
         text.trim().contains([' ', '\t', ';']) && numbers.all(|part| part.parse::<f64>().is_ok())
     };
     match &first.fields[..] {
-        fields if fields.iter().any(|field| is_two(&field.text)) => ": decimal commas need tabs or semicolons between the numbers",
+        fields if fields.iter().any(|field| is_two(&field.text)) => {
+            ": decimal commas need tabs or semicolons between the numbers"
+        }
         fields if !fields.iter().all(|field| is_number(&field.text)) => "",
         [_, _, _] => ": is the first a number of the row? give the file a header: id,x,y",
-        [_, _, _, _, _] => ": is the first a number of the row? give the file a header: id,px,py,qx,qy",
+        [_, _, _, _, _] => {
+            ": is the first a number of the row? give the file a header: id,px,py,qx,qy"
+        }
         _ => ": write one landmark in a line, x,y or px,py,qx,qy",
     }
 }

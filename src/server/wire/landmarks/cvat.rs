@@ -15,7 +15,12 @@ use super::xml::{Tag, Tags, root};
 use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
-pub(super) const FORMAT: Format = Format { name: "cvat", title: "CVAT XML", items: "objects", form: Form::Head(is_cvat, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "cvat",
+    title: "CVAT XML",
+    items: "objects",
+    form: Form::Head(is_cvat, read),
+};
 
 fn is_cvat(head: &str) -> bool {
     root(head) == Some("annotations")
@@ -36,14 +41,19 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                 (image, skeletons, loose) = (name.unescaped()?.into_owned(), 0, None);
             }
             ("skeleton", false) => {
-                skeleton = Some(out.item(tag.at, &ItemNames::new(&image, &skeletons.to_string()).list())?);
+                skeleton = Some(out.item(
+                    tag.at,
+                    &ItemNames::new(&image, &skeletons.to_string()).list(),
+                )?);
                 skeletons += 1;
             }
             ("skeleton", true) => skeleton = None,
             ("points" | "polyline" | "polygon", false) => {
                 let is_wanted = match (skeleton, loose) {
                     (Some(is_wanted), _) | (None, Some(is_wanted)) => is_wanted,
-                    (None, None) => *loose.insert(out.item(tag.at, &ItemNames::new(&image, "").list())?),
+                    (None, None) => {
+                        *loose.insert(out.item(tag.at, &ItemNames::new(&image, "").list())?)
+                    }
                 };
                 if is_wanted {
                     shape(&tag, skeleton.is_some(), out)?;
@@ -56,22 +66,50 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
 }
 
 fn shape(tag: &Tag<'_>, is_of_skeleton: bool, out: &mut Collector) -> Result<(), Bad> {
-    let ([label, points], [outside]) = (tag.required(["label", "points"])?, tag.attributes(["outside"])?);
+    let ([label, points], [outside]) = (
+        tag.required(["label", "points"])?,
+        tag.attributes(["outside"])?,
+    );
     let text = label.unescaped()?;
     if is_of_skeleton && outside.is_some_and(|outside| outside.text.trim() == "1") {
-        return out.point(tag.at, None, Some(Located { at: label.at, text: &text }));
+        return out.point(
+            tag.at,
+            None,
+            Some(Located {
+                at: label.at,
+                text: &text,
+            }),
+        );
     }
     let positions = points.text.split(';');
     let count = positions.clone().count();
     let mut places = positions.map(|place| position(points, place));
     if tag.name == "points" {
         return places.enumerate().try_for_each(|(k, place)| {
-            let name = if count == 1 { text.to_string() } else { format!("{text} {k}") };
-            out.point(points.at, Some(place?), Some(Located { at: label.at, text: &name }))
+            let name = if count == 1 {
+                text.to_string()
+            } else {
+                format!("{text} {k}")
+            };
+            out.point(
+                points.at,
+                Some(place?),
+                Some(Located {
+                    at: label.at,
+                    text: &name,
+                }),
+            )
         });
     }
     if count < 2 {
-        return Err(Bad::new(points.at, format!("expected at least 2 positions in a {}; found {}", tag.name, quote(points.text))));
+        return Err(Bad::new(
+            points.at,
+            format!(
+                "expected at least 2 positions in a {}; found {}",
+                tag.name,
+                quote(points.text)
+            ),
+        ));
     }
     out.count(tag.at, count + usize::from(tag.name == "polygon"))?;
     let mut line = Vec::with_capacity(count + 1);
@@ -83,13 +121,26 @@ fn shape(tag: &Tag<'_>, is_of_skeleton: bool, out: &mut Collector) -> Result<(),
     if tag.name == "polygon" && line.first() != line.last() {
         line.extend(line.first().copied());
     }
-    out.push(Landmark { at: tag.at, p: Handle::Polyline(line), q: None, name: Some(Located { at: label.at, text: &text }) })
+    out.push(Landmark {
+        at: tag.at,
+        p: Handle::Polyline(line),
+        q: None,
+        name: Some(Located {
+            at: label.at,
+            text: &text,
+        }),
+    })
 }
 
 /// A position in a list of them, `x,y`.
 fn position(list: Located<'_>, place: &str) -> Result<[f64; 2], Bad> {
     let at = |part: &str| list.at + (part.as_ptr().addr() - list.text.as_ptr().addr());
-    let (x, y) = place.split_once(',').ok_or_else(|| Bad::new(at(place), format!("expected a position, x,y; found {}", quote(place))))?;
+    let (x, y) = place.split_once(',').ok_or_else(|| {
+        Bad::new(
+            at(place),
+            format!("expected a position, x,y; found {}", quote(place)),
+        )
+    })?;
     let number = |text: &str| Located { at: at(text), text }.number();
     Ok([number(x)?, number(y)?])
 }

@@ -10,8 +10,12 @@ use super::collect::Collector;
 use super::table::{Row, Table};
 use super::{Form, Format};
 
-pub(super) const FORMAT: Format =
-    Format { name: "deeplabcut", title: "DeepLabCut CSV", items: "rows", form: Form::Table(is_deeplabcut, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "deeplabcut",
+    title: "DeepLabCut CSV",
+    items: "rows",
+    form: Form::Table(is_deeplabcut, read),
+};
 const CENTRE: f64 = 0.5;
 
 fn is_deeplabcut(first: &Row) -> bool {
@@ -27,35 +31,68 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let width = first.fields.len();
     let (mut individuals, mut parts) = (None, None);
     let coords = loop {
-        let row = rows.next_row()?.ok_or_else(|| Bad::new(rows.end(), "expected the header row `coords`; found the end of the file"))?;
+        let row = rows.next_row()?.ok_or_else(|| {
+            Bad::new(
+                rows.end(),
+                "expected the header row `coords`; found the end of the file",
+            )
+        })?;
         row.require_width(width, "as the first row has")?;
         match text(&row, 0).to_ascii_lowercase().as_str() {
             "individuals" => individuals = Some(row),
             "bodyparts" => parts = Some(row),
             "coords" => break row,
-            _ => return Err(Bad::new(row.at, "expected the header rows `bodyparts` and `coords`; found another row")),
+            _ => {
+                return Err(Bad::new(
+                    row.at,
+                    "expected the header rows `bodyparts` and `coords`; found another row",
+                ));
+            }
         }
     };
-    let parts = parts.ok_or_else(|| Bad::new(coords.at, "expected the header row `bodyparts` before `coords`; it is missing"))?;
+    let parts = parts.ok_or_else(|| {
+        Bad::new(
+            coords.at,
+            "expected the header row `bodyparts` before `coords`; it is missing",
+        )
+    })?;
     // The columns of x of each landmark; y follows. Columns before the first are the path of the image.
-    let columns: Vec<usize> = (1..width.saturating_sub(1)).filter(|k| text(&coords, *k) == "x" && text(&coords, k + 1) == "y").collect();
-    let Some(&start) = columns.first() else { return Err(Bad::new(coords.at, "expected columns `x`, `y`; found none")) };
+    let columns: Vec<usize> = (1..width.saturating_sub(1))
+        .filter(|k| text(&coords, *k) == "x" && text(&coords, k + 1) == "y")
+        .collect();
+    let Some(&start) = columns.first() else {
+        return Err(Bad::new(coords.at, "expected columns `x`, `y`; found none"));
+    };
     let animal = |column: usize| individuals.as_ref().map_or("", |row| text(row, column));
     while let Some(row) = rows.next_row()? {
         row.require_width(width, "as the header has")?;
         let path: Vec<&str> = (0..start).map(|k| text(&row, k)).collect();
-        let (path, file) = (path.join("/"), text(&row, start - 1).rsplit(['/', '\\']).next().unwrap_or_default());
+        let (path, file) = (
+            path.join("/"),
+            text(&row, start - 1)
+                .rsplit(['/', '\\'])
+                .next()
+                .unwrap_or_default(),
+        );
         for group in columns.chunk_by(|a, b| animal(*a) == animal(*b)) {
             let animal = animal(group[0]);
             let (whole, short) = (format!("{path}/{animal}"), format!("{file}/{animal}"));
-            let names: &[&str] = if animal.is_empty() { &[&path, file] } else { &[&whole, &short] };
+            let names: &[&str] = if animal.is_empty() {
+                &[&path, file]
+            } else {
+                &[&whole, &short]
+            };
             if !out.item(row.at, names)? {
                 continue;
             }
             for &column in group {
                 let [x, y] = [column, column + 1].map(|field| row.fields[field].located());
                 let is_missing = x.is_missing() || y.is_missing();
-                let place = if is_missing { None } else { Some([x.number()? + CENTRE, y.number()? + CENTRE]) };
+                let place = if is_missing {
+                    None
+                } else {
+                    Some([x.number()? + CENTRE, y.number()? + CENTRE])
+                };
                 out.point(x.at, place, Some(parts.fields[column].located()))?;
             }
         }

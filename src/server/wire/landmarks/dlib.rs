@@ -9,7 +9,12 @@ use super::item::ItemNames;
 use super::xml::{Tags, root};
 use super::{Form, Format, Source};
 
-pub(super) const FORMAT: Format = Format { name: "dlib", title: "dlib XML", items: "boxes", form: Form::Head(is_dlib, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "dlib",
+    title: "dlib XML",
+    items: "boxes",
+    form: Form::Head(is_dlib, read),
+};
 const CENTRE: f64 = 0.5;
 
 fn is_dlib(head: &str) -> bool {
@@ -35,12 +40,21 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                 (image, boxes) = (file.unescaped()?.into_owned(), 0);
             }
             ("box", false) => {
-                object = Some(Object { at: tag.at, index: boxes, is_wanted: None });
+                object = Some(Object {
+                    at: tag.at,
+                    index: boxes,
+                    is_wanted: None,
+                });
                 boxes += 1;
             }
             ("box", true) => object = None,
             ("part", false) => {
-                let Some(object) = &mut object else { return Err(Bad::new(tag.at, "expected <part> in a <box>; found it elsewhere")) };
+                let Some(object) = &mut object else {
+                    return Err(Bad::new(
+                        tag.at,
+                        "expected <part> in a <box>; found it elsewhere",
+                    ));
+                };
                 if object.is_wanted.is_none() {
                     let names = ItemNames::new(&image, &object.index.to_string());
                     object.is_wanted = Some(out.item(object.at, &names.list())?);
@@ -48,8 +62,15 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                 if object.is_wanted == Some(true) {
                     let [name, x, y] = tag.required(["name", "x", "y"])?;
                     let text = name.unescaped()?;
-                    let name = super::collect::Located { at: name.at, text: &text };
-                    out.point(tag.at, Some([x.number()? + CENTRE, y.number()? + CENTRE]), Some(name))?;
+                    let name = super::collect::Located {
+                        at: name.at,
+                        text: &text,
+                    };
+                    out.point(
+                        tag.at,
+                        Some([x.number()? + CENTRE, y.number()? + CENTRE]),
+                        Some(name),
+                    )?;
                 }
             }
             _ => {}

@@ -8,12 +8,18 @@ use super::collect::Collector;
 use super::words::Lines;
 use super::{Form, Format, Source};
 
-pub(super) const FORMAT: Format = Format { name: "elastix", title: "elastix points", items: "sets", form: Form::Lines(is_elastix, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "elastix",
+    title: "elastix points",
+    items: "sets",
+    form: Form::Lines(is_elastix, read),
+};
 const CENTRE: f64 = 0.5;
 
 fn is_elastix(first: &str) -> bool {
     let mut words = first.split_whitespace();
-    matches!(words.next(), Some("index" | "point")) && words.all(|word| word.parse::<usize>().is_ok())
+    matches!(words.next(), Some("index" | "point"))
+        && words.all(|word| word.parse::<usize>().is_ok())
 }
 
 fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
@@ -25,7 +31,10 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                       spacing, and write `index`";
         return Err(Bad::new(word.at, detail));
     }
-    let count = words.next().map_or_else(|| lines.line("the number of points"), Ok)?.whole("the number of points")?;
+    let count = words
+        .next()
+        .map_or_else(|| lines.line("the number of points"), Ok)?
+        .whole("the number of points")?;
     for _ in 0..count {
         let line = lines.line(&format!("{count} points, as the file says"))?;
         let [x, y] = line.place()?;

@@ -48,7 +48,12 @@ struct Unmatched<'a> {
 impl LandmarkFiles {
     /// Reads the files. `cancelled` is true when nobody wants the result any more.
     /// Errors: As [`Self::read`]; other files than the target has.
-    pub(in crate::wire) fn read_for(&self, target: Target, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
+    pub(in crate::wire) fn read_for(
+        &self,
+        target: Target,
+        max_columns: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Landmarks, Problem> {
         match target {
             Target::Request | Target::Session(_) => self.read(max_columns, cancelled),
             Target::Pose(..) => self.read_pose(max_columns, &Work::new(cancelled)),
@@ -58,7 +63,9 @@ impl LandmarkFiles {
     /// Reads the posed positions of a session, which has those at rest.
     fn read_pose(&self, max_columns: usize, work: &Work<'_>) -> Result<Landmarks, Problem> {
         let (None, None, Some(q)) = (&self.both, &self.p, &self.q) else {
-            return Err(mismatched("the session has its handles at rest: send the file with the posed positions alone, as `landmarks_q`"));
+            return Err(mismatched(
+                "the session has its handles at rest: send the file with the posed positions alone, as `landmarks_q`",
+            ));
         };
         if self.choice.matching.is_some() {
             let detail = "`match` belongs to two files; the handles of a session have no names, and `landmarks_q` has their order";
@@ -67,7 +74,9 @@ impl LandmarkFiles {
         let file = self.file(SIDES[1], q, max_columns, work)?;
         if file.q.is_some() {
             let detail = "expected posed positions alone, because the session has those at rest; found both sides";
-            return Err(Bad::new(file.at.first().copied().unwrap_or_default(), detail).problem(SIDES[1], q));
+            return Err(
+                Bad::new(file.at.first().copied().unwrap_or_default(), detail).problem(SIDES[1], q),
+            );
         }
         Ok(Landmarks::of_file(file, [self.extent_q, None]))
     }
@@ -97,20 +106,43 @@ impl Landmarks {
             Target::Session(extent) | Target::Pose(extent, _) => self.scale(Some(extent))?,
         };
         let units = placed.units;
-        let Self { mut p, q, unmatched, .. } = placed.landmarks;
+        let Self {
+            mut p,
+            q,
+            unmatched,
+            ..
+        } = placed.landmarks;
         if let Target::Pose(extent, Units::Normalized) = target {
-            each(&mut p, |at| Point::new(at.x / f64::from(extent.width()), at.y / f64::from(extent.height())));
+            each(&mut p, |at| {
+                Point::new(
+                    at.x / f64::from(extent.width()),
+                    at.y / f64::from(extent.height()),
+                )
+            });
         }
         let fields = match target {
-            Target::Pose(..) => Fields { p: None, q: Some(AsJson(&p)), units: None, unmatched: None },
+            Target::Pose(..) => Fields {
+                p: None,
+                q: Some(AsJson(&p)),
+                units: None,
+                unmatched: None,
+            },
             Target::Request | Target::Session(_) => Fields {
                 p: Some(AsJson(&p)),
                 q: q.as_deref().map(AsJson),
                 units: Some(AsJson(units)),
-                unmatched: (!unmatched.is_empty()).then(|| Unmatched { p: unmatched.p.get(..1), q: unmatched.q.get(..1) }),
+                unmatched: (!unmatched.is_empty()).then(|| Unmatched {
+                    p: unmatched.p.get(..1),
+                    q: unmatched.q.get(..1),
+                }),
             },
         };
-        let fields = serde_json::to_vec(&fields).map_err(|e| Problem::new(Code::Internal, format!("handles as JSON: {e}")))?;
-        spliced(json, &["match", "item", "names", "format", "unmatched"], &fields)
+        let fields = serde_json::to_vec(&fields)
+            .map_err(|e| Problem::new(Code::Internal, format!("handles as JSON: {e}")))?;
+        spliced(
+            json,
+            &["match", "item", "names", "format", "unmatched"],
+            &fields,
+        )
     }
 }

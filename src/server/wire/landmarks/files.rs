@@ -47,31 +47,53 @@ pub struct Choice {
 impl Choice {
     /// The field that is given, if there is one.
     pub(crate) fn given(&self) -> Option<&'static str> {
-        let given = [("match", self.matching.is_some()), ("item", self.item.is_some())];
-        given.into_iter().find_map(|(name, is_given)| is_given.then_some(name))
+        let given = [
+            ("match", self.matching.is_some()),
+            ("item", self.item.is_some()),
+        ];
+        given
+            .into_iter()
+            .find_map(|(name, is_given)| is_given.then_some(name))
     }
 
     /// The fields of a warp object. A text that is none is left to its parser.
     /// Errors: A field with another value.
     pub(crate) fn of_warp(json: &[u8]) -> Result<Self, Problem> {
-        let Ok(root) = json::root(json) else { return Ok(Self::default()) };
+        let Ok(root) = json::root(json) else {
+            return Ok(Self::default());
+        };
         let [matching, item] = root.find(&["match", "item"])?;
-        Ok(Self { matching: optional(matching, enum_name)?, item: optional(item, Item::read)? })
+        Ok(Self {
+            matching: optional(matching, enum_name)?,
+            item: optional(item, Item::read)?,
+        })
     }
 
     /// Adds a field that is written as text.
     /// Errors: It has another value, or is given already.
     pub(crate) fn add_text(&mut self, name: &str, text: &str) -> Result<(), Problem> {
         if name == "item" {
-            return self.add(Self { item: Some(Item::Text(text.trim().to_owned())), ..Self::default() });
+            return self.add(Self {
+                item: Some(Item::Text(text.trim().to_owned())),
+                ..Self::default()
+            });
         }
         let names = Matching::ALL.iter().map(|matching| matching.as_str());
-        let matching = Matching::ALL.iter().find(|matching| matching.as_str() == text.trim());
+        let matching = Matching::ALL
+            .iter()
+            .find(|matching| matching.as_str() == text.trim());
         let known = || {
-            let detail = format!("`{name}` must be one of {}; found {}", list(&names.collect::<Vec<_>>()), quote(text));
+            let detail = format!(
+                "`{name}` must be one of {}; found {}",
+                list(&names.collect::<Vec<_>>()),
+                quote(text)
+            );
             Problem::new(Code::BadValue, detail)
         };
-        self.add(Self { matching: Some(*matching.ok_or_else(known)?), ..Self::default() })
+        self.add(Self {
+            matching: Some(*matching.ok_or_else(known)?),
+            ..Self::default()
+        })
     }
 
     /// Adds the fields of another part of the request.
@@ -110,7 +132,11 @@ pub struct Landmarks {
 impl LandmarkFiles {
     /// Bytes of all files.
     pub fn bytes(&self) -> usize {
-        [&self.both, &self.p, &self.q].into_iter().flatten().map(Bytes::len).sum()
+        [&self.both, &self.p, &self.q]
+            .into_iter()
+            .flatten()
+            .map(Bytes::len)
+            .sum()
     }
 
     /// Whether no file is there.
@@ -121,7 +147,10 @@ impl LandmarkFiles {
     /// Errors: `bad_value` if there is no file that the other parts belong to.
     pub(crate) fn require_files(&self) -> Result<(), Problem> {
         let extents = [("extent_p", self.extent_p), ("extent_q", self.extent_q)];
-        let given = extents.into_iter().find_map(|(name, extent)| extent.map(|_| name)).or(self.choice.given());
+        let given = extents
+            .into_iter()
+            .find_map(|(name, extent)| extent.map(|_| name))
+            .or(self.choice.given());
         match given.filter(|_| self.is_empty()) {
             Some(name) => Err(without_files(name)),
             None => Ok(()),
@@ -145,12 +174,20 @@ impl LandmarkFiles {
 
     /// Reads the files. `cancelled` is true when nobody wants the result any more.
     /// Errors: `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or cancelled.
-    pub(in crate::wire) fn read(&self, max_columns: usize, cancelled: &dyn Fn() -> bool) -> Result<Landmarks, Problem> {
+    pub(in crate::wire) fn read(
+        &self,
+        max_columns: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<Landmarks, Problem> {
         self.read_counted(max_columns, &Work::new(cancelled))
     }
 
     /// As [`Self::read`]; the work is counted.
-    pub(super) fn read_counted(&self, max_columns: usize, work: &Work<'_>) -> Result<Landmarks, Problem> {
+    pub(super) fn read_counted(
+        &self,
+        max_columns: usize,
+        work: &Work<'_>,
+    ) -> Result<Landmarks, Problem> {
         let file = |name: &str, bytes: &Bytes| self.file(name, bytes, max_columns, work);
         let rest = |name: &str, bytes: &Bytes| {
             let file = file(name, bytes)?;
@@ -164,8 +201,9 @@ impl LandmarkFiles {
                 let files = [rest(SIDES[0], p)?, file(SIDES[1], q)?];
                 for (side, name) in files.iter().zip(SIDES) {
                     if side.q.is_some() {
-                        let detail =
-                            format!("{name}: expected positions of one side; found both sides: send this file alone, as `landmarks`");
+                        let detail = format!(
+                            "{name}: expected positions of one side; found both sides: send this file alone, as `landmarks`"
+                        );
                         return Err(Bad::new(0, detail).problem(name, b""));
                     }
                 }
@@ -174,14 +212,26 @@ impl LandmarkFiles {
                 Ok(two(files, pairs, extents))
             }
             (None, Some(p), None) => self.one(rest(SIDES[0], p)?),
-            (None, None, Some(_)) => Err(mismatched("`landmarks_p` is missing: where do the handles start?")),
-            (None, None, None) => Err(mismatched("`landmarks` is missing, or `landmarks_p` and `landmarks_q`")),
-            (Some(_), ..) => Err(mismatched("send `landmarks` alone, or `landmarks_p` and `landmarks_q`")),
+            (None, None, Some(_)) => Err(mismatched(
+                "`landmarks_p` is missing: where do the handles start?",
+            )),
+            (None, None, None) => Err(mismatched(
+                "`landmarks` is missing, or `landmarks_p` and `landmarks_q`",
+            )),
+            (Some(_), ..) => Err(mismatched(
+                "send `landmarks` alone, or `landmarks_p` and `landmarks_q`",
+            )),
         }
     }
 
     /// Reads one file.
-    pub(super) fn file(&self, name: &str, bytes: &Bytes, max_columns: usize, work: &Work<'_>) -> Result<File, Problem> {
+    pub(super) fn file(
+        &self,
+        name: &str,
+        bytes: &Bytes,
+        max_columns: usize,
+        work: &Work<'_>,
+    ) -> Result<File, Problem> {
         let file = read(bytes, max_columns, self.choice.item.clone(), work);
         if work.is_stopped() {
             return Err(WarpError::Cancelled.into());
@@ -192,10 +242,16 @@ impl LandmarkFiles {
     /// Errors: `bad_value` at what belongs to two files, or to the side that is not there.
     fn one(&self, file: File) -> Result<Landmarks, Problem> {
         if self.choice.matching.is_some() {
-            return Err(Problem::new(Code::BadValue, "`match` belongs to two files, `landmarks_p` and `landmarks_q`; found one"));
+            return Err(Problem::new(
+                Code::BadValue,
+                "`match` belongs to two files, `landmarks_p` and `landmarks_q`; found one",
+            ));
         }
         if self.extent_q.is_some() && file.q.is_none() {
-            return Err(Problem::new(Code::BadValue, "`extent_q` belongs to posed positions, which the file does not have"));
+            return Err(Problem::new(
+                Code::BadValue,
+                "`extent_q` belongs to posed positions, which the file does not have",
+            ));
         }
         Ok(Landmarks::of_file(file, [self.extent_p, self.extent_q]))
     }
@@ -203,16 +259,29 @@ impl LandmarkFiles {
 
 /// The problem of what says how landmark files are read, where there are none.
 pub(crate) fn without_files(name: &str) -> Problem {
-    Problem::new(Code::BadValue, format!("`{name}` belongs to landmark files: send `landmarks` too"))
+    Problem::new(
+        Code::BadValue,
+        format!("`{name}` belongs to landmark files: send `landmarks` too"),
+    )
 }
 
 /// Reads a size, `640,480` or `[640, 480]`.
 /// Errors: `bad_value` that names the field.
 pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
     let inner = text.trim();
-    let inner = inner.strip_prefix('[').and_then(|inner| inner.strip_suffix(']')).unwrap_or(inner);
-    let sides = inner.split_once(',').and_then(|(width, height)| Some((width.trim().parse::<u32>().ok()?, height.trim().parse().ok()?)));
-    let extent = sides.filter(|(width, height)| width.max(height) <= &LONGEST_SIDE).and_then(|(width, height)| Extent::new(width, height));
+    let inner = inner
+        .strip_prefix('[')
+        .and_then(|inner| inner.strip_suffix(']'))
+        .unwrap_or(inner);
+    let sides = inner.split_once(',').and_then(|(width, height)| {
+        Some((
+            width.trim().parse::<u32>().ok()?,
+            height.trim().parse().ok()?,
+        ))
+    });
+    let extent = sides
+        .filter(|(width, height)| width.max(height) <= &LONGEST_SIDE)
+        .and_then(|(width, height)| Extent::new(width, height));
     let bad = || {
         let detail = format!(
             "`{name}` must be the width and height of an image, such as 640,480, at most {LONGEST_SIDE} each; found {}",
@@ -227,12 +296,36 @@ pub(super) fn mismatched(detail: &str) -> Problem {
     Problem::new(Code::BadLandmarks, detail)
 }
 
-fn two([p, q]: [File; 2], Pairs { indices, unmatched }: Pairs, extents: [Option<Extent>; 2]) -> Landmarks {
-    let format = if p.format == q.format { p.format.to_owned() } else { format!("{}+{}", p.format, q.format) };
+fn two(
+    [p, q]: [File; 2],
+    Pairs { indices, unmatched }: Pairs,
+    extents: [Option<Extent>; 2],
+) -> Landmarks {
+    let format = if p.format == q.format {
+        p.format.to_owned()
+    } else {
+        format!("{}+{}", p.format, q.format)
+    };
     let names = p.names.map(texts).or(q.names.map(texts));
-    let names = names.map(|names| indices.iter().map(|(index, _)| names[*index].clone()).collect());
-    let (rest, posed) = indices.iter().map(|(index_p, index_q)| (p.p[*index_p].clone(), q.p[*index_q].clone())).unzip();
-    Landmarks { p: rest, q: Some(posed), names, frames: [p.frame, q.frame], extents, format, unmatched }
+    let names = names.map(|names| {
+        indices
+            .iter()
+            .map(|(index, _)| names[*index].clone())
+            .collect()
+    });
+    let (rest, posed) = indices
+        .iter()
+        .map(|(index_p, index_q)| (p.p[*index_p].clone(), q.p[*index_q].clone()))
+        .unzip();
+    Landmarks {
+        p: rest,
+        q: Some(posed),
+        names,
+        frames: [p.frame, q.frame],
+        extents,
+        format,
+        unmatched,
+    }
 }
 
 fn texts(names: Vec<(usize, String)>) -> Vec<String> {
@@ -242,12 +335,20 @@ fn texts(names: Vec<(usize, String)>) -> Vec<String> {
 /// Errors: A line with a segment that has no length, which no image can be warped by.
 fn require_lines(file: &File) -> Result<(), Bad> {
     // Lengths of normalised lines are known with the image.
-    if file.frame == Frame::Normalized || !file.p.iter().any(|handle| matches!(handle, Handle::Polyline(_))) {
+    if file.frame == Frame::Normalized
+        || !file
+            .p
+            .iter()
+            .any(|handle| matches!(handle, Handle::Polyline(_)))
+    {
         return Ok(());
     }
     match Handles::new(file.p.clone(), None) {
         Err(DeformError::DegenerateLine { handle, segment }) => {
-            let detail = format!("expected a line of positions that differ; its positions {segment} and {} are the same", segment + 1);
+            let detail = format!(
+                "expected a line of positions that differ; its positions {segment} and {} are the same",
+                segment + 1
+            );
             Err(Bad::new(file.at[handle], detail))
         }
         _ => Ok(()),
@@ -256,25 +357,53 @@ fn require_lines(file: &File) -> Result<(), Bad> {
 
 impl Landmarks {
     pub(super) fn of_file(file: File, extents: [Option<Extent>; 2]) -> Self {
-        let File { p, q, names, frame, format, unmatched, .. } = file;
-        Self { p, q, names: names.map(texts), frames: [frame; 2], extents, format: format.to_owned(), unmatched }
+        let File {
+            p,
+            q,
+            names,
+            frame,
+            format,
+            unmatched,
+            ..
+        } = file;
+        Self {
+            p,
+            q,
+            names: names.map(texts),
+            frames: [frame; 2],
+            extents,
+            format: format.to_owned(),
+            unmatched,
+        }
     }
 
     /// An upper limit of the numbers of one side.
     pub fn numbers(&self) -> usize {
-        self.p.iter().map(|handle| 2 * handle.places().len().max(1)).sum()
+        self.p
+            .iter()
+            .map(|handle| 2 * handle.places().len().max(1))
+            .sum()
     }
 
     /// The longest text of the names, bytes: an escape has six bytes for one.
     pub fn names_length(&self) -> usize {
         let unmatched = self.unmatched.p.iter().chain(&self.unmatched.q);
-        self.names.iter().flatten().chain(unmatched).map(|name| 6 * name.len() + 4).sum()
+        self.names
+            .iter()
+            .flatten()
+            .chain(unmatched)
+            .map(|name| 6 * name.len() + 4)
+            .sum()
     }
 
     /// Errors: `bad_value` without posed positions.
     pub fn require_q(&self) -> Result<(), Problem> {
         let detail = "the landmarks have no posed positions: send a file with both sides, or `landmarks_p` and `landmarks_q`";
-        if self.q.is_some() { Ok(()) } else { Err(Problem::new(Code::BadValue, detail)) }
+        if self.q.is_some() {
+            Ok(())
+        } else {
+            Err(Problem::new(Code::BadValue, detail))
+        }
     }
 
     /// Brings both sides to the coordinates of the contract. Normalised coordinates are multiplied by the extent of their side, by default
@@ -287,26 +416,47 @@ impl Landmarks {
         let is_alike = (frame_p == Frame::Normalized) == (frame_q == Frame::Normalized);
         let own_q = own_q.or(own_p.filter(|_| is_alike));
         let mut done = Vec::new();
-        let p = place(&mut self.p, frame_p, [own_p, image], ["p", "extent_p"], &mut done)?;
+        let p = place(
+            &mut self.p,
+            frame_p,
+            [own_p, image],
+            ["p", "extent_p"],
+            &mut done,
+        )?;
         let q = match &mut self.q {
             Some(q) => place(q, frame_q, [own_q, image], ["q", "extent_q"], &mut done)?,
             None => p,
         };
         if p != q {
-            let missing = if p == Units::Normalized { ["extent_p", "extent_q"] } else { ["extent_q", "extent_p"] };
-            let missing = if [own_p, own_q][usize::from(p != Units::Normalized)].is_none() { missing[0] } else { missing[1] };
-            let detail = format!("one side is normalised and the other is in px: give `{missing}`, the size of its image, such as 640,480");
+            let missing = if p == Units::Normalized {
+                ["extent_p", "extent_q"]
+            } else {
+                ["extent_q", "extent_p"]
+            };
+            let missing = if [own_p, own_q][usize::from(p != Units::Normalized)].is_none() {
+                missing[0]
+            } else {
+                missing[1]
+            };
+            let detail = format!(
+                "one side is normalised and the other is in px: give `{missing}`, the size of its image, such as 640,480"
+            );
             return Err(Problem::new(Code::BadValue, detail));
         }
         if !done.is_empty() {
             self.format = format!("{} ({})", self.format, done.join("; "));
         }
-        Ok(Placed { landmarks: self, units: p })
+        Ok(Placed {
+            landmarks: self,
+            units: p,
+        })
     }
 
     /// Puts the handles into a warp object, in px of an image of this extent.
     pub fn place_in(self, object: &mut WarpObject, image: Extent) -> Result<(), Problem> {
-        let Self { p, q, unmatched, .. } = self.scale(Some(image))?.landmarks;
+        let Self {
+            p, q, unmatched, ..
+        } = self.scale(Some(image))?.landmarks;
         (object.rest.p, object.q, object.rest.has_unmatched) = (p, q, !unmatched.is_empty());
         Ok(())
     }
@@ -325,8 +475,9 @@ fn place(
     let text = |extent: Extent| format!("{} x {}", extent.width(), extent.height());
     if frame == Frame::PxUp {
         let missing = || {
-            let detail =
-                format!("the file counts y from the lower edge of its image: give `{field}`, the size of the image, such as 640,480");
+            let detail = format!(
+                "the file counts y from the lower edge of its image: give `{field}`, the size of the image, such as 640,480"
+            );
             Problem::new(Code::BadValue, detail)
         };
         let [_, height] = sides(own.or(image).ok_or_else(missing)?);
@@ -335,7 +486,9 @@ fn place(
     match (frame, own, image) {
         (Frame::Normalized, Some(extent), _) | (Frame::Normalized, None, Some(extent)) => {
             let [width, height] = sides(extent);
-            each(handles, |place| Point::new(place.x * width, place.y * height));
+            each(handles, |place| {
+                Point::new(place.x * width, place.y * height)
+            });
             Ok(Units::Px)
         }
         (Frame::Normalized, None, None) => Ok(Units::Normalized),
@@ -343,14 +496,21 @@ fn place(
         (_, Some(own), Some(image)) if own == image => Ok(Units::Px),
         (_, Some(own), Some(image)) => {
             let ([width, height], [own_width, own_height]) = (sides(image), sides(own));
-            each(handles, |place| Point::new(place.x * width / own_width, place.y * height / own_height));
+            each(handles, |place| {
+                Point::new(place.x * width / own_width, place.y * height / own_height)
+            });
             done.push(format!("{side} from {} to {} px", text(own), text(image)));
             Ok(Units::Px)
         }
         (_, Some(own), None) => {
             let [width, height] = sides(own);
-            each(handles, |place| Point::new(place.x / width, place.y / height));
-            done.push(format!("{side} from {} px to shares of the image", text(own)));
+            each(handles, |place| {
+                Point::new(place.x / width, place.y / height)
+            });
+            done.push(format!(
+                "{side} from {} px to shares of the image",
+                text(own)
+            ));
             Ok(Units::Normalized)
         }
     }
@@ -375,7 +535,14 @@ pub struct Placed {
 
 impl Serialize for Placed {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Landmarks { p, q, names, format, unmatched, .. } = &self.landmarks;
+        let Landmarks {
+            p,
+            q,
+            names,
+            format,
+            unmatched,
+            ..
+        } = &self.landmarks;
         let mut object = s.serialize_map(None)?;
         object.serialize_entry("p", &AsJson(p.as_slice()))?;
         if let Some(q) = q {
@@ -388,7 +555,10 @@ impl Serialize for Placed {
         object.serialize_entry("format", format)?;
         if !unmatched.is_empty() {
             let Unmatched { p, q } = unmatched;
-            object.serialize_entry("unmatched", &std::collections::BTreeMap::from([("p", p), ("q", q)]))?;
+            object.serialize_entry(
+                "unmatched",
+                &std::collections::BTreeMap::from([("p", p), ("q", q)]),
+            )?;
         }
         object.end()
     }

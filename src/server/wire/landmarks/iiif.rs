@@ -13,15 +13,20 @@ use super::{Form, Format, offset};
 use crate::wire::handles::{PLACE, place};
 use crate::wire::json::{Kind, Node, optional};
 
-pub(super) const FORMAT: Format =
-    Format { name: "iiif", title: "IIIF georeference", items: "annotations", form: Form::Json(is_iiif, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "iiif",
+    title: "IIIF georeference",
+    items: "annotations",
+    form: Form::Json(is_iiif, read),
+};
 const ITEMS: &str = "an array of annotations";
 const FEATURES: &str = "an array of control points, GeoJSON features";
 
 fn is_iiif(fields: &Fields<'_>) -> bool {
     let has = |name: &str, kind| fields.kind(name) == Some(kind);
     !fields.is_list
-        && (has("body", Kind::Object) && (fields.has("target") || fields.has("type")) || has("items", Kind::Array) && fields.has("type"))
+        && (has("body", Kind::Object) && (fields.has("target") || fields.has("type"))
+            || has("items", Kind::Array) && fields.has("type"))
 }
 
 fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
@@ -29,7 +34,8 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
     match (items, body) {
         (Some(items), None) => items.items::<BadJson>(ITEMS, |_, item| {
             let [body] = item.find(&["body"])?;
-            let body = body.ok_or_else(|| item.missing("body", "a FeatureCollection with control points"))?;
+            let body = body
+                .ok_or_else(|| item.missing("body", "a FeatureCollection with control points"))?;
             annotation(text, &item, &body, out)
         })?,
         (_, Some(body)) => annotation(text, root, &body, out)?,
@@ -38,11 +44,18 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
     Ok(offset(text, root))
 }
 
-fn annotation(text: &str, item: &Node<'_, '_>, body: &Node<'_, '_>, out: &mut Collector) -> Result<(), BadJson> {
+fn annotation(
+    text: &str,
+    item: &Node<'_, '_>,
+    body: &Node<'_, '_>,
+    out: &mut Collector,
+) -> Result<(), BadJson> {
     let [id, label] = item.find(&["id", "label"])?;
     // A label may also be an object with languages.
-    let name =
-        |node: Option<Node<'_, '_>>| optional(node.filter(|node| node.kind() == Kind::String), name_in).map(Option::unwrap_or_default);
+    let name = |node: Option<Node<'_, '_>>| {
+        optional(node.filter(|node| node.kind() == Kind::String), name_in)
+            .map(Option::unwrap_or_default)
+    };
     if !out.item(offset(text, item), &[&name(id)?, &name(label)?])? {
         return Ok(());
     }

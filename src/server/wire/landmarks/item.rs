@@ -29,7 +29,9 @@ impl Item {
             Kind::String => node.string(EXPECTED).map(Self::Name),
             Kind::Number => {
                 let index = whole(node, EXPECTED)?;
-                usize::try_from(index).map(Self::Index).map_err(|_| node.problem(Code::BadValue, EXPECTED))
+                usize::try_from(index)
+                    .map(Self::Index)
+                    .map_err(|_| node.problem(Code::BadValue, EXPECTED))
             }
             _ => Err(node.wrong_kind(EXPECTED)),
         }
@@ -67,7 +69,13 @@ pub(super) enum Turn {
 
 impl Items {
     pub(super) fn new(wanted: Option<Item>) -> Self {
-        Self { wanted, count: 0, listed: Vec::new(), second: 0, found: None }
+        Self {
+            wanted,
+            count: 0,
+            listed: Vec::new(),
+            second: 0,
+            found: None,
+        }
     }
 
     /// The next item has these names.
@@ -79,23 +87,39 @@ impl Items {
             self.second = at;
         }
         if self.listed.len() < MOST_LISTED {
-            let names: Vec<String> = names.iter().filter(|name| !name.is_empty()).map(|name| quote(name)).collect();
-            self.listed.push(format!("{index} {}", names.join(" ")).trim_end().to_owned());
+            let names: Vec<String> = names
+                .iter()
+                .filter(|name| !name.is_empty())
+                .map(|name| quote(name))
+                .collect();
+            self.listed
+                .push(format!("{index} {}", names.join(" ")).trim_end().to_owned());
         }
         let (is_index, is_name) = match &self.wanted {
             None => (index == 0, false),
             Some(Item::Index(wanted)) => (index == *wanted, false),
             Some(Item::Name(wanted)) => (false, names.contains(&wanted.as_str())),
-            Some(Item::Text(wanted)) => (wanted.parse() == Ok(index), names.contains(&wanted.trim())),
+            Some(Item::Text(wanted)) => {
+                (wanted.parse() == Ok(index), names.contains(&wanted.trim()))
+            }
         };
         match (is_name, is_index, self.found) {
             (true, _, Some(true)) => {
                 let name = self.wanted.as_ref().map(Item::text).unwrap_or_default();
-                Err(Bad::new(at, format!("expected one item named {name}; found a second: send `item` as an index, such as {index}")))
+                Err(Bad::new(
+                    at,
+                    format!(
+                        "expected one item named {name}; found a second: send `item` as an index, such as {index}"
+                    ),
+                ))
             }
             (true, _, before) => {
                 self.found = Some(true);
-                Ok(if before.is_some() { Turn::ReadInstead } else { Turn::Read })
+                Ok(if before.is_some() {
+                    Turn::ReadInstead
+                } else {
+                    Turn::Read
+                })
             }
             (false, true, None) => {
                 self.found = Some(false);
@@ -108,7 +132,11 @@ impl Items {
     /// The names of the first items.
     fn list(&self, what: &str) -> String {
         let more = self.count - self.listed.len();
-        let more = if more > 0 { format!(", and {more} more") } else { String::new() };
+        let more = if more > 0 {
+            format!(", and {more} more")
+        } else {
+            String::new()
+        };
         format!("{} {what}: {}{more}", self.count, self.listed.join(", "))
     }
 
@@ -120,12 +148,22 @@ impl Items {
         let is_only = is_only || self.count == 0 && self.wanted == Some(Item::Text("0".to_owned()));
         match &self.wanted {
             None if self.count > 1 => {
-                let detail = format!("expected `item`, the index or name of one, because the file has {}", self.list(what));
+                let detail = format!(
+                    "expected `item`, the index or name of one, because the file has {}",
+                    self.list(what)
+                );
                 Err(Bad::new(self.second, detail))
             }
             Some(item) if self.found.is_none() && !is_only => {
-                let found = if self.count == 0 { "one item, without a name".to_owned() } else { self.list(what) };
-                Err(Bad::new(end, format!("expected the item {}; the file has {found}", item.text())))
+                let found = if self.count == 0 {
+                    "one item, without a name".to_owned()
+                } else {
+                    self.list(what)
+                };
+                Err(Bad::new(
+                    end,
+                    format!("expected the item {}; the file has {found}", item.text()),
+                ))
             }
             _ => Ok(()),
         }
@@ -136,7 +174,10 @@ impl Items {
 pub(super) fn name_in(node: &Node<'_, '_>) -> Result<String, Problem> {
     const EXPECTED: &str = "a name or a number";
     match node.kind() {
-        _ if node.text.len() > LONGEST_NAME => Err(node.unexpected(&format!("a name of at most {LONGEST_NAME} bytes"), quote(node.text))),
+        _ if node.text.len() > LONGEST_NAME => Err(node.unexpected(
+            &format!("a name of at most {LONGEST_NAME} bytes"),
+            quote(node.text),
+        )),
         Kind::String => node.string(EXPECTED),
         Kind::Number => Ok(node.text.to_owned()),
         _ => Err(node.wrong_kind(EXPECTED)),
@@ -152,8 +193,20 @@ impl ItemNames {
     /// `part`: empty if the image has one item.
     pub(super) fn new(file: &str, part: &str) -> Self {
         let short = file.rsplit(['/', '\\']).next().unwrap_or_default();
-        let whole = if part.is_empty() { String::new() } else { format!("{short}/{part}") };
-        Self([file.to_owned(), if short == file { String::new() } else { short.to_owned() }, whole])
+        let whole = if part.is_empty() {
+            String::new()
+        } else {
+            format!("{short}/{part}")
+        };
+        Self([
+            file.to_owned(),
+            if short == file {
+                String::new()
+            } else {
+                short.to_owned()
+            },
+            whole,
+        ])
     }
 
     pub(super) fn list(&self) -> [&str; 3] {

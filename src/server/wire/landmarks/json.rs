@@ -23,7 +23,10 @@ impl<'t> Fields<'t> {
         let object = object.filter(|node| node.kind() == Kind::Object);
         let unquoted = |(name, value): (&'t str, &'t str)| (name.trim_matches('"'), value);
         let pairs = object.map(|object| object.pairs().take(MOST_FIELDS).map(unquoted).collect());
-        Self { is_list, pairs: pairs.unwrap_or_default() }
+        Self {
+            is_list,
+            pairs: pairs.unwrap_or_default(),
+        }
     }
 
     /// The kind of a field; `None` if it is absent or `null`.
@@ -38,13 +41,28 @@ impl<'t> Fields<'t> {
 
     /// The error about a file that no format recognises.
     pub(super) fn unknown(&self, at: usize) -> Bad {
-        let names: Vec<String> = self.pairs.iter().take(MOST_NAMED).map(|(name, _)| quote(name)).collect();
-        let what = if self.is_list { "a list of objects" } else { "an object" };
+        let names: Vec<String> = self
+            .pairs
+            .iter()
+            .take(MOST_NAMED)
+            .map(|(name, _)| quote(name))
+            .collect();
+        let what = if self.is_list {
+            "a list of objects"
+        } else {
+            "an object"
+        };
         let found = match &names[..] {
             [] => "without fields".to_owned(),
             names => format!("with the fields {}", names.join(", ")),
         };
         let expected = list(&["p", "shapes", "landmarks"]);
-        Bad::new(at, format!("expected a landmark file ({}), such as an object with {expected}; found {what} {found}", titles()))
+        Bad::new(
+            at,
+            format!(
+                "expected a landmark file ({}), such as an object with {expected}; found {what} {found}",
+                titles()
+            ),
+        )
     }
 }

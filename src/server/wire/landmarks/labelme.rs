@@ -16,7 +16,12 @@ use crate::problem::words::quote;
 use crate::wire::handles::{PLACE, place};
 use crate::wire::json::{Node, optional};
 
-pub(super) const FORMAT: Format = Format { name: "labelme", title: "labelme", items: "images", form: Form::Json(is_labelme, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "labelme",
+    title: "labelme",
+    items: "images",
+    form: Form::Json(is_labelme, read),
+};
 const SHAPES: &str = "an array of shapes";
 const POINTS: &str = "an array of positions";
 const TYPES: &str = "`point`, `line`, `linestrip` or `polygon`";
@@ -37,18 +42,40 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
         };
         // Older versions had polygons alone.
         let kind_at = kind.as_ref().map_or(at, |kind| offset(text, kind));
-        let kind = optional(kind, |kind| kind.string(TYPES))?.unwrap_or_else(|| "polygon".to_owned());
+        let kind =
+            optional(kind, |kind| kind.string(TYPES))?.unwrap_or_else(|| "polygon".to_owned());
         let fewest = match kind.as_str() {
             "point" => 1,
             "line" | "linestrip" | "polygon" => 2,
-            other => return Err(Bad::new(kind_at, format!("expected a shape of the type {TYPES}; found {}", quote(other))).into()),
+            other => {
+                return Err(Bad::new(
+                    kind_at,
+                    format!(
+                        "expected a shape of the type {TYPES}; found {}",
+                        quote(other)
+                    ),
+                )
+                .into());
+            }
         };
         let points = points.ok_or_else(|| shape.missing("points", POINTS))?;
         let count = count(&points)?;
-        let is_count = if fewest == 1 { count == 1 } else { count >= fewest };
+        let is_count = if fewest == 1 {
+            count == 1
+        } else {
+            count >= fewest
+        };
         if !is_count {
-            let expected = if fewest == 1 { "1 position" } else { "at least 2 positions" };
-            return Err(Bad::new(offset(text, &points), format!("expected {expected} in a {kind}; found {count}")).into());
+            let expected = if fewest == 1 {
+                "1 position"
+            } else {
+                "at least 2 positions"
+            };
+            return Err(Bad::new(
+                offset(text, &points),
+                format!("expected {expected} in a {kind}; found {count}"),
+            )
+            .into());
         }
         out.count(at, count + usize::from(kind == "polygon"))?;
         let mut positions = Vec::with_capacity(count + 1);
@@ -59,8 +86,16 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
         if kind == "polygon" && positions.first() != positions.last() {
             positions.extend(positions.first().copied());
         }
-        let name = Some(Located { at: label_at, text: &label });
-        Ok(out.push(Landmark { at, p: handle(positions), q: None, name })?)
+        let name = Some(Located {
+            at: label_at,
+            text: &label,
+        });
+        Ok(out.push(Landmark {
+            at,
+            p: handle(positions),
+            q: None,
+            name,
+        })?)
     })?;
     Ok(offset(text, &shapes))
 }

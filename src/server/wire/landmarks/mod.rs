@@ -67,13 +67,25 @@ struct Format {
 /// What a format is written in. The first function: whether a file is of this format, by its beginning. The second one reads it.
 enum Form {
     /// A text, by its beginning.
-    Head(fn(&str) -> bool, fn(Source<'_>, &mut Collector) -> Result<usize, Bad>),
+    Head(
+        fn(&str) -> bool,
+        fn(Source<'_>, &mut Collector) -> Result<usize, Bad>,
+    ),
     /// Lines, by the first that is neither empty nor a comment.
-    Lines(fn(&str) -> bool, fn(Source<'_>, &mut Collector) -> Result<usize, Bad>),
+    Lines(
+        fn(&str) -> bool,
+        fn(Source<'_>, &mut Collector) -> Result<usize, Bad>,
+    ),
     /// Rows of fields, by the first.
-    Table(fn(&Row) -> bool, fn(Table<'_>, &mut Collector) -> Result<usize, Bad>),
+    Table(
+        fn(&Row) -> bool,
+        fn(Table<'_>, &mut Collector) -> Result<usize, Bad>,
+    ),
     /// JSON, by the fields of its outermost object.
-    Json(fn(&Fields<'_>) -> bool, fn(&str, &Node<'_, '_>, &mut Collector) -> Result<usize, BadJson>),
+    Json(
+        fn(&Fields<'_>) -> bool,
+        fn(&str, &Node<'_, '_>, &mut Collector) -> Result<usize, BadJson>,
+    ),
 }
 
 /// The formats, in the order in which they are asked; CSV is what no other table is.
@@ -109,7 +121,9 @@ fn titles() -> String {
 /// Whether a response has this text as its `format`.
 pub(crate) fn is_format(text: &str) -> bool {
     let names = text.split(" (").next().unwrap_or_default();
-    names.split('+').all(|name| FORMATS.iter().any(|format| format.name == name))
+    names
+        .split('+')
+        .all(|name| FORMATS.iter().any(|format| format.name == name))
 }
 
 /// The text of a file, and the work of reading it.
@@ -122,21 +136,41 @@ struct Source<'t> {
 }
 
 /// Reads one file. Once the work is cancelled, the result is wrong.
-fn read(bytes: &[u8], max_columns: usize, item: Option<Item>, work: &Work<'_>) -> Result<File, Bad> {
+fn read(
+    bytes: &[u8],
+    max_columns: usize,
+    item: Option<Item>,
+    work: &Work<'_>,
+) -> Result<File, Bad> {
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
-        return Err(Bad::new(0, "expected UTF-8; found UTF-16: save the file as UTF-8"));
+        return Err(Bad::new(
+            0,
+            "expected UTF-8; found UTF-16: save the file as UTF-8",
+        ));
     }
     let text = work.text(bytes);
-    if let Some(byte) = bytes.get(text.len()).filter(|_| !tem::is_tem(first_line(text))) {
-        return Err(Bad::new(text.len(), format!("expected text in UTF-8; found the byte 0x{byte:02x}")));
+    if let Some(byte) = bytes
+        .get(text.len())
+        .filter(|_| !tem::is_tem(first_line(text)))
+    {
+        return Err(Bad::new(
+            text.len(),
+            format!("expected text in UTF-8; found the byte 0x{byte:02x}"),
+        ));
     }
     let zero = work.find(text.as_bytes(), |byte| byte == 0);
     if zero < text.len() {
         return Err(Bad::new(zero, "expected text; found a zero byte"));
     }
-    let start = if text.starts_with('\u{feff}') { '\u{feff}'.len_utf8() } else { 0 };
+    let start = if text.starts_with('\u{feff}') {
+        '\u{feff}'.len_utf8()
+    } else {
+        0
+    };
     let source = Source { text, start, work };
-    let before = work.find(&text.as_bytes()[start..], |byte| !byte.is_ascii_whitespace());
+    let before = work.find(&text.as_bytes()[start..], |byte| {
+        !byte.is_ascii_whitespace()
+    });
     let content = text[start + before..].trim_start();
     let mut out = Collector::new(max_columns, item);
     let (format, end) = match content.as_bytes().first() {
@@ -150,13 +184,19 @@ fn read(bytes: &[u8], max_columns: usize, item: Option<Item>, work: &Work<'_>) -
 /// The beginning of the first line that is neither empty nor a comment, among the first ones.
 fn first_line(text: &str) -> &str {
     let mut lines = head(text).split(['\n', '\r']);
-    lines.find(|line| !line.trim().is_empty() && !line.starts_with('#')).unwrap_or_default().trim()
+    lines
+        .find(|line| !line.trim().is_empty() && !line.starts_with('#'))
+        .unwrap_or_default()
+        .trim()
 }
 
 /// The beginning of a text.
 fn head(text: &str) -> &str {
     const LONGEST: usize = 1 << 16;
-    let end = (0..=LONGEST.min(text.len())).rev().find(|end| text.is_char_boundary(*end)).unwrap_or_default();
+    let end = (0..=LONGEST.min(text.len()))
+        .rev()
+        .find(|end| text.is_char_boundary(*end))
+        .unwrap_or_default();
     &text[..end]
 }
 
@@ -165,13 +205,16 @@ type Reading = (&'static Format, usize);
 
 fn read_json(source: Source<'_>, start: usize, out: &mut Collector) -> Result<Reading, Bad> {
     let text = source.text;
-    let node = super::json::long_value(&text[start..], source.work).map_err(|e| Bad::of_syntax(text, start, &e))?;
+    let node = super::json::long_value(&text[start..], source.work)
+        .map_err(|e| Bad::of_syntax(text, start, &e))?;
     let fields = Fields::of(&node);
     for format in &FORMATS {
         if let Form::Json(is, read) = format.form
             && is(&fields)
         {
-            return read(text, &node, out).map(|end| (format, end)).map_err(|wrong| wrong.locate(text, &node));
+            return read(text, &node, out)
+                .map(|end| (format, end))
+                .map_err(|wrong| wrong.locate(text, &node));
         }
     }
     Err(fields.unknown(start))
@@ -187,12 +230,23 @@ fn read_text(source: Source<'_>, content: &str, out: &mut Collector) -> Result<R
         }
     }
     if let Some(root) = xml::root(head) {
-        let detail = format!("expected a landmark file ({}); found XML with the element {}", titles(), quote(root));
+        let detail = format!(
+            "expected a landmark file ({}); found XML with the element {}",
+            titles(),
+            quote(root)
+        );
         return Err(Bad::new(source.text.len() - content.len(), detail));
     }
     let table = Table::new(source)?;
     if let [only] = &table.first.fields[..] {
-        return Err(Bad::new(only.at, format!("expected a landmark file ({}); found {}", titles(), quote(&only.text))));
+        return Err(Bad::new(
+            only.at,
+            format!(
+                "expected a landmark file ({}); found {}",
+                titles(),
+                quote(&only.text)
+            ),
+        ));
     }
     for format in &FORMATS {
         if let Form::Table(is, read) = format.form
@@ -201,10 +255,17 @@ fn read_text(source: Source<'_>, content: &str, out: &mut Collector) -> Result<R
             return Ok((format, read(table, out)?));
         }
     }
-    Err(Bad::new(table.first.at, format!("expected a landmark file ({})", titles())))
+    Err(Bad::new(
+        table.first.at,
+        format!("expected a landmark file ({})", titles()),
+    ))
 }
 
 /// Where in `text` a part of it begins. Nodes of JSON are parts of the text.
 fn offset(text: &str, node: &Node<'_, '_>) -> usize {
-    node.text.as_ptr().addr().saturating_sub(text.as_ptr().addr()).min(text.len())
+    node.text
+        .as_ptr()
+        .addr()
+        .saturating_sub(text.as_ptr().addr())
+        .min(text.len())
 }

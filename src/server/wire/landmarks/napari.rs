@@ -10,7 +10,12 @@ use super::csv::NAMES;
 use super::table::{Row, Table};
 use super::{Form, Format};
 
-pub(super) const FORMAT: Format = Format { name: "napari", title: "napari points", items: "slices", form: Form::Table(is_napari, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "napari",
+    title: "napari points",
+    items: "slices",
+    form: Form::Table(is_napari, read),
+};
 const CENTRE: f64 = 0.5;
 
 /// The columns of the axes, in their order.
@@ -20,32 +25,48 @@ fn axes(names: &[String]) -> Vec<usize> {
 }
 
 fn is_napari(first: &Row) -> bool {
-    first.as_header().is_some_and(|names| axes(&names).len() > 1)
+    first
+        .as_header()
+        .is_some_and(|names| axes(&names).len() > 1)
 }
 
 fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
-    let Table { first: header, mut rows } = table;
+    let Table {
+        first: header,
+        mut rows,
+    } = table;
     let names = header.as_header().unwrap_or_default();
     if let Some(shapes) = names.iter().position(|name| name == "shape-type") {
         let detail = "expected a napari points layer; found a shapes layer: copy its vertices to a points layer and save that";
         return Err(Bad::new(header.fields[shapes].at, detail));
     }
     let axes = axes(&names);
-    let [stack @ .., y, x] = &axes[..] else { return Ok(rows.end()) };
-    let name = NAMES.iter().find_map(|wanted| names.iter().position(|name| name == wanted));
+    let [stack @ .., y, x] = &axes[..] else {
+        return Ok(rows.end());
+    };
+    let name = NAMES
+        .iter()
+        .find_map(|wanted| names.iter().position(|name| name == wanted));
     let (mut slice, mut is_wanted) = (None, true);
     while let Some(row) = rows.next_row()? {
         row.require_width(names.len(), "as the header has")?;
         let number = |field: usize| row.fields[field].located().number();
         let place = [number(*x)? + CENTRE, number(*y)? + CENTRE];
-        let of_row: Vec<&str> = stack.iter().map(|axis| row.fields[*axis].text.trim()).collect();
+        let of_row: Vec<&str> = stack
+            .iter()
+            .map(|axis| row.fields[*axis].text.trim())
+            .collect();
         let of_row = of_row.join(",");
         if !stack.is_empty() && slice.as_ref() != Some(&of_row) {
             is_wanted = out.item(row.at, &[&of_row])?;
             slice = Some(of_row);
         }
         if is_wanted {
-            out.point(row.at, Some(place), name.map(|name| row.fields[name].located()))?;
+            out.point(
+                row.at,
+                Some(place),
+                name.map(|name| row.fields[name].located()),
+            )?;
         }
     }
     Ok(rows.end())

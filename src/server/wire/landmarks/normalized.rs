@@ -15,8 +15,18 @@ use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
 
-pub(super) const MEDIAPIPE: Format = Format { name: "mediapipe", title: "MediaPipe", items: "lists", form: Form::Json(is_mediapipe, read) };
-pub(super) const ARKIT: Format = Format { name: "arkit", title: "ARKit", items: "lists", form: Form::Json(is_arkit, read) };
+pub(super) const MEDIAPIPE: Format = Format {
+    name: "mediapipe",
+    title: "MediaPipe",
+    items: "lists",
+    form: Form::Json(is_mediapipe, read),
+};
+pub(super) const ARKIT: Format = Format {
+    name: "arkit",
+    title: "ARKit",
+    items: "lists",
+    form: Form::Json(is_arkit, read),
+};
 /// The fields of an object that contain a list. ARKit's stand last, with the names of its joints.
 const LISTS: [&str; 16] = [
     "landmarks",
@@ -55,11 +65,20 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
         return read_lists(text, root, None, true, out);
     }
     let [lists @ .., names] = root.find(&LISTS)?;
-    let mut given = lists.iter().zip(LISTS).filter_map(|(list, name)| Some((list.as_ref()?, name)));
+    let mut given = lists
+        .iter()
+        .zip(LISTS)
+        .filter_map(|(list, name)| Some((list.as_ref()?, name)));
     match (given.next(), given.next()) {
-        (None, _) => Err(Bad::new(offset(text, root), "expected a list of landmarks; found none").into()),
+        (None, _) => Err(Bad::new(
+            offset(text, root),
+            "expected a list of landmarks; found none",
+        )
+        .into()),
         (Some((_, first)), Some((list, second))) => {
-            let detail = format!("expected one list of landmarks; found `{first}` and `{second}`: send one of them");
+            let detail = format!(
+                "expected one list of landmarks; found `{first}` and `{second}`: send one of them"
+            );
             Err(Bad::new(offset(text, list), detail).into())
         }
         (Some((list, _)), None) => read_lists(text, list, names.as_ref(), false, out),
@@ -67,7 +86,13 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
 }
 
 /// Reads a list, or one of the lists of several faces, hands or bodies. `is_bare`: without a field that says what it is.
-fn read_lists(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_bare: bool, out: &mut Collector) -> Result<usize, BadJson> {
+fn read_lists(
+    text: &str,
+    list: &Node<'_, '_>,
+    names: Option<&Node<'_, '_>>,
+    is_bare: bool,
+    out: &mut Collector,
+) -> Result<usize, BadJson> {
     if is_list_of_lists(list) {
         list.items::<BadJson>(LIST, |_, inner| {
             if out.item(offset(text, &inner), &[])? {
@@ -81,7 +106,13 @@ fn read_lists(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_
     Ok(offset(text, list))
 }
 
-fn read_list(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_bare: bool, out: &mut Collector) -> Result<(), BadJson> {
+fn read_list(
+    text: &str,
+    list: &Node<'_, '_>,
+    names: Option<&Node<'_, '_>>,
+    is_bare: bool,
+    out: &mut Collector,
+) -> Result<(), BadJson> {
     let mut count = 0;
     let mut places = Vec::new();
     list.items::<BadJson>(LIST, |_, item| {
@@ -95,18 +126,34 @@ fn read_list(text: &str, list: &Node<'_, '_>, names: Option<&Node<'_, '_>>, is_b
         places.push((at, read_item(&item)?));
         Ok(())
     })?;
-    let names = names.map(|names| read_names(text, names, count)).transpose()?;
+    let names = names
+        .map(|names| read_names(text, names, count))
+        .transpose()?;
     for (index, (at, (place, name))) in places.into_iter().enumerate() {
         let own = name.map(|name| (at, name));
-        let name = own.as_ref().or_else(|| names.as_ref().and_then(|names| names.get(index)));
-        out.point(at, place, name.map(|(at, name)| Located { at: *at, text: name }))?;
+        let name = own
+            .as_ref()
+            .or_else(|| names.as_ref().and_then(|names| names.get(index)));
+        out.point(
+            at,
+            place,
+            name.map(|(at, name)| Located {
+                at: *at,
+                text: name,
+            }),
+        )?;
     }
     Ok(())
 }
 
 /// `[[{...}], ...]`: the lists of several faces.
 fn is_list_of_lists(list: &Node<'_, '_>) -> bool {
-    list.first().is_some_and(|first| first.kind() == Kind::Array && first.first().is_some_and(|inner| inner.kind() == Kind::Object))
+    list.first().is_some_and(|first| {
+        first.kind() == Kind::Array
+            && first
+                .first()
+                .is_some_and(|inner| inner.kind() == Kind::Object)
+    })
 }
 
 /// The position of a landmark, `None` if it is `null`, and its name.
@@ -124,10 +171,17 @@ fn read_item(item: &Node<'_, '_>) -> Result<(Option<[f64; 2]>, Option<String>), 
             count += 1;
             Ok(())
         })?;
-        return if count < 2 { Err(item.unexpected(ARRAY, count).into()) } else { Ok((Some(place), None)) };
+        return if count < 2 {
+            Err(item.unexpected(ARRAY, count).into())
+        } else {
+            Ok((Some(place), None))
+        };
     }
     let [x, y, name] = item.find(&["x", "y", "name"])?;
     let x = number(&x.ok_or_else(|| item.missing("x", SHARE))?, SHARE)?;
     let y = number(&y.ok_or_else(|| item.missing("y", SHARE))?, SHARE)?;
-    Ok((Some([x, y]), name.map(|name| name.string("a name")).transpose()?))
+    Ok((
+        Some([x, y]),
+        name.map(|name| name.string("a name")).transpose()?,
+    ))
 }

@@ -9,26 +9,49 @@ use super::collect::Collector;
 use super::table::{Row, Table};
 use super::{Form, Format};
 
-pub(super) const FORMAT: Format = Format { name: "openface", title: "OpenFace CSV", items: "rows", form: Form::Table(is_openface, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "openface",
+    title: "OpenFace CSV",
+    items: "rows",
+    form: Form::Table(is_openface, read),
+};
 const CENTRE: f64 = 0.5;
 
 /// The columns of x and y of each landmark.
 fn landmarks(names: &[String]) -> Vec<[usize; 2]> {
-    let columns: std::collections::HashMap<&str, usize> = names.iter().enumerate().map(|(k, name)| (name.as_str(), k)).collect();
-    let place = |k: usize| Some([*columns.get(format!("x_{k}").as_str())?, *columns.get(format!("y_{k}").as_str())?]);
+    let columns: std::collections::HashMap<&str, usize> = names
+        .iter()
+        .enumerate()
+        .map(|(k, name)| (name.as_str(), k))
+        .collect();
+    let place = |k: usize| {
+        Some([
+            *columns.get(format!("x_{k}").as_str())?,
+            *columns.get(format!("y_{k}").as_str())?,
+        ])
+    };
     (0..names.len()).map_while(place).collect()
 }
 
 fn is_openface(first: &Row) -> bool {
-    first.as_header().is_some_and(|names| !landmarks(&names).is_empty())
+    first
+        .as_header()
+        .is_some_and(|names| !landmarks(&names).is_empty())
 }
 
 fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
-    let Table { first: header, mut rows } = table;
+    let Table {
+        first: header,
+        mut rows,
+    } = table;
     let names = header.as_header().unwrap_or_default();
     let landmarks = landmarks(&names);
     let find = |wanted: &str| names.iter().position(|name| name == wanted);
-    let (frame, face, success) = (find("frame"), find("face_id").or(find("face")), find("success"));
+    let (frame, face, success) = (
+        find("frame"),
+        find("face_id").or(find("face")),
+        find("success"),
+    );
     while let Some(row) = rows.next_row()? {
         row.require_width(names.len(), "as the header has")?;
         let text = |field: Option<usize>| field.map_or("", |field| row.fields[field].text.trim());
@@ -36,13 +59,22 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
         if !out.item(row.at, &[text(frame), &both])? {
             continue;
         }
-        if let Some(success) = success.filter(|field| row.fields[*field].located().number().is_ok_and(|success| success < 0.5)) {
+        if let Some(success) = success.filter(|field| {
+            row.fields[*field]
+                .located()
+                .number()
+                .is_ok_and(|success| success < 0.5)
+        }) {
             let detail = "expected a row in which a face was found; found `success` 0: choose another `item`";
             return Err(Bad::new(row.fields[success].at, detail));
         }
         for [x, y] in &landmarks {
             let (x, y) = (row.fields[*x].located(), row.fields[*y].located());
-            out.point(x.at, Some([x.number()? + CENTRE, y.number()? + CENTRE]), None)?;
+            out.point(
+                x.at,
+                Some([x.number()? + CENTRE, y.number()? + CENTRE]),
+                None,
+            )?;
         }
     }
     Ok(rows.end())

@@ -9,13 +9,22 @@ use super::words::Lines;
 use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
-pub(super) const FORMAT: Format = Format { name: "pts", title: "ibug .pts", items: "faces", form: Form::Lines(is_pts, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "pts",
+    title: "ibug .pts",
+    items: "faces",
+    form: Form::Lines(is_pts, read),
+};
 const FIRST_CENTRE: f64 = 0.5;
 
 /// Whether the first line is that of such a file.
 fn is_pts(first: &str) -> bool {
-    ["version", "n_points"].iter().any(|name| first.split(':').next().is_some_and(|word| word.trim().eq_ignore_ascii_case(name)))
-        && first.contains(':')
+    ["version", "n_points"].iter().any(|name| {
+        first
+            .split(':')
+            .next()
+            .is_some_and(|word| word.trim().eq_ignore_ascii_case(name))
+    }) && first.contains(':')
 }
 
 fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
@@ -23,14 +32,29 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut declared: Option<usize> = None;
     loop {
         let line = lines.line("`{` before the points")?;
-        match line.text.split_once(':').map(|(name, value)| (name.trim().to_ascii_lowercase(), value)) {
+        match line
+            .text
+            .split_once(':')
+            .map(|(name, value)| (name.trim().to_ascii_lowercase(), value))
+        {
             _ if line.text == "{" => break,
             Some((name, value)) if name == "n_points" => {
-                let value = Located { at: line.at + line.text.len() - value.len(), text: value.trim() };
+                let value = Located {
+                    at: line.at + line.text.len() - value.len(),
+                    text: value.trim(),
+                };
                 declared = Some(value.whole("the number of points")?);
             }
             Some((name, _)) if name == "version" => {}
-            _ => return Err(Bad::new(line.at, format!("expected `version:`, `n_points:` or `{{`; found {}", quote(line.text)))),
+            _ => {
+                return Err(Bad::new(
+                    line.at,
+                    format!(
+                        "expected `version:`, `n_points:` or `{{`; found {}",
+                        quote(line.text)
+                    ),
+                ));
+            }
         }
     }
     let mut found = 0;
@@ -44,7 +68,10 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
         found += 1;
     };
     if let Some(declared) = declared.filter(|declared| *declared != found) {
-        return Err(Bad::new(end, format!("expected {declared} points, as `n_points` says; found {found}")));
+        return Err(Bad::new(
+            end,
+            format!("expected {declared} points, as `n_points` says; found {found}"),
+        ));
     }
     lines.end()?;
     Ok(end)

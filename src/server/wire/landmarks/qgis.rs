@@ -10,30 +10,48 @@ use super::collect::Collector;
 use super::table::{Row, Table, flag};
 use super::{Form, Format};
 
-pub(super) const FORMAT: Format = Format { name: "qgis", title: "QGIS .points", items: "rasters", form: Form::Table(is_qgis, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "qgis",
+    title: "QGIS .points",
+    items: "rasters",
+    form: Form::Table(is_qgis, read),
+};
 
 const X: [&str; 2] = ["sourcex", "pixelx"];
 const Y: [&str; 2] = ["sourcey", "pixely"];
 
 fn find(names: &[String], wanted: &[&str]) -> Option<usize> {
-    names.iter().position(|name| wanted.contains(&name.as_str()))
+    names
+        .iter()
+        .position(|name| wanted.contains(&name.as_str()))
 }
 
 fn is_qgis(first: &Row) -> bool {
-    first.as_header().is_some_and(|names| find(&names, &["mapx"]).is_some())
+    first
+        .as_header()
+        .is_some_and(|names| find(&names, &["mapx"]).is_some())
 }
 
 fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
-    let Table { first: header, mut rows } = table;
+    let Table {
+        first: header,
+        mut rows,
+    } = table;
     let names = header.as_header().unwrap_or_default();
     let (Some(x), Some(y)) = (find(&names, &X), find(&names, &Y)) else {
-        return Err(Bad::new(header.at, "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points file"));
+        return Err(Bad::new(
+            header.at,
+            "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points file",
+        ));
     };
     let enable = find(&names, &["enable"]);
     while let Some(row) = rows.next_row()? {
         row.require_width(names.len(), "as the header has")?;
         let is_enabled = enable.map_or(Ok(true), |enable| flag(&row.fields[enable]))?;
-        let place = [row.fields[x].located().number()?, 0.0 - row.fields[y].located().number()?];
+        let place = [
+            row.fields[x].located().number()?,
+            0.0 - row.fields[y].located().number()?,
+        ];
         if is_enabled {
             out.point(row.at, Some(place), None)?;
         } else {

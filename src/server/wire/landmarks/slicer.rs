@@ -16,8 +16,18 @@ use crate::problem::words::quote;
 use crate::wire::json::{Kind, Node, optional};
 use crate::wire::number::number;
 
-pub(super) const JSON: Format = Format { name: "slicer", title: "3D Slicer", items: "markups", form: Form::Json(is_markups, read_json) };
-pub(super) const FCSV: Format = Format { name: "slicer", title: ".fcsv", items: "markups", form: Form::Head(is_fcsv, read_fcsv) };
+pub(super) const JSON: Format = Format {
+    name: "slicer",
+    title: "3D Slicer",
+    items: "markups",
+    form: Form::Json(is_markups, read_json),
+};
+pub(super) const FCSV: Format = Format {
+    name: "slicer",
+    title: ".fcsv",
+    items: "markups",
+    form: Form::Head(is_fcsv, read_fcsv),
+};
 const CENTRE: f64 = 0.5;
 const MARKUPS: &str = "an array of markups";
 const POINTS: &str = "an array of control points";
@@ -43,7 +53,13 @@ fn require_indices(at: usize, system: &str) -> Result<(), Bad> {
         "" | "1" => "LPS",
         other => other,
     };
-    Err(Bad::new(at, format!("expected positions in pixels; found world coordinates of 3D Slicer, {}, in mm: {CONVERSION}", quote(system))))
+    Err(Bad::new(
+        at,
+        format!(
+            "expected positions in pixels; found world coordinates of 3D Slicer, {}, in mm: {CONVERSION}",
+            quote(system)
+        ),
+    ))
 }
 
 fn read_json(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
@@ -65,8 +81,18 @@ fn read_json(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usi
             let label_at = label.as_ref().map_or(at, |label| offset(text, label));
             let label = optional(label, name_in)?.unwrap_or_default();
             let is_defined = status.is_none_or(|status| status.text == "\"defined\"");
-            let place = position.filter(|_| is_defined).map(|position| indices(&position)).transpose()?;
-            Ok(out.point(at, place, Some(Located { at: label_at, text: &label }))?)
+            let place = position
+                .filter(|_| is_defined)
+                .map(|position| indices(&position))
+                .transpose()?;
+            Ok(out.point(
+                at,
+                place,
+                Some(Located {
+                    at: label_at,
+                    text: &label,
+                }),
+            )?)
         })
     })?;
     Ok(offset(text, &markups))
@@ -82,15 +108,23 @@ fn indices(position: &Node<'_, '_>) -> Result<[f64; 2], Problem> {
         count += 1;
         Ok(())
     })?;
-    if count == 3 { Ok(place) } else { Err(position.unexpected(POSITION, format_args!("{count} numbers"))) }
+    if count == 3 {
+        Ok(place)
+    } else {
+        Err(position.unexpected(POSITION, format_args!("{count} numbers")))
+    }
 }
 
 fn read_fcsv(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, false);
     let (mut system, mut columns) = (None, None);
     while let Some(line) = lines.next_line()? {
-        let Some(comment) = line.text.strip_prefix('#') else { break };
-        let setting = comment.split_once('=').map(|(name, value)| (name.trim(), value.trim()));
+        let Some(comment) = line.text.strip_prefix('#') else {
+            break;
+        };
+        let setting = comment
+            .split_once('=')
+            .map(|(name, value)| (name.trim(), value.trim()));
         match setting {
             Some(("CoordinateSystem", value)) => system = Some((line.at, value)),
             Some(("columns", value)) => columns = Some(value),
@@ -99,16 +133,33 @@ fn read_fcsv(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     }
     let (at, system) = system.unwrap_or((source.start, "0"));
     require_indices(at, system)?;
-    let names: Vec<&str> = columns.unwrap_or("id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label").split(',').map(str::trim).collect();
+    let names: Vec<&str> = columns
+        .unwrap_or("id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label")
+        .split(',')
+        .map(str::trim)
+        .collect();
     let column = |name: &str| names.iter().position(|other| *other == name);
-    let (Some(x), Some(y)) = (column("x"), column("y")) else { return Err(Bad::new(at, "expected the columns `x` and `y`; found none")) };
+    let (Some(x), Some(y)) = (column("x"), column("y")) else {
+        return Err(Bad::new(at, "expected the columns `x` and `y`; found none"));
+    };
     let Table { first, mut rows } = Table::new(source)?;
     let mut next = Some(first);
     while let Some(row) = next {
         let field = |index: usize| row.fields.get(index).map(super::table::Field::located);
-        let number = |index: usize| field(index).unwrap_or(Located { at: row.at, text: "" }).number();
+        let number = |index: usize| {
+            field(index)
+                .unwrap_or(Located {
+                    at: row.at,
+                    text: "",
+                })
+                .number()
+        };
         let label = column("label").and_then(field);
-        out.point(row.at, Some([number(x)? + CENTRE, number(y)? + CENTRE]), label)?;
+        out.point(
+            row.at,
+            Some([number(x)? + CENTRE, number(y)? + CENTRE]),
+            label,
+        )?;
         next = rows.next_row()?;
     }
     Ok(rows.end())

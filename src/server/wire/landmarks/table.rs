@@ -23,7 +23,10 @@ pub(super) struct Field {
 
 impl Field {
     pub(super) fn located(&self) -> Located<'_> {
-        Located { at: self.at, text: self.text.trim() }
+        Located {
+            at: self.at,
+            text: self.text.trim(),
+        }
     }
 }
 
@@ -38,8 +41,10 @@ impl Row {
     /// The names of a header, in lower case; `None` if a field is a number.
     pub(super) fn as_header(&self) -> Option<Vec<String>> {
         let names = self.fields.iter().map(|field| field.text.trim());
-        let is_header =
-            names.clone().all(|name| name.replacen(',', ".", 1).parse::<f64>().is_err()) && names.clone().any(|name| !name.is_empty());
+        let is_header = names
+            .clone()
+            .all(|name| name.replacen(',', ".", 1).parse::<f64>().is_err())
+            && names.clone().any(|name| !name.is_empty());
         is_header.then(|| names.map(str::to_lowercase).collect())
     }
 
@@ -50,8 +55,15 @@ impl Row {
             return Ok(());
         }
         // A surplus field, or the end of the row.
-        let at = self.fields.get(width).or(self.fields.last()).map_or(self.at, |field| field.at);
-        Err(Bad::new(at, format!("expected {width} fields, {what}; found {found}")))
+        let at = self
+            .fields
+            .get(width)
+            .or(self.fields.last())
+            .map_or(self.at, |field| field.at);
+        Err(Bad::new(
+            at,
+            format!("expected {width} fields, {what}; found {found}"),
+        ))
     }
 }
 
@@ -66,8 +78,16 @@ impl<'t> Table<'t> {
     pub(super) fn new(source: Source<'t>) -> Result<Self, Bad> {
         let mut rows = Rows::new(source)?;
         let first = rows.next_row()?;
-        let missing = || Bad::new(source.start, "expected landmarks; the file has comments only");
-        Ok(Self { first: first.ok_or_else(missing)?, rows })
+        let missing = || {
+            Bad::new(
+                source.start,
+                "expected landmarks; the file has comments only",
+            )
+        };
+        Ok(Self {
+            first: first.ok_or_else(missing)?,
+            rows,
+        })
     }
 }
 
@@ -97,7 +117,13 @@ impl<'t> Rows<'t> {
         let separator = separator(&source.text.as_bytes()[at..], source.work);
         let reader = separator.map(|separator| ReaderBuilder::new().delimiter(separator).build());
         let decimal_comma = separator.is_some_and(|separator| separator != b',');
-        Ok(Self { source, at, reader, decimal_comma, field: Box::new([0; LONGEST_FIELD]) })
+        Ok(Self {
+            source,
+            at,
+            reader,
+            decimal_comma,
+            field: Box::new([0; LONGEST_FIELD]),
+        })
     }
 
     /// The end of the file, bytes.
@@ -109,15 +135,25 @@ impl<'t> Rows<'t> {
     pub(super) fn next_row(&mut self) -> Result<Option<Row>, Bad> {
         let rest = &self.source.text.as_bytes()[self.at..];
         // Only as far as the first byte of the next row: what follows it is looked at as it is read.
-        let blank = self.source.work.find(rest, |byte| !byte.is_ascii_whitespace());
+        let blank = self
+            .source
+            .work
+            .find(rest, |byte| !byte.is_ascii_whitespace());
         if blank == rest.len() || self.source.work.is_stopped() {
             self.at = self.source.text.len();
             return Ok(None);
         }
         let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
         // Tabs before the first word are fields.
-        self.at += rest[..blank].iter().rposition(is_end).map_or(0, |end| end + 1);
-        let fields = if self.reader.is_some() { self.fields()? } else { self.words()? };
+        self.at += rest[..blank]
+            .iter()
+            .rposition(is_end)
+            .map_or(0, |end| end + 1);
+        let fields = if self.reader.is_some() {
+            self.fields()?
+        } else {
+            self.words()?
+        };
         Ok(Some(fields))
     }
 
@@ -129,13 +165,21 @@ impl<'t> Rows<'t> {
         let mut fields = Vec::new();
         while !rest.is_empty() {
             let at = row_at + (rest.as_ptr().addr() - line.as_ptr().addr());
-            let quoted = rest.strip_prefix('"').and_then(|inside| inside.split_once('"'));
+            let quoted = rest
+                .strip_prefix('"')
+                .and_then(|inside| inside.split_once('"'));
             let whole = || rest.split_at(rest.find(char::is_whitespace).unwrap_or(rest.len()));
             let (text, after) = quoted.unwrap_or_else(whole);
             if text.len() > LONGEST_FIELD {
                 return Err(too_long(at));
             }
-            push(&mut fields, Field { at, text: text.to_owned() })?;
+            push(
+                &mut fields,
+                Field {
+                    at,
+                    text: text.to_owned(),
+                },
+            )?;
             rest = after.trim_start();
         }
         Ok(Row { at: row_at, fields })
@@ -155,11 +199,16 @@ impl<'t> Rows<'t> {
 
     /// The next field of the row, and whether it is the last one.
     fn field(&mut self) -> Result<(Field, bool), Bad> {
-        let Some(reader) = &mut self.reader else { return Err(Bad::new(self.at, "expected a row")) };
+        let Some(reader) = &mut self.reader else {
+            return Err(Bad::new(self.at, "expected a row"));
+        };
         let (at, mut length) = (self.at, 0);
         loop {
             // Without input the reader ends the field.
-            let (result, read, written) = reader.read_field(&self.source.text.as_bytes()[self.at..], &mut self.field[length..]);
+            let (result, read, written) = reader.read_field(
+                &self.source.text.as_bytes()[self.at..],
+                &mut self.field[length..],
+            );
             self.at += read;
             length += written;
             self.source.work.add(read);
@@ -169,8 +218,15 @@ impl<'t> Rows<'t> {
                 ReadFieldResult::Field { record_end } => record_end,
                 ReadFieldResult::End => true,
             };
-            let text = std::str::from_utf8(&self.field[..length]).map_err(|_| Bad::new(at, "expected text in UTF-8"))?;
-            return Ok((Field { at, text: text.to_owned() }, is_last));
+            let text = std::str::from_utf8(&self.field[..length])
+                .map_err(|_| Bad::new(at, "expected text in UTF-8"))?;
+            return Ok((
+                Field {
+                    at,
+                    text: text.to_owned(),
+                },
+                is_last,
+            ));
         }
     }
 }
@@ -178,14 +234,20 @@ impl<'t> Rows<'t> {
 /// Errors: Too many fields.
 fn push(fields: &mut Vec<Field>, field: Field) -> Result<(), Bad> {
     if fields.len() == MOST_FIELDS {
-        return Err(Bad::new(field.at, format!("expected at most {MOST_FIELDS} fields in a row; found more")));
+        return Err(Bad::new(
+            field.at,
+            format!("expected at most {MOST_FIELDS} fields in a row; found more"),
+        ));
     }
     fields.push(field);
     Ok(())
 }
 
 fn too_long(at: usize) -> Bad {
-    Bad::new(at, format!("expected a field of at most {LONGEST_FIELD} bytes; found a longer one"))
+    Bad::new(
+        at,
+        format!("expected a field of at most {LONGEST_FIELD} bytes; found a longer one"),
+    )
 }
 
 /// What separates the fields: what every row has outside of quotes, a tab rather than a semicolon rather than a comma; else a comma or a
@@ -195,13 +257,19 @@ fn separator(text: &[u8], work: &Work<'_>) -> Option<u8> {
     let (mut rows, mut counts) = (0_usize, [0_usize; 3]);
     let (mut has, mut is_blank, mut is_quoted, mut may_quote) = ([false; 3], true, false, true);
     for byte in work.pieces(text).flatten().chain(b"\n") {
-        let found = SEPARATORS.iter().position(|separator| separator == byte).filter(|_| !is_quoted);
+        let found = SEPARATORS
+            .iter()
+            .position(|separator| separator == byte)
+            .filter(|_| !is_quoted);
         match (byte, found) {
             // A doubled quote ends and begins.
             (b'"', _) if is_quoted || may_quote => is_quoted = !is_quoted,
             (b'\n' | b'\r', _) if !is_quoted => {
                 rows += usize::from(!is_blank);
-                counts.iter_mut().zip(has).for_each(|(count, has)| *count += usize::from(has && !is_blank));
+                counts
+                    .iter_mut()
+                    .zip(has)
+                    .for_each(|(count, has)| *count += usize::from(has && !is_blank));
                 (has, is_blank, may_quote) = ([false; 3], true, true);
             }
             (_, Some(index)) => (has[index], may_quote) = (true, true),
@@ -210,8 +278,13 @@ fn separator(text: &[u8], work: &Work<'_>) -> Option<u8> {
         is_blank &= byte.is_ascii_whitespace();
     }
     let [_, semicolons, commas] = counts;
-    let of_all = SEPARATORS.into_iter().zip(counts).find_map(|(separator, count)| (count == rows).then_some(separator));
-    of_all.or((commas > 0).then_some(b',')).or((semicolons > 0).then_some(b';'))
+    let of_all = SEPARATORS
+        .into_iter()
+        .zip(counts)
+        .find_map(|(separator, count)| (count == rows).then_some(separator));
+    of_all
+        .or((commas > 0).then_some(b','))
+        .or((semicolons > 0).then_some(b';'))
 }
 
 /// The value of a field that says whether its row counts.
@@ -219,6 +292,9 @@ pub(super) fn flag(field: &Field) -> Result<bool, Bad> {
     match field.text.trim().to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
         "false" | "0" => Ok(false),
-        other => Err(Bad::new(field.at, format!("expected `true` or `false`; found {}", quote(other)))),
+        other => Err(Bad::new(
+            field.at,
+            format!("expected `true` or `false`; found {}", quote(other)),
+        )),
     }
 }

@@ -15,7 +15,12 @@ use super::words::Lines;
 use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
-pub(super) const FORMAT: Format = Format { name: "tem", title: "WebMorph .tem", items: "faces", form: Form::Lines(is_tem, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "tem",
+    title: "WebMorph .tem",
+    items: "faces",
+    form: Form::Lines(is_tem, read),
+};
 const CENTRE: f64 = 0.5;
 
 /// Whether the first line is that of such a file.
@@ -25,7 +30,9 @@ pub(super) fn is_tem(first: &str) -> bool {
 
 fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, true);
-    let count = lines.line("the number of points")?.whole("the number of points")?;
+    let count = lines
+        .line("the number of points")?
+        .whole("the number of points")?;
     // Points take no less space than columns, so the limit of columns holds for them too.
     let mut points = Vec::new();
     for _ in 0..count {
@@ -42,11 +49,20 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
             contours.extend(contour(&mut lines, &points, &mut is_free, out)?);
         }
     }
-    for (at, place) in points.iter().zip(&is_free).filter_map(|(point, is_free)| is_free.then_some(*point)) {
+    for (at, place) in points
+        .iter()
+        .zip(&is_free)
+        .filter_map(|(point, is_free)| is_free.then_some(*point))
+    {
         out.point(at, Some([place.x, place.y]), None)?;
     }
     for (at, contour) in contours {
-        out.push(Landmark { at, p: Handle::Polyline(contour), q: None, name: None })?;
+        out.push(Landmark {
+            at,
+            p: Handle::Polyline(contour),
+            q: None,
+            name: None,
+        })?;
     }
     Ok(lines.position())
 }
@@ -62,13 +78,26 @@ fn contour(
     let is_closed = match line.text {
         "0" => false,
         "1" => true,
-        other => return Err(Bad::new(line.at, format!("expected 1 for a closed contour or 0 for an open one; found {}", quote(other)))),
+        other => {
+            return Err(Bad::new(
+                line.at,
+                format!(
+                    "expected 1 for a closed contour or 0 for an open one; found {}",
+                    quote(other)
+                ),
+            ));
+        }
     };
-    let count = lines.line("the number of points of the contour")?.whole("the number of points of the contour")?;
+    let count = lines
+        .line("the number of points of the contour")?
+        .whole("the number of points of the contour")?;
     let line = lines.line("the indices of the points of the contour")?;
     let found = line.words().count();
     if found != count || count < 2 {
-        return Err(Bad::new(line.at, format!("expected {} indices of points; found {found}", count.max(2))));
+        return Err(Bad::new(
+            line.at,
+            format!("expected {} indices of points; found {found}", count.max(2)),
+        ));
     }
     out.require_below(line.at, count)?;
     let mut indices = Vec::with_capacity(count + 1);
@@ -76,7 +105,10 @@ fn contour(
         let index = word.whole("the index of a point")?;
         let last = points.len().saturating_sub(1);
         if index > last || points.is_empty() {
-            return Err(Bad::new(word.at, format!("expected the index of a point, 0 to {last}; found {index}")));
+            return Err(Bad::new(
+                word.at,
+                format!("expected the index of a point, 0 to {last}; found {index}"),
+            ));
         }
         indices.push(index);
     }
@@ -89,5 +121,8 @@ fn contour(
     }
     out.count(line.at, indices.len())?;
     indices.iter().for_each(|index| is_free[*index] = false);
-    Ok(Some((line.at, indices.iter().map(|index| points[*index].1).collect())))
+    Ok(Some((
+        line.at,
+        indices.iter().map(|index| points[*index].1).collect(),
+    )))
 }

@@ -15,17 +15,30 @@ use super::words::Lines;
 use super::{Form, Format, Source};
 use crate::problem::words::quote;
 
-pub(super) const FORMAT: Format = Format { name: "tps", title: "tpsDig .tps", items: "specimens", form: Form::Lines(is_tps, read) };
+pub(super) const FORMAT: Format = Format {
+    name: "tps",
+    title: "tpsDig .tps",
+    items: "specimens",
+    form: Form::Lines(is_tps, read),
+};
 
 /// `LM=12` as its name in capitals and its value.
 fn setting<'t>(line: Located<'t>) -> Option<(String, Located<'t>)> {
     let (name, value) = line.text.split_once('=')?;
     let at = line.at + line.text.len() - value.len();
-    Some((name.trim().to_ascii_uppercase(), Located { at, text: value.trim() }))
+    Some((
+        name.trim().to_ascii_uppercase(),
+        Located {
+            at,
+            text: value.trim(),
+        },
+    ))
 }
 
 fn is_tps(first: &str) -> bool {
-    let name = first.split_once('=').map(|(name, _)| name.trim().to_ascii_uppercase());
+    let name = first
+        .split_once('=')
+        .map(|(name, _)| name.trim().to_ascii_uppercase());
     name.is_some_and(|name| name == "LM" || name == "LM3")
 }
 
@@ -44,19 +57,34 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut positions = 0;
     while let Some(line) = lines.next_line()? {
         let Some((name, value)) = setting(line) else {
-            return Err(Bad::new(line.at, format!("expected `LM=` or another setting; found {}", quote(line.text))));
+            return Err(Bad::new(
+                line.at,
+                format!(
+                    "expected `LM=` or another setting; found {}",
+                    quote(line.text)
+                ),
+            ));
         };
         if name == "LM3" {
-            return Err(Bad::new(line.at, "expected landmarks in 2 dimensions, `LM=`; found 3: project them onto the image first"));
+            return Err(Bad::new(
+                line.at,
+                "expected landmarks in 2 dimensions, `LM=`; found 3: project them onto the image first",
+            ));
         }
         if name == "LM" {
-            if let Some(before) = specimen.replace(Specimen { at: line.at, ..Specimen::default() }) {
+            if let Some(before) = specimen.replace(Specimen {
+                at: line.at,
+                ..Specimen::default()
+            }) {
                 add(before, out)?;
             }
             positions = 0;
         }
         let Some(current) = &mut specimen else {
-            return Err(Bad::new(line.at, format!("expected `LM=` first; found {}", quote(line.text))));
+            return Err(Bad::new(
+                line.at,
+                format!("expected `LM=` first; found {}", quote(line.text)),
+            ));
         };
         match name.as_str() {
             "LM" => {
@@ -64,7 +92,11 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                     let (at, place) = next(&mut lines)?;
                     positions += 1;
                     out.require_below(at, positions)?;
-                    let handle = if place.x < 0.0 && place.y < 0.0 { Handle::Missing } else { Handle::Point(place) };
+                    let handle = if place.x < 0.0 && place.y < 0.0 {
+                        Handle::Missing
+                    } else {
+                        Handle::Point(place)
+                    };
                     current.handles.push((at, handle));
                 }
             }
@@ -98,11 +130,20 @@ fn next(lines: &mut Lines<'_>) -> Result<(usize, Point), Bad> {
 }
 
 fn add(specimen: Specimen, out: &mut Collector) -> Result<(), Bad> {
-    let Specimen { at, handles, names: [image, id] } = specimen;
+    let Specimen {
+        at,
+        handles,
+        names: [image, id],
+    } = specimen;
     if out.item(at, &[&image, &id])? {
         for (at, p) in handles {
             out.count(at, p.places().len())?;
-            out.push(Landmark { at, p, q: None, name: None })?;
+            out.push(Landmark {
+                at,
+                p,
+                q: None,
+                name: None,
+            })?;
         }
     }
     Ok(())

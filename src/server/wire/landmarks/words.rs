@@ -13,7 +13,9 @@ const LONGEST_LINE: usize = 1 << 20;
 pub(super) fn line_at<'t>(source: Source<'t>, at: usize) -> Result<(&'t str, usize), Bad> {
     let rest = &source.text.as_bytes()[at..];
     let longest = &rest[..rest.len().min(LONGEST_LINE + 1)];
-    let length = source.work.find(longest, |byte| matches!(byte, b'\n' | b'\r'));
+    let length = source
+        .work
+        .find(longest, |byte| matches!(byte, b'\n' | b'\r'));
     if length > LONGEST_LINE {
         let detail = format!("expected a line of at most {LONGEST_LINE} bytes; found a longer one");
         return Err(Bad::new(at, detail));
@@ -35,13 +37,22 @@ pub(super) struct Lines<'t> {
 
 impl<'t> Lines<'t> {
     pub(super) fn new(source: Source<'t>, has_comments: bool) -> Self {
-        Self { source, at: source.start, has_comments }
+        Self {
+            source,
+            at: source.start,
+            has_comments,
+        }
     }
 
     /// The next line, trimmed.
     /// Errors: The end of the file, where `expected` describes the line.
     pub(super) fn line(&mut self, expected: &str) -> Result<Located<'t>, Bad> {
-        self.next_line()?.ok_or_else(|| Bad::new(self.at, format!("expected {expected}; found the end of the file")))
+        self.next_line()?.ok_or_else(|| {
+            Bad::new(
+                self.at,
+                format!("expected {expected}; found the end of the file"),
+            )
+        })
     }
 
     /// The next line, trimmed, unless the file ends.
@@ -52,7 +63,10 @@ impl<'t> Lines<'t> {
             self.at += length;
             let text = line.trim();
             if !(text.is_empty() || self.has_comments && text.starts_with('#')) {
-                return Ok(Some(Located { at: start + (line.len() - line.trim_start().len()), text }));
+                return Ok(Some(Located {
+                    at: start + (line.len() - line.trim_start().len()),
+                    text,
+                }));
             }
         }
         Ok(None)
@@ -61,7 +75,10 @@ impl<'t> Lines<'t> {
     /// Errors: Something other than the end of the file.
     pub(super) fn end(&mut self) -> Result<(), Bad> {
         match self.next_line()? {
-            Some(line) => Err(Bad::new(line.at, format!("expected the end of the file; found {}", quote(line.text)))),
+            Some(line) => Err(Bad::new(
+                line.at,
+                format!("expected the end of the file; found {}", quote(line.text)),
+            )),
             None => Ok(()),
         }
     }
@@ -76,9 +93,10 @@ impl<'t> Located<'t> {
     /// The words of a line.
     pub(super) fn words(self) -> impl Iterator<Item = Located<'t>> {
         let line = self;
-        line.text
-            .split_whitespace()
-            .map(move |word| Located { at: line.at + (word.as_ptr().addr() - line.text.as_ptr().addr()), text: word })
+        line.text.split_whitespace().map(move |word| Located {
+            at: line.at + (word.as_ptr().addr() - line.text.as_ptr().addr()),
+            text: word,
+        })
     }
 
     /// A line of two numbers.
@@ -87,13 +105,30 @@ impl<'t> Located<'t> {
         let (x, y, more) = (words.next(), words.next(), words.next());
         match (x, y, more) {
             (Some(x), Some(y), None) => Ok([x.number()?, y.number()?]),
-            (.., Some(more)) => Err(Bad::new(more.at, format!("expected 2 numbers in a line; found a third, {}", quote(more.text)))),
-            _ => Err(Bad::new(self.at, format!("expected 2 numbers in a line; found {}", quote(self.text)))),
+            (.., Some(more)) => Err(Bad::new(
+                more.at,
+                format!(
+                    "expected 2 numbers in a line; found a third, {}",
+                    quote(more.text)
+                ),
+            )),
+            _ => Err(Bad::new(
+                self.at,
+                format!("expected 2 numbers in a line; found {}", quote(self.text)),
+            )),
         }
     }
 
     /// A line or word that is a whole number.
     pub(super) fn whole(self, expected: &str) -> Result<usize, Bad> {
-        self.text.parse().map_err(|_| Bad::new(self.at, format!("expected {expected}, a whole number; found {}", quote(self.text))))
+        self.text.parse().map_err(|_| {
+            Bad::new(
+                self.at,
+                format!(
+                    "expected {expected}, a whole number; found {}",
+                    quote(self.text)
+                ),
+            )
+        })
     }
 }

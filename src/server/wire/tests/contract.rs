@@ -13,35 +13,57 @@ use crate::wire::enum_name::{EnumName, RequestedMethod};
 use crate::wire::*;
 
 fn document() -> Value {
-    serde_json::from_str(include_str!("../../../../api/openapi.json")).expect("the document is JSON")
+    serde_json::from_str(include_str!("../../../../api/openapi.json"))
+        .expect("the document is JSON")
 }
 
 /// A validator for a schema that may refer to the document's components.
 fn validator(document: &Value, schema: &Value) -> Validator {
     let mut schema = schema.clone();
     schema["components"] = document["components"].clone();
-    jsonschema::options().with_draft(Draft::Draft202012).should_validate_formats(true).build(&schema).expect("the schema is a schema")
+    jsonschema::options()
+        .with_draft(Draft::Draft202012)
+        .should_validate_formats(true)
+        .build(&schema)
+        .expect("the schema is a schema")
 }
 
 fn component(document: &Value, name: &str) -> Validator {
-    assert!(document["components"]["schemas"][name].is_object(), "{name}");
-    validator(document, &json!({"$ref": format!("#/components/schemas/{name}")}))
+    assert!(
+        document["components"]["schemas"][name].is_object(),
+        "{name}"
+    );
+    validator(
+        document,
+        &json!({"$ref": format!("#/components/schemas/{name}")}),
+    )
 }
 
-fn walk<'a>(value: &'a Value, path: &str, visit: &mut impl FnMut(&str, &'a serde_json::Map<String, Value>)) {
+fn walk<'a>(
+    value: &'a Value,
+    path: &str,
+    visit: &mut impl FnMut(&str, &'a serde_json::Map<String, Value>),
+) {
     match value {
         Value::Object(object) => {
             visit(path, object);
-            object.iter().for_each(|(name, value)| walk(value, &format!("{path}/{name}"), visit));
+            object
+                .iter()
+                .for_each(|(name, value)| walk(value, &format!("{path}/{name}"), visit));
         }
-        Value::Array(items) => items.iter().enumerate().for_each(|(i, value)| walk(value, &format!("{path}/{i}"), visit)),
+        Value::Array(items) => items
+            .iter()
+            .enumerate()
+            .for_each(|(i, value)| walk(value, &format!("{path}/{i}"), visit)),
         _ => {}
     }
 }
 
 fn resolve<'a>(document: &'a Value, value: &'a Value) -> &'a Value {
     match value["$ref"].as_str() {
-        Some(target) => document.pointer(target.trim_start_matches('#')).expect(target),
+        Some(target) => document
+            .pointer(target.trim_start_matches('#'))
+            .expect(target),
         None => value,
     }
 }
@@ -64,14 +86,25 @@ fn every_reference_resolves_and_every_component_is_used() {
     let mut used = std::collections::HashSet::new();
     walk(&document, "", &mut |path, object| {
         if let Some(target) = object.get("$ref").and_then(Value::as_str) {
-            assert!(target.starts_with("#/") && document.pointer(&target[1..]).is_some(), "{path}: {target}");
+            assert!(
+                target.starts_with("#/") && document.pointer(&target[1..]).is_some(),
+                "{path}: {target}"
+            );
             used.insert(target.to_owned());
         }
     });
     // Security schemes are named, not referred to.
-    for (kind, entries) in document["components"].as_object().expect("components").iter().filter(|(kind, _)| *kind != "securitySchemes") {
+    for (kind, entries) in document["components"]
+        .as_object()
+        .expect("components")
+        .iter()
+        .filter(|(kind, _)| *kind != "securitySchemes")
+    {
         for name in entries.as_object().expect("entries").keys() {
-            assert!(used.contains(&format!("#/components/{kind}/{name}")), "{kind}/{name} is not used");
+            assert!(
+                used.contains(&format!("#/components/{kind}/{name}")),
+                "{kind}/{name} is not used"
+            );
         }
     }
 }
@@ -80,15 +113,33 @@ fn every_reference_resolves_and_every_component_is_used() {
 #[test]
 fn every_operation_has_a_name_and_one_tag() {
     let document = document();
-    let listed: Vec<&Value> = document["tags"].as_array().expect("tags").iter().map(|tag| &tag["name"]).collect();
+    let listed: Vec<&Value> = document["tags"]
+        .as_array()
+        .expect("tags")
+        .iter()
+        .map(|tag| &tag["name"])
+        .collect();
     let mut names = std::collections::HashSet::new();
     for (route, operation) in operations(&document) {
         let tags = operation["tags"].as_array().expect(&route);
-        assert!(tags.len() == 1 && listed.contains(&&tags[0]), "{route}: {tags:?}");
-        assert!(names.insert(operation["operationId"].as_str().expect(&route)), "{route}: its name is not its own");
+        assert!(
+            tags.len() == 1 && listed.contains(&&tags[0]),
+            "{route}: {tags:?}"
+        );
+        assert!(
+            names.insert(operation["operationId"].as_str().expect(&route)),
+            "{route}: its name is not its own"
+        );
         // Generators take the first one: JSON, beside which a form may have its handles in landmark files.
-        let types: Vec<&String> = operation["requestBody"]["content"].as_object().into_iter().flat_map(serde_json::Map::keys).collect();
-        assert!(types.len() < 2 || types == ["application/json", "multipart/form-data"], "{route}: {types:?}");
+        let types: Vec<&String> = operation["requestBody"]["content"]
+            .as_object()
+            .into_iter()
+            .flat_map(serde_json::Map::keys)
+            .collect();
+        assert!(
+            types.len() < 2 || types == ["application/json", "multipart/form-data"],
+            "{route}: {types:?}"
+        );
     }
 }
 
@@ -97,22 +148,42 @@ fn every_example_is_valid() {
     let document = document();
     let mut count = 0;
     let mut check = |path: &str, schema: &Value, example: &Value| {
-        let errors: Vec<String> = validator(&document, schema).iter_errors(example).map(|e| e.to_string()).collect();
+        let errors: Vec<String> = validator(&document, schema)
+            .iter_errors(example)
+            .map(|e| e.to_string())
+            .collect();
         assert!(errors.is_empty(), "{path}: {errors:?}: {example}");
         count += 1;
     };
     walk(&document, "", &mut |path, object| {
         if let Some(schema) = object.get("schema") {
-            for (name, example) in object.get("examples").and_then(Value::as_object).into_iter().flatten() {
-                check(&format!("{path}/{name}"), schema, &resolve(&document, example)["value"]);
+            for (name, example) in object
+                .get("examples")
+                .and_then(Value::as_object)
+                .into_iter()
+                .flatten()
+            {
+                check(
+                    &format!("{path}/{name}"),
+                    schema,
+                    &resolve(&document, example)["value"],
+                );
             }
             if let Some(example) = object.get("example") {
                 check(path, schema, example);
             }
         }
     });
-    for (name, schema) in document["components"]["schemas"].as_object().expect("schemas") {
-        schema["examples"].as_array().into_iter().flatten().chain(schema.get("default")).for_each(|e| check(name, schema, e));
+    for (name, schema) in document["components"]["schemas"]
+        .as_object()
+        .expect("schemas")
+    {
+        schema["examples"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .chain(schema.get("default"))
+            .for_each(|e| check(name, schema, e));
     }
     assert!(count > 60, "{count}");
 }
@@ -120,18 +191,44 @@ fn every_example_is_valid() {
 #[test]
 fn every_object_of_a_schema_is_closed_and_names_only_its_own() {
     let document = document();
-    walk(&document["components"]["schemas"], "", &mut |path, object| {
-        // The part below `if` is a condition, not a schema of its own.
-        if object.get("properties").is_some_and(Value::is_object) && !path.ends_with("/if") && !path.ends_with("/properties") {
-            // GeoJSON has members of its own, and each warning its figures.
-            let open = ["/Geometry", "/Feature", "/GeoJson", "/ReportAnswer/properties/warnings/items"];
-            let is_open = open.iter().any(|name| path.starts_with(name));
-            assert_eq!(object.get("additionalProperties"), Some(&Value::Bool(is_open)), "{path}");
-            for name in object.get("required").and_then(Value::as_array).into_iter().flatten() {
-                assert!(object["properties"].get(name.as_str().expect("a name")).is_some(), "{path}: {name}");
+    walk(
+        &document["components"]["schemas"],
+        "",
+        &mut |path, object| {
+            // The part below `if` is a condition, not a schema of its own.
+            if object.get("properties").is_some_and(Value::is_object)
+                && !path.ends_with("/if")
+                && !path.ends_with("/properties")
+            {
+                // GeoJSON has members of its own, and each warning its figures.
+                let open = [
+                    "/Geometry",
+                    "/Feature",
+                    "/GeoJson",
+                    "/ReportAnswer/properties/warnings/items",
+                ];
+                let is_open = open.iter().any(|name| path.starts_with(name));
+                assert_eq!(
+                    object.get("additionalProperties"),
+                    Some(&Value::Bool(is_open)),
+                    "{path}"
+                );
+                for name in object
+                    .get("required")
+                    .and_then(Value::as_array)
+                    .into_iter()
+                    .flatten()
+                {
+                    assert!(
+                        object["properties"]
+                            .get(name.as_str().expect("a name"))
+                            .is_some(),
+                        "{path}: {name}"
+                    );
+                }
             }
-        }
-    });
+        },
+    );
 }
 
 #[test]
@@ -141,7 +238,10 @@ fn statuses_hold_problems_of_that_status_and_every_operation_may_fail() {
     for (route, operation) in operations(&document) {
         let responses = operation["responses"].as_object().expect("responses");
         let is_success = |status: &str| status.starts_with('2') || ["101", "304"].contains(&status);
-        assert!(responses.keys().any(|s| is_success(s)) && responses.contains_key("500"), "{route}");
+        assert!(
+            responses.keys().any(|s| is_success(s)) && responses.contains_key("500"),
+            "{route}"
+        );
         for (status, response) in responses.iter().filter(|(s, _)| !is_success(s)) {
             let response = resolve(&document, response);
             let examples = &response["content"][Problem::MEDIA_TYPE]["examples"];
@@ -153,7 +253,11 @@ fn statuses_hold_problems_of_that_status_and_every_operation_may_fail() {
                 assert_eq!(example["value"]["title"], code.title(), "{route}: {name}");
                 seen.insert(*code);
             }
-            assert_eq!(response["headers"]["Retry-After"].is_object(), matches!(status.as_str(), "429" | "503"), "{route} {status}");
+            assert_eq!(
+                response["headers"]["Retry-After"].is_object(),
+                matches!(status.as_str(), "429" | "503"),
+                "{route} {status}"
+            );
         }
     }
     // These belong to no operation: the method or the host is not one.
@@ -162,7 +266,10 @@ fn statuses_hold_problems_of_that_status_and_every_operation_may_fail() {
         assert_eq!(seen.contains(code), !nowhere.contains(code), "{code:?}");
     }
     let codes: Vec<&str> = Code::ALL.iter().map(|c| c.as_str()).collect();
-    assert_eq!(document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"], json!(codes));
+    assert_eq!(
+        document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"],
+        json!(codes)
+    );
 }
 
 #[test]
@@ -170,15 +277,24 @@ fn problems_are_valid_documents() {
     let document = document();
     let schema = component(&document, "Problem");
     for code in Code::ALL {
-        let full = Problem::new(*code, "x").pointer("/p/0").handle(0).limit("bytes", 1, 2.5).retry_after(1);
+        let full = Problem::new(*code, "x")
+            .pointer("/p/0")
+            .handle(0)
+            .limit("bytes", 1, 2.5)
+            .retry_after(1);
         assert!(schema.is_valid(&full.to_json("", Some("id"))), "{code:?}");
-        assert!(schema.is_valid(&Problem::new(*code, "x").to_json("/tools/warp", None)), "{code:?}");
+        assert!(
+            schema.is_valid(&Problem::new(*code, "x").to_json("/tools/warp", None)),
+            "{code:?}"
+        );
     }
     assert!(!schema.is_valid(&json!({"code": "internal"})));
 }
 
 fn names<T: EnumName>(document: &Value, place: &str) -> Vec<&'static str> {
-    let node = document["components"]["schemas"].pointer(place).expect(place);
+    let node = document["components"]["schemas"]
+        .pointer(place)
+        .expect(place);
     let here: Vec<&str> = T::ALL.iter().map(|v| v.as_str()).collect();
     assert_eq!(node["enum"], json!(here), "{place}");
     here
@@ -187,7 +303,13 @@ fn names<T: EnumName>(document: &Value, place: &str) -> Vec<&'static str> {
 fn words<T: EnumName>(place: &str) {
     let document = document();
     let here = names::<T>(&document, place);
-    assert_eq!(document["components"]["schemas"].pointer(place).expect(place)["default"], here[0], "{place}");
+    assert_eq!(
+        document["components"]["schemas"]
+            .pointer(place)
+            .expect(place)["default"],
+        here[0],
+        "{place}"
+    );
 }
 
 #[test]
@@ -210,9 +332,15 @@ fn enums_list_what_this_version_has() {
 fn without_nulls(value: Value, known: Option<&Value>) -> Value {
     match value {
         Value::Object(fields) => {
-            let is_absent = |name: &str, value: &Value| value.is_null() && known.is_none_or(|known| known.get(name).is_some());
-            let given = fields.into_iter().filter(|(name, value)| !is_absent(name, value));
-            given.map(|(name, value)| (name, without_nulls(value, None))).collect()
+            let is_absent = |name: &str, value: &Value| {
+                value.is_null() && known.is_none_or(|known| known.get(name).is_some())
+            };
+            let given = fields
+                .into_iter()
+                .filter(|(name, value)| !is_absent(name, value));
+            given
+                .map(|(name, value)| (name, without_nulls(value, None)))
+                .collect()
         }
         other => other,
     }
@@ -224,7 +352,8 @@ fn schemas_and_parsers_agree_on_a_table() {
     type Parse = fn(&[u8]) -> bool;
     let batch = |b: &[u8]| {
         let source = Frame::of_source(Extent::new(400, 300).unwrap(), Units::Px);
-        Reserved::<BatchObject, _>::parse(&super::bytes(b), 1 << 20, 1 << 16, source, |_| Ok(())).is_ok()
+        Reserved::<BatchObject, _>::parse(&super::bytes(b), 1 << 20, 1 << 16, source, |_| Ok(()))
+            .is_ok()
     };
     let parsers: [(&str, Parse, &str); 11] = [
         ("Batch", batch, "\"q\": [], \"steps\": 2"),
@@ -236,8 +365,16 @@ fn schemas_and_parsers_agree_on_a_table() {
         ("PosedPoints", |b| super::posed_points(b).is_ok(), ""),
         ("Map", |b| MapObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
         ("PosedMap", |b| MapObject::parse_posed(b).is_ok(), ""),
-        ("Report", |b| ReportObject::parse(b).is_ok(), "\"extent\": [4, 3]"),
-        ("PosedReport", |b| DragObject::parse_for_report(b, usize::MAX).is_ok(), ""),
+        (
+            "Report",
+            |b| ReportObject::parse(b).is_ok(),
+            "\"extent\": [4, 3]",
+        ),
+        (
+            "PosedReport",
+            |b| DragObject::parse_for_report(b, usize::MAX).is_ok(),
+            "",
+        ),
     ];
     let fields = [
         "p: []",
@@ -407,9 +544,25 @@ fn schemas_and_parsers_agree_on_a_table() {
         for field in fields {
             let (name, value) = field.split_once(": ").expect("name and value");
             // A base field that is given again is replaced: a duplicate is another matter.
-            let kept = base.split(", \"").filter(|b| !b.is_empty() && !b.trim_start_matches('"').starts_with(&format!("{name}\"")));
-            let kept: Vec<String> = kept.map(|b| if b.starts_with('"') { b.to_owned() } else { format!("\"{b}") }).collect();
-            let text = format!("{{{}}}", kept.into_iter().chain([format!("\"{name}\": {value}")]).collect::<Vec<_>>().join(", "));
+            let kept = base.split(", \"").filter(|b| {
+                !b.is_empty() && !b.trim_start_matches('"').starts_with(&format!("{name}\""))
+            });
+            let kept: Vec<String> = kept
+                .map(|b| {
+                    if b.starts_with('"') {
+                        b.to_owned()
+                    } else {
+                        format!("\"{b}")
+                    }
+                })
+                .collect();
+            let text = format!(
+                "{{{}}}",
+                kept.into_iter()
+                    .chain([format!("\"{name}\": {value}")])
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            );
             let json = without_nulls(serde_json::from_str(&text).expect(&text), Some(properties));
             assert_eq!(schema.is_valid(&json), parse(text.as_bytes()), "{text}");
             accepted += usize::from(schema.is_valid(&json));

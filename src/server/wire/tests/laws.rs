@@ -9,17 +9,35 @@ fn near_miss() -> impl Strategy<Value = Value> {
         any::<bool>().prop_map(Value::from),
         any::<f64>().prop_map(Value::from),
         (-3_i64..9).prop_map(Value::from),
-        prop::sample::select(vec!["rigid", "tps", "auto", "png", "edge", "#00000000", "fast", "", "report", "same", "euclidean"])
-            .prop_map(Value::from),
+        prop::sample::select(vec![
+            "rigid",
+            "tps",
+            "auto",
+            "png",
+            "edge",
+            "#00000000",
+            "fast",
+            "",
+            "report",
+            "same",
+            "euclidean"
+        ])
+        .prop_map(Value::from),
         ".{0,4}".prop_map(Value::from),
     ];
     scalar.prop_recursive(5, 48, 4, |inner| {
         let name = prop::sample::select(
-            fields::WARP_WITH_POINTS.iter().chain(&["seq", "cell", "columns", "rows", "width", "format", "x"]).copied().collect::<Vec<_>>(),
+            fields::WARP_WITH_POINTS
+                .iter()
+                .chain(&["seq", "cell", "columns", "rows", "width", "format", "x"])
+                .copied()
+                .collect::<Vec<_>>(),
         );
         prop_oneof![
             prop::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
-            prop::collection::vec((name, inner), 0..5).prop_map(|f| Value::Object(f.into_iter().map(|(k, v)| (k.to_owned(), v)).collect())),
+            prop::collection::vec((name, inner), 0..5).prop_map(|f| Value::Object(
+                f.into_iter().map(|(k, v)| (k.to_owned(), v)).collect()
+            )),
         ]
     })
 }
@@ -37,15 +55,27 @@ fn every_parser_answers(text: &[u8]) -> Result<(), TestCaseError> {
     ];
     let json = serde_json::from_slice::<&serde_json::value::RawValue>(text).is_ok();
     for problem in problems.into_iter().flatten() {
-        prop_assert!(problem.status() == 400 || (json && problem.status() == 422), "{problem}");
+        prop_assert!(
+            problem.status() == 400 || (json && problem.status() == 422),
+            "{problem}"
+        );
         prop_assert!(!problem.detail.is_empty());
-        prop_assert!(problem.pointer.as_deref().is_none_or(|p| p.starts_with('/')), "{problem}");
+        prop_assert!(
+            problem
+                .pointer
+                .as_deref()
+                .is_none_or(|p| p.starts_with('/')),
+            "{problem}"
+        );
     }
     Ok(())
 }
 
 fn coordinate() -> impl Strategy<Value = f64> {
-    prop_oneof![(-2e6..2e6), prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL]
+    prop_oneof![
+        (-2e6..2e6),
+        prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL
+    ]
 }
 
 fn place() -> impl Strategy<Value = Point> {
@@ -78,63 +108,133 @@ pub(crate) fn warp_object() -> impl Strategy<Value = WarpObject> {
         any::<[u16; 3]>().prop_map(Outside::Value)
     ];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
-    let numbers = (prop::option::of(0.5..8.0), prop::option::of(1e-3..1e9), prop::option::of(0.0..1e9));
+    let numbers = (
+        prop::option::of(0.5..8.0),
+        prop::option::of(1e-3..1e9),
+        prop::option::of(0.0..1e9),
+    );
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
-    let rest = (prop::collection::vec(handle(), 0..6), weights, all(), numbers, coincident, (all(), grid, all())).prop_map(
-        |(p, weights, method, (alpha, point_mass, smoothing), coincident, (units, grid, align))| RestSpec {
-            p,
-            weights,
-            method,
-            alpha,
-            point_mass,
-            smoothing,
-            coincident,
-            units,
-            grid,
-            align,
-            has_unmatched: false,
+    let rest = (
+        prop::collection::vec(handle(), 0..6),
+        weights,
+        all(),
+        numbers,
+        coincident,
+        (all(), grid, all()),
+    )
+        .prop_map(
+            |(
+                p,
+                weights,
+                method,
+                (alpha, point_mass, smoothing),
+                coincident,
+                (units, grid, align),
+            )| RestSpec {
+                p,
+                weights,
+                method,
+                alpha,
+                point_mass,
+                smoothing,
+                coincident,
+                units,
+                grid,
+                align,
+                has_unmatched: false,
+            },
+        );
+    let place = || -1_000_000..=1_000_000;
+    let boxes =
+        (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
+            x,
+            y,
+            extent: Extent::new(w, h).unwrap(),
+        });
+    let canvas = prop_oneof![
+        Just(CanvasSpec::Same),
+        Just(CanvasSpec::Fit),
+        boxes.prop_map(CanvasSpec::Box)
+    ];
+    let output = (
+        all(),
+        1_u8..=100,
+        prop::option::of(all()),
+        all(),
+        prop::option::of(1_u32..),
+        all(),
+        outside,
+        canvas,
+        all(),
+    );
+    let output = output.prop_map(
+        |(format, quality, subsampling, compression, width, filter, outside, canvas, holes)| {
+            OutputSpec {
+                format,
+                quality,
+                subsampling,
+                compression,
+                canvas,
+                width,
+                filter,
+                outside,
+                holes,
+            }
         },
     );
-    let place = || -1_000_000..=1_000_000;
-    let boxes = (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
-        x,
-        y,
-        extent: Extent::new(w, h).unwrap(),
-    });
-    let canvas = prop_oneof![Just(CanvasSpec::Same), Just(CanvasSpec::Fit), boxes.prop_map(CanvasSpec::Box)];
-    let output = (all(), 1_u8..=100, prop::option::of(all()), all(), prop::option::of(1_u32..), all(), outside, canvas, all());
-    let output = output.prop_map(|(format, quality, subsampling, compression, width, filter, outside, canvas, holes)| OutputSpec {
-        format,
-        quality,
-        subsampling,
-        compression,
-        canvas,
-        width,
-        filter,
-        outside,
-        holes,
-    });
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
-    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject { rest, q, folds, output, strength: 1.0, is_auto: false })
+    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject {
+        rest,
+        q,
+        folds,
+        output,
+        strength: 1.0,
+        is_auto: false,
+    })
 }
 
 /// The object in the form of its values.
 pub(crate) fn written(warp: &WarpObject) -> Value {
-    let WarpObject { rest, q, folds, output, .. } = warp;
-    let RestSpec { p, weights, method, alpha, point_mass, smoothing, coincident, units, grid, align, .. } = rest;
+    let WarpObject {
+        rest,
+        q,
+        folds,
+        output,
+        ..
+    } = warp;
+    let RestSpec {
+        p,
+        weights,
+        method,
+        alpha,
+        point_mass,
+        smoothing,
+        coincident,
+        units,
+        grid,
+        align,
+        ..
+    } = rest;
     let mut object = json!({
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
         "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
     });
-    object.as_object_mut().unwrap().retain(|_, value| !value.is_null());
+    object
+        .as_object_mut()
+        .unwrap()
+        .retain(|_, value| !value.is_null());
     object
 }
 
 /// Every object with all fields that it does not have, as `null`.
 fn with_nulls(mut object: Value, names: &[&str]) -> Value {
     for name in names {
-        object.as_object_mut().unwrap().entry(*name).or_insert(Value::Null);
+        object
+            .as_object_mut()
+            .unwrap()
+            .entry(*name)
+            .or_insert(Value::Null);
     }
     object
 }

@@ -30,7 +30,12 @@ type Expected = (&'static str, Code, Option<&'static str>, Option<usize>);
 fn check<T: std::fmt::Debug>(parse: impl Fn(&[u8]) -> Result<T, Problem>, table: &[Expected]) {
     for (text, code, pointer, handle) in table {
         let problem = parse(text.as_bytes()).expect_err(text);
-        assert_eq!((problem.code, problem.pointer.as_deref(), problem.handle), (*code, *pointer, *handle), "{text}: {}", problem.detail);
+        assert_eq!(
+            (problem.code, problem.pointer.as_deref(), problem.handle),
+            (*code, *pointer, *handle),
+            "{text}: {}",
+            problem.detail
+        );
     }
 }
 
@@ -46,7 +51,12 @@ fn points(json: &[u8]) -> Result<PointsObject, Problem> {
 /// The object of `/sessions/{id}/points`.
 fn posed_points(json: &[u8]) -> Result<PointsObject, Problem> {
     let extent = Extent::new(400, 300).unwrap();
-    PointsObject::parse_posed(&bytes(json), 1 << 20, (extent, Units::Px), &OutputSpec::default())
+    PointsObject::parse_posed(
+        &bytes(json),
+        1 << 20,
+        (extent, Units::Px),
+        &OutputSpec::default(),
+    )
 }
 
 fn point(x: f64, y: f64) -> Handle {

@@ -5,10 +5,18 @@ use super::*;
 #[test]
 fn session_object_is_written_in_wire_form() {
     let p = [point(1.0, 2.0), line(&[(0.5, 1.0), (2.0, 3.0)])];
-    let output = OutputSpec { width: Some(9), outside: Outside::Colour([1, 2, 3, 255]), ..OutputSpec::default() };
+    let output = OutputSpec {
+        width: Some(9),
+        outside: Outside::Colour([1, 2, 3, 255]),
+        ..OutputSpec::default()
+    };
     let session = SessionObject {
         id: "0f8fad5b-d9cb-469f-a165-70867728950e",
-        image: SessionImage { width: 640, height: 480, digest: AsJson(Digest([0xab; 32])) },
+        image: SessionImage {
+            width: 640,
+            height: 480,
+            digest: AsJson(Digest([0xab; 32])),
+        },
         p: AsJson(&p),
         q: None,
         strength: None,
@@ -17,15 +25,28 @@ fn session_object_is_written_in_wire_form() {
         alpha: Some(2.0),
         point_mass: Some(2.5),
         smoothing: None,
-        coincident: vec![CoincidentGroup { handles: vec![0, 4] }],
+        coincident: vec![CoincidentGroup {
+            handles: vec![0, 4],
+        }],
         coincident_policy: None,
         units: AsJson(Units::Px),
         align: None,
-        grid: SessionGrid { columns: 129, rows: 97, cell: [5.0, 5.0], requested: AsJson(GridSpec::Auto) },
+        grid: SessionGrid {
+            columns: 129,
+            rows: 97,
+            cell: [5.0, 5.0],
+            requested: AsJson(GridSpec::Auto),
+        },
         rest_revision: "0123456789abcdef0123456789abcdef",
         folds: AsJson(Folds::Report),
         output: AsJson(&output),
-        layers: [("depth", SessionLayer { kind: AsJson(LayerKind::Labels) })].into(),
+        layers: [(
+            "depth",
+            SessionLayer {
+                kind: AsJson(LayerKind::Labels),
+            },
+        )]
+        .into(),
         created: "2026-11-20T12:00:00Z",
     };
     let whole = |seq| {

@@ -32,7 +32,11 @@ pub(super) struct Block {
 
 impl Default for Block {
     fn default() -> Self {
-        Self { coefficients: [0; BLOCK], nonzero: 0, is_near: true }
+        Self {
+            coefficients: [0; BLOCK],
+            nonzero: 0,
+            is_near: true,
+        }
     }
 }
 
@@ -94,9 +98,18 @@ impl Codes {
         [0, 1].map(|k| {
             let code = |(code, length): (u16, u8)| u32::from(code) << LENGTH | u32::from(length);
             let (dc, ac) = (DC[k].codes().map(code), AC[k].codes().map(code));
-            let mut codes = Self { sized: [[0; 16]; RUNS], near: [[0; VALUES]; RUNS] };
+            let mut codes = Self {
+                sized: [[0; 16]; RUNS],
+                near: [[0; VALUES]; RUNS],
+            };
             for run in 0..RUNS {
-                codes.sized[run] = std::array::from_fn(|size| if run == FIRST { dc[size] } else { ac[run << 4 | size] });
+                codes.sized[run] = std::array::from_fn(|size| {
+                    if run == FIRST {
+                        dc[size]
+                    } else {
+                        ac[run << 4 | size]
+                    }
+                });
                 for value in -NEAR..NEAR {
                     codes.near[run][low_bits(value)] = codes.far(run, value);
                 }
@@ -108,7 +121,11 @@ impl Codes {
     /// The code of `run` zeros and a value that follows them; of a difference if `run` is [`FIRST`]. `NEAR_ALL`: the value has an entry.
     #[inline(always)]
     fn of<const NEAR_ALL: bool>(&self, run: usize, value: i32) -> u32 {
-        if NEAR_ALL || (-NEAR..NEAR).contains(&value) { self.near[run % RUNS][low_bits(value)] } else { self.far(run, value) }
+        if NEAR_ALL || (-NEAR..NEAR).contains(&value) {
+            self.near[run % RUNS][low_bits(value)]
+        } else {
+            self.far(run, value)
+        }
     }
 
     /// The same of any value.
@@ -158,9 +175,17 @@ impl Bits {
     /// Codes a block. `difference`: of its first coefficient and that of the component's previous block; `NEAR_ALL`: all values
     /// have entries.
     #[inline(always)]
-    fn block<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) {
+    fn block<const NEAR_ALL: bool>(
+        &mut self,
+        block: &Block,
+        codes: &Codes,
+        bytes: &mut [u8; SIZE],
+    ) {
         self.store(bytes);
-        let mut rest = Uncoded { left: block.nonzero & !1, next: 1 };
+        let mut rest = Uncoded {
+            left: block.nonzero & !1,
+            next: 1,
+        };
         // Two coefficients between two stores.
         while rest.left != 0 {
             self.coefficient::<NEAR_ALL>(block, codes, &mut rest, bytes);
@@ -176,7 +201,13 @@ impl Bits {
 
     /// Puts the next coefficient that is not zero, and the zeros before it.
     #[inline(always)]
-    fn coefficient<const NEAR_ALL: bool>(&mut self, block: &Block, codes: &Codes, rest: &mut Uncoded, bytes: &mut [u8; SIZE]) {
+    fn coefficient<const NEAR_ALL: bool>(
+        &mut self,
+        block: &Block,
+        codes: &Codes,
+        rest: &mut Uncoded,
+        bytes: &mut [u8; SIZE],
+    ) {
         let at = rest.left.trailing_zeros();
         rest.left &= rest.left - 1;
         let mut run = at - rest.next;
@@ -187,7 +218,10 @@ impl Bits {
             self.store(bytes);
             run -= 16;
         }
-        self.put(codes.of::<NEAR_ALL>(run as usize, i32::from(block.coefficients[at as usize % BLOCK])));
+        self.put(codes.of::<NEAR_ALL>(
+            run as usize,
+            i32::from(block.coefficients[at as usize % BLOCK]),
+        ));
     }
 
     /// [`Bits::block`] of any values.
@@ -221,7 +255,14 @@ struct Uncoded {
 
 impl BitWriter {
     pub(super) fn new() -> Self {
-        Self { bytes: Box::new([0; SIZE]), bits: Bits { at: 0, word: 0, waiting: 0 } }
+        Self {
+            bytes: Box::new([0; SIZE]),
+            bits: Bits {
+                at: 0,
+                word: 0,
+                waiting: 0,
+            },
+        }
     }
 
     /// Codes the blocks of a group in an order; `last`: T.81's predictors of DC, the first coefficient of each component's previous block.
@@ -239,7 +280,11 @@ impl BitWriter {
         }
         let (mut bits, bytes) = (self.bits, &mut *self.bytes);
         for &BlockPlace { block, component } in order {
-            let (block, codes, last) = (&blocks[block % BLOCKS], &codes[component.min(1)], &mut last[component % COMPONENTS]);
+            let (block, codes, last) = (
+                &blocks[block % BLOCKS],
+                &codes[component.min(1)],
+                &mut last[component % COMPONENTS],
+            );
             let [first, ..] = block.coefficients;
             let difference = i32::from(first) - i32::from(*last);
             *last = first;
@@ -300,7 +345,11 @@ mod tests {
     /// The bits of a symbol and a value after it.
     fn coded(bits: &mut Vec<bool>, (code, length): (u16, u8), value: i32) {
         let size = size(value);
-        let value = if value < 0 { value + (1 << size) - 1 } else { value };
+        let value = if value < 0 {
+            value + (1 << size) - 1
+        } else {
+            value
+        };
         bits.extend((0..length).rev().map(|bit| code >> bit & 1 == 1));
         bits.extend((0..size).rev().map(|bit| value >> bit & 1 == 1));
     }
@@ -339,7 +388,9 @@ mod tests {
         let codes = Codes::of_both();
         let mut state = 1_u64;
         let mut random = |below: u64| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) % below
         };
         for round in 0..20_000 {
@@ -349,17 +400,31 @@ mod tests {
                     let size = if k == 0 { 10 } else { 1 + random(1 + most) };
                     let value = i16::try_from(random(1 << size)).unwrap();
                     let value = if random(2) == 0 { value } else { -value };
-                    if k == 0 || random(64) < share { value } else { 0 }
+                    if k == 0 || random(64) < share {
+                        value
+                    } else {
+                        0
+                    }
                 })
             });
             let mut group = Blocks::default();
             for (block, coefficients) in group.iter_mut().zip(blocks) {
                 block.coefficients = coefficients;
-                block.nonzero = (0..BLOCK).filter(|k| coefficients[*k] != 0).map(|k| 1 << k).sum();
-                block.is_near = coefficients[1..].iter().all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
+                block.nonzero = (0..BLOCK)
+                    .filter(|k| coefficients[*k] != 0)
+                    .map(|k| 1 << k)
+                    .sum();
+                block.is_near = coefficients[1..]
+                    .iter()
+                    .all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
             }
             let table = (round % 2) as usize;
-            let order: Vec<_> = (0..4).map(|block| BlockPlace { block, component: table }).collect();
+            let order: Vec<_> = (0..4)
+                .map(|block| BlockPlace {
+                    block,
+                    component: table,
+                })
+                .collect();
             let (mut bits, mut out) = (BitWriter::new(), Vec::new());
             bits.put_group(&group, &order, &codes, &mut Predictors::default(), &mut out);
             bits.finish(&mut out);

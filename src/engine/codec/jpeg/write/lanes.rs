@@ -48,5 +48,12 @@ pub(super) trait Lanes: Copy {
     /// Stores `COUNT / 8` transposed blocks in zigzag order, and sets `nonzero` and `is_near`.
     fn store(columns: [Self; 8], blocks: &mut [Block]);
     /// [`BitWriter::put_group`], compiled for the level.
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>);
+    fn code(
+        bits: &mut BitWriter,
+        blocks: &Blocks,
+        order: &[BlockPlace],
+        codes: &[Codes; 2],
+        last: &mut Predictors,
+        out: &mut Vec<u8>,
+    );
 }

@@ -29,11 +29,19 @@ pub(super) fn head(
     // Without a known resolution: square pixels of unknown size. No thumbnail.
     let (unit, density, says_resolution) = metadata.map_or((0, [1; 2], true), Carried::density);
     let [across, down] = density.map(u16::to_be_bytes);
-    segment(&mut head, 0xe0, &[b"JFIF\0\x01\x02", &[unit], &across, &down, &[0; 2]]);
-    for (marker, content) in metadata.map_or_else(Vec::new, |metadata| metadata.segments(says_resolution)) {
+    segment(
+        &mut head,
+        0xe0,
+        &[b"JFIF\0\x01\x02", &[unit], &across, &down, &[0; 2]],
+    );
+    for (marker, content) in
+        metadata.map_or_else(Vec::new, |metadata| metadata.segments(says_resolution))
+    {
         segment(&mut head, marker, &[&content]);
     }
-    let icc = metadata.and_then(|metadata| metadata.profile(components == Components::Grey)).map(Profile::icc);
+    let icc = metadata
+        .and_then(|metadata| metadata.profile(components == Components::Grey))
+        .map(Profile::icc);
     let parts = icc.unwrap_or_default().chunks(PROFILE_BYTES);
     let count = u8::try_from(parts.len()).expect("a profile is smaller than 255 segments hold");
     for (number, part) in (1..=count).zip(parts) {
@@ -41,10 +49,17 @@ pub(super) fn head(
     }
     let tables = if components == Components::Grey { 1 } else { 2 };
     for (number, steps) in (0..).zip(&steps[..tables]) {
-        segment(&mut head, 0xdb, &[&[number], &ZIGZAG.map(|place| steps[usize::from(place)])]);
+        segment(
+            &mut head,
+            0xdb,
+            &[&[number], &ZIGZAG.map(|place| steps[usize::from(place)])],
+        );
     }
-    let [height, width] =
-        [extent.height(), extent.width()].map(|side| u16::try_from(side).expect("the target fits the format").to_be_bytes());
+    let [height, width] = [extent.height(), extent.width()].map(|side| {
+        u16::try_from(side)
+            .expect("the target fits the format")
+            .to_be_bytes()
+    });
     // Number, horizontal and vertical resolution, and quantisation table of each component.
     let described: &[u8] = match components {
         Components::Grey => &[1, 1, 0x11, 0],
@@ -61,7 +76,11 @@ pub(super) fn head(
         segment(&mut head, 0xdd, &[&interval.to_be_bytes()]);
     }
     // Huffman tables of each component, then the whole spectrum in one scan.
-    let scanned: &[u8] = if tables == 1 { &[1, 1, 0x00] } else { &[3, 1, 0x00, 2, 0x11, 3, 0x11] };
+    let scanned: &[u8] = if tables == 1 {
+        &[1, 1, 0x00]
+    } else {
+        &[3, 1, 0x00, 2, 0x11, 3, 0x11]
+    };
     segment(&mut head, 0xda, &[scanned, &[0, 63, 0]]);
     head
 }
@@ -69,6 +88,10 @@ pub(super) fn head(
 fn segment(head: &mut Vec<u8>, marker: u8, parts: &[&[u8]]) {
     let length = 2 + parts.iter().map(|part| part.len()).sum::<usize>();
     head.extend([0xff, marker]);
-    head.extend(u16::try_from(length).expect("a segment is shorter than 64 KiB").to_be_bytes());
+    head.extend(
+        u16::try_from(length)
+            .expect("a segment is shorter than 64 KiB")
+            .to_be_bytes(),
+    );
     parts.iter().for_each(|part| head.extend_from_slice(part));
 }

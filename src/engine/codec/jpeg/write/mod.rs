@@ -60,7 +60,13 @@ impl JpegWriter {
     /// # Panics
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
     #[must_use]
-    pub fn new(shape: PngShape, quality: u8, subsampling: Subsampling, background: [u8; 3], metadata: Option<&Carried>) -> Self {
+    pub fn new(
+        shape: PngShape,
+        quality: u8,
+        subsampling: Subsampling,
+        background: [u8; 3],
+        metadata: Option<&Carried>,
+    ) -> Self {
         let components = match subsampling {
             _ if shape.grey => Components::Grey,
             Subsampling::Full => Components::Full,
@@ -70,14 +76,29 @@ impl JpegWriter {
         let (width, height) = (shape.extent.width(), shape.extent.height());
         let bytes = u64::from(width) * u64::from(height) * shape.samples() as u64;
         // An even number, so that two threads have equal work.
-        let strips = if bytes <= WHOLE { 1 } else { 2 * bytes.div_ceil(2 * STRIP) };
-        let strip_rows = height.div_ceil(u32::try_from(strips).map_or(height, |strips| strips.min(height))).next_multiple_of(side);
+        let strips = if bytes <= WHOLE {
+            1
+        } else {
+            2 * bytes.div_ceil(2 * STRIP)
+        };
+        let strip_rows = height
+            .div_ceil(u32::try_from(strips).map_or(height, |strips| strips.min(height)))
+            .next_multiple_of(side);
         let interval = width.div_ceil(side) * (strip_rows / side);
-        let interval = (strip_rows < height).then(|| u16::try_from(interval).expect("a strip is short"));
+        let interval =
+            (strip_rows < height).then(|| u16::try_from(interval).expect("a strip is short"));
         let steps = tables::quantisation(quality);
         let quantisers = Arc::new(steps.each_ref().map(Quantiser::new));
         let head = markers::head(shape.extent, components, &steps, interval, metadata).into();
-        Self { shape, components, background, level: Level::detect(), strip_rows, quantisers, head }
+        Self {
+            shape,
+            components,
+            background,
+            level: Level::detect(),
+            strip_rows,
+            quantisers,
+            head,
+        }
     }
 
     /// Encodes with another level.
@@ -99,7 +120,10 @@ impl JpegWriter {
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
         let height = self.shape.extent.height();
-        let start = u32::try_from(strip).ok().and_then(|strip| strip.checked_mul(self.strip_rows)).filter(|start| *start < height);
+        let start = u32::try_from(strip)
+            .ok()
+            .and_then(|strip| strip.checked_mul(self.strip_rows))
+            .filter(|start| *start < height);
         let start = start.expect("a strip of the picture");
         start..height.min(start.saturating_add(self.strip_rows))
     }
@@ -109,7 +133,10 @@ impl JpegWriter {
     pub fn max_bytes(&self) -> u64 {
         let blocks = self.components.blocks() as u64;
         let strips = self.strips() as u64 * 4;
-        self.macroblocks() * blocks * 2 * BLOCK_BYTES as u64 + strips + self.head.len() as u64 + markers::END.len() as u64
+        self.macroblocks() * blocks * 2 * BLOCK_BYTES as u64
+            + strips
+            + self.head.len() as u64
+            + markers::END.len() as u64
     }
 
     /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a block's coefficients sum to
@@ -120,12 +147,16 @@ impl JpegWriter {
         const COEFFICIENT: u64 = 3;
         let blocks = self.macroblocks() * self.components.blocks() as u64;
         let samples = self.shape.extent.pixels() * self.shape.samples() as u64;
-        blocks * BLOCK as u64 * COEFFICIENT + samples + self.strips() as u64 * 4 + self.head.len() as u64
+        blocks * BLOCK as u64 * COEFFICIENT
+            + samples
+            + self.strips() as u64 * 4
+            + self.head.len() as u64
     }
 
     fn macroblocks(&self) -> u64 {
         let side = self.components.side();
-        let [across, down] = [self.shape.extent.width(), self.shape.extent.height()].map(|length| (length as usize).div_ceil(side) as u64);
+        let [across, down] = [self.shape.extent.width(), self.shape.extent.height()]
+            .map(|length| (length as usize).div_ceil(side) as u64);
         across * down
     }
 
@@ -139,14 +170,36 @@ impl JpegWriter {
     ///
     /// # Panics
     /// If the samples are not the strip's rows.
-    pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+    pub fn strip_into(
+        &self,
+        index: usize,
+        samples: &[u8],
+        out: &mut Vec<u8>,
+        wanted: &dyn Fn() -> bool,
+    ) {
         /// The same for every picture.
         static CODES: LazyLock<[Codes; 2]> = LazyLock::new(Codes::of_both);
         let (width, channels) = (self.shape.extent.width() as usize, self.shape.samples());
-        assert_eq!(samples.len(), self.rows(index).len() * width * channels, "the samples of the strip");
-        let Self { components, background, .. } = *self;
+        assert_eq!(
+            samples.len(),
+            self.rows(index).len() * width * channels,
+            "the samples of the strip"
+        );
+        let Self {
+            components,
+            background,
+            ..
+        } = *self;
         out.extend(markers::restart(index).into_iter().flatten());
-        let job = Job { samples, width, channels, components, background, quantisers: &self.quantisers, codes: &CODES };
+        let job = Job {
+            samples,
+            width,
+            channels,
+            components,
+            background,
+            quantisers: &self.quantisers,
+            codes: &CODES,
+        };
         kernel::encode(self.level, &job, out, wanted);
     }
 

@@ -62,11 +62,21 @@ impl Components {
     /// The blocks of a group of pixels in the order of a file.
     fn order(self, lanes: usize) -> Vec<BlockPlace> {
         let macroblocks = lanes / self.side();
-        let coded = |(plane, block, component): (usize, usize, usize)| BlockPlace { block: plane * PLANE + block, component };
+        let coded = |(plane, block, component): (usize, usize, usize)| BlockPlace {
+            block: plane * PLANE + block,
+            component,
+        };
         let one = |k: usize| match self {
             Self::Grey => vec![(0, k, 0)],
             Self::Full => vec![(0, k, 0), (1, k, 1), (2, k, 2)],
-            Self::Half => vec![(0, 2 * k, 0), (0, 2 * k + 1, 0), (1, 2 * k, 0), (1, 2 * k + 1, 0), (2, k, 1), (2, macroblocks + k, 2)],
+            Self::Half => vec![
+                (0, 2 * k, 0),
+                (0, 2 * k + 1, 0),
+                (1, 2 * k, 0),
+                (1, 2 * k + 1, 0),
+                (2, k, 1),
+                (2, macroblocks + k, 2),
+            ],
         };
         (0..macroblocks).flat_map(one).map(coded).collect()
     }
@@ -146,7 +156,15 @@ impl<'a> Pixels<'a> {
     #[inline(always)]
     pub(super) fn of_group<T: Lanes>(samples: &'a [u8], pitch: usize, channels: usize) -> Self {
         let edge = [[0; MOST_LANES * MOST_CHANNELS]; MOST_ROWS];
-        Self { samples, pitch, height: samples.len() / pitch, at: 0, length: T::COUNT * channels, is_edge: false, edge }
+        Self {
+            samples,
+            pitch,
+            height: samples.len() / pitch,
+            at: 0,
+            length: T::COUNT * channels,
+            is_edge: false,
+            edge,
+        }
     }
 
     /// A row of the group, counted from `top`; below the last row, that one again.
@@ -173,7 +191,11 @@ impl<'a> Pixels<'a> {
 }
 
 #[inline(always)]
-fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+fn rows<T: Lanes, const CHANNELS: usize>(
+    job: &Job<'_>,
+    out: &mut Vec<u8>,
+    wanted: &dyn Fn() -> bool,
+) {
     let (side, pitch) = (job.components.side(), job.width * CHANNELS);
     let height = job.samples.len() / pitch;
     let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
@@ -191,7 +213,14 @@ fn rows<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, out: &mut Vec<u8>, wante
             }
             transform::<T, CHANNELS>(job, &pixels, top, &mut planes, &mut blocks);
             let count = (across - left / side) * job.components.blocks();
-            T::code(&mut bits, &blocks, &order[..count.min(order.len())], job.codes, &mut last, out);
+            T::code(
+                &mut bits,
+                &blocks,
+                &order[..count.min(order.len())],
+                job.codes,
+                &mut last,
+                out,
+            );
         }
         if !wanted() {
             return;
@@ -230,7 +259,12 @@ pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
 
 /// Luminance in the first plane.
 #[inline(always)]
-fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
+fn grey<T: Lanes, const CHANNELS: usize>(
+    job: &Job<'_>,
+    pixels: &Pixels<'_>,
+    top: usize,
+    planes: &mut [Plane<T>; PLANES],
+) {
     for (y, luma) in planes[0].iter_mut().enumerate() {
         let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
         *luma = fraction(grey);
@@ -239,7 +273,12 @@ fn grey<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
 
 /// The three components.
 #[inline(always)]
-fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
+fn full<T: Lanes, const CHANNELS: usize>(
+    job: &Job<'_>,
+    pixels: &Pixels<'_>,
+    top: usize,
+    planes: &mut [Plane<T>; PLANES],
+) {
     let [first, second, third] = planes;
     for (y, ((first, second), third)) in first.iter_mut().zip(second).zip(third).enumerate() {
         let colours = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
@@ -252,10 +291,16 @@ fn full<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top
 
 /// Luminance of the upper and of the lower eight rows; then Cb in the lower half of the lanes and Cr in the upper half, means of 2 x 2 px.
 #[inline(always)]
-fn half<T: Lanes, const CHANNELS: usize>(job: &Job<'_>, pixels: &Pixels<'_>, top: usize, planes: &mut [Plane<T>; PLANES]) {
+fn half<T: Lanes, const CHANNELS: usize>(
+    job: &Job<'_>,
+    pixels: &Pixels<'_>,
+    top: usize,
+    planes: &mut [Plane<T>; PLANES],
+) {
     for pair in 0..SIDE {
         let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair), job.background);
-        let below @ [r2, g2, b2] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair + 1), job.background);
+        let below @ [r2, g2, b2] =
+            colours::<T, CHANNELS>(pixels.row(top, 2 * pair + 1), job.background);
         let rows = &mut planes[pair / (SIDE / 2)];
         rows[2 * pair % SIDE] = luma(above);
         rows[2 * pair % SIDE + 1] = luma(below);
@@ -276,7 +321,12 @@ fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [
         3 => T::pixels_3(pixels),
         _ => {
             let [r, g, b, alpha] = T::pixels_4(pixels);
-            [blended(r, alpha, red), blended(g, alpha, green), blended(b, alpha, blue)].map(|colour| colour.times_low(T::all(257)))
+            [
+                blended(r, alpha, red),
+                blended(g, alpha, green),
+                blended(b, alpha, blue),
+            ]
+            .map(|colour| colour.times_low(T::all(257)))
         }
     }
 }
@@ -284,10 +334,14 @@ fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [
 /// `(c a + g (255 - a)) / 255`, rounded.
 #[inline(always)]
 fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
-    let behind = T::all(255).minus(alpha).times_low(T::all(i16::from(background)));
+    let behind = T::all(255)
+        .minus(alpha)
+        .times_low(T::all(i16::from(background)));
     let sum = colour.times_low(alpha).plus(behind).plus(T::all(127));
     // A division by 255, exact for what two bytes can be.
-    sum.plus(T::all(1)).plus(sum.shift_right::<8>()).shift_right::<8>()
+    sum.plus(T::all(1))
+        .plus(sum.shift_right::<8>())
+        .shift_right::<8>()
 }
 
 /// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. The weights, 0.299, 0.587 and 0.114 in units of 2^-16, are
@@ -295,7 +349,11 @@ fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
 #[inline(always)]
 fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
     // 38,320 as a signed integer.
-    fraction(r.times_high(T::all(19_519)).plus(g.times_high(T::all(-27_216))).plus(b.times_high(T::all(7442))))
+    fraction(
+        r.times_high(T::all(19_519))
+            .plus(g.times_high(T::all(-27_216)))
+            .plus(b.times_high(T::all(7442))),
+    )
 }
 
 /// Of unsigned integers with 8 bits of fraction: less 128, with 4 bits.
@@ -309,8 +367,14 @@ fn fraction<T: Lanes>(value: T) -> T {
 #[inline(always)]
 fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
     let half = T::all(16_320);
-    let blue = b.times_high(half).minus(r.times_high(T::all(5507))).minus(g.times_high(T::all(10_813)));
-    let red = r.times_high(half).minus(g.times_high(T::all(13_667))).minus(b.times_high(T::all(2653)));
+    let blue = b
+        .times_high(half)
+        .minus(r.times_high(T::all(5507)))
+        .minus(g.times_high(T::all(10_813)));
+    let red = r
+        .times_high(half)
+        .minus(g.times_high(T::all(13_667)))
+        .minus(b.times_high(T::all(2653)));
     [blue, red]
 }
 
@@ -338,11 +402,26 @@ fn cosines<T: Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
     let six = odd[0].times(less).minus(odd[1].plus(odd[1].times(more)));
     // Rotations by 3 pi / 16 and pi / 16.
     let (cos3, sin3, cos1, sin1) = (T::all(27_246), T::all(18_205), T::all(32_138), T::all(6393));
-    let (a, b) = (d3.times(cos3).plus(d0.times(sin3)), d0.times(cos3).minus(d3.times(sin3)));
-    let (c, d) = (d2.times(cos1).plus(d1.times(sin1)), d1.times(cos1).minus(d2.times(sin1)));
+    let (a, b) = (
+        d3.times(cos3).plus(d0.times(sin3)),
+        d0.times(cos3).minus(d3.times(sin3)),
+    );
+    let (c, d) = (
+        d2.times(cos1).plus(d1.times(sin1)),
+        d1.times(cos1).minus(d2.times(sin1)),
+    );
     let (one, seven) = (b.plus(c).plus(a.plus(d)), b.plus(c).minus(a.plus(d)));
     let (three, five) = (b.minus(c), a.minus(d));
     // The square root of 2 is 1 + 0.4142.
     let root = T::all(13_573);
-    [even[0].plus(even[1]), one, two, three.plus(three.times(root)), even[0].minus(even[1]), five.plus(five.times(root)), six, seven]
+    [
+        even[0].plus(even[1]),
+        one,
+        two,
+        three.plus(three.times(root)),
+        even[0].minus(even[1]),
+        five.plus(five.times(root)),
+        six,
+        seven,
+    ]
 }

@@ -44,8 +44,15 @@ const END: [u8; 12] = *b"\0\0\0\0IEND\xAE\x42\x60\x82";
 const FRAME: u64 = 12;
 
 /// First column, first row, column step, row step of the seven passes.
-const ADAM7: [(usize, usize, usize, usize); 7] =
-    [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)];
+const ADAM7: [(usize, usize, usize, usize); 7] = [
+    (0, 0, 8, 8),
+    (4, 0, 8, 8),
+    (0, 4, 4, 8),
+    (2, 0, 4, 4),
+    (0, 2, 2, 4),
+    (1, 0, 2, 2),
+    (0, 1, 1, 2),
+];
 
 /// A PNG whose chunks have been walked.
 #[derive(Debug)]
@@ -82,21 +89,53 @@ fn cut_off() -> CodecError {
 }
 
 fn wrong_checksum(kind: [u8; 4]) -> CodecError {
-    bad(format!("the chunk {} has a wrong checksum, so it is damaged", kind.escape_ascii()))
+    bad(format!(
+        "the chunk {} has a wrong checksum, so it is damaged",
+        kind.escape_ascii()
+    ))
 }
 
 impl<'a> PngFile<'a> {
-    pub(in crate::codec) fn parse(bytes: &'a [u8], work: &StepCounter<'_>) -> Result<Self, CodecError> {
-        let ihdr = chunk_at(bytes, SIGNATURE).filter(|chunk| &chunk.kind == b"IHDR").ok_or_else(|| bad("no header chunk"))?;
+    pub(in crate::codec) fn parse(
+        bytes: &'a [u8],
+        work: &StepCounter<'_>,
+    ) -> Result<Self, CodecError> {
+        let ihdr = chunk_at(bytes, SIGNATURE)
+            .filter(|chunk| &chunk.kind == b"IHDR")
+            .ok_or_else(|| bad("no header chunk"))?;
         if !ihdr.is_intact(work)? {
             return Err(wrong_checksum(ihdr.kind));
         }
-        let &[w0, w1, w2, w3, h0, h1, h2, h3, bits, colour, 0, 0, interlace @ (0 | 1)] = ihdr.data else {
-            return Err(bad("a header chunk of the wrong size or with an unknown method"));
+        let &[
+            w0,
+            w1,
+            w2,
+            w3,
+            h0,
+            h1,
+            h2,
+            h3,
+            bits,
+            colour,
+            0,
+            0,
+            interlace @ (0 | 1),
+        ] = ihdr.data
+        else {
+            return Err(bad(
+                "a header chunk of the wrong size or with an unknown method",
+            ));
         };
-        let (width, height) = (u32::from_be_bytes([w0, w1, w2, w3]), u32::from_be_bytes([h0, h1, h2, h3]));
-        let extent = Extent::new(width, height).ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
-        if !matches!((colour, bits), (0, 1 | 2 | 4 | 8 | 16) | (3, 1 | 2 | 4 | 8) | (2 | 4 | 6, 8 | 16)) {
+        let (width, height) = (
+            u32::from_be_bytes([w0, w1, w2, w3]),
+            u32::from_be_bytes([h0, h1, h2, h3]),
+        );
+        let extent = Extent::new(width, height)
+            .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        if !matches!(
+            (colour, bits),
+            (0, 1 | 2 | 4 | 8 | 16) | (3, 1 | 2 | 4 | 8) | (2 | 4 | 6, 8 | 16)
+        ) {
             return Err(bad(format!("colour type {colour} with {bits} bits")));
         }
         let mut file = Self {
@@ -123,7 +162,11 @@ impl<'a> PngFile<'a> {
     }
 
     pub(in crate::codec) fn channels(&self) -> Channels {
-        if self.transparency && !self.labels || matches!(self.colour, 4 | 6) { Channels::Rgba } else { Channels::Rgb }
+        if self.transparency && !self.labels || matches!(self.colour, 4 | 6) {
+            Channels::Rgba
+        } else {
+            Channels::Rgb
+        }
     }
 
     pub(in crate::codec) fn is_grey(&self) -> bool {
@@ -131,14 +174,22 @@ impl<'a> PngFile<'a> {
     }
 
     pub(in crate::codec) fn depth(&self) -> Depth {
-        if self.bits == 16 { Depth::Sixteen } else { Depth::Eight }
+        if self.bits == 16 {
+            Depth::Sixteen
+        } else {
+            Depth::Eight
+        }
     }
 
     /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
         let exif = 4 * self.found.exif.map_or(0, |exif| exif.len() as u64);
-        let copy = if self.is_copied { self.bytes.len() as u64 + 2 * FRAME } else { 0 };
+        let copy = if self.is_copied {
+            self.bytes.len() as u64 + 2 * FRAME
+        } else {
+            0
+        };
         (512 << 10) + rows + exif + copy
     }
 
@@ -150,17 +201,29 @@ impl<'a> PngFile<'a> {
             6 => 4,
             _ => 1,
         };
-        let (width, height) = (u64::from(self.extent.width()), u64::from(self.extent.height()));
+        let (width, height) = (
+            u64::from(self.extent.width()),
+            u64::from(self.extent.height()),
+        );
         let pass = |columns: u64, rows: u64| {
             let rows = if columns == 0 { 0 } else { rows };
-            (rows, rows.saturating_mul(1 + (columns * samples * u64::from(self.bits)).div_ceil(8)))
+            (
+                rows,
+                rows.saturating_mul(1 + (columns * samples * u64::from(self.bits)).div_ceil(8)),
+            )
         };
         if !self.interlaced {
             return pass(width, height);
         }
-        let part = |side: u64, first: usize, step: usize| side.saturating_sub(first as u64).div_ceil(step as u64);
-        let passes = ADAM7.iter().map(|&(x, y, dx, dy)| pass(part(width, x, dx), part(height, y, dy)));
-        passes.fold((0, 0), |(rows, bytes), (more_rows, more)| (rows + more_rows, bytes.saturating_add(more)))
+        let part = |side: u64, first: usize, step: usize| {
+            side.saturating_sub(first as u64).div_ceil(step as u64)
+        };
+        let passes = ADAM7
+            .iter()
+            .map(|&(x, y, dx, dy)| pass(part(width, x, dx), part(height, y, dy)));
+        passes.fold((0, 0), |(rows, bytes), (more_rows, more)| {
+            (rows + more_rows, bytes.saturating_add(more))
+        })
     }
 
     /// Checks that the data can hold the picture and little else, so that the inflater's work for empty blocks, empty chunks and data
@@ -168,15 +231,27 @@ impl<'a> PngFile<'a> {
     fn weigh_data(&self) -> Result<(), CodecError> {
         let (rows, raw) = self.filtered();
         if self.idat_bytes.saturating_mul(MAX_INFLATION) < raw {
-            return Err(bad(format!("{} bytes of data cannot hold the picture", self.idat_bytes)));
+            return Err(bad(format!(
+                "{} bytes of data cannot hold the picture",
+                self.idat_bytes
+            )));
         }
-        let most = raw.saturating_mul(DATA_PER_BYTE).saturating_add(rows * DATA_PER_ROW).saturating_add(FREE_DATA);
+        let most = raw
+            .saturating_mul(DATA_PER_BYTE)
+            .saturating_add(rows * DATA_PER_ROW)
+            .saturating_add(FREE_DATA);
         if self.idat_bytes > most {
-            return Err(bad(format!("{} bytes of data for a picture that takes at most {most}", self.idat_bytes)));
+            return Err(bad(format!(
+                "{} bytes of data for a picture that takes at most {most}",
+                self.idat_bytes
+            )));
         }
         let most = rows + raw / BYTES_PER_CHUNK + FREE_CHUNKS;
         if self.idat_chunks > most {
-            return Err(bad(format!("{} chunks of data for a picture that takes at most {most}", self.idat_chunks)));
+            return Err(bad(format!(
+                "{} chunks of data for a picture that takes at most {most}",
+                self.idat_chunks
+            )));
         }
         Ok(())
     }
@@ -193,7 +268,8 @@ impl<'a> PngFile<'a> {
         let mut at = SIGNATURE;
         while let Some(chunk) = chunk_at(whole, at) {
             work.step(1)?;
-            let is_read = matches!(&chunk.kind, b"IHDR" | b"PLTE" | b"tRNS") && chunk.is_intact(work)?;
+            let is_read =
+                matches!(&chunk.kind, b"IHDR" | b"PLTE" | b"tRNS") && chunk.is_intact(work)?;
             if is_read || &chunk.kind == b"IDAT" {
                 copy.extend_from_slice(&whole[at..chunk.end]);
             }
@@ -201,7 +277,11 @@ impl<'a> PngFile<'a> {
         }
         if !self.rest.is_empty() {
             let start = copy.len() + 4;
-            copy.extend_from_slice(&u32::try_from(self.rest.len()).unwrap_or(u32::MAX).to_be_bytes());
+            copy.extend_from_slice(
+                &u32::try_from(self.rest.len())
+                    .unwrap_or(u32::MAX)
+                    .to_be_bytes(),
+            );
             copy.extend_from_slice(b"IDAT");
             copy.extend_from_slice(self.rest);
             let sum = crc32fast::hash(&copy[start..]);
@@ -212,7 +292,11 @@ impl<'a> PngFile<'a> {
     }
 
     /// The stored rows. `budget`: bytes that the decoder itself may allocate.
-    pub(in crate::codec) fn samples(&self, budget: u64, work: &StepCounter<'_>) -> Result<Samples, CodecError> {
+    pub(in crate::codec) fn samples(
+        &self,
+        budget: u64,
+        work: &StepCounter<'_>,
+    ) -> Result<Samples, CodecError> {
         self.weigh_data()?;
         let damaged = |error: png::DecodingError| match error {
             _ if self.repairs.end => cut_off(),
@@ -224,13 +308,24 @@ impl<'a> PngFile<'a> {
         options.set_ignore_iccp_chunk(true);
         options.set_skip_ancillary_crc_failures(false);
         options.set_ignore_adler32(false);
-        let mut decoder = png::Decoder::new_with_options(Pieces::new(self.still(work)?, work), options);
-        decoder.set_limits(png::Limits { bytes: usize::try_from(budget).unwrap_or(usize::MAX) });
-        decoder.set_transformations(if self.labels { png::Transformations::IDENTITY } else { png::Transformations::EXPAND });
+        let mut decoder =
+            png::Decoder::new_with_options(Pieces::new(self.still(work)?, work), options);
+        decoder.set_limits(png::Limits {
+            bytes: usize::try_from(budget).unwrap_or(usize::MAX),
+        });
+        decoder.set_transformations(if self.labels {
+            png::Transformations::IDENTITY
+        } else {
+            png::Transformations::EXPAND
+        });
         let mut reader = decoder.read_info().map_err(damaged)?;
         let samples = match self.depth() {
-            Depth::Eight => self.rows::<u8, _>(&mut reader, &damaged, work).map(Samples::Eight),
-            Depth::Sixteen => self.rows::<u16, _>(&mut reader, &damaged, work).map(Samples::Sixteen),
+            Depth::Eight => self
+                .rows::<u8, _>(&mut reader, &damaged, work)
+                .map(Samples::Eight),
+            Depth::Sixteen => self
+                .rows::<u16, _>(&mut reader, &damaged, work)
+                .map(Samples::Sixteen),
         }?;
         // The rest of the data must be complete too: its end, the checksums, IEND.
         reader.finish().map_err(damaged)?;
@@ -258,23 +353,42 @@ impl<'a> PngFile<'a> {
         let (colour, bits) = reader.output_color_type();
         let (width, height) = (self.extent.width() as usize, self.extent.height() as usize);
         if reader.info().size() != (self.extent.width(), self.extent.height())
-            || bits as usize != if self.labels { self.bits.into() } else { 8 * T::BYTES }
+            || bits as usize
+                != if self.labels {
+                    self.bits.into()
+                } else {
+                    8 * T::BYTES
+                }
             || colour.samples() > self.channels().count()
         {
             return Err(bad("two headers that disagree"));
         }
-        let line = reader.output_line_size(self.extent.width()).ok_or_else(|| bad("a row longer than memory"))?;
+        let line = reader
+            .output_line_size(self.extent.width())
+            .ok_or_else(|| bad("a row longer than memory"))?;
         let mut row = room::<u8>(line as u64)?;
         row.resize(line, 0);
-        let mut unpacked = room::<u8>(if self.labels && self.bits < 8 { width as u64 } else { 0 })?;
+        let mut unpacked = room::<u8>(if self.labels && self.bits < 8 {
+            width as u64
+        } else {
+            0
+        })?;
         let per_pixel = self.channels().count();
         let len = sample_count(self.extent.pixels(), self.channels());
         if !self.interlaced {
             let mut out = room::<T>(len)?;
             for _ in 0..height {
                 work.check()?;
-                reader.read_row(&mut row).map_err(damaged)?.ok_or_else(|| bad("too few rows"))?;
-                T::expand(self.unpacked(&row, width, &mut unpacked), colour.samples(), self.channels(), &mut out);
+                reader
+                    .read_row(&mut row)
+                    .map_err(damaged)?
+                    .ok_or_else(|| bad("too few rows"))?;
+                T::expand(
+                    self.unpacked(&row, width, &mut unpacked),
+                    colour.samples(),
+                    self.channels(),
+                    &mut out,
+                );
             }
             return Ok(out);
         }
@@ -287,12 +401,21 @@ impl<'a> PngFile<'a> {
             }
             for y in (first_row..height).step_by(row_step) {
                 work.check()?;
-                reader.read_row(&mut row).map_err(damaged)?.ok_or_else(|| bad("too few rows"))?;
+                reader
+                    .read_row(&mut row)
+                    .map_err(damaged)?
+                    .ok_or_else(|| bad("too few rows"))?;
                 pixels.clear();
-                let row = &self.unpacked(&row, columns, &mut unpacked)[..columns * colour.samples() * T::BYTES];
+                let row = &self.unpacked(&row, columns, &mut unpacked)
+                    [..columns * colour.samples() * T::BYTES];
                 T::expand(row, colour.samples(), self.channels(), &mut pixels);
-                let target = out[y * width * per_pixel..][..width * per_pixel].chunks_exact_mut(per_pixel);
-                for (into, from) in target.skip(first_column).step_by(column_step).zip(pixels.chunks_exact(per_pixel)) {
+                let target =
+                    out[y * width * per_pixel..][..width * per_pixel].chunks_exact_mut(per_pixel);
+                for (into, from) in target
+                    .skip(first_column)
+                    .step_by(column_step)
+                    .zip(pixels.chunks_exact(per_pixel))
+                {
                     into.copy_from_slice(from);
                 }
             }
@@ -321,7 +444,10 @@ impl<'a> PngFile<'a> {
         if colours.is_empty() || colours.len() > 256 || !rest.is_empty() {
             return Err(bad("no palette, or one of no whole colours"));
         }
-        Ok(Some(Palette { colours: colours.to_vec(), alpha: self.alpha[..self.alpha.len().min(colours.len())].to_vec() }))
+        Ok(Some(Palette {
+            colours: colours.to_vec(),
+            alpha: self.alpha[..self.alpha.len().min(colours.len())].to_vec(),
+        }))
     }
 
     pub(in crate::codec) fn has_profile(&self) -> bool {
@@ -344,7 +470,9 @@ impl<'a> PngFile<'a> {
             let text = rest.splitn(3, |byte| *byte == 0).nth(2).unwrap_or_default();
             found.xmp = match (flag, method) {
                 (0, _) => Some(Cow::Borrowed(text)),
-                (1, 0) => Some(Cow::Owned(inflated(text, MOST_XMP, work).unwrap_or_default())),
+                (1, 0) => Some(Cow::Owned(
+                    inflated(text, MOST_XMP, work).unwrap_or_default(),
+                )),
                 _ => Some(Cow::Borrowed(&[])),
             };
         }
@@ -358,7 +486,10 @@ fn inflated(deflated: &[u8], most: usize, work: &StepCounter<'_>) -> Option<Vec<
         return None;
     }
     let mut out = Vec::new();
-    flate2::bufread::ZlibDecoder::new(Pieces::new(deflated, work)).take(most as u64 + 1).read_to_end(&mut out).ok()?;
+    flate2::bufread::ZlibDecoder::new(Pieces::new(deflated, work))
+        .take(most as u64 + 1)
+        .read_to_end(&mut out)
+        .ok()?;
     Some(out)
 }
 
@@ -408,6 +539,11 @@ impl Sample for u16 {
     }
 
     fn append(row: &[u8], out: &mut Vec<Self>) {
-        out.extend(row.as_chunks::<2>().0.iter().map(|&sample| Self::from_be_bytes(sample)));
+        out.extend(
+            row.as_chunks::<2>()
+                .0
+                .iter()
+                .map(|&sample| Self::from_be_bytes(sample)),
+        );
     }
 }

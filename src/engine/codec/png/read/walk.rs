@@ -42,7 +42,13 @@ pub(super) fn chunk_at(bytes: &[u8], at: usize) -> Option<Chunk<'_>> {
     let end = data_end.checked_add(4)?;
     let kind = head[4..].try_into().ok()?;
     let sum = u32::from_be_bytes(bytes.get(data_end..end)?.try_into().ok()?);
-    Some(Chunk { kind, data: &bytes[at + 8..data_end], end, summed: &bytes[at + 4..data_end], sum })
+    Some(Chunk {
+        kind,
+        data: &bytes[at + 8..data_end],
+        end,
+        summed: &bytes[at + 4..data_end],
+        sum,
+    })
 }
 
 impl<'a> PngFile<'a> {
@@ -80,9 +86,16 @@ impl<'a> PngFile<'a> {
                 b"iCCP" if before_data && self.profile.is_none() => self.profile = Some(chunk.data),
                 b"acTL" => {
                     self.is_copied = true;
-                    let frames = chunk.data.first_chunk().map_or(0, |n| u64::from(u32::from_be_bytes(*n)));
+                    let frames = chunk
+                        .data
+                        .first_chunk()
+                        .map_or(0, |n| u64::from(u32::from_be_bytes(*n)));
                     if before_data && frames > 1 {
-                        return Err(CodecError::TooLarge { what: "image_frames", limit: 1, actual: frames });
+                        return Err(CodecError::TooLarge {
+                            what: "image_frames",
+                            limit: 1,
+                            actual: frames,
+                        });
                     }
                 }
                 b"fcTL" | b"fdAT" => self.is_copied = true,
@@ -94,7 +107,10 @@ impl<'a> PngFile<'a> {
         self.repairs.end = true;
         self.is_copied = true;
         // The end of the data may be all that is missing.
-        if let Some((head, data)) = self.bytes.get(at..).and_then(|rest| rest.split_first_chunk::<8>())
+        if let Some((head, data)) = self
+            .bytes
+            .get(at..)
+            .and_then(|rest| rest.split_first_chunk::<8>())
             && head.ends_with(b"IDAT")
         {
             let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;
@@ -102,14 +118,22 @@ impl<'a> PngFile<'a> {
             self.idat_bytes += self.rest.len() as u64;
             self.idat_chunks += 1;
         }
-        if self.idat_chunks == 0 { Err(cut_off()) } else { Ok(()) }
+        if self.idat_chunks == 0 {
+            Err(cut_off())
+        } else {
+            Ok(())
+        }
     }
 
     /// Whether pixels may need a damaged chunk: the damage may be in its type or in the length of the one before.
     fn may_be_needed(&self, kind: [u8; 4]) -> bool {
-        let is_like = |needed: &[u8; 4]| kind.iter().zip(needed).filter(|(a, b)| a == b).count() >= 3;
+        let is_like =
+            |needed: &[u8; 4]| kind.iter().zip(needed).filter(|(a, b)| a == b).count() >= 3;
         let is_type = kind.iter().all(u8::is_ascii_alphabetic);
-        !is_type || is_like(b"IDAT") || self.colour == 3 && is_like(b"PLTE") || matches!(self.colour, 0 | 2 | 3) && is_like(b"tRNS")
+        !is_type
+            || is_like(b"IDAT")
+            || self.colour == 3 && is_like(b"PLTE")
+            || matches!(self.colour, 0 | 2 | 3) && is_like(b"tRNS")
     }
 
     /// Looks at a chunk that no pixel needs.
@@ -121,20 +145,31 @@ impl<'a> PngFile<'a> {
             b"eXIf" if found.exif.is_none() => found.exif = Some(data),
             b"pHYs" if before_data => {
                 if let &[x0, x1, x2, x3, y0, y1, y2, y3, unit] = data {
-                    let unit = if unit == 1 { Unit::Metre } else { Unit::Unknown };
+                    let unit = if unit == 1 {
+                        Unit::Metre
+                    } else {
+                        Unit::Unknown
+                    };
                     let [x, y] = [[x0, x1, x2, x3], [y0, y1, y2, y3]].map(u32::from_be_bytes);
                     found.resolution = Resolution::whole(x, y, unit);
                 }
             }
-            b"iTXt" if data.starts_with(XMP) && found.xmp.is_none() => found.xmp = Some(Cow::Borrowed(&data[XMP.len()..])),
-            b"tEXt" | b"zTXt" | b"iTXt" if data.starts_with(RAW_PROFILE) => found.dropped.add(Kind::Text),
+            b"iTXt" if data.starts_with(XMP) && found.xmp.is_none() => {
+                found.xmp = Some(Cow::Borrowed(&data[XMP.len()..]))
+            }
+            b"tEXt" | b"zTXt" | b"iTXt" if data.starts_with(RAW_PROFILE) => {
+                found.dropped.add(Kind::Text)
+            }
             b"tEXt" | b"zTXt" | b"iTXt" => found.add_text(kind, data),
-            b"sBIT" => found.dropped.add_if(data.iter().any(|significant| significant < bits), Kind::SignificantBits),
+            b"sBIT" => found.dropped.add_if(
+                data.iter().any(|significant| significant < bits),
+                Kind::SignificantBits,
+            ),
             b"sCAL" | b"pCAL" => found.dropped.add(Kind::Calibration),
             b"caBX" => found.dropped.add(Kind::Credentials),
             // They describe the stored file: its time, background, colours, data, virtual page, signature.
-            b"tIME" | b"bKGD" | b"hIST" | b"sPLT" | b"iDOT" | b"CgBI" | b"vpAg" | b"orNT" | b"gIFg" | b"gIFx" | b"dSIG" | b"tRNS"
-            | b"PLTE" | b"iCCP" | b"eXIf" | b"pHYs" => {}
+            b"tIME" | b"bKGD" | b"hIST" | b"sPLT" | b"iDOT" | b"CgBI" | b"vpAg" | b"orNT"
+            | b"gIFg" | b"gIFx" | b"dSIG" | b"tRNS" | b"PLTE" | b"iCCP" | b"eXIf" | b"pHYs" => {}
             _ => match png_colour::length_of(kind) {
                 Some(length) if before_data && length == data.len() => {
                     if found.colour.iter().all(|(name, _)| *name != kind) {

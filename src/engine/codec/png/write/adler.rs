@@ -28,18 +28,29 @@ mod tests {
 
     #[test]
     fn combine_equals_the_sum_of_the_whole() {
-        let bytes: Vec<u8> = (0..200_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).chain([255; 70_000]).collect();
+        let bytes: Vec<u8> = (0..200_000u32)
+            .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
+            .chain([255; 70_000])
+            .collect();
         assert_eq!(adler(&[]), EMPTY);
-        for cut in [0, 1, 2, 5551, 5552, 5553, 65_520, 65_521, 65_522, 131_042, 200_000, 269_999, 270_000] {
+        for cut in [
+            0, 1, 2, 5551, 5552, 5553, 65_520, 65_521, 65_522, 131_042, 200_000, 269_999, 270_000,
+        ] {
             let (x, y) = bytes.split_at(cut);
-            assert_eq!(combine(adler(x), adler(y), y.len() as u64), adler(&bytes), "cut at {cut}");
+            assert_eq!(
+                combine(adler(x), adler(y), y.len() as u64),
+                adler(&bytes),
+                "cut at {cut}"
+            );
         }
     }
 
     #[test]
     fn combine_is_associative_over_many_pieces() {
         let bytes = vec![0xff; 100_000];
-        let sum = bytes.chunks(777).fold(EMPTY, |sum, piece| combine(sum, adler(piece), piece.len() as u64));
+        let sum = bytes.chunks(777).fold(EMPTY, |sum, piece| {
+            combine(sum, adler(piece), piece.len() as u64)
+        });
         assert_eq!(sum, adler(&bytes));
     }
 }

@@ -22,7 +22,13 @@ impl Animation {
     /// An animation of this number of frames, each shown for `delay` ms. `plays`: how often viewers play it; 0 is without end.
     #[must_use]
     pub const fn new(frames: u32, delay: u16, plays: u16) -> Self {
-        Self { frames, delay, plays, sequence: 0, header: Vec::new() }
+        Self {
+            frames,
+            delay,
+            plays,
+            sequence: 0,
+            header: Vec::new(),
+        }
     }
 
     /// Appends the next frame, which is a PNG file.
@@ -30,8 +36,13 @@ impl Animation {
     /// # Errors
     /// It is no PNG file, or its size or samples differ from those of the first frame.
     pub fn push(&mut self, file: &[u8], out: &mut Vec<u8>) -> Result<(), CodecError> {
-        let bad = |detail: &str| CodecError::Bad { format: "PNG", detail: detail.to_owned() };
-        let mut rest = file.strip_prefix(&SIGNATURE).ok_or_else(|| bad("a frame is not a PNG file"))?;
+        let bad = |detail: &str| CodecError::Bad {
+            format: "PNG",
+            detail: detail.to_owned(),
+        };
+        let mut rest = file
+            .strip_prefix(&SIGNATURE)
+            .ok_or_else(|| bad("a frame is not a PNG file"))?;
         let is_first = self.header.is_empty();
         out.reserve(file.len() + 4 * FRAME);
         while let Some((kind, payload, chunk)) = next_chunk(&mut rest) {
@@ -40,7 +51,13 @@ impl Animation {
                     self.header = payload.to_vec();
                     out.extend_from_slice(&SIGNATURE);
                     out.extend_from_slice(chunk);
-                    chunk::write(out, *b"acTL", &[self.frames, self.plays.into()].map(u32::to_be_bytes).concat());
+                    chunk::write(
+                        out,
+                        *b"acTL",
+                        &[self.frames, self.plays.into()]
+                            .map(u32::to_be_bytes)
+                            .concat(),
+                    );
                     // Before IDAT, in any order.
                     self.control(out);
                 }
@@ -93,9 +110,14 @@ impl Animation {
 /// Cuts off the next chunk: its type, its payload, and all of it.
 fn next_chunk<'a>(rest: &mut &'a [u8]) -> Option<([u8; 4], &'a [u8], &'a [u8])> {
     let length = u32::from_be_bytes(*rest.first_chunk()?);
-    let (chunk, after) = rest.split_at_checked(FRAME.checked_add(usize::try_from(length).ok()?)?)?;
+    let (chunk, after) =
+        rest.split_at_checked(FRAME.checked_add(usize::try_from(length).ok()?)?)?;
     *rest = after;
-    Some((*chunk[4..].first_chunk()?, &chunk[8..chunk.len() - 4], chunk))
+    Some((
+        *chunk[4..].first_chunk()?,
+        &chunk[8..chunk.len() - 4],
+        chunk,
+    ))
 }
 
 #[cfg(test)]
@@ -107,14 +129,27 @@ mod tests {
 
     fn file(width: u32, height: u32, value: u8, icc: Option<&Carried>) -> (Vec<u8>, Vec<u8>) {
         let extent = Extent::new(width, height).unwrap();
-        let shape = PngShape { extent, channels: Channels::Rgba, grey: false, depth: Depth::Eight };
+        let shape = PngShape {
+            extent,
+            channels: Channels::Rgba,
+            grey: false,
+            depth: Depth::Eight,
+        };
         let writer = PngWriter::new(shape, Compression::Fast, icc);
         let row = width as usize * 4;
-        let samples: Vec<u8> = (0..=u8::MAX).cycle().take(row * height as usize).map(|k| k.wrapping_mul(value)).collect();
+        let samples: Vec<u8> = (0..=u8::MAX)
+            .cycle()
+            .take(row * height as usize)
+            .map(|k| k.wrapping_mul(value))
+            .collect();
         let (mut out, mut sums) = (writer.head(), Vec::new());
         for strip in 0..writer.strips() {
             let rows = writer.rows(strip);
-            sums.push(writer.strip_into(strip, &samples[rows.start as usize * row..rows.end as usize * row], &mut out));
+            sums.push(writer.strip_into(
+                strip,
+                &samples[rows.start as usize * row..rows.end as usize * row],
+                &mut out,
+            ));
         }
         out.extend_from_slice(&writer.tail(&sums));
         (out, samples)
@@ -124,11 +159,17 @@ mod tests {
     fn the_frames_are_those_files() {
         let profile = Carried::of_icc(&[7; 500]);
         for (icc, sides) in [(None, (9, 5)), (Some(&profile), (300, 200))] {
-            let frames: Vec<_> = [3, 5, 11].map(|value| file(sides.0, sides.1, value, icc)).into();
+            let frames: Vec<_> = [3, 5, 11]
+                .map(|value| file(sides.0, sides.1, value, icc))
+                .into();
             let (mut animation, mut out) = (Animation::new(3, 40, 7), Vec::new());
-            frames.iter().for_each(|(file, _)| animation.push(file, &mut out).unwrap());
+            frames
+                .iter()
+                .for_each(|(file, _)| animation.push(file, &mut out).unwrap());
             out.extend_from_slice(&Animation::tail());
-            let mut reader = ::png::Decoder::new(std::io::Cursor::new(out)).read_info().unwrap();
+            let mut reader = ::png::Decoder::new(std::io::Cursor::new(out))
+                .read_info()
+                .unwrap();
             let control = reader.info().animation_control.unwrap();
             assert_eq!((control.num_frames, control.num_plays), (3, 7));
             assert_eq!(reader.info().icc_profile.is_some(), icc.is_some());
@@ -137,9 +178,17 @@ mod tests {
                 reader.next_frame(&mut read).unwrap();
                 assert!(read == *samples);
                 let shown = reader.info().frame_control.unwrap();
-                assert_eq!((shown.delay_num, shown.delay_den, shown.width, shown.height), (40, 1000, sides.0, sides.1));
+                assert_eq!(
+                    (shown.delay_num, shown.delay_den, shown.width, shown.height),
+                    (40, 1000, sides.0, sides.1)
+                );
             }
-            assert!(reader.next_frame(&mut vec![0; reader.output_buffer_size().unwrap()]).is_err(), "that was the last frame");
+            assert!(
+                reader
+                    .next_frame(&mut vec![0; reader.output_buffer_size().unwrap()])
+                    .is_err(),
+                "that was the last frame"
+            );
         }
     }
 
@@ -148,7 +197,13 @@ mod tests {
         let (one, _) = file(9, 5, 3, None);
         let mut animation = Animation::new(2, 40, 0);
         animation.push(&one, &mut Vec::new()).unwrap();
-        for bad in [file(9, 6, 3, None).0, one[..one.len() - 12].to_vec(), one[1..].to_vec(), Vec::new(), SIGNATURE.to_vec()] {
+        for bad in [
+            file(9, 6, 3, None).0,
+            one[..one.len() - 12].to_vec(),
+            one[1..].to_vec(),
+            Vec::new(),
+            SIGNATURE.to_vec(),
+        ] {
             assert!(animation.push(&bad, &mut Vec::new()).is_err());
         }
         animation.push(&one, &mut Vec::new()).unwrap();

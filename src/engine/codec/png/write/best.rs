@@ -20,7 +20,9 @@ const BLOCK: usize = 64 << 10;
 pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
-    let most = filtered + usize::try_from(stored::overhead(filtered as u64)).expect("less than the rows themselves");
+    let most = filtered
+        + usize::try_from(stored::overhead(filtered as u64))
+            .expect("less than the rows themselves");
     out.reserve(filtered / 2 + 1024);
     let adler = with_matches(rows, last, out);
     let literal = without_matches(rows, last, filtered / 2);
@@ -42,7 +44,16 @@ fn with_matches(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
         adler.write(row);
         feed(&mut deflate, row, FlushCompress::None, out);
     });
-    feed(&mut deflate, &[], if last { FlushCompress::Finish } else { FlushCompress::Sync }, out);
+    feed(
+        &mut deflate,
+        &[],
+        if last {
+            FlushCompress::Finish
+        } else {
+            FlushCompress::Sync
+        },
+        out,
+    );
     adler.finish()
 }
 
@@ -89,8 +100,16 @@ fn choose<'a>(rows: Rows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) ->
         rows::paeth(row, above, bpp, 0, &mut candidates[usize::from(PAETH)][1..]);
         5
     };
-    let size = |row: &Vec<u8>| row[1..].iter().map(|&residual| u64::from(residual.cast_signed().unsigned_abs())).sum::<u64>();
-    candidates[..open].iter().min_by_key(|row| size(row)).expect("two filters at least")
+    let size = |row: &Vec<u8>| {
+        row[1..]
+            .iter()
+            .map(|&residual| u64::from(residual.cast_signed().unsigned_abs()))
+            .sum::<u64>()
+    };
+    candidates[..open]
+        .iter()
+        .min_by_key(|row| size(row))
+        .expect("two filters at least")
 }
 
 /// Passes `input` to the library and appends its output.
@@ -98,11 +117,15 @@ fn feed(deflate: &mut Compress, mut input: &[u8], flush: FlushCompress, out: &mu
     loop {
         out.reserve(4096);
         let before = deflate.total_in();
-        let status = deflate.compress_vec(input, out, flush).expect("a compressor without a dictionary has no errors");
+        let status = deflate
+            .compress_vec(input, out, flush)
+            .expect("a compressor without a dictionary has no errors");
         let taken = usize::try_from(deflate.total_in() - before).expect("at most the input");
         input = &input[taken..];
         let room = out.len() < out.capacity();
-        if status == flate2::Status::StreamEnd || (input.is_empty() && room && !matches!(flush, FlushCompress::Finish)) {
+        if status == flate2::Status::StreamEnd
+            || (input.is_empty() && room && !matches!(flush, FlushCompress::Finish))
+        {
             return;
         }
     }

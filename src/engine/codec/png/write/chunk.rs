@@ -37,7 +37,8 @@ impl Open {
 
     /// Fills in the length and appends the checksum.
     pub(super) fn close(self, out: &mut Vec<u8>) {
-        let length = u32::try_from(out.len() - self.payload()).expect("Layout keeps chunks below 2^31");
+        let length =
+            u32::try_from(out.len() - self.payload()).expect("Layout keeps chunks below 2^31");
         out[self.start..self.start + 4].copy_from_slice(&length.to_be_bytes());
         let crc = crc32fast::hash(&out[self.start + 4..]);
         out.extend_from_slice(&crc.to_be_bytes());
@@ -52,7 +53,11 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
 }
 
 /// Signature, IHDR, the chunks of colour, PLTE and tRNS when there is a palette, and the other metadata.
-pub(super) fn head(shape: PngShape, metadata: Option<&Carried>, palette: Option<&Palette>) -> Vec<u8> {
+pub(super) fn head(
+    shape: PngShape,
+    metadata: Option<&Carried>,
+    palette: Option<&Palette>,
+) -> Vec<u8> {
     let mut out = SIGNATURE.to_vec();
     let mut header = Vec::with_capacity(13);
     header.extend_from_slice(&shape.extent.width().to_be_bytes());
@@ -76,7 +81,9 @@ pub(super) fn head(shape: PngShape, metadata: Option<&Carried>, palette: Option<
         if let Some(Profile { chunk, .. }) = profile {
             out.extend_from_slice(chunk);
         }
-        others.iter().for_each(|(kind, data)| write(&mut out, *kind, data));
+        others
+            .iter()
+            .for_each(|(kind, data)| write(&mut out, *kind, data));
     }
     if let Some(Palette { colours, alpha }) = palette {
         write(&mut out, *b"PLTE", colours.as_flattened());

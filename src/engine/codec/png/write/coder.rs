@@ -32,10 +32,29 @@ pub(super) struct Tables<'a, L> {
 
 /// Appends the codes of at most `PIECE` bytes to `out`.
 #[inline(always)]
-pub(super) fn code_piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
-    let mut coder = Coder { bits: Staged { waiting: bits.waiting, filled: bits.filled & 7, at: 0, stage }, tables };
+pub(super) fn code_piece<L: Lookup>(
+    piece: &[u8],
+    tables: Tables<'_, L>,
+    stage: &mut Stage,
+    bits: &mut BitWriter,
+    out: &mut Vec<u8>,
+) {
+    let mut coder = Coder {
+        bits: Staged {
+            waiting: bits.waiting,
+            filled: bits.filled & 7,
+            at: 0,
+            stage,
+        },
+        tables,
+    };
     walk(piece, &mut coder);
-    let Staged { waiting, filled, at, .. } = coder.bits;
+    let Staged {
+        waiting,
+        filled,
+        at,
+        ..
+    } = coder.bits;
     *bits = BitWriter { waiting, filled };
     out.extend_from_slice(&stage[..at]);
 }
@@ -58,7 +77,9 @@ pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     let mut rest = bytes;
     loop {
         rest = &rest[sink.many(rest)..];
-        let Some((eight, after)) = rest.split_first_chunk::<8>() else { break };
+        let Some((eight, after)) = rest.split_first_chunk::<8>() else {
+            break;
+        };
         let eight = u64::from_le_bytes(*eight);
         rest = after;
         if eight != 0 {
@@ -89,7 +110,11 @@ fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
     while count > 0 {
         take(length);
         count -= length;
-        length = if count < SHORTEST { 1 } else { count.min(LONGEST) };
+        length = if count < SHORTEST {
+            1
+        } else {
+            count.min(LONGEST)
+        };
     }
 }
 
@@ -97,9 +122,13 @@ const SHORTEST: usize = 3;
 const LONGEST: usize = 258;
 
 /// First length of the symbols 257 and on, and their numbers of extra bits (RFC 1951, 3.2.5).
-const LENGTHS: [u16; 29] =
-    [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15, 17, 19, 23, 27, 31, 35, 43, 51, 59, 67, 83, 99, 115, 131, 163, 195, 227, 258];
-const EXTRA_BITS: [u8; 29] = [0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 0];
+const LENGTHS: [u16; 29] = [
+    3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 15, 17, 19, 23, 27, 31, 35, 43, 51, 59, 67, 83, 99, 115, 131,
+    163, 195, 227, 258,
+];
+const EXTRA_BITS: [u8; 29] = [
+    0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5, 5, 5, 5, 0,
+];
 
 fn length_symbol(length: usize) -> usize {
     END + LENGTHS.partition_point(|&first| usize::from(first) <= length)
@@ -114,7 +143,10 @@ pub(super) struct Counts {
 
 impl Default for Counts {
     fn default() -> Self {
-        Self { bytes: [[0; 256]; 4], lengths: [0; LITERALS] }
+        Self {
+            bytes: [[0; 256]; 4],
+            lengths: [0; LITERALS],
+        }
     }
 }
 
@@ -133,7 +165,11 @@ impl Counts {
 impl Sink for Counts {
     #[inline(always)]
     fn eight(&mut self, bytes: u64) {
-        for (byte, lane) in bytes.to_le_bytes().into_iter().zip([0, 1, 2, 3, 0, 1, 2, 3]) {
+        for (byte, lane) in bytes
+            .to_le_bytes()
+            .into_iter()
+            .zip([0, 1, 2, 3, 0, 1, 2, 3])
+        {
             self.bytes[lane][usize::from(byte)] += 1;
         }
     }
@@ -199,12 +235,18 @@ impl Single {
             }
             let symbol = length_symbol(length);
             let (first, extra_bits) = (LENGTHS[symbol - END - 1], EXTRA_BITS[symbol - END - 1]);
-            let (code, bits) = (u32::from(codes.bits[symbol]), u32::from(codes.length[symbol]));
+            let (code, bits) = (
+                u32::from(codes.bits[symbol]),
+                u32::from(codes.length[symbol]),
+            );
             let extra = u32::try_from(length).expect("at most 258") - u32::from(first);
             // The distance code is a single zero bit.
             entry(code | extra << bits, bits + u32::from(extra_bits) + 1)
         };
-        Self { bytes: std::array::from_fn(byte), runs: std::array::from_fn(run) }
+        Self {
+            bytes: std::array::from_fn(byte),
+            runs: std::array::from_fn(run),
+        }
     }
 
     #[inline(always)]
@@ -260,7 +302,12 @@ impl Staged<'_> {
     /// A copy that a loop can keep in registers; [`Staged::go_on`] takes its result back.
     #[inline(always)]
     pub(super) fn lend(&mut self) -> Staged<'_> {
-        Staged { waiting: self.waiting, filled: self.filled, at: self.at, stage: &mut *self.stage }
+        Staged {
+            waiting: self.waiting,
+            filled: self.filled,
+            at: self.at,
+            stage: &mut *self.stage,
+        }
     }
 
     /// The result of a copy.
@@ -310,7 +357,10 @@ impl<L: Lookup> Coder<'_, L> {
     /// Two pairs, 48 bits at most.
     #[inline(always)]
     fn four(first: u32, second: u32) -> (u64, u32) {
-        (code(first) | code(second).wrapping_shl(first), length(first.wrapping_add(second)))
+        (
+            code(first) | code(second).wrapping_shl(first),
+            length(first.wrapping_add(second)),
+        )
     }
 }
 
@@ -321,9 +371,13 @@ impl<L: Lookup> Sink for Coder<'_, L> {
     }
 
     #[inline(always)]
-    #[expect(clippy::cast_possible_truncation, reason = "the low half word of a shifted word is what is meant")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "the low half word of a shifted word is what is meant"
+    )]
     fn eight(&mut self, bytes: u64) {
-        let [a, b, c, d] = [0, 16, 32, 48].map(|shift| self.tables.pairs.two((bytes >> shift) as u16));
+        let [a, b, c, d] =
+            [0, 16, 32, 48].map(|shift| self.tables.pairs.two((bytes >> shift) as u16));
         let (fore, fore_length) = Self::four(a, b);
         self.bits.put(fore, fore_length);
         let (rear, rear_length) = Self::four(c, d);
@@ -332,7 +386,9 @@ impl<L: Lookup> Sink for Coder<'_, L> {
 
     #[inline(always)]
     fn zeros(&mut self, count: usize) {
-        split_zeros(count, |length| self.put_entry(self.tables.single.runs[length]));
+        split_zeros(count, |length| {
+            self.put_entry(self.tables.single.runs[length])
+        });
     }
 
     #[inline(always)]

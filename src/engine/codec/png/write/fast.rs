@@ -6,7 +6,10 @@
 use std::cell::Cell;
 
 use super::bits::BitWriter;
-use super::coder::{Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single, Stage, Tables, code_piece, fill_pairs, walk};
+use super::coder::{
+    Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single, Stage, Tables, code_piece,
+    fill_pairs, walk,
+};
 use super::huffman::{self, Codes, END, LITERALS};
 use super::rows::{self, PAETH, Rows, SUB};
 
@@ -28,7 +31,9 @@ pub(super) trait Kernel: Sized {
         if coder.rows.filtered_len() < PAIRS_FROM {
             return coder.code::<Self>(single);
         }
-        let mut pairs = PAIRS.take().unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
+        let mut pairs = PAIRS
+            .take()
+            .unwrap_or_else(|| vec![0; 1 << 16].try_into().expect("65536 entries"));
         fill_pairs(single, &mut pairs);
         let adler = coder.code::<Self>(&*pairs);
         PAIRS.set(Some(pairs));
@@ -38,7 +43,13 @@ pub(super) trait Kernel: Sized {
     /// Calls `code_piece` as a function of its own. Inlined into the loop over rows, some variables of its inner loop are kept in memory
     /// (56 to 58 instructions for eight bytes, not 54), depending on how the crate is divided for compilation.
     #[inline(never)]
-    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    fn piece<L: Lookup>(
+        piece: &[u8],
+        tables: Tables<'_, L>,
+        stage: &mut Stage,
+        bits: &mut BitWriter,
+        out: &mut Vec<u8>,
+    ) {
         code_piece(piece, tables, stage, bits, out);
     }
 }
@@ -50,13 +61,25 @@ impl Kernel for Portable {}
 
 /// Codes a strip; `None` as soon as `out` is longer than `most`. Compiled once per level.
 #[inline(always)]
-pub(super) fn body<K: Kernel>(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+pub(super) fn body<K: Kernel>(
+    rows: Rows<'_>,
+    last: bool,
+    most: usize,
+    out: &mut Vec<u8>,
+) -> Option<u32> {
     let mut piece = [0; PIECE];
     let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
     let single = Single::new(&codes);
-    let coder = RowCoder { rows, single: &single, piece: &mut piece, bits: &mut bits, most, out: &mut *out };
+    let coder = RowCoder {
+        rows,
+        single: &single,
+        piece: &mut piece,
+        bits: &mut bits,
+        most,
+        out: &mut *out,
+    };
     let adler = K::code(&single, coder)?;
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
     end(last, &mut bits, out);
@@ -76,7 +99,9 @@ pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
 /// One block of filtered bytes with the optimal code for exactly them; for `Compression::Best`.
 pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     let mut counts = Counts::default();
-    filtered.chunks(PIECE).for_each(|piece| walk(piece, &mut counts));
+    filtered
+        .chunks(PIECE)
+        .for_each(|piece| walk(piece, &mut counts));
     let mut weights = counts.total();
     weights[END] = 1;
     let codes = Codes::new(&weights, LIMIT);
@@ -84,7 +109,16 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
     let single = Single::new(&codes);
     let mut stage = STAGE_EMPTY;
     for piece in filtered.chunks(PIECE) {
-        code_piece(piece, Tables { pairs: &single, single: &single }, &mut stage, bits, out);
+        code_piece(
+            piece,
+            Tables {
+                pairs: &single,
+                single: &single,
+            },
+            &mut stage,
+            bits,
+            out,
+        );
     }
     bits.put(out, codes.bits[END].into(), codes.length[END].into());
 }
@@ -111,9 +145,12 @@ fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
         }
         index += step;
     }
-    let mut weights = counts.total().map(|weight| weight.saturating_mul(SAMPLED).saturating_add(1));
+    let mut weights = counts
+        .total()
+        .map(|weight| weight.saturating_mul(SAMPLED).saturating_add(1));
     let sampled = u32::try_from(rows.count() / step).unwrap_or(u32::MAX);
-    weights[usize::from(PAETH)] = weights[usize::from(PAETH)].saturating_add(sampled.saturating_mul(SAMPLED));
+    weights[usize::from(PAETH)] =
+        weights[usize::from(PAETH)].saturating_add(sampled.saturating_mul(SAMPLED));
     weights
 }
 
@@ -140,7 +177,14 @@ impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
     pub(super) fn code<K: Kernel>(self, lookup: &impl Lookup) -> Option<u32> {
-        let Self { rows, single, piece, bits, most, out } = self;
+        let Self {
+            rows,
+            single,
+            piece,
+            bits,
+            most,
+            out,
+        } = self;
         let mut stage = STAGE_EMPTY;
         let mut adler = simd_adler32::Adler32::new();
         let mut filled = 0;
@@ -155,7 +199,16 @@ impl RowCoder<'_> {
                 filled += n;
                 if filled == PIECE {
                     adler.write(piece);
-                    K::piece(piece, Tables { pairs: lookup, single }, &mut stage, bits, out);
+                    K::piece(
+                        piece,
+                        Tables {
+                            pairs: lookup,
+                            single,
+                        },
+                        &mut stage,
+                        bits,
+                        out,
+                    );
                     filled = 0;
                     if out.len() > most {
                         return None;
@@ -167,7 +220,16 @@ impl RowCoder<'_> {
             }
         }
         adler.write(&piece[..filled]);
-        K::piece(&piece[..filled], Tables { pairs: lookup, single }, &mut stage, bits, out);
+        K::piece(
+            &piece[..filled],
+            Tables {
+                pairs: lookup,
+                single,
+            },
+            &mut stage,
+            bits,
+            out,
+        );
         (out.len() <= most).then(|| adler.finish())
     }
 }

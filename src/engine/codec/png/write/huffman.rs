@@ -11,7 +11,9 @@ pub(super) const LITERALS: usize = 286;
 pub(super) const END: usize = 256;
 
 /// The order in which the lengths of the code of lengths are sent.
-const LENGTH_ORDER: [usize; 19] = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
+const LENGTH_ORDER: [usize; 19] = [
+    16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15,
+];
 
 /// Longest code of the code of lengths.
 const LENGTH_LIMIT: usize = 7;
@@ -29,13 +31,21 @@ impl<const N: usize> Codes<N> {
     /// The code of least expected length under `limit`, except for the cost of correcting the Kraft sum.
     pub(super) fn new(weights: &[u32; N], limit: usize) -> Self {
         let length = lengths(weights, limit);
-        Self { length, bits: canonical(&length) }
+        Self {
+            length,
+            bits: canonical(&length),
+        }
     }
 }
 
 fn lengths<const N: usize>(weights: &[u32; N], limit: usize) -> [u8; N] {
     let mut lengths = [0; N];
-    let mut leaves: Vec<(u32, usize)> = weights.iter().copied().zip(0..N).filter(|leaf| leaf.0 > 0).collect();
+    let mut leaves: Vec<(u32, usize)> = weights
+        .iter()
+        .copied()
+        .zip(0..N)
+        .filter(|leaf| leaf.0 > 0)
+        .collect();
     if leaves.len() < 2 {
         for (_, symbol) in leaves {
             lengths[symbol] = 1;
@@ -65,7 +75,11 @@ fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
     for node in n..2 * n - 1 {
         let mut sum = 0;
         for _ in 0..2 {
-            let lightest = if leaf < n && (merged == node || weight[leaf] <= weight[merged]) { &mut leaf } else { &mut merged };
+            let lightest = if leaf < n && (merged == node || weight[leaf] <= weight[merged]) {
+                &mut leaf
+            } else {
+                &mut merged
+            };
             sum += weight[*lightest];
             parent[*lightest] = node;
             *lightest += 1;
@@ -87,10 +101,17 @@ fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
 fn limit_depths(counts: &mut Vec<usize>, limit: usize) {
     let deeper: usize = counts.drain(limit + 1..).sum();
     counts[limit] += deeper;
-    let mut sum: usize = counts.iter().enumerate().map(|(depth, count)| count << (limit - depth)).sum();
+    let mut sum: usize = counts
+        .iter()
+        .enumerate()
+        .map(|(depth, count)| count << (limit - depth))
+        .sum();
     while sum > 1 << limit {
         counts[limit] -= 1;
-        let depth = (1..limit).rev().find(|&depth| counts[depth] > 0).expect("fewer symbols than codes of the limit");
+        let depth = (1..limit)
+            .rev()
+            .find(|&depth| counts[depth] > 0)
+            .expect("fewer symbols than codes of the limit");
         counts[depth] -= 1;
         counts[depth + 1] += 2;
         sum -= 1;
@@ -117,7 +138,12 @@ fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
 }
 
 /// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one distance code for distance 1, one bit long.
-pub(super) fn block_header(codes: &Codes<LITERALS>, last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
+pub(super) fn block_header(
+    codes: &Codes<LITERALS>,
+    last: bool,
+    bits: &mut BitWriter,
+    out: &mut Vec<u8>,
+) {
     let mut lengths = codes.length.to_vec();
     lengths.push(1);
     let runs = run_lengths(&lengths);
@@ -126,7 +152,10 @@ pub(super) fn block_header(codes: &Codes<LITERALS>, last: bool, bits: &mut BitWr
         weights[usize::from(run.symbol)] += 1;
     }
     let of_lengths = Codes::new(&weights, LENGTH_LIMIT);
-    let sent = LENGTH_ORDER.iter().rposition(|&symbol| of_lengths.length[symbol] > 0).map_or(4, |at| (at + 1).max(4));
+    let sent = LENGTH_ORDER
+        .iter()
+        .rposition(|&symbol| of_lengths.length[symbol] > 0)
+        .map_or(4, |at| (at + 1).max(4));
     bits.put(out, u64::from(last), 1);
     bits.put(out, 2, 2);
     bits.put(out, (LITERALS - 257) as u64, 5);
@@ -137,7 +166,11 @@ pub(super) fn block_header(codes: &Codes<LITERALS>, last: bool, bits: &mut BitWr
     }
     for run in runs {
         let symbol = usize::from(run.symbol);
-        bits.put(out, of_lengths.bits[symbol].into(), of_lengths.length[symbol].into());
+        bits.put(
+            out,
+            of_lengths.bits[symbol].into(),
+            of_lengths.length[symbol].into(),
+        );
         bits.put(out, run.extra.into(), run.extra_bits.into());
     }
 }
@@ -162,24 +195,39 @@ fn run_lengths(lengths: &[u8]) -> Vec<Run> {
                 3.. if !first => (16, left.min(6), 3, 2),
                 _ => (value, 1, 1, 0),
             };
-            runs.push(Run { symbol, extra: u8::try_from(taken - least).expect("at most 127"), extra_bits });
+            runs.push(Run {
+                symbol,
+                extra: u8::try_from(taken - least).expect("at most 127"),
+                extra_bits,
+            });
             left -= taken;
         }
     }
     runs
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "made-up samples are cut to their width on purpose"
+)]
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn kraft(lengths: &[u8], limit: u32) -> u64 {
-        lengths.iter().filter(|&&length| length > 0).map(|&length| 1u64 << (limit - u32::from(length))).sum()
+        lengths
+            .iter()
+            .filter(|&&length| length > 0)
+            .map(|&length| 1u64 << (limit - u32::from(length)))
+            .sum()
     }
 
     fn cost(weights: &[u32], lengths: &[u8]) -> u64 {
-        weights.iter().zip(lengths).map(|(&weight, &length)| u64::from(weight) * u64::from(length)).sum()
+        weights
+            .iter()
+            .zip(lengths)
+            .map(|(&weight, &length)| u64::from(weight) * u64::from(length))
+            .sum()
     }
 
     #[test]
@@ -199,7 +247,12 @@ mod tests {
                 let lengths = lengths(&weights, limit);
                 assert_eq!(kraft(&lengths, 15), 1 << 15, "round {round}, limit {limit}");
                 assert!(lengths.iter().all(|&length| usize::from(length) <= limit));
-                assert!(lengths.iter().zip(&weights).all(|(&length, &weight)| (length > 0) == (weight > 0)));
+                assert!(
+                    lengths
+                        .iter()
+                        .zip(&weights)
+                        .all(|(&length, &weight)| (length > 0) == (weight > 0))
+                );
             }
         }
     }
@@ -207,7 +260,10 @@ mod tests {
     #[test]
     fn codes_without_a_limit_are_those_of_huffman() {
         // Fibonacci weights: the deepest tree there is.
-        assert_eq!(lengths(&[1, 1, 2, 3, 5, 8, 13, 21], 15), [7, 7, 6, 5, 4, 3, 2, 1]);
+        assert_eq!(
+            lengths(&[1, 1, 2, 3, 5, 8, 13, 21], 15),
+            [7, 7, 6, 5, 4, 3, 2, 1]
+        );
         assert_eq!(lengths(&[5, 5, 5, 5], 15), [2; 4]);
         assert_eq!(lengths(&[0, 9, 0], 15), [0, 1, 0]);
     }
@@ -215,8 +271,14 @@ mod tests {
     #[test]
     fn limited_codes_cost_little_more() {
         let weights: [u32; 40] = std::array::from_fn(|symbol| 1 + (100_000 >> (symbol / 2)));
-        let (free, limited) = (cost(&weights, &lengths(&weights, 15)), cost(&weights, &lengths(&weights, 9)));
-        assert!(free < limited && limited < free + free / 20, "{free} {limited}");
+        let (free, limited) = (
+            cost(&weights, &lengths(&weights, 15)),
+            cost(&weights, &lengths(&weights, 9)),
+        );
+        assert!(
+            free < limited && limited < free + free / 20,
+            "{free} {limited}"
+        );
     }
 
     #[test]
@@ -227,7 +289,10 @@ mod tests {
             for b in 0..40 {
                 let short = codes.length[a].min(codes.length[b]);
                 let mask = (1u16 << short) - 1;
-                assert!(a == b || codes.bits[a] & mask != codes.bits[b] & mask, "{a} {b}");
+                assert!(
+                    a == b || codes.bits[a] & mask != codes.bits[b] & mask,
+                    "{a} {b}"
+                );
             }
         }
     }

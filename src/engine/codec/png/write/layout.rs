@@ -43,9 +43,17 @@ impl Layout {
             Compression::Best => STRIP_BEST,
         };
         // An even number, so that two threads have equal work.
-        let strips = if filtered <= WHOLE { 1 } else { 2 * filtered.div_ceil(2 * aim) };
+        let strips = if filtered <= WHOLE {
+            1
+        } else {
+            2 * filtered.div_ceil(2 * aim)
+        };
         let strips = u32::try_from(strips).map_or(height, |strips| strips.min(height));
-        Self { height, strips, row_bytes }
+        Self {
+            height,
+            strips,
+            row_bytes,
+        }
     }
 
     pub(super) const fn strips(self) -> u32 {
@@ -75,7 +83,9 @@ impl Layout {
             let filtered = rows * (self.row_bytes as u64 + 1);
             filtered + stored::overhead(filtered) + chunk::FRAME as u64
         };
-        super::ZLIB_HEADER.len() as u64 + taller * strip(height / strips + 1) + (strips - taller) * strip(height / strips)
+        super::ZLIB_HEADER.len() as u64
+            + taller * strip(height / strips + 1)
+            + (strips - taller) * strip(height / strips)
     }
 }
 
@@ -91,12 +101,28 @@ mod tests {
 
     fn layout(width: u32, height: u32, channels: Channels) -> Layout {
         let extent = Extent::new(width, height).unwrap();
-        Layout::new(PngShape { extent, channels, grey: false, depth: Depth::Eight }, Compression::Fast)
+        Layout::new(
+            PngShape {
+                extent,
+                channels,
+                grey: false,
+                depth: Depth::Eight,
+            },
+            Compression::Fast,
+        )
     }
 
     #[test]
     fn strips_partition_the_rows_evenly() {
-        for (width, height) in [(1, 1), (500, 500), (1920, 1080), (16384, 1), (16384, 7), (1, 1_000_000), (3, 99_991)] {
+        for (width, height) in [
+            (1, 1),
+            (500, 500),
+            (1920, 1080),
+            (16384, 1),
+            (16384, 7),
+            (1, 1_000_000),
+            (3, 99_991),
+        ] {
             let layout = layout(width, height, Channels::Rgba);
             let mut next = 0;
             let (mut low, mut high) = (u32::MAX, 0);
@@ -108,7 +134,10 @@ mod tests {
                 next = rows.end;
             }
             assert_eq!(next, height);
-            assert!(low > 0 && high - low <= 1, "{width} x {height}: {low}..={high}");
+            assert!(
+                low > 0 && high - low <= 1,
+                "{width} x {height}: {low}..={high}"
+            );
         }
     }
 

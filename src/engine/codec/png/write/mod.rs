@@ -29,7 +29,10 @@ mod rows;
 #[forbid(unsafe_code)]
 mod stored;
 #[cfg(test)]
-#[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "made-up samples are cut to their width on purpose"
+)]
 mod tests;
 
 use std::ops::Range;
@@ -96,7 +99,10 @@ impl Profile {
     /// Compresses a profile. CPU work, 0.1 ms and more.
     #[must_use]
     pub fn new(icc: &[u8]) -> Self {
-        Self { icc: icc.into(), chunk: chunk::profile(icc).into() }
+        Self {
+            icc: icc.into(),
+            chunk: chunk::profile(icc).into(),
+        }
     }
 
     /// The profile as read.
@@ -135,7 +141,11 @@ impl PngShape {
     /// Samples per pixel of a file.
     #[must_use]
     pub const fn samples(self) -> usize {
-        if self.grey { self.channels.count() - 2 } else { self.channels.count() }
+        if self.grey {
+            self.channels.count() - 2
+        } else {
+            self.channels.count()
+        }
     }
 }
 
@@ -160,8 +170,16 @@ impl PngWriter {
     /// # Panics
     /// Like [`Self::new`].
     #[must_use]
-    pub fn of_labels(shape: PngShape, compression: Compression, palette: Option<&Palette>, metadata: Option<&Carried>) -> Self {
-        Self { head: chunk::head(shape, metadata, palette).into(), ..Self::new(shape, compression, None) }
+    pub fn of_labels(
+        shape: PngShape,
+        compression: Compression,
+        palette: Option<&Palette>,
+        metadata: Option<&Carried>,
+    ) -> Self {
+        Self {
+            head: chunk::head(shape, metadata, palette).into(),
+            ..Self::new(shape, compression, None)
+        }
     }
 
     /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
@@ -183,7 +201,8 @@ impl PngWriter {
     /// If there is no such strip.
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
-        self.layout.rows(u32::try_from(strip).expect("strips are counted in u32"))
+        self.layout
+            .rows(u32::try_from(strip).expect("strips are counted in u32"))
     }
 
     /// Upper bound of the whole file, bytes, whatever the samples.
@@ -206,7 +225,11 @@ impl PngWriter {
     pub fn strip(&self, index: usize, samples: &[u8]) -> Strip {
         let mut bytes = Vec::new();
         let (adler, filtered_len) = self.strip_into(index, samples, &mut bytes);
-        Strip { bytes, adler, filtered_len }
+        Strip {
+            bytes,
+            adler,
+            filtered_len,
+        }
     }
 
     /// Like [`Self::strip`], appended to `out`.
@@ -215,7 +238,11 @@ impl PngWriter {
     /// Like [`Self::strip`].
     pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
         let rows = Rows::new(samples, self.layout.row_bytes(), self.bpp);
-        assert_eq!(rows.count(), self.rows(index).len(), "samples are the rows of strip {index}");
+        assert_eq!(
+            rows.count(),
+            self.rows(index).len(),
+            "samples are the rows of strip {index}"
+        );
         let last = index + 1 == self.strips();
         let chunk = chunk::open(out, *b"IDAT");
         if index == 0 {
@@ -233,7 +260,9 @@ impl PngWriter {
     /// The bytes after the last strip: the checksum of all strips (`(adler, filtered_len)` of each in order) and IEND.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
-        let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| adler::combine(sum, adler, len));
+        let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| {
+            adler::combine(sum, adler, len)
+        });
         let mut out = Vec::new();
         chunk::write(&mut out, *b"IDAT", &adler.to_be_bytes());
         chunk::write(&mut out, *b"IEND", &[]);

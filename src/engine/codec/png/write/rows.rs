@@ -16,10 +16,16 @@ impl<'a> Rows<'a> {
     /// `samples` are whole rows, at least one; rows are whole pixels, at least one.
     pub(super) fn new(samples: &'a [u8], row_bytes: usize, bpp: usize) -> Self {
         assert!(
-            !samples.is_empty() && samples.len().is_multiple_of(row_bytes) && row_bytes.is_multiple_of(bpp),
+            !samples.is_empty()
+                && samples.len().is_multiple_of(row_bytes)
+                && row_bytes.is_multiple_of(bpp),
             "whole rows of whole pixels"
         );
-        Self { samples, row_bytes, bpp }
+        Self {
+            samples,
+            row_bytes,
+            bpp,
+        }
     }
 
     #[inline(always)]
@@ -111,7 +117,10 @@ pub(super) fn average(row: &[u8], above: &[u8], bpp: usize, out: &mut [u8]) {
     for (out, (x, b)) in first.iter_mut().zip(row.iter().zip(above)) {
         *out = x.wrapping_sub(b >> 1);
     }
-    for (out, ((x, b), a)) in rest.iter_mut().zip(row[bpp..].iter().zip(&above[bpp..]).zip(row)) {
+    for (out, ((x, b), a)) in rest
+        .iter_mut()
+        .zip(row[bpp..].iter().zip(&above[bpp..]).zip(row))
+    {
         *out = x.wrapping_sub((a & b) + ((a ^ b) >> 1));
     }
 }
@@ -123,7 +132,11 @@ pub(super) fn average(row: &[u8], above: &[u8], bpp: usize, out: &mut [u8]) {
 fn predict_paeth(a: u8, b: u8, c: u8) -> u8 {
     let (to_a, to_b) = (distance(b, c), distance(a, c));
     let outside = (c <= a.min(b)) | (c >= a.max(b));
-    let to_c = if outside { u8::MAX } else { distance(to_a, to_b) };
+    let to_c = if outside {
+        u8::MAX
+    } else {
+        distance(to_a, to_b)
+    };
     let nearer = if to_a <= to_b { a } else { b };
     if to_a.min(to_b) <= to_c { nearer } else { c }
 }
@@ -134,7 +147,10 @@ fn distance(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "made-up samples are cut to their width on purpose")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "made-up samples are cut to their width on purpose"
+)]
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -17,7 +17,10 @@ pub(super) const fn overhead(filtered: u64) -> u64 {
 /// Appends all rows with filter 0; returns their Adler-32.
 pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let filtered = rows.filtered_len();
-    out.reserve(filtered + usize::try_from(overhead(filtered as u64)).expect("less than the rows themselves"));
+    out.reserve(
+        filtered
+            + usize::try_from(overhead(filtered as u64)).expect("less than the rows themselves"),
+    );
     let mut adler = simd_adler32::Adler32::new();
     let mut left = filtered;
     let mut block = begin(out, left, last);
@@ -53,5 +56,8 @@ fn begin(out: &mut Vec<u8>, left: usize, last: bool) -> Block {
     out.push(u8::from(last && left <= BLOCK));
     out.extend_from_slice(&length.to_le_bytes());
     out.extend_from_slice(&(!length).to_le_bytes());
-    Block { start: out.len(), room }
+    Block {
+        start: out.len(),
+        room,
+    }
 }

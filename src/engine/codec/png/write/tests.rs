@@ -8,8 +8,12 @@ use super::*;
 
 const ALL: [Compression; 3] = [Compression::None, Compression::Fast, Compression::Best];
 
-const KINDS: [(Channels, Depth); 4] =
-    [(Channels::Rgb, Depth::Eight), (Channels::Rgba, Depth::Eight), (Channels::Rgb, Depth::Sixteen), (Channels::Rgba, Depth::Sixteen)];
+const KINDS: [(Channels, Depth); 4] = [
+    (Channels::Rgb, Depth::Eight),
+    (Channels::Rgba, Depth::Eight),
+    (Channels::Rgb, Depth::Sixteen),
+    (Channels::Rgba, Depth::Sixteen),
+];
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Content {
@@ -20,10 +24,22 @@ enum Content {
     Drawing,
 }
 
-const CONTENTS: [Content; 6] = [Content::Flat(0), Content::Flat(0xff), Content::Noise, Content::Gradient, Content::Photo, Content::Drawing];
+const CONTENTS: [Content; 6] = [
+    Content::Flat(0),
+    Content::Flat(0xff),
+    Content::Noise,
+    Content::Gradient,
+    Content::Photo,
+    Content::Drawing,
+];
 
 fn shape(width: u32, height: u32, (channels, depth): (Channels, Depth)) -> PngShape {
-    PngShape { extent: Extent::new(width, height).unwrap(), channels, grey: false, depth }
+    PngShape {
+        extent: Extent::new(width, height).unwrap(),
+        channels,
+        grey: false,
+        depth,
+    }
 }
 
 fn noise(seed: u32) -> u32 {
@@ -48,10 +64,13 @@ fn picture(shape: PngShape, content: Content) -> Vec<u8> {
                 Content::Gradient => (x * 211 + y * 97 + channel * 5000) & 0xffff,
                 Content::Photo if channel == 3 => 0xffff,
                 Content::Photo => {
-                    let wave = (f64::from(x) * 0.07).sin() + (f64::from(y) * 0.05 + f64::from(channel)).cos();
+                    let wave = (f64::from(x) * 0.07).sin()
+                        + (f64::from(y) * 0.05 + f64::from(channel)).cos();
                     (32_768.0 + 12_000.0 * wave) as u32 + (noise(pixel * 4 + channel) >> 21)
                 }
-                Content::Drawing => u32::from((x / 40 + y / 25).is_multiple_of(3) || x % 64 == y % 64) * 0xabcd,
+                Content::Drawing => {
+                    u32::from((x / 40 + y / 25).is_multiple_of(3) || x % 64 == y % 64) * 0xabcd
+                }
             } as u16;
             match shape.depth {
                 Depth::Eight => samples.push(value.to_be_bytes()[0]),
@@ -66,14 +85,21 @@ fn row_bytes(shape: PngShape) -> usize {
     shape.extent.width() as usize * shape.channels.count() * shape.depth.bytes()
 }
 
-fn samples_of<'a>(writer: &PngWriter, shape: PngShape, samples: &'a [u8], strip: usize) -> &'a [u8] {
+fn samples_of<'a>(
+    writer: &PngWriter,
+    shape: PngShape,
+    samples: &'a [u8],
+    strip: usize,
+) -> &'a [u8] {
     let rows = writer.rows(strip);
     &samples[rows.start as usize * row_bytes(shape)..rows.end as usize * row_bytes(shape)]
 }
 
 fn file(writer: &PngWriter, shape: PngShape, samples: &[u8]) -> Vec<u8> {
     let mut bytes = writer.head();
-    let checksums: Vec<_> = (0..writer.strips()).map(|k| writer.strip_into(k, samples_of(writer, shape, samples, k), &mut bytes)).collect();
+    let checksums: Vec<_> = (0..writer.strips())
+        .map(|k| writer.strip_into(k, samples_of(writer, shape, samples, k), &mut bytes))
+        .collect();
     bytes.extend_from_slice(&writer.tail(&checksums));
     bytes
 }
@@ -105,7 +131,9 @@ fn by_zune(bytes: &[u8], depth: Depth) -> Vec<u8> {
     let mut decoder = zune_png::PngDecoder::new_with_options(ZCursor::new(bytes), options);
     match (decoder.decode().unwrap(), depth) {
         (DecodingResult::U8(samples), Depth::Eight) => samples,
-        (DecodingResult::U16(samples), Depth::Sixteen) => samples.into_iter().flat_map(u16::to_be_bytes).collect(),
+        (DecodingResult::U16(samples), Depth::Sixteen) => {
+            samples.into_iter().flat_map(u16::to_be_bytes).collect()
+        }
         _ => panic!("another depth"),
     }
 }
@@ -122,18 +150,30 @@ fn chunks(bytes: &[u8]) -> Vec<([u8; 4], &[u8])> {
         chunks.push((kind, &rest[8..8 + length]));
         rest = &rest[12 + length..];
     }
-    assert_eq!(chunks.iter().position(|chunk| &chunk.0 == b"IEND"), Some(chunks.len() - 1), "IEND once and last");
+    assert_eq!(
+        chunks.iter().position(|chunk| &chunk.0 == b"IEND"),
+        Some(chunks.len() - 1),
+        "IEND once and last"
+    );
     assert!(chunks[chunks.len() - 1].1.is_empty());
     chunks
 }
 
 /// The zlib stream of all IDAT chunks, inflated with its checksum, all of it consumed.
 fn inflate(bytes: &[u8]) -> Vec<u8> {
-    let stream: Vec<u8> = chunks(bytes).into_iter().filter(|chunk| &chunk.0 == b"IDAT").flat_map(|chunk| chunk.1.to_vec()).collect();
+    let stream: Vec<u8> = chunks(bytes)
+        .into_iter()
+        .filter(|chunk| &chunk.0 == b"IDAT")
+        .flat_map(|chunk| chunk.1.to_vec())
+        .collect();
     let mut decoder = flate2::read::ZlibDecoder::new(&stream[..]);
     let mut rows = Vec::new();
     decoder.read_to_end(&mut rows).unwrap();
-    assert_eq!(decoder.total_in(), stream.len() as u64, "nothing follows the stream");
+    assert_eq!(
+        decoder.total_in(),
+        stream.len() as u64,
+        "nothing follows the stream"
+    );
     rows
 }
 
@@ -141,23 +181,37 @@ fn check(shape: PngShape, samples: &[u8], compression: Compression) -> usize {
     let writer = PngWriter::new(shape, compression, None);
     let bytes = file(&writer, shape, samples);
     let what = format!("{shape:?}, {compression:?}");
-    assert!(bytes.len() as u64 <= writer.max_bytes(), "{what}: {} > {}", bytes.len(), writer.max_bytes());
+    assert!(
+        bytes.len() as u64 <= writer.max_bytes(),
+        "{what}: {} > {}",
+        bytes.len(),
+        writer.max_bytes()
+    );
     let kinds: Vec<_> = chunks(&bytes).into_iter().map(|chunk| chunk.0).collect();
     assert_eq!(kinds[0], *b"IHDR");
     assert_eq!(kinds.len(), 1 + writer.strips() + 2);
     assert!(kinds[1..kinds.len() - 1].iter().all(|kind| kind == b"IDAT"));
-    assert_eq!(inflate(&bytes).len(), samples.len() + shape.extent.height() as usize, "{what}");
+    assert_eq!(
+        inflate(&bytes).len(),
+        samples.len() + shape.extent.height() as usize,
+        "{what}"
+    );
     assert!(by_png(&bytes) == samples, "{what}: png");
     assert!(by_zune(&bytes, shape.depth) == samples, "{what}: zune-png");
     for &level in Level::available() {
-        assert!(file(&writer.clone().with_level(level), shape, samples) == bytes, "{what}: {level:?}");
+        assert!(
+            file(&writer.clone().with_level(level), shape, samples) == bytes,
+            "{what}: {level:?}"
+        );
     }
     bytes.len()
 }
 
 /// Height at which a picture of this width has two strips for the first time.
 fn just_over_a_strip(width: u32, kind: (Channels, Depth), compression: Compression) -> u32 {
-    (1..).find(|&height| PngWriter::new(shape(width, height, kind), compression, None).strips() > 1).unwrap()
+    (1..)
+        .find(|&height| PngWriter::new(shape(width, height, kind), compression, None).strips() > 1)
+        .unwrap()
 }
 
 #[test]
@@ -180,7 +234,13 @@ fn wide_rows_and_strip_boundaries_decode_to_their_samples() {
     for kind in KINDS {
         for compression in ALL {
             let height = just_over_a_strip(331, kind, compression);
-            for (width, height) in [(331, height - 1), (331, height), (16_384, 1), (16_384, 3), (1, 70_000)] {
+            for (width, height) in [
+                (331, height - 1),
+                (331, height),
+                (16_384, 1),
+                (16_384, 3),
+                (1, 70_000),
+            ] {
                 for content in [Content::Photo, Content::Noise] {
                     let shape = shape(width, height, kind);
                     check(shape, &picture(shape, content), compression);
@@ -228,7 +288,10 @@ fn noise_grows_by_no_more_than_the_stored_form() {
             assert!(check(shape, &samples, compression) <= stored);
         }
         let writer = PngWriter::new(shape, Compression::None, None);
-        assert!(writer.max_bytes() - stored as u64 <= 8, "the bound of a stored picture is tight");
+        assert!(
+            writer.max_bytes() - stored as u64 <= 8,
+            "the bound of a stored picture is tight"
+        );
     }
 }
 
@@ -239,11 +302,17 @@ fn strips_in_any_order_give_the_same_bytes() {
         let samples = picture(shape, Content::Photo);
         let writer = PngWriter::new(shape, compression, None);
         assert!(writer.strips() >= 2);
-        let mut strips: Vec<_> = (0..writer.strips()).rev().map(|k| writer.strip(k, samples_of(&writer, shape, &samples, k))).collect();
+        let mut strips: Vec<_> = (0..writer.strips())
+            .rev()
+            .map(|k| writer.strip(k, samples_of(&writer, shape, &samples, k)))
+            .collect();
         strips.reverse();
         let mut bytes = writer.head();
         bytes.extend(strips.iter().flat_map(|strip| strip.bytes.clone()));
-        let checksums: Vec<_> = strips.iter().map(|strip| (strip.adler, strip.filtered_len)).collect();
+        let checksums: Vec<_> = strips
+            .iter()
+            .map(|strip| (strip.adler, strip.filtered_len))
+            .collect();
         bytes.extend(writer.tail(&checksums));
         assert!(bytes == file(&writer, shape, &samples), "{compression:?}");
         let filtered: u64 = strips.iter().map(|strip| strip.filtered_len).sum();
@@ -260,7 +329,9 @@ fn profile_travels_in_the_head_and_nothing_else_does() {
     let bytes = file(&writer, shape, &samples);
     let kinds: Vec<_> = chunks(&bytes).into_iter().map(|chunk| chunk.0).collect();
     assert_eq!(kinds, [*b"IHDR", *b"iCCP", *b"IDAT", *b"IDAT", *b"IEND"]);
-    let reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
+    let reader = png::Decoder::new(std::io::Cursor::new(&bytes))
+        .read_info()
+        .unwrap();
     assert_eq!(reader.info().icc_profile.as_deref(), Some(&profile[..]));
     assert!(by_png(&bytes) == samples && by_zune(&bytes, Depth::Eight) == samples);
     assert!(bytes.len() as u64 <= writer.max_bytes());
@@ -268,7 +339,10 @@ fn profile_travels_in_the_head_and_nothing_else_does() {
 
 #[test]
 fn best_is_smaller_than_fast_and_fast_than_none() {
-    let photo = image::load_from_memory(include_bytes!("../../../../../tests/images/astronaut.png")).unwrap().to_rgba8();
+    let photo =
+        image::load_from_memory(include_bytes!("../../../../../tests/images/astronaut.png"))
+            .unwrap()
+            .to_rgba8();
     let shape = shape(photo.width(), photo.height(), KINDS[1]);
     for (samples, factor) in [(photo.into_raw(), 1), (picture(shape, Content::Drawing), 3)] {
         let [none, fast, best] = ALL.map(|compression| check(shape, &samples, compression));

@@ -57,7 +57,11 @@ async fn does_what_the_model_does_also_when_it_is_opened_again() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn neighbours_do_not_disturb_each_other() {
     let place = Place::new();
-    model::neighbours_do_not_disturb_each_other(vec![Arc::new(place.open())], Duration::from_secs(2)).await;
+    model::neighbours_do_not_disturb_each_other(
+        vec![Arc::new(place.open())],
+        Duration::from_secs(2),
+    )
+    .await;
 }
 
 #[tokio::test]
@@ -73,23 +77,44 @@ async fn sessions_are_there_after_the_store_was_opened_again() {
     // Not swept: told when the store is closed.
     store.touch(a.id, Some(43)).await.unwrap();
     let revised = with_weights(&b, 3);
-    store.revise(b.revision, Arc::clone(&revised), None).await.unwrap().unwrap();
+    store
+        .revise(b.revision, Arc::clone(&revised), None)
+        .await
+        .unwrap()
+        .unwrap();
     store.delete(c.id).await.unwrap();
     let layered = with_layer(&revised, "x", Some(4));
-    store.revise(revised.revision, Arc::clone(&layered), named(file(4)).pop()).await.unwrap().unwrap();
+    store
+        .revise(revised.revision, Arc::clone(&layered), named(file(4)).pop())
+        .await
+        .unwrap()
+        .unwrap();
     let figures = store.figures();
     drop(store);
 
     let store = place.open();
     assert_eq!(store.figures(), figures);
-    assert_eq!(store.file(b.id, Digest::of(&file(4))).await.unwrap(), file(4));
+    assert_eq!(
+        store.file(b.id, Digest::of(&file(4))).await.unwrap(),
+        file(4)
+    );
     let back = store.peek(a.id).await.unwrap();
     assert_eq!((back.record, back.seq), (a.clone(), Some(43)));
     assert_eq!(store.peek(b.id).await.unwrap().record, layered);
-    store.revise(layered.revision, with_layer(&layered, "x", None), None).await.unwrap().unwrap();
-    assert_eq!(store.peek(c.id).await.unwrap_err(), StoreError::NoSuchSession);
+    store
+        .revise(layered.revision, with_layer(&layered, "x", None), None)
+        .await
+        .unwrap()
+        .unwrap();
+    assert_eq!(
+        store.peek(c.id).await.unwrap_err(),
+        StoreError::NoSuchSession
+    );
     assert_eq!(store.file(a.id, a.image).await.unwrap(), file(1));
-    assert!(store.0.disk.change(|change| change.files()).unwrap() == [a.image], "the deleted picture's file has gone");
+    assert!(
+        store.0.disk.change(|change| change.files()).unwrap() == [a.image],
+        "the deleted picture's file has gone"
+    );
     // Made anew, its numbers start anew, also on the disk.
     store.put(made_anew(&a, 3), files(3)).await.unwrap();
     drop(store);
@@ -100,11 +125,28 @@ async fn sessions_are_there_after_the_store_was_opened_again() {
 async fn a_file_of_many_pieces_comes_back_whole() {
     let place = Place::new();
     let store = place.open();
-    for len in [1, disk::PIECE - 1, disk::PIECE, disk::PIECE + 1, 3 * disk::PIECE + 7] {
-        let bytes: Bytes = (0..len).map(|k| u8::try_from(k * k % 251).unwrap()).collect();
-        let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
-        store.put(Arc::clone(&record), named(bytes.clone())).await.unwrap();
-        assert!(store.file(record.id, record.image).await.unwrap() == bytes, "{len} bytes");
+    for len in [
+        1,
+        disk::PIECE - 1,
+        disk::PIECE,
+        disk::PIECE + 1,
+        3 * disk::PIECE + 7,
+    ] {
+        let bytes: Bytes = (0..len)
+            .map(|k| u8::try_from(k * k % 251).unwrap())
+            .collect();
+        let record = Arc::new(Record {
+            image: Digest::of(&bytes),
+            ..(*suite::record(0)).clone()
+        });
+        store
+            .put(Arc::clone(&record), named(bytes.clone()))
+            .await
+            .unwrap();
+        assert!(
+            store.file(record.id, record.image).await.unwrap() == bytes,
+            "{len} bytes"
+        );
     }
 }
 
@@ -119,7 +161,13 @@ async fn a_second_process_is_told_that_the_file_is_taken() {
 #[test]
 fn what_is_no_session_file_is_left_as_it_is() {
     let other = redb::TableDefinition::<u8, u8>::new("theirs");
-    for what in [Some(&b"a diary"[..]), Some(b""), Some(b"redb, they said"), Some(&[0; 9000]), None] {
+    for what in [
+        Some(&b"a diary"[..]),
+        Some(b""),
+        Some(b"redb, they said"),
+        Some(&[0; 9000]),
+        None,
+    ] {
         let place = Place::new();
         match what {
             Some(bytes) => std::fs::write(&place.0, bytes).unwrap(),
@@ -132,8 +180,14 @@ fn what_is_no_session_file_is_left_as_it_is() {
         }
         let before = std::fs::read(&place.0).unwrap();
         let refused = FileStore::open(&place.0, bounds()).unwrap_err();
-        assert!(refused.to_string().contains(&*place.0.to_string_lossy()), "{refused}");
-        assert!(what.is_none() || std::fs::read(&place.0).unwrap() == before, "{what:?}");
+        assert!(
+            refused.to_string().contains(&*place.0.to_string_lossy()),
+            "{refused}"
+        );
+        assert!(
+            what.is_none() || std::fs::read(&place.0).unwrap() == before,
+            "{what:?}"
+        );
     }
     assert!(FileStore::open(Path::new("/nowhere/at/all"), bounds()).is_err());
 }
@@ -146,13 +200,21 @@ async fn damaged_records_are_left_out_and_the_others_are_there() {
     for (picture, record) in (0..).zip(&records) {
         store.put(Arc::clone(record), files(picture)).await.unwrap();
     }
-    let [whole, torn, flipped, another, no_file, bad_file, short_file] = &records[..] else { panic!("seven") };
+    let [whole, torn, flipped, another, no_file, bad_file, short_file] = &records[..] else {
+        panic!("seven")
+    };
     let mut bits = record::write(flipped);
     bits[200] ^= 4;
     let damage = store.0.disk.change(|change| {
-        change.records.insert(&torn.id.to_bytes(), &record::write(torn)[..100])?;
-        change.records.insert(&flipped.id.to_bytes(), bits.as_slice())?;
-        change.records.insert(&another.id.to_bytes(), record::write(whole).as_slice())?;
+        change
+            .records
+            .insert(&torn.id.to_bytes(), &record::write(torn)[..100])?;
+        change
+            .records
+            .insert(&flipped.id.to_bytes(), bits.as_slice())?;
+        change
+            .records
+            .insert(&another.id.to_bytes(), record::write(whole).as_slice())?;
         change.remove_file(no_file.image)?;
         for (record, bytes) in [(bad_file, &[1; 1000][..]), (short_file, &[7; 999])] {
             change.remove_file(record.image)?;
@@ -168,7 +230,10 @@ async fn damaged_records_are_left_out_and_the_others_are_there() {
     assert_eq!(store.peek(whole.id).await.unwrap().record, *whole);
     assert_eq!(store.file(whole.id, whole.image).await.unwrap(), file(0));
     for lost in &records[1..] {
-        assert_eq!(store.peek(lost.id).await.unwrap_err(), StoreError::NoSuchSession);
+        assert_eq!(
+            store.peek(lost.id).await.unwrap_err(),
+            StoreError::NoSuchSession
+        );
     }
     // Their names and pictures may be used again.
     for (picture, record) in (0..).zip(&records) {
@@ -177,12 +242,20 @@ async fn damaged_records_are_left_out_and_the_others_are_there() {
     drop(store);
     let store = place.open();
     assert_eq!((store.figures().damaged, store.figures().sessions), (0, 7));
-    assert_eq!(store.file(bad_file.id, bad_file.image).await.unwrap(), file(5));
+    assert_eq!(
+        store.file(bad_file.id, bad_file.image).await.unwrap(),
+        file(5)
+    );
 }
 
 fn plant(store: &FileStore, records: &[(SessionId, Vec<u8>)]) {
     let planted = store.0.disk.change(|change| {
-        records.iter().try_for_each(|(id, bytes)| Ok(change.records.insert(&id.to_bytes(), bytes.as_slice()).map(drop)?))
+        records.iter().try_for_each(|(id, bytes)| {
+            Ok(change
+                .records
+                .insert(&id.to_bytes(), bytes.as_slice())
+                .map(drop)?)
+        })
     });
     planted.unwrap();
 }
@@ -190,11 +263,14 @@ fn plant(store: &FileStore, records: &[(SessionId, Vec<u8>)]) {
 #[tokio::test]
 async fn what_another_version_has_stored_is_kept() {
     let place = Place::new();
-    suite::what_another_version_has_stored_is_kept(place.open(), async |store: FileStore, records: &[(SessionId, Vec<u8>)]| {
-        plant(&store, records);
-        drop(store);
-        place.open()
-    })
+    suite::what_another_version_has_stored_is_kept(
+        place.open(),
+        async |store: FileStore, records: &[(SessionId, Vec<u8>)]| {
+            plant(&store, records);
+            drop(store);
+            place.open()
+        },
+    )
     .await;
 }
 
@@ -210,20 +286,51 @@ async fn what_another_version_has_stored_counts() {
     plant(&store, &[(a.id, bytes.clone())]);
     let one = store.figures().bytes / 2;
     drop(store);
-    let store = FileStore::open(&place.0, Bounds { sessions: 2, ..bounds() }).unwrap();
-    let expected = Figures { sessions: 2, bytes: one + 1000 + bytes.len() as u64, other_version: 1, ..Figures::default() };
+    let store = FileStore::open(
+        &place.0,
+        Bounds {
+            sessions: 2,
+            ..bounds()
+        },
+    )
+    .unwrap();
+    let expected = Figures {
+        sessions: 2,
+        bytes: one + 1000 + bytes.len() as u64,
+        other_version: 1,
+        ..Figures::default()
+    };
     assert_eq!(store.figures(), expected);
-    assert!(matches!(store.put(suite::record(3), files(3)).await, Err(StoreError::Full { what: "sessions", .. })));
+    assert!(matches!(
+        store.put(suite::record(3), files(3)).await,
+        Err(StoreError::Full {
+            what: "sessions",
+            ..
+        })
+    ));
     // Its file is not named by anybody who is read, and may be used by a newcomer.
     store.delete(b.id).await.unwrap();
     let c = suite::record(1);
     store.put(Arc::clone(&c), files(1)).await.unwrap();
-    assert_eq!(store.figures(), Figures { bytes: expected.bytes - 1000, ..expected });
+    assert_eq!(
+        store.figures(),
+        Figures {
+            bytes: expected.bytes - 1000,
+            ..expected
+        }
+    );
     store.delete(a.id).await.unwrap();
     assert_eq!(store.file(c.id, c.image).await.unwrap(), file(1));
     store.delete(c.id).await.unwrap();
     assert_eq!((store.figures().sessions, store.figures().bytes), (0, 0));
-    assert!(store.0.disk.change(|change| change.files()).unwrap().is_empty());
+    assert!(
+        store
+            .0
+            .disk
+            .change(|change| change.files())
+            .unwrap()
+            .is_empty()
+    );
 }
 
 /// A picture that cannot be read any more is not kept from being sent again by a session that is not read.
@@ -234,14 +341,34 @@ async fn a_damaged_picture_of_another_versions_session_may_be_sent_again() {
     let (a, b) = (suite::record(1), suite::record(1));
     store.put(Arc::clone(&a), files(1)).await.unwrap();
     store.put(Arc::clone(&b), files(1)).await.unwrap();
-    plant(&store, &[(a.id, record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes()))]);
+    plant(
+        &store,
+        &[(
+            a.id,
+            record::sealed(format!("{{\"version\":2,\"picture\":\"{}\"}}", a.image).as_bytes()),
+        )],
+    );
     drop(store);
     let store = place.open();
-    store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();
-    assert_eq!(store.file(b.id, b.image).await, Err(StoreError::NoSuchSession));
+    store
+        .0
+        .disk
+        .change(|change| {
+            change
+                .remove_file(a.image)
+                .and_then(|()| change.add_file(a.image, b"other"))
+        })
+        .unwrap();
+    assert_eq!(
+        store.file(b.id, b.image).await,
+        Err(StoreError::NoSuchSession)
+    );
     store.put(Arc::clone(&b), files(1)).await.unwrap();
     assert_eq!(store.file(b.id, b.image).await.unwrap(), file(1));
-    assert_eq!(store.peek(a.id).await.unwrap_err(), StoreError::OtherVersion);
+    assert_eq!(
+        store.peek(a.id).await.unwrap_err(),
+        StoreError::OtherVersion
+    );
 }
 
 #[tokio::test]
@@ -251,16 +378,48 @@ async fn a_picture_that_is_damaged_later_ends_its_sessions_and_may_be_sent_again
     let (a, b) = (suite::record(1), suite::record(2));
     store.put(Arc::clone(&a), files(1)).await.unwrap();
     store.put(Arc::clone(&b), files(2)).await.unwrap();
-    store.0.disk.change(|change| change.remove_file(a.image).and_then(|()| change.add_file(a.image, b"other"))).unwrap();
-    assert_eq!(store.file(a.id, a.image).await, Err(StoreError::NoSuchSession));
-    assert_eq!((store.peek(a.id).await.unwrap_err(), store.figures().damaged), (StoreError::NoSuchSession, 1));
+    store
+        .0
+        .disk
+        .change(|change| {
+            change
+                .remove_file(a.image)
+                .and_then(|()| change.add_file(a.image, b"other"))
+        })
+        .unwrap();
+    assert_eq!(
+        store.file(a.id, a.image).await,
+        Err(StoreError::NoSuchSession)
+    );
+    assert_eq!(
+        (store.peek(a.id).await.unwrap_err(), store.figures().damaged),
+        (StoreError::NoSuchSession, 1)
+    );
     assert!(store.peek(b.id).await.is_ok());
     // So does a layer's.
     let layer = named(file(3)).pop().unwrap();
-    store.revise(b.revision, with_layer(&b, "x", Some(3)), Some(layer.clone())).await.unwrap().unwrap();
-    store.0.disk.change(|change| change.remove_file(layer.digest)).unwrap();
-    assert_eq!(store.file(b.id, layer.digest).await, Err(StoreError::NoSuchSession));
-    assert_eq!(store.peek(b.id).await.unwrap_err(), StoreError::NoSuchSession);
+    store
+        .revise(
+            b.revision,
+            with_layer(&b, "x", Some(3)),
+            Some(layer.clone()),
+        )
+        .await
+        .unwrap()
+        .unwrap();
+    store
+        .0
+        .disk
+        .change(|change| change.remove_file(layer.digest))
+        .unwrap();
+    assert_eq!(
+        store.file(b.id, layer.digest).await,
+        Err(StoreError::NoSuchSession)
+    );
+    assert_eq!(
+        store.peek(b.id).await.unwrap_err(),
+        StoreError::NoSuchSession
+    );
     store.put(Arc::clone(&a), files(1)).await.unwrap();
     assert_eq!(store.file(a.id, a.image).await.unwrap(), file(1));
 }
@@ -273,14 +432,28 @@ async fn a_picture_that_goes_and_is_sent_again_while_it_is_read_is_not_damaged()
     let (a, b) = (suite::record(1), suite::record(1));
     store.put(Arc::clone(&a), files(1)).await.unwrap();
     let writing = store.0.written();
-    store.0.disk.change(|change| change.remove_file(a.image)).unwrap();
+    store
+        .0
+        .disk
+        .change(|change| change.remove_file(a.image))
+        .unwrap();
     let reading = store.file(a.id, a.image);
     // It has read nothing and waits for the right to change.
     std::thread::sleep(Duration::from_millis(300));
-    store.0.disk.change(|change| change.add_file(b.image, &file(1))).unwrap();
+    store
+        .0
+        .disk
+        .change(|change| change.add_file(b.image, &file(1)))
+        .unwrap();
     drop(writing);
     assert_eq!(reading.await, Ok(file(1)));
-    assert_eq!((store.peek(a.id).await.unwrap().record, store.figures().damaged), (a, 0));
+    assert_eq!(
+        (
+            store.peek(a.id).await.unwrap().record,
+            store.figures().damaged
+        ),
+        (a, 0)
+    );
 }
 
 /// Wherever a byte of the file changes, the program starts with what is whole, or says that it cannot.
@@ -306,27 +479,44 @@ async fn a_flipped_byte_anywhere_is_survived() {
             continue;
         };
         let figures = store.figures();
-        *(if figures.sessions == 6 { &mut whole } else { &mut fewer }) += 1;
+        *(if figures.sessions == 6 {
+            &mut whole
+        } else {
+            &mut fewer
+        }) += 1;
         for (picture, record) in (0..).zip(&records) {
             if let Ok(there) = store.peek(record.id).await {
                 assert_eq!(there.record, *record);
-                assert!(store.file(record.id, record.image).await.is_ok_and(|bytes| bytes == file(picture)));
+                assert!(
+                    store
+                        .file(record.id, record.image)
+                        .await
+                        .is_ok_and(|bytes| bytes == file(picture))
+                );
             }
         }
     }
-    println!("a flipped byte: {whole} times all sessions were there, {fewer} times some, {refused} times the file was refused");
+    println!(
+        "a flipped byte: {whole} times all sessions were there, {fewer} times some, {refused} times the file was refused"
+    );
     assert!(fewer > 0);
 }
 
 #[tokio::test]
 async fn space_is_given_back_when_the_file_is_opened() {
     let place = Place::new();
-    let wide = Bounds { bytes: 1 << 30, ..bounds() };
+    let wide = Bounds {
+        bytes: 1 << 30,
+        ..bounds()
+    };
     let store = FileStore::open(&place.0, wide).unwrap();
     let mut records = Vec::new();
     for k in 0..40_u8 {
         let bytes = Bytes::from(vec![k; 1 << 20]);
-        let record = Arc::new(Record { image: Digest::of(&bytes), ..(*suite::record(0)).clone() });
+        let record = Arc::new(Record {
+            image: Digest::of(&bytes),
+            ..(*suite::record(0)).clone()
+        });
         store.put(Arc::clone(&record), named(bytes)).await.unwrap();
         records.push(record);
     }
@@ -338,10 +528,25 @@ async fn space_is_given_back_when_the_file_is_opened() {
     }
     drop(store);
     let store = FileStore::open(&place.0, wide).unwrap();
-    println!("1 MiB of it left: {} bytes before the start, {} after", full, place.size());
+    println!(
+        "1 MiB of it left: {} bytes before the start, {} after",
+        full,
+        place.size()
+    );
     // The database gives much of it back by itself; what is left then may not be worth the trouble.
-    assert!(place.size() < 2 * store.figures().bytes + disk::SLACK, "{}", place.size());
-    assert_eq!(store.file(records[0].id, records[0].image).await.unwrap().len(), 1 << 20);
+    assert!(
+        place.size() < 2 * store.figures().bytes + disk::SLACK,
+        "{}",
+        place.size()
+    );
+    assert_eq!(
+        store
+            .file(records[0].id, records[0].image)
+            .await
+            .unwrap()
+            .len(),
+        1 << 20
+    );
     store.put(suite::record(1), files(1)).await.unwrap();
 }
 
@@ -352,12 +557,21 @@ fn a_half_made_file_is_never_in_the_place() {
     drop(place.open());
     let beside = place.0.file_name().unwrap().to_string_lossy().into_owned();
     let directory = place.0.parent().unwrap();
-    let left: Vec<_> = std::fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-    let left: Vec<_> = left.iter().filter(|name| name.to_string_lossy().starts_with(&beside)).collect();
+    let left: Vec<_> = std::fs::read_dir(directory)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    let left: Vec<_> = left
+        .iter()
+        .filter(|name| name.to_string_lossy().starts_with(&beside))
+        .collect();
     assert_eq!(left.len(), 1, "{left:?}");
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        assert_eq!(std::fs::metadata(&place.0).unwrap().permissions().mode() & 0o777, 0o600);
+        assert_eq!(
+            std::fs::metadata(&place.0).unwrap().permissions().mode() & 0o777,
+            0o600
+        );
     }
 }

@@ -35,7 +35,10 @@ impl Recorded {
     /// What may be found after the power went when so many steps had been taken.
     fn after_power_cut(&self, steps: usize, random: &mut impl FnMut() -> bool) -> Vec<u8> {
         let all = &self.0.lock().unwrap().1[..steps];
-        let kept = all.iter().rposition(|step| matches!(step, Step::Sync)).unwrap_or(0);
+        let kept = all
+            .iter()
+            .rposition(|step| matches!(step, Step::Sync))
+            .unwrap_or(0);
         let mut bytes = Vec::new();
         for (at, step) in all.iter().enumerate() {
             match step {
@@ -64,7 +67,11 @@ impl StorageBackend for Recorded {
     fn read(&self, offset: u64, out: &mut [u8]) -> io::Result<()> {
         let offset = usize::try_from(offset).unwrap();
         let there = &self.0.lock().unwrap().0;
-        out.copy_from_slice(there.get(offset..offset + out.len()).ok_or(io::ErrorKind::UnexpectedEof)?);
+        out.copy_from_slice(
+            there
+                .get(offset..offset + out.len())
+                .ok_or(io::ErrorKind::UnexpectedEof)?,
+        );
         Ok(())
     }
 
@@ -95,7 +102,10 @@ type State = HashMap<SessionId, Arc<Record>>;
 
 fn state(store: &FileStore) -> State {
     let index = store.0.index();
-    index.records().map(|record| (record.id, Arc::clone(record))).collect()
+    index
+        .records()
+        .map(|record| (record.id, Arc::clone(record)))
+        .collect()
 }
 
 #[tokio::test]
@@ -104,7 +114,9 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
     let store = FileStore::over(disk.clone(), bounds()).unwrap();
     // How many steps had been taken when a state was answered.
     let mut answered: Vec<(usize, State)> = vec![(disk.steps(), State::new())];
-    let mut random = proptest::test_runner::TestRng::deterministic_rng(proptest::test_runner::RngAlgorithm::ChaCha);
+    let mut random = proptest::test_runner::TestRng::deterministic_rng(
+        proptest::test_runner::RngAlgorithm::ChaCha,
+    );
     let mut layers = 0;
     for k in 0..80_u8 {
         let mut now = answered.last().unwrap().1.clone();
@@ -116,15 +128,24 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
             }
             (1, Some(record)) => {
                 let new = with_weights(&record, usize::from(k) * 20);
-                store.revise(record.revision, Arc::clone(&new), None).await.unwrap().unwrap();
+                store
+                    .revise(record.revision, Arc::clone(&new), None)
+                    .await
+                    .unwrap()
+                    .unwrap();
                 now.insert(new.id, new);
             }
             (4..=6, Some(record)) => {
                 // Of the pictures' files too.
-                let added = (!record.layers.contains_key(&LayerName::region()) || k % 3 > 0).then_some(k % 25);
+                let added = (!record.layers.contains_key(&LayerName::region()) || k % 3 > 0)
+                    .then_some(k % 25);
                 let new = with_layer(&record, LayerName::REGION, added);
                 let layer = added.and_then(|added| files(added).pop());
-                store.revise(record.revision, Arc::clone(&new), layer).await.unwrap().unwrap();
+                store
+                    .revise(record.revision, Arc::clone(&new), layer)
+                    .await
+                    .unwrap()
+                    .unwrap();
                 now.insert(new.id, new);
                 layers += 1;
             }
@@ -150,7 +171,8 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
     for steps in (first..=last).step_by((last - first) / 300 + 1) {
         let mut coin = || random.next_u32().is_multiple_of(2);
         let found = Recorded::holding(disk.after_power_cut(steps, &mut coin));
-        let store = FileStore::over(found, bounds()).unwrap_or_else(|e| panic!("step {steps}: {e}"));
+        let store =
+            FileStore::over(found, bounds()).unwrap_or_else(|e| panic!("step {steps}: {e}"));
         let before = answered.iter().rposition(|(at, _)| *at <= steps).unwrap();
         let there = state(&store);
         let next = answered.get(before + 1);
@@ -163,13 +185,20 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
         assert_eq!(store.figures().damaged, 0, "step {steps}");
         for record in there.values() {
             for digest in record.files() {
-                assert_eq!(Digest::of(&store.file(record.id, digest).await.unwrap()), digest, "step {steps}");
+                assert_eq!(
+                    Digest::of(&store.file(record.id, digest).await.unwrap()),
+                    digest,
+                    "step {steps}"
+                );
             }
         }
         // It is not only readable.
         store.put(suite::record(200), files(200)).await.unwrap();
         cuts += 1;
     }
-    println!("{cuts} power cuts in {} changes: nothing lost; {in_between} found a change that was not answered yet", answered.len() - 1);
+    println!(
+        "{cuts} power cuts in {} changes: nothing lost; {in_between} found a change that was not answered yet",
+        answered.len() - 1
+    );
     assert!(cuts > 100 && layers > 10, "{cuts} {layers}");
 }

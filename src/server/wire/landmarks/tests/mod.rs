@@ -19,7 +19,10 @@ fn read(file: impl AsRef<[u8]>) -> Result<Value, Problem> {
 }
 
 fn both(file: impl Into<bytes::Bytes>) -> LandmarkFiles {
-    LandmarkFiles { both: Some(file.into()), ..LandmarkFiles::default() }
+    LandmarkFiles {
+        both: Some(file.into()),
+        ..LandmarkFiles::default()
+    }
 }
 
 /// What it answers to two.
@@ -28,7 +31,11 @@ fn read_two(p: &str, q: &str) -> Result<Value, Problem> {
 }
 
 fn two(p: &str, q: &str) -> LandmarkFiles {
-    LandmarkFiles { p: Some(p.to_owned().into()), q: Some(q.to_owned().into()), ..LandmarkFiles::default() }
+    LandmarkFiles {
+        p: Some(p.to_owned().into()),
+        q: Some(q.to_owned().into()),
+        ..LandmarkFiles::default()
+    }
 }
 
 fn convert(files: &LandmarkFiles) -> Result<Value, Problem> {
@@ -38,5 +45,9 @@ fn convert(files: &LandmarkFiles) -> Result<Value, Problem> {
 /// The line and the column of a problem, and its text.
 fn place(problem: &Problem) -> (u64, u64, String) {
     let document = problem.to_json("", None);
-    (document["line"].as_u64().unwrap_or_default(), document["column"].as_u64().unwrap_or_default(), problem.detail.clone())
+    (
+        document["line"].as_u64().unwrap_or_default(),
+        document["column"].as_u64().unwrap_or_default(),
+        problem.detail.clone(),
+    )
 }

@@ -20,7 +20,11 @@ const GROWING: &[(&str, &str, &str)] = &[
     ("", ",", ""),
     ("name,x,y\n", "\"a\"\"b\",1,2\n", ""),
     ("mapX,mapY,sourceX,sourceY,enable\n", "0,0,0,0,0\n", ""),
-    ("mapX,mapY,sourceX,sourceY,enable\n0,0,1,-1,1\n", "0,0,0,0,1\n", ""),
+    (
+        "mapX,mapY,sourceX,sourceY,enable\n0,0,1,-1,1\n",
+        "0,0,0,0,1\n",
+        "",
+    ),
     ("", "Pt,false,0,0,0,0\n", ""),
     ("", "Pt,true,0,0,0,0\n", ""),
     ("", "Pt,true,0,0,Infinity,0\n", ""),
@@ -36,36 +40,100 @@ const GROWING: &[(&str, &str, &str)] = &[
     ("index,axis-0,axis-1,axis-2\n", "0,7,1,2\n0,8,1,2\n", ""),
     ("frame,success,x_0,y_0\n", "1,1,2,3\n", ""),
     ("scorer,a,a\nbodyparts,b,b\ncoords,x,y\n", "i.png,1,2\n", ""),
-    (r#"{"movingPoints": ["#, "[1, 2], ", r#"[1, 2]], "fixedPoints": [[1, 2]]}"#),
-    (r#"{"Transform": {"landmarks": {"names": [""#, "a", r#""], "movingPoints": [[1, 2]], "fixedPoints": [[1, 2]]}}}"#),
+    (
+        r#"{"movingPoints": ["#,
+        "[1, 2], ",
+        r#"[1, 2]], "fixedPoints": [[1, 2]]}"#,
+    ),
+    (
+        r#"{"Transform": {"landmarks": {"names": [""#,
+        "a",
+        r#""], "movingPoints": [[1, 2]], "fixedPoints": [[1, 2]]}}}"#,
+    ),
     (r#"{"p": ["#, "[1, 2], ", "[1, 2]]}"),
     (r#"{"p": [[1, 2]], "names": [""#, "a", "\"]}"),
     ("[", r#"{"x": 0.5, "y": 0.5}, "#, r#"{"x": 0.5, "y": 0.5}]"#),
-    ("{", r#""a": 1, "#, r#""landmarks": [{"x": 0.5, "y": 0.5}]}"#),
-    (r#"{"images": ["#, r#"{"id": 1, "file_name": "a"}, "#, r#"{}], "annotations": [{"keypoints": [1, 2, 2]}]}"#),
-    (r#"{"images": [], "annotations": ["#, r#"{"id": 1, "image_id": 1, "keypoints": [1, 2, 2]}, "#, "{}]}"),
-    (r#"{"images": [], "annotations": [{"keypoints": ["#, "1, 2, 2, ", "1, 2, 2]}]}"),
-    (r#"{"categories": ["#, r#"{"id": 1}, "#, r#"{}], "annotations": [{"category_id": 1, "keypoints": [1, 2, 2]}]}"#),
-    ("<dataset><image file='a'><box>", "<part name='a' x='1' y='2'/>\n", "</box></image></dataset>"),
-    ("<dataset>", "<image file='a'><box><part name='a' x='1' y='2'/></box></image>\n", "</dataset>"),
+    (
+        "{",
+        r#""a": 1, "#,
+        r#""landmarks": [{"x": 0.5, "y": 0.5}]}"#,
+    ),
+    (
+        r#"{"images": ["#,
+        r#"{"id": 1, "file_name": "a"}, "#,
+        r#"{}], "annotations": [{"keypoints": [1, 2, 2]}]}"#,
+    ),
+    (
+        r#"{"images": [], "annotations": ["#,
+        r#"{"id": 1, "image_id": 1, "keypoints": [1, 2, 2]}, "#,
+        "{}]}",
+    ),
+    (
+        r#"{"images": [], "annotations": [{"keypoints": ["#,
+        "1, 2, 2, ",
+        "1, 2, 2]}]}",
+    ),
+    (
+        r#"{"categories": ["#,
+        r#"{"id": 1}, "#,
+        r#"{}], "annotations": [{"category_id": 1, "keypoints": [1, 2, 2]}]}"#,
+    ),
+    (
+        "<dataset><image file='a'><box>",
+        "<part name='a' x='1' y='2'/>\n",
+        "</box></image></dataset>",
+    ),
+    (
+        "<dataset>",
+        "<image file='a'><box><part name='a' x='1' y='2'/></box></image>\n",
+        "</dataset>",
+    ),
     ("<dataset><!-- ", "> ", "--></dataset>"),
     ("<dataset>", "<!---->", "</dataset>"),
     ("<dataset a='", "a", "'></dataset>"),
     ("<dataset><image file='a' ", "b='c' ", "></image></dataset>"),
     ("<dataset>", "&", "</dataset>"),
-    ("<annotations><image name='a'><points label='a' points='1,2", ";1,2", "'/></image></annotations>"),
-    ("<annotations><image name='a'>", "<points label='a' points='1,2'/>\n", "</image></annotations>"),
-    ("<annotations><image name='", "&amp;", "'></image></annotations>"),
+    (
+        "<annotations><image name='a'><points label='a' points='1,2",
+        ";1,2",
+        "'/></image></annotations>",
+    ),
+    (
+        "<annotations><image name='a'>",
+        "<points label='a' points='1,2'/>\n",
+        "</image></annotations>",
+    ),
+    (
+        "<annotations><image name='",
+        "&amp;",
+        "'></image></annotations>",
+    ),
     (
         r#"{"type": "a", "body": {"features": ["#,
         r#"{"properties": {"resourceCoords": [1, 2]}}, "#,
         r#"{"properties": {"resourceCoords": [1, 2]}}]}}"#,
     ),
-    (r#"{"type": "a", "items": ["#, r#"{"body": {"features": []}}, "#, r#"{"body": {"features": []}}]}"#),
-    (r#"{"markups": [{"coordinateSystem": "IJK", "controlPoints": ["#, r#"{"position": [1, 2, 3]}, "#, r#"{"position": [1, 2, 3]}]}]}"#),
-    ("# Markups fiducial file\n# CoordinateSystem = IJK\n", "0,1,2,3\n", ""),
+    (
+        r#"{"type": "a", "items": ["#,
+        r#"{"body": {"features": []}}, "#,
+        r#"{"body": {"features": []}}]}"#,
+    ),
+    (
+        r#"{"markups": [{"coordinateSystem": "IJK", "controlPoints": ["#,
+        r#"{"position": [1, 2, 3]}, "#,
+        r#"{"position": [1, 2, 3]}]}]}"#,
+    ),
+    (
+        "# Markups fiducial file\n# CoordinateSystem = IJK\n",
+        "0,1,2,3\n",
+        "",
+    ),
     ("# Markups fiducial file\n", "# a = b\n", ""),
-    (r#"{"shapes": ["#, r#"{"label": "a", "points": [[1, 2]], "shape_type": "point"}, "#, r#"{}]}"#),
+    (
+        r#"{"shapes": ["#,
+        r#"{"label": "a", "points": [[1, 2]], "shape_type": "point"}, "#,
+        r#"{}]}"#,
+    ),
 ];
 const LINE_ENDS: [&str; 4] = ["\n", "\r", "\r\n", "\n\r\r\n\r"];
 
@@ -73,7 +141,11 @@ const LINE_ENDS: [&str; 4] = ["\n", "\r", "\r\n", "\n\r\r\n\r"];
 fn files(size: usize) -> impl Iterator<Item = String> {
     GROWING.iter().flat_map(move |(start, row, end)| {
         let file = format!("{start}{}{end}", row.repeat(size / row.len()));
-        let ends = if file.contains('\n') { &LINE_ENDS[..] } else { &LINE_ENDS[..1] };
+        let ends = if file.contains('\n') {
+            &LINE_ENDS[..]
+        } else {
+            &LINE_ENDS[..1]
+        };
         ends.iter().map(move |end| file.replace('\n', end))
     })
 }
@@ -95,7 +167,10 @@ fn cost(file: &LandmarkFiles) -> (usize, u64) {
         let _ = file.read_counted(MANY, &work);
         (work.bytes(), processor_time() - began)
     };
-    (0..3).map(|_| attempt()).min_by_key(|(_, time)| *time).unwrap()
+    (0..3)
+        .map(|_| attempt())
+        .min_by_key(|(_, time)| *time)
+        .unwrap()
 }
 
 #[test]
@@ -109,7 +184,9 @@ fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
         // Each byte is looked at some times, and no byte in vain: the count is what is done.
         let passes = more_bytes as f64 / large.bytes() as f64;
         if more_bytes > 2 * bytes + 8 * PIECE || !(0.9..=16.0).contains(&passes) {
-            wrong.push(format!("{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"));
+            wrong.push(format!(
+                "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
+            ));
         }
         // Four times would be quadratic. The clock of the scheduler ticks in milliseconds.
         if more_time > 3 * time + 8_000_000 {
@@ -137,9 +214,17 @@ fn reading_stops_soon_after_nobody_wants_the_result() {
             if asked.get() <= part * 8 {
                 break;
             }
-            assert_eq!(read.map(drop).unwrap_err().code, Code::Overloaded, "{what:?}");
+            assert_eq!(
+                read.map(drop).unwrap_err().code,
+                Code::Overloaded,
+                "{what:?}"
+            );
             let until = (part * 8 + 1) * 2 * PIECE;
-            assert!(work.bytes() <= until + SOON, "{what:?}: {} bytes instead of {until}", work.bytes());
+            assert!(
+                work.bytes() <= until + SOON,
+                "{what:?}: {} bytes instead of {until}",
+                work.bytes()
+            );
         }
         assert!(whole.bytes() > 0);
     }
@@ -148,10 +233,30 @@ fn reading_stops_soon_after_nobody_wants_the_result() {
 /// Rows that are left out take the place of those that count.
 #[test]
 fn rows_without_effect_are_limited_as_well() {
-    for row in ["0,0,0,0,0\n", "Pt,false,0,0,0,0\n", "Pt,true,Infinity,0,0,Infinity\n"] {
-        let head = if row.starts_with('0') { "mapX,mapY,sourceX,sourceY,enable\n" } else { "" };
-        let file = |rows: usize| both(format!("{head}{}{}", row.repeat(rows - 1), row.replace("0,0\n", "0,1\n").replace("false", "true")));
-        let refused = file(super::MAX_COLUMNS + 1).read(super::MAX_COLUMNS, &|| false).unwrap_err();
-        assert_eq!((refused.code, refused.what), (Code::TooLarge, Some("handle_columns")), "{row}");
+    for row in [
+        "0,0,0,0,0\n",
+        "Pt,false,0,0,0,0\n",
+        "Pt,true,Infinity,0,0,Infinity\n",
+    ] {
+        let head = if row.starts_with('0') {
+            "mapX,mapY,sourceX,sourceY,enable\n"
+        } else {
+            ""
+        };
+        let file = |rows: usize| {
+            both(format!(
+                "{head}{}{}",
+                row.repeat(rows - 1),
+                row.replace("0,0\n", "0,1\n").replace("false", "true")
+            ))
+        };
+        let refused = file(super::MAX_COLUMNS + 1)
+            .read(super::MAX_COLUMNS, &|| false)
+            .unwrap_err();
+        assert_eq!(
+            (refused.code, refused.what),
+            (Code::TooLarge, Some("handle_columns")),
+            "{row}"
+        );
     }
 }

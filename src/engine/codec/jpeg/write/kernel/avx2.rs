@@ -22,7 +22,14 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+fn code(
+    bits: &mut BitWriter,
+    blocks: &Blocks,
+    order: &[BlockPlace],
+    codes: &[Codes; 2],
+    last: &mut Predictors,
+    out: &mut Vec<u8>,
+) {
     bits.put_group(blocks, order, codes, last, out);
 }
 
@@ -39,7 +46,10 @@ impl Avx2 {
             let [low, high] = &PLACES[CHANNEL];
             let low = _mm256_broadcastsi128_si256(_mm_loadu_si128(low.as_ptr().cast()));
             let high = _mm256_broadcastsi128_si256(_mm_loadu_si128(high.as_ptr().cast()));
-            Self(_mm256_or_si256(_mm256_shuffle_epi8(first, low), _mm256_shuffle_epi8(last, high)))
+            Self(_mm256_or_si256(
+                _mm256_shuffle_epi8(first, low),
+                _mm256_shuffle_epi8(last, high),
+            ))
         }
     }
 
@@ -85,7 +95,12 @@ unsafe fn sixteen(bytes: &[u8], at: usize) -> __m128i {
 #[inline(always)]
 unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
     // SAFETY: as for `Lanes`.
-    unsafe { _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(sixteen(bytes, first)), sixteen(bytes, second)) }
+    unsafe {
+        _mm256_inserti128_si256::<1>(
+            _mm256_castsi128_si256(sixteen(bytes, first)),
+            sixteen(bytes, second),
+        )
+    }
 }
 
 /// For every eight coefficients in the order of a file, by column of the block: the bytes of the column that go there.
@@ -125,7 +140,9 @@ impl Avx2 {
             let mut joined = _mm256_setzero_si256();
             for (x, column) in columns.iter().enumerate() {
                 if HAS[K][x] {
-                    let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(SHUFFLES[K][x].as_ptr().cast()));
+                    let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(
+                        SHUFFLES[K][x].as_ptr().cast(),
+                    ));
                     joined = _mm256_or_si256(joined, _mm256_shuffle_epi8(column.0, order));
                 }
             }

@@ -22,7 +22,14 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
-fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+fn code(
+    bits: &mut BitWriter,
+    blocks: &Blocks,
+    order: &[BlockPlace],
+    codes: &[Codes; 2],
+    last: &mut Predictors,
+    out: &mut Vec<u8>,
+) {
     bits.put_group(blocks, order, codes, last, out);
 }
 
@@ -94,8 +101,14 @@ const fn order() -> [[u16; 32]; 2] {
 fn by_block([a, b, c, d]: [Avx512; 4]) -> [__m512i; 4] {
     // SAFETY: as for `Lanes`.
     unsafe {
-        let (ab, cd) = (_mm512_shuffle_i32x4::<0x44>(a.0, b.0), _mm512_shuffle_i32x4::<0x44>(c.0, d.0));
-        let (ab2, cd2) = (_mm512_shuffle_i32x4::<0xee>(a.0, b.0), _mm512_shuffle_i32x4::<0xee>(c.0, d.0));
+        let (ab, cd) = (
+            _mm512_shuffle_i32x4::<0x44>(a.0, b.0),
+            _mm512_shuffle_i32x4::<0x44>(c.0, d.0),
+        );
+        let (ab2, cd2) = (
+            _mm512_shuffle_i32x4::<0xee>(a.0, b.0),
+            _mm512_shuffle_i32x4::<0xee>(c.0, d.0),
+        );
         [
             _mm512_shuffle_i32x4::<0x88>(ab, cd),
             _mm512_shuffle_i32x4::<0xdd>(ab, cd),

@@ -6,11 +6,17 @@ use crate::level::Level;
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
-#[expect(clippy::undocumented_unsafe_blocks, reason = "one comment stands for all methods of `Lanes`")]
+#[expect(
+    clippy::undocumented_unsafe_blocks,
+    reason = "one comment stands for all methods of `Lanes`"
+)]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX-512 intrinsics behind run-time detection")]
-#[expect(clippy::undocumented_unsafe_blocks, reason = "one comment stands for all methods of `Lanes`")]
+#[expect(
+    clippy::undocumented_unsafe_blocks,
+    reason = "one comment stands for all methods of `Lanes`"
+)]
 mod avx512;
 mod scalar;
 #[cfg(target_arch = "x86_64")]

@@ -1,6 +1,8 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
-use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, NEAR, Predictors};
+use crate::codec::jpeg::write::coder::{
+    BitWriter, Block, BlockPlace, Blocks, Codes, NEAR, Predictors,
+};
 use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
@@ -49,17 +51,25 @@ impl Lanes for Scalar {
 
     #[inline(always)]
     fn times(self, other: Self) -> Self {
-        self.each(other, |a, b| ((i32::from(a) * i32::from(b) + (1 << 14)) >> 15) as i16)
+        self.each(other, |a, b| {
+            ((i32::from(a) * i32::from(b) + (1 << 14)) >> 15) as i16
+        })
     }
 
     #[inline(always)]
     fn times_high(self, other: Self) -> Self {
-        self.each(other, |a, b| (((u32::from(a.cast_unsigned()) * u32::from(b.cast_unsigned())) >> 16) as u16).cast_signed())
+        self.each(other, |a, b| {
+            (((u32::from(a.cast_unsigned()) * u32::from(b.cast_unsigned())) >> 16) as u16)
+                .cast_signed()
+        })
     }
 
     #[inline(always)]
     fn mean(self, other: Self) -> Self {
-        self.each(other, |a, b| ((u32::from(a.cast_unsigned()) + u32::from(b.cast_unsigned())).div_ceil(2) as u16).cast_signed())
+        self.each(other, |a, b| {
+            ((u32::from(a.cast_unsigned()) + u32::from(b.cast_unsigned())).div_ceil(2) as u16)
+                .cast_signed()
+        })
     }
 
     #[inline(always)]
@@ -127,7 +137,14 @@ impl Lanes for Scalar {
     }
 
     #[inline(never)]
-    fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+    fn code(
+        bits: &mut BitWriter,
+        blocks: &Blocks,
+        order: &[BlockPlace],
+        codes: &[Codes; 2],
+        last: &mut Predictors,
+        out: &mut Vec<u8>,
+    ) {
         bits.put_group(blocks, order, codes, last, out);
     }
 
@@ -135,18 +152,39 @@ impl Lanes for Scalar {
     fn store(columns: [Self; 8], blocks: &mut [Block]) {
         for (block, lanes) in blocks[..COUNT / SIDE].iter_mut().zip((0..).step_by(SIDE)) {
             let mut transposed = [0; BLOCK];
-            for (column, Self(values)) in transposed.as_chunks_mut::<SIDE>().0.iter_mut().zip(&columns) {
+            for (column, Self(values)) in transposed
+                .as_chunks_mut::<SIDE>()
+                .0
+                .iter_mut()
+                .zip(&columns)
+            {
                 column.copy_from_slice(&values[lanes..lanes + SIDE]);
             }
             // A place is less than 64: the second remainder removes the bounds check.
-            for (eight, places) in block.coefficients.as_chunks_mut::<SIDE>().0.iter_mut().zip(ZIGZAG.as_chunks::<SIDE>().0) {
-                *eight = places.map(|place| transposed[usize::from(place) % SIDE * SIDE + usize::from(place) / SIDE % SIDE]);
+            for (eight, places) in block
+                .coefficients
+                .as_chunks_mut::<SIDE>()
+                .0
+                .iter_mut()
+                .zip(ZIGZAG.as_chunks::<SIDE>().0)
+            {
+                *eight = places.map(|place| {
+                    transposed[usize::from(place) % SIDE * SIDE + usize::from(place) / SIDE % SIDE]
+                });
             }
             // No early exit, so that the comparisons are vectorised.
-            let far = block.coefficients[1..].iter().fold(false, |far, value| far | !(-NEAR..NEAR).contains(&i32::from(*value)));
+            let far = block.coefficients[1..].iter().fold(false, |far, value| {
+                far | !(-NEAR..NEAR).contains(&i32::from(*value))
+            });
             block.is_near = !far;
             block.nonzero = 0;
-            for (eight, at) in block.coefficients.as_chunks::<SIDE>().0.iter().zip((0..).step_by(SIDE)) {
+            for (eight, at) in block
+                .coefficients
+                .as_chunks::<SIDE>()
+                .0
+                .iter()
+                .zip((0..).step_by(SIDE))
+            {
                 let mut bits = 0_u16;
                 for (k, coefficient) in eight.iter().enumerate() {
                     bits |= if *coefficient == 0 { 0 } else { 1 << k };

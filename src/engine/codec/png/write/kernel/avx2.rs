@@ -21,7 +21,13 @@ struct Avx2;
 
 impl fast::Kernel for Avx2 {
     #[inline(always)]
-    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    fn piece<L: Lookup>(
+        piece: &[u8],
+        tables: Tables<'_, L>,
+        stage: &mut Stage,
+        bits: &mut BitWriter,
+        out: &mut Vec<u8>,
+    ) {
         // SAFETY: only `fast_avx2` names this type.
         unsafe { piece_avx2(piece, tables, stage, bits, out) }
     }
@@ -29,6 +35,12 @@ impl fast::Kernel for Avx2 {
 
 #[inline(never)]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn piece_avx2<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+fn piece_avx2<L: Lookup>(
+    piece: &[u8],
+    tables: Tables<'_, L>,
+    stage: &mut Stage,
+    bits: &mut BitWriter,
+    out: &mut Vec<u8>,
+) {
     code_piece(piece, tables, stage, bits, out);
 }

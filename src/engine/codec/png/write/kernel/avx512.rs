@@ -29,7 +29,13 @@ impl fast::Kernel for Registers {
     }
 
     #[inline(always)]
-    fn piece<L: Lookup>(piece: &[u8], tables: Tables<'_, L>, stage: &mut Stage, bits: &mut BitWriter, out: &mut Vec<u8>) {
+    fn piece<L: Lookup>(
+        piece: &[u8],
+        tables: Tables<'_, L>,
+        stage: &mut Stage,
+        bits: &mut BitWriter,
+        out: &mut Vec<u8>,
+    ) {
         code_piece(piece, tables, stage, bits, out);
     }
 }
@@ -52,7 +58,10 @@ impl<'a> Wide<'a> {
         let (mut low, mut high) = ([0; 256], [0; 256]);
         for (byte, (low, high)) in (0..=u8::MAX).zip(low.iter_mut().zip(&mut high)) {
             let entry = single.one(byte);
-            #[expect(clippy::cast_possible_truncation, reason = "codes and lengths are at most 12")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "codes and lengths are at most 12"
+            )]
             let lane = code(entry) as u16 | (length(entry) << CODE_BITS) as u16;
             [*low, *high] = lane.to_le_bytes();
         }
@@ -82,7 +91,12 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
     };
     let quarters = |table: &[u8; 256]| {
         let (quarters, _) = table.as_chunks::<64>();
-        [load(&quarters[0]), load(&quarters[1]), load(&quarters[2]), load(&quarters[3])]
+        [
+            load(&quarters[0]),
+            load(&quarters[1]),
+            load(&quarters[2]),
+            load(&quarters[3]),
+        ]
     };
     let (low, high) = (quarters(&tables.low), quarters(&tables.high));
     // In registers: through the reference each code would wait for the previous one's store.
@@ -96,14 +110,23 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
         let zeros = u32::from(_mm512_cmpeq_epi64_mask(block, _mm512_setzero_si512()));
         let upper = _mm512_movepi8_mask(block);
         let look_up = |[a, b, c, d]: [__m512i; 4]| {
-            _mm512_mask_blend_epi8(upper, _mm512_permutex2var_epi8(a, block, b), _mm512_permutex2var_epi8(c, block, d))
+            _mm512_mask_blend_epi8(
+                upper,
+                _mm512_permutex2var_epi8(a, block, b),
+                _mm512_permutex2var_epi8(c, block, d),
+            )
         };
         let (low, high) = (look_up(low), look_up(high));
         // The first and the last eight of every 16 bytes, four codes per lane.
-        let ((first, first_length), (second, second_length)) =
-            (fours(_mm512_unpacklo_epi8(low, high)), fours(_mm512_unpackhi_epi8(low, high)));
+        let ((first, first_length), (second, second_length)) = (
+            fours(_mm512_unpacklo_epi8(low, high)),
+            fours(_mm512_unpackhi_epi8(low, high)),
+        );
         // First fours, then second fours of each eight, in order.
-        let (fore, rear) = (_mm512_unpacklo_epi64(first, second), _mm512_unpackhi_epi64(first, second));
+        let (fore, rear) = (
+            _mm512_unpacklo_epi64(first, second),
+            _mm512_unpackhi_epi64(first, second),
+        );
         let fore_length = _mm512_unpacklo_epi64(first_length, second_length);
         let rear_length = _mm512_unpackhi_epi64(first_length, second_length);
         let lengths = _mm512_add_epi64(fore_length, rear_length);
@@ -117,7 +140,10 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
             // Eights before the first that is all zero, or not there.
             let eights = (zeros | 1 << 8).trailing_zeros() as usize;
             done += 8 * eights;
-            let (fore, rear) = (lanes(fore).into_iter().zip(lanes(fore_length)), lanes(rear).into_iter().zip(lanes(rear_length)));
+            let (fore, rear) = (
+                lanes(fore).into_iter().zip(lanes(fore_length)),
+                lanes(rear).into_iter().zip(lanes(rear_length)),
+            );
             for ((fore, fore_length), (rear, rear_length)) in fore.zip(rear).take(eights) {
                 put(&mut own, fore, fore_length);
                 put(&mut own, rear, rear_length);
@@ -143,14 +169,24 @@ fn put(bits: &mut Staged<'_>, code: u64, length: u64) {
 #[target_feature(enable = "avx512f")]
 fn fours(lanes: __m512i) -> (__m512i, __m512i) {
     let code = _mm512_set1_epi32((1 << CODE_BITS) - 1);
-    let (first, second) = (_mm512_and_si512(lanes, code), _mm512_and_si512(_mm512_srli_epi32::<16>(lanes), code));
-    let first_length = _mm512_and_si512(_mm512_srli_epi32::<CODE_BITS>(lanes), _mm512_set1_epi32(15));
+    let (first, second) = (
+        _mm512_and_si512(lanes, code),
+        _mm512_and_si512(_mm512_srli_epi32::<16>(lanes), code),
+    );
+    let first_length =
+        _mm512_and_si512(_mm512_srli_epi32::<CODE_BITS>(lanes), _mm512_set1_epi32(15));
     let lengths = _mm512_add_epi32(first_length, _mm512_srli_epi32::<{ 16 + CODE_BITS }>(lanes));
     let pairs = _mm512_or_si512(first, _mm512_sllv_epi32(second, first_length));
     let low = _mm512_set1_epi64(0xffff_ffff);
     let low_length = _mm512_and_si512(lengths, low);
-    let fours = _mm512_or_si512(_mm512_and_si512(pairs, low), _mm512_sllv_epi64(_mm512_srli_epi64::<32>(pairs), low_length));
-    (fours, _mm512_add_epi64(low_length, _mm512_srli_epi64::<32>(lengths)))
+    let fours = _mm512_or_si512(
+        _mm512_and_si512(pairs, low),
+        _mm512_sllv_epi64(_mm512_srli_epi64::<32>(pairs), low_length),
+    );
+    (
+        fours,
+        _mm512_add_epi64(low_length, _mm512_srli_epi64::<32>(lengths)),
+    )
 }
 
 #[inline]

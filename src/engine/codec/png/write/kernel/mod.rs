@@ -8,7 +8,10 @@ use super::stored;
 use crate::level::Level;
 
 #[cfg(target_arch = "x86_64")]
-#[expect(unsafe_code, reason = "calls a function compiled for instructions that were detected")]
+#[expect(
+    unsafe_code,
+    reason = "calls a function compiled for instructions that were detected"
+)]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX-512 intrinsics behind run-time detection")]
@@ -19,7 +22,10 @@ mod avx512;
 pub(super) fn encode_fast(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
-    let most = start + filtered + usize::try_from(stored::overhead(filtered as u64)).expect("less than the rows themselves");
+    let most = start
+        + filtered
+        + usize::try_from(stored::overhead(filtered as u64))
+            .expect("less than the rows themselves");
     out.reserve(filtered / 8 * 5 + 1024);
     let coded = match level {
         #[cfg(target_arch = "x86_64")]
