@@ -1,6 +1,6 @@
 """A way to a server on which the first drag socket goes silent: its connection stays open, and nothing is received through it.
 
-    examples-relay.py SERVER_PORT      prints its own port
+examples-relay.py SERVER_PORT      prints its own port
 """
 
 import asyncio
@@ -29,7 +29,9 @@ async def relay(reader, writer):
     is_socket = b"upgrade: websocket" in beginning.lower()
     sockets += is_socket
     await asyncio.gather(
-        pass_on(reader, far_writer), pass_on(far_reader, writer, FIRST if is_socket and sockets == 1 else None), return_exceptions=True
+        pass_on(reader, far_writer),
+        pass_on(far_reader, writer, FIRST if is_socket and sockets == 1 else None),
+        return_exceptions=True,
     )
 
 

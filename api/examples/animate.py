@@ -29,7 +29,11 @@ def between(p, q, t):
 
 def handles(places):
     """The points of all handles."""
-    return [places] if not isinstance(places[0], list) else [point for place in places for point in handles(place)]
+    return (
+        [places]
+        if not isinstance(places[0], list)
+        else [point for place in places for point in handles(place)]
+    )
 
 
 def frame(program, image, warp, t, folder):
@@ -37,7 +41,11 @@ def frame(program, image, warp, t, folder):
     posed = between(warp["p"], warp["q"], t)
     output = {**warp.get("output", {}), "width": WIDTH}
     Path(folder, "warp.json").write_text(json.dumps({**warp, "q": posed, "output": output}))
-    subprocess.run([program, "warp", image, f"{folder}/warp.json", "-o", f"{folder}/frame.png"], check=True, stderr=subprocess.DEVNULL)
+    subprocess.run(
+        [program, "warp", image, f"{folder}/warp.json", "-o", f"{folder}/frame.png"],
+        check=True,
+        stderr=subprocess.DEVNULL,
+    )
     picture = Image.open(io.BytesIO(Path(folder, "frame.png").read_bytes())).convert("RGBA")
     scale = picture.width / Image.open(image).width
     draw = ImageDraw.Draw(picture)
@@ -56,7 +64,15 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         times = [(1 - math.cos(2 * math.pi * k / STEPS)) / 2 for k in range(STEPS)]
         frames = [frame(program, image, warp, t, folder) for t in times]
-    frames[0].save(out, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=70, method=6)
+    frames[0].save(
+        out,
+        save_all=True,
+        append_images=frames[1:],
+        duration=FRAME_MS,
+        loop=0,
+        quality=70,
+        method=6,
+    )
 
 
 main()

@@ -54,7 +54,9 @@ async def watch(socket):
     while True:
         message = await asyncio.wait_for(socket.recv(), PATIENCE)
         if isinstance(message, str):
-            report = json.loads(message)  # the report of the next frame; the first message is the grid
+            report = json.loads(
+                message
+            )  # the report of the next frame; the first message is the grid
             if "code" in report:
                 sys.exit(failure(None, message))
             continue
@@ -71,7 +73,13 @@ async def drag(address, headers, rest):
     for _ in range(20):
         try:
             url = address.replace("http", "ws", 1)
-            async with connect(url, additional_headers=headers, max_size=None, open_timeout=PATIENCE, close_timeout=1) as socket:
+            async with connect(
+                url,
+                additional_headers=headers,
+                max_size=None,
+                open_timeout=PATIENCE,
+                close_timeout=1,
+            ) as socket:
                 moving = asyncio.create_task(move(socket, rest, progress))
                 try:
                     return await watch(socket)
@@ -95,14 +103,20 @@ async def main(image, out, server, key):
         answer = checked(await http.post("/sessions", **parts))
         session = str(answer.url.join(answer.headers["Location"]))
         # From here on, only q is sent.
-        out.write_bytes(await drag(f"{session}/drag?frames=png&width=auto&report=true", headers, rest))
+        out.write_bytes(
+            await drag(f"{session}/drag?frames=png&width=auto&report=true", headers, rest)
+        )
         await http.delete(session)
 
 
-options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+options = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
 options.add_argument("image", type=Path)
 options.add_argument("out", type=Path)
-options.add_argument("server", nargs="?", default="http://127.0.0.1:8080", type=lambda url: url.rstrip("/"))
+options.add_argument(
+    "server", nargs="?", default="http://127.0.0.1:8080", type=lambda url: url.rstrip("/")
+)
 options.add_argument("--key", default=os.environ.get("MLSWARP_KEY"))
 given = options.parse_args()
 try:

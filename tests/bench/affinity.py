@@ -65,14 +65,20 @@ class Bounded:
         candidates = self.candidates(mixed(key))
         if self.factor is None:
             return next(candidates)
-        room = math.ceil(self.factor * (sum(open_now[r] for r in self.replicas) + 1) / len(self.replicas))
+        room = math.ceil(
+            self.factor * (sum(open_now[r] for r in self.replicas) + 1) / len(self.replicas)
+        )
         return next(r for r in candidates if open_now[r] < room)
 
 
 class Ring(Bounded):
     def __init__(self, replicas, points, factor=None):
         super().__init__(replicas, factor)
-        ring = sorted((mixed(replica << 20 | point), replica) for replica in replicas for point in range(points))
+        ring = sorted(
+            (mixed(replica << 20 | point), replica)
+            for replica in replicas
+            for point in range(points)
+        )
         self.places, self.owners = [place for place, _ in ring], [owner for _, owner in ring]
 
     def candidates(self, place):
@@ -206,7 +212,11 @@ def play(way, poses, options, change):
     steady, disturbed = Window(options.settle, options.at), Window(options.at, options.at + 60)
     changed = False
     # A socket closes at the end of its visit.
-    last = {(session, visit): time for time, session, visit in poses} if options.traffic == "sockets" else {}
+    last = (
+        {(session, visit): time for time, session, visit in poses}
+        if options.traffic == "sockets"
+        else {}
+    )
     for time, session, visit in poses:
         if not changed and time >= options.at:
             changed, choose = True, chooses_after
@@ -242,7 +252,13 @@ def play(way, poses, options, change):
         if not last:
             open_now[replica] += 1
             heapq.heappush(ending, (free[replica], None, replica))
-        window = steady if steady.begins <= time < steady.ends else disturbed if disturbed.begins <= time < disturbed.ends else None
+        window = (
+            steady
+            if steady.begins <= time < steady.ends
+            else disturbed
+            if disturbed.begins <= time < disturbed.ends
+            else None
+        )
         if window:
             window.note(replica, hit, cost, cost - warm, begins - time)
         if time >= disturbed.ends:
@@ -252,11 +268,17 @@ def play(way, poses, options, change):
 
 def table(options):
     plain, hot = requests(options, False), requests(options, True)
-    steady_poses = sum(options.settle <= t < options.at for t, _, _ in plain) / (options.at - options.settle)
-    print(f"{options.replicas} replicas of one core, {options.plans} plans each; {options.sessions} sessions, {steady_poses:.0f} poses a second by {options.traffic}; "
-          f"warm {options.warm_ms} ms, cold {options.cold_ms} ms; seed {options.seed}\n")
-    print("| | steady: warm | busiest / mean | rebuilding, of capacity | wait, 99 in 100 | minute after one left: warm | rebuilding | wait | "
-          "after one joined: warm | hot sessions: warm | busiest / mean | wait | a slow replica: busiest / mean | wait |")
+    steady_poses = sum(options.settle <= t < options.at for t, _, _ in plain) / (
+        options.at - options.settle
+    )
+    print(
+        f"{options.replicas} replicas of one core, {options.plans} plans each; {options.sessions} sessions, {steady_poses:.0f} poses a second by {options.traffic}; "
+        f"warm {options.warm_ms} ms, cold {options.cold_ms} ms; seed {options.seed}\n"
+    )
+    print(
+        "| | steady: warm | busiest / mean | rebuilding, of capacity | wait, 99 in 100 | minute after one left: warm | rebuilding | wait | "
+        "after one joined: warm | hot sessions: warm | busiest / mean | wait | a slow replica: busiest / mean | wait |"
+    )
     print("|---|" + "---|" * 13)
     for name, way in WAYS.items():
         steady, left, before, after = play(way, plain, options, "leave")
@@ -264,9 +286,19 @@ def table(options):
         _, heated, _, _ = play(way, hot, options, None)
         _, slowed, _, _ = play(way, plain, options, "slow")
         cells = [
-            f"{steady.hits():.1f} %", f"{steady.imbalance(before):.2f}", f"{steady.rebuilt(before):.1f} %", f"{steady.late():.0f} ms",
-            f"{left.hits():.1f} %", f"{left.rebuilt(after):.1f} %", f"{left.late():.0f} ms", f"{joined.hits():.1f} %",
-            f"{heated.hits():.1f} %", f"{heated.imbalance(before):.2f}", f"{heated.late():.0f} ms", f"{slowed.imbalance(before):.2f}", f"{slowed.late():.0f} ms",
+            f"{steady.hits():.1f} %",
+            f"{steady.imbalance(before):.2f}",
+            f"{steady.rebuilt(before):.1f} %",
+            f"{steady.late():.0f} ms",
+            f"{left.hits():.1f} %",
+            f"{left.rebuilt(after):.1f} %",
+            f"{left.late():.0f} ms",
+            f"{joined.hits():.1f} %",
+            f"{heated.hits():.1f} %",
+            f"{heated.imbalance(before):.2f}",
+            f"{heated.late():.0f} ms",
+            f"{slowed.imbalance(before):.2f}",
+            f"{slowed.late():.0f} ms",
         ]
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
@@ -287,12 +319,16 @@ def check():
     twelve, eleven = range(1, 13), range(1, 12)
     for points in (160, 1600):
         share, pairs = moved(lambda r, n=points: Ring(r, n), twelve, eleven)
-        assert all(a == 12 for a, b in pairs if a != b), "a ring moves only the keys of the replica that left"
+        assert all(a == 12 for a, b in pairs if a != b), (
+            "a ring moves only the keys of the replica that left"
+        )
         assert abs(share - 1 / 12) < 0.03, share
         share, pairs = moved(lambda r, n=points: Ring(r, n), eleven, twelve)
         assert all(b == 12 for a, b in pairs if a != b), "and only to the one that joined"
     share, _ = moved(Maglev, twelve, eleven)
-    assert 1 / 12 < share + 0.01 < 1 / 12 + 0.05, f"Maglev moves little more than its share: {share}"
+    assert 1 / 12 < share + 0.01 < 1 / 12 + 0.05, (
+        f"Maglev moves little more than its share: {share}"
+    )
     share, _ = moved(Modulo, twelve, eleven)
     assert share > 0.85, f"hash modulo n moves nearly all: {share}"
 
@@ -309,17 +345,41 @@ def check():
     assert max(spread) - min(spread) <= 1, "Maglev gives each replica the same number of places"
 
     # A small simulation: affinity must have a benefit, and the same seed must give the same figures.
-    options = parser().parse_args(["--sessions", "200", "--replicas", "4", "--plans", "80", "--seconds", "150", "--settle", "40", "--at", "80"])
+    options = parser().parse_args(
+        [
+            "--sessions",
+            "200",
+            "--replicas",
+            "4",
+            "--plans",
+            "80",
+            "--seconds",
+            "150",
+            "--settle",
+            "40",
+            "--at",
+            "80",
+        ]
+    )
     poses = requests(options, False)
-    assert poses == requests(options, False) and poses != requests(argparse.Namespace(**{**vars(options), "seed": 2}), False)
-    ring, around = play(WAYS["ring 160 (nginx)"], poses, options, "leave"), play(WAYS["round robin"], poses, options, "leave")
+    assert poses == requests(options, False) and poses != requests(
+        argparse.Namespace(**{**vars(options), "seed": 2}), False
+    )
+    ring, around = (
+        play(WAYS["ring 160 (nginx)"], poses, options, "leave"),
+        play(WAYS["round robin"], poses, options, "leave"),
+    )
     assert ring[0].hits() > 95 > around[0].hits(), (ring[0].hits(), around[0].hits())
     calm = play(WAYS["ring 160 (nginx)"], poses, options, None)
-    assert calm[0].hits() == ring[0].hits() and calm[1].hits() > ring[1].hits(), "who leaves takes plans along"
+    assert calm[0].hits() == ring[0].hits() and calm[1].hits() > ring[1].hits(), (
+        "who leaves takes plans along"
+    )
     options.traffic = "sockets"
     sockets = play(WAYS["ring 160 (nginx)"], poses, options, "leave")
     assert sum(w.asked for w in sockets[:2]) == sum(w.asked for w in ring[:2]) > 1000
-    assert options.replicas in sockets[0].work and options.replicas not in sockets[1].work, "nothing is asked of a replica that has left"
+    assert options.replicas in sockets[0].work and options.replicas not in sockets[1].work, (
+        "nothing is asked of a replica that has left"
+    )
     print(f"held: affinity of {len(keys)} keys over 12 replicas, {len(poses)} poses played")
 
 
@@ -333,7 +393,12 @@ def parser():
     p.add_argument("--warm-ms", type=float, default=6.0)
     p.add_argument("--cold-ms", type=float, default=20.0)
     p.add_argument("--life", type=float, default=600.0, help="mean life of a session, s")
-    p.add_argument("--between", type=float, default=40.0, help="mean time between two bursts of a session of mean activity, s")
+    p.add_argument(
+        "--between",
+        type=float,
+        default=40.0,
+        help="mean time between two bursts of a session of mean activity, s",
+    )
     p.add_argument("--burst", type=float, default=2.5, help="mean length of a burst, s")
     p.add_argument("--zipf", type=float, default=0.6, help="exponent of activity over rank")
     p.add_argument("--settle", type=float, default=240.0, help="when counting begins, s")

@@ -31,7 +31,13 @@ BATCH = 50
 KEYPOINTS = numpy.array([[x, y] for y in range(46, 512, 84) for x in range(46, 512, 84)])
 BOXES = numpy.array([[x, y, x + 100, y + 80] for y in (40, 210, 380) for x in (40, 200, 360)])
 LABELS = numpy.array([0, 37, 91, 180, 255], numpy.uint8)
-DOT = [[0, 60, 120, 60, 0], [60, 180, 255, 180, 60], [120, 255, 255, 255, 120], [60, 180, 255, 180, 60], [0, 60, 120, 60, 0]]
+DOT = [
+    [0, 60, 120, 60, 0],
+    [60, 180, 255, 180, 60],
+    [120, 255, 255, 255, 120],
+    [60, 180, 255, 180, 60],
+    [0, 60, 120, 60, 0],
+]
 JSON = {"Content-Type": "application/json"}
 
 cv2.setNumThreads(1)
@@ -126,14 +132,23 @@ class Theirs:
         self.with_sheets = self.compose({name: "image" for name in self.sheets()})
 
     def compose(self, targets):
-        return albumentations.Compose([self.transform], self.boxes, self.keypoints, targets, seed=11)
+        return albumentations.Compose(
+            [self.transform], self.boxes, self.keypoints, targets, seed=11
+        )
 
     def sheets(self):
-        return {f"dots{i}": s for i, s in enumerate(self.job.dots)} | {f"boxes{i}": s for i, s in enumerate(self.job.boxes)}
+        return {f"dots{i}": s for i, s in enumerate(self.job.dots)} | {
+            f"boxes{i}": s for i, s in enumerate(self.job.boxes)
+        }
 
     def annotated(self):
         ids = {"box_ids": list(range(len(BOXES))), "keypoint_ids": list(range(len(KEYPOINTS)))}
-        return {"image": self.job.photo, "mask": self.job.mask, "bboxes": BOXES, "keypoints": KEYPOINTS} | ids
+        return {
+            "image": self.job.photo,
+            "mask": self.job.mask,
+            "bboxes": BOXES,
+            "keypoints": KEYPOINTS,
+        } | ids
 
     def warp(self):
         done = self.with_sheets(**self.annotated(), **self.sheets())
@@ -141,7 +156,10 @@ class Theirs:
             {int(i): numpy.array(v) for i, v in zip(done[ids], done[values])}
             for ids, values in (("keypoint_ids", "keypoints"), ("box_ids", "bboxes"))
         )
-        drawn = [[done[name] for name in self.sheets() if name.startswith(kind)] for kind in ("dots", "boxes")]
+        drawn = [
+            [done[name] for name in self.sheets() if name.startswith(kind)]
+            for kind in ("dots", "boxes")
+        ]
         return Warped(done["image"], done["mask"], keypoints, boxes, *drawn)
 
     def places(self):
@@ -166,13 +184,27 @@ class Program:
 
     def __init__(self):
         # One compute thread; the connection and the sessions outlive the turns of the other side.
-        options = {"listen": "127.0.0.1:0", "workers": "1", "max-warp-json-bytes": "32MiB", "header-timeout": "1h", "session-idle": "1h"}
-        command = [PROGRAM, "serve", *(word for name, value in options.items() for word in (f"--{name}", value))]
-        environment = {name: value for name, value in os.environ.items() if not name.startswith("MLSWARP_")}
+        options = {
+            "listen": "127.0.0.1:0",
+            "workers": "1",
+            "max-warp-json-bytes": "32MiB",
+            "header-timeout": "1h",
+            "session-idle": "1h",
+        }
+        command = [
+            PROGRAM,
+            "serve",
+            *(word for name, value in options.items() for word in (f"--{name}", value)),
+        ]
+        environment = {
+            name: value for name, value in os.environ.items() if not name.startswith("MLSWARP_")
+        }
         FILES.mkdir(parents=True, exist_ok=True)
         log = FILES / "program.log"
         with open(log, "w") as file:
-            self.process = subprocess.Popen(command, env=environment, stdout=file, stderr=subprocess.STDOUT)
+            self.process = subprocess.Popen(
+                command, env=environment, stdout=file, stderr=subprocess.STDOUT
+            )
         while not (address := re.search(r"http://([0-9.]+:[0-9]+)", log.read_text())):
             if self.process.poll() is not None:
                 raise SystemExit(f"the program did not start: {log.read_text()}")
@@ -180,7 +212,9 @@ class Program:
         self.connection = http.client.HTTPConnection(address[1])
 
     def ask(self, method, path, body=None, headers=JSON):
-        self.connection.request(method, path, body if isinstance(body, bytes | None) else json.dumps(body), headers)
+        self.connection.request(
+            method, path, body if isinstance(body, bytes | None) else json.dumps(body), headers
+        )
         response = self.connection.getresponse()
         data = response.read()
         if response.status >= 300:
@@ -191,8 +225,13 @@ class Program:
         boundary = uuid.uuid4().hex
         parts = [("image", png(picture)), ("warp", json.dumps(warp).encode())]
         head = '--{}\r\nContent-Disposition: form-data; name="{}"; filename="a"\r\n\r\n'
-        body = b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in parts) + f"--{boundary}--\r\n".encode()
-        made = self.ask("POST", "/sessions", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
+        body = (
+            b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in parts)
+            + f"--{boundary}--\r\n".encode()
+        )
+        made = self.ask(
+            "POST", "/sessions", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+        )
         return "/sessions/" + json.loads(made)["id"]
 
 
@@ -200,19 +239,32 @@ class Ours:
     """A method of the program on a lattice of handles that move at random."""
 
     def __init__(self, job, program, method, handles, sigma):
-        self.job, self.program, self.sigma, self.random = job, program, sigma, numpy.random.default_rng(11)
+        self.job, self.program, self.sigma, self.random = (
+            job,
+            program,
+            sigma,
+            numpy.random.default_rng(11),
+        )
         height, width = job.shape
         x, y = numpy.linspace(0, width, handles), numpy.linspace(0, height, handles)
         self.p = numpy.stack(numpy.meshgrid(x, y), axis=2).reshape(-1, 2)
         warp = {"p": self.p.tolist(), "method": method}
         self.session = program.session(job.photo, warp)
-        self.dots, self.boxes = ([f"{kind}{i}" for i in range(len(drawn))] for kind, drawn in (("dots", job.dots), ("boxes", job.boxes)))
+        self.dots, self.boxes = (
+            [f"{kind}{i}" for i in range(len(drawn))]
+            for kind, drawn in (("dots", job.dots), ("boxes", job.boxes))
+        )
         for name, picture in zip(self.dots + self.boxes, job.dots + job.boxes):
             self.put(name, picture, "image")
         self.put("mask", job.mask, "labels")
 
     def put(self, name, picture, kind):
-        self.program.ask("PUT", f"{self.session}/layers/{name}?kind={kind}", png(picture), {"Content-Type": "image/png"})
+        self.program.ask(
+            "PUT",
+            f"{self.session}/layers/{name}?kind={kind}",
+            png(picture),
+            {"Content-Type": "image/png"},
+        )
 
     def pose(self):
         return (self.p + self.random.normal(0, self.sigma, self.p.shape)).tolist()
@@ -221,12 +273,19 @@ class Ours:
         return self.program.ask("POST", f"{self.session}/warp", {"q": self.q} | layer)
 
     def map(self, **annotations):
-        return json.loads(self.program.ask("POST", f"{self.session}/points", {"q": self.q} | annotations))
+        return json.loads(
+            self.program.ask("POST", f"{self.session}/points", {"q": self.q} | annotations)
+        )
 
     def made(self):
         self.q = self.pose()
         annotations = self.map(**self.annotations())
-        return self.picture(), self.picture(layer="mask"), annotations["points"], annotations["boxes"]
+        return (
+            self.picture(),
+            self.picture(layer="mask"),
+            annotations["points"],
+            annotations["boxes"],
+        )
 
     def annotations(self):
         return {"points": (KEYPOINTS + 0.5).tolist(), "boxes": BOXES.tolist()}
@@ -242,21 +301,35 @@ class Ours:
         return 1
 
     def batch(self):
-        body = {"frames": [{"q": self.pose()} for _ in range(BATCH)], "layers": ["mask"]} | self.annotations()
+        body = {
+            "frames": [{"q": self.pose()} for _ in range(BATCH)],
+            "layers": ["mask"],
+        } | self.annotations()
         self.program.ask("POST", f"{self.session}/batch", body)
         return BATCH
 
     def contenders(self):
-        return {"PNG files": self.files, "arrays": self.arrays, f"PNG files, batches of {BATCH}": self.batch}
+        return {
+            "PNG files": self.files,
+            "arrays": self.arrays,
+            f"PNG files, batches of {BATCH}": self.batch,
+        }
 
     def warp(self):
         photo, mask, points, boxes = self.made()
         photo, mask = decoded(photo), decoded(mask)
         # What is outside is dropped, and boxes are clipped, as the other side does it.
         height, width = self.job.shape
-        keypoints = {i: numpy.array(v) - 0.5 for i, v in enumerate(points) if 0 <= v[0] < width and 0 <= v[1] < height}
+        keypoints = {
+            i: numpy.array(v) - 0.5
+            for i, v in enumerate(points)
+            if 0 <= v[0] < width and 0 <= v[1] < height
+        }
         boxes = {i: numpy.clip(v, 0, [width, height, width, height]) for i, v in enumerate(boxes)}
-        dots, drawn = ([decoded(self.picture(layer=name))[..., :3] for name in group] for group in (self.dots, self.boxes))
+        dots, drawn = (
+            [decoded(self.picture(layer=name))[..., :3] for name in group]
+            for group in (self.dots, self.boxes)
+        )
         return Warped(photo[..., :3], mask, keypoints, boxes, dots, drawn)
 
     def places(self):
@@ -279,7 +352,10 @@ def bounding(channel):
 
 
 def touches_border(channel, least):
-    return max(side.max() for side in (channel[:3], channel[-3:], channel[:, :3], channel[:, -3:])) >= least
+    return (
+        max(side.max() for side in (channel[:3], channel[-3:], channel[:, :3], channel[:, -3:]))
+        >= least
+    )
 
 
 def labels_at(mask, places, shift=(0, 0)):
@@ -296,7 +372,9 @@ class Figures:
 
     def __init__(self):
         self.drift, self.sides, self.displacements = [], [], []
-        self.pictures = self.lost = self.invented = self.pixels = self.wrong = self.wrong_inside = self.dots = 0
+        self.pictures = self.lost = self.invented = self.pixels = self.wrong = self.wrong_inside = (
+            self.dots
+        ) = 0
 
     def add(self, job, warped):
         for i, channel in enumerate(warped.dots):
@@ -318,10 +396,14 @@ class Figures:
     def add_labels(self, job, mask, places):
         expected = labels_at(job.mask, places)
         wrong = mask != expected
-        around = [labels_at(job.mask, places, (dx, dy)) for dx in (-0.5, 0, 0.5) for dy in (-0.5, 0, 0.5)]
+        around = [
+            labels_at(job.mask, places, (dx, dy)) for dx in (-0.5, 0, 0.5) for dy in (-0.5, 0, 0.5)
+        ]
         self.pixels += mask.size
         self.wrong += wrong.sum()
-        self.wrong_inside += (wrong & numpy.all([labels == expected for labels in around], axis=0)).sum()
+        self.wrong_inside += (
+            wrong & numpy.all([labels == expected for labels in around], axis=0)
+        ).sum()
 
 
 def measure(job, contenders):
@@ -354,7 +436,10 @@ def show(name, job, warped):
     for i, channel in enumerate(warped.dots):
         dots[..., i % 3] = numpy.maximum(dots[..., i % 3], channel)
     mask = cv2.cvtColor(warped.mask, cv2.COLOR_GRAY2BGR)
-    cv2.imwrite(str(FILES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")), numpy.hstack([marked, mask, dots]))
+    cv2.imwrite(
+        str(FILES / (re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") + ".png")),
+        numpy.hstack([marked, mask, dots]),
+    )
 
 
 def turns(contenders):
@@ -374,8 +459,17 @@ def turns(contenders):
 
 
 COLUMNS = [
-    "pictures", "displacement, px RMS", "keypoint drift, px: median", "p99", "max", "keypoints lost", "box sides, px: median", "max", "invented labels",
-    "labels unlike the inverse, % of pixels", "pixels of these not at a border",
+    "pictures",
+    "displacement, px RMS",
+    "keypoint drift, px: median",
+    "p99",
+    "max",
+    "keypoints lost",
+    "box sides, px: median",
+    "max",
+    "invented labels",
+    "labels unlike the inverse, % of pixels",
+    "pixels of these not at a border",
 ]
 
 
@@ -385,23 +479,38 @@ def row(name, figures):
     box = f"{numpy.median(sides):.2f} | {sides.max():.2f}"
     displaced = numpy.sqrt(numpy.mean(figures.displacements))
     share = f"{100 * figures.wrong / figures.pixels:.3f} | {figures.wrong_inside}"
-    say(f"| {name} | {figures.pictures} | {displaced:.1f} | {at} | {figures.lost} of {figures.dots} | {box} | {figures.invented} | {share} |")
+    say(
+        f"| {name} | {figures.pictures} | {displaced:.1f} | {at} | {figures.lost} of {figures.dots} | {box} | {figures.invented} | {share} |"
+    )
 
 
 def kinds():
     """{kind: (a function that makes their transform, its description, our method, handles along a side, sigma of their moves in px)}."""
     return {
         "elastic": (
-            lambda method: albumentations.ElasticTransform(alpha=1600, sigma=24, keypoint_remapping_method=method, p=1),
-            "`ElasticTransform(alpha=1600, sigma=24)`", "rigid", 9, 8.0,
+            lambda method: albumentations.ElasticTransform(
+                alpha=1600, sigma=24, keypoint_remapping_method=method, p=1
+            ),
+            "`ElasticTransform(alpha=1600, sigma=24)`",
+            "rigid",
+            9,
+            8.0,
         ),
         "piecewise affine": (
             lambda method: albumentations.PiecewiseAffine(keypoint_remapping_method=method, p=1),
-            "`PiecewiseAffine()`", "affine", 4, 0.04 * 512 / 3,
+            "`PiecewiseAffine()`",
+            "affine",
+            4,
+            0.04 * 512 / 3,
         ),
         "thin plate": (
-            lambda method: albumentations.ThinPlateSpline(scale_range=(0.02, 0.02), keypoint_remapping_method=method, p=1),
-            "`ThinPlateSpline(scale_range=(0.02, 0.02))`", "tps", 4, 0.04 * 512 / 3,
+            lambda method: albumentations.ThinPlateSpline(
+                scale_range=(0.02, 0.02), keypoint_remapping_method=method, p=1
+            ),
+            "`ThinPlateSpline(scale_range=(0.02, 0.02))`",
+            "tps",
+            4,
+            0.04 * 512 / 3,
         ),
     }
 
@@ -410,15 +519,22 @@ def main():
     job = Job()
     cpu = [line.split(": ")[1] for line in open("/proc/cpuinfo") if line.startswith("model name")]
     versions = f"albumentations {albumentations.__version__}, cv2 {cv2.__version__}, numpy {numpy.__version__}"
-    say("# annotations: a picture, its keypoints, boxes and label mask, side by side with albumentations\n")
+    say(
+        "# annotations: a picture, its keypoints, boxes and label mask, side by side with albumentations\n"
+    )
     say(HEAD)
-    say(f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}.\n")
+    say(
+        f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}.\n"
+    )
     program = Program()
     try:
         for kind, (make, description, method, handles, sigma) in kinds().items():
             mine = f"mlswarp, `{method}`, {handles} x {handles} handles"
             contenders = {mine: Ours(job, program, method, handles, sigma)}
-            contenders |= {f"{description}, keypoints by `{way}`": Theirs(job, make, way) for way in ("mask", "direct")}
+            contenders |= {
+                f"{description}, keypoints by `{way}`": Theirs(job, make, way)
+                for way in ("mask", "direct")
+            }
             say(f"## {kind}: accuracy\n")
             say("| what | " + " | ".join(COLUMNS) + " |\n|---|" + "---:|" * len(COLUMNS))
             for name, figures in measure(job, contenders).items():

@@ -43,12 +43,16 @@ def parts(fields):
     boundary = "attack%016x" % random.getrandbits(64)
     head = '--{}\r\nContent-Disposition: form-data; name="{}"; filename="a"\r\n\r\n'
     body = b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in fields)
-    return body + f"--{boundary}--\r\n".encode(), {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+    return body + f"--{boundary}--\r\n".encode(), {
+        "Content-Type": f"multipart/form-data; boundary={boundary}"
+    }
 
 
 def png(width, height, colour, depth, channels):
     """A picture of one value; small files of many pixels."""
-    chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    chunk = lambda kind, data: (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    )
     row = b"\0" + bytes([120]) * (width * channels * depth // 8)
     deflate = zlib.compressobj(1)
     data = b"".join(deflate.compress(row) for _ in range(height)) + deflate.flush()
@@ -86,12 +90,17 @@ def repeat(end, address, method, path, body=None, headers=None):
 
 def landmarks_cr():
     rows = b"mapX,mapY,sourceX,sourceY,enable\r" + b"0,0,0,0,0\r" * 400_000
-    return [lambda end, a=a: repeat(end, f"127.0.1.{a}", "POST", "/landmarks", rows, {}) for a in range(4)]
+    return [
+        lambda end, a=a: repeat(end, f"127.0.1.{a}", "POST", "/landmarks", rows, {})
+        for a in range(4)
+    ]
 
 
 def head_session():
     large = session(PORT, {"p": MANY, "grid": {"columns": 2, "rows": 2}})
-    return [lambda end, a=a: repeat(end, "127.0.1.1", "HEAD", f"/sessions/{large}") for a in range(8)]
+    return [
+        lambda end, a=a: repeat(end, "127.0.1.1", "HEAD", f"/sessions/{large}") for a in range(8)
+    ]
 
 
 def plan_not_modified():
@@ -104,7 +113,10 @@ def plan_not_modified():
 
 def head_plan():
     large = session(PORT, {"p": MANY[:500]})
-    return [lambda end: repeat(end, "127.0.1.1", "HEAD", f"/sessions/{large}/plan?columns=100&rows=100") for _ in range(8)]
+    return [
+        lambda end: repeat(end, "127.0.1.1", "HEAD", f"/sessions/{large}/plan?columns=100&rows=100")
+        for _ in range(8)
+    ]
 
 
 def batch_annotations():
@@ -167,8 +179,13 @@ def spline_sessions():
 
 
 def report_of_pixels():
-    body = json.dumps({"extent": [7000, 7000], "grid": "pixel", "p": [[1, 1], [9, 9]], "q": [[2, 1], [9, 8]]})
-    return [lambda end, a=a: repeat(end, f"127.0.1.{a % 3}", "POST", "/report", body, JSON) for a in range(6)]
+    body = json.dumps(
+        {"extent": [7000, 7000], "grid": "pixel", "p": [[1, 1], [9, 9]], "q": [[2, 1], [9, 8]]}
+    )
+    return [
+        lambda end, a=a: repeat(end, f"127.0.1.{a % 3}", "POST", "/report", body, JSON)
+        for a in range(6)
+    ]
 
 
 def fit_that_never_ends():
@@ -186,16 +203,30 @@ def fit_that_never_ends():
 
 def region_fit():
     image, mask = png(5000, 5000, 2, 8, 3), png(5000, 5000, 6, 8, 4)
-    body, headers = parts([("image", image), ("region", mask), ("warp", json.dumps({"p": [[100, 100], [300, 300]]}).encode())])
-    one = json.loads(ask(connect(PORT, "127.0.1.1", 60), "POST", "/sessions", body, headers)[1])["id"]
+    body, headers = parts(
+        [
+            ("image", image),
+            ("region", mask),
+            ("warp", json.dumps({"p": [[100, 100], [300, 300]]}).encode()),
+        ]
+    )
+    one = json.loads(ask(connect(PORT, "127.0.1.1", 60), "POST", "/sessions", body, headers)[1])[
+        "id"
+    ]
     drag = json.dumps({"q": [[110, 100], [300, 310]], "output": {"canvas": "fit", "width": 16}})
-    return [lambda end: repeat(end, "127.0.1.1", "POST", f"/sessions/{one}/warp", drag, JSON) for _ in range(4)]
+    return [
+        lambda end: repeat(end, "127.0.1.1", "POST", f"/sessions/{one}/warp", drag, JSON)
+        for _ in range(4)
+    ]
 
 
 def large_drags():
     one = session(PORT, {"p": MANY, "grid": {"columns": 2, "rows": 2}})
     drag = json.dumps({"q": [[0, 0]] * 110_001})
-    return [lambda end: repeat(end, "127.0.1.1", "POST", f"/sessions/{one}/warp", drag, JSON) for _ in range(4)]
+    return [
+        lambda end: repeat(end, "127.0.1.1", "POST", f"/sessions/{one}/warp", drag, JSON)
+        for _ in range(4)
+    ]
 
 
 def webp_and_leave():
@@ -213,12 +244,28 @@ def webp_and_leave():
 def http2_streams():
     one = session(PORT, {"p": MANY[:200]})
     url = f"http://{HOST}:{PORT}/sessions/{one}/plan?columns=40&rows=40&x=[1-300]"
-    command = ["curl", "-sZ", "--parallel-max", "200", "--http2-prior-knowledge", "--interface", "127.0.1.1", "-o", os.devnull, url]
+    command = [
+        "curl",
+        "-sZ",
+        "--parallel-max",
+        "200",
+        "--http2-prior-knowledge",
+        "--interface",
+        "127.0.1.1",
+        "-o",
+        os.devnull,
+        url,
+    ]
 
     def attack(end):
         while time.time() < end:
             try:
-                subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=max(0.1, end - time.time()))
+                subprocess.run(
+                    command,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    timeout=max(0.1, end - time.time()),
+                )
             except subprocess.TimeoutExpired:
                 return
 
@@ -247,11 +294,18 @@ def innocent(end, times):
     """Drags a session of each server in turns, and puts the lists of its response times, ms."""
     targets = []
     for port in (PORT, CONTROL):
-        targets.append((connect(port), session(port, {"p": [[100, 100], [300, 300], [200, 400]]}), []))
+        targets.append(
+            (connect(port), session(port, {"p": [[100, 100], [300, 300], [200, 400]]}), [])
+        )
     while time.time() < end.value:
         for k, (connection, id_, own) in enumerate(targets):
             x = random.uniform(-20, 20)
-            body = json.dumps({"q": [[100 + x, 100], [300, 300 - x], [200, 400]], "output": {"format": "jpeg", "width": 200}})
+            body = json.dumps(
+                {
+                    "q": [[100 + x, 100], [300, 300 - x], [200, 400]],
+                    "output": {"format": "jpeg", "width": 200},
+                }
+            )
             began = time.perf_counter()
             status, _, _ = ask(connection, "POST", f"/sessions/{id_}/warp", body, JSON)
             own.append((time.perf_counter() - began) * 1e3 if status == 200 else 60_000.0)
@@ -271,7 +325,9 @@ def measure(attackers):
     client.start()
     time.sleep(0.5)
     until = time.time() + SECONDS
-    processes = [multiprocessing.Process(target=attack, args=(until,), daemon=True) for attack in attackers]
+    processes = [
+        multiprocessing.Process(target=attack, args=(until,), daemon=True) for attack in attackers
+    ]
     for process in processes:
         process.start()
     end.value = until
@@ -285,7 +341,10 @@ def measure(attackers):
 
 def main():
     program, *names = sys.argv[1:]
-    servers = [subprocess.Popen([program, "--listen", f"{HOST}:{port}", "--log", "off"]) for port in (PORT, CONTROL)]
+    servers = [
+        subprocess.Popen([program, "--listen", f"{HOST}:{port}", "--log", "off"])
+        for port in (PORT, CONTROL)
+    ]
     worst = 0.0
     try:
         for port in (PORT, CONTROL):

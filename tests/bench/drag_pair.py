@@ -57,7 +57,9 @@ def main():
             for _ in range(int(drags[0]) if drags else 9):
                 for k in random.sample([0, 1], 2):
                     runs[k].append(drag(programs[k], frames))
-            before, after = ([median(run[column] for run in each) for column in range(3)] for each in runs)
+            before, after = (
+                [median(run[column] for run in each) for column in range(3)] for each in runs
+            )
             columns = zip(("frames/s", "p50", "p99"), before, after, strict=True)
             figures = (f"{name} {a:.2f} {b:.2f}, ratio {b / a:.3f}" for name, a, b in columns)
             print(f"{frames}: {'; '.join(figures)}", flush=True)

@@ -32,7 +32,14 @@ from playwright.sync_api import sync_playwright
 from support import CHROMIUM, FLAGS, KEPT, PHOTOGRAPHS, Server
 
 FRAMES = 40
-MEDIA = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml", ".jpg": "image/jpeg", ".webp": "image/webp"}
+MEDIA = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+    ".jpg": "image/jpeg",
+    ".webp": "image/webp",
+}
 # `drawn` resolves when the next pose is on the screen, with the milliseconds since the pointer moved. It does not poll: frames requested while waiting would be part of the measurement.
 WATCH = """() => void (window.drawn = new Promise((resolve) => {
   const { dataset } = document.body;
@@ -52,7 +59,11 @@ WITHOUT_PNG = """() => {
   const never = (signal) => new Promise((_, reject) => signal?.addEventListener("abort", () => reject(new DOMException("", "AbortError"))));
   window.fetch = (path, options) => (/\\/warp$/.test(path) ? never(options.signal) : plain(path, options));
 }"""
-MAIN_THREAD = {"script": ["ScriptDuration"], "style and layout": ["RecalcStyleDuration", "LayoutDuration"], "main thread": ["TaskDuration"]}
+MAIN_THREAD = {
+    "script": ["ScriptDuration"],
+    "style and layout": ["RecalcStyleDuration", "LayoutDuration"],
+    "main thread": ["TaskDuration"],
+}
 # A page from the route below has no address, and a page of another site may not open sockets to this machine.
 LOCAL = ["--disable-features=LocalNetworkAccessChecks,LocalNetworkAccessChecksWebSockets"]
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -62,7 +73,9 @@ def tree(name, folder):
     """The directory of a version."""
     if Path(name).is_dir():
         return Path(name)
-    archive = subprocess.run(["git", "archive", name, "src/web"], cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
+    archive = subprocess.run(
+        ["git", "archive", name, "src/web"], cwd=ROOT, check=True, stdout=subprocess.PIPE
+    ).stdout
     tarfile.open(fileobj=BytesIO(archive)).extractall(folder, filter="data")
     return folder / "src" / "web"
 
@@ -70,7 +83,10 @@ def tree(name, folder):
 def warp_object(handles):
     """Points in a grid, some of them moved."""
     columns = math.ceil(math.sqrt(handles))
-    p = [[30 + 450 * (n % columns) / columns, 30 + 450 * (n // columns) / columns] for n in range(handles)]
+    p = [
+        [30 + 450 * (n % columns) / columns, 30 + 450 * (n // columns) / columns]
+        for n in range(handles)
+    ]
     return {"p": p, "q": [[x + n % 5, y - n % 3] for n, (x, y) in enumerate(p)], "method": "rigid"}
 
 
@@ -78,18 +94,27 @@ class Version:
     """One version of the page with a picture and handles."""
 
     def __init__(self, browser, server, directory, handles, folder):
-        self.context = browser.new_context(viewport={"width": 1280, "height": 800}, reduced_motion="reduce")
+        self.context = browser.new_context(
+            viewport={"width": 1280, "height": 800}, reduced_motion="reduce"
+        )
         self.page = self.context.new_page()
         limits = re.search(r'content="(body=[^"]*)"', server.ask("GET", "/").body.decode())[1]
-        self.context.route(f"{server.address}/", lambda route: self.serve(route, directory / "index.html", limits))
-        self.context.route("**/page/*", lambda route: self.serve(route, directory / route.request.url.rsplit("/", 1)[1]))
+        self.context.route(
+            f"{server.address}/", lambda route: self.serve(route, directory / "index.html", limits)
+        )
+        self.context.route(
+            "**/page/*",
+            lambda route: self.serve(route, directory / route.request.url.rsplit("/", 1)[1]),
+        )
         self.page.goto(f"{server.address}/")
         self.page.set_input_files("#file", PHOTOGRAPHS / "astronaut.png")
         self.page.wait_for_selector("body[data-state=ready]")
         warp = folder / f"{handles}.json"
         warp.write_text(json.dumps(warp_object(handles)))
         self.page.set_input_files("#file", warp)
-        self.page.wait_for_selector(f"body[data-state=ready][data-source=png][data-handles='{handles}']")
+        self.page.wait_for_selector(
+            f"body[data-state=ready][data-source=png][data-handles='{handles}']"
+        )
         self.page.click("#zoom-full")
         self.page.evaluate(WITHOUT_PNG)
         self.session = self.context.new_cdp_session(self.page)
@@ -97,12 +122,21 @@ class Version:
 
     @staticmethod
     def serve(route, path, limits=""):
-        body = path.read_bytes().replace(b"{limits}", limits.encode(), 1) if limits else path.read_bytes()
-        route.fulfill(body=body, headers={"Content-Type": MEDIA[path.suffix], "Cache-Control": "no-cache"})
+        body = (
+            path.read_bytes().replace(b"{limits}", limits.encode(), 1)
+            if limits
+            else path.read_bytes()
+        )
+        route.fulfill(
+            body=body, headers={"Content-Type": MEDIA[path.suffix], "Cache-Control": "no-cache"}
+        )
 
     def times(self, pids):
         """CPU time so far in seconds, by name."""
-        metrics = {metric["name"]: metric["value"] for metric in self.session.send("Performance.getMetrics")["metrics"]}
+        metrics = {
+            metric["name"]: metric["value"]
+            for metric in self.session.send("Performance.getMetrics")["metrics"]
+        }
         times = {name: sum(metrics[part] for part in parts) for name, parts in MAIN_THREAD.items()}
         return times | {"whole browser": sum(map(cpu_time, pids()))}
 
@@ -137,7 +171,11 @@ def cpu_time(pid):
 
 
 def descendants(pid):
-    children = [int(child) for task in Path(f"/proc/{pid}/task").glob("*/children") for child in task.read_text().split()]
+    children = [
+        int(child)
+        for task in Path(f"/proc/{pid}/task").glob("*/children")
+        for child in task.read_text().split()
+    ]
     return [pid, *(one for child in children for one in descendants(child))]
 
 
@@ -149,7 +187,12 @@ def compare(playwright, server, directories, handles, blocks, folder):
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS + LOCAL)
         main = next(pid for pid in descendants(os.getpid()) if pid not in known)
         browsers.append(browser)
-        versions.append((Version(browser, server, directory, handles, folder), lambda main=main: descendants(main)))
+        versions.append(
+            (
+                Version(browser, server, directory, handles, folder),
+                lambda main=main: descendants(main),
+            )
+        )
     try:
         # The first block fills caches and compiles.
         times = [[version.drag(pids) for version, pids in versions] for _ in range(blocks + 1)][1:]
@@ -159,20 +202,27 @@ def compare(playwright, server, directories, handles, blocks, folder):
     for name in times[0][0]:
         old, new = ([block[n][name] for block in times] for n in (0, 1))
         ratios = sorted(b / a for a, b in zip(old, new))
-        print(f"{handles:7}  {name:16}  {statistics.median(old):8.2f}  {statistics.median(new):8.2f}  {statistics.median(ratios):6.2f}  {ratios[0]:.2f} to {ratios[-1]:.2f}", flush=True)
+        print(
+            f"{handles:7}  {name:16}  {statistics.median(old):8.2f}  {statistics.median(new):8.2f}  {statistics.median(ratios):6.2f}  {ratios[0]:.2f} to {ratios[-1]:.2f}",
+            flush=True,
+        )
 
 
 def main():
     old, new, *blocks = sys.argv[1:]
     blocks = int(blocks[0]) if blocks else 11
     KEPT.mkdir(parents=True, exist_ok=True)
-    print(f"load {os.getloadavg()[0]:.1f}; CPU milliseconds per frame, medians of {blocks} blocks of {FRAMES} frames")
+    print(
+        f"load {os.getloadavg()[0]:.1f}; CPU milliseconds per frame, medians of {blocks} blocks of {FRAMES} frames"
+    )
     print("handles  work                   old       new   ratio  of single pairs")
     server = Server("--log", "off")
     try:
         with sync_playwright() as playwright, tempfile.TemporaryDirectory() as scratch:
             scratch = Path(scratch)
-            directories = [tree(name, scratch / which) for name, which in ((old, "old"), (new, "new"))]
+            directories = [
+                tree(name, scratch / which) for name, which in ((old, "old"), (new, "new"))
+            ]
             for handles in (7, 300, 500):
                 compare(playwright, server, directories, handles, blocks, scratch)
     finally:

@@ -36,7 +36,13 @@ from links import Link, distances
 from support import CHROMIUM, FLAGS, KEPT, SOCKET, Server, Visit
 
 SECONDS = 3
-ERRORS = ("CONNECTION_RESET", "CONNECTION_CLOSED", "EMPTY_RESPONSE", "CONNECTION_REFUSED", "SOCKET_NOT_CONNECTED")
+ERRORS = (
+    "CONNECTION_RESET",
+    "CONNECTION_CLOSED",
+    "EMPTY_RESPONSE",
+    "CONNECTION_REFUSED",
+    "SOCKET_NOT_CONNECTED",
+)
 BROKEN = ("404", *(f"ERR_{error}" for error in ERRORS))
 # All times are those of the page, ms. `spans`: [begin, end, words]. `work`: how long posing and drawing take.
 RECORD = """(() => {
@@ -96,24 +102,38 @@ class Recording:
         later = lambda times: [t for t in times if t >= begun]
         self.moves = [t for t, kind in seen["pointer"] if kind == "pointermove" and t >= begun]
         self.releases = [t for t, kind in seen["pointer"] if kind == "pointerup" and t >= begun]
-        self.ticks, self.drawn, self.sent, self.received = (later(seen[name]) for name in ("ticks", "drawn", "sent", "received"))
-        self.work = {name: [took for t, took in times if t >= begun] for name, times in seen["work"].items()}
+        self.ticks, self.drawn, self.sent, self.received = (
+            later(seen[name]) for name in ("ticks", "drawn", "sent", "received")
+        )
+        self.work = {
+            name: [took for t, took in times if t >= begun] for name, times in seen["work"].items()
+        }
         self.behind, self.plan = (self.spans(seen[name]) for name in ("behind", "plan"))
         of_entry = "(e) => [e.startTime, e.responseEnd, e.name, e.encodedBodySize]"
         entries = page.evaluate(f"performance.getEntriesByType('resource').map({of_entry})")
         entries = [entry for entry in entries if entry[0] >= begun and "/sessions/" in entry[2]]
-        self.requests = [(a, b or self.ended, name.split("?")[0].rsplit("/", 1)[-1][:8]) for a, b, name, _ in entries]
+        self.requests = [
+            (a, b or self.ended, name.split("?")[0].rsplit("/", 1)[-1][:8])
+            for a, b, name, _ in entries
+        ]
         self.table = next((size for *_, name, size in entries if "/plan?" in name), 0)
         return self
 
     def spans(self, changes):
         ends = [t for t, _ in changes[1:]] + [self.ended]
-        return [(max(t, self.begun), end, words) for (t, words), end in zip(changes, ends) if end > self.begun and words]
+        return [
+            (max(t, self.begun), end, words)
+            for (t, words), end in zip(changes, ends)
+            if end > self.begun and words
+        ]
 
     def told(self, name, seconds=SECONDS):
         gaps = [b - a for a, b in zip(self.drawn, self.drawn[1:])]
         first = self.drawn[0] - self.moves[0] if self.drawn and self.moves else math.nan
-        middle = {name: statistics.median(times) if times else math.nan for name, times in self.work.items()}
+        middle = {
+            name: statistics.median(times) if times else math.nan
+            for name, times in self.work.items()
+        }
         print(
             f"  {name}: {len(self.drawn) / seconds:.0f} frames/s of {len(self.ticks) / seconds:.0f} display frames/s, "
             f"first after {first:.0f} ms, longest gap {max(gaps, default=math.nan):.0f} ms; "
@@ -129,7 +149,10 @@ class Recording:
             lane = next((lane for lane in lanes if lane[-1][1] <= request[0]), None)
             lanes.append([request]) if lane is None else lane.append(request)
         rows = [("pointer", self.moves, "#888888"), ("frames drawn", self.drawn, "#1b7f3b")]
-        rows += [("poses sent", self.sent, "#7a4fbf"), ("meshes received", self.received, "#b3560f")]
+        rows += [
+            ("poses sent", self.sent, "#7a4fbf"),
+            ("meshes received", self.received, "#b3560f"),
+        ]
         rows += [("requests" if k == 0 else "", lane, "#2b6cb0") for k, lane in enumerate(lanes)]
         rows += [("coefficients", self.plan, "#94c9a4"), ("the page says", self.behind, "#d9534f")]
         image = Image.new("RGB", (int(across(self.ended)) + 30, 60 + 28 * len(rows)), "white")
@@ -145,8 +168,16 @@ class Recording:
             for event in events:
                 if isinstance(event, tuple):
                     begin, end, words = event
-                    draw.rectangle((across(begin), top, max(across(end), across(begin) + 1), top + 18), fill=colour, outline="white")
-                    draw.text((across(begin) + 3, top + 4), words, fill="black" if colour == "#94c9a4" else "white")
+                    draw.rectangle(
+                        (across(begin), top, max(across(end), across(begin) + 1), top + 18),
+                        fill=colour,
+                        outline="white",
+                    )
+                    draw.text(
+                        (across(begin) + 3, top + 4),
+                        words,
+                        fill="black" if colour == "#94c9a4" else "white",
+                    )
                 else:
                     draw.line((across(event), top, across(event), top + 18), fill=colour)
         image.save(path)
@@ -207,14 +238,20 @@ def without_the_server(visit, server, name):
     said = [words for *_, words in recording.behind]
     recording.told("the server is killed and starts again", 2 * SECONDS)
     print(f"  the page says: {said or 'nothing'}")
-    recording.picture(KEPT / f"page-link-{name}-killed-timeline.png", f"{name}: the server is killed after 2 s and starts again after 4 s")
+    recording.picture(
+        KEPT / f"page-link-{name}-killed-timeline.png",
+        f"{name}: the server is killed after 2 s and starts again after 4 s",
+    )
     visit.page.mouse.up()
     visit.ready()
 
 
 def main():
     mbit, ms = sys.argv[1:3] if len(sys.argv) > 2 else ("5", "75")
-    window = dict(zip(("width", "height"), map(int, sys.argv[3:5]))) or {"width": 1280, "height": 800}
+    window = dict(zip(("width", "height"), map(int, sys.argv[3:5]))) or {
+        "width": 1280,
+        "height": 800,
+    }
     store = tempfile.TemporaryDirectory()
     server = Server("--store", f"file:{store.name}/store")
     link = Link(server, mbit, ms)
@@ -227,7 +264,10 @@ def main():
             print(f"{name}:")
             recording = drag(visit, visit.posed(0))
             recording.told(f"handles {visit['handles']}, lattice {visit['plan'] or 'off'}")
-            recording.picture(KEPT / f"page-link-{name}-timeline.png", f"{name}: a drag at {mbit} Mbit/s, {ms} ms each way")
+            recording.picture(
+                KEPT / f"page-link-{name}-timeline.png",
+                f"{name}: a drag at {mbit} Mbit/s, {ms} ms each way",
+            )
             visit.keep(f"page-link-{name}")
             visit.page.mouse.up()
             visit.ready()
@@ -236,7 +276,9 @@ def main():
                 columns, rows = (int(c) for c in visit["plan"].split(","))
                 found, residual, _ = distances(visit, columns, rows, visit.warp()["q"])
                 middle, largest = found[len(found) // 2], found[-1]
-                print(f"  distance from the exact deformation: median {middle:.2f}, largest {largest:.2f}, residual {residual:.2f} px")
+                print(
+                    f"  distance from the exact deformation: median {middle:.2f}, largest {largest:.2f}, residual {residual:.2f} px"
+                )
             if not query:
                 # The seventh point.
                 visit.keys("Control+a", "Delete")
@@ -247,10 +289,19 @@ def main():
                 visit.click(30, 30)
                 visit.page.wait_for_timeout(1500)
                 recording.end()
-                times = [begin - recording.releases[0] for begin, *_ in recording.plan if begin > recording.releases[0]]
+                times = [
+                    begin - recording.releases[0]
+                    for begin, *_ in recording.plan
+                    if begin > recording.releases[0]
+                ]
                 after = f"after {times[0]:.0f} ms" if times else "never"
-                print(f"  a seventh handle is posed without requests {after}, a table of {recording.table / 1000:.0f} kB")
-                recording.picture(KEPT / "page-link-new-handle-timeline.png", f"a new handle at {mbit} Mbit/s, {ms} ms each way")
+                print(
+                    f"  a seventh handle is posed without requests {after}, a table of {recording.table / 1000:.0f} kB"
+                )
+                recording.picture(
+                    KEPT / "page-link-new-handle-timeline.png",
+                    f"a new handle at {mbit} Mbit/s, {ms} ms each way",
+                )
                 visit.ready()
             without_the_server(visit, server, name)
             visit.close()

@@ -35,7 +35,9 @@ class Program:
             except OSError:
                 self.connection.close()
                 time.sleep(0.02)
-        self.session = json.loads(self.ask("POST", "/sessions", *multipart({"p": HANDLES}))[1])["id"]
+        self.session = json.loads(self.ask("POST", "/sessions", *multipart({"p": HANDLES}))[1])[
+            "id"
+        ]
 
     def ask(self, method, path, body, headers):
         """The seconds until the whole response has arrived, and its body."""
@@ -58,11 +60,15 @@ def multipart(warp):
     parts = [("image", PHOTO), ("warp", json.dumps(warp).encode())]
     head = '--{}\r\nContent-Disposition: form-data; name="{}"; filename="a"\r\n\r\n'
     body = b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in parts)
-    return body + f"--{boundary}--\r\n".encode(), {"Content-Type": f"multipart/form-data; boundary={boundary}"}
+    return body + f"--{boundary}--\r\n".encode(), {
+        "Content-Type": f"multipart/form-data; boundary={boundary}"
+    }
 
 
 def pose(i):
-    return [[x + (i * 7 + n) % 23 - 11, y + (i * 5 + n) % 19 - 9] for n, (x, y) in enumerate(HANDLES)]
+    return [
+        [x + (i * 7 + n) % 23 - 11, y + (i * 5 + n) % 19 - 9] for n, (x, y) in enumerate(HANDLES)
+    ]
 
 
 def main():
@@ -73,8 +79,18 @@ def main():
         "drag 500 x 500 PNG": (pairs, lambda program, i: program.drag(pose(i))),
         "drag width 1920": (pairs // 4, lambda program, i: program.drag(pose(i), width=1920)),
         "drag JPEG": (pairs, lambda program, i: program.drag(pose(i), format="jpeg")),
-        "mesh": (pairs, lambda program, i: program.drag(pose(i), "mesh", JSON | {"Accept": "application/octet-stream"})),
-        "POST /warp": (pairs // 2, lambda program, i: program.ask("POST", "/warp", *multipart({"p": HANDLES, "q": pose(i)}))),
+        "mesh": (
+            pairs,
+            lambda program, i: program.drag(
+                pose(i), "mesh", JSON | {"Accept": "application/octet-stream"}
+            ),
+        ),
+        "POST /warp": (
+            pairs // 2,
+            lambda program, i: program.ask(
+                "POST", "/warp", *multipart({"p": HANDLES, "q": pose(i)})
+            ),
+        ),
         "GET /healthz": (pairs, lambda program, i: program.ask("GET", "/healthz", None, {})),
     }
     try:
@@ -89,7 +105,10 @@ def main():
                 equal += answers[0] == answers[1]
             at = [[sorted(t)[int(len(t) * share)] for t in times] for share in (0.1, 0.5)]
             figures = "  ".join(f"{a:.3f} {b:.3f} ms, ratio {b / a:.3f}" for a, b in at)
-            print(f"{name:18} {count:4} pairs: p10 and median {figures}; equal {equal} of {count + WARM_UP}", flush=True)
+            print(
+                f"{name:18} {count:4} pairs: p10 and median {figures}; equal {equal} of {count + WARM_UP}",
+                flush=True,
+            )
     finally:
         for program in programs:
             program.process.terminate()

@@ -26,7 +26,13 @@ PLACES = 500
 def started():
     """The program and its address."""
     environment = {name: value for name, value in os.environ.items() if name != "MLSWARP_LISTEN"}
-    server = subprocess.Popen([PROGRAM, "serve", "--listen", "127.0.0.1:0"], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    server = subprocess.Popen(
+        [PROGRAM, "serve", "--listen", "127.0.0.1:0"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     for line in server.stdout:
         if found := re.search(r"http://[0-9.]+:[0-9]+", line):
             return server, found[0]
@@ -35,8 +41,17 @@ def started():
 
 def ours(address, size, p, q, smoothing, places):
     """The mapped places, and the seconds that the request took."""
-    body = {"p": p.tolist(), "q": q.tolist(), "method": "tps", "smoothing": smoothing, "extent": [size, size], "points": places.tolist()}
-    request = urllib.request.Request(f"{address}/points", json.dumps(body).encode(), {"Content-Type": "application/json"})
+    body = {
+        "p": p.tolist(),
+        "q": q.tolist(),
+        "method": "tps",
+        "smoothing": smoothing,
+        "extent": [size, size],
+        "points": places.tolist(),
+    }
+    request = urllib.request.Request(
+        f"{address}/points", json.dumps(body).encode(), {"Content-Type": "application/json"}
+    )
     began = time.perf_counter()
     with urllib.request.urlopen(request, timeout=120) as response:
         return numpy.array(json.load(response)["points"]), time.perf_counter() - began
@@ -47,7 +62,9 @@ def theirs(p, q, smoothing, places):
     began = time.perf_counter()
     mean = p.mean(axis=0)
     unit = numpy.sqrt(((p - mean) ** 2).sum(axis=1).mean())
-    spline = RBFInterpolator((p - mean) / unit, q - p, smoothing=smoothing / 2, kernel="thin_plate_spline", degree=1)
+    spline = RBFInterpolator(
+        (p - mean) / unit, q - p, smoothing=smoothing / 2, kernel="thin_plate_spline", degree=1
+    )
     return places + spline((places - mean) / unit), time.perf_counter() - began
 
 
@@ -63,18 +80,26 @@ def allowed(p, smoothing):
 def compare(address):
     random = numpy.random.default_rng(7)
     failed = 0
-    print(f"{'points':>6} {'image':>6} {'smoothing':>9} {'difference':>10} {'allowed':>8} {'ours, s':>8} {'scipy, s':>8}")
+    print(
+        f"{'points':>6} {'image':>6} {'smoothing':>9} {'difference':>10} {'allowed':>8} {'ours, s':>8} {'scipy, s':>8}"
+    )
     for count in (3, 4, 11, 50, 200, 1000, 2000):
         for size in (500, 10_000):
             for smoothing in (0, 1e-3, 0.1, 10):
                 p = random.uniform(0, size, (count, 2))
                 q = p + random.uniform(-0.05 * size, 0.05 * size, (count, 2))
                 places = random.uniform(-0.2 * size, 1.2 * size, (PLACES, 2))
-                (mapped, seconds), (expected, their_seconds) = ours(address, size, p, q, smoothing, places), theirs(p, q, smoothing, places)
+                (mapped, seconds), (expected, their_seconds) = (
+                    ours(address, size, p, q, smoothing, places),
+                    theirs(p, q, smoothing, places),
+                )
                 difference = numpy.abs(mapped - expected).max() / numpy.abs(q - p).max()
                 limit = allowed(p, smoothing)
                 failed += not difference <= limit
-                print(f"{count:6} {size:6} {smoothing:9} {difference:10.1e} {limit:8.1e} {seconds:8.3f} {their_seconds:8.3f}", flush=True)
+                print(
+                    f"{count:6} {size:6} {smoothing:9} {difference:10.1e} {limit:8.1e} {seconds:8.3f} {their_seconds:8.3f}",
+                    flush=True,
+                )
     return failed
 
 

@@ -7,8 +7,24 @@ from pathlib import Path
 from mlswarp_client import AuthenticatedClient, Client
 from mlswarp_client.api.pictures import warp
 from mlswarp_client.api.points import map_points
-from mlswarp_client.api.sessions import create_session, delete_session, get_session, map_session_points, warp_session
-from mlswarp_client.models import CreateSessionBody, Drag, Output, Points, PointsAnswer, PosedPoints, Session, WarpBody, WarpObject
+from mlswarp_client.api.sessions import (
+    create_session,
+    delete_session,
+    get_session,
+    map_session_points,
+    warp_session,
+)
+from mlswarp_client.models import (
+    CreateSessionBody,
+    Drag,
+    Output,
+    Points,
+    PointsAnswer,
+    PosedPoints,
+    Session,
+    WarpBody,
+    WarpObject,
+)
 from mlswarp_client.models import Problem, ProblemCode
 from mlswarp_client.types import File
 
@@ -28,24 +44,44 @@ def save(name, answer):
 
 
 client = AuthenticatedClient(base_url=server, token=key)
-save("warped.png", warp.sync(client=client, body=WarpBody(image=image(), warp=WarpObject(p=P, q=Q, output=SMALL))))
+save(
+    "warped.png",
+    warp.sync(client=client, body=WarpBody(image=image(), warp=WarpObject(p=P, q=Q, output=SMALL))),
+)
 
-session = create_session.sync(client=client, body=CreateSessionBody(image=image(), warp=WarpObject(p=P)))
+session = create_session.sync(
+    client=client, body=CreateSessionBody(image=image(), warp=WarpObject(p=P))
+)
 assert isinstance(session, Session), session
 assert (session.image.width, session.image.height, session.p, session.seq) == (451, 300, P, None)
-save("dragged.png", warp_session.sync(session.id, client=client, body=Drag(q=Q, seq=1, output=SMALL)))
+save(
+    "dragged.png", warp_session.sync(session.id, client=client, body=Drag(q=Q, seq=1, output=SMALL))
+)
 again = get_session.sync(session.id, client=client)
 assert isinstance(again, Session) and again.seq == 1 and again.id == session.id
 
-points = Points(p=[[120, 80], [200, 160]], q=[[130, 60], [200, 160]], extent=[640, 480], points=[[0, 0]])
+points = Points(
+    p=[[120, 80], [200, 160]], q=[[130, 60], [200, 160]], extent=[640, 480], points=[[0, 0]]
+)
 mapped = map_points.sync(client=client, body=points)
-assert isinstance(mapped, PointsAnswer) and [round(x, 2) for x in mapped.points[0]] == [26.96, -37.88], mapped
-mapped = map_session_points.sync(session.id, client=client, body=PosedPoints(q=Q, points=[[0, 0], [320.5, 240.5]]))
+assert isinstance(mapped, PointsAnswer) and [round(x, 2) for x in mapped.points[0]] == [
+    26.96,
+    -37.88,
+], mapped
+mapped = map_session_points.sync(
+    session.id, client=client, body=PosedPoints(q=Q, points=[[0, 0], [320.5, 240.5]])
+)
 assert isinstance(mapped, PointsAnswer) and len(mapped.points) == 2, mapped
 
 problem = warp_session.sync(session.id, client=client, body=Drag(q=Q[:1]))
-assert isinstance(problem, Problem) and problem.code is ProblemCode.SHAPE_MISMATCH and problem.detail, problem
+assert (
+    isinstance(problem, Problem) and problem.code is ProblemCode.SHAPE_MISMATCH and problem.detail
+), problem
 problem = map_points.sync(client=Client(base_url=server), body=Points(extent=[640, 480]))
-assert isinstance(problem, Problem) and problem.code is ProblemCode.UNAUTHORIZED and problem.status == 401, problem
+assert (
+    isinstance(problem, Problem)
+    and problem.code is ProblemCode.UNAUTHORIZED
+    and problem.status == 401
+), problem
 
 assert delete_session.sync_detailed(session.id, client=client).status_code == 204

@@ -35,20 +35,29 @@ def check_stack(stage):
     check = stage.check
     with Names() as names, Stack(stage.engine, names, stage.services, stage.scratch) as stack:
         said = stack.compose("config", "--quiet", file=COMPOSE, check=False)
-        check("docker-compose takes the file as it is", said.returncode == 0, said.stderr.decode(errors="replace")[-300:])
+        check(
+            "docker-compose takes the file as it is",
+            said.returncode == 0,
+            said.stderr.decode(errors="replace")[-300:],
+        )
         stack.start()
         with Container(stage.engine) as lone:
             lone.wait_ready()
             for client in DRAG_CLIENTS:
                 client.learn(Server("127.0.0.1", lone.port))
-        say(f"the lone server showed {sum(len(expected) for client in DRAG_CLIENTS for expected in client.expected)} pictures")
+        say(
+            f"the lone server showed {sum(len(expected) for client in DRAG_CLIENTS for expected in client.expected)} pictures"
+        )
         for client in DRAG_CLIENTS:
             client.put(stack.proxy)
         check_proxy(check, stack)
 
         uploader, stop, timeline = Uploader(), threading.Event(), Timeline()
         clients = (*DRAG_CLIENTS, uploader)
-        threads = [threading.Thread(target=client.drag, args=(stack.proxy, stop), name=client.name) for client in clients]
+        threads = [
+            threading.Thread(target=client.drag, args=(stack.proxy, stop), name=client.name)
+            for client in clients
+        ]
         for thread in threads:
             thread.start()
         try:
@@ -68,14 +77,26 @@ def check_proxy(check, stack):
         if isinstance(client, RequestClient):
             # The upload reached its replica by the id as it is written in lower case.
             path = f"/sessions/{client.session.upper()}/warp"
-            status, headers, picture = stack.proxy.ask("POST", path, json.dumps({"q": client.poses[0]}))
+            status, headers, picture = stack.proxy.ask(
+                "POST", path, json.dumps({"q": client.poses[0]})
+            )
             plans.append(headers["Warp-Plan"])
             right = right and status == 200 and picture in client.expected[0]
-    check("a session written in capitals goes where its upload went", right and set(plans) == {"hit"}, plans)
+    check(
+        "a session written in capitals goes where its upload went",
+        right and set(plans) == {"hit"},
+        plans,
+    )
     status, headers, body = stack.proxy.ask("GET", "/metrics")
     told = json.loads(body) if headers["Content-Type"] == "application/problem+json" else {}
-    check("the figures of replicas are not for everybody", (status, told.get("code")) == (404, "not_found"), status)
-    status, headers, body = stack.proxy.ask("GET", "/sessions/none", headers={"X-Request-Id": "an-id-of-the-test"})
+    check(
+        "the figures of replicas are not for everybody",
+        (status, told.get("code")) == (404, "not_found"),
+        status,
+    )
+    status, headers, body = stack.proxy.ask(
+        "GET", "/sessions/none", headers={"X-Request-Id": "an-id-of-the-test"}
+    )
     check(
         "a request's id goes through",
         (status, headers["X-Request-Id"]) == (404, "an-id-of-the-test"),
@@ -90,7 +111,10 @@ def run_events(stack, timeline):
     time.sleep(CALM)
 
     # Docker restarts it automatically (compose.yaml).
-    killed = max(first_two, key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'))
+    killed = max(
+        first_two,
+        key=lambda r: stack.figure(r, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'),
+    )
     timeline.begin(KILLED)
     stack.kill(killed)
     time.sleep(PAUSE)
@@ -102,7 +126,10 @@ def run_events(stack, timeline):
     container = stack.container(drained)
     begun = time.monotonic()
     stack.engine("stop", container)
-    facts["drained in"], facts["drained exit"] = time.monotonic() - begun, stack.state(container)["ExitCode"]
+    facts["drained in"], facts["drained exit"] = (
+        time.monotonic() - begun,
+        stack.state(container)["ExitCode"],
+    )
     stack.names.addresses["mlswarp"].remove(stack.replicas[drained])
     time.sleep(PAUSE - 4)
     timeline.begin("it comes back")
@@ -117,7 +144,9 @@ def run_events(stack, timeline):
     stack.wait_balanced(3)
     time.sleep(PAUSE - 3)
     frames = stack.figure(third, "mlswarp_frames_sent_total")
-    facts["third"] = frames + stack.figure(third, "mlswarp_requests_total", 'route="/sessions/{id}/warp"')
+    facts["third"] = frames + stack.figure(
+        third, "mlswarp_requests_total", 'route="/sessions/{id}/warp"'
+    )
 
     timeline.begin(SILENT)
     stack.signal("store", "STOP")
@@ -144,26 +173,51 @@ def known(stack, client):
 
 def look_after(check, stack, uploader):
     """Checks that every session exists and has its last pose."""
-    lost = [client.name for client in DRAG_CLIENTS if stack.proxy.ask("GET", f"/sessions/{client.session}")[0] != 200]
+    lost = [
+        client.name
+        for client in DRAG_CLIENTS
+        if stack.proxy.ask("GET", f"/sessions/{client.session}")[0] != 200
+    ]
     check("no session that was dragged is lost", not lost, lost or f"{len(DRAG_CLIENTS)} looked at")
     behind = []
     for client in DRAG_CLIENTS:
         # A rejected pose, or one cut off by the end of the test, may be missing.
-        if isinstance(client, RequestClient) and not client.answered <= (seq := known(stack, client)) <= client.seq:
+        if (
+            isinstance(client, RequestClient)
+            and not client.answered <= (seq := known(stack, client)) <= client.seq
+        ):
             behind.append((client.name, seq, client.answered, client.seq))
     check("each knows how far it was dragged", not behind, behind)
-    lost = [session for session in uploader.promised if stack.proxy.ask("GET", f"/sessions/{session}")[0] != 200]
-    check("no upload that was answered is lost", not lost and uploader.promised, f"{len(uploader.promised)} looked at, {len(lost)} lost")
-    built = sum(stack.figure(r, "mlswarp_cache_builds_total", 'cache="plans"') for r in stack.replicas)
+    lost = [
+        session
+        for session in uploader.promised
+        if stack.proxy.ask("GET", f"/sessions/{session}")[0] != 200
+    ]
+    check(
+        "no upload that was answered is lost",
+        not lost and uploader.promised,
+        f"{len(uploader.promised)} looked at, {len(lost)} lost",
+    )
+    built = sum(
+        stack.figure(r, "mlswarp_cache_builds_total", 'cache="plans"') for r in stack.replicas
+    )
     say(f"plans built: {built:.0f} (of the processes that live)")
     # On a server without keys, the id is enough to use a session.
     log = stack.compose("logs", "--no-color", "proxy").stdout.decode(errors="replace")
     told = [client.name for client in DRAG_CLIENTS if client.session in log]
     lines = log.count(" POST\n")
-    check("the proxy's log has a line for each request and names no session", lines > 100 and not told, told or f"{lines} lines")
+    check(
+        "the proxy's log has a line for each request and names no session",
+        lines > 100 and not told,
+        told or f"{lines} lines",
+    )
     prometheus = Server(stack.addresses["prometheus"], 9090)
     targets = prometheus.json("GET", "/api/v1/targets", (200,))["data"]["activeTargets"]
     health = sorted(f"{t['labels']['job']} {t['health']}" for t in targets)
-    check("Prometheus asks every replica and the proxy", health == ["mlswarp up"] * 3 + ["proxy up"], health)
+    check(
+        "Prometheus asks every replica and the proxy",
+        health == ["mlswarp up"] * 3 + ["proxy up"],
+        health,
+    )
     groups = prometheus.json("GET", "/api/v1/rules", (200,))["data"]["groups"]
     check("and has the alert rules", bool(groups), f"{sum(len(g['rules']) for g in groups)} rules")

@@ -20,11 +20,17 @@ class Failure(Exception):
 def run(*command, check=True, env=None, stdin=None):
     """Runs a command and returns it with its output."""
     done = subprocess.run(
-        [str(c) for c in command], stdin=stdin or subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=env
+        [str(c) for c in command],
+        stdin=stdin or subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=env,
     )
     if check and done.returncode != 0:
         printed = (done.stdout + done.stderr).decode(errors="replace").strip()
-        raise Failure(f"`{' '.join(map(str, command))}` exited with {done.returncode}:\n{printed[-6000:]}")
+        raise Failure(
+            f"`{' '.join(map(str, command))}` exited with {done.returncode}:\n{printed[-6000:]}"
+        )
     return done
 
 

@@ -45,10 +45,14 @@ def derive(compose, given):
             continue
         address = given["addresses"][name]
         # A health check asks the container's own loopback.
-        service["healthcheck"]["test"] = [word.replace("//127.0.0.1:", f"//{address}:") for word in service["healthcheck"]["test"]]
+        service["healthcheck"]["test"] = [
+            word.replace("//127.0.0.1:", f"//{address}:") for word in service["healthcheck"]["test"]
+        ]
         if name == "proxy":
             environment = service["environment"]
-            environment.update({k: f"{address}{v}" for k, v in environment.items() if v.startswith(":")})
+            environment.update(
+                {k: f"{address}{v}" for k, v in environment.items() if v.startswith(":")}
+            )
             environment["PROXY_DNS"] = f"{given['names']}:53"
         elif name == "store":
             service["command"] += ["--bind", address]
@@ -59,7 +63,9 @@ def derive(compose, given):
             service["command"].append(f"--web.listen-address={address}:9090")
         services[name] = service
     # Volumes are named after the project, and taken away with it.
-    volumes = {name: volume for name, volume in compose["volumes"].items() if name not in given["without"]}
+    volumes = {
+        name: volume for name, volume in compose["volumes"].items() if name not in given["without"]
+    }
     return {"services": services, "volumes": volumes}
 
 

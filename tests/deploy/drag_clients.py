@@ -27,7 +27,11 @@ def multipart(picture, warp):
     boundary = uuid.uuid4().hex
     part = f"--{boundary}\r\n" + 'Content-Disposition: form-data; name="{}"{}\r\n\r\n'
     body = part.format("image", '; filename="picture"').encode() + picture + b"\r\n"
-    body += part.format("warp", "").encode() + json.dumps(warp).encode() + f"\r\n--{boundary}--\r\n".encode()
+    body += (
+        part.format("warp", "").encode()
+        + json.dumps(warp).encode()
+        + f"\r\n--{boundary}--\r\n".encode()
+    )
     return body, f"multipart/form-data; boundary={boundary}"
 
 
@@ -59,11 +63,21 @@ class Server:
     def ask(self, method, path, body=None, kind="application/json", headers=None):
         """(status, headers, body), over the connection of the thread; failures are OSError or HTTPException."""
         # A connection that was idle for long may be closed at any moment, which is not a failure.
-        if getattr(self.kept, "connection", None) is None or time.monotonic() - self.kept.used > KEPT:
-            self.kept.connection = http.client.HTTPConnection(self.host, self.port, timeout=PATIENCE)
+        if (
+            getattr(self.kept, "connection", None) is None
+            or time.monotonic() - self.kept.used > KEPT
+        ):
+            self.kept.connection = http.client.HTTPConnection(
+                self.host, self.port, timeout=PATIENCE
+            )
         self.kept.used = time.monotonic()
         try:
-            self.kept.connection.request(method, path, body, {**({"Content-Type": kind} if body is not None else {}), **(headers or {})})
+            self.kept.connection.request(
+                method,
+                path,
+                body,
+                {**({"Content-Type": kind} if body is not None else {}), **(headers or {})},
+            )
             answer = self.kept.connection.getresponse()
             return answer.status, answer.headers, answer.read()
         except BaseException:
@@ -98,12 +112,19 @@ class DragClient:
         corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
         self.rest = [[x * width, y * height] for x, y in inner + corners]
         circle = [2 * math.pi * i / POSES for i in range(POSES)]
-        moves = [(0.06 * width * math.cos(angle), 0.06 * height * math.sin(angle)) for angle in circle]
-        self.poses = [[[x + dx, y + dy] if i == 0 else [x, y] for i, (x, y) in enumerate(self.rest)] for dx, dy in moves]
+        moves = [
+            (0.06 * width * math.cos(angle), 0.06 * height * math.sin(angle)) for angle in circle
+        ]
+        self.poses = [
+            [[x + dx, y + dy] if i == 0 else [x, y] for i, (x, y) in enumerate(self.rest)]
+            for dx, dy in moves
+        ]
         self.put(lone)
         self.expected = self._expected_frames(lone)
         if len(set.union(*self.expected)) < POSES * self.views:
-            raise Failure(f"two poses of {self.picture} look the same: nothing could be told from them")
+            raise Failure(
+                f"two poses of {self.picture} look the same: nothing could be told from them"
+            )
 
     def _size(self, lone):
         # Handles are in pixels: a session without handles returns the size.
@@ -133,7 +154,9 @@ class RequestClient(DragClient):
     def _expected_frames(self, lone):
         expected = []
         for pose in self.poses:
-            status, _, body = lone.ask("POST", f"/sessions/{self.session}/warp", json.dumps({"q": pose}))
+            status, _, body = lone.ask(
+                "POST", f"/sessions/{self.session}/warp", json.dumps({"q": pose})
+            )
             if status != 200:
                 raise Failure(f"the lone server answered {status}: {body[:300]!r}")
             expected.append({body})
@@ -152,7 +175,12 @@ class RequestClient(DragClient):
         """(status, whether the image is correct, `Warp-Plan`) of the next pose; the session id may be spelled differently."""
         self.seq += 1
         try:
-            status, said, body = server.ask("POST", f"/sessions/{session or self.session}/warp", self.question(), headers=headers)
+            status, said, body = server.ask(
+                "POST",
+                f"/sessions/{session or self.session}/warp",
+                self.question(),
+                headers=headers,
+            )
         except (OSError, http.client.HTTPException) as error:
             return repr(error), False, None
         return status, body in self.expected[self.seq % POSES], said["Warp-Plan"]
@@ -160,7 +188,9 @@ class RequestClient(DragClient):
     def _ask(self, server):
         """Whether there was a response: a cut-off request is repeated with the same seq."""
         try:
-            status, headers, answer = server.ask("POST", f"/sessions/{self.session}/warp", self.question())
+            status, headers, answer = server.ask(
+                "POST", f"/sessions/{self.session}/warp", self.question()
+            )
         except (OSError, http.client.HTTPException) as error:
             self.note("cut", repr(error))
             return False
@@ -179,7 +209,11 @@ class SocketClient(DragClient):
     views = 2
 
     def open(self, server, more=""):
-        return WebSocket(server.host, server.port, f"/sessions/{self.session}/drag?frames=png&width={PREVIEW_WIDTH}{more}")
+        return WebSocket(
+            server.host,
+            server.port,
+            f"/sessions/{self.session}/drag?frames=png&width={PREVIEW_WIDTH}{more}",
+        )
 
     def _expected_frames(self, lone):
         line, expected = self.open(lone, "&report=true"), []
@@ -217,7 +251,9 @@ class SocketClient(DragClient):
             except Closed as closed:
                 self.note("closed", closed.code)
             except Refused as refused:
-                self.note("refused", (refused.status, refused.headers.get("retry-after"), "a socket"))
+                self.note(
+                    "refused", (refused.status, refused.headers.get("retry-after"), "a socket")
+                )
                 time.sleep(PAUSE)
             except OSError as error:
                 self.note("cut", repr(error))

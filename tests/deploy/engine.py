@@ -28,8 +28,13 @@ class Engine:
         self.client, self.buildkit = self._client()
         if self.own:
             self._start()
-        version, storage = self.text("version", "--format", "{{.Server.Version}}"), self.text("info", "--format", "{{.Driver}}")
-        say(f"engine {version}, storage {storage}, {'started here' if self.own else 'found running'}")
+        version, storage = (
+            self.text("version", "--format", "{{.Server.Version}}"),
+            self.text("info", "--format", "{{.Driver}}"),
+        )
+        say(
+            f"engine {version}, storage {storage}, {'started here' if self.own else 'found running'}"
+        )
 
     def _answers(self):
         client = where("docker")
@@ -43,10 +48,17 @@ class Engine:
 
     def _client(self):
         """A client that builds as users build (BuildKit: built in before 23, a plugin since), or any client with the old builder."""
-        found = [c for c in dict.fromkeys((where("docker"), "/usr/bin/docker")) if c and os.path.exists(c)]
+        found = [
+            c
+            for c in dict.fromkeys((where("docker"), "/usr/bin/docker"))
+            if c and os.path.exists(c)
+        ]
         for client in found:
             version = text(client, "version", "--format", "{{.Client.Version}}", check=False) or "0"
-            if int(version.split(".")[0]) < 23 or run(client, "buildx", "version", check=False).returncode == 0:
+            if (
+                int(version.split(".")[0]) < 23
+                or run(client, "buildx", "version", check=False).returncode == 0
+            ):
                 return client, True
         if not found:
             raise Failure("no docker client after installing docker.io")
@@ -64,12 +76,20 @@ class Engine:
         ]  # fmt: skip
         with open(log, "wb") as out:
             self.daemon = subprocess.Popen(
-                [str(c) for c in command], stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True
+                [str(c) for c in command],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                start_new_session=True,
             )
         deadline = time.monotonic() + 60
-        while run(*self.prefix, self.client, *self.host, "info", check=False).returncode != 0 or not self.text("info"):
+        while run(
+            *self.prefix, self.client, *self.host, "info", check=False
+        ).returncode != 0 or not self.text("info"):
             if self.daemon.poll() is not None or time.monotonic() > deadline:
-                raise Failure(f"dockerd did not start; the end of what it said:\n{log.read_text(errors='replace')[-4000:]}")
+                raise Failure(
+                    f"dockerd did not start; the end of what it said:\n{log.read_text(errors='replace')[-4000:]}"
+                )
             time.sleep(0.2)
         self.pid = text(*AS_ROOT, "cat", pidfile)
 
@@ -133,11 +153,24 @@ class Apart(Engine):
 
     def load(self, engine, tag, name, *lines):
         """Takes an image of another engine under a name, with more lines of a Dockerfile."""
-        save = subprocess.Popen([str(c) for c in (*engine.prefix, engine.client, *engine.host, "save", tag)], stdout=subprocess.PIPE)
+        save = subprocess.Popen(
+            [str(c) for c in (*engine.prefix, engine.client, *engine.host, "save", tag)],
+            stdout=subprocess.PIPE,
+        )
         self("load", stdin=save.stdout)
         save.stdout.close()
         if save.wait() != 0:
             raise Failure(f"the image {tag} could not be read")
         with tempfile.TemporaryDirectory(dir=self.scratch) as context:
             Path(context, "Dockerfile").write_text("\n".join([f"FROM {tag}", *lines, ""]))
-            run(*self.prefix, "env", "DOCKER_BUILDKIT=0", self.client, *self.host, "build", "--tag", name, context)
+            run(
+                *self.prefix,
+                "env",
+                "DOCKER_BUILDKIT=0",
+                self.client,
+                *self.host,
+                "build",
+                "--tag",
+                name,
+                context,
+            )

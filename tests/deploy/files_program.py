@@ -17,7 +17,9 @@ WAIT_SECONDS = 20.0
 
 def declared():
     """Every variable in `mlswarp serve --help`, with its default."""
-    said = subprocess.run([PROGRAM, "serve", "--help"], check=True, capture_output=True, text=True, env=clean()).stdout
+    said = subprocess.run(
+        [PROGRAM, "serve", "--help"], check=True, capture_output=True, text=True, env=clean()
+    ).stdout
     variables = {}
     for option in re.split(r"\n(?= {2,}(?:-\w, )?--)", said):
         if name := re.search(r"\[env:\s+(MLSWARP_\w+)", option):
@@ -64,18 +66,30 @@ def serving(variables, preexec=None):
             here["MLSWARP_KEYS_FILE"] = f"{folder}/keys"
             Path(folder, "keys").write_text("test 0123456789abcdef\n")
         store = here.get("MLSWARP_STORE", "")
-        here["MLSWARP_STORE"] = f"file:{folder}/sessions.db" if store.startswith("file:") else "memory"
+        here["MLSWARP_STORE"] = (
+            f"file:{folder}/sessions.db" if store.startswith("file:") else "memory"
+        )
         # Not needed here.
         if "MLSWARP_DRAIN_DELAY" in here:
             here["MLSWARP_DRAIN_DELAY"] = "10ms"
         with open(f"{folder}/log", "w+") as log:
-            process = subprocess.Popen([PROGRAM, "serve"], env=clean(here), stdin=subprocess.DEVNULL, stdout=log, stderr=log, preexec_fn=preexec)
+            process = subprocess.Popen(
+                [PROGRAM, "serve"],
+                env=clean(here),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                preexec_fn=preexec,
+            )
 
             def ask(listener, path, data=None, headers=None):
                 url = f"http://127.0.0.1:{ports[listener]}{path}"
                 headers = {"Authorization": "Bearer 0123456789abcdef", **(headers or {})}
                 try:
-                    with urllib.request.urlopen(urllib.request.Request(url, data=data, headers=headers), timeout=WAIT_SECONDS) as answer:
+                    with urllib.request.urlopen(
+                        urllib.request.Request(url, data=data, headers=headers),
+                        timeout=WAIT_SECONDS,
+                    ) as answer:
                         return answer.status, answer.read()
                 except urllib.error.HTTPError as refused:
                     return refused.code, refused.read()
@@ -87,12 +101,16 @@ def serving(variables, preexec=None):
                         if ask("MLSWARP_LISTEN", "/readyz")[0] == 200:
                             break
                     if process.poll() is not None or time.monotonic() - begun > WAIT_SECONDS:
-                        raise AssertionError(f"the program does not start: {Path(log.name).read_text()[-2000:]}")
+                        raise AssertionError(
+                            f"the program does not start: {Path(log.name).read_text()[-2000:]}"
+                        )
                     time.sleep(0.05)
                 yield ask
                 process.send_signal(signal.SIGTERM)
                 status = process.wait(WAIT_SECONDS)
-                assert status == 0, f"the program ended with {status}: {Path(log.name).read_text()[-2000:]}"
+                assert status == 0, (
+                    f"the program ended with {status}: {Path(log.name).read_text()[-2000:]}"
+                )
             finally:
                 if process.poll() is None:
                     process.kill()

@@ -39,8 +39,16 @@ def planted(name):
 
 def take(engine, tree, tag, *settings):
     """The tree as an image with those settings."""
-    tar = subprocess.Popen([*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE)
-    engine("import", *(part for setting in settings for part in ("--change", setting)), "-", tag, stdin=tar.stdout)
+    tar = subprocess.Popen(
+        [*AS_ROOT, "tar", "-C", tree, "--numeric-owner", "-c", "."], stdout=subprocess.PIPE
+    )
+    engine(
+        "import",
+        *(part for setting in settings for part in ("--change", setting)),
+        "-",
+        tag,
+        stdin=tar.stdout,
+    )
     tar.stdout.close()
     if tar.wait() != 0:
         engine("image", "rm", tag, check=False)
@@ -70,20 +78,52 @@ def builder_image(engine):
         install("debootstrap")
     with planted("builder") as tree:
         with timed(f"making a Debian {SUITE} with gcc"):
-            run(*AS_ROOT, where("debootstrap"), "--variant=minbase", "--include=gcc,libc6-dev,ca-certificates", SUITE, tree)
+            run(
+                *AS_ROOT,
+                where("debootstrap"),
+                "--variant=minbase",
+                "--include=gcc,libc6-dev,ca-certificates",
+                SUITE,
+                tree,
+            )
         with timed("adding Rust to it"):
             rust = tree / "usr/local/rust"
-            run(*AS_ROOT, "mkdir", "-p", rust / "bin", rust / "lib/rustlib", tree / "usr/local/cargo")
+            run(
+                *AS_ROOT,
+                "mkdir",
+                "-p",
+                rust / "bin",
+                rust / "lib/rustlib",
+                tree / "usr/local/cargo",
+            )
             run(*AS_ROOT, "cp", "-a", sysroot / "bin/rustc", sysroot / "bin/cargo", rust / "bin")
-            run(*AS_ROOT, "cp", "-a", *(p for p in (sysroot / "lib").iterdir() if ".so" in p.name), rust / "lib")
+            run(
+                *AS_ROOT,
+                "cp",
+                "-a",
+                *(p for p in (sysroot / "lib").iterdir() if ".so" in p.name),
+                rust / "lib",
+            )
             run(*AS_ROOT, "cp", "-a", sysroot / "lib/rustlib" / target, rust / "lib/rustlib")
             # Copy the network settings of cargo.
             for file, place in ((certificates, "etc/ssl/certs/"), (settings, "usr/local/cargo/")):
                 if file.is_file():
                     run(*AS_ROOT, "cp", "-L", file, tree / place)
-            for unused in ("var/cache/apt", "var/lib/apt/lists", "usr/share/doc", "usr/share/man", "usr/share/locale"):
+            for unused in (
+                "var/cache/apt",
+                "var/lib/apt/lists",
+                "usr/share/doc",
+                "usr/share/man",
+                "usr/share/locale",
+            ):
                 run(*AS_ROOT, "rm", "-rf", tree / unused)
-            take(engine, tree, tag, "ENV PATH=/usr/local/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin", "ENV CARGO_HOME=/usr/local/cargo")
+            take(
+                engine,
+                tree,
+                tag,
+                "ENV PATH=/usr/local/rust/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+                "ENV CARGO_HOME=/usr/local/cargo",
+            )
     return tag
 
 
@@ -102,7 +142,9 @@ OWNED = {"data": "999:1000", "prometheus": "65534:65534"}
 def services_image(engine):
     """The proxy, the store and Prometheus in one image, with the libraries that they need and nothing else."""
     programs = {place: Path(where(name) or name).resolve() for place, name in SERVICES.items()}
-    key = hashlib.sha256(inspect.getsource(services_image).encode() + repr((SERVICES, OWNED)).encode())
+    key = hashlib.sha256(
+        inspect.getsource(services_image).encode() + repr((SERVICES, OWNED)).encode()
+    )
     for program in programs.values():
         key.update(program.read_bytes())
     tag = f"{SERVICES_NAME}:{key.hexdigest()[:16]}"
@@ -112,13 +154,22 @@ def services_image(engine):
         for place, program in programs.items():
             # Each library where the loader looks for it, which `ldd` says.
             libraries = [word for word in text("ldd", program).split() if word.startswith("/")]
-            for file, at in ((program, place), *((Path(library), library.lstrip("/")) for library in libraries)):
+            for file, at in (
+                (program, place),
+                *((Path(library), library.lstrip("/")) for library in libraries),
+            ):
                 (tree / at).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(file, tree / at)
         for directory, owner in OWNED.items():
             (tree / directory).mkdir()
             run(*AS_ROOT, "chown", owner, tree / directory)
-        take(engine, tree, tag, "ENV PATH=/usr/local/sbin:/usr/local/bin:/bin", 'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]')
+        take(
+            engine,
+            tree,
+            tag,
+            "ENV PATH=/usr/local/sbin:/usr/local/bin:/bin",
+            'CMD ["haproxy", "-f", "/usr/local/etc/haproxy/haproxy.cfg"]',
+        )
     return tag
 
 
@@ -131,21 +182,42 @@ def systemd_image(engine):
     if where("debootstrap") is None:
         install("debootstrap")
     with planted("systemd") as tree, timed(f"making a Debian {SUITE} with systemd"):
-        run(*AS_ROOT, where("debootstrap"), "--variant=minbase", "--include=systemd,systemd-sysv,ca-certificates,curl,openssl", SUITE, tree)
-        run(*AS_ROOT, "rm", "-rf", tree / "var/cache/apt", tree / "var/lib/apt/lists", tree / "usr/share/doc", tree / "usr/share/man")
+        run(
+            *AS_ROOT,
+            where("debootstrap"),
+            "--variant=minbase",
+            "--include=systemd,systemd-sysv,ca-certificates,curl,openssl",
+            SUITE,
+            tree,
+        )
+        run(
+            *AS_ROOT,
+            "rm",
+            "-rf",
+            tree / "var/cache/apt",
+            tree / "var/lib/apt/lists",
+            tree / "usr/share/doc",
+            tree / "usr/share/man",
+        )
         take(engine, tree, tag)
     return tag
 
 
 def build_options():
     """The proxies of this machine, as arguments of a build."""
-    proxies = [n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")]
+    proxies = [
+        n for n in os.environ if n.lower() in ("http_proxy", "https_proxy", "no_proxy", "all_proxy")
+    ]
     return [part for name in proxies for part in ("--build-arg", f"{name}={os.environ[name]}")]
 
 
 def copied(place):
     """A copy of the tracked files, which the commands may write into."""
-    names = run("git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard").stdout.decode().split("\0")
+    names = (
+        run("git", "-C", ROOT, "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+        .stdout.decode()
+        .split("\0")
+    )
     for name in filter(None, names):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, place / name)
@@ -155,7 +227,9 @@ def copied(place):
 def build(engine, tag=IMAGE, *options):
     """Builds deploy/Dockerfile unchanged, on the network of the host."""
     base = builder_image(engine)
-    with timed(f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"):
+    with timed(
+        f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"
+    ):
         with tempfile.TemporaryDirectory(dir=CACHE) as place:
             files = copied(Path(place) / "src")
             given = ["--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options]

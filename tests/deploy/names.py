@@ -34,11 +34,15 @@ class Names:
             network = f"127.{random.randint(64, 250)}.{random.randint(1, 250)}"
             ours, theirs = socket.socketpair()
             with ours, theirs:
-                done = run(*AS_ROOT, sys.executable, "-c", BIND, f"{network}.53", check=False, stdin=theirs)
+                done = run(
+                    *AS_ROOT, sys.executable, "-c", BIND, f"{network}.53", check=False, stdin=theirs
+                )
                 if done.returncode == 0:
                     _, (number,), _, _ = socket.recv_fds(ours, 1, 1)
                     return network, socket.socket(fileno=number)
-        raise Failure(f"no address of the loopback has port 53 free: {done.stderr.decode(errors='replace')[-300:]}")
+        raise Failure(
+            f"no address of the loopback has port 53 free: {done.stderr.decode(errors='replace')[-300:]}"
+        )
 
     @property
     def server(self):
@@ -74,7 +78,14 @@ class Names:
         found = [a for a in addresses or [] if kind == A]
         status = NAME_ERROR if addresses is None else 0
         # Header: response, recursion available; one question, the answers, no authority, no additional records.
-        head = question[:2] + bytes([0x81, 0x80 | status]) + b"".join(n.to_bytes(2, "big") for n in (1, len(found), 0, 0))
+        head = (
+            question[:2]
+            + bytes([0x81, 0x80 | status])
+            + b"".join(n.to_bytes(2, "big") for n in (1, len(found), 0, 0))
+        )
         # Each answer: the name of the question, an address, TTL of one second.
-        records = b"".join(b"\xc0\x0c" + bytes([0, A, 0, IN, 0, 0, 0, 1, 0, 4]) + socket.inet_aton(a) for a in found)
+        records = b"".join(
+            b"\xc0\x0c" + bytes([0, A, 0, IN, 0, 0, 0, 1, 0, 4]) + socket.inet_aton(a)
+            for a in found
+        )
         return head + question[12 : at + 5] + records

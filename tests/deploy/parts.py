@@ -48,7 +48,11 @@ def check_again(stage):
     try:
         files = (stage.program, program(stage.engine, stage.scratch / "again", other))
         digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-        stage.check("two builds of one tree give the same program", digests[0] == digests[1], " and ".join(digests))
+        stage.check(
+            "two builds of one tree give the same program",
+            digests[0] == digests[1],
+            " and ".join(digests),
+        )
     finally:
         stage.engine("image", "rm", "--force", other, check=False)
 

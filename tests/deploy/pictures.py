@@ -17,7 +17,9 @@ def decode_png(data):
     while at < len(data):
         length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
         body = data[at + 8 : at + 8 + length]
-        if zlib.crc32(kind + body) != int.from_bytes(data[at + 8 + length : at + 12 + length], "big"):
+        if zlib.crc32(kind + body) != int.from_bytes(
+            data[at + 8 + length : at + 12 + length], "big"
+        ):
             raise Failure(f"the PNG's chunk {kind!r} has a wrong checksum")
         if kind == b"IHDR":
             header = body
@@ -28,11 +30,16 @@ def decode_png(data):
     depth, colour, interlace = header[8], header[9], header[12]
     channels = {2: 3, 6: 4}.get(colour)
     if depth != 8 or channels is None or interlace:
-        raise Failure(f"a PNG of depth {depth}, colour type {colour}, interlace {interlace} is not read here")
+        raise Failure(
+            f"a PNG of depth {depth}, colour type {colour}, interlace {interlace} is not read here"
+        )
     lines, stride = zlib.decompress(packed), width * channels
     pixels, above = bytearray(), bytes(stride)
     for y in range(height):
-        kind, line = lines[y * (stride + 1)], bytearray(lines[y * (stride + 1) + 1 : (y + 1) * (stride + 1)])
+        kind, line = (
+            lines[y * (stride + 1)],
+            bytearray(lines[y * (stride + 1) + 1 : (y + 1) * (stride + 1)]),
+        )
         for x in range(stride) if kind else ():
             left = line[x - channels] if x >= channels else 0
             up, corner = above[x], above[x - channels] if x >= channels else 0
@@ -55,7 +62,10 @@ def decode_png(data):
 
 def moved_share(one, other):
     """The share of visibly different pixels of two images of equal size."""
-    moved = sum(any(abs(a - b) > MOVED_LEVEL for a, b in zip(one[i : i + 4], other[i : i + 4])) for i in range(0, len(one), 4))
+    moved = sum(
+        any(abs(a - b) > MOVED_LEVEL for a, b in zip(one[i : i + 4], other[i : i + 4]))
+        for i in range(0, len(one), 4)
+    )
     return moved / (len(one) // 4)
 
 

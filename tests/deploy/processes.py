@@ -52,7 +52,9 @@ class Process:
         return total
 
     def _children(self):
-        return Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        return (
+            Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        )
 
     def resident(self):
         """Bytes of memory."""
@@ -67,13 +69,22 @@ class Process:
                 if works():
                     return
             if self.process.poll() is not None or time.monotonic() > deadline:
-                raise Failure(f"{self.name}: {what} did not come:\n{self.log.read_text(errors='replace')[-3000:]}")
+                raise Failure(
+                    f"{self.name}: {what} did not come:\n{self.log.read_text(errors='replace')[-3000:]}"
+                )
             time.sleep(0.002)
 
 
 def replica(name, stage, address, port=8080, **environment):
     """The program of the image, ready."""
-    started = Process(name, stage.scratch, [stage.program], MLSWARP_LISTEN=f"{address}:{port}", MLSWARP_LOG="warn", **environment)
+    started = Process(
+        name,
+        stage.scratch,
+        [stage.program],
+        MLSWARP_LISTEN=f"{address}:{port}",
+        MLSWARP_LOG="warn",
+        **environment,
+    )
     server = Server(address, port)
     started.wait(lambda: server.ask("GET", "/readyz")[0] == 200, "readiness")
     return started
@@ -82,9 +93,22 @@ def replica(name, stage, address, port=8080, **environment):
 def redis(stage):
     """(process, address for `--store`) of a shared store."""
     port = free_port()
-    command = [where("redis-server"), "--port", port, "--bind", "127.0.0.1", "--save", "", "--dir", stage.scratch]
+    command = [
+        where("redis-server"),
+        "--port",
+        port,
+        "--bind",
+        "127.0.0.1",
+        "--save",
+        "",
+        "--dir",
+        stage.scratch,
+    ]
     started = Process("redis", stage.scratch, command)
-    started.wait(lambda: socket.create_connection(("127.0.0.1", port), timeout=1).close() is None, "a connection")
+    started.wait(
+        lambda: socket.create_connection(("127.0.0.1", port), timeout=1).close() is None,
+        "a connection",
+    )
     return started, f"redis://127.0.0.1:{port}"
 
 
@@ -95,5 +119,8 @@ def haproxy(stage, names, address, replicas):
         PROXY_LISTEN=f"{address}:8080", PROXY_METRICS_LISTEN=f"{address}:8404", PROXY_REPLICAS="mlswarp:8080", PROXY_DNS=f"{names.server}:53",
     )  # fmt: skip
     figures = Server(address, 8404)
-    started.wait(lambda: metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"') == replicas, f"{replicas} replicas")
+    started.wait(
+        lambda: metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"') == replicas,
+        f"{replicas} replicas",
+    )
     return started

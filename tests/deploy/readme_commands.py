@@ -9,5 +9,7 @@ README = ROOT / "deploy" / "README.md"
 
 def block(section):
     """The first shell block below a heading of the second level."""
-    [text] = re.findall(rf"^## {re.escape(section)}\n(.*?)(?=^## |\Z)", README.read_text(), re.M | re.S)
+    [text] = re.findall(
+        rf"^## {re.escape(section)}\n(.*?)(?=^## |\Z)", README.read_text(), re.M | re.S
+    )
     return re.search(r"^```sh\n(.*?)^```$", text, re.M | re.S)[1]

@@ -101,7 +101,10 @@ def check_retries(stage):
     with ExitStack() as running:
         names = running.enter_context(Names())
         names.addresses["mlswarp"] = [names.address(11 + i) for i in range(REPLICAS)]
-        replicas = [running.enter_context(Replica(address, deadly)) for address in names.addresses["mlswarp"]]
+        replicas = [
+            running.enter_context(Replica(address, deadly))
+            for address in names.addresses["mlswarp"]
+        ]
         running.enter_context(haproxy(stage, names, names.address(3), REPLICAS))
         front = Server(names.address(3), 8080)
         check_deadly(stage.check, front, met)
@@ -115,28 +118,56 @@ def check_deadly(check, front, met):
         body = question(DEADLY)
         status, headers, said = pose(front, body)
         problem = json.loads(said)
-        told = (status, headers["Content-Type"], headers["Retry-After"], problem["status"], problem["code"])
+        told = (
+            status,
+            headers["Content-Type"],
+            headers["Retry-After"],
+            problem["status"],
+            problem["code"],
+        )
         # Not `unavailable`, which clients retry automatically.
-        if told != (502, "application/problem+json", "1", 502, "internal") or len(set(met[body])) != 2 or len(met[body]) != 2:
+        if (
+            told != (502, "application/problem+json", "1", 502, "internal")
+            or len(set(met[body])) != 2
+            or len(met[body]) != 2
+        ):
             unlike.append((told, met[body]))
-    check("retries: a request over which replicas die is sent to two of them, and refused", not unlike, unlike[:2] or f"{QUESTIONS} of them")
+    check(
+        "retries: a request over which replicas die is sent to two of them, and refused",
+        not unlike,
+        unlike[:2] or f"{QUESTIONS} of them",
+    )
     answers = [pose(front, question("once")) for _ in range(QUESTIONS)]
     refused = [answer[:1] + answer[2:] for answer in answers if answer[0] != 200]
-    check("retries: what one replica has not answered is answered by another", not refused, refused[:2] or f"{QUESTIONS} of them")
+    check(
+        "retries: what one replica has not answered is answered by another",
+        not refused,
+        refused[:2] or f"{QUESTIONS} of them",
+    )
 
 
 def check_nginx(stage, names, met):
     front = Server(names.address(4), 8080)
-    place = derived(stage, f"{front.host}:8080", [f"{address}:8080" for address in names.addresses["mlswarp"]])
-    with Process("nginx", stage.scratch, [where("nginx"), "-e", "stderr", "-c", place, "-g", "daemon off;"]) as server:
+    place = derived(
+        stage, f"{front.host}:8080", [f"{address}:8080" for address in names.addresses["mlswarp"]]
+    )
+    with Process(
+        "nginx", stage.scratch, [where("nginx"), "-e", "stderr", "-c", place, "-g", "daemon off;"]
+    ) as server:
         server.wait(lambda: front.ask("GET", "/")[0] == 200, "an answer")
         # All on one connection, so by one worker, which might keep its upstream connections.
         for _ in range(8 * REPLICAS):
             front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", question([]))
         body = question(DEADLY)
         status, headers, _ = front.ask("POST", f"/sessions/{uuid.uuid4()}/warp", body)
-        right = (status, headers["Retry-After"]) == (502, "1") and len(met[body]) == len(set(met[body])) == 2
-        stage.check("retries: nginx sends a request over which replicas die to two of them", right, (status, met[body]))
+        right = (status, headers["Retry-After"]) == (502, "1") and len(met[body]) == len(
+            set(met[body])
+        ) == 2
+        stage.check(
+            "retries: nginx sends a request over which replicas die to two of them",
+            right,
+            (status, met[body]),
+        )
 
 
 def check_kills(check, front, replicas):
@@ -165,4 +196,8 @@ def check_kills(check, front, replicas):
         stop.set()
         for thread in threads:
             thread.join()
-    check(f"retries: nobody notices that replicas are killed, {DEATHS} times", answered and not refused, refused[:3] or f"{len(answered)} answers")
+    check(
+        f"retries: nobody notices that replicas are killed, {DEATHS} times",
+        answered and not refused,
+        refused[:3] or f"{len(answered)} answers",
+    )

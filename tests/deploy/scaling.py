@@ -49,8 +49,16 @@ def measure(stage, names, addresses, rates):
         # A shared store: requests that bounded load moves to the second replica need the session there.
         shared, store = redis(stage)
         running.enter_context(shared)
-        environment = {"MLSWARP_WORKERS": "1", "MLSWARP_DRAG_WAIT": "30s", "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8", "MLSWARP_STORE": store}
-        replicas = [running.enter_context(replica(f"scaling-{a}", stage, a, **environment)) for a in addresses]
+        environment = {
+            "MLSWARP_WORKERS": "1",
+            "MLSWARP_DRAG_WAIT": "30s",
+            "MLSWARP_TRUSTED_PROXIES": "127.0.0.0/8",
+            "MLSWARP_STORE": store,
+        }
+        replicas = [
+            running.enter_context(replica(f"scaling-{a}", stage, a, **environment))
+            for a in addresses
+        ]
         proxy = running.enter_context(haproxy(stage, names, names.address(3), len(addresses)))
         paths = upload(Server(names.address(3), 8080), [Server(a, 8080) for a in addresses])
         for what, output in OUTPUTS.items():
@@ -58,17 +66,29 @@ def measure(stage, names, addresses, rates):
             script.write_text(LOAD % (", ".join(f"'{path}/warp'" for path in paths), output))
             before = [p.processor_seconds() for p in (*replicas, proxy)]
             said = run(
-                where("wrk"), "-t1", f"-c{CONNECTIONS}", f"-d{SECONDS}s", "-s", script, f"http://{names.address(3)}:8080"
+                where("wrk"),
+                "-t1",
+                f"-c{CONNECTIONS}",
+                f"-d{SECONDS}s",
+                "-s",
+                script,
+                f"http://{names.address(3)}:8080",
             ).stdout.decode()
             used = [p.processor_seconds() - b for p, b in zip((*replicas, proxy), before)]
             requests = int(re.search(r"(\d+) requests in", said)[1])
             bad = re.search(r"Non-2xx.*", said)
             stage.check(
-                f"scaling, {len(addresses)} replica(s), {what}: no answer was an error", bad is None and requests > 0, bad and bad[0]
+                f"scaling, {len(addresses)} replica(s), {what}: no answer was an error",
+                bad is None and requests > 0,
+                bad and bad[0],
             )
             rates[what, len(addresses)] = float(re.search(r"Requests/sec:\s+([\d.]+)", said)[1])
-            each = " + ".join(f"{u / max(requests, 1) * 1000:.2f}" for u in (sum(used[:-1]), used[-1]))
-            say(f"scaling, {len(addresses)} replica(s), {what}: {requests} requests, processor ms each: replica + proxy {each}")
+            each = " + ".join(
+                f"{u / max(requests, 1) * 1000:.2f}" for u in (sum(used[:-1]), used[-1])
+            )
+            say(
+                f"scaling, {len(addresses)} replica(s), {what}: {requests} requests, processor ms each: replica + proxy {each}"
+            )
 
 
 def upload(front, replicas):
@@ -82,7 +102,10 @@ def upload(front, replicas):
         path, rest = f"/sessions/{uuid.uuid4()}", [[100 + made, 120], *REST]
         front.json("PUT", path, (201,), *multipart(picture, {"p": rest}))
         # Its own replica is warm since the upload.
-        plans = [server.ask("POST", f"{path}/warp", json.dumps({"q": rest}))[1]["Warp-Plan"] for server in replicas]
+        plans = [
+            server.ask("POST", f"{path}/warp", json.dumps({"q": rest}))[1]["Warp-Plan"]
+            for server in replicas
+        ]
         home = plans.index("hit")
         if len(paths[home]) < SESSIONS:
             paths[home].append(path)

@@ -23,8 +23,14 @@ class Stack:
         self.engine, self.names, self.file = engine, names, scratch / "compose.json"
         self.project = f"mlswarp-test-{os.getpid()}"
         self.replicas = {f"mlswarp-{i}": names.address(n) for i, n in enumerate(REPLICAS, 1)}
-        self.addresses = {"proxy": names.address(PROXY), "store": names.address(STORE), "prometheus": names.address(PROMETHEUS)}
-        names.addresses.update({name: [address] for name, address in self.addresses.items()}, mlswarp=[])
+        self.addresses = {
+            "proxy": names.address(PROXY),
+            "store": names.address(STORE),
+            "prometheus": names.address(PROMETHEUS),
+        }
+        names.addresses.update(
+            {name: [address] for name, address in self.addresses.items()}, mlswarp=[]
+        )
         given = {
             "images": {"mlswarp": IMAGE, "services": services},
             "names": names.server,
@@ -33,18 +39,39 @@ class Stack:
             "without": WITHOUT,
         }
         derived = subprocess.run(
-            ["/usr/bin/python3", ROOT / "tests/deploy/derive.py", COMPOSE], input=json.dumps(given).encode(), capture_output=True
+            ["/usr/bin/python3", ROOT / "tests/deploy/derive.py", COMPOSE],
+            input=json.dumps(given).encode(),
+            capture_output=True,
         )
         if derived.returncode != 0:
-            raise Failure(f"compose.yaml was not derived: {derived.stderr.decode(errors='replace')}")
+            raise Failure(
+                f"compose.yaml was not derived: {derived.stderr.decode(errors='replace')}"
+            )
         self.file.write_bytes(derived.stdout)
         self.proxy = Server(self.addresses["proxy"], 8080)
 
     def compose(self, *arguments, file=None, **options):
         """Runs docker-compose in the directory of compose.yaml, so that relative paths work."""
         host = [f"DOCKER_HOST={self.engine.host[1]}"] if self.engine.host else []
-        place = ("--project-directory", COMPOSE.parent, "--project-name", self.project, "--file", file or self.file)
-        return run(*self.engine.prefix, "env", *host, where("docker-compose"), "--ansi", "never", *place, *arguments, **options)
+        place = (
+            "--project-directory",
+            COMPOSE.parent,
+            "--project-name",
+            self.project,
+            "--file",
+            file or self.file,
+        )
+        return run(
+            *self.engine.prefix,
+            "env",
+            *host,
+            where("docker-compose"),
+            "--ansi",
+            "never",
+            *place,
+            *arguments,
+            **options,
+        )
 
     def __enter__(self):
         return self
@@ -53,7 +80,10 @@ class Stack:
         if kind is not None:
             with contextlib.suppress(Failure):
                 done = self.compose("logs", "--no-color", "--tail", "25", check=False)
-                say("the stack said:\n" + (done.stdout + done.stderr).decode(errors="replace")[-12000:])
+                say(
+                    "the stack said:\n"
+                    + (done.stdout + done.stderr).decode(errors="replace")[-12000:]
+                )
         self.compose("down", "--volumes", "--timeout", "5", check=False)
 
     def start(self):
@@ -78,14 +108,18 @@ class Stack:
         container, deadline = self.container(service), time.monotonic() + HEALTHY_SECONDS
         while (state := self.state(container))["Health"]["Status"] != "healthy":
             if time.monotonic() > deadline or not state["Running"]:
-                raise Failure(f"{service} is {state['Status']}, {state['Health']['Status']}: {state['Health']['Log'][-1:]}")
+                raise Failure(
+                    f"{service} is {state['Status']}, {state['Health']['Status']}: {state['Health']['Log'][-1:]}"
+                )
             time.sleep(0.2)
 
     def wait_balanced(self, replicas):
         """Waits until the proxy uses this number of replicas."""
         deadline = time.monotonic() + HEALTHY_SECONDS
         figures = Server(self.addresses["proxy"], 8404)
-        while (count := int(metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"'))) != replicas:
+        while (
+            count := int(metric(figures, "haproxy_backend_active_servers", 'proxy="sessions"'))
+        ) != replicas:
             if time.monotonic() > deadline:
                 raise Failure(f"the proxy has {count} replicas in the place of {replicas}")
             time.sleep(0.1)

@@ -23,11 +23,17 @@ class Phase:
 
     def all(self, what):
         """The details of all entries of this kind."""
-        return [entry.detail for part in self.parts.values() for entry in part if entry.what == what]
+        return [
+            entry.detail for part in self.parts.values() for entry in part if entry.what == what
+        ]
 
     def gap(self, client):
         """The longest time without a frame, in ms."""
-        moments = [self.begun, *(entry.at for entry in self.parts[client] if entry.what == "frame"), self.ended]
+        moments = [
+            self.begun,
+            *(entry.at for entry in self.parts[client] if entry.what == "frame"),
+            self.ended,
+        ]
         return max(b - a for a, b in zip(moments, moments[1:], strict=False)) * 1000
 
 
@@ -43,18 +49,29 @@ class Timeline:
 
     def phases(self, records):
         for (name, begun), (_, ended) in zip(self.events, self.events[1:], strict=False):
-            parts = {client: [e for e in record if begun <= e.at < ended] for client, record in records.items()}
+            parts = {
+                client: [e for e in record if begun <= e.at < ended]
+                for client, record in records.items()
+            }
             yield Phase(name, begun, ended, parts)
 
 
 def check_phases(check, timeline, clients, facts):
     records = {client.name: client.record for client in clients}
     kinds = Counter(entry.what for record in records.values() for entry in record)
-    check("every picture is the right one", not kinds["wrong"], f"{kinds['frame']} right, {kinds['wrong']} wrong")
+    check(
+        "every picture is the right one",
+        not kinds["wrong"],
+        f"{kinds['frame']} right, {kinds['wrong']} wrong",
+    )
     for phase in timeline.phases(records):
         report(phase)
         check_phase(check, phase, facts)
-    check("the third replica has its share", facts["third"] > 0, f"{facts['third']:.0f} requests and frames")
+    check(
+        "the third replica has its share",
+        facts["third"] > 0,
+        f"{facts['third']:.0f} requests and frames",
+    )
 
 
 def report(phase):
@@ -63,14 +80,22 @@ def report(phase):
     say(f"{phase.name}: {len(phase.all('frame'))} frames, longest gaps {gaps} ms")
     plans = Counter(filter(None, phase.all("frame")))
     refused = Counter(f"{status} {said}" for status, _, said in phase.all("refused"))
-    say(f"{phase.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; {len(phase.all('upload'))} uploads")
-    broken = f"{len(phase.all('cut'))} cut short, sockets closed with {phase.all('closed') or 'nothing'}"
+    say(
+        f"{phase.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; {len(phase.all('upload'))} uploads"
+    )
+    broken = (
+        f"{len(phase.all('cut'))} cut short, sockets closed with {phase.all('closed') or 'nothing'}"
+    )
     say(f"{phase.name}: refused {dict(refused) or 'nothing'}, {broken}")
 
 
 def check_phase(check, phase, facts):
     name, refused, closed = phase.name, phase.all("refused"), phase.all("closed")
-    silent = [client for client, part in phase.parts.items() if client != "uploads" and not any(e.what == "frame" for e in part)]
+    silent = [
+        client
+        for client, part in phase.parts.items()
+        if client != "uploads" and not any(e.what == "frame" for e in part)
+    ]
     check(f"{name}: every client receives frames", not silent, silent)
     # A response that a killed replica has begun cannot be completed by another one: the client already has the status. It repeats the request.
     if name != KILLED:
@@ -82,7 +107,15 @@ def check_phase(check, phase, facts):
         check(f"{name}: nobody is refused", not refused, refused[:3])
     if name == DRAINED:
         there = facts["sockets drained"]
-        check("its sockets were closed with 1012", there >= 1 and closed == [GOING_AWAY] * int(there), f"{closed} of {there:.0f}")
-        check("it ended with 0", facts["drained exit"] == 0, f"exit {facts['drained exit']} after {facts['drained in']:.1f} s")
+        check(
+            "its sockets were closed with 1012",
+            there >= 1 and closed == [GOING_AWAY] * int(there),
+            f"{closed} of {there:.0f}",
+        )
+        check(
+            "it ended with 0",
+            facts["drained exit"] == 0,
+            f"exit {facts['drained exit']} after {facts['drained in']:.1f} s",
+        )
     elif name != KILLED:
         check(f"{name}: no socket is closed", not closed, closed)

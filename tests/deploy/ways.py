@@ -35,8 +35,21 @@ def docker_of(stage, engine, place):
     """A directory with the `docker` that the commands call."""
     place.mkdir()
     # BuildKit finds every layer in its cache: the image was built from such a copy, with the same modes of files and directories.
-    options = " ".join(["--network=host", "--build-arg", f"BUILDER={builder_image(stage.engine)}", *build_options()])
-    own = (*stage.engine.prefix, "env", f"DOCKER_BUILDKIT={int(stage.engine.buildkit)}", stage.engine.client, *stage.engine.host)
+    options = " ".join(
+        [
+            "--network=host",
+            "--build-arg",
+            f"BUILDER={builder_image(stage.engine)}",
+            *build_options(),
+        ]
+    )
+    own = (
+        *stage.engine.prefix,
+        "env",
+        f"DOCKER_BUILDKIT={int(stage.engine.buildkit)}",
+        stage.engine.client,
+        *stage.engine.host,
+    )
     own = " ".join(map(str, own))
     other = " ".join(map(str, (*engine.prefix, engine.client, *engine.host)))
     script = place / "docker"
@@ -79,10 +92,26 @@ def check_docker(stage, engine, folder, inside):
     try:
         if as_written(stage.check, "Docker", inside):
             stage.check("Docker: the picture is there", is_png(folder / "warped.png"))
-            state = json.loads(engine.text("inspect", "--format", "{{json .HostConfig}}", "mlswarp"))
-            hardened = state["ReadonlyRootfs"] and state["CapDrop"] == ["ALL"] and state["Memory"] > 0
-            stage.check("Docker: the container is read-only, without capabilities, with limited memory", hardened)
-            refused = run(*inside, "curl", "-sS", "-o", "/dev/null", "-w", "%{http_code}", "http://127.0.0.1:8080/metrics").stdout.decode()
+            state = json.loads(
+                engine.text("inspect", "--format", "{{json .HostConfig}}", "mlswarp")
+            )
+            hardened = (
+                state["ReadonlyRootfs"] and state["CapDrop"] == ["ALL"] and state["Memory"] > 0
+            )
+            stage.check(
+                "Docker: the container is read-only, without capabilities, with limited memory",
+                hardened,
+            )
+            refused = run(
+                *inside,
+                "curl",
+                "-sS",
+                "-o",
+                "/dev/null",
+                "-w",
+                "%{http_code}",
+                "http://127.0.0.1:8080/metrics",
+            ).stdout.decode()
             stage.check("Docker: without the key it is closed", refused == "401", refused)
     finally:
         engine("rm", "--force", "mlswarp", check=False)
@@ -90,7 +119,9 @@ def check_docker(stage, engine, folder, inside):
 
 def check_compose(stage, engine, folder, inside):
     (folder / "warped.png").unlink(missing_ok=True)
-    for name, image in re.findall(r"^  (\w+):\n    <<: \*locked\n    image: (\S+)$", COMPOSE.read_text(), re.M):
+    for name, image in re.findall(
+        r"^  (\w+):\n    <<: \*locked\n    image: (\S+)$", COMPOSE.read_text(), re.M
+    ):
         lines = [f"ENTRYPOINT {ENTRY[name]}", "CMD []"] if name in ENTRY else []
         engine.load(stage.engine, stage.services, image, *lines)
     compose = ("docker", "compose", "-f", "deploy/compose.yaml")
@@ -98,7 +129,11 @@ def check_compose(stage, engine, folder, inside):
         if as_written(stage.check, "Docker Compose", inside):
             stage.check("Docker Compose: the picture is there", is_png(folder / "warped.png"))
             replicas = run(*inside, *compose, "ps", "--quiet", "mlswarp").stdout.split()
-            stage.check("Docker Compose: a third replica has joined", len(replicas) == 3, f"{len(replicas)} replicas")
+            stage.check(
+                "Docker Compose: a third replica has joined",
+                len(replicas) == 3,
+                f"{len(replicas)} replicas",
+            )
     finally:
         if stage.check.failed:
             done = run(*inside, *compose, "logs", "--no-color", "--tail", "15", check=False)
@@ -116,7 +151,9 @@ CAPABILITIES = (
 
 def capabilities():
     """The capabilities that a process of this machine can have."""
-    bounding = int(re.search(r"^CapBnd:\s+(\w+)", Path("/proc/self/status").read_text(), re.M)[1], 16)
+    bounding = int(
+        re.search(r"^CapBnd:\s+(\w+)", Path("/proc/self/status").read_text(), re.M)[1], 16
+    )
     return [name for number, name in enumerate(CAPABILITIES) if bounding >> number & 1]
 
 
@@ -133,7 +170,9 @@ def booted(stage, engine, folder):
     cargo.chmod(0o755)
     # What `--privileged` gives, but only those capabilities that this machine has.
     rights = [f"--cap-add={capability}" for capability in capabilities()]
-    rights += [f"--security-opt={what}=unconfined" for what in ("seccomp", "apparmor", "systempaths")]
+    rights += [
+        f"--security-opt={what}=unconfined" for what in ("seccomp", "apparmor", "systempaths")
+    ]
     if Path("/sys/fs/cgroup/cgroup.controllers").exists():
         groups, writable = ["--cgroupns=private"], "mount -o remount,rw /sys/fs/cgroup && "
     else:
@@ -146,11 +185,23 @@ def booted(stage, engine, folder):
     )  # fmt: skip
     try:
         deadline = time.monotonic() + BOOT_SECONDS
-        while (state := engine.text("exec", name, "systemctl", "is-system-running", check=False)) not in ("running", "degraded"):
+        while (
+            state := engine.text("exec", name, "systemctl", "is-system-running", check=False)
+        ) not in ("running", "degraded"):
             if time.monotonic() > deadline:
-                raise Failure(f"systemd did not boot in the container: {state!r}: {engine.text('logs', '--tail', '20', name, check=False)}")
+                raise Failure(
+                    f"systemd did not boot in the container: {state!r}: {engine.text('logs', '--tail', '20', name, check=False)}"
+                )
             time.sleep(0.2)
-        yield [*engine.prefix, engine.client, *engine.host, "exec", "--env", "PATH=/given:/usr/sbin:/usr/bin:/sbin:/bin", name]
+        yield [
+            *engine.prefix,
+            engine.client,
+            *engine.host,
+            "exec",
+            "--env",
+            "PATH=/given:/usr/sbin:/usr/bin:/sbin:/bin",
+            name,
+        ]
     finally:
         engine("rm", "--force", name, check=False)
 
@@ -158,24 +209,64 @@ def booted(stage, engine, folder):
 def check_systemd(stage, engine, folder):
     with booted(stage, engine, folder) as inside:
         if not as_written(stage.check, "systemd", inside):
-            say("the unit said:\n" + text(*inside, "journalctl", "--no-pager", "-n", "30", "-u", "mlswarp", check=False))
+            say(
+                "the unit said:\n"
+                + text(
+                    *inside, "journalctl", "--no-pager", "-n", "30", "-u", "mlswarp", check=False
+                )
+            )
             say(text(*inside, "systemctl", "status", "--no-pager", "mlswarp", check=False))
             return
         shown = text(*inside, "systemctl", "show", "mlswarp", "-p", "ActiveState,MainPID,NRestarts")
         shown = dict(line.split("=", 1) for line in shown.splitlines())
-        stage.check("systemd: the unit is active", shown["ActiveState"] == "active" and shown["NRestarts"] == "0", shown)
+        stage.check(
+            "systemd: the unit is active",
+            shown["ActiveState"] == "active" and shown["NRestarts"] == "0",
+            shown,
+        )
         status = text(*inside, "cat", f"/proc/{shown['MainPID']}/status")
         found = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
         unprivileged = "0" not in found["Uid"].split() and int(found["CapEff"], 16) == 0
-        stage.check("systemd: the program is not root and has no capability", unprivileged, found["Uid"].split())
+        stage.check(
+            "systemd: the program is not root and has no capability",
+            unprivileged,
+            found["Uid"].split(),
+        )
         filtered = (found["NoNewPrivs"], found["Seccomp"]) == ("1", "2")
-        stage.check("systemd: it cannot gain privileges, and its system calls are filtered", filtered)
+        stage.check(
+            "systemd: it cannot gain privileges, and its system calls are filtered", filtered
+        )
         key = KEY.search(text(*inside, "cat", "/etc/mlswarp/keys"))[1]
-        ask = ("curl", "-sS", "--fail-with-body", "--retry", "20", "--retry-all-errors", "--retry-delay", "1", "-H", f"Authorization: Bearer {key}")
-        opened = text(*inside, *ask, "-F", "image=@tests/images/chelsea.png", "-F", 'warp={"p":[[9,9]]}', "http://127.0.0.1:8080/sessions")
+        ask = (
+            "curl",
+            "-sS",
+            "--fail-with-body",
+            "--retry",
+            "20",
+            "--retry-all-errors",
+            "--retry-delay",
+            "1",
+            "-H",
+            f"Authorization: Bearer {key}",
+        )
+        opened = text(
+            *inside,
+            *ask,
+            "-F",
+            "image=@tests/images/chelsea.png",
+            "-F",
+            'warp={"p":[[9,9]]}',
+            "http://127.0.0.1:8080/sessions",
+        )
         run(*inside, "systemctl", "restart", "mlswarp")
-        kept = run(*inside, *ask, f"http://127.0.0.1:8080/sessions/{json.loads(opened)['id']}", check=False)
-        stage.check("systemd: a session survives a restart", kept.returncode == 0, kept.stdout.decode()[:200] if kept.returncode else "")
+        kept = run(
+            *inside, *ask, f"http://127.0.0.1:8080/sessions/{json.loads(opened)['id']}", check=False
+        )
+        stage.check(
+            "systemd: a session survives a restart",
+            kept.returncode == 0,
+            kept.stdout.decode()[:200] if kept.returncode else "",
+        )
         run(*inside, "systemctl", "stop", "mlswarp")
         result = text(*inside, "systemctl", "show", "mlswarp", "-p", "Result", "--value")
         stage.check("systemd: it stops without a failure", result == "success", result)
@@ -188,7 +279,15 @@ def check_ways(stage):
         engine.open()
         path = f"{docker_of(stage, engine, stage.scratch / 'ways' / 'bin')}:{os.environ['PATH']}"
         # Where the published ports are, with nothing of this machine's settings.
-        inside = (*engine.inside, "env", "--ignore-environment", "--chdir", folder, f"PATH={path}", f"HOME={folder}")
+        inside = (
+            *engine.inside,
+            "env",
+            "--ignore-environment",
+            "--chdir",
+            folder,
+            f"PATH={path}",
+            f"HOME={folder}",
+        )
         check_docker(stage, engine, folder, inside)
         check_compose(stage, engine, folder, inside)
         check_systemd(stage, engine, folder)

@@ -43,7 +43,10 @@ class WebSocket:
             self._more()
         head, _, self.buffer = self.buffer.partition(b"\r\n\r\n")
         line, *lines = head.decode("latin-1").split("\r\n")
-        headers = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+        headers = {
+            name.lower(): value.strip()
+            for name, _, value in (line.partition(":") for line in lines)
+        }
         if (status := int(line.split()[1])) != 101:
             self.close()
             raise Refused(status, headers)
@@ -62,7 +65,11 @@ class WebSocket:
         mask = os.urandom(4)
         masked = bytes(b ^ mask[i % 4] for i, b in enumerate(payload))
         length = len(payload)
-        head = bytes([0x80 | kind, 0x80 | length]) if length < 126 else bytes([0x80 | kind, 0xFE]) + length.to_bytes(2, "big")
+        head = (
+            bytes([0x80 | kind, 0x80 | length])
+            if length < 126
+            else bytes([0x80 | kind, 0xFE]) + length.to_bytes(2, "big")
+        )
         try:
             self.socket.sendall(head + mask + masked)
         except OSError:
@@ -75,7 +82,12 @@ class WebSocket:
             while (frame := self._frame()) is None:
                 # TLS may have read more than was asked for.
                 pending = getattr(self.socket, "pending", lambda: 0)()
-                if not pending and not select.select([self.socket], [], [], max(0.0, until - time.monotonic()))[0]:
+                if (
+                    not pending
+                    and not select.select(
+                        [self.socket], [], [], max(0.0, until - time.monotonic())
+                    )[0]
+                ):
                     return None
                 self._more()
             last, kind, payload = frame

@@ -38,7 +38,17 @@ document.addEventListener("securitypolicyviolation", (event) => troubles.push(`p
 def display():
     """A virtual display; yields its name."""
     reader, writer = os.pipe()
-    command = [program("Xvfb"), "-displayfd", str(writer), "-screen", "0", f"{SIZE[0]}x{SIZE[1]}x24", "-nolisten", "tcp", "-noreset"]
+    command = [
+        program("Xvfb"),
+        "-displayfd",
+        str(writer),
+        "-screen",
+        "0",
+        f"{SIZE[0]}x{SIZE[1]}x24",
+        "-nolisten",
+        "tcp",
+        "-noreset",
+    ]
     with open(KEPT / "xvfb.log", "wb") as log:
         server = subprocess.Popen(command, pass_fds=[writer], stdout=log, stderr=log)
     os.close(writer)
@@ -62,9 +72,25 @@ def program(name):
 def geckodriver():
     root = KEPT / "geckodriver"
     built = root / "bin" / "geckodriver"
-    known = built.exists() and subprocess.run([built, "--version"], capture_output=True, text=True, check=True).stdout.split()[1]
+    known = (
+        built.exists()
+        and subprocess.run(
+            [built, "--version"], capture_output=True, text=True, check=True
+        ).stdout.split()[1]
+    )
     if known != GECKODRIVER:
-        command = ["cargo", "install", "geckodriver", "--version", GECKODRIVER, "--locked", "--debug", "--force", "--root", root]
+        command = [
+            "cargo",
+            "install",
+            "geckodriver",
+            "--version",
+            GECKODRIVER,
+            "--locked",
+            "--debug",
+            "--force",
+            "--root",
+            root,
+        ]
         subprocess.run(command, env={**os.environ, "CARGO_PROFILE_DEV_DEBUG": "false"}, check=True)
     return built
 
@@ -81,7 +107,12 @@ def environment(name, folder):
     config.mkdir(parents=True)
     (folder / "downloads").mkdir()
     (config / "user-dirs.dirs").write_text(f'XDG_DOWNLOAD_DIR="{folder}/downloads"\n')
-    homes = {"HOME": folder, "XDG_CONFIG_HOME": config, "XDG_CACHE_HOME": folder / "cache", "XDG_DATA_HOME": folder / "data"}
+    homes = {
+        "HOME": folder,
+        "XDG_CONFIG_HOME": config,
+        "XDG_CACHE_HOME": folder / "cache",
+        "XDG_DATA_HOME": folder / "data",
+    }
     return {**os.environ, **{key: str(value) for key, value in homes.items()}, "DISPLAY": name}
 
 
@@ -95,7 +126,9 @@ def firefox(name, folder):
     }
     for key, value in preferences.items():
         options.set_preference(key, value)
-    service = FirefoxService(str(geckodriver()), log_output=str(KEPT / "firefox.log"), env=environment(name, folder))
+    service = FirefoxService(
+        str(geckodriver()), log_output=str(KEPT / "firefox.log"), env=environment(name, folder)
+    )
     return webdriver.Firefox(options=options, service=service)
 
 
@@ -103,7 +136,11 @@ def webkit(name, folder):
     options = WebKitOptions()
     options.binary_location = str(minibrowser())
     options.add_argument("--automation")
-    service = WebKitService(program("WebKitWebDriver"), log_output=str(KEPT / "webkit.log"), env=environment(name, folder))
+    service = WebKitService(
+        program("WebKitWebDriver"),
+        log_output=str(KEPT / "webkit.log"),
+        env=environment(name, folder),
+    )
     return webdriver.WebKitGTK(options=options, service=service)
 
 
@@ -151,7 +188,10 @@ class Drive:
     def ready(self):
         """Waits for the server's PNG of the newest pose."""
         complete = {"state": "ready", "source": "png", "problem": ""}
-        return self.until("the server's picture", lambda data: complete.items() <= data.items() and data["shown"] == data["revision"])
+        return self.until(
+            "the server's picture",
+            lambda data: complete.items() <= data.items() and data["shown"] == data["revision"],
+        )
 
     def find(self, id):
         return self.driver.find_element(By.ID, id)
@@ -159,7 +199,9 @@ class Drive:
     def at(self, x, y):
         """Position of a picture position in the window, CSS px."""
         data = self.data
-        left, top = self.driver.execute_script("const { x, y } = document.getElementById('stage').getBoundingClientRect(); return [x, y]")
+        left, top = self.driver.execute_script(
+            "const { x, y } = document.getElementById('stage').getBoundingClientRect(); return [x, y]"
+        )
         pan, zoom = [float(c) for c in data["pan"].split(",")], float(data["zoom"])
         return left + pan[0] + zoom * x, top + pan[1] + zoom * y
 
@@ -172,7 +214,9 @@ class Drive:
             elif step == "up":
                 chain.w3c_actions.pointer_action.pointer_up()
             else:
-                chain.w3c_actions.pointer_action.move_to_location(*(round(c) for c in self.at(*step)))
+                chain.w3c_actions.pointer_action.move_to_location(
+                    *(round(c) for c in self.at(*step))
+                )
         chain.perform()
 
     def look(self):
@@ -180,7 +224,9 @@ class Drive:
         png = self.driver.get_screenshot_as_png()
         shown = Image.open(io.BytesIO(png)).width / self.driver.execute_script("return innerWidth")
         assert shown == 1, f"the screenshot is scaled by {shown}"
-        width, height = self.driver.execute_script("const { naturalWidth: w, naturalHeight: h } = document.getElementById('original'); return [w, h]")
+        width, height = self.driver.execute_script(
+            "const { naturalWidth: w, naturalHeight: h } = document.getElementById('original'); return [w, h]"
+        )
         return Look(png, self.at(0, 0), self.at(width, height), float(self.data["zoom"]))
 
     def seen(self, what, holds):
@@ -202,8 +248,12 @@ class Drive:
         give_up = time.monotonic() + DEADLINE
         path = self.downloads / name
         # Firefox writes to NAME.part beside it, WebKit to NAME.wkdownload; both rename at the end.
-        while not path.exists() or not path.stat().st_size or len(list(self.downloads.iterdir())) > 1:
-            assert time.monotonic() < give_up, f"{name} does not come: {list(self.downloads.iterdir())}"
+        while (
+            not path.exists() or not path.stat().st_size or len(list(self.downloads.iterdir())) > 1
+        ):
+            assert time.monotonic() < give_up, (
+                f"{name} does not come: {list(self.downloads.iterdir())}"
+            )
             time.sleep(0.05)
         data = path.read_bytes()
         path.unlink()

@@ -17,7 +17,9 @@ class Link(Visited):
         assert LINK.exists(), f"{LINK} does not exist: cargo build --locked --example link"
         self.ask = server.ask
         command = [LINK, f"127.0.0.1:{server.port}", str(mbit), str(ms)]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         self.address = f"http://127.0.0.1:{self.process.stdout.readline().strip()}"
 
     def tell(self, command):
@@ -113,9 +115,13 @@ def distances(visit, columns, rows, q):
     """
     warp = visit.warp()
     wide, high = (int(float(c)) for c in visit["canvas"].split(",")[2:])
-    points = [[(i + 0.5) * wide / 120, (j + 0.5) * high / 90] for j in range(90) for i in range(120)]
+    points = [
+        [(i + 0.5) * wide / 120, (j + 0.5) * high / 90] for j in range(90) for i in range(120)
+    ]
     # The handles, where the drawing is worst.
-    places = [[place for handle in handles for place in vertices(handle)] for handles in (warp["p"], q)]
+    places = [
+        [place for handle in handles for place in vertices(handle)] for handles in (warp["p"], q)
+    ]
     points += places[0]
     drawn, residual = visit.page.evaluate(
         """async ([id, columns, rows, p, q, points]) => {
@@ -127,6 +133,16 @@ def distances(visit, columns, rows, q):
         }""",
         [visit["session"], columns, rows, warp["p"], q, points],
     )
-    exact = json.loads(visit.server.ask("POST", f"/sessions/{visit['session']}/points", {"q": q, "points": points}).body)["points"]
-    at_handles = max(math.dist(a, b) for a, b in zip(places[1], drawn[-len(places[1]) :], strict=True) if b)
-    return sorted(math.dist(a, b) for a, b in zip(exact, drawn, strict=True) if b), residual, at_handles
+    exact = json.loads(
+        visit.server.ask(
+            "POST", f"/sessions/{visit['session']}/points", {"q": q, "points": points}
+        ).body
+    )["points"]
+    at_handles = max(
+        math.dist(a, b) for a, b in zip(places[1], drawn[-len(places[1]) :], strict=True) if b
+    )
+    return (
+        sorted(math.dist(a, b) for a, b in zip(exact, drawn, strict=True) if b),
+        residual,
+        at_handles,
+    )

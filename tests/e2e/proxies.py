@@ -24,7 +24,9 @@ def free_port():
 
 def documented(language):
     """The block of the section "Behind a path prefix" in a language."""
-    section = (DEPLOY / "README.md").read_text().split("\n## Behind a path prefix\n")[1].split("\n## ")[0]
+    section = (
+        (DEPLOY / "README.md").read_text().split("\n## Behind a path prefix\n")[1].split("\n## ")[0]
+    )
     return re.search(rf"```{language}\n(.*?)```", section, re.DOTALL)[1]
 
 
@@ -44,7 +46,15 @@ def nginx(port, replica, folder):
         ("server 127.0.0.1:8081 ", f"server 127.0.0.1:{replica} ", 2),
         ("        server 127.0.0.1:8082 max_fails=1 fail_timeout=2s;\n", "", 2),
         ("pid /tmp/nginx.pid;", f"pid {folder}/nginx.pid;", 1),
-        ("http {\n", "http {\n" + "".join(f"{kind}_temp_path {folder}/{kind};\n" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")), 1),
+        (
+            "http {\n",
+            "http {\n"
+            + "".join(
+                f"{kind}_temp_path {folder}/{kind};\n"
+                for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+            ),
+            1,
+        ),
         ("server_name _;\n", f"server_name _;\n{documented('nginx')}", 1),
         ('"type":"/problems/', f'"type":"{PREFIX}/problems/', 5),
     )
@@ -56,7 +66,11 @@ def haproxy(port, replica, folder):
     text = (DEPLOY / "haproxy" / "haproxy.cfg").read_text()
     text = replaced(
         text,
-        ('    bind "${PROXY_LISTEN}"\n', f'    bind "${{PROXY_LISTEN}}"\n{documented("haproxy")}', 1),
+        (
+            '    bind "${PROXY_LISTEN}"\n',
+            f'    bind "${{PROXY_LISTEN}}"\n{documented("haproxy")}',
+            1,
+        ),
         ('"type":"/problems/', f'"type":"{PREFIX}/problems/', 6),
     )
     (folder / "haproxy.cfg").write_text(text)
@@ -93,11 +107,19 @@ def published(name, folder):
     path = shutil.which(command, path=f"{os.environ['PATH']}:/usr/sbin:/usr/local/sbin")
     assert path, f"{command} is not in PATH: tests/run installs its Debian package"
     with open(KEPT / f"{name}.log", "wb") as log:
-        process = subprocess.Popen([path, *options], env={**os.environ, **settings}, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        process = subprocess.Popen(
+            [path, *options],
+            env={**os.environ, **settings},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+        )
     try:
         give_up = time.monotonic() + DEADLINE
         while not is_ready(proxied):
-            assert process.poll() is None and time.monotonic() < give_up, f"{name} does not start: {log.name}"
+            assert process.poll() is None and time.monotonic() < give_up, (
+                f"{name} does not start: {log.name}"
+            )
             time.sleep(0.05)
         yield proxied
     finally:

@@ -29,8 +29,14 @@ DEADLINE = 60.0
 # Debian's Chromium without background network requests. Without a GPU it composes the page on the CPU, and so does WebGL.
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--disable-gpu", "--enable-unsafe-swiftshader",
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",
 ]
 
 
@@ -69,7 +75,18 @@ class Server(Visited):
     def start(self):
         self.log = open(KEPT / f"server-{self.port}.log", "ab")
         self.process = subprocess.Popen(
-            [PROGRAM, "serve", "--listen", f"127.0.0.1:{self.port}", "--drag-wait", "1m", *self.flags], stdin=subprocess.DEVNULL, stdout=self.log, stderr=self.log
+            [
+                PROGRAM,
+                "serve",
+                "--listen",
+                f"127.0.0.1:{self.port}",
+                "--drag-wait",
+                "1m",
+                *self.flags,
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=self.log,
+            stderr=self.log,
         )
         give_up = time.monotonic() + DEADLINE
         while True:
@@ -105,7 +122,9 @@ class Server(Visited):
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE)
         try:
             body = None if value is None else json.dumps(value)
-            connection.request(method, path, body, {} if value is None else {"Content-Type": "application/json"})
+            connection.request(
+                method, path, body, {} if value is None else {"Content-Type": "application/json"}
+            )
             response = connection.getresponse()
             response.body = response.read()
             return response
@@ -121,8 +140,14 @@ class Visit:
         server.visits = (*server.visits, self)
         self.expected = set(expects)
         self.trouble = []
-        options = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce", **options}
-        self.context = browser.new_context(permissions=["clipboard-read", "clipboard-write"], **options)
+        options = {
+            "viewport": {"width": 1280, "height": 800},
+            "reduced_motion": "reduce",
+            **options,
+        }
+        self.context = browser.new_context(
+            permissions=["clipboard-read", "clipboard-write"], **options
+        )
         self.context.set_default_timeout(1000 * DEADLINE)
         self.context.on("request", self._asked)
         self.page = self.context.new_page()
@@ -139,12 +164,18 @@ class Visit:
 
     def _said(self, message):
         """Records errors. The browser reports every rejected request as an error; a test announces those that it causes with `expects`."""
-        refused = re.search(r"Failed to load resource: (?:the server responded with a status of (\d+)|net::(ERR_\w+))", message.text)
+        refused = re.search(
+            r"Failed to load resource: (?:the server responded with a status of (\d+)|net::(ERR_\w+))",
+            message.text,
+        )
         if refused and (refused[1] or refused[2]) in self.expected:
             return
         if any(isinstance(e, re.Pattern) and e.search(message.text) for e in self.expected):
             return
-        if message.type in ("error", "warning") and "GPU stall due to ReadPixels" not in message.text:
+        if (
+            message.type in ("error", "warning")
+            and "GPU stall due to ReadPixels" not in message.text
+        ):
             self.trouble.append(f"{message.type}: {message.text}")
 
     def expects(self, *refusals):
@@ -274,7 +305,9 @@ class Visit:
         self.page.evaluate(fade, "0")
         shot = self.page.screenshot(scale="css")
         self.page.evaluate(fade, "")
-        width, height = self.page.evaluate("(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))")
+        width, height = self.page.evaluate(
+            "(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))"
+        )
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
 
     def keep(self, name):
@@ -302,18 +335,24 @@ class Look:
     def __init__(self, png, first, last, zoom):
         whole = Image.open(io.BytesIO(png)).convert("RGB")
         corner = [max(0, round(c)) for c in first]
-        self.image = whole.crop((*corner, *(min(side, round(c)) for side, c in zip(whole.size, last))))
+        self.image = whole.crop(
+            (*corner, *(min(side, round(c)) for side, c in zip(whole.size, last)))
+        )
         self.pan = [a - b for a, b in zip(first, corner)]
         self.zoom = zoom
 
     def colour(self, x, y):
-        return self.image.getpixel(tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y))))
+        return self.image.getpixel(
+            tuple(int(pan + self.zoom * c) for pan, c in zip(self.pan, (x, y)))
+        )
 
     def mask(self, name):
         """255 where a colour of `discs` dominates."""
         bands = dict(zip(("red", "green", "blue"), self.image.split()))
         wanted = bands.pop(name)
-        return ImageChops.subtract(wanted, ImageChops.lighter(*bands.values())).point(lambda more: 255 if more > 90 else 0)
+        return ImageChops.subtract(wanted, ImageChops.lighter(*bands.values())).point(
+            lambda more: 255 if more > 90 else 0
+        )
 
     def centre(self, name):
         """The centroid of a colour, picture px."""
@@ -379,7 +418,9 @@ class Fingers:
                 self.down[ord(name[0])] = tuple(p + (q - p) * step / steps for p, q in zip(a, spot))
             self._send("touchMove")
         # The browser delivers move events once per frame.
-        self.visit.page.evaluate("new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))")
+        self.visit.page.evaluate(
+            "new Promise((then) => requestAnimationFrame(() => requestAnimationFrame(then)))"
+        )
 
     def lift(self, *names):
         for name in names or [chr(id) for id in list(self.down)]:

@@ -10,13 +10,23 @@ import pytest
 from support import GREEN, RED, Fingers, crossed, tell
 
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js").read_text()
-NARROW = {"viewport": {"width": 360, "height": 740}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+NARROW = {
+    "viewport": {"width": 360, "height": 740},
+    "has_touch": True,
+    "is_mobile": True,
+    "device_scale_factor": 2,
+}
 THEMES = ["light", "dark"]
 # The rule about visible labels is experimental, and off unless it is named.
-RULES = {"resultTypes": ["violations", "incomplete"], "rules": {"label-content-name-mismatch": {"enabled": True}}}
+RULES = {
+    "resultTypes": ["violations", "incomplete"],
+    "rules": {"label-content-name-mismatch": {"enabled": True}},
+}
 
 
-PROBLEMS = re.findall(r"^## (\w+)$", (Path(__file__).parents[2] / "api" / "problems.md").read_text(), re.MULTILINE)
+PROBLEMS = re.findall(
+    r"^## (\w+)$", (Path(__file__).parents[2] / "api" / "problems.md").read_text(), re.MULTILINE
+)
 
 
 def faults(visit):
@@ -107,9 +117,13 @@ def outlining(visit):
 
 def waiting(visit):
     file = b'{"p": [[1, 2]]}'
-    visit.page.set_input_files("#file", {"name": "one.json", "mimeType": "application/json", "buffer": file})
+    visit.page.set_input_files(
+        "#file", {"name": "one.json", "mimeType": "application/json", "buffer": file}
+    )
     visit.page.wait_for_selector("#waiting-drop")
-    visit.page.set_input_files("#file", {"name": "broken.json", "mimeType": "application/json", "buffer": file[:-1]})
+    visit.page.set_input_files(
+        "#file", {"name": "broken.json", "mimeType": "application/json", "buffer": file[:-1]}
+    )
     visit.body("[data-problem=bad_handles_file]")
 
 
@@ -118,7 +132,12 @@ def told(visit):
     visit.sample("rocket")
     places = ["1,2\n200,100\n", "5,6\n260,120\n"]
     square = {"type": "Polygon", "coordinates": [[[100, 100], [200, 100], [200, 200], [100, 100]]]}
-    files = [("a.csv", "text/csv", places[0].encode()), ("b.csv", "text/csv", places[1].encode()), ("c.csv", "text/csv", b"1,2\n"), ("d.geojson", "", json.dumps(square).encode())]
+    files = [
+        ("a.csv", "text/csv", places[0].encode()),
+        ("b.csv", "text/csv", places[1].encode()),
+        ("c.csv", "text/csv", b"1,2\n"),
+        ("d.geojson", "", json.dumps(square).encode()),
+    ]
     tell(visit, ["dragover", "drop"], *files)
     visit.body("[data-annotations=exact]")
     visit.page.click("label:has(#tool-lasso)")
@@ -133,7 +152,21 @@ def help(visit):
     visit.page.click("#help-open")
 
 
-STATES = [empty, ready, selected, folding, refused, comparing, drawing, outlining, exporting, animating, waiting, told, help]
+STATES = [
+    empty,
+    ready,
+    selected,
+    folding,
+    refused,
+    comparing,
+    drawing,
+    outlining,
+    exporting,
+    animating,
+    waiting,
+    told,
+    help,
+]
 
 
 @pytest.mark.parametrize("state, theme", crossed(STATES, THEMES))
@@ -144,7 +177,9 @@ def test_axe_finds_nothing_serious(visits, state, theme):
     assert not faults(visit)
 
 
-@pytest.mark.parametrize("state, theme", crossed([empty, ready, outlining, exporting, animating, waiting, told], THEMES))
+@pytest.mark.parametrize(
+    "state, theme", crossed([empty, ready, outlining, exporting, animating, waiting, told], THEMES)
+)
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)
     state(visit)
@@ -201,7 +236,9 @@ SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=fil
   .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
 
 
-@pytest.mark.parametrize("state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting, told])
+@pytest.mark.parametrize(
+    "state", [empty, selected, comparing, drawing, outlining, exporting, animating, waiting, told]
+)
 def test_targets_are_large_enough_for_a_mouse(visit, state):
     state(visit)
     assert visit.page.evaluate(SMALL, 24) == []
@@ -222,7 +259,9 @@ def test_targets_are_large_enough_for_a_finger(visits):
     assert visit.page.evaluate(SMALL, 44) == []
 
 
-@pytest.mark.parametrize("width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})])
+@pytest.mark.parametrize(
+    "width, more", [(320, {}), (360, {}), (360, {"has_touch": True, "is_mobile": True}), (768, {})]
+)
 @pytest.mark.parametrize("state", [empty, ready, outlining, exporting, animating, waiting, told])
 def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     visit = visits(viewport={"width": width, "height": 700}, **more)
@@ -284,4 +323,9 @@ def test_every_control_has_a_name_and_the_focus_is_seen(visit):
 
 
 def test_nothing_moves_for_those_who_asked_for_stillness(visit):
-    assert visit.page.evaluate("document.getAnimations().filter((a) => a.playState === 'running' && a.effect.getComputedTiming().duration > 50).length") == 0
+    assert (
+        visit.page.evaluate(
+            "document.getAnimations().filter((a) => a.playState === 'running' && a.effect.getComputedTiming().duration > 50).length"
+        )
+        == 0
+    )

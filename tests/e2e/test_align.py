@@ -16,7 +16,10 @@ TURN, SCALE = math.radians(20), 0.6
 
 
 def other(x, y):
-    return (30 + SCALE * (x * math.cos(TURN) - y * math.sin(TURN)), 200 + SCALE * (x * math.sin(TURN) + y * math.cos(TURN)))
+    return (
+        30 + SCALE * (x * math.cos(TURN) - y * math.sin(TURN)),
+        200 + SCALE * (x * math.sin(TURN) + y * math.cos(TURN)),
+    )
 
 
 MOVED = [(130, 90), GREEN, BLUE, (60, 250)]
@@ -60,7 +63,11 @@ def test_the_page_and_the_server_align_alike(posed, by):
 
 
 def test_what_was_only_moved_turned_and_scaled_is_at_rest_again(opened):
-    drop(opened, ("a.pts", "", pts(P)), ("b.pts", "", pts([tuple(round(c, 4) for c in other(*place)) for place in P])))
+    drop(
+        opened,
+        ("a.pts", "", pts(P)),
+        ("b.pts", "", pts([tuple(round(c, 4) for c in other(*place)) for place in P])),
+    )
     opened.body("[data-handles='4']").ready()
     opened.page.click("#sides-align")
     opened.body("[data-align=similarity]").ready()
@@ -102,23 +109,36 @@ def test_it_survives_files_links_commands_and_a_reload(posed, visits, tmp_path, 
     warp, png = posed.warp(), posed.saved("download")[1]
     (tmp_path / "discs.png").write_bytes(picture.read_bytes())
     run(posed.copied("copy-curl"), tmp_path)
-    ours, theirs = (Image.open(io.BytesIO(file)).convert("RGB") for file in (png, (tmp_path / "discs-warped.png").read_bytes()))
+    ours, theirs = (
+        Image.open(io.BytesIO(file)).convert("RGB")
+        for file in (png, (tmp_path / "discs-warped.png").read_bytes())
+    )
     # The page rounds what it has aligned to a hundredth of a pixel.
-    assert sum(abs(a - b) > 8 for a, b in zip(ours.tobytes(), theirs.tobytes())) < 0.002 * len(ours.tobytes())
+    assert sum(abs(a - b) > 8 for a, b in zip(ours.tobytes(), theirs.tobytes())) < 0.002 * len(
+        ours.tobytes()
+    )
     link = posed.copied("copy-link")
     posed.page.reload()
     posed.body("[data-align=similarity]").ready()
     assert posed.warp() == warp
-    guest = visits(path=link[link.index("#"):])
+    guest = visits(path=link[link.index("#") :])
     guest.body("[data-align=similarity]").ready()
     assert guest.warp() == warp and all(near(guest.posed(k), where[k], 0.02) for k in range(4))
-    file = {"name": "aligned.json", "mimeType": "application/json", "buffer": json.dumps(warp).encode()}
+    file = {
+        "name": "aligned.json",
+        "mimeType": "application/json",
+        "buffer": json.dumps(warp).encode(),
+    }
     fresh = visits().open(picture)
     fresh.page.set_input_files("#file", [file])
     fresh.body("[data-align=similarity]").ready()
     assert fresh.warp() == warp and all(near(fresh.posed(k), where[k], 0.02) for k in range(4))
     # Normalised positions are aligned in pixels.
-    shares = {**warp, "units": "normalized", **{side: [[x / 400, y / 300] for x, y in warp[side]] for side in "pq"}}
+    shares = {
+        **warp,
+        "units": "normalized",
+        **{side: [[x / 400, y / 300] for x, y in warp[side]] for side in "pq"},
+    }
     fresh.page.set_input_files("#file", [{**file, "buffer": json.dumps(shares).encode()}])
     fresh.body("[data-undo='2'][data-align=similarity]").ready()
     assert all(near(fresh.posed(k), where[k], 0.02) for k in range(4))

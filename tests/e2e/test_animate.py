@@ -102,10 +102,18 @@ def test_it_plays_there_and_back_and_ends_at_the_pose(visits, picture):
     # From the pose to rest and back, through what lies between.
     lowest = seen.index(min(seen))
     assert seen[0] > 0.9 and seen[lowest] < 0.1 and seen[-1] > 0.9
-    assert seen[:lowest] == sorted(seen[:lowest], reverse=True) and seen[lowest:] == sorted(seen[lowest:]) and len(set(seen)) > 5
+    assert (
+        seen[:lowest] == sorted(seen[:lowest], reverse=True)
+        and seen[lowest:] == sorted(seen[lowest:])
+        and len(set(seen)) > 5
+    )
     assert visit.page.evaluate("asked") == []
     after = visit.data
-    assert after == {**before, "played": ""} and visit.warp() == warp and visit.look().differs(look) == 0
+    assert (
+        after == {**before, "played": ""}
+        and visit.warp() == warp
+        and visit.look().differs(look) == 0
+    )
 
 
 def test_what_plays_is_what_the_strength_shows(visits, picture):
@@ -127,7 +135,10 @@ def test_what_plays_is_what_the_strength_shows(visits, picture):
     # The settings stay; the way ends at the strength that is shown.
     visit.page.reload()
     visit.ready()
-    assert not visit.page.locator("#play-back").is_checked() and visit.page.input_value("#play-easing") == "linear"
+    assert (
+        not visit.page.locator("#play-back").is_checked()
+        and visit.page.input_value("#play-easing") == "linear"
+    )
     visit.page.evaluate(WATCH)
     visit.page.click("#play")
     visit.body("[data-played]")
@@ -219,8 +230,16 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
     there, between = [0, 7 / 27, 20 / 27, 1], [20 / 27, 7 / 27]
     shown = {t: at_strength(visit, t) for t in there}
     # The first frame is the picture, one is the pose, and the others lie between them.
-    assert shown[0] == Image.open(picture).convert("RGBA").tobytes() and shown[1] == pixels(visit.saved("download")[1])
-    for file, back in (("apng", False), ("zip", True), ("apng", True), ("gif", True), ("zip", False)):
+    assert shown[0] == Image.open(picture).convert("RGBA").tobytes() and shown[1] == pixels(
+        visit.saved("download")[1]
+    )
+    for file, back in (
+        ("apng", False),
+        ("zip", True),
+        ("apng", True),
+        ("gif", True),
+        ("zip", False),
+    ):
         shares = there + between if back else there
         choose(visit, file=file, frames=4, easing="ease-in-out", back=back)
         assert visit.text("export-result").startswith(f"{len(shares)} frames, 400 × 300 px")
@@ -230,7 +249,9 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
             assert name == "discs-warped.apng"
             animation = Image.open(io.BytesIO(exported))
             assert animation.n_frames == len(shares)
-            frames = [frame.convert("RGBA").tobytes() for frame in ImageSequence.Iterator(animation)]
+            frames = [
+                frame.convert("RGBA").tobytes() for frame in ImageSequence.Iterator(animation)
+            ]
         elif file == "gif":
             assert name == "discs-warped.gif"
             animation = Image.open(io.BytesIO(exported))
@@ -242,7 +263,11 @@ def test_the_export_has_every_frame(visits, picture, tmp_path):
         else:
             assert name == "discs-frames.zip"
             archive = zipfile.ZipFile(io.BytesIO(exported))
-            frames = [pixels(archive.read(entry)) for entry in sorted(archive.namelist()) if entry.endswith(".png")]
+            frames = [
+                pixels(archive.read(entry))
+                for entry in sorted(archive.namelist())
+                if entry.endswith(".png")
+            ]
         assert frames == [shown[t] for t in shares], (file, back)
         # The command gives the same bytes; the choices are remembered.
         visit.page.click("#export-open")
@@ -258,7 +283,9 @@ def test_the_size_is_estimated_before_the_export(visits, picture):
     visit = bend(visits(), picture)
     for file in ("apng", "gif", "zip"):
         choose(visit, file=file, frames=10, back=True)
-        visit.page.wait_for_selector("#export-result:text-matches('18 frames, 400 × 300 px, about .*B$')")
+        visit.page.wait_for_selector(
+            "#export-result:text-matches('18 frames, 400 × 300 px, about .*B$')"
+        )
         number, unit = visit.text("export-result").rsplit("about ", 1)[1].split()
         told = float(number) * {"MiB": 1 << 20, "KiB": 1 << 10, "bytes": 1}[unit]
         assert 0.6 < told / len(visit.saved("export-save")[1]) < 1.7, file
@@ -296,7 +323,9 @@ def test_twists_turn_in_the_frames(visits, picture):
     frames = ImageSequence.all_frames(Image.open(io.BytesIO(visit.saved("export-save")[1])))
     visit.page.locator("#strength").fill("0.5")
     visit.ready()
-    assert len(frames) == 3 and frames[1].convert("RGBA").tobytes() == pixels(visit.saved("download")[1])
+    assert len(frames) == 3 and frames[1].convert("RGBA").tobytes() == pixels(
+        visit.saved("download")[1]
+    )
 
 
 def slow(visit, frames=2000):
@@ -305,12 +334,18 @@ def slow(visit, frames=2000):
     visit.page.click("#export-save")
     visit.page.wait_for_selector("#export-progress-text:text-matches('^([2-9]|[0-9]{2,}) of ')")
     assert visit.page.locator("#export-progress").get_attribute("max") == str(frames)
-    assert re.fullmatch(rf"\d+ of {frames} frames, [\d.]+ [KM]iB", visit.text("export-progress-text"))
+    assert re.fullmatch(
+        rf"\d+ of {frames} frames, [\d.]+ [KM]iB", visit.text("export-progress-text")
+    )
 
 
 def made(visit):
     """The number of frames that the server has made."""
-    return int(re.search(rb"^\w*batch_frames\w* (\d+)", visit.server.ask("GET", "/metrics").body, re.MULTILINE)[1])
+    return int(
+        re.search(
+            rb"^\w*batch_frames\w* (\d+)", visit.server.ask("GET", "/metrics").body, re.MULTILINE
+        )[1]
+    )
 
 
 def cancels_by_button(visit):
@@ -334,7 +369,10 @@ def test_cancelling_stops_it(visits, picture):
         cancels(visit)
         visit.page.wait_for_selector("#export-progress-row", state="hidden")
         assert cancels is cancels_by_closing or visit.page.evaluate(focused) == "export-save"
-        assert not visit.page.locator("#export-save").is_disabled() and not visit.page.locator("#export-problem").is_visible()
+        assert (
+            not visit.page.locator("#export-save").is_disabled()
+            and not visit.page.locator("#export-problem").is_visible()
+        )
         # The server stops too.
         last = None
         while last != (last := made(visit)):

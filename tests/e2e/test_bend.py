@@ -45,41 +45,67 @@ def test_each_method_bends_in_its_own_way(bent):
 
 
 def test_a_spline_takes_pins_only(bent):
-    before, usable = bent.saved("download")[1], lambda name: bent.page.locator(f"#{name}").is_enabled()
+    before, usable = (
+        bent.saved("download")[1],
+        lambda name: bent.page.locator(f"#{name}").is_enabled(),
+    )
     bent.page.click("#pin-border")
     bent.ready()
-    assert not usable("method-tps") and "Spline and Global are for pins only" in bent.text("method-note")
+    assert not usable("method-tps") and "Spline and Global are for pins only" in bent.text(
+        "method-note"
+    )
     bent.page.click("#undo")
     bent.ready()
-    assert usable("method-tps") and "Spline and Global are for pins only" not in bent.text("method-note")
+    assert usable("method-tps") and "Spline and Global are for pins only" not in bent.text(
+        "method-note"
+    )
     bent.page.keyboard.press("Escape")
     bent.click(*BLUE)
     assert bent.page.locator("#rotate-left").is_visible()
     bent.page.click("label:has(#tool-line)")
     bent.page.click("label:has(#method-tps)")
     bent.ready()
-    assert not any(usable(name) for name in ("tool-line", "tool-path", "pin-border", "alpha", "alpha-auto"))
+    assert not any(
+        usable(name) for name in ("tool-line", "tool-path", "pin-border", "alpha", "alpha-auto")
+    )
     assert bent.page.locator("#tool-point").is_checked() and "no focus" in bent.text("alpha-note")
-    assert bent.warp()["method"] == "tps" and "alpha" not in bent.warp() and "smoothing" not in bent.warp()
+    assert (
+        bent.warp()["method"] == "tps"
+        and "alpha" not in bent.warp()
+        and "smoothing" not in bent.warp()
+    )
     assert bent.page.locator("#rotate-left").is_hidden(), "a selected pin has no twist"
     bent.page.keyboard.press("2")
-    assert bent.page.locator("#tool-point").is_checked() and "pins without a twist only" in bent.text("toast")
+    assert bent.page.locator(
+        "#tool-point"
+    ).is_checked() and "pins without a twist only" in bent.text("toast")
     bent.page.click("label:has(#method-rigid)")
     bent.ready()
     assert usable("tool-line") and bent.saved("download")[1] == before
 
 
 def test_the_smoothing_of_a_file_is_kept(opened):
-    warp = {"p": [[40, 40], [300, 50], [50, 220], [320, 240], [180, 140]], "q": [[40, 40], [300, 50], [50, 220], [320, 240], [210, 150]]}
-    file = {"name": "handles.json", "mimeType": "application/json", "buffer": json.dumps(warp | {"method": "tps", "smoothing": 0.1}).encode()}
+    warp = {
+        "p": [[40, 40], [300, 50], [50, 220], [320, 240], [180, 140]],
+        "q": [[40, 40], [300, 50], [50, 220], [320, 240], [210, 150]],
+    }
+    file = {
+        "name": "handles.json",
+        "mimeType": "application/json",
+        "buffer": json.dumps(warp | {"method": "tps", "smoothing": 0.1}).encode(),
+    }
     opened.page.set_input_files("#file", [file])
     opened.ready()
-    assert opened.page.locator("#method-tps").is_checked() and "Smoothing 0.1" in opened.text("method-note")
+    assert opened.page.locator("#method-tps").is_checked() and "Smoothing 0.1" in opened.text(
+        "method-note"
+    )
     assert (opened.warp()["method"], opened.warp()["smoothing"]) == ("tps", 0.1)
     smooth = opened.saved("download")[1]
     assert smooth == opened.of_server().body
     before = opened["revision"]
-    opened.page.set_input_files("#file", [file | {"buffer": json.dumps(warp | {"method": "tps"}).encode()}])
+    opened.page.set_input_files(
+        "#file", [file | {"buffer": json.dumps(warp | {"method": "tps"}).encode()}]
+    )
     opened.body(f":not([data-revision='{before}'])").ready()
     assert "smoothing" not in opened.warp() and opened.saved("download")[1] != smooth
 
@@ -113,10 +139,19 @@ def middle(places):
 
 def cells(visit):
     """Corners of every cell of the posed grid, as the server has it."""
-    answer = visit.server.ask("POST", f"/sessions/{visit['session']}/mesh", {"q": visit.warp()["q"]})
+    answer = visit.server.ask(
+        "POST", f"/sessions/{visit['session']}/mesh", {"q": visit.warp()["q"]}
+    )
     mesh = json.loads(answer.body)
-    rows = [mesh["vertices"][k : k + mesh["columns"]] for k in range(0, len(mesh["vertices"]), mesh["columns"])]
-    return [[above[i], above[i + 1], below[i + 1], below[i]] for above, below in zip(rows, rows[1:]) for i in range(len(above) - 1)]
+    rows = [
+        mesh["vertices"][k : k + mesh["columns"]]
+        for k in range(0, len(mesh["vertices"]), mesh["columns"])
+    ]
+    return [
+        [above[i], above[i + 1], below[i + 1], below[i]]
+        for above, below in zip(rows, rows[1:])
+        for i in range(len(above) - 1)
+    ]
 
 
 def inside(place):
@@ -138,7 +173,9 @@ def test_the_mesh_is_drawn_where_the_picture_is(bent):
     assert len(vertices) > 30 and len(amid) > 40
     for x, y in vertices:
         around = [(x + dx, y + dy) for dx in (-0.6, 0, 0.6) for dy in (-0.6, 0, 0.6)]
-        assert max(min(lines.colour(*place)) - min(plain.colour(*place)) for place in around) > 15, (x, y)
+        assert (
+            max(min(lines.colour(*place)) - min(plain.colour(*place)) for place in around) > 15
+        ), (x, y)
     assert [lines.colour(*place) for place in amid] == [plain.colour(*place) for place in amid]
     bent.page.click("#mesh")
     assert bent.look().differs(plain) == 0
@@ -160,7 +197,9 @@ def test_folded_cells_are_red_and_counted_as_the_server_counts(bent):
     assert told == len(folded) == int(bent.of_server().headers["Warp-Folds"]) > 10
     assert bent.text("folds-note").startswith(f"{told} cells")
     assert bent.text("folds").startswith(f"{told} cells")
-    redness = lambda look: [look.colour(*place)[0] - look.colour(*place)[1] for place in folded if inside(place)]
+    redness = lambda look: [
+        look.colour(*place)[0] - look.colour(*place)[1] for place in folded if inside(place)
+    ]
     seen = redness(bent.look())
     assert sum(red > 60 for red in seen) > 0.8 * len(seen) > 8
     bent.keep("folds")
@@ -233,7 +272,10 @@ def test_all_are_put_back_and_all_are_deleted(bent, picture):
     bent.page.click("#clear")
     bent.body("[data-handles='0'][data-state=ready]")
     png = bent.saved("download")[1]
-    same = Image.open(io.BytesIO(png)).convert("RGBA").tobytes() == Image.open(picture).convert("RGBA").tobytes()
+    same = (
+        Image.open(io.BytesIO(png)).convert("RGBA").tobytes()
+        == Image.open(picture).convert("RGBA").tobytes()
+    )
     assert same, "without handles the picture is as it came"
     bent.page.click("#undo")
     bent.page.click("#undo")

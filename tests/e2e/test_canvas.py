@@ -39,24 +39,35 @@ def near(a, b, by=3):
 
 def test_the_whole_result_is_shown_saved_and_undone(shifted):
     picture = Image.open(io.BytesIO(shifted.saved("download")[1]))
-    assert "60 px on the right" in shifted.text("canvas-note") and "20 px above" in shifted.text("canvas-note")
+    assert "60 px on the right" in shifted.text("canvas-note") and "20 px above" in shifted.text(
+        "canvas-note"
+    )
     assert not shifted.page.locator("#ruler").is_visible()
     before = shifted.look().centre("red")
     shifted.page.click("#canvas-all")
     shifted.ready()
-    assert shifted.page.input_value("#canvas") == "fit" and shown(shifted) == [60, -20, *picture.size]
+    assert shifted.page.input_value("#canvas") == "fit" and shown(shifted) == [
+        60,
+        -20,
+        *picture.size,
+    ]
     whole = choose(shifted, "fit")
     assert whole.size == picture.size
     # What was cut off is there, and handles are where they were in the picture.
     assert whole.getpixel((whole.width - 1, 0))[3] == 255
     assert near(shifted.look().centre("red"), before)
     assert near(shifted.posed(0), (RED[0] + 60, RED[1] - 20))
-    assert [shifted.page.locator(f"#ruler [data-edge={edge}]").inner_text() for edge in ("left", "top")] == ["60", "-20"]
+    assert [
+        shifted.page.locator(f"#ruler [data-edge={edge}]").inner_text() for edge in ("left", "top")
+    ] == ["60", "-20"]
     assert not shifted.page.locator("#canvas-all").is_visible()
     shifted.keep("canvas-fit")
     shifted.page.click("#undo")
     shifted.ready()
-    assert shifted.page.input_value("#canvas") == "same" and Image.open(io.BytesIO(shifted.saved("download")[1])).size == picture.size
+    assert (
+        shifted.page.input_value("#canvas") == "same"
+        and Image.open(io.BytesIO(shifted.saved("download")[1])).size == picture.size
+    )
     assert not shifted.page.locator("#ruler").is_visible()
 
 
@@ -91,7 +102,9 @@ def test_a_box_is_typed_checked_kept_and_exported(shifted):
         shifted.page.fill(f"#canvas-{name}", str(value))
         shifted.page.press(f"#canvas-{name}", "Tab")
         shifted.ready()
-    assert Image.open(io.BytesIO(shifted.saved("download")[1])).size == (150, 90) and shown(shifted) == list(box.values())
+    assert Image.open(io.BytesIO(shifted.saved("download")[1])).size == (150, 90) and shown(
+        shifted
+    ) == list(box.values())
     assert shifted.warp()["output"]["canvas"] == box
     # The command gives the same file.
     assert json.dumps(box, separators=(",", ":")) in shifted.copied("copy-curl")
@@ -114,4 +127,6 @@ def test_a_box_is_typed_checked_kept_and_exported(shifted):
     shifted.keep("canvas-box")
     shifted.page.reload()
     shifted.ready()
-    assert shown(shifted) == list(box.values()) and shifted.page.input_value("#canvas-width") == "150"
+    assert (
+        shown(shifted) == list(box.values()) and shifted.page.input_value("#canvas-width") == "150"
+    )

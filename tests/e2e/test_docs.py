@@ -40,14 +40,30 @@ def docs(browser):
         context = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **options})
         contexts.append(context)
         own = (f"{server.address}/", f"ws{server.address[4:]}/")
-        context.on("request", lambda request: request.url.startswith((*own, "data:", "blob:")) or trouble.append(f"asked for {request.url}"))
+        context.on(
+            "request",
+            lambda request: (
+                request.url.startswith((*own, "data:", "blob:"))
+                or trouble.append(f"asked for {request.url}")
+            ),
+        )
         page = context.new_page()
         # The example of an error is answered 422, which the browser reports.
-        page.on("console", lambda said: said.type in ("error", "warning") and "422" not in said.text and trouble.append(said.text))
+        page.on(
+            "console",
+            lambda said: (
+                said.type in ("error", "warning")
+                and "422" not in said.text
+                and trouble.append(said.text)
+            ),
+        )
         page.on("pageerror", lambda error: trouble.append(str(error)))
         answer = page.goto(f"{server.address}{path}")
         policy = answer.headers["content-security-policy"]
-        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self'") and "://" not in policy
+        assert (
+            policy.startswith("default-src 'none'; script-src 'self'; style-src 'self'")
+            and "://" not in policy
+        )
         page.wait_for_selector(ready)
         return page
 
@@ -63,7 +79,9 @@ def names():
 
 @pytest.mark.parametrize("language", ["sh", "py"])
 def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
-    files = sorted(EXAMPLES.glob(f"*.{language}"), key=lambda file: (file.stem != "warp", file.stem))
+    files = sorted(
+        EXAMPLES.glob(f"*.{language}"), key=lambda file: (file.stem != "warp", file.stem)
+    )
     assert len(files) >= 8
     for file in files:
         text = file.read_text()
@@ -77,12 +95,22 @@ def test_the_examples_run_as_they_are_shown(server, language, tmp_path):
             assert "unknown_field" in done.stdout and "method" in done.stdout, done.stdout
         if file.stem == "plan":
             assert 0 < float(done.stdout.rsplit(" ", 1)[1]) < 1e-4, done.stdout
-    heads = {file.name: file.read_bytes()[:2] for file in tmp_path.glob("*.[pj][np]g") if file.name != "cat.jpg"}
-    assert set(heads) >= {"warped.png", "lines.png", "rigid.jpg", "small.jpg", "drag-130.png"}, heads
-    assert all(head == (b"\x89P" if name.endswith("png") else b"\xff\xd8") for name, head in heads.items()), heads
+    heads = {
+        file.name: file.read_bytes()[:2]
+        for file in tmp_path.glob("*.[pj][np]g")
+        if file.name != "cat.jpg"
+    }
+    assert set(heads) >= {"warped.png", "lines.png", "rigid.jpg", "small.jpg", "drag-130.png"}, (
+        heads
+    )
+    assert all(
+        head == (b"\x89P" if name.endswith("png") else b"\xff\xd8") for name, head in heads.items()
+    ), heads
 
 
-@pytest.mark.parametrize("recipe, result, most", [("cv2", "remapped.png", 2), ("scipy", "mapped.png", 2)])
+@pytest.mark.parametrize(
+    "recipe, result, most", [("cv2", "remapped.png", 2), ("scipy", "mapped.png", 2)]
+)
 def test_the_recipes_for_maps_give_the_picture_of_a_warp(server, recipe, result, most, tmp_path):
     """The warp enlarges, because these functions do not average over what a pixel shows."""
     page = (EXAMPLES.parent / "index.html").read_text()
@@ -91,13 +119,24 @@ def test_the_recipes_for_maps_give_the_picture_of_a_warp(server, recipe, result,
     picture = ROOT / "tests/images/chelsea.png"
     [warp] = re.findall(r"^warp = (.*)$", text, re.M)
     output = {"canvas": {"x": -30, "y": -20, "width": 511, "height": 340}, "width": 1022}
-    code = html.unescape(text).replace("cat.jpg", str(picture)).replace('"extent"', f'**{output}, "extent"')
+    code = (
+        html.unescape(text)
+        .replace("cat.jpg", str(picture))
+        .replace('"extent"', f'**{output}, "extent"')
+    )
     code = f"server = '{server.address}'\n{code}"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     warp = {**json.loads(html.unescape(warp)), "output": output}
-    answer = httpx.post(f"{server.address}/warp", files={"image": picture.read_bytes(), "warp": (None, json.dumps(warp))})
-    ours = np.asarray(Image.open(io.BytesIO(answer.raise_for_status().content)).convert("RGBA")).astype(int)
+    answer = httpx.post(
+        f"{server.address}/warp",
+        files={"image": picture.read_bytes(), "warp": (None, json.dumps(warp))},
+    )
+    ours = np.asarray(
+        Image.open(io.BytesIO(answer.raise_for_status().content)).convert("RGBA")
+    ).astype(int)
     theirs = np.asarray(Image.open(tmp_path / result).convert("RGB")).astype(int)
     assert ours.shape[:2] == theirs.shape[:2] == (680, 1022)
     is_drawn, ours = ours[..., 3] == 255, ours[..., :3]
@@ -116,10 +155,24 @@ def test_every_run_button_shows_a_result(docs, server):
         example = page.locator(f'.example[data-name="{name}"]')
         example.get_by_role("button", name="Run").click()
         example.locator("figure").first.wait_for()
-        page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
+        page.wait_for_function(
+            "name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled",
+            arg=name,
+        )
         text = example.locator(".results").inner_text()
         assert '"error": "' not in text, f"{name}: {text}"
-        pictures = {"batch": 1, "lines": 1, "methods": 3, "output": 1, "session": 3, "drag": 1, "warp": 1, "caricature": 2, "landmarks": 1, "layers": 3}.get(name, 0)
+        pictures = {
+            "batch": 1,
+            "lines": 1,
+            "methods": 3,
+            "output": 1,
+            "session": 3,
+            "drag": 1,
+            "warp": 1,
+            "caricature": 2,
+            "landmarks": 1,
+            "layers": 3,
+        }.get(name, 0)
         assert example.locator("figure img").count() == pictures, f"{name}: {text}"
         if name == "errors":
             assert "unknown_field" in text, text
@@ -136,18 +189,25 @@ def test_the_examples_use_the_key_of_the_page(docs, locked):
     for name in ("points", "drag"):
         example = page.locator(f'.example[data-name="{name}"]')
         example.get_by_role("button", name="Run").click()
-        page.wait_for_function("name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled", arg=name)
+        page.wait_for_function(
+            "name => !document.querySelector(`.example[data-name='${name}'] .run`).disabled",
+            arg=name,
+        )
         text = example.locator(".results").inner_text()
         assert "unauthorized" not in text and '"error"' not in text and text, text
 
 
 def test_the_notebook_of_the_recipes_shows_a_drag(server):
-    [cell] = re.findall(r"^```python\n(.*?)^```$", (ROOT / "api/README.md").read_text(), re.M | re.S)
+    [cell] = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "api/README.md").read_text(), re.M | re.S
+    )
     assert WRITTEN in cell
     # A notebook has `display`.
     shown = "\nshown = []\ndisplay = lambda image: shown.append(image.tobytes())\n"
     script = f"{shown}{cell.replace(WRITTEN, server.address)}\nassert len(set(shown)) == 5"
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -159,7 +219,10 @@ def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, 
     page.keyboard.press("ArrowRight")
     assert page.evaluate("document.activeElement.id") == "warp-py-tab"
     assert page.locator("#lines-py").is_visible() and page.locator("#drag-py").is_visible()
-    assert server.address in page.locator("#warp-py").inner_text() and WRITTEN not in page.locator("main").inner_text()
+    assert (
+        server.address in page.locator("#warp-py").inner_text()
+        and WRITTEN not in page.locator("main").inner_text()
+    )
     page.reload()
     page.wait_for_selector('body[data-state="ready"]')
     assert page.locator("#lines-py").is_visible()
@@ -168,9 +231,13 @@ def test_a_language_is_chosen_for_all_examples_by_keyboard_and_remembered(docs, 
 @pytest.mark.parametrize("width, scheme", crossed([1280, 360], ["light", "dark"]))
 def test_the_guide_is_read_in_any_light_and_width(docs, server, scheme, width):
     page = docs(server, viewport={"width": width, "height": 900}, color_scheme=scheme)
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page never scrolls sideways"
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (
+        "the page never scrolls sideways"
+    )
     found = Axe().run(page).response["violations"]
-    assert not found, json.dumps([(one["id"], [node["target"] for node in one["nodes"]]) for one in found])
+    assert not found, json.dumps(
+        [(one["id"], [node["target"] for node in one["nodes"]]) for one in found]
+    )
     page.screenshot(path=KEPT / f"docs-{scheme}-{width}.png", full_page=True)
     links = page.eval_on_selector_all("a[href]", "all => all.map((a) => a.href)")
     assert all(link.startswith(f"{server.address}/") for link in links), links
@@ -180,9 +247,20 @@ def test_the_guide_is_read_in_any_light_and_width(docs, server, scheme, width):
 
 @pytest.mark.parametrize("width, scheme", crossed([1280, 360], ["light", "dark"]))
 def test_the_reference_shows_every_operation(docs, server, scheme, width):
-    page = docs(server, "/docs/reference", "#reference h1", viewport={"width": width, "height": 900}, color_scheme=scheme)
+    page = docs(
+        server,
+        "/docs/reference",
+        "#reference h1",
+        viewport={"width": width, "height": 900},
+        color_scheme=scheme,
+    )
     document = json.loads(server.ask("GET", "/openapi.json").body)
-    summaries = [one["summary"] for item in document["paths"].values() for method, one in item.items() if method in ("get", "put", "post", "delete")]
+    summaries = [
+        one["summary"]
+        for item in document["paths"].values()
+        for method, one in item.items()
+        if method in ("get", "put", "post", "delete")
+    ]
     assert len(summaries) > 15
     page.get_by_text("mlswarp", exact=True).first.wait_for()
     missing, until = summaries, time.monotonic() + 60
@@ -194,11 +272,15 @@ def test_the_reference_shows_every_operation(docs, server, scheme, width):
         text = page.evaluate("document.body.textContent")
         missing = [summary for summary in missing if summary not in text]
     assert not missing, missing
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page never scrolls sideways"
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (
+        "the page never scrolls sideways"
+    )
     dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
     page.evaluate("scrollTo(0, 0)")
     page.screenshot(path=KEPT / f"reference-{scheme}-{width}.png")
-    shown = page.eval_on_selector_all("a[href]", "all => all.filter((a) => a.checkVisibility()).map((a) => a.href)")
+    shown = page.eval_on_selector_all(
+        "a[href]", "all => all.filter((a) => a.checkVisibility()).map((a) => a.href)"
+    )
     assert all(link.startswith((f"{server.address}/", "blob:")) for link in shown), (shown, dark)
 
 

@@ -31,12 +31,18 @@ def test_a_picture_is_opened_bent_saved_and_restored(drive, server, picture):
     drive.driver.execute_script("sources.length = 0")
     moved = (RED[0] + 40, RED[1] + 20)
     drive.mouse(RED, "down", (RED[0] + 10, RED[1] + 5), moved)
-    dragged = drive.until("a dragged pose", lambda data: data["moving"] == "true" and data["shown"] == data["revision"])
+    dragged = drive.until(
+        "a dragged pose",
+        lambda data: data["moving"] == "true" and data["shown"] == data["revision"],
+    )
     assert dragged["live"] == "socket" and "mesh" in drive.recorded("sources"), dragged
     drive.mouse("up")
     state = drive.ready()
     # The pin covers the middle of its disc.
-    drive.seen("the bent picture", lambda look: near(look.centre("red"), moved, 4) and near(look.centre("green"), GREEN, 4))
+    drive.seen(
+        "the bent picture",
+        lambda look: near(look.centre("red"), moved, 4) and near(look.centre("green"), GREEN, 4),
+    )
     drive.driver.save_screenshot(str(KEPT / f"{drive.engine}.png"))
 
     warp = json.loads(drive.downloaded("save-handles", "discs-handles.json"))
@@ -67,8 +73,18 @@ def test_a_sample_is_opened(drive, server, sample):
 
 def test_the_documentation_is_shown(drive, server):
     drive.driver.get(f"{server.address}/docs")
-    drive.until("the guide", lambda _: drive.driver.find_elements("css selector", "body[data-state=ready]"))
+    drive.until(
+        "the guide", lambda _: drive.driver.find_elements("css selector", "body[data-state=ready]")
+    )
     drive.driver.find_element("css selector", "#warp .run").click()
-    drive.until("the warped picture", lambda _: drive.driver.find_elements("css selector", "#warp .results img"))
+    drive.until(
+        "the warped picture",
+        lambda _: drive.driver.find_elements("css selector", "#warp .results img"),
+    )
     drive.driver.get(f"{server.address}/docs/reference")
-    drive.until("the operations", lambda _: "Delete a session" in drive.driver.find_element("css selector", "#reference").text)
+    drive.until(
+        "the operations",
+        lambda _: (
+            "Delete a session" in drive.driver.find_element("css selector", "#reference").text
+        ),
+    )

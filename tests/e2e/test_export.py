@@ -27,8 +27,12 @@ def bent(visit, picture, tmp_path):
 def shown(visit):
     """Size and bytes that the dialog shows, when the file is prepared."""
     visit.page.wait_for_selector("#export-result:text-matches('\\\\d (bytes|[KM]iB)$')")
-    width, height, size, unit = re.fullmatch(r"(\d+) × (\d+) px, ([\d.]+) (bytes|KiB|MiB)", visit.text("export-result")).groups()
-    return (int(width), int(height)), float(size) * {"bytes": 1, "KiB": 1 << 10, "MiB": 1 << 20}[unit]
+    width, height, size, unit = re.fullmatch(
+        r"(\d+) × (\d+) px, ([\d.]+) (bytes|KiB|MiB)", visit.text("export-result")
+    ).groups()
+    return (int(width), int(height)), float(size) * {"bytes": 1, "KiB": 1 << 10, "MiB": 1 << 20}[
+        unit
+    ]
 
 
 def command(visit, folder):
@@ -37,7 +41,9 @@ def command(visit, folder):
     visit.page.wait_for_selector("#export-said:text-matches('copied')")
     line = visit.page.evaluate("navigator.clipboard.readText()")
     before = set(folder.iterdir())
-    done = subprocess.run(["sh", "-euc", line], cwd=folder, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        ["sh", "-euc", line], cwd=folder, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0 and not done.stderr, (line, done.stderr)
     (made,) = set(folder.iterdir()) - before
     return made.name, made.read_bytes()
@@ -53,15 +59,22 @@ def choose(visit, **settings):
             visit.page.fill(f"#export-{name}", str(value))
 
 
-@pytest.mark.parametrize("settings, output, size", [
-    ({}, {}, (400, 300)),
-    ({"compression": "best"}, {"compression": "best"}, (400, 300)),
-    ({"width": 133}, {"width": 133}, (133, 100)),
-    ({"scale": 250}, {"width": 1000}, (1000, 750)),
-    ({"format": "jpeg"}, {"format": "jpeg", "quality": 85}, (400, 300)),
-    ({"format": "jpeg", "quality": 35, "width": 200, "background": "#ff8000"}, {"format": "jpeg", "quality": 35, "width": 200, "outside": "#ff8000ff"}, (200, 150)),
-    ({"format": "webp", "scale": 50}, {"format": "webp", "width": 200}, (200, 150)),
-])
+@pytest.mark.parametrize(
+    "settings, output, size",
+    [
+        ({}, {}, (400, 300)),
+        ({"compression": "best"}, {"compression": "best"}, (400, 300)),
+        ({"width": 133}, {"width": 133}, (133, 100)),
+        ({"scale": 250}, {"width": 1000}, (1000, 750)),
+        ({"format": "jpeg"}, {"format": "jpeg", "quality": 85}, (400, 300)),
+        (
+            {"format": "jpeg", "quality": 35, "width": 200, "background": "#ff8000"},
+            {"format": "jpeg", "quality": 35, "width": 200, "outside": "#ff8000ff"},
+            (200, 150),
+        ),
+        ({"format": "webp", "scale": 50}, {"format": "webp", "width": 200}, (200, 150)),
+    ],
+)
 def test_the_file_is_what_the_dialog_shows(bent, tmp_path, settings, output, size):
     bent.page.click("#export-open")
     choose(bent, **settings)
@@ -93,7 +106,9 @@ def test_a_jpeg_has_the_background_that_was_chosen(bent):
     bent.ready()
     bent.page.click("#export-open")
     shown(bent)
-    assert not bent.page.locator("#export-background").is_visible() and "white" in bent.text("export-background-note")
+    assert not bent.page.locator("#export-background").is_visible() and "white" in bent.text(
+        "export-background-note"
+    )
     image = Image.open(io.BytesIO(bent.saved("export-save")[1]))
     assert all(abs(a - 200) < 6 for a in image.getpixel((5, 150)))
 
@@ -110,7 +125,10 @@ def test_the_choices_are_remembered_and_the_quick_download_is_not_affected(bent)
     bent.page.click("#export-open")
     assert shown(bent)[0] == (200, 150)
     assert bent.page.locator("#export-jpeg").is_checked()
-    assert bent.page.locator("#export-quality").input_value() == "40" and bent.page.locator("#export-scale").input_value() == "50"
+    assert (
+        bent.page.locator("#export-quality").input_value() == "40"
+        and bent.page.locator("#export-scale").input_value() == "50"
+    )
 
 
 @pytest.mark.parametrize("width", ["", "0", "-3", "12.5", "8165", "99999999"])
@@ -136,7 +154,12 @@ def test_the_largest_width_is_the_servers(visits, picture):
         visit.page.click("#export-open")
         shown(visit)
         widest = int(visit.page.locator("#export-width").get_attribute("max"))
-        statuses = [server.ask("POST", f"/sessions/{visit['session']}/warp", {"q": [], "output": {"width": width}}).status for width in (widest, widest + 1)]
+        statuses = [
+            server.ask(
+                "POST", f"/sessions/{visit['session']}/warp", {"q": [], "output": {"width": width}}
+            ).status
+            for width in (widest, widest + 1)
+        ]
         assert statuses == [200, 413]
         visit.page.fill("#export-width", str(widest))
         assert shown(visit)[0][0] == widest
@@ -151,7 +174,10 @@ def test_by_keys_alone(bent):
     inside = "document.querySelector('#export').contains(document.activeElement)"
     assert bent.page.evaluate(inside)
     bent.keys("Escape")
-    assert not bent.page.locator("#export").is_visible() and bent.page.evaluate("document.activeElement.id") == "export-open"
+    assert (
+        not bent.page.locator("#export").is_visible()
+        and bent.page.evaluate("document.activeElement.id") == "export-open"
+    )
     bent.page.focus("#stage")
     bent.keys("e")
     for _ in range(3):
@@ -170,7 +196,12 @@ def test_by_keys_alone(bent):
 
 
 def test_by_fingers(visits, picture):
-    phone = visits(viewport={"width": 390, "height": 780}, has_touch=True, is_mobile=True, device_scale_factor=2).open(picture)
+    phone = visits(
+        viewport={"width": 390, "height": 780},
+        has_touch=True,
+        is_mobile=True,
+        device_scale_factor=2,
+    ).open(picture)
     fingers = Fingers(phone)
 
     def tap(selector):
@@ -189,7 +220,9 @@ def test_a_problem_is_shown_in_the_dialog(visits, picture):
     server = Server()
     try:
         visit = visits(server).open(picture)
-        visit.expects("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET)
+        visit.expects(
+            "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET
+        )
         server.kill()
         visit.page.click("#export-open")
         choose(visit, format="jpeg")

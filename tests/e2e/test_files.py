@@ -10,8 +10,23 @@ from support import BLUE, GREEN, RED, near, tell
 
 REST, POSE = [RED, GREEN, BLUE], [(120, 110), (330, 100), (190, 250)]
 SQUARE = [[80, 80], [120, 80], [120, 120], [80, 120], [80, 80]]
-CELL = {"type": "Feature", "id": 7, "geometry": {"type": "Polygon", "coordinates": [SQUARE]}, "properties": {"name": "red"}}
-CELLS = {"type": "FeatureCollection", "features": [CELL, {"type": "Feature", "geometry": {"type": "Point", "coordinates": [320, 90]}, "properties": {}}]}
+CELL = {
+    "type": "Feature",
+    "id": 7,
+    "geometry": {"type": "Polygon", "coordinates": [SQUARE]},
+    "properties": {"name": "red"},
+}
+CELLS = {
+    "type": "FeatureCollection",
+    "features": [
+        CELL,
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": [320, 90]},
+            "properties": {},
+        },
+    ],
+}
 
 
 def pts(places):
@@ -21,7 +36,14 @@ def pts(places):
 
 
 def drop(visit, *files):
-    tell(visit, ["dragover", "drop"], *((name, media, value if isinstance(value, bytes) else json.dumps(value).encode()) for name, media, value in files))
+    tell(
+        visit,
+        ["dragover", "drop"],
+        *(
+            (name, media, value if isinstance(value, bytes) else json.dumps(value).encode())
+            for name, media, value in files
+        ),
+    )
 
 
 def sides(visit):
@@ -30,7 +52,12 @@ def sides(visit):
 
 
 def test_two_landmark_files_are_rest_and_pose_in_the_order_of_their_names(visit, picture):
-    drop(visit, ("face10.pts", "", pts(POSE)), ("discs.png", "image/png", picture.read_bytes()), ("face9.pts", "", pts(REST)))
+    drop(
+        visit,
+        ("face10.pts", "", pts(POSE)),
+        ("discs.png", "image/png", picture.read_bytes()),
+        ("face9.pts", "", pts(REST)),
+    )
     visit.body("[data-handles='3']").ready()
     assert sides(visit) == (REST, POSE)
     assert (visit.text("sides-rest"), visit.text("sides-pose")) == ("face9.pts", "face10.pts")
@@ -66,7 +93,11 @@ def test_further_files_are_named(opened, media):
 
 
 def test_a_file_with_both_sides_is_used_alone(opened):
-    drop(opened, ("z.json", "application/json", {"p": [[100, 100]], "q": [[120, 110]]}), ("a.pts", "", pts(REST)))
+    drop(
+        opened,
+        ("z.json", "application/json", {"p": [[100, 100]], "q": [[120, 110]]}),
+        ("a.pts", "", pts(REST)),
+    )
     opened.body("[data-handles='1']").ready()
     assert opened.text("unused-text").startswith("Not used: a.pts.")
     assert not opened.page.locator("#sides").is_visible()
@@ -82,7 +113,11 @@ def test_two_files_that_do_not_match_are_refused_by_their_names(opened):
 
 
 def test_a_json_file_of_one_side_is_a_landmark_file_too(opened):
-    drop(opened, ("b.json", "application/json", {"p": POSE}), ("a.json", "application/json", {"p": REST, "method": "affine"}))
+    drop(
+        opened,
+        ("b.json", "application/json", {"p": POSE}),
+        ("a.json", "application/json", {"p": REST, "method": "affine"}),
+    )
     opened.body("[data-handles='3']").ready()
     assert sides(opened) == (REST, POSE)
 
@@ -99,7 +134,9 @@ def test_a_swap_turns_a_twist_back(opened):
     assert float(opened.page.input_value("#twist-0")) == -30
     opened.page.click("#swap")
     opened.ready()
-    assert len(bent["q"][0]) == 2 and all(near(a, b, 0.05) for a, b in zip(opened.warp()["q"][0], bent["q"][0]))
+    assert len(bent["q"][0]) == 2 and all(
+        near(a, b, 0.05) for a, b in zip(opened.warp()["q"][0], bent["q"][0])
+    )
 
 
 def test_a_tiff_is_opened_and_drawn(visit, picture):
@@ -108,7 +145,9 @@ def test_a_tiff_is_opened_and_drawn(visit, picture):
     assert ".tif" in visit.page.get_attribute("#file", "accept") and "TIFF" in visit.text("limits")
     file = io.BytesIO()
     Image.open(picture).save(file, "TIFF", compression="tiff_lzw")
-    chooser.value.set_files([{"name": "discs.tif", "mimeType": "image/tiff", "buffer": file.getvalue()}])
+    chooser.value.set_files(
+        [{"name": "discs.tif", "mimeType": "image/tiff", "buffer": file.getvalue()}]
+    )
     visit.body("[data-state=ready]")
     look = visit.look()
     for name, place in (("red", RED), ("green", GREEN), ("blue", BLUE)):
@@ -143,7 +182,9 @@ def drawn(visit):
     return visit.page.evaluate(DRAWN, [float(data["zoom"]), *map(float, data["pan"].split(","))])
 
 
-@pytest.mark.parametrize("value", [CELL, [CELL], CELL["geometry"], {"type": "FeatureCollection", "features": [CELL]}])
+@pytest.mark.parametrize(
+    "value", [CELL, [CELL], CELL["geometry"], {"type": "FeatureCollection", "features": [CELL]}]
+)
 def test_annotations_follow_the_warp(opened, value):
     for place in (RED, GREEN, BLUE):
         opened.click(*place)
@@ -170,7 +211,9 @@ def test_annotations_follow_the_warp(opened, value):
     name, saved = opened.saved("annotations-save")
     assert name == "cells-warped.geojson"
     warp = opened.warp()
-    answer = opened.server.ask("POST", f"/sessions/{opened['session']}/points", {"q": warp["q"], "geojson": value})
+    answer = opened.server.ask(
+        "POST", f"/sessions/{opened['session']}/points", {"q": warp["q"], "geojson": value}
+    )
     assert json.loads(saved) == json.loads(answer.body)["geojson"]
     opened.page.click("#annotations-remove")
     assert opened["annotations"] == "" and drawn(opened) is None
@@ -204,10 +247,19 @@ def test_annotations_wait_for_their_picture_and_survive_undo(visit, picture):
     visit.body("[data-annotations=exact]")
 
 
-@pytest.mark.parametrize("broken, words", [
-    (b'{"type": "FeatureCollection", "features": [}', "In cells.geojson, line 1, column 44: a value is expected."),
-    (b'{"kind": "cells"}', "In cells.geojson, a FeatureCollection, a Feature, a list of Features or a geometry is expected."),
-])
+@pytest.mark.parametrize(
+    "broken, words",
+    [
+        (
+            b'{"type": "FeatureCollection", "features": [}',
+            "In cells.geojson, line 1, column 44: a value is expected.",
+        ),
+        (
+            b'{"kind": "cells"}',
+            "In cells.geojson, a FeatureCollection, a Feature, a list of Features or a geometry is expected.",
+        ),
+    ],
+)
 def test_broken_annotations_say_what_is_wrong(opened, broken, words):
     drop(opened, ("cells.geojson", "application/geo+json", broken))
     opened.body("[data-problem=bad_annotations]")
@@ -216,7 +268,15 @@ def test_broken_annotations_say_what_is_wrong(opened, broken, words):
 
 def test_annotations_that_the_server_refuses_are_removed(opened):
     opened.expects("422")
-    broken = {"type": "Feature", "geometry": {"type": "Polygon", "coordinates": [[["a", 1]]]}, "properties": {}}
+    broken = {
+        "type": "Feature",
+        "geometry": {"type": "Polygon", "coordinates": [[["a", 1]]]},
+        "properties": {},
+    }
     drop(opened, ("cells.geojson", "", broken))
     opened.body("[data-problem=bad_annotations]")
-    assert opened["annotations"] == "" and opened.text("problem-detail") == "In cells.geojson, at geometry.coordinates[0][0][0]: expected a number; found a string."
+    assert (
+        opened["annotations"] == ""
+        and opened.text("problem-detail")
+        == "In cells.geojson, at geometry.coordinates[0][0][0]: expected a number; found a string."
+    )

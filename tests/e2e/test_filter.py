@@ -30,10 +30,18 @@ def test_each_filter_is_drawn_undone_and_taken_along(opened, picture, tmp_path):
     for filter in ("nearest", "bilinear"):
         opened.page.click("#undo")
         opened.ready()
-        assert opened.page.input_value("#filter") == filter and opened.saved("download")[1] == pngs[filter]
+        assert (
+            opened.page.input_value("#filter") == filter
+            and opened.saved("download")[1] == pngs[filter]
+        )
     saved = tmp_path / "handles.json"
-    saved.write_text(json.dumps({"p": [RED], "q": [[130.4, 110.3]], "output": {"filter": "nearest"}}))
+    saved.write_text(
+        json.dumps({"p": [RED], "q": [[130.4, 110.3]], "output": {"filter": "nearest"}})
+    )
     opened.page.set_input_files("#file", saved)
     opened.page.wait_for_selector("#filter-note:text-matches('nearest pixel')")
     opened.ready()
-    assert opened.page.input_value("#filter") == "nearest" and opened.saved("download")[1] == pngs["nearest"]
+    assert (
+        opened.page.input_value("#filter") == "nearest"
+        and opened.saved("download")[1] == pngs["nearest"]
+    )

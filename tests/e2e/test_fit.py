@@ -6,7 +6,20 @@ from support import PHOTOGRAPHS
 
 
 # Landmarks of a face, and where an affine map takes them.
-LANDMARKS = [(183, 108), (246, 106), (215, 140), (192, 165), (238, 164), (160, 60), (270, 60), (150, 150), (280, 150), (214, 195), (120, 240), (310, 240)]
+LANDMARKS = [
+    (183, 108),
+    (246, 106),
+    (215, 140),
+    (192, 165),
+    (238, 164),
+    (160, 60),
+    (270, 60),
+    (150, 150),
+    (280, 150),
+    (214, 195),
+    (120, 240),
+    (310, 240),
+]
 WRONG = 4
 
 
@@ -36,20 +49,33 @@ def test_choose_for_me_selects_the_best_method_and_marks_the_wrong_pin(visit, tm
     before = seen.warp()
     chosen(seen)
     seen.keep("arrows")
-    best = json.loads(seen.server.ask("POST", "/fit", {"p": before["p"], "q": before["q"], "extent": [512, 512]}).body)["best"]
+    best = json.loads(
+        seen.server.ask(
+            "POST", "/fit", {"p": before["p"], "q": before["q"], "extent": [512, 512]}
+        ).body
+    )["best"]
     after = seen.warp()
     told = {name: value for name, value in best.items() if value}
     assert {name: after[name] for name in told} == told
     assert seen.page.locator(f"#method-{best['method']}").is_checked()
     words = seen.text("fit-note")
-    assert "predicts left-out pins best" in words and "px on average (RMS); Rigid" in words and f"Check pins {WRONG + 1}" in words
+    assert (
+        "predicts left-out pins best" in words
+        and "px on average (RMS); Rigid" in words
+        and f"Check pins {WRONG + 1}" in words
+    )
     assert seen.page.locator("#residuals > g").count() == len(LANDMARKS)
     assert seen.page.locator(f"#residuals .outlier[data-residual='{WRONG}']").count() == 1
     assert seen.page.locator(f"#handle-{WRONG}").get_attribute("data-fault") == "warning"
-    assert "from its prediction, an outlier" in seen.page.locator(f"#handle-{WRONG}").get_attribute("aria-label")
+    assert "from its prediction, an outlier" in seen.page.locator(f"#handle-{WRONG}").get_attribute(
+        "aria-label"
+    )
     assert words == seen.text("says")
     seen.page.click("#fit-arrows")
-    assert seen.page.locator("#residuals > g").count() == 0 and seen.page.locator("#fit-note").is_visible()
+    assert (
+        seen.page.locator("#residuals > g").count() == 0
+        and seen.page.locator("#fit-note").is_visible()
+    )
     seen.page.click("#fit-arrows")
     # Another position of a handle: the arrows are about others.
     seen.page.locator("#handle-2").focus()

@@ -9,11 +9,19 @@ from PIL import Image
 
 from support import RED, near, tell
 
-HANDLES = {"p": [[100, 100], [[20, 30], [300, 40]]], "q": [[140, 130], [[20, 30], [300, 60]]], "method": "affine"}
+HANDLES = {
+    "p": [[100, 100], [[20, 30], [300, 40]]],
+    "q": [[140, 130], [[20, 30], [300, 60]]],
+    "method": "affine",
+}
 
 
 def file(name="face.json", value=HANDLES):
-    return {"name": name, "mimeType": "application/json", "buffer": value if isinstance(value, bytes) else json.dumps(value).encode()}
+    return {
+        "name": name,
+        "mimeType": "application/json",
+        "buffer": value if isinstance(value, bytes) else json.dumps(value).encode(),
+    }
 
 
 def is_posed(visit):
@@ -36,9 +44,14 @@ def test_handles_are_opened_by_their_button(opened):
 
 
 def test_handles_on_the_start_page_wait_for_their_picture(visit, picture):
-    tell(visit, ["dragover", "drop"], ("face.json", "application/json", json.dumps(HANDLES).encode()))
+    tell(
+        visit, ["dragover", "drop"], ("face.json", "application/json", json.dumps(HANDLES).encode())
+    )
     visit.page.wait_for_selector("#waiting")
-    assert visit.text("waiting-text") == "face.json has 2 handles. Choose the picture or sample that they belong to."
+    assert (
+        visit.text("waiting-text")
+        == "face.json has 2 handles. Choose the picture or sample that they belong to."
+    )
     assert (visit["state"], visit["problem"]) == ("empty", "")
     visit.page.set_input_files("#file", picture)
     is_posed(visit)
@@ -53,7 +66,10 @@ def test_handles_that_wait_are_for_a_sample_too_or_are_discarded(visit):
     visit.page.wait_for_selector("#waiting")
     visit.page.focus("#waiting-drop")
     visit.keys("Enter")
-    assert not visit.page.locator("#waiting").is_visible() and visit.page.evaluate("document.activeElement.id") == "pick"
+    assert (
+        not visit.page.locator("#waiting").is_visible()
+        and visit.page.evaluate("document.activeElement.id") == "pick"
+    )
     visit.page.set_input_files("#file", [file()])
     visit.page.click("#sample-cat")
     is_posed(visit)
@@ -65,7 +81,12 @@ def test_handles_that_wait_are_for_a_sample_too_or_are_discarded(visit):
 def test_a_picture_and_its_handles_come_together(visit, picture, is_open):
     if is_open:
         visit.sample("cat")
-    tell(visit, ["dragover", "drop"], ("face.json", "application/json", json.dumps(HANDLES).encode()), ("discs.png", "image/png", picture.read_bytes()))
+    tell(
+        visit,
+        ["dragover", "drop"],
+        ("face.json", "application/json", json.dumps(HANDLES).encode()),
+        ("discs.png", "image/png", picture.read_bytes()),
+    )
     visit.body("[data-handles='2']")
     is_posed(visit)
     assert visit.page.title().startswith("discs.png")
@@ -86,7 +107,11 @@ def test_a_tolerance_in_a_file_is_kept_and_shown(opened):
 
 def test_the_policy_for_coincident_handles_is_kept(opened):
     policy = {"policy": "mean", "within": 30}
-    handles = {"p": [[100, 100], [110, 100], [300, 40]], "q": [[140, 130], [150, 130], [300, 60]], "coincident": policy}
+    handles = {
+        "p": [[100, 100], [110, 100], [300, 40]],
+        "q": [[140, 130], [150, 130], [300, 60]],
+        "coincident": policy,
+    }
     opened.page.set_input_files("#file", [file(value=handles)])
     opened.body("[data-handles='3']").ready()
     assert opened.warp()["coincident"] == policy
@@ -110,24 +135,59 @@ BROKEN = [
     (b"[" * 100_000, 1, 22, "fewer brackets"),
     (b"[]", 1, 1, "an object with the handles at rest"),
     (b'{"p": 5}', 1, 7, "a list of handles is expected for p."),
-    (b'{\n "p": [[1, 2]],\n "q": []\n}', 3, 7, "a list of 1 handles, as many as in p, is expected for q."),
-    (b'{"p": [[1, 2],\n [3, "4"]]}', 2, 2, "a position [x, y] or a list of positions is expected for p[1]."),
+    (
+        b'{\n "p": [[1, 2]],\n "q": []\n}',
+        3,
+        7,
+        "a list of 1 handles, as many as in p, is expected for q.",
+    ),
+    (
+        b'{"p": [[1, 2],\n [3, "4"]]}',
+        2,
+        2,
+        "a position [x, y] or a list of positions is expected for p[1].",
+    ),
     (b'{"p": [[[1, 2], [3]]]}', 1, 17, "a position [x, y] of two numbers is expected for p[0][1]."),
-    (b'{"p": [[1, 2]], "method": "arap"}', 1, 27, '"rigid", "similarity", "affine", "tps" or "global_affine" is expected for method.'),
-    (b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}', 1, 16, 'because the method "tps" and, on this page, "global_affine" take points only, is expected for p[1].'),
+    (
+        b'{"p": [[1, 2]], "method": "arap"}',
+        1,
+        27,
+        '"rigid", "similarity", "affine", "tps" or "global_affine" is expected for method.',
+    ),
+    (
+        b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}',
+        1,
+        16,
+        'because the method "tps" and, on this page, "global_affine" take points only, is expected for p[1].',
+    ),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
-    (b'{"p": [[1, 2]], "grid": {"tolerance": 9}}', 1, 25, '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px} is expected for grid.'),
-    (b'{"p": [[1, 2]], "coincident": {"within": -1}}', 1, 42, "a distance in px, 0 to 1000000, is expected for coincident.within."),
+    (
+        b'{"p": [[1, 2]], "grid": {"tolerance": 9}}',
+        1,
+        25,
+        '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px} is expected for grid.',
+    ),
+    (
+        b'{"p": [[1, 2]], "coincident": {"within": -1}}',
+        1,
+        42,
+        "a distance in px, 0 to 1000000, is expected for coincident.within.",
+    ),
     (b'{"p": [[1, 2]], "output": {"outside": "red"}}', 1, 39, "is expected for output.outside."),
 ]
 
 
 @pytest.mark.parametrize("text, line, column, expected", BROKEN)
-def test_a_broken_file_is_named_with_the_position_and_what_is_expected(visit, text, line, column, expected):
+def test_a_broken_file_is_named_with_the_position_and_what_is_expected(
+    visit, text, line, column, expected
+):
     visit.page.set_input_files("#file", [file("lm handles 3.json", text)])
     visit.body("[data-problem=bad_handles_file][data-state=empty]")
     detail = visit.text("problem-detail")
-    assert detail.startswith(f"In lm handles 3.json, line {line}, column {column}: ") and expected in detail, detail
+    assert (
+        detail.startswith(f"In lm handles 3.json, line {line}, column {column}: ")
+        and expected in detail
+    ), detail
     assert "ndo" not in visit.text("problem-advice")
 
 
@@ -137,13 +197,19 @@ def test_a_broken_file_changes_nothing(opened):
     opened.page.set_input_files("#file", [file(value=BROKEN[0][0])])
     opened.body("[data-problem=bad_handles_file]")
     assert (opened["handles"], opened["undo"], opened["state"]) == ("1", "1", "ready")
-    assert not opened.page.locator("#problem-action").is_visible() or opened.page.locator("#problem-action").inner_text() != "Undo"
+    assert (
+        not opened.page.locator("#problem-action").is_visible()
+        or opened.page.locator("#problem-action").inner_text() != "Undo"
+    )
 
 
 def test_a_large_file_is_not_read(visit):
     visit.page.set_input_files("#file", [file(value=b" " * (16 * 1024 * 1024 + 1))])
     visit.body("[data-problem=bad_handles_file]")
-    assert visit.text("problem-detail") == "The file face.json cannot be read: it is too large for a file of handles."
+    assert (
+        visit.text("problem-detail")
+        == "The file face.json cannot be read: it is too large for a file of handles."
+    )
 
 
 def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
@@ -157,7 +223,11 @@ def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
     shown = opened.of_server().body
     name, content = opened.saved("save-handles")
     saved = json.loads(content)
-    assert name == "discs-handles.json" and base64.b64decode(saved["region"]).startswith(b"\x89PNG") and saved["p"] == opened.warp()["p"]
+    assert (
+        name == "discs-handles.json"
+        and base64.b64decode(saved["region"]).startswith(b"\x89PNG")
+        and saved["p"] == opened.warp()["p"]
+    )
     opened.page.click("#region-clear")
     opened.body("[data-region='0']").ready()
     whole = opened.of_server().body
@@ -173,7 +243,10 @@ def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
     opened.body("[data-region='1']").ready()
     assert opened.of_server().body == shown
     # A file without a region keeps the one that is there.
-    opened.page.set_input_files("#file", [file("bare.json", {**{"p": saved["p"], "q": saved["q"]}, "method": saved["method"]})])
+    opened.page.set_input_files(
+        "#file",
+        [file("bare.json", {**{"p": saved["p"], "q": saved["q"]}, "method": saved["method"]})],
+    )
     opened.page.locator("#toast", has_text="from bare.json").wait_for()
     opened.ready()
     assert opened["region"] == "1"
@@ -182,13 +255,21 @@ def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
 def test_a_region_that_is_none_or_of_another_picture_is_refused(opened):
     opened.page.set_input_files("#file", [file("bad.json", {**HANDLES, "region": "not base64!"})])
     opened.body("[data-problem=bad_handles_file]")
-    assert "the mask of a region, a PNG in base64, is expected for region." in opened.text("problem-detail")
+    assert "the mask of a region, a PNG in base64, is expected for region." in opened.text(
+        "problem-detail"
+    )
     opened.page.set_input_files("#file", [file("no-png.json", {**HANDLES, "region": "AAAA"})])
     opened.page.locator("#problem-detail", has_text="In no-png.json").wait_for()
     small = io.BytesIO()
     Image.new("L", (20, 10), 255).save(small, "PNG")
-    opened.page.set_input_files("#file", [file("small.json", {**HANDLES, "region": base64.b64encode(small.getvalue()).decode()})])
-    opened.page.locator("#problem-detail", has_text="The region in small.json has 20 × 10 px, and the picture 400 × 300 px").wait_for()
+    opened.page.set_input_files(
+        "#file",
+        [file("small.json", {**HANDLES, "region": base64.b64encode(small.getvalue()).decode()})],
+    )
+    opened.page.locator(
+        "#problem-detail",
+        has_text="The region in small.json has 20 × 10 px, and the picture 400 × 300 px",
+    ).wait_for()
     assert (opened["handles"], opened["region"]) == ("0", "0")
 
 
@@ -216,8 +297,13 @@ def test_landmark_files_of_other_programs_are_opened(opened):
     opened.page.set_input_files("#file", [landmarks("face.pts", PTS)])
     opened.body("[data-handles='2']").ready()
     # ibug counts the pixels from 1, and this service their corners from 0.
-    assert opened.warp()["p"] == [[100, 100], [200, 140]] and opened.text("toast") == "2 handles from face.pts"
-    opened.page.set_input_files("#file", [landmarks("moved.csv", b"px,py,qx,qy\n100,100,140,130\n", "text/csv")])
+    assert (
+        opened.warp()["p"] == [[100, 100], [200, 140]]
+        and opened.text("toast") == "2 handles from face.pts"
+    )
+    opened.page.set_input_files(
+        "#file", [landmarks("moved.csv", b"px,py,qx,qy\n100,100,140,130\n", "text/csv")]
+    )
     opened.body("[data-handles='1']").ready()
     assert (opened.warp()["p"], opened.warp()["q"]) == ([[100, 100]], [[140, 130]])
     opened.page.click("#undo")
@@ -241,7 +327,9 @@ def test_a_broken_landmark_file_is_named_with_its_position(opened):
     opened.expects("422")
     opened.page.set_input_files("#file", [landmarks("face.csv", b"x,y\n100,1O0\n", "text/csv")])
     opened.body("[data-problem=bad_landmarks]")
-    assert opened.text("problem-detail").startswith("In face.csv, line 2, column 5: expected a number")
+    assert opened.text("problem-detail").startswith(
+        "In face.csv, line 2, column 5: expected a number"
+    )
     assert (opened["handles"], opened["state"]) == ("0", "ready")
 
 
@@ -250,7 +338,11 @@ def test_points_are_saved_as_a_landmark_file(opened):
     opened.click(*RED)
     opened.ready()
     name, content = opened.saved("save-landmarks")
-    assert name == "discs-landmarks.csv" and content.startswith(b"px,py,qx,qy\n") and content.count(b"\n") == int(opened["handles"]) + 1
+    assert (
+        name == "discs-landmarks.csv"
+        and content.startswith(b"px,py,qx,qy\n")
+        and content.count(b"\n") == int(opened["handles"]) + 1
+    )
     warp = opened.warp()
     opened.page.set_input_files("#file", [landmarks(name, content, "text/csv")])
     opened.page.locator("#toast", has_text=f"from {name}").wait_for()

@@ -30,7 +30,10 @@ DECODE = """async file => {
 def waves(size, grey):
     """Smooth, with noise in a corner, so that codes of every length occur."""
     y, x = numpy.mgrid[: size[1], : size[0]]
-    channels = [127 + 110 * numpy.sin(0.05 * x + c) * numpy.cos(0.04 * y - c) for c in range(1 if grey else 3)]
+    channels = [
+        127 + 110 * numpy.sin(0.05 * x + c) * numpy.cos(0.04 * y - c)
+        for c in range(1 if grey else 3)
+    ]
     picture = numpy.stack(channels, axis=2).round().astype(numpy.uint8)
     corner = picture[: size[1] // 4, : size[0] // 4]
     corner[:] = numpy.random.default_rng(size[0]).integers(0, 256, corner.shape, numpy.uint8)
@@ -41,8 +44,14 @@ def jpeg(server, picture, quality, sampling):
     """The picture, not moved, as the service writes it."""
     png = io.BytesIO()
     Image.fromarray(picture).save(png, "png")
-    warp = {"p": [[0, 0]], "q": [[0, 0]], "output": {"format": "jpeg", "quality": quality, "subsampling": sampling}}
-    answer = httpx.post(f"{server.address}/warp", files={"image": png.getvalue(), "warp": (None, json.dumps(warp))})
+    warp = {
+        "p": [[0, 0]],
+        "q": [[0, 0]],
+        "output": {"format": "jpeg", "quality": quality, "subsampling": sampling},
+    }
+    answer = httpx.post(
+        f"{server.address}/warp", files={"image": png.getvalue(), "warp": (None, json.dumps(warp))}
+    )
     assert answer.status_code == 200, answer.text
     assert answer.headers["content-type"] == "image/jpeg"
     return answer.content
@@ -50,9 +59,14 @@ def jpeg(server, picture, quality, sampling):
 
 def ffmpeg(file):
     av.logging.set_level(av.logging.WARNING)
-    with av.logging.Capture() as messages, av.open(io.BytesIO(file), format="jpeg_pipe") as container:
+    with (
+        av.logging.Capture() as messages,
+        av.open(io.BytesIO(file), format="jpeg_pipe") as container,
+    ):
         frame = next(container.decode(video=0)).to_ndarray(format="rgb24")
-    assert not [message for message in messages if "deprecated pixel format" not in message[2]], messages
+    assert not [message for message in messages if "deprecated pixel format" not in message[2]], (
+        messages
+    )
     return frame
 
 
@@ -76,7 +90,10 @@ def test_decoders_agree(visit, server, size, grey):
         reference = pillow(file).astype(int)
         assert reference.shape == (size[1], size[0], 3)
         others = {
-            "cv2": cv2.cvtColor(cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB),
+            "cv2": cv2.cvtColor(
+                cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_COLOR),
+                cv2.COLOR_BGR2RGB,
+            ),
             "FFmpeg": ffmpeg(file),
             "Chromium": chromium(visit, file),
         }

@@ -18,7 +18,13 @@ def bent(opened):
 def whole(visit):
     """What must come back: the pose, the history, the picture."""
     visit.ready()
-    return visit.warp(), visit["undo"], visit["redo"], visit.page.title(), visit.saved("download")[1]
+    return (
+        visit.warp(),
+        visit["undo"],
+        visit["redo"],
+        visit.page.title(),
+        visit.saved("download")[1],
+    )
 
 
 def test_a_reload_loses_nothing(bent):
@@ -114,7 +120,9 @@ def test_a_tab_whose_session_got_other_handles_elsewhere_goes_on_with_its_own(be
     second.wait_for_selector("body[data-state=ready]", state="attached")
     session, handles = bent["session"], bent["handles"]
     second.click("#add")
-    second.wait_for_selector(f"body[data-state=ready][data-handles='{int(handles) + 1}']", state="attached")
+    second.wait_for_selector(
+        f"body[data-state=ready][data-handles='{int(handles) + 1}']", state="attached"
+    )
     bent.page.bring_to_front()
     assert (bent["session"], bent["live"]) == (session, "socket")
     bent.drag((140, 130), (150, 150))

@@ -72,7 +72,9 @@ def test_what_was_refused_is_done_once_the_key_is_there(visits, locked, picture,
     assert '-H "Authorization: Bearer $MLSWARP_KEY"' in line and KEY not in line
     assert KEY not in visit.copied("copy-link")
     (tmp_path / picture.name).write_bytes(picture.read_bytes())
-    subprocess.run(["sh", "-c", line], cwd=tmp_path, env={**os.environ, "MLSWARP_KEY": KEY}, check=True)
+    subprocess.run(
+        ["sh", "-c", line], cwd=tmp_path, env={**os.environ, "MLSWARP_KEY": KEY}, check=True
+    )
     assert (tmp_path / f"{picture.stem}-warped.png").read_bytes() == png
 
 
@@ -95,7 +97,10 @@ def test_the_key_lives_as_long_as_is_wished(visits, locked, picture):
     assert visit.page.evaluate(stored) == [None, OTHER]
     visit.page.click("#help-open")
     visit.page.click("#key-open")
-    assert visit.page.locator("#key-field").input_value() == "" and visit.page.locator("#key-remember").is_checked()
+    assert (
+        visit.page.locator("#key-field").input_value() == ""
+        and visit.page.locator("#key-remember").is_checked()
+    )
     visit.page.click("#key-forget")
     assert visit.page.evaluate(stored) == [None, None]
     visit.click(*RED)

@@ -25,8 +25,13 @@ def tab_to(visit, id, back=False):
 def cross_to(visit, place):
     """Moves the cross from the stage's middle to a place: ten at a time, and one at a time with Shift."""
     visit.keys("ArrowRight", "ArrowLeft")
-    x, y = visit.page.evaluate("document.querySelector('#says').textContent.split(', ').map(Number)")
-    for apart, less, more in ((place[0] - x, "ArrowLeft", "ArrowRight"), (place[1] - y, "ArrowUp", "ArrowDown")):
+    x, y = visit.page.evaluate(
+        "document.querySelector('#says').textContent.split(', ').map(Number)"
+    )
+    for apart, less, more in (
+        (place[0] - x, "ArrowLeft", "ArrowRight"),
+        (place[1] - y, "ArrowUp", "ArrowDown"),
+    ):
         key = more if apart > 0 else less
         visit.keys(*[key] * int(abs(apart) // 10), *[f"Shift+{key}"] * round(abs(apart) % 10))
 
@@ -68,7 +73,10 @@ def test_a_sample_is_opened_and_the_focus_is_on_the_picture(visit):
 def test_characters_work_with_the_focus_on_a_button(pinned):
     tab_to(pinned, "theme", back=True)
     pinned.keys("2", "g")
-    assert pinned["tool"] == "line" and pinned.page.locator("#mesh").get_attribute("aria-pressed") == "true"
+    assert (
+        pinned["tool"] == "line"
+        and pinned.page.locator("#mesh").get_attribute("aria-pressed") == "true"
+    )
     # Keys that the button or a field uses itself keep their meaning.
     pinned.keys("Enter", "ArrowDown", "Delete")
     assert (pinned["theme"], pinned["handles"], pinned["undo"]) == ("light", "3", "3")
@@ -113,7 +121,9 @@ def test_arrows_in_quick_succession_are_one_step(pinned):
         }"""
     )
     pinned.ready()
-    assert int(pinned["undo"]) == before + 1 and near(pinned.posed(1), (GREEN[0], GREEN[1] - 12), 0.01)
+    assert int(pinned["undo"]) == before + 1 and near(
+        pinned.posed(1), (GREEN[0], GREEN[1] - 12), 0.01
+    )
     pinned.keys("Control+z")
     pinned.ready()
     assert near(pinned.posed(1), GREEN, 0.01)
@@ -186,7 +196,15 @@ def test_lines_and_paths(opened):
     tab_to(opened, "stage", back=True)
     opened.keys("Escape", "Escape", "3")
     cross_to(opened, (60, 240))
-    opened.keys("Enter", *["ArrowRight"] * 10, *["ArrowUp"] * 3, "Enter", *["ArrowRight"] * 10, "Enter", "Enter")
+    opened.keys(
+        "Enter",
+        *["ArrowRight"] * 10,
+        *["ArrowUp"] * 3,
+        "Enter",
+        *["ArrowRight"] * 10,
+        "Enter",
+        "Enter",
+    )
     opened.body("[data-handles='2'][data-draft='0']").ready()
     assert opened.warp()["p"] == [[[60, 60], [260, 60]], [[60, 240], [160, 210], [260, 210]]]
     # A whole line, and one place of a path.
@@ -226,7 +244,10 @@ def test_zoom_and_view(pinned):
     pinned.keys(*["+"] * 6)
     tab_to(pinned, "handle-1")
     box, spot = pinned.page.locator("#stage").bounding_box(), pinned.at(*GREEN)
-    assert box["x"] <= spot[0] <= box["x"] + box["width"] and box["y"] <= spot[1] <= box["y"] + box["height"]
+    assert (
+        box["x"] <= spot[0] <= box["x"] + box["width"]
+        and box["y"] <= spot[1] <= box["y"] + box["height"]
+    )
     assert pinned["undo"] == "3"
 
 
@@ -259,10 +280,15 @@ def test_mesh_comparison_and_the_original(pinned):
 def test_the_panel_and_the_table(pinned):
     tab_to(pinned, "method-rigid")
     pinned.keys("ArrowRight")
-    assert focused(pinned) == "method-similarity" and pinned.page.locator("#method-similarity").is_checked()
+    assert (
+        focused(pinned) == "method-similarity"
+        and pinned.page.locator("#method-similarity").is_checked()
+    )
     tab_to(pinned, "alpha")
     pinned.keys("ArrowRight", "ArrowRight")
-    assert pinned.text("alpha-value") == "1.2" and not pinned.page.locator("#alpha-auto").is_checked()
+    assert (
+        pinned.text("alpha-value") == "1.2" and not pinned.page.locator("#alpha-auto").is_checked()
+    )
     tab_to(pinned, "grid-size")
     pinned.keys("ArrowDown")
     tab_to(pinned, "q-0-0-x")

@@ -14,7 +14,12 @@ WAYS = pytest.mark.parametrize("query", ["", "?plan=off"], ids=["plan", "socket"
 LONG = os.environ.get("MLSWARP_TESTS_FULL") == "1"
 # What the browser reports when connections break.
 BROKEN = (
-    SOCKET, "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_CONNECTION_CLOSED", "ERR_EMPTY_RESPONSE", "ERR_SOCKET_NOT_CONNECTED",
+    SOCKET,
+    "ERR_CONNECTION_REFUSED",
+    "ERR_CONNECTION_RESET",
+    "ERR_CONNECTION_CLOSED",
+    "ERR_EMPTY_RESPONSE",
+    "ERR_SOCKET_NOT_CONNECTED",
 )
 
 
@@ -72,7 +77,11 @@ class Drag:
             look = self.visit.look()
             if self.visit["shown"] == named:
                 break
-        assert near(look.centre("red"), self.stops[int(named)], 2.5), (named, self.visit["revision"], self.stops)
+        assert near(look.centre("red"), self.stops[int(named)], 2.5), (
+            named,
+            self.visit["revision"],
+            self.stops,
+        )
         return self
 
     def end(self):
@@ -90,7 +99,9 @@ class Drag:
         # Behind an unanswered pose, newer ones are sent for 300 ms at most; 100 for the clock of the record.
         assert max(seen["waits"], default=0) <= 400, max(seen["waits"])
         if self.is_local:
-            assert seen["poses"] == self.poses_before, "a pose was sent in spite of the coefficients"
+            assert seen["poses"] == self.poses_before, (
+                "a pose was sent in spite of the coefficients"
+            )
         return seen
 
 
@@ -170,7 +181,10 @@ def test_a_response_from_before_the_server_stopped(visits, picture, link, restar
     visit.expects("404", *BROKEN)
     held = []
     stopped = []
-    visit.page.route("**/sessions/*/warp", lambda route: route.continue_() if stopped else held.append((route, route.fetch())))
+    visit.page.route(
+        "**/sessions/*/warp",
+        lambda route: route.continue_() if stopped else held.append((route, route.fetch())),
+    )
     drag.move(5).follows()
     # The newest response; requests before it were cancelled by further movement.
     visit.page.wait_for_timeout(2000)

@@ -53,17 +53,33 @@ def test_frames_come_by_the_socket_as_meshes(visits, picture):
     assert (visit["live"], visit["webgl"]) == ("socket", "webgl2")
     moving, resting = follows(visit, "mesh")
     assert resting.differs(moving) < 0.02 * resting.image.width * resting.image.height
-    assert all(f"/sessions/{visit['session']}/drag?" in url and "frames=mesh" in url and "mesh=compact" in url for url in sockets)
-    grids = [grid for grid in (json.loads(frame) for frame in frames if isinstance(frame, str)) if "columns" in grid]
+    assert all(
+        f"/sessions/{visit['session']}/drag?" in url
+        and "frames=mesh" in url
+        and "mesh=compact" in url
+        for url in sockets
+    )
+    grids = [
+        grid
+        for grid in (json.loads(frame) for frame in frames if isinstance(frame, str))
+        if "columns" in grid
+    ]
     binary = [frame for frame in frames if isinstance(frame, bytes)]
     assert binary and len(binary[-1]) == 12 + 4 * grids[-1]["columns"] * grids[-1]["rows"]
     assert grids[-1]["mesh"] == "compact" and grids[-1]["error"] <= grids[-1]["tolerance"] == 0.5
-    reports = [report for report in (json.loads(frame) for frame in frames if isinstance(frame, str)) if "error" in report and "seq" in report]
+    reports = [
+        report
+        for report in (json.loads(frame) for frame in frames if isinstance(frame, str))
+        if "error" in report and "seq" in report
+    ]
     assert reports and all(report["error"] < 1 for report in reports)
     # Every frame is acknowledged, and the newest pose was sent.
     messages = [json.loads(message) for message in sent]
     acknowledged = [message["ack"] for message in messages if "ack" in message]
-    assert acknowledged == sorted(set(acknowledged)) and int.from_bytes(binary[-1][:8], "little") in acknowledged
+    assert (
+        acknowledged == sorted(set(acknowledged))
+        and int.from_bytes(binary[-1][:8], "little") in acknowledged
+    )
     assert [m["q"] for m in messages if "q" in m][-1][0] == visit.warp()["q"][0]
 
 
@@ -109,7 +125,9 @@ def test_a_browser_without_webgl_draws_the_servers_frames(visits, plain_browser,
     bent = visit.warp()
     visit.click(230, 160)
     visit.body("[data-handles='4']").ready()
-    answer = visit.server.ask("POST", "/points", {**bent, "extent": [400, 300], "points": [visit.warp()["p"][3]]})
+    answer = visit.server.ask(
+        "POST", "/points", {**bent, "extent": [400, 300], "points": [visit.warp()["p"][3]]}
+    )
     assert near(json.loads(answer.body)["points"][0], (230, 160), 0.5)
     visit.page.click("#mesh")
     visit.keep("without-webgl")

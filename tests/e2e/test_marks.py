@@ -13,14 +13,19 @@ P = [[20 + 15 * (n % 25), 15 + 13.5 * (n // 25)] for n in range(COUNT)]
 @pytest.fixture
 def many(opened):
     value = {"p": P, "q": [[x + n % 3, y] for n, (x, y) in enumerate(P)]}
-    opened.page.set_input_files("#file", {"name": "many.json", "mimeType": "application/json", "buffer": json.dumps(value).encode()})
+    opened.page.set_input_files(
+        "#file",
+        {"name": "many.json", "mimeType": "application/json", "buffer": json.dumps(value).encode()},
+    )
     opened.body(f"[data-handles='{COUNT}']").ready()
     return opened
 
 
 def drawn_by_svg(visit):
     """Indices of the handles whose dots the SVG draws."""
-    return visit.page.evaluate("[...document.querySelectorAll('#handles .dot')].filter((dot) => dot.checkVisibility()).map((dot) => Number(dot.parentNode.dataset.handle))")
+    return visit.page.evaluate(
+        "[...document.querySelectorAll('#handles .dot')].filter((dot) => dot.checkVisibility()).map((dot) => Number(dot.parentNode.dataset.handle))"
+    )
 
 
 def is_blue(visit, canvas, x, y):
@@ -45,7 +50,9 @@ def test_handles_that_are_not_selected_are_on_the_canvas(many):
     # By keys: focus, selection and movement.
     many.page.focus("#handle-77")
     many.keys("Shift+Tab", "Tab")
-    assert many.page.evaluate("document.activeElement.id") == "handle-77" and drawn_by_svg(many) == [77]
+    assert many.page.evaluate("document.activeElement.id") == "handle-77" and drawn_by_svg(
+        many
+    ) == [77]
     many.keys("Enter", "ArrowRight")
     many.ready()
     assert many["selected"] == "1" and near(many.posed(77), (P[77][0] + 77 % 3 + 1, P[77][1]), 0.01)

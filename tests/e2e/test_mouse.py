@@ -61,7 +61,9 @@ def test_a_handle_put_on_a_bent_picture_holds_what_is_under_the_cursor(pinned):
         pinned.body(f"[data-handles='{len(bent['p']) + 1}']").ready()
         both = pinned.warp()
         rest, clicked = both["p"][-1], both["q"][-1]
-        answer = pinned.server.ask("POST", "/points", {**bent, "extent": [400, 300], "points": [rest]})
+        answer = pinned.server.ask(
+            "POST", "/points", {**bent, "extent": [400, 300], "points": [rest]}
+        )
         assert answer.status == 200, answer.body
         seen = json.loads(answer.body)["points"][0]
         assert near(seen, clicked, 0.3), (seen, clicked)
@@ -265,7 +267,9 @@ def test_a_line_by_one_drag_and_by_two_clicks(opened):
     opened.body("[data-handles='2'][data-draft='0']").ready()
     for handle, y in ((0, 40), (1, 260)):
         assert opened.page.locator(f"#handle-{handle}").get_attribute("data-kind") == "line"
-        assert near(opened.posed(handle, 0), (60, y), 0.5) and near(opened.posed(handle, 1), (340, y), 0.5)
+        assert near(opened.posed(handle, 0), (60, y), 0.5) and near(
+            opened.posed(handle, 1), (340, y), 0.5
+        )
     # Taken between its places it moves as a whole, taken at one it turns.
     opened.drag((200, 40), (200, 70))
     assert near(opened.posed(0, 0), (60, 70), 0.5) and near(opened.posed(0, 1), (340, 70), 0.5)
@@ -309,9 +313,17 @@ def test_the_border_is_pinned(opened):
     opened.ready()
     assert near(opened.look().centre("red"), (150, 130), 1.5)
     corners = opened.server.ask(
-        "POST", "/points", {**opened.warp(), "extent": [400, 300], "points": [[0, 0], [400, 0], [400, 300], [0, 300], [200, 0]]}
+        "POST",
+        "/points",
+        {
+            **opened.warp(),
+            "extent": [400, 300],
+            "points": [[0, 0], [400, 0], [400, 300], [0, 300], [200, 0]],
+        },
     )
-    for seen, rest in zip(json.loads(corners.body)["points"], ((0, 0), (400, 0), (400, 300), (0, 300), (200, 0))):
+    for seen, rest in zip(
+        json.loads(corners.body)["points"], ((0, 0), (400, 0), (400, 300), (0, 300), (200, 0))
+    ):
         assert near(seen, rest, 0.01)
 
 

@@ -13,7 +13,12 @@ from support import BLUE, GREEN, PHOTOGRAPHS, RED, near, tell
 
 def test_an_empty_page_says_what_to_do(visit):
     data = visit.data
-    assert (data["state"], data["source"], data["handles"], data["live"]) == ("empty", "none", "0", "off")
+    assert (data["state"], data["source"], data["handles"], data["live"]) == (
+        "empty",
+        "none",
+        "0",
+        "off",
+    )
     assert visit.page.locator("#drop").is_visible()
     assert re.search(r"32 MiB.*50 megapixels", visit.text("limits"))
     for control in ("undo", "stage", "panel", "download", "close", "export-open", "waiting"):
@@ -21,16 +26,27 @@ def test_an_empty_page_says_what_to_do(visit):
 
 
 def test_the_policy_is_strict(visit):
-    policy = dict(part.strip().partition(" ")[::2] for part in visit.answer.headers["content-security-policy"].split(";"))
+    policy = dict(
+        part.strip().partition(" ")[::2]
+        for part in visit.answer.headers["content-security-policy"].split(";")
+    )
     assert policy["default-src"] == "'none'"
     assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
     assert policy["base-uri"] == policy["form-action"] == policy["frame-ancestors"] == "'none'"
     assert "unsafe" not in str(policy)
 
 
-@pytest.mark.parametrize("name, size", [("portrait", (512, 512)), ("cat", (451, 300)), ("horse", None), ("rocket", (640, 427))])
+@pytest.mark.parametrize(
+    "name, size",
+    [("portrait", (512, 512)), ("cat", (451, 300)), ("horse", None), ("rocket", (640, 427))],
+)
 def test_a_sample_comes_bent(visit, name, size):
-    before = {"portrait": "portrait.jpg", "cat": "cat.jpg", "horse": "horse.webp", "rocket": "rocket.jpg"}[name]
+    before = {
+        "portrait": "portrait.jpg",
+        "cat": "cat.jpg",
+        "horse": "horse.webp",
+        "rocket": "rocket.jpg",
+    }[name]
     file = visit.server.ask("GET", f"/page/{before}").body
     visit.sample(name)
     data = visit.data
@@ -64,7 +80,10 @@ def test_a_file_is_dropped(visit, picture):
     tell(visit, ["dragenter"], ("discs.png", "image/png", picture.read_bytes()))
     assert visit.page.locator("#over").is_visible()
     # A drop that the page did not take would open the file in its place.
-    assert tell(visit, ["dragover", "drop"], ("discs.png", "image/png", picture.read_bytes())) == [True, True]
+    assert tell(visit, ["dragover", "drop"], ("discs.png", "image/png", picture.read_bytes())) == [
+        True,
+        True,
+    ]
     visit.body("[data-state=ready]")
     assert not visit.page.locator("#over").is_visible()
     is_seen_as_it_came(visit)
@@ -105,7 +124,11 @@ def test_a_picture_is_opened_under_a_name_of_the_page(visit, picture):
     # As over plain HTTP to another machine.
     visit.page.evaluate("() => Object.defineProperty(crypto, 'randomUUID', { value: undefined })")
     visit.open(picture).ready()
-    uploads = [url for method, url in asked if method in ("POST", "PUT") and url.split("/")[-2] == "sessions"]
+    uploads = [
+        url
+        for method, url in asked
+        if method in ("POST", "PUT") and url.split("/")[-2] == "sessions"
+    ]
     assert [url.rsplit("/", 1)[1] for url in uploads] == [visit["session"]]
     assert visit["session"][14] == "4" and visit["session"][19] in "89ab"
 
@@ -133,7 +156,12 @@ def noise(path):
 def slow(visit, bytes_per_second):
     session = visit.context.new_cdp_session(visit.page)
     session.send("Network.enable")
-    conditions = {"offline": False, "latency": 5, "downloadThroughput": -1, "uploadThroughput": bytes_per_second}
+    conditions = {
+        "offline": False,
+        "latency": 5,
+        "downloadThroughput": -1,
+        "uploadThroughput": bytes_per_second,
+    }
     session.send("Network.emulateNetworkConditions", conditions)
 
 
@@ -154,7 +182,11 @@ def test_an_upload_shows_how_far_it_is(visit, tmp_path):
     between = [(progress, bar, words) for progress, bar, words in seen if 0 < progress < 100]
     assert len({progress for progress, _, _ in between}) >= 2, seen
     for progress, bar, words in between:
-        assert abs(bar - progress) <= 1 and re.search(rf"noise\.png.* {progress} %", words), (progress, bar, words)
+        assert abs(bar - progress) <= 1 and re.search(rf"noise\.png.* {progress} %", words), (
+            progress,
+            bar,
+            words,
+        )
 
 
 def test_an_upload_is_cancelled(visit, tmp_path):

@@ -28,7 +28,9 @@ def bend(visit):
     visit.ready()
 
 
-@pytest.mark.parametrize("name", ["discs.png", "my discs, (1) \"best\"; 50%.png", "Pål's øre.png", "-o.png"])
+@pytest.mark.parametrize(
+    "name", ["discs.png", 'my discs, (1) "best"; 50%.png', "Pål's øre.png", "-o.png"]
+)
 def test_the_command_repeats_the_picture(visit, picture, tmp_path, name):
     here = tmp_path / "here"
     here.mkdir()
@@ -133,18 +135,28 @@ def test_a_link_says_until_when_it_works_and_a_dead_one_what_to_do(visit, visits
     visit.open(picture)
     bend(visit)
     link = visit.copied("copy-link")
-    visit.page.wait_for_selector("#link-note:text-matches('^It works until .*[0-9]{2}:[0-9]{2}, and for 15 minutes after each use[.]$')")
+    visit.page.wait_for_selector(
+        "#link-note:text-matches('^It works until .*[0-9]{2}:[0-9]{2}, and for 15 minutes after each use[.]$')"
+    )
     assert visit.text("toast") == f"Link copied. {visit.text('link-note')}"
     until = re.search(r"(\d\d):(\d\d)", visit.text("link-note"))
     session = json.loads(visit.server.ask("GET", f"/sessions/{visit['session']}").body)
-    assert until[0] == visit.page.evaluate("(time) => new Date(time).toTimeString().slice(0, 5)", session["expires"])
+    assert until[0] == visit.page.evaluate(
+        "(time) => new Date(time).toTimeString().slice(0, 5)", session["expires"]
+    )
     # The session ends; the link still has the handles.
     assert visit.server.ask("DELETE", f"/sessions/{visit['session']}").status == 204
     guest = visits(path=f"#{urlsplit(link).fragment}", expects=["404", "410"])
     guest.body("[data-problem=no_such_session], body[data-problem=session_expired]")
     assert guest.text("problem-title") == "This link no longer works"
-    assert guest.text("problem-detail") == "The link to discs.png has ended: the server deletes a picture 15 minutes after its last use."
-    assert guest.text("waiting-text") == "The link has 3 handles. Choose the picture or sample that they belong to."
+    assert (
+        guest.text("problem-detail")
+        == "The link to discs.png has ended: the server deletes a picture 15 minutes after its last use."
+    )
+    assert (
+        guest.text("waiting-text")
+        == "The link has 3 handles. Choose the picture or sample that they belong to."
+    )
     guest.keep("dead-link")
     guest.open(picture)
     guest.body("[data-handles='3']").ready()

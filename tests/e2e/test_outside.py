@@ -55,7 +55,11 @@ def test_each_choice_is_drawn_and_undone(shifted):
     assert len(notes) == 3
     assert close(shifted.look().colour(*BARE), (128, 32, 192))
     # The colours that are passed while one is looked for are one step of undo.
-    for outside, pixel in (("colour", (255, 255, 255, 255)), ("edge", (*GREY, 255)), ("transparent", (0, 0, 0, 0))):
+    for outside, pixel in (
+        ("colour", (255, 255, 255, 255)),
+        ("edge", (*GREY, 255)),
+        ("transparent", (0, 0, 0, 0)),
+    ):
         shifted.page.click("#undo")
         shifted.ready()
         assert shifted.page.input_value("#outside") == outside
@@ -92,7 +96,7 @@ def test_it_is_taken_along(shifted, visits, picture, tmp_path):
     assert (tmp_path / "discs-warped.png").read_bytes() == png
     # A link, whose picture the other one's command asks of the session.
     link = shifted.copied("copy-link")
-    other = visits(path=link[link.index("#"):])
+    other = visits(path=link[link.index("#") :])
     other.ready()
     assert other.page.input_value("#outside-colour") == PURPLE and other.saved("download")[1] == png
     run(other.copied("copy-curl"), tmp_path)
@@ -101,13 +105,21 @@ def test_it_is_taken_along(shifted, visits, picture, tmp_path):
     # A reload, and a file of handles.
     shifted.page.reload()
     shifted.ready()
-    assert shifted.page.input_value("#outside-colour") == PURPLE and shifted.saved("download")[1] == png
+    assert (
+        shifted.page.input_value("#outside-colour") == PURPLE
+        and shifted.saved("download")[1] == png
+    )
     name, handles = shifted.saved("save-handles")
     saved = tmp_path / name
     saved.write_text(json.dumps({**json.loads(handles), "output": {"outside": "#8020C080"}}))
     third = visits().open(picture)
     third.page.set_input_files("#file", saved)
-    assert at(third.body("[data-handles='1']").ready() and third.saved("download")[1], *BARE) == (128, 32, 192, 128)
+    assert at(third.body("[data-handles='1']").ready() and third.saved("download")[1], *BARE) == (
+        128,
+        32,
+        192,
+        128,
+    )
     # The field shows the colour; what lets through stays when it changes.
     assert at(choose(third, "colour", "#102030"), *BARE) == (16, 32, 48, 128)
 

@@ -37,7 +37,9 @@ def export(visit):
 def region(visit):
     visit.sample("portrait")
     visit.page.click("label:has(#tool-lasso)")
-    visit.drag((180, 60), (150, 110), (170, 190), (200, 230), (260, 220), (300, 150), (300, 70), (240, 15))
+    visit.drag(
+        (180, 60), (150, 110), (170, 190), (200, 230), (260, 220), (300, 150), (300, 70), (240, 15)
+    )
     visit.page.locator("#feather").fill("20")
     visit.page.click("label:has(#tool-brush)")
     visit.press((400, 60), (410, 300), steps=12)
@@ -69,7 +71,15 @@ PICTURES = {
     "export": (export, {"color_scheme": "dark"}),
     "region": (region, {"color_scheme": "light"}),
     "animation": (animation, {"color_scheme": "dark"}),
-    "phone": (phone, {"viewport": {"width": 390, "height": 844}, "device_scale_factor": 2, "has_touch": True, "is_mobile": True}),
+    "phone": (
+        phone,
+        {
+            "viewport": {"width": 390, "height": 844},
+            "device_scale_factor": 2,
+            "has_touch": True,
+            "is_mobile": True,
+        },
+    ),
     "dark": (dark, {"color_scheme": "dark"}),
 }
 
@@ -90,7 +100,13 @@ def test_the_strength_as_a_strip(visit):
         visit.page.locator("#strength").fill(str(strength))
         visit.ready()
         visit.page.click("#before", trial=True)  # the frame is on the screen
-        shots.append(Image.open(io.BytesIO(visit.page.screenshot(clip={"x": 84, "y": 52, "width": 860, "height": 748}))).resize((430, 374)))
+        shots.append(
+            Image.open(
+                io.BytesIO(
+                    visit.page.screenshot(clip={"x": 84, "y": 52, "width": 860, "height": 748})
+                )
+            ).resize((430, 374))
+        )
     strip = Image.new("RGB", (3 * 430, 2 * 374))
     for index, shot in enumerate(shots):
         strip.paste(shot, (index % 3 * 430, index // 3 * 374))
@@ -106,7 +122,9 @@ def keep(name, shot):
     if os.environ.get("MLSWARP_BLESS"):
         # 256 colours are enough to look at, and a fraction of the bytes.
         shot.quantize(256, kmeans=3, dither=Image.Dither.FLOYDSTEINBERG).save(kept, optimize=True)
-    assert Image.open(kept).size == shot.size, "the picture that is kept is of another page: MLSWARP_BLESS=1"
+    assert Image.open(kept).size == shot.size, (
+        "the picture that is kept is of another page: MLSWARP_BLESS=1"
+    )
     assert kept.stat().st_size <= MOST
 
 

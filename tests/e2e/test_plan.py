@@ -7,6 +7,7 @@ import pytest
 from links import distances
 from support import BLUE, GREEN, RED, SOCKET, Server, discs, near
 
+
 @pytest.fixture
 def restartable():
     server = Server()
@@ -38,7 +39,9 @@ def computed(visit, p, q):
 
 def test_a_drag_asks_the_server_for_nothing(visit, picture):
     sent, asked = [], []
-    visit.page.on("websocket", lambda socket: socket.on("framesent", lambda frame: sent.append(frame)))
+    visit.page.on(
+        "websocket", lambda socket: socket.on("framesent", lambda frame: sent.append(frame))
+    )
     pinned(visit, picture)
     visit.page.on("request", lambda request: asked.append(request.url))
     # Poses are sent until the coefficients of new handles are here.
@@ -48,7 +51,9 @@ def test_a_drag_asks_the_server_for_nothing(visit, picture):
         visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}']")
         moving = visit.look()
         assert near(moving.centre("red"), (140, 130), 2.5)
-        assert not [url for url in asked if not url.endswith(("/warp", visit["session"], "/mesh"))], asked
+        assert not [
+            url for url in asked if not url.endswith(("/warp", visit["session"], "/mesh"))
+        ], asked
         visit.page.mouse.up()
     visit.ready()
     assert not [message for message in sent if '"q"' in message], sent
@@ -94,9 +99,15 @@ def test_what_is_drawn_is_the_mesh_of_the_server(visit, picture):
         grid, places = computed(visit, warp["p"], warp["q"])
         points = [[400 * i / 40, 300 * j / 30] for j in range(31) for i in range(41)]
         assert (grid["columns"], grid["rows"], grid["width"], grid["height"]) == (41, 31, 400, 300)
-        answer = visit.server.ask("POST", f"/sessions/{visit['session']}/points", {"q": warp["q"], "points": points})
+        answer = visit.server.ask(
+            "POST", f"/sessions/{visit['session']}/points", {"q": warp["q"], "points": points}
+        )
         exact = json.loads(answer.body)["points"]
-        worst = max(abs(a - b) for k, point in enumerate(exact) for a, b in zip(point, places[2 * k : 2 * k + 2]))
+        worst = max(
+            abs(a - b)
+            for k, point in enumerate(exact)
+            for a, b in zip(point, places[2 * k : 2 * k + 2])
+        )
         assert worst < 0.1, (method, worst)
 
 
@@ -125,7 +136,9 @@ def test_new_handles_have_new_coefficients(visit, picture):
     visit.body("[data-handles='4']")
     visit.body("[data-plan='']")
     visit.press((60, 250), (80, 240))
-    visit.body(f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}'][data-plan='']")
+    visit.body(
+        f"[data-moving=true][data-source=mesh][data-shown='{visit['revision']}'][data-plan='']"
+    )
     assert held
     for route in held:
         route.continue_()
@@ -159,7 +172,11 @@ def test_the_drawing_covers_the_picture_at_each_zoom(visits, tmp_path, screen):
             visit.page.mouse.up()
         visit.ready()
         resting = visit.look()
-        assert resting.differs(moving) < 0.25 * resting.differs(still), (visit["zoom"], resting.differs(moving), resting.differs(still))
+        assert resting.differs(moving) < 0.25 * resting.differs(still), (
+            visit["zoom"],
+            resting.differs(moving),
+            resting.differs(still),
+        )
 
 
 def test_more_than_two_megabytes_of_coefficients_are_not_requested(visit, picture):
@@ -171,7 +188,9 @@ def test_more_than_two_megabytes_of_coefficients_are_not_requested(visit, pictur
     points = [RED, *([10 + 27 * (k % 14), 285 - 6 * (k // 14)] for k in range(139))]
     for count in (140, 130):
         handles = json.dumps({"p": points[:count], "q": points[:count]}).encode()
-        visit.page.set_input_files("#file", [{"name": "many.json", "mimeType": "application/json", "buffer": handles}])
+        visit.page.set_input_files(
+            "#file", [{"name": "many.json", "mimeType": "application/json", "buffer": handles}]
+        )
         visit.body(f"[data-handles='{count}']").ready()
         assert any("/plan?" in url for url in asked) == (count == 130), asked
         assert (visit["plan"] == "") == (count == 140)
@@ -183,13 +202,18 @@ def test_more_than_two_megabytes_of_coefficients_are_not_requested(visit, pictur
             visit.page.mouse.up()
         visit.ready()
         resting = visit.look()
-        assert resting.differs(moving) < 0.25 * resting.differs(before), (resting.differs(moving), resting.differs(before))
+        assert resting.differs(moving) < 0.25 * resting.differs(before), (
+            resting.differs(moving),
+            resting.differs(before),
+        )
         assert visit.saved("download")[1] == visit.of_server().body
 
 
 def test_a_drag_continues_without_the_server_and_says_so(visits, picture, restartable):
     visit = pinned(visits(of=restartable), picture)
-    visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET)
+    visit.expects(
+        "404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET
+    )
     visit.press(RED, (120, 110))
     visit.body("[data-moving=true][data-source=mesh]")
     restartable.kill()

@@ -58,10 +58,18 @@ def test_the_address_without_a_slash_leads_to_the_page(proxied):
 def test_locations_and_problem_types_can_be_followed(proxied, picture):
     boundary = "parts"
     part = f'--{boundary}\r\nContent-Disposition: form-data; name="{{}}"; filename="a"\r\n\r\n'
-    body = part.format("image").encode() + picture.read_bytes() + b"\r\n" + part.format("warp").encode() + b'{"p": [[9, 9]], "q": [[9, 8]]}\r\n'
+    body = (
+        part.format("image").encode()
+        + picture.read_bytes()
+        + b"\r\n"
+        + part.format("warp").encode()
+        + b'{"p": [[9, 9]], "q": [[9, 8]]}\r\n'
+    )
     kind = f"multipart/form-data; boundary={boundary}"
     for path in ("/sessions", "/warp?session=true"):
-        request = Request(proxied.address + path, body + f"--{boundary}--\r\n".encode(), {"Content-Type": kind})
+        request = Request(
+            proxied.address + path, body + f"--{boundary}--\r\n".encode(), {"Content-Type": kind}
+        )
         with urlopen(request, timeout=60) as created:
             location = urljoin(created.url, created.headers["Location"])
         assert location.startswith(f"{proxied.address}/sessions/")
@@ -71,17 +79,31 @@ def test_locations_and_problem_types_can_be_followed(proxied, picture):
         answer = proxied.ask("GET", path)
         problem = json.loads(answer.body)
         assert (answer.status, problem["code"]) == (404, "not_found")
-        _, kind, section = fetch(urljoin(f"{proxied.address}{path}", problem["type"]), Accept="application/json")
-        assert kind == "application/json" and json.loads(section)["type"] == problem["type"] == f"{PREFIX}/problems/not_found"
+        _, kind, section = fetch(
+            urljoin(f"{proxied.address}{path}", problem["type"]), Accept="application/json"
+        )
+        assert (
+            kind == "application/json"
+            and json.loads(section)["type"] == problem["type"] == f"{PREFIX}/problems/not_found"
+        )
     servers = json.loads(proxied.ask("GET", "/openapi.json").body)["servers"]
-    assert [urljoin(f"{proxied.address}/openapi.json", server["url"]) for server in servers] == [proxied.address]
+    assert [urljoin(f"{proxied.address}/openapi.json", server["url"]) for server in servers] == [
+        proxied.address
+    ]
 
 
 def test_the_reference_and_the_page_of_a_problem_stay_below_the_prefix(proxied, browser):
     context = browser.new_context()
     try:
         strange = []
-        context.on("response", lambda response: response.url.startswith(("data:", "blob:", f"{proxied.address}/")) and response.status < 400 or strange.append(response.url))
+        context.on(
+            "response",
+            lambda response: (
+                response.url.startswith(("data:", "blob:", f"{proxied.address}/"))
+                and response.status < 400
+                or strange.append(response.url)
+            ),
+        )
         page = context.new_page()
         page.goto(f"{proxied.address}/problems/too_large")
         page.click("nav a >> text=API")

@@ -12,7 +12,9 @@ def told(visit, code):
     visit.body(f"[data-problem='{code}']")
     alert = visit.page.get_by_role("alert")
     assert alert.is_visible()
-    title, detail, advice = (visit.text(f"problem-{part}") for part in ("title", "detail", "advice"))
+    title, detail, advice = (
+        visit.text(f"problem-{part}") for part in ("title", "detail", "advice")
+    )
     assert title and advice
     for words in (title, detail, advice):
         for jargon in (code if "_" in code else "{", "undefined", "null", "NaN", "Error:", "HTTP"):
@@ -66,7 +68,9 @@ def test_a_picture_of_too_many_pixels(visits, picture, tmp_path):
         visit.expects("413")
         visit.page.set_input_files("#file", picture)
         title, detail, _ = told(visit, "too_large")
-        assert title == "Too large for this server" and "100000" in detail.replace(",", "").replace(" ", "")
+        assert title == "Too large for this server" and "100000" in detail.replace(",", "").replace(
+            " ", ""
+        )
         visit.open(discs(tmp_path / "small.png", (330, 260)))
     finally:
         server.stop()
@@ -105,14 +109,18 @@ def test_two_handles_that_are_moved_apart(pinned):
         type_number(pinned, f"p-1-0-{axis}", number)
         pinned.ready()
     assert "moved apart" in pinned.text("status")
-    marked = pinned.page.locator("#handles [data-fault=warning]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
+    marked = pinned.page.locator("#handles [data-fault=warning]").evaluate_all(
+        "(nodes) => nodes.map((node) => node.id)"
+    )
     assert marked == ["handle-0", "handle-1"] and pinned.page.locator("tr[data-fault]").count() == 2
     pinned.keep("handles-apart")
     # The position moves by the mean: put the second handle where the first one is, and nothing is wrong.
     for axis, number in zip("xy", RED):
         type_number(pinned, f"q-1-0-{axis}", number)
         pinned.ready()
-    assert pinned.page.locator("[data-fault]").count() == 0 and "moved apart" not in pinned.text("status")
+    assert pinned.page.locator("[data-fault]").count() == 0 and "moved apart" not in pinned.text(
+        "status"
+    )
 
 
 def test_a_problem_of_a_handle_is_marked_and_undone(opened):
@@ -124,15 +132,24 @@ def test_a_problem_of_a_handle_is_marked_and_undone(opened):
     type_number(opened, "p-0-1-x", 100)
     _, _, advice = told(opened, "degenerate_line")
     assert advice.endswith("Marked: 1.") and opened["state"] == "error"
-    marked = opened.page.locator("#handles [data-fault]").evaluate_all("(nodes) => nodes.map((node) => node.id)")
+    marked = opened.page.locator("#handles [data-fault]").evaluate_all(
+        "(nodes) => nodes.map((node) => node.id)"
+    )
     assert marked[0] == "handle-0" and opened.page.locator("tr[data-fault]").count() == 2
     # The last good picture is still shown, with an action.
-    assert opened["source"] == "png" and opened["shown"] != opened["revision"] and before.image.size == opened.look().image.size
+    assert (
+        opened["source"] == "png"
+        and opened["shown"] != opened["revision"]
+        and before.image.size == opened.look().image.size
+    )
     opened.keep("problem-of-a-handle")
     assert opened.page.locator("#problem-action").inner_text() == "Undo"
     opened.page.click("#problem-action")
     opened.ready()
-    assert not opened.page.get_by_role("alert").is_visible() and opened.page.locator("[data-fault]").count() == 0
+    assert (
+        not opened.page.get_by_role("alert").is_visible()
+        and opened.page.locator("[data-fault]").count() == 0
+    )
 
 
 def test_a_line_without_a_length(opened):
@@ -163,7 +180,9 @@ def test_a_server_that_goes_away_and_comes_back(visits, picture):
     server = Server()
     try:
         visit = visits(server).open(picture)
-        visit.expects("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET)
+        visit.expects(
+            "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET
+        )
         for place in (RED, GREEN, BLUE):
             visit.click(*place)
         visit.ready()
@@ -180,7 +199,9 @@ def test_a_server_that_goes_away_and_comes_back(visits, picture):
         # Automatically, without a click. The store is empty, so the picture is uploaded again.
         visit.ready()
         assert visit["session"] != first and visit["handles"] == "3"
-        assert near(visit.look().centre("red"), (140, 130), 2.5) and near(visit.look().centre("blue"), (220, 240), 2.5)
+        assert near(visit.look().centre("red"), (140, 130), 2.5) and near(
+            visit.look().centre("blue"), (220, 240), 2.5
+        )
         assert visit.saved("download")[1] == visit.of_server().body
     finally:
         server.stop()
@@ -190,7 +211,9 @@ def test_trying_again_can_be_asked_for(visits, picture):
     server = Server()
     try:
         visit = visits(server)
-        visit.expects("ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET)
+        visit.expects(
+            "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", "404", SOCKET
+        )
         visit.open(picture)
         server.kill()
         visit.click(*RED)
@@ -219,10 +242,13 @@ def test_a_server_that_is_full(visits, picture):
         server.stop()
 
 
-@pytest.mark.parametrize("fragment, code, refusal", [
-    ("session=00000000-0000-4000-8000-000000000000&warp=e30", "no_such_session", "404"),
-    ("session=00000000-0000-4000-8000-000000000000&warp=%25%25", "bad_link", "404"),
-])
+@pytest.mark.parametrize(
+    "fragment, code, refusal",
+    [
+        ("session=00000000-0000-4000-8000-000000000000&warp=e30", "no_such_session", "404"),
+        ("session=00000000-0000-4000-8000-000000000000&warp=%25%25", "bad_link", "404"),
+    ],
+)
 def test_a_link_that_leads_nowhere(visits, picture, fragment, code, refusal):
     visit = visits(path=f"#{fragment}", expects=[refusal])
     told(visit, code)
@@ -239,13 +265,24 @@ def test_every_code_of_the_contract_has_words(visit):
     visit.page.evaluate("""async () => { globalThis.words = await import("/page/words.js"); }""")
     silent = []
     for code in sorted(codes):
-        said = visit.page.evaluate("(code) => words.problemWords({ code, title: '', detail: '' })", code)
+        said = visit.page.evaluate(
+            "(code) => words.problemWords({ code, title: '', detail: '' })", code
+        )
         if not said["title"] or not said["advice"] or said["title"] == "Request rejected":
             silent.append(code)
     # Codes that the requests of this page never cause need no texts.
     assert not set(silent) - {
-        "malformed_request", "method_not_allowed", "not_acceptable", "not_found", "not_supported", "unknown_field", "superseded", "folded",
-        "unsupported_media_type", "upgrade_required", "no_table",
+        "malformed_request",
+        "method_not_allowed",
+        "not_acceptable",
+        "not_found",
+        "not_supported",
+        "unknown_field",
+        "superseded",
+        "folded",
+        "unsupported_media_type",
+        "upgrade_required",
+        "no_table",
     }, silent
 
 

@@ -46,11 +46,15 @@ def changed(visit, picture):
 
 def difference(png, picture):
     """The box in which a PNG differs from the source."""
-    return ImageChops.difference(rgba(png), Image.open(picture).convert("RGBA")).getbbox(alpha_only=False)
+    return ImageChops.difference(rgba(png), Image.open(picture).convert("RGBA")).getbbox(
+        alpha_only=False
+    )
 
 
 def inside(box, outer):
-    return box and all(outer[k] <= box[k] for k in (0, 1)) and all(box[k] <= outer[k] for k in (2, 3))
+    return (
+        box and all(outer[k] <= box[k] for k in (0, 1)) and all(box[k] <= outer[k] for k in (2, 3))
+    )
 
 
 def by_mouse(visit):
@@ -103,8 +107,14 @@ def move_cross(visit, goal):
     """By the arrow keys, from wherever it is."""
     visit.keys("ArrowRight")
     x, y = (int(c) for c in visit.text("says").split(", "))
-    for at, to, more, less in ((x, goal[0], "ArrowRight", "ArrowLeft"), (y, goal[1], "ArrowDown", "ArrowUp")):
-        visit.keys(*[more if to > at else less] * (abs(to - at) // 10), *[f"Shift+{more if to > at else less}"] * (abs(to - at) % 10))
+    for at, to, more, less in (
+        (x, goal[0], "ArrowRight", "ArrowLeft"),
+        (y, goal[1], "ArrowDown", "ArrowUp"),
+    ):
+        visit.keys(
+            *[more if to > at else less] * (abs(to - at) // 10),
+            *[f"Shift+{more if to > at else less}"] * (abs(to - at) % 10),
+        )
     assert visit.text("says") == f"{goal[0]}, {goal[1]}"
 
 
@@ -189,7 +199,11 @@ def test_it_survives_a_reload_and_an_expired_session(visits, picture):
         box, png = changed(visit, picture)
         visit.body("[data-kept=true]")
         visit.page.reload()
-        assert changed(visit, picture) == (box, png) and visit["region"] == "1" and visit.text("feather-value") == "12 px"
+        assert (
+            changed(visit, picture) == (box, png)
+            and visit["region"] == "1"
+            and visit.text("feather-value") == "12 px"
+        )
         assert server.ask("DELETE", f"/sessions/{visit['session']}").status == 204
         visit.drag(GOAL, (110, 140))
         smaller, _ = changed(visit, picture)
@@ -211,7 +225,9 @@ def test_it_is_in_the_command_and_behind_the_link(bent, visits, picture, tmp_pat
     shutil.copy(picture, tmp_path)
     with bent.page.expect_download() as mask:
         line = bent.copied("copy-curl")
-    assert mask.value.suggested_filename == "discs-region.png" and "discs-region.png" in bent.text("toast")
+    assert mask.value.suggested_filename == "discs-region.png" and "discs-region.png" in bent.text(
+        "toast"
+    )
     mask.value.save_as(tmp_path / "discs-region.png")
     drawn = Image.open(tmp_path / "discs-region.png").convert("L")
     assert drawn.size == (400, 300) and drawn.getpixel(RED) == 255 and drawn.getpixel(BLUE) == 0
@@ -219,7 +235,7 @@ def test_it_is_in_the_command_and_behind_the_link(bent, visits, picture, tmp_pat
     assert (tmp_path / "discs-warped.png").read_bytes() == png
     # The page of a link draws and, when it changes a handle, opens its own session with the same region.
     link = bent.copied("copy-link")
-    other = visits(path=link[link.index("#"):])
+    other = visits(path=link[link.index("#") :])
     assert changed(other, picture) == (box, png) and other["region"] == "1"
     session = other["session"]
     other.page.click("label:has(#method-similarity)")
@@ -242,12 +258,18 @@ def test_a_stroke_that_is_cancelled_leaves_nothing(bent):
     narrow = bent.page.locator("#brush-at").bounding_box()
     bent.keys("]")
     wide = bent.page.locator("#brush-at").bounding_box()
-    assert wide["width"] > narrow["width"] and near([wide["x"] + wide["width"] / 2], [narrow["x"] + narrow["width"] / 2], 1)
+    assert wide["width"] > narrow["width"] and near(
+        [wide["x"] + wide["width"] / 2], [narrow["x"] + narrow["width"] / 2], 1
+    )
     # A lasso along a line encloses nothing, with which nothing could move.
     bent.page.click("label:has(#tool-lasso)")
     for line in ((RED, (300, 100)), (RED, (300, 100), RED), ((200, 100), RED, (300, 100))):
         bent.drag(*line)
-        assert bent["region"] == "0" and bent["undo"] == undo and bent.text("says") == "The lasso encloses nothing"
+        assert (
+            bent["region"] == "0"
+            and bent["undo"] == undo
+            and bent.text("says") == "The lasso encloses nothing"
+        )
     # Keys do not reach a handle that the tool hides.
     bent.page.click("label:has(#tool-point)")
     bent.page.focus("#handle-0")
@@ -256,7 +278,11 @@ def test_a_stroke_that_is_cancelled_leaves_nothing(bent):
     # Selecting handles leaves the tool, which hides them.
     assert not bent.page.locator("#handle-0").is_visible()
     bent.page.click("#select-all")
-    assert bent["tool"] == "point" and bent["selected"] == "3" and bent.page.locator("#handle-0").is_visible()
+    assert (
+        bent["tool"] == "point"
+        and bent["selected"] == "3"
+        and bent.page.locator("#handle-0").is_visible()
+    )
     assert near(bent.posed(0), GOAL, 1)
 
 
@@ -319,7 +345,9 @@ def test_a_cut_out_leaves_nothing_where_it_was(visit, tmp_path):
 def test_the_old_place_is_offered_to_be_transparent(opened):
     surrounded(opened)
     hint = opened.page.locator("#holes-hint")
-    assert opened.page.input_value("#holes") == "keep" and not hint.is_visible(), "nothing has moved"
+    assert opened.page.input_value("#holes") == "keep" and not hint.is_visible(), (
+        "nothing has moved"
+    )
     opened.press(RED, (250, 200))
     assert not hint.is_visible(), "not under a pointer"
     opened.page.mouse.up()

@@ -7,7 +7,12 @@ import pytest
 
 from support import BLUE, GREEN, RED, Fingers, near
 
-PHONE = {"viewport": {"width": 390, "height": 780}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+PHONE = {
+    "viewport": {"width": 390, "height": 780},
+    "has_touch": True,
+    "is_mobile": True,
+    "device_scale_factor": 2,
+}
 POSED = {0: (120, 110), 1: (300, 100), 2: (220, 240)}
 
 
@@ -191,7 +196,9 @@ def test_the_magnifier_can_be_turned_off_and_is_not_for_the_mouse(phone):
 # Numbers
 
 
-NUMBERS = "[...document.querySelectorAll('#handles text.number')].filter((n) => n.checkVisibility())"
+NUMBERS = (
+    "[...document.querySelectorAll('#handles text.number')].filter((n) => n.checkVisibility())"
+)
 
 
 def numbers(visit):
@@ -200,7 +207,11 @@ def numbers(visit):
 
 def many(visit, side):
     """Opens the picture with a lattice of handles, from a link."""
-    places = [[12 + 376 * i / (side - 1), 12 + 276 * j / (side - 1)] for j in range(side) for i in range(side)]
+    places = [
+        [12 + 376 * i / (side - 1), 12 + 276 * j / (side - 1)]
+        for j in range(side)
+        for i in range(side)
+    ]
     places = [[round(x, 2), round(y, 2)] for x, y in places]
     link = visit.page.evaluate(
         """([session, warp]) => `#${new URLSearchParams({ session, warp: btoa(JSON.stringify(warp)), name: "many.png" })}`""",
@@ -254,7 +265,9 @@ def test_a_line_does_not_change_the_focus_of_a_posed_picture(bent):
     bent.click(40, 260)
     bent.body("[data-handles='4']").ready()
     assert bent.text("alpha-value") == "1" and not bent.page.locator("#alpha-auto").is_checked()
-    assert "Focus stays at 1" in bent.text("says") and "Automatic would be 2" in bent.text("alpha-note")
+    assert "Focus stays at 1" in bent.text("says") and "Automatic would be 2" in bent.text(
+        "alpha-note"
+    )
     bent.keys("Control+z")
     assert bent.ready()["handles"] == "3" and bent.page.locator("#alpha-auto").is_checked()
 

@@ -4,7 +4,12 @@ import pytest
 
 from support import BLUE, GREEN, RED, Fingers, near
 
-PHONE = {"viewport": {"width": 390, "height": 780}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+PHONE = {
+    "viewport": {"width": 390, "height": 780},
+    "has_touch": True,
+    "is_mobile": True,
+    "device_scale_factor": 2,
+}
 
 
 @pytest.fixture
@@ -113,7 +118,9 @@ def test_the_page_does_not_scroll_under_the_finger(pinned, fingers):
     fingers.move(a=pinned.at(100, 260))
     fingers.lift()
     pinned.ready()
-    assert pinned.page.evaluate("[scrollX, scrollY, document.scrollingElement.scrollTop, visualViewport.scale]") == [0, 0, 0, 1]
+    assert pinned.page.evaluate(
+        "[scrollX, scrollY, document.scrollingElement.scrollTop, visualViewport.scale]"
+    ) == [0, 0, 0, 1]
     assert near(pinned.posed(0), (100, 260), 1)
 
 
@@ -157,7 +164,10 @@ def test_a_group_by_taps_alone(pinned, fingers):
 
 def test_the_settings_open_over_the_picture(pinned):
     toggle = pinned.page.locator("#panel-toggle")
-    assert toggle.get_attribute("aria-expanded") == "false" and not pinned.page.locator("#method-affine").is_visible()
+    assert (
+        toggle.get_attribute("aria-expanded") == "false"
+        and not pinned.page.locator("#method-affine").is_visible()
+    )
     toggle.tap()
     assert toggle.get_attribute("aria-expanded") == "true"
     first = pinned["revision"]

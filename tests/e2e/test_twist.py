@@ -28,7 +28,9 @@ def pose(visit):
 
 def mesh(visit):
     """The vertices of the posed grid, from the server."""
-    answer = visit.server.ask("POST", f"/sessions/{visit['session']}/mesh", {"q": visit.warp()["q"]})
+    answer = visit.server.ask(
+        "POST", f"/sessions/{visit['session']}/mesh", {"q": visit.warp()["q"]}
+    )
     assert answer.status == 200, answer.body
     return json.loads(answer.body)["vertices"]
 
@@ -59,7 +61,10 @@ def turn(visit, handle, degrees, release=True):
     for step in range(1, 7):
         angle = math.radians(degrees * step / 6)
         x, y = spot[0] - centre[0], spot[1] - centre[1]
-        mouse.move(centre[0] + x * math.cos(angle) - y * math.sin(angle), centre[1] + x * math.sin(angle) + y * math.cos(angle))
+        mouse.move(
+            centre[0] + x * math.cos(angle) - y * math.sin(angle),
+            centre[1] + x * math.sin(angle) + y * math.cos(angle),
+        )
     if release:
         mouse.up()
 
@@ -90,7 +95,9 @@ def test_the_knob_turns_the_picture_around_the_pin_and_nothing_far_away(pinned, 
     angles = []
     for off, _, a, b in moved:
         if 3 < off < 15:
-            angle = math.degrees(math.atan2(b[1] - RED[1], b[0] - RED[0]) - math.atan2(a[1] - RED[1], a[0] - RED[0]))
+            angle = math.degrees(
+                math.atan2(b[1] - RED[1], b[0] - RED[0]) - math.atan2(a[1] - RED[1], a[0] - RED[0])
+            )
             angles.append((angle + 180) % 360 - 180)
     assert sum(angles) / len(angles) > 20 and sum(angle > 0 for angle in angles) > 0.7 * len(angles)
     pinned.keys("Control+z")
@@ -131,7 +138,10 @@ def test_the_server_gets_a_segment_of_the_same_weight(pinned):
     assert a[1] == b[1] and near(((a[0] + b[0]) / 2, a[1]), GREEN, 0.01)
     assert abs(math.degrees(math.atan2(d[1] - c[1], d[0] - c[0])) - 15) < 0.05
     assert abs(math.dist(c, d) - length) < 0.01
-    assert abs(warp["weights"][1] * length - warp["point_mass"]) < 1e-9 and warp["weights"][0] == warp["weights"][2] == 1
+    assert (
+        abs(warp["weights"][1] * length - warp["point_mass"]) < 1e-9
+        and warp["weights"][0] == warp["weights"][2] == 1
+    )
     assert warp["alpha"] == 1 and isinstance(warp["p"][0][0], float | int)
     assert pinned.page.locator("[data-kind=point]").count() == 3, "it is one point to the user"
     assert pinned.page.locator("#handle-table tbody tr").count() == 3
@@ -217,4 +227,6 @@ def test_a_focus_below_one_half_refuses_with_words(pinned, visits):
     other.ready()
     choose(other, 0)
     other.keys("]")
-    assert "focus to 0.5" in other.text("says") and twist(other, 0) is None and other["problem"] == ""
+    assert (
+        "focus to 0.5" in other.text("says") and twist(other, 0) is None and other["problem"] == ""
+    )

@@ -7,7 +7,12 @@ from PIL import Image
 
 from support import BLUE, GREEN, PHOTOGRAPHS, RED, SOCKET, Fingers, Server, discs, near, tell
 
-PHONE = {"viewport": {"width": 390, "height": 780}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+PHONE = {
+    "viewport": {"width": 390, "height": 780},
+    "has_touch": True,
+    "is_mobile": True,
+    "device_scale_factor": 2,
+}
 
 
 @pytest.fixture
@@ -81,8 +86,17 @@ def test_a_sample_after_closing_is_taken_back(bent):
     before = whole(bent)
     bent.page.click("#close")
     data = bent.body("[data-state=empty]").data
-    assert (data["handles"], data["session"], data["live"], data["source"], data["undo"]) == ("0", "", "off", "none", "5")
-    assert bent.page.locator("#sample-cat").is_visible() and not bent.page.locator("#panel").is_visible()
+    assert (data["handles"], data["session"], data["live"], data["source"], data["undo"]) == (
+        "0",
+        "",
+        "off",
+        "none",
+        "5",
+    )
+    assert (
+        bent.page.locator("#sample-cat").is_visible()
+        and not bent.page.locator("#panel").is_visible()
+    )
     bent.sample("cat")
     bent.page.click("#undo")
     bent.body("[data-handles='3']")
@@ -165,7 +179,9 @@ def test_a_session_that_has_ended_is_uploaded_again(visits, picture, tmp_path):
         visit.click(*RED)
         visit.drag(RED, (140, 130))
         before, session = whole(visit), visit["session"]
-        visit.expects("404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET)
+        visit.expects(
+            "404", "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET", "ERR_EMPTY_RESPONSE", SOCKET
+        )
         visit.page.click("#close")
         visit.body("[data-state=empty]")
         # Without the server the page stays as it is, and says so.

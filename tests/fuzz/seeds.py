@@ -28,12 +28,23 @@ def sample(x, y, c):
 def photo(width, height, mode):
     image = Image.new(mode, (width, height))
     count = len(image.getbands())
-    image.putdata([tuple(sample(x, y, c) for c in range(count)) if count > 1 else sample(x, y, 0) for y in range(height) for x in range(width)])
+    image.putdata(
+        [
+            tuple(sample(x, y, c) for c in range(count)) if count > 1 else sample(x, y, 0)
+            for y in range(height)
+            for x in range(width)
+        ]
+    )
     return image
 
 
 def exif(orientation):
-    return b"Exif\0\0" + b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0" + struct.pack("<HH", orientation, 0) + bytes(4)
+    return (
+        b"Exif\0\0"
+        + b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0"
+        + struct.pack("<HH", orientation, 0)
+        + bytes(4)
+    )
 
 
 PROFILE = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
@@ -43,19 +54,31 @@ def chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-ADAM7 = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
+ADAM7 = [
+    (0, 0, 8, 8),
+    (4, 0, 8, 8),
+    (0, 4, 4, 8),
+    (2, 0, 4, 4),
+    (0, 2, 2, 4),
+    (1, 0, 2, 2),
+    (0, 1, 1, 2),
+]
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def packed(width, bits, colour, xs, y):
     """A row of samples, each of `bits` bits, filter 0 to 4 by the row's number; only filters 0 and 1 are really applied."""
-    numbers = [sample(x, y, c) * ((1 << bits) - 1) // 255 for x in xs for c in range(CHANNELS[colour])]
+    numbers = [
+        sample(x, y, c) * ((1 << bits) - 1) // 255 for x in xs for c in range(CHANNELS[colour])
+    ]
     text = "".join(f"{number:0{bits}b}" for number in numbers)
     text += "0" * (-len(text) % 8)
     row = bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
     step = max(1, bits * CHANNELS[colour] // 8)
     if y % 2:
-        return b"\1" + bytes((value - (row[i - step] if i >= step else 0)) % 256 for i, value in enumerate(row))
+        return b"\1" + bytes(
+            (value - (row[i - step] if i >= step else 0)) % 256 for i, value in enumerate(row)
+        )
     return b"\0" + row
 
 
@@ -68,9 +91,14 @@ def png(bits, colour, interlaced=False, before=(), after=(), parts=1):
             rows += b"".join(packed(len(xs), bits, colour, xs, y) for y in range(y0, HEIGHT, dy))
     data = zlib.compress(rows, 9)
     cut = -(-len(data) // parts)
-    out = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, colour, 0, 0, interlaced))
+    out = b"\x89PNG\r\n\x1a\n" + chunk(
+        b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, colour, 0, 0, interlaced)
+    )
     if colour == 3:
-        before = [(b"PLTE", bytes((i * k) % 256 for i in range(1 << bits) for k in (37, 91, 153))), *before]
+        before = [
+            (b"PLTE", bytes((i * k) % 256 for i in range(1 << bits) for k in (37, 91, 153))),
+            *before,
+        ]
     out += b"".join(chunk(kind, data) for kind, data in before)
     out += b"".join(chunk(b"IDAT", data[i : i + cut]) for i in range(0, len(data), cut))
     out += b"".join(chunk(kind, data) for kind, data in after)
@@ -78,7 +106,13 @@ def png(bits, colour, interlaced=False, before=(), after=(), parts=1):
 
 
 def pngs():
-    for colour, depths in {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}.items():
+    for colour, depths in {
+        0: (1, 2, 4, 8, 16),
+        2: (8, 16),
+        3: (1, 2, 4, 8),
+        4: (8, 16),
+        6: (8, 16),
+    }.items():
         for bits in depths:
             yield f"png-{colour}-{bits}", png(bits, colour)
     for colour, bits in ((0, 1), (2, 8), (3, 4), (6, 16)):
@@ -96,12 +130,30 @@ def pngs():
         (b"iTXt", b"Author\0\1\0en\0\0" + zlib.compress(b"someone")),
         (b"pHYs", struct.pack(">IIB", 2835, 2835, 1)),
     ]
-    yield "png-rich", png(8, 6, before=rich, after=[(b"tIME", struct.pack(">HBBBBB", 2024, 1, 2, 3, 4, 5))], parts=3)
+    yield (
+        "png-rich",
+        png(
+            8,
+            6,
+            before=rich,
+            after=[(b"tIME", struct.pack(">HBBBBB", 2024, 1, 2, 3, 4, 5))],
+            parts=3,
+        ),
+    )
     control = struct.pack(">IIIIIHHBB", 0, WIDTH, HEIGHT, 0, 0, 1, 10, 0, 0)
-    yield "png-animated-1", png(8, 2, before=[(b"acTL", struct.pack(">II", 1, 0)), (b"fcTL", control)])
+    yield (
+        "png-animated-1",
+        png(8, 2, before=[(b"acTL", struct.pack(">II", 1, 0)), (b"fcTL", control)]),
+    )
     frame = zlib.compress(b"".join(packed(WIDTH, 8, 2, range(WIDTH), y) for y in range(HEIGHT)), 9)
-    second = [(b"fcTL", struct.pack(">I", 1) + control[4:]), (b"fdAT", struct.pack(">I", 2) + frame)]
-    yield "png-animated-2", png(8, 2, before=[(b"acTL", struct.pack(">II", 2, 0)), (b"fcTL", control)], after=second)
+    second = [
+        (b"fcTL", struct.pack(">I", 1) + control[4:]),
+        (b"fdAT", struct.pack(">I", 2) + frame),
+    ]
+    yield (
+        "png-animated-2",
+        png(8, 2, before=[(b"acTL", struct.pack(">II", 2, 0)), (b"fcTL", control)], after=second),
+    )
 
 
 def written(image, kind, **options):
@@ -120,12 +172,18 @@ def jpegs():
     yield "jpeg-rgb", written(rgb, "JPEG", quality=60, keep_rgb=True)
     yield "jpeg-restart", written(rgb, "JPEG", quality=60, restart_marker_blocks=2)
     yield "jpeg-progressive", written(rgb, "JPEG", quality=60, progressive=True)
-    yield "jpeg-progressive-420", written(rgb, "JPEG", quality=60, progressive=True, subsampling=2, restart_marker_rows=1)
+    yield (
+        "jpeg-progressive-420",
+        written(rgb, "JPEG", quality=60, progressive=True, subsampling=2, restart_marker_rows=1),
+    )
     yield "jpeg-progressive-grey", written(grey, "JPEG", quality=60, progressive=True)
     yield "jpeg-progressive-cmyk", written(cmyk, "JPEG", quality=60, progressive=True)
     for orientation in (1, 3, 6, 8):
         yield f"jpeg-turned-{orientation}", written(rgb, "JPEG", quality=30, exif=exif(orientation))
-    yield "jpeg-profile", written(rgb, "JPEG", quality=30, icc_profile=PROFILE, comment=b"a comment")
+    yield (
+        "jpeg-profile",
+        written(rgb, "JPEG", quality=30, icc_profile=PROFILE, comment=b"a comment"),
+    )
 
 
 def webps():
@@ -137,25 +195,41 @@ def webps():
     yield "webp-lossless", written(rgb, "WEBP", lossless=True, method=6)
     yield "webp-lossless-alpha", written(rgba, "WEBP", lossless=True, method=0)
     yield "webp-lossless-palette", written(few, "WEBP", lossless=True, method=6)
-    yield "webp-lossless-rich", written(few, "WEBP", lossless=True, exif=exif(7), icc_profile=PROFILE)
+    yield (
+        "webp-lossless-rich",
+        written(few, "WEBP", lossless=True, exif=exif(7), icc_profile=PROFILE),
+    )
     # Large enough that the encoder divides it into regions with codes of their own.
     halves = Image.new("RGB", (96, 96))
     halves.paste(photo(96, 48, "RGB"), (0, 0))
     halves.paste(photo(96, 48, "RGB").quantize(30).convert("RGB").rotate(90, expand=True), (0, 48))
     yield "webp-lossless-regions", written(halves, "WEBP", lossless=True, quality=100, method=6)
     yield "webp-animated-1", one_frame(written(rgba, "WEBP", lossless=True))
-    yield "webp-animated-2", written(rgb, "WEBP", save_all=True, append_images=[rgb.rotate(180)], duration=50)
+    yield (
+        "webp-animated-2",
+        written(rgb, "WEBP", save_all=True, append_images=[rgb.rotate(180)], duration=50),
+    )
 
 
 def tiffs():
-    rgb, rgba, grey = photo(WIDTH, HEIGHT, "RGB"), photo(WIDTH, HEIGHT, "RGBA"), photo(WIDTH, HEIGHT, "L")
+    rgb, rgba, grey = (
+        photo(WIDTH, HEIGHT, "RGB"),
+        photo(WIDTH, HEIGHT, "RGBA"),
+        photo(WIDTH, HEIGHT, "L"),
+    )
     deep = Image.new("I;16", (WIDTH, HEIGHT))
     deep.putdata([sample(x, y, 0) * 256 + x * 7 + y for y in range(HEIGHT) for x in range(WIDTH)])
     yield "tiff-rgb", written(rgb, "TIFF")
     yield "tiff-rgb-lzw", written(rgb, "TIFF", compression="tiff_lzw", tiffinfo={317: 2})
-    yield "tiff-rgb-deflate", written(rgb, "TIFF", compression="tiff_adobe_deflate", tiffinfo={317: 2})
+    yield (
+        "tiff-rgb-deflate",
+        written(rgb, "TIFF", compression="tiff_adobe_deflate", tiffinfo={317: 2}),
+    )
     yield "tiff-rgb-packbits", written(rgb, "TIFF", compression="packbits")
-    yield "tiff-rgb-rich", written(rgb, "TIFF", compression="tiff_lzw", icc_profile=PROFILE, tiffinfo={274: 6})
+    yield (
+        "tiff-rgb-rich",
+        written(rgb, "TIFF", compression="tiff_lzw", icc_profile=PROFILE, tiffinfo={274: 6}),
+    )
     yield "tiff-rgba-lzw", written(rgba, "TIFF", compression="tiff_lzw")
     yield "tiff-grey", written(grey, "TIFF", compression="tiff_lzw")
     yield "tiff-grey-alpha", written(photo(WIDTH, HEIGHT, "LA"), "TIFF", compression="tiff_lzw")
@@ -169,8 +243,20 @@ def tiffs():
 def gifs_and_bmps():
     rgb, rgba = photo(WIDTH, HEIGHT, "RGB"), photo(WIDTH, HEIGHT, "RGBA")
     yield "gif", written(rgb.quantize(12), "GIF")
-    yield "gif-interlaced-transparent", written(rgb.quantize(12), "GIF", interlace=1, transparency=3)
-    yield "gif-animated", written(rgb.quantize(12), "GIF", save_all=True, append_images=[rgb.rotate(180).quantize(12)], duration=50)
+    yield (
+        "gif-interlaced-transparent",
+        written(rgb.quantize(12), "GIF", interlace=1, transparency=3),
+    )
+    yield (
+        "gif-animated",
+        written(
+            rgb.quantize(12),
+            "GIF",
+            save_all=True,
+            append_images=[rgb.rotate(180).quantize(12)],
+            duration=50,
+        ),
+    )
     yield "bmp-1", written(rgb.convert("1"), "BMP")
     yield "bmp-8", written(rgb.quantize(12), "BMP")
     yield "bmp-24", written(rgb, "BMP")
@@ -200,7 +286,9 @@ def bits(*fields):
 
 
 def riff(*chunks):
-    body = b"".join(kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2) for kind, data in chunks)
+    body = b"".join(
+        kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2) for kind, data in chunks
+    )
     return b"RIFF" + struct.pack("<I", 4 + len(body)) + b"WEBP" + body
 
 
@@ -224,13 +312,26 @@ def hostile():
     plain = [(0, 1), (0b11, 2), (0, 3), (0, 1), *cached, *[zero] * 4]
     yield "webp-one-cached-colour", riff((b"VP8L", bits(*size(256, 256), *plain)))
     rows = b"".join(packed(WIDTH, 8, 2, range(WIDTH), y) for y in range(HEIGHT))
-    last = b"\1" + struct.pack("<HH", len(rows), 0xFFFF - len(rows)) + rows + struct.pack(">I", zlib.adler32(rows))
-    start = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0))
+    last = (
+        b"\1"
+        + struct.pack("<HH", len(rows), 0xFFFF - len(rows))
+        + rows
+        + struct.pack(">I", zlib.adler32(rows))
+    )
+    start = b"\x89PNG\r\n\x1a\n" + chunk(
+        b"IHDR", struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
+    )
     end = chunk(b"IEND", b"")
     behind = b"\x78\x01" + b"\0\0\0\xff\xff" * 400 + last
     yield "png-empty-blocks", start + chunk(b"IDAT", behind) + end
-    yield "png-empty-chunks", start + chunk(b"IDAT", b"") * 200 + chunk(b"IDAT", b"\x78\x01" + last) + end
-    yield "png-profile-empty-blocks", start + chunk(b"iCCP", b"name\0\0" + behind) + chunk(b"IDAT", b"\x78\x01" + last) + end
+    yield (
+        "png-empty-chunks",
+        start + chunk(b"IDAT", b"") * 200 + chunk(b"IDAT", b"\x78\x01" + last) + end,
+    )
+    yield (
+        "png-profile-empty-blocks",
+        start + chunk(b"iCCP", b"name\0\0" + behind) + chunk(b"IDAT", b"\x78\x01" + last) + end,
+    )
 
 
 def main():

@@ -13,14 +13,19 @@ def read(frame, grid):
     units = struct.iter_unpack("<2h", frame[12:])
     xs = [k * grid["cell"][0] for k in range(grid["columns"] - 1)] + [grid["width"]]
     ys = [k * grid["cell"][1] for k in range(grid["rows"] - 1)] + [grid["height"]]
-    return [(x + scale * dx, y + scale * dy) for (x, y), (dx, dy) in zip(((x, y) for y in ys for x in xs), units)]
+    return [
+        (x + scale * dx, y + scale * dy)
+        for (x, y), (dx, dy) in zip(((x, y) for y in ys for x in xs), units)
+    ]
 
 
 async def main():
     async with httpx.AsyncClient(base_url=address) as server:
         image = (await server.get("/page/cat.jpg")).raise_for_status().content
         rest = {"p": [[168, 112], [316, 136], [262, 240]]}
-        created = (await server.post("/sessions", files={"image": image}, data={"warp": json.dumps(rest)})).raise_for_status()
+        created = (
+            await server.post("/sessions", files={"image": image}, data={"warp": json.dumps(rest)})
+        ).raise_for_status()
         session = created.json()["id"]
         url = f"{address.replace('http', 'ws', 1)}/sessions/{session}/drag?frames=mesh&mesh=compact&tolerance=1"
         async with connect(url) as socket:

@@ -10,7 +10,9 @@ async def main():
     async with httpx.AsyncClient(base_url=address) as server:
         image = (await server.get("/page/cat.jpg")).raise_for_status().content
         rest = {"p": [[168, 112], [316, 136], [262, 240]]}
-        created = await server.post("/sessions", files={"image": image}, data={"warp": json.dumps(rest)})
+        created = await server.post(
+            "/sessions", files={"image": image}, data={"warp": json.dumps(rest)}
+        )
         if created.is_error:
             raise SystemExit(created.json()["detail"])
         session = created.json()["id"]
@@ -18,7 +20,9 @@ async def main():
         async with connect(url, max_size=None) as socket:
             print("grid", json.loads(await socket.recv()))
             for seq in range(10):
-                await socket.send(json.dumps({"seq": seq, "q": [[168 - 3 * seq, 112], [316, 136], [262, 240]]}))
+                await socket.send(
+                    json.dumps({"seq": seq, "q": [[168 - 3 * seq, 112], [316, 136], [262, 240]]})
+                )
             seen = -1
             while seen < 9:
                 frame = await socket.recv()

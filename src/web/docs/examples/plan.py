@@ -12,7 +12,9 @@ def pose(file, p, q):
         P[column] += share * complex(*np.atleast_2d(p[handle])[place])
         Q[column] += share * complex(*np.atleast_2d(q[handle])[place])
     v = np.linspace(0, width, columns) + 1j * np.linspace(0, height, rows)[:, None]
-    table = np.frombuffer(file, f"<f{size}", offset=64 + 16 * members).reshape(count, family + 1, rows, columns)
+    table = np.frombuffer(file, f"<f{size}", offset=64 + 16 * members).reshape(
+        count, family + 1, rows, columns
+    )
     B = table[:, 0] + (1j * table[:, 1] if family else 0)
     if family < 2:  # affine, similarity
         return v + (B * (Q - P)).sum(0)
