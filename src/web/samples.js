@@ -1,7 +1,10 @@
 // The sample pictures: file, rest handles and posed handles.
 
+// prettier-ignore
 const border = (width, height) => [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
 
+// A row of places stays a row.
+// prettier-ignore
 export const SAMPLES = {
   portrait: {
     file: "page/portrait.jpg",
