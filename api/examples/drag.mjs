@@ -18,7 +18,10 @@ const STEPS = 120;
 const PATIENCE = 5000; // ms without a message, after which the socket is given up
 let newest = 0; // the last pose sent
 
-const { values, positionals } = parseArgs({ allowPositionals: true, options: { key: { type: "string" } } });
+const { values, positionals } = parseArgs({
+  allowPositionals: true,
+  options: { key: { type: "string" } },
+});
 const key = values.key ?? process.env.MLSWARP_KEY;
 const [picture, out, given = "http://127.0.0.1:8080"] = positionals;
 if (!out) fail("usage: node drag.mjs IMAGE OUT.png [SERVER] [--key KEY]");
@@ -40,7 +43,8 @@ function failure(status, body) {
 }
 
 async function request(address, options) {
-  const unreachable = ({ message, cause }) => fail(`cannot reach ${server}: ${cause?.message || cause?.code || message}`);
+  const unreachable = ({ message, cause }) =>
+    fail(`cannot reach ${server}: ${cause?.message || cause?.code || message}`);
   const answer = await fetch(address, { ...options, headers }).catch(unreachable);
   return answer.ok ? answer : fail(failure(answer.status, await answer.text()));
 }
@@ -65,7 +69,9 @@ function watch(socket) {
   return new Promise((resolve) => {
     let report; // the report of the next frame; the first message is the grid
     const silent = setTimeout(() => resolve(socket.terminate()), PATIENCE);
-    socket.on("unexpected-response", async (_, answer) => fail(failure(answer.statusCode, Buffer.concat(await answer.toArray()))));
+    socket.on("unexpected-response", async (_, answer) =>
+      fail(failure(answer.statusCode, Buffer.concat(await answer.toArray()))),
+    );
     socket.on("error", () => {}); // it closes then
     socket.on("close", () => resolve(clearTimeout(silent)));
     socket.on("message", (message, isBinary) => {
@@ -89,7 +95,10 @@ function watch(socket) {
 // If the socket closes or is silent, opens another one, which begins with the last pose sent.
 async function drag(session, rest) {
   for (let tries = 0; tries < 20; tries++) {
-    const socket = new WebSocket(`${session.replace("http", "ws")}/drag?frames=png&width=auto&report=true`, { headers });
+    const socket = new WebSocket(
+      `${session.replace("http", "ws")}/drag?frames=png&width=auto&report=true`,
+      { headers },
+    );
     socket.on("open", () => move(socket, rest));
     const last = await watch(socket);
     if (last) return last;
@@ -100,7 +109,13 @@ async function drag(session, rest) {
 }
 
 // Upload the image once, with the handles at rest.
-const rest = [[150, 120], [60, 60], [240, 60], [60, 240], [240, 240]];
+const rest = [
+  [150, 120],
+  [60, 60],
+  [240, 60],
+  [60, 240],
+  [240, 240],
+];
 const form = new FormData();
 form.set("image", new Blob([await readFile(picture).catch((error) => fail(error.message))]));
 form.set("warp", JSON.stringify({ p: rest }));

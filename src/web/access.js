@@ -16,14 +16,20 @@ export const looksLikeKey = (text) => SHAPE.test(text);
 /** Sets the key; null removes it. */
 export function useKey(text, remember) {
   key = text;
-  for (const [storage, keeps] of [[() => sessionStorage, !remember], [() => localStorage, remember]]) {
-    attempt(() => (text !== null && keeps ? storage().setItem(NAME, text) : storage().removeItem(NAME)));
+  for (const [storage, keeps] of [
+    [() => sessionStorage, !remember],
+    [() => localStorage, remember],
+  ]) {
+    attempt(() =>
+      text !== null && keeps ? storage().setItem(NAME, text) : storage().removeItem(NAME),
+    );
   }
 }
 
 export const keyHeaders = () => (key === null ? {} : { Authorization: `Bearer ${key}` });
 
 /** Subprotocols with the key: a WebSocket in a browser cannot set headers. */
-export const keyProtocols = () => (key === null ? [] : ["mlswarp", `mlswarp.bearer.${base64Url(key)}`]);
+export const keyProtocols = () =>
+  key === null ? [] : ["mlswarp", `mlswarp.bearer.${base64Url(key)}`];
 
 const base64Url = (text) => btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");

@@ -33,7 +33,11 @@ export class Actions {
 
   /** Adds a handle at these posed positions, selects it and focuses it. */
   add(posed) {
-    const made = edits.added(this.state.document, posed.map((place) => this.restOf(place)), posed);
+    const made = edits.added(
+      this.state.document,
+      posed.map((place) => this.restOf(place)),
+      posed,
+    );
     this.store.do("draft", { places: [] });
     if (posed.length > 1 && edits.takesPinsOnly(this.state.document)) return this.say(PINS_ONLY);
     if (!made) return this.say("A line needs two different points");
@@ -42,7 +46,9 @@ export class Actions {
     const index = this.state.document.handles.length - 1;
     const handle = this.state.document.handles[index];
     this.handles.focus(index);
-    this.say(`${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}${this.#focusKept(document === made.document)}`);
+    this.say(
+      `${edits.kindName(handle)} ${index + 1} added at ${places(handle.q)}${this.#focusKept(document === made.document)}`,
+    );
   }
 
   /** A click on the picture that hits no handle. */
@@ -119,7 +125,9 @@ export class Actions {
 
   /** Says what `#keepFocus` has done. */
   #focusKept(unchanged) {
-    return unchanged ? "" : `. Focus stays at ${edits.alphaOf(this.state.document)}, so that the other handles keep their effect`;
+    return unchanged
+      ? ""
+      : `. Focus stays at ${edits.alphaOf(this.state.document)}, so that the other handles keep their effect`;
   }
 
   #keepFocus(next) {
@@ -140,20 +148,29 @@ export class Actions {
   }
 
   #sayNoTwist() {
-    this.say(edits.takesPinsOnly(this.state.document) ? PINS_ONLY : "To twist a pin, set the focus to 0.5 or more");
+    this.say(
+      edits.takesPinsOnly(this.state.document)
+        ? PINS_ONLY
+        : "To twist a pin, set the focus to 0.5 or more",
+    );
   }
 
   /** Twists a pin to an angle, in degrees; null removes the twist. */
   twistTo(index, angle) {
     const { document } = this.state;
     if (angle !== null && !edits.mayTwist(document)) return this.#sayNoTwist();
-    this.edit(edits.withTwist(document, index, angle, this.freeOf(document.handles[index]), this.view.size));
+    this.edit(
+      edits.withTwist(document, index, angle, this.freeOf(document.handles[index]), this.view.size),
+    );
     this.sayTwist(index);
   }
 
   rotate(degrees) {
     const { document, selection } = this.state;
-    const index = selection.length === 1 ? document.handles.findIndex((h) => String(h.id) === selection[0]) : -1;
+    const index =
+      selection.length === 1
+        ? document.handles.findIndex((h) => String(h.id) === selection[0])
+        : -1;
     if (canTwist(document.handles[index])) {
       const next = this.twistedBy(document, index, degrees, this.freeOf(document.handles[index]));
       if (!next) return;
@@ -162,7 +179,10 @@ export class Actions {
     }
     const posed = edits.posedPlaces(document, selection);
     if (posed.length < 2) return;
-    this.edit(edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180), { tag: `rotate ${selection}` });
+    this.edit(
+      edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180),
+      { tag: `rotate ${selection}` },
+    );
     this.say(`Rotated by ${degrees} degrees`);
   }
 
@@ -172,8 +192,16 @@ export class Actions {
     const gone = document.handles.length - next.handles.length;
     const kept = this.#keepFocus(next);
     this.edit(kept, { select: [] });
-    this.say(gone ? `${count(gone, "handle")} deleted${this.#focusKept(kept === next)}` : "Point of the path deleted");
-    if (!globalThis.document.activeElement?.isConnected || globalThis.document.activeElement === globalThis.document.body) this.view.stage.focus({ preventScroll: true });
+    this.say(
+      gone
+        ? `${count(gone, "handle")} deleted${this.#focusKept(kept === next)}`
+        : "Point of the path deleted",
+    );
+    if (
+      !globalThis.document.activeElement?.isConnected ||
+      globalThis.document.activeElement === globalThis.document.body
+    )
+      this.view.stage.focus({ preventScroll: true });
   }
 
   putBack(selection = this.state.selection) {
@@ -218,16 +246,30 @@ export class Actions {
 
   /** Adds a handle of the selected kind in the middle of the view. */
   addInTheMiddle() {
-    const middle = this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
+    const middle = this.view
+      .toPicture(this.view.stageSize.map((side) => side / 2))
+      .map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
     const reach = Math.min(...this.view.size) / 8;
-    const offsets = { point: [[0, 0]], line: [[-reach, 0], [reach, 0]], path: [[-reach, 0], [0, -reach / 2], [reach, 0]] }[isRegionTool(this.state.tool) ? "point" : this.state.tool];
+    const offsets = {
+      point: [[0, 0]],
+      line: [
+        [-reach, 0],
+        [reach, 0],
+      ],
+      path: [
+        [-reach, 0],
+        [0, -reach / 2],
+        [reach, 0],
+      ],
+    }[isRegionTool(this.state.tool) ? "point" : this.state.tool];
     this.add(offsets.map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
   }
 
   pinBorder() {
     const places = edits.borderPath(...this.view.size);
     const { document } = this.state;
-    if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places))) return this.say("The border is already pinned");
+    if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places)))
+      return this.say("The border is already pinned");
     const made = edits.added(document, places, places);
     const next = this.#keepFocus(made.document);
     this.edit(next, { select: [] });
@@ -264,7 +306,11 @@ export class Actions {
 
   sayTwist(index) {
     const angle = angleOf(this.state.document.handles[index]);
-    this.say(angle === null ? `Point ${index + 1} is not twisted` : `Point ${index + 1} twisted to ${angle} degrees`);
+    this.say(
+      angle === null
+        ? `Point ${index + 1} is not twisted`
+        : `Point ${index + 1} twisted to ${angle} degrees`,
+    );
   }
 
   sayWhere() {
@@ -273,6 +319,10 @@ export class Actions {
     if (!posed.length) return;
     const index = document.handles.findIndex((h) => h.id === Number(selection[0].split(".")[0]));
     const name = `${edits.kindName(document.handles[index])} ${index + 1}`;
-    this.say(selection.length === 1 ? `${name} at ${places(posed)}` : `${count(selection.length, "handle")} moved`);
+    this.say(
+      selection.length === 1
+        ? `${name} at ${places(posed)}`
+        : `${count(selection.length, "handle")} moved`,
+    );
   }
 }

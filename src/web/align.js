@@ -11,7 +11,8 @@ export const CLASSES = ["none", "rigid", "similarity", "affine"];
 export const alignOf = ({ align }) => align?.by ?? "none";
 
 /** The document as it was before it was aligned. */
-export const unaligned = ({ align, ...document }) => (align ? { ...document, handles: align.handles } : document);
+export const unaligned = ({ align, ...document }) =>
+  align ? { ...document, handles: align.handles } : document;
 
 const round = (x) => Math.round(x * 100) / 100 + 0;
 
@@ -21,9 +22,15 @@ function handleBy([[a, b, c], [d, e, f]]) {
     const moved = { ...handle, q: handle.q.map(move) };
     if (!twist) return moved;
     const angle = (twist.angle * Math.PI) / 180;
-    const [dx, dy] = [a * Math.cos(angle) + b * Math.sin(angle), d * Math.cos(angle) + e * Math.sin(angle)];
+    const [dx, dy] = [
+      a * Math.cos(angle) + b * Math.sin(angle),
+      d * Math.cos(angle) + e * Math.sin(angle),
+    ];
     const turned = Math.round((Math.atan2(dy, dx) * 1800) / Math.PI) / 10 + 0;
-    return { ...moved, twist: { ...twist, angle: turned, scale: Math.max(0.01, twist.scale * Math.hypot(dx, dy)) } };
+    return {
+      ...moved,
+      twist: { ...twist, angle: turned, scale: Math.max(0.01, twist.scale * Math.hypot(dx, dy)) },
+    };
   };
 }
 
@@ -32,9 +39,17 @@ export async function aligned(document, by, { width, height }) {
   const plain = unaligned(atStrength(document, 1));
   if (by === "none" || !plain.handles.length) return plain;
   const { handles } = plain;
-  const weights = handles.some((h) => h.weight !== undefined) ? { weights: handles.map((h) => h.weight ?? 1) } : {};
+  const weights = handles.some((h) => h.weight !== undefined)
+    ? { weights: handles.map((h) => h.weight ?? 1) }
+    : {};
   // Only the map is wanted: a small grid is enough.
-  const asked = { p: wire(plain, "p"), q: wire(plain, "q"), ...weights, align: by, grid: { columns: 2, rows: 2 } };
+  const asked = {
+    p: wire(plain, "p"),
+    q: wire(plain, "q"),
+    ...weights,
+    align: by,
+    grid: { columns: 2, rows: 2 },
+  };
   const { matrix } = await api.alignment(asked, [width, height]);
   return { ...plain, handles: keepPosed(handles.map(handleBy(matrix))), align: { by, handles } };
 }

@@ -23,14 +23,19 @@ const find = (id) => document.getElementById(`export-${id}`);
 /** The body of the request. `frames` counts those from rest to the pose; the way back repeats neither of the two. */
 function batchOf(document, { frames, easing, back, file }, output) {
   const { at } = posesOf(document);
-  const delay = file !== "zip" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};
+  const delay =
+    file !== "zip" ? { delay: Math.max(LEAST_DELAY, Math.round(TIME / (frames - 1))) } : {};
   const more = { ...delay, ...(Object.keys(output).length && { output }) };
   const q = wire(at(1), "q");
   const isTwisted = document.handles.some((handle) => handle.twist);
   if (!isTwisted) return { q, steps: frames, easing, ...(back && { and_back: true }), ...more };
   const there = Array.from({ length: frames }, (_, k) => EASINGS[easing](k / (frames - 1)));
   // A twisted pin turns by a share of its angle; to the server it is a segment, whose ends would move along straight lines.
-  return { frames: there.map((t) => ({ q: wire(at(t), "q") })), ...(back && { and_back: true }), ...more };
+  return {
+    frames: there.map((t) => ({ q: wire(at(t), "q") })),
+    ...(back && { and_back: true }),
+    ...more,
+  };
 }
 
 /** Counts a mark in the parts of a stream. */
@@ -59,7 +64,9 @@ export class AnimationExport {
     find("file").addEventListener("change", ({ target }) => set({ file: target.value }));
     find("easing").addEventListener("change", ({ target }) => set({ easing: target.value }));
     find("back").addEventListener("change", ({ target }) => set({ back: target.checked }));
-    find("frames").addEventListener("input", ({ target }) => (target.checkValidity() ? set({ frames: target.valueAsNumber }) : changed()));
+    find("frames").addEventListener("input", ({ target }) =>
+      target.checkValidity() ? set({ frames: target.valueAsNumber }) : changed(),
+    );
     find("cancel").addEventListener("click", cancel);
   }
 

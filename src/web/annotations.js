@@ -8,7 +8,15 @@ import { Broken, lineAndColumn, parse } from "./json.js";
 import { isRegionTool } from "./region.js";
 import { annotationWords } from "./words.js";
 
-const GEOMETRIES = ["Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon", "GeometryCollection"];
+const GEOMETRIES = [
+  "Point",
+  "MultiPoint",
+  "LineString",
+  "MultiLineString",
+  "Polygon",
+  "MultiPolygon",
+  "GeometryCollection",
+];
 const KINDS = new Set(["FeatureCollection", "Feature", ...GEOMETRIES]);
 /** Vertices that are drawn in a frame of a motion; of more, every second or third one is. */
 const MOST_MOVING = 40_000;
@@ -25,7 +33,9 @@ const DOT = 2;
 const find = (id) => document.getElementById(id);
 
 export const isAnnotations = (value) =>
-  Array.isArray(value) ? value.length > 0 && value.every((feature) => feature?.type === "Feature") : KINDS.has(value?.type);
+  Array.isArray(value)
+    ? value.length > 0 && value.every((feature) => feature?.type === "Feature")
+    : KINDS.has(value?.type);
 
 /** The annotations of a file: { name, geojson }. Throws a Problem. */
 export async function readAnnotations(file, most) {
@@ -39,7 +49,10 @@ export async function readAnnotations(file, most) {
   } catch {
     geojson = whereBroken(text, file.name, problem);
   }
-  if (!isAnnotations(geojson)) throw problem(`In ${file.name}, a FeatureCollection, a Feature, a list of Features or a geometry is expected.`);
+  if (!isAnnotations(geojson))
+    throw problem(
+      `In ${file.name}, a FeatureCollection, a Feature, a list of Features or a geometry is expected.`,
+    );
   return { name: file.name, geojson };
 }
 
@@ -56,11 +69,13 @@ function whereBroken(text, name, problem) {
 /** Points and outlines of GeoJSON: lists of positions. What is not drawable is left out. */
 export function pathsOf(geojson) {
   const paths = [];
-  const isPlace = (value) => Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]);
+  const isPlace = (value) =>
+    Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]);
   const add = (coordinates, depth = 0) => {
     if (depth > DEEPEST) return;
     if (isPlace(coordinates)) paths.push([coordinates]);
-    else if (Array.isArray(coordinates) && coordinates.some(isPlace)) paths.push(coordinates.filter(isPlace));
+    else if (Array.isArray(coordinates) && coordinates.some(isPlace))
+      paths.push(coordinates.filter(isPlace));
     else if (Array.isArray(coordinates)) for (const part of coordinates) add(part, depth + 1);
   };
   const visit = (value, depth = 0) => {
@@ -68,10 +83,15 @@ export function pathsOf(geojson) {
     if (Array.isArray(value)) return value.forEach((one) => visit(one, depth + 1));
     if (value.type === "FeatureCollection") return visit(value.features, depth);
     if (value.type === "GeometryCollection") return visit(value.geometries, depth);
-    if (value.type === "MultiPoint") return Array.isArray(value.coordinates) ? value.coordinates.forEach((place) => add([place])) : undefined;
+    if (value.type === "MultiPoint")
+      return Array.isArray(value.coordinates)
+        ? value.coordinates.forEach((place) => add([place]))
+        : undefined;
     if (GEOMETRIES.includes(value.type)) return add(value.coordinates);
     // Every member of a feature that is a geometry, such as the nucleus of a cell.
-    if (value.type === "Feature") for (const member of Object.values(value)) if (GEOMETRIES.includes(member?.type)) visit(member, depth + 1);
+    if (value.type === "Feature")
+      for (const member of Object.values(value))
+        if (GEOMETRIES.includes(member?.type)) visit(member, depth + 1);
   };
   visit(geojson);
   return paths;
@@ -83,11 +103,15 @@ function refined(path) {
     if (!k) return [[x, y]];
     const [a, b] = path[k - 1];
     const parts = Math.min(MOST_PARTS, Math.ceil(Math.hypot(x - a, y - b) / FAR)) || 1;
-    return Array.from({ length: parts }, (_, n) => [a + ((x - a) * (n + 1)) / parts, b + ((y - b) * (n + 1)) / parts]);
+    return Array.from({ length: parts }, (_, n) => [
+      a + ((x - a) * (n + 1)) / parts,
+      b + ((y - b) * (n + 1)) / parts,
+    ]);
   });
 }
 
-export const countOf = (geojson) => (Array.isArray(geojson) ? geojson : (geojson.features ?? geojson.geometries ?? [geojson])).length;
+export const countOf = (geojson) =>
+  (Array.isArray(geojson) ? geojson : (geojson.features ?? geojson.geometries ?? [geojson])).length;
 
 export class Annotations {
   #of = null; // the annotations of the state
@@ -98,9 +122,17 @@ export class Annotations {
 
   /** `told`: called when the server has mapped them. */
   constructor(store, view, sync, told) {
-    Object.assign(this, { store, view, sync, told, context: find("annotations").getContext("2d", { willReadFrequently: true }) });
+    Object.assign(this, {
+      store,
+      view,
+      sync,
+      told,
+      context: find("annotations").getContext("2d", { willReadFrequently: true }),
+    });
     find("annotations-shown").addEventListener("change", () => this.#draw());
-    find("annotations-remove").addEventListener("click", () => store.do("annotations", { annotations: null }));
+    find("annotations-remove").addEventListener("click", () =>
+      store.do("annotations", { annotations: null }),
+    );
     store.subscribe((state) => this.#follow(state));
     sync.subscribe(() => this.#ask());
     view.subscribe(() => this.#draw());
@@ -112,9 +144,16 @@ export class Annotations {
     if (annotations !== this.#of) {
       this.#of = annotations;
       const paths = annotations ? pathsOf(annotations.geojson) : [];
-      this.#paths = paths.reduce((sum, path) => sum + path.length, 0) > MOST_REFINED ? paths : paths.map(refined);
+      this.#paths =
+        paths.reduce((sum, path) => sum + path.length, 0) > MOST_REFINED
+          ? paths
+          : paths.map(refined);
       this.#mapped = null;
-      if (annotations) find("annotations-note").textContent = annotationWords(annotations.name, countOf(annotations.geojson));
+      if (annotations)
+        find("annotations-note").textContent = annotationWords(
+          annotations.name,
+          countOf(annotations.geojson),
+        );
     }
     this.#ask();
     this.#draw();
@@ -137,7 +176,9 @@ export class Annotations {
   async #map(id, document, asking, [x, y]) {
     const { name, geojson } = this.#of;
     try {
-      const mapped = (await api.points(id, { q: wire(document, "q"), geojson }, asking.cancel.signal)).geojson;
+      const mapped = (
+        await api.points(id, { q: wire(document, "q"), geojson }, asking.cancel.signal)
+      ).geojson;
       if (this.#asking !== asking) return;
       // Positions are those of the server's picture, whose canvas may begin elsewhere.
       const paths = pathsOf(mapped).map((path) => path.map(([a, b]) => [a + x, b + y]));
@@ -149,9 +190,15 @@ export class Annotations {
       if (!(error instanceof api.Problem)) throw error;
       // They cannot be used: as after a file that cannot be read.
       this.store.do("annotations", { annotations: null });
-      const where = error.pointer?.startsWith("/geojson") ? ` at ${named(error.pointer.replace("/geojson", "")) || "the start"}` : "";
+      const where = error.pointer?.startsWith("/geojson")
+        ? ` at ${named(error.pointer.replace("/geojson", "")) || "the start"}`
+        : "";
       const detail = `In ${name},${where || " as a whole"}: ${error.detail}`;
-      this.store.do("problem", { problem: Object.assign(new api.Problem({ code: "bad_annotations", detail }, 0), { opening: true }) });
+      this.store.do("problem", {
+        problem: Object.assign(new api.Problem({ code: "bad_annotations", detail }, 0), {
+          opening: true,
+        }),
+      });
     } finally {
       if (this.#asking === asking) this.#asking = null;
     }
@@ -169,13 +216,19 @@ export class Annotations {
     const { document, revision } = this.store.state;
     if (this.#mapped?.revision === revision) return this.#mapped.geojson;
     const { geojson } = this.#of;
-    return (await this.sync.ask((id) => api.points(id, { q: wire(document, "q"), geojson }))).geojson;
+    return (await this.sync.ask((id) => api.points(id, { q: wire(document, "q"), geojson })))
+      .geojson;
   }
 
   #draw() {
     const { state } = this.store;
     const { view, context } = this;
-    const seen = this.#of && view.size && state.phase === "open" && !state.compare && find("annotations-shown").checked;
+    const seen =
+      this.#of &&
+      view.size &&
+      state.phase === "open" &&
+      !state.compare &&
+      find("annotations-shown").checked;
     const { canvas } = context;
     if (!seen) {
       canvas.hidden = true;
@@ -183,7 +236,11 @@ export class Annotations {
       return;
     }
     const atRest = state.peek || isRegionTool(state.tool);
-    const isExact = !atRest && view.source === "png" && state.playing === null && this.#mapped?.revision === this.sync.shown.revision;
+    const isExact =
+      !atRest &&
+      view.source === "png" &&
+      state.playing === null &&
+      this.#mapped?.revision === this.sync.shown.revision;
     const mesh = atRest || isExact ? null : view.shownMesh;
     const paths = isExact ? this.#mapped.paths : this.#paths;
     const { zoom, pan, stageSize, scale } = view;
@@ -191,7 +248,10 @@ export class Annotations {
     if (!canvas.hidden && now.every((part, k) => part === this.#drawn[k])) return;
     this.#drawn = now;
     canvas.hidden = false;
-    Object.assign(canvas, { width: Math.max(1, Math.round(stageSize[0] * scale)), height: Math.max(1, Math.round(stageSize[1] * scale)) });
+    Object.assign(canvas, {
+      width: Math.max(1, Math.round(stageSize[0] * scale)),
+      height: Math.max(1, Math.round(stageSize[1] * scale)),
+    });
     const moving = state.before !== null || state.playing !== null;
     this.#stroke(paths, mesh, moving);
   }
@@ -213,16 +273,26 @@ export class Annotations {
         if (!place) continue;
         const [x, y] = view.toStage(place);
         posed.push(x, y);
-        [left, top, right, bottom] = [Math.min(left, x), Math.min(top, y), Math.max(right, x), Math.max(bottom, y)];
+        [left, top, right, bottom] = [
+          Math.min(left, x),
+          Math.min(top, y),
+          Math.max(right, x),
+          Math.max(bottom, y),
+        ];
       }
       if (!posed.length || right < 0 || bottom < 0 || left > wide || top > high) continue;
       if (isOne) {
         context.moveTo(posed[0] + 3, posed[1]);
         context.arc(posed[0], posed[1], 3, 0, 2 * Math.PI);
       } else if (right - left < DOT && bottom - top < DOT) context.rect(left, top, 1, 1);
-      else for (let k = 0; k < posed.length; k += 2) k ? context.lineTo(posed[k], posed[k + 1]) : context.moveTo(posed[0], posed[1]);
+      else
+        for (let k = 0; k < posed.length; k += 2)
+          k ? context.lineTo(posed[k], posed[k + 1]) : context.moveTo(posed[0], posed[1]);
     }
-    for (const [colour, width] of [["rgb(0 0 0 / .6)", 3.5], ["#ffe14d", 1.5]]) {
+    for (const [colour, width] of [
+      ["rgb(0 0 0 / .6)", 3.5],
+      ["#ffe14d", 1.5],
+    ]) {
       Object.assign(context, { strokeStyle: colour, lineWidth: width, lineJoin: "round" });
       context.stroke();
     }

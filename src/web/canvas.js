@@ -28,7 +28,9 @@ export function boxOf(canvas, size, mesh, staying = false) {
   if (canvas === "same" || !mesh) return boxOfPicture(size);
   if (canvas !== "fit") return [canvas.x, canvas.y, canvas.width, canvas.height];
   const bounds = boundsOf(mesh);
-  const whole = staying ? [0, 0, ...size].map((edge, k) => (k < 2 ? Math.min : Math.max)(edge, bounds[k])) : bounds;
+  const whole = staying
+    ? [0, 0, ...size].map((edge, k) => (k < 2 ? Math.min : Math.max)(edge, bounds[k]))
+    : bounds;
   const [left, top, right, bottom] = whole.map((edge) => Math.round(edge * STEPS) / STEPS);
   const [x, y] = [Math.floor(left), Math.floor(top)];
   return [x, y, Math.max(1, Math.ceil(right) - x), Math.max(1, Math.ceil(bottom) - y)];
@@ -37,20 +39,33 @@ export function boxOf(canvas, size, mesh, staying = false) {
 /** The box that a response names: the header `Warp-Canvas`, or `canvas` in the report of a frame; null where it is that of the picture. */
 export function boxFrom(told) {
   if (!told) return null;
-  return typeof told === "string" ? told.split(",").map(Number) : [told.x, told.y, told.width, told.height];
+  return typeof told === "string"
+    ? told.split(",").map(Number)
+    : [told.x, told.y, told.width, told.height];
 }
 
 /** How far a posed grid extends beyond a box: { left, top, right, bottom }, px, 0 where it does not. */
 export function cutOff(mesh, [x, y, width, height]) {
   const [left, top, right, bottom] = boundsOf(mesh);
   const far = (length) => (length >= LEAST_CUT ? Math.ceil(length) : 0);
-  return { left: far(x - left), top: far(y - top), right: far(right - x - width), bottom: far(bottom - y - height) };
+  return {
+    left: far(x - left),
+    top: far(y - top),
+    right: far(right - x - width),
+    bottom: far(bottom - y - height),
+  };
 }
 
 /** The outlines of the picture and of the canvas, with the coordinates of its edges, over the stage. */
 export class CanvasRuler {
   constructor(store, view, sync) {
-    Object.assign(this, { store, view, sync, ruler: document.getElementById("ruler"), frame: document.getElementById("source-frame") });
+    Object.assign(this, {
+      store,
+      view,
+      sync,
+      ruler: document.getElementById("ruler"),
+      frame: document.getElementById("source-frame"),
+    });
     store.subscribe(() => this.draw());
     view.subscribe(() => this.draw());
     sync.subscribe(() => this.draw());
@@ -66,7 +81,8 @@ export class CanvasRuler {
     this.#place(this.frame, boxOfPicture(this.view.size));
     const [x, y, width, height] = box;
     const edges = { left: x, right: x + width, top: y, bottom: y + height };
-    for (const [side, at] of Object.entries(edges)) this.ruler.querySelector(`[data-edge=${side}]`).textContent = at;
+    for (const [side, at] of Object.entries(edges))
+      this.ruler.querySelector(`[data-edge=${side}]`).textContent = at;
   }
 
   #place({ style }, [x, y, width, height]) {

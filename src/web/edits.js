@@ -6,9 +6,11 @@ import { regionOf } from "./region.js";
 import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
 export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
-export const kindName = (handle) => ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
+export const kindName = (handle) =>
+  ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
 
-export const toolName = (tool) => ({ point: "Point", line: "Line", path: "Path", lasso: "Lasso", brush: "Brush" })[tool];
+export const toolName = (tool) =>
+  ({ point: "Point", line: "Line", path: "Path", lasso: "Lasso", brush: "Brush" })[tool];
 
 /** The server's limit of a coordinate. */
 const REACH = 1e6;
@@ -56,15 +58,20 @@ export function moved(document, selection, to) {
   return changed ? { ...document, handles } : document;
 }
 
-export const translated = (document, selection, dx, dy) => moved(document, selection, ([x, y]) => [x + dx, y + dy]);
+export const translated = (document, selection, dx, dy) =>
+  moved(document, selection, ([x, y]) => [x + dx, y + dy]);
 
 export function rotated(document, selection, [cx, cy], angle) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
-  const next = moved(document, selection, ([x, y]) => [cx + (x - cx) * cos - (y - cy) * sin, cy + (x - cx) * sin + (y - cy) * cos]);
+  const next = moved(document, selection, ([x, y]) => [
+    cx + (x - cx) * cos - (y - cy) * sin,
+    cy + (x - cx) * sin + (y - cy) * cos,
+  ]);
   // Twisted pins turn with their surroundings.
   const turns = (handle) => handle.twist && selection.includes(String(handle.id));
   if (!next.handles.some(turns)) return next;
-  const turn = (handle) => (turns(handle) ? turned(handle, handle.twist.angle + (angle * 180) / Math.PI) : handle);
+  const turn = (handle) =>
+    turns(handle) ? turned(handle, handle.twist.angle + (angle * 180) / Math.PI) : handle;
   return { ...next, handles: next.handles.map(turn) };
 }
 
@@ -73,7 +80,10 @@ export function circleOf(places) {
   const xs = places.map((p) => p[0]);
   const ys = places.map((p) => p[1]);
   const centre = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
-  return { centre, radius: Math.max(...places.map((p) => Math.hypot(p[0] - centre[0], p[1] - centre[1]))) };
+  return {
+    centre,
+    radius: Math.max(...places.map((p) => Math.hypot(p[0] - centre[0], p[1] - centre[1]))),
+  };
 }
 
 export function putBack(document, selection) {
@@ -81,9 +91,13 @@ export function putBack(document, selection) {
   let changed = false;
   const handles = document.handles.map((handle) => {
     const mine = places.get(handle.id);
-    if (!mine || (!handle.twist && [...mine].every((k) => same(handle.p[k], handle.q[k])))) return handle;
+    if (!mine || (!handle.twist && [...mine].every((k) => same(handle.p[k], handle.q[k]))))
+      return handle;
     changed = true;
-    return { ...untwisted(handle), q: handle.q.map((place, k) => (mine.has(k) ? handle.p[k] : place)) };
+    return {
+      ...untwisted(handle),
+      q: handle.q.map((place, k) => (mine.has(k) ? handle.p[k] : place)),
+    };
   });
   return changed ? { ...document, handles } : document;
 }
@@ -99,7 +113,10 @@ export function removed(document, selection) {
     if (gone.has(null) || p.length < 2 || !segmentsHaveLength(p)) return [];
     return [{ ...handle, p, q: handle.q.filter(stays) }];
   });
-  return handles.length === document.handles.length && handles.every((h, i) => h === document.handles[i]) ? document : { ...document, handles };
+  return handles.length === document.handles.length &&
+    handles.every((h, i) => h === document.handles[i])
+    ? document
+    : { ...document, handles };
 }
 
 const segmentsHaveLength = (p) => p.every((place, k) => k === 0 || !same(place, p[k - 1]));
@@ -109,7 +126,11 @@ export function added(document, p, q) {
   const rest = p.map(rounded);
   const keep = rest.map((place, k) => k === 0 || !same(place, rest[k - 1]));
   const id = 1 + Math.max(0, ...document.handles.map((h) => h.id));
-  const handle = { id, p: rest.filter((_, k) => keep[k]), q: q.map(rounded).filter((_, k) => keep[k]) };
+  const handle = {
+    id,
+    p: rest.filter((_, k) => keep[k]),
+    q: q.map(rounded).filter((_, k) => keep[k]),
+  };
   if (p.length > 1 && handle.p.length < 2) return null;
   return { document: { ...document, handles: [...document.handles, handle] }, key: String(id) };
 }
@@ -130,30 +151,45 @@ export function withNumber(document, which, index, vertex, axis, value) {
 
 /** A closed path around the picture. */
 export function borderPath(width, height) {
-  return [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
+  return [
+    [0, 0],
+    [width, 0],
+    [width, height],
+    [0, height],
+    [0, 0],
+  ];
 }
 
 /** Turns a pin to an angle, in degrees; `free`: its angle and scale without a twist. An angle of null removes the twist. */
 export function withTwist(document, index, degrees, free, size) {
   const old = document.handles[index];
-  const next = degrees !== null ? turned(old, degrees, free, size) : old.twist ? untwisted(old) : old;
+  const next =
+    degrees !== null ? turned(old, degrees, free, size) : old.twist ? untwisted(old) : old;
   return next === old ? document : { ...document, handles: document.handles.with(index, next) };
 }
 
 /** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted pin is a short segment. */
-export const wire = (document, which) => document.handles.map((h) => (h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which]));
+export const wire = (document, which) =>
+  document.handles.map((h) =>
+    h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which],
+  );
 
 /** Handles of the groups of coincident points whose displacements differ by more than a hundredth of a pixel. */
 export function movedApart({ handles }, groups) {
   const moved = ({ p: [[x, y]], q: [[a, b]] }) => [a - x, b - y];
-  const differ = ([first, ...others]) => others.some(([x, y]) => Math.hypot(x - first[0], y - first[1]) > 0.01);
-  return groups.flatMap((group) => (differ(group.handles.map((index) => moved(handles[index]))) ? group.handles : []));
+  const differ = ([first, ...others]) =>
+    others.some(([x, y]) => Math.hypot(x - first[0], y - first[1]) > 0.01);
+  return groups.flatMap((group) =>
+    differ(group.handles.map((index) => moved(handles[index]))) ? group.handles : [],
+  );
 }
 
 /** The mass of a point, px, if the set has segments; the server's default is the mean length of the segments. */
 export function massOf({ handles, mass }) {
   if (mass !== undefined) return mass;
-  const lengths = handles.flatMap((h) => h.p.slice(1).map((place, k) => Math.hypot(place[0] - h.p[k][0], place[1] - h.p[k][1])));
+  const lengths = handles.flatMap((h) =>
+    h.p.slice(1).map((place, k) => Math.hypot(place[0] - h.p[k][0], place[1] - h.p[k][1])),
+  );
   if (lengths.length) return lengths.reduce((sum, length) => sum + length, 0) / lengths.length;
   return handles.some((h) => h.twist) ? 1 : undefined;
 }
@@ -167,20 +203,24 @@ export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 
 export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(document) >= LEAST_ALPHA;
 
 /** Alpha; the server's default is 2 with any line, otherwise 1. */
-export const alphaOf = ({ alpha, handles }) => alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
+export const alphaOf = ({ alpha, handles }) =>
+  alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
 
 /** `after`, with the focus of `before` if another automatic one would move handles that are posed. */
 export function keepingFocus(before, after) {
   if (after.alpha !== null || alphaOf(before) === alphaOf(after)) return after;
   const isPosed = (h) => h.twist || h.p.some((place, k) => !same(place, h.q[k]));
-  return after.handles.some((h) => before.handles.includes(h) && isPosed(h)) ? { ...after, alpha: alphaOf(before) } : after;
+  return after.handles.some((h) => before.handles.includes(h) && isPosed(h))
+    ? { ...after, alpha: alphaOf(before) }
+    : after;
 }
 
 /** The content outside the warped picture: `transparent`, `edge`, `reflect`, `#rrggbbaa` or a value of the picture's depth, `{ value }`. Documents of older pages lack it. */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
 /** The kind of content outside: a name, `colour` or `value`. */
-export const kindOfOutside = (outside) => (typeof outside === "object" ? "value" : outside.startsWith("#") ? "colour" : outside);
+export const kindOfOutside = (outside) =>
+  typeof outside === "object" ? "value" : outside.startsWith("#") ? "colour" : outside;
 
 /** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
 export const filterOf = ({ filter }) => filter ?? "bilinear";
@@ -196,14 +236,31 @@ export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
   const weight = (h) => (h.twist ? segmentWeight(h, mass) : (h.weight ?? 1));
-  const weights = handles.some((h) => h.weight !== undefined || h.twist) ? { weights: handles.map(weight) } : {};
+  const weights = handles.some((h) => h.weight !== undefined || h.twist)
+    ? { weights: handles.map(weight) }
+    : {};
   const point_mass = mass === undefined ? {} : { point_mass: mass };
   const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
-  const parameters = takesPinsOnly(document) ? smoothing : { alpha: alphaOf(document), ...point_mass };
+  const parameters = takesPinsOnly(document)
+    ? smoothing
+    : { alpha: alphaOf(document), ...point_mass };
   // Without a region there are no holes.
   const holes = regionOf(document).parts.length ? { holes: holesOf(document) } : {};
-  const output = { outside: outsideOf(document), filter: filterOf(document), canvas: canvasOf(document), ...holes };
-  return { p: wire(document, "p"), ...weights, method, ...parameters, coincident: document.coincident ?? MEAN, grid: typeof grid === "number" ? { cell: grid } : grid, output };
+  const output = {
+    outside: outsideOf(document),
+    filter: filterOf(document),
+    canvas: canvasOf(document),
+    ...holes,
+  };
+  return {
+    p: wire(document, "p"),
+    ...weights,
+    method,
+    ...parameters,
+    coincident: document.coincident ?? MEAN,
+    grid: typeof grid === "number" ? { cell: grid } : grid,
+    output,
+  };
 }
 
 /** The defaults of `output`, which an exported warp object leaves out. */
@@ -215,7 +272,9 @@ export function swapped({ full: _, strength: __, align, ...document }) {
     ...handle,
     p: q,
     q: p,
-    ...(twist && { twist: { length: twist.length, angle: -twist.angle + 0, scale: 1 / twist.scale } }),
+    ...(twist && {
+      twist: { length: twist.length, angle: -twist.angle + 0, scale: 1 / twist.scale },
+    }),
   }));
   const sides = document.sides && { sides: document.sides.toReversed() };
   return { ...document, handles, ...sides };
@@ -227,7 +286,12 @@ export function warpOf(document) {
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
-  const chosen = { ...((twisted || document.alpha !== null) && { alpha }), ...mass, ...(smoothing && { smoothing }), ...(document.coincident && { coincident }) };
+  const chosen = {
+    ...((twisted || document.alpha !== null) && { alpha }),
+    ...mass,
+    ...(smoothing && { smoothing }),
+    ...(document.coincident && { coincident }),
+  };
   const told = Object.entries(output).filter(([name, value]) => value !== USUAL[name]);
   if (told.length) chosen.output = Object.fromEntries(told);
   const { align } = document.full ? {} : document;
@@ -236,9 +300,28 @@ export function warpOf(document) {
 
 /** Whether a session has the same rest handles and parameters as a document. */
 export function sameRest(object, document) {
-  const { p, weights, method, alpha, smoothing, coincident, grid, output, point_mass: mass } = restOf(document);
+  const {
+    p,
+    weights,
+    method,
+    alpha,
+    smoothing,
+    coincident,
+    grid,
+    output,
+    point_mass: mass,
+  } = restOf(document);
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
-  const pairs = [[object.p, p], [object.weights, weights], [object.method, method], [object.alpha, alpha], [object.smoothing, smoothing], [object.coincident_policy ?? MEAN, coincident], [object.grid.requested, grid], ...Object.keys(output).map((name) => [object.output[name], output[name]])];
+  const pairs = [
+    [object.p, p],
+    [object.weights, weights],
+    [object.method, method],
+    [object.alpha, alpha],
+    [object.smoothing, smoothing],
+    [object.coincident_policy ?? MEAN, coincident],
+    [object.grid.requested, grid],
+    ...Object.keys(output).map((name) => [object.output[name], output[name]]),
+  ];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);
   // Its handles would be aligned once more.

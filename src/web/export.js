@@ -5,7 +5,16 @@ import { AnimationExport } from "./animationexport.js";
 import * as api from "./api.js";
 import { kindOfOutside, outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
-import { animationName, batchLine, warpedPicture, copy, curlLine, pictureName, save, saveRegion } from "./share.js";
+import {
+  animationName,
+  batchLine,
+  warpedPicture,
+  copy,
+  curlLine,
+  pictureName,
+  save,
+  saveRegion,
+} from "./share.js";
 import { ANIMATION, EXPORT, REGION, bytes, problemWords } from "./words.js";
 
 const find = (id) => document.getElementById(`export-${id}`);
@@ -15,7 +24,13 @@ const text = (id, words) => (find(id).textContent = words);
 const REST = 250;
 /** Largest side of a file by format, px; the limits of the server apply too. */
 const SIDES = { png: Infinity, jpeg: 65535, webp: 16383, animation: Infinity };
-const DEFAULTS = { format: "png", scale: 100, quality: 85, compression: "fast", background: "#ffffff" };
+const DEFAULTS = {
+  format: "png",
+  scale: 100,
+  quality: 85,
+  compression: "fast",
+  background: "#ffffff",
+};
 
 /** The stored settings; invalid ones are replaced by the defaults. */
 function storedSettings() {
@@ -32,7 +47,12 @@ function storedSettings() {
     compression: (v) => ["none", "fast", "best"].includes(v),
     background: (v) => /^#[0-9a-f]{6}$/.test(v),
   };
-  return Object.fromEntries(Object.entries(DEFAULTS).map(([name, usual]) => [name, valid[name](told[name]) ? told[name] : usual]));
+  return Object.fromEntries(
+    Object.entries(DEFAULTS).map(([name, usual]) => [
+      name,
+      valid[name](told[name]) ? told[name] : usual,
+    ]),
+  );
 }
 
 /** The height that the server gives to a width: the proportions of the picture, rounded. */
@@ -41,8 +61,15 @@ const heightOf = (width, [w, h]) => Math.max(1, Math.floor((2 * h * width + w) /
 /** The largest width within the limits; the width of the picture itself is always permitted by the server's pixel limit. */
 function widestOf(size, format, { side, pixels }) {
   const longest = Math.min(side, SIDES[format]);
-  let width = Math.floor(Math.min(longest, (longest * size[0]) / size[1], Math.sqrt((pixels * size[0]) / size[1]))) + 1;
-  while (width > 1 && (Math.max(width, heightOf(width, size)) > longest || width * heightOf(width, size) > pixels)) width -= 1;
+  let width =
+    Math.floor(
+      Math.min(longest, (longest * size[0]) / size[1], Math.sqrt((pixels * size[0]) / size[1])),
+    ) + 1;
+  while (
+    width > 1 &&
+    (Math.max(width, heightOf(width, size)) > longest || width * heightOf(width, size) > pixels)
+  )
+    width -= 1;
   return width;
 }
 
@@ -61,24 +88,44 @@ export class ExportDialog {
     };
     this.animation = new AnimationExport(store, sync, () => this.#changed(), cancel);
     find("close").addEventListener("click", () => this.dialog.close());
-    this.dialog.addEventListener("click", (event) => event.target === this.dialog && this.dialog.close());
+    this.dialog.addEventListener(
+      "click",
+      (event) => event.target === this.dialog && this.dialog.close(),
+    );
     // The event arrives late: the dialog may be open again.
     this.dialog.addEventListener("close", () => this.dialog.open || this.#stop());
     find("form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#attempt(() => this.#download());
     });
-    find("curl").addEventListener("click", () => find("form").reportValidity() && this.#attempt(() => this.#copy()));
-    for (const format of Object.keys(SIDES)) find(format).addEventListener("change", () => this.#set({ format }));
-    find("quality").addEventListener("input", ({ target }) => this.#set({ quality: Number(target.value) }));
-    find("compression").addEventListener("change", ({ target }) => this.#set({ compression: target.value }));
-    find("background").addEventListener("input", ({ target }) => this.#set({ background: target.value }));
-    find("width").addEventListener("input", ({ target }) => this.#resize(target.valueAsNumber, target));
-    find("scale").addEventListener("input", ({ target }) => this.#resize(Math.round((target.valueAsNumber * this.#size[0]) / 100), target));
+    find("curl").addEventListener(
+      "click",
+      () => find("form").reportValidity() && this.#attempt(() => this.#copy()),
+    );
+    for (const format of Object.keys(SIDES))
+      find(format).addEventListener("change", () => this.#set({ format }));
+    find("quality").addEventListener("input", ({ target }) =>
+      this.#set({ quality: Number(target.value) }),
+    );
+    find("compression").addEventListener("change", ({ target }) =>
+      this.#set({ compression: target.value }),
+    );
+    find("background").addEventListener("input", ({ target }) =>
+      this.#set({ background: target.value }),
+    );
+    find("width").addEventListener("input", ({ target }) =>
+      this.#resize(target.valueAsNumber, target),
+    );
+    find("scale").addEventListener("input", ({ target }) =>
+      this.#resize(Math.round((target.valueAsNumber * this.#size[0]) / 100), target),
+    );
   }
 
   get #size() {
-    const { picture: { width, height }, revision } = this.store.state;
+    const {
+      picture: { width, height },
+      revision,
+    } = this.store.state;
     const { png } = this.sync;
     return png?.revision === revision && png.canvas ? png.canvas.slice(2) : [width, height];
   }
@@ -86,7 +133,10 @@ export class ExportDialog {
   show() {
     if (this.store.state.phase !== "open" || this.dialog.open) return;
     const widest = widestOf(this.#size, this.#settings.format, this.limits);
-    this.#width = Math.min(widest, Math.max(1, Math.round((this.#settings.scale * this.#size[0]) / 100)));
+    this.#width = Math.min(
+      widest,
+      Math.max(1, Math.round((this.#settings.scale * this.#size[0]) / 100)),
+    );
     this.#prepared = null;
     this.dialog.showModal();
     this.#changed();
@@ -120,14 +170,20 @@ export class ExportDialog {
 
   /** A JPEG has no transparency: its background is the colour outside, or white. It can be chosen unless the panel sets another outside. */
   get #hasBackground() {
-    return this.#settings.format === "jpeg" && outsideOf(this.store.state.document) === "transparent";
+    return (
+      this.#settings.format === "jpeg" && outsideOf(this.store.state.document) === "transparent"
+    );
   }
 
   #changed(typed = null) {
     this.#stop();
     this.#draw(typed);
-    if (!find("width").checkValidity() || (this.#isAnimation && !find("frames").checkValidity())) return;
-    this.#timer = setTimeout(() => this.#attempt(() => (this.#isAnimation ? this.#estimate() : this.#prepare())), REST);
+    if (!find("width").checkValidity() || (this.#isAnimation && !find("frames").checkValidity()))
+      return;
+    this.#timer = setTimeout(
+      () => this.#attempt(() => (this.#isAnimation ? this.#estimate() : this.#prepare())),
+      REST,
+    );
   }
 
   get #isAnimation() {
@@ -152,7 +208,10 @@ export class ExportDialog {
     const valid = find("width").checkValidity();
     find("width").setAttribute("aria-invalid", !valid);
     text("height", valid ? `× ${heightOf(this.#width, this.#size)} px` : "px");
-    text("size-note", `The picture has ${width} × ${height} px. The width can be 1 to ${widest} px.`);
+    text(
+      "size-note",
+      `The picture has ${width} × ${height} px. The width can be 1 to ${widest} px.`,
+    );
     find("quality-row").hidden = format !== "jpeg";
     find("quality").value = quality;
     text("quality-value", quality);
@@ -170,7 +229,10 @@ export class ExportDialog {
     find("problem").hidden = valid && hasFrames;
     if (!hasFrames) text("problem", `Enter 2 to ${this.animation.most} frames.`);
     if (!valid) text("problem", `Enter a width of 1 to ${widest} px.`);
-    text("result", !valid || !hasFrames ? "" : this.#isAnimation ? this.#frames : "Preparing the file");
+    text(
+      "result",
+      !valid || !hasFrames ? "" : this.#isAnimation ? this.#frames : "Preparing the file",
+    );
     text("said", "");
   }
 
@@ -186,7 +248,10 @@ export class ExportDialog {
       cancel.signal.throwIfAborted();
       this.#prepared = { key, blob };
     }
-    text("result", `${this.#width} × ${heightOf(this.#width, this.#size)} px, ${bytes(this.#prepared.blob.size)}`);
+    text(
+      "result",
+      `${this.#width} × ${heightOf(this.#width, this.#size)} px, ${bytes(this.#prepared.blob.size)}`,
+    );
     return this.#prepared.blob;
   }
 
@@ -214,7 +279,9 @@ export class ExportDialog {
 
   get #name() {
     const { name } = this.store.state.picture;
-    return this.#isAnimation ? animationName(name, this.animation.file) : pictureName(name, this.#settings.format);
+    return this.#isAnimation
+      ? animationName(name, this.animation.file)
+      : pictureName(name, this.#settings.format);
   }
 
   async #download() {
@@ -226,11 +293,20 @@ export class ExportDialog {
 
   async #copy() {
     await this.sync.settled();
-    const line = this.#isAnimation ? batchLine(this.sync, this.#name, this.animation.media, this.animation.body(this.#output)) : curlLine(this.sync, this.store.state, this.#output);
+    const line = this.#isAnimation
+      ? batchLine(this.sync, this.#name, this.animation.media, this.animation.body(this.#output))
+      : curlLine(this.sync, this.store.state, this.#output);
     const copied = await copy(line, find("copied"));
     const mask = this.#isAnimation ? null : await saveRegion(this.store.state);
-    const more = this.#isAnimation ? ANIMATION.session(this.limits.idle) : mask ? REGION.needs(mask) : "";
-    text("said", `${copied ? "Command copied" : "Press Ctrl+C to copy the command"}${more && `. ${more}`}`);
+    const more = this.#isAnimation
+      ? ANIMATION.session(this.limits.idle)
+      : mask
+        ? REGION.needs(mask)
+        : "";
+    text(
+      "said",
+      `${copied ? "Command copied" : "Press Ctrl+C to copy the command"}${more && `. ${more}`}`,
+    );
   }
 
   /** Shows a problem in the dialog: the page behind it cannot be reached. */
@@ -241,7 +317,9 @@ export class ExportDialog {
       if (api.wasAborted(error)) return;
       if (!(error instanceof api.Problem)) throw error;
       // Nothing that the dialog requests is repeated automatically.
-      const { title, detail, advice } = problemWords(Object.assign(Object.create(error), { opening: true }));
+      const { title, detail, advice } = problemWords(
+        Object.assign(Object.create(error), { opening: true }),
+      );
       find("problem").hidden = false;
       text("problem", [`${title}.`, detail, advice].filter(Boolean).join(" "));
       text("result", "");

@@ -8,8 +8,10 @@ const TEXT = /\.(json|geojson|csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i;
 const MEDIA = /^(text\/(plain|csv|xml|tab-separated-values)|application\/(json|geo\+json|xml))$/;
 
 /** For file choosers: media types, and names, because browsers do not know them all. */
-export const PICTURES = "image/png,image/jpeg,image/webp,image/gif,image/bmp,image/tiff,.png,.jpg,.jpeg,.webp,.gif,.bmp,.tif,.tiff";
-export const HANDLES = "application/json,.json,text/csv,.csv,.tsv,.pts,.tem,.tps,.points,.txt,.xml,.fcsv";
+export const PICTURES =
+  "image/png,image/jpeg,image/webp,image/gif,image/bmp,image/tiff,.png,.jpg,.jpeg,.webp,.gif,.bmp,.tif,.tiff";
+export const HANDLES =
+  "application/json,.json,text/csv,.csv,.tsv,.pts,.tem,.tps,.points,.txt,.xml,.fcsv";
 export const ANNOTATIONS = "application/geo+json,.geojson";
 
 const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
@@ -28,9 +30,11 @@ async function valueOf(file, most) {
 async function kindOf(file, most) {
   if (file.type.startsWith("image/") || PICTURE.test(file.name)) return "picture";
   if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
-  const value = /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
+  const value =
+    /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
   // A damaged one is told by its start.
-  if (value?.mlswarp_project !== undefined || beginsAsProject(await file.slice(0, 100).text())) return "project";
+  if (value?.mlswarp_project !== undefined || beginsAsProject(await file.slice(0, 100).text()))
+    return "project";
   if (isAnnotations(value) || /\.geojson$/i.test(file.name)) return "annotations";
   return value?.p && value.q ? "handles" : "landmarks";
 }

@@ -11,7 +11,8 @@ export const LEAST_PINS = 4;
 const SCALES = [1, 2, 5, 10, 20, 50, 100];
 const LONGEST = 160;
 
-const of = (best) => (candidate) => ["method", "alpha", "smoothing"].every((name) => candidate[name] === best[name]);
+const of = (best) => (candidate) =>
+  ["method", "alpha", "smoothing"].every((name) => candidate[name] === best[name]);
 
 /** How often arrows are magnified. */
 function scaleOf(residuals, zoom) {
@@ -31,7 +32,12 @@ export async function chooseMethod(store, sync, view, actions) {
   const scale = scaleOf(residuals, view.zoom);
   const words = fitWords({ best, candidates, before: asked.method, outliers, scale });
   const { smoothing: _, ...others } = asked;
-  const chosen = { ...others, method: best.method, alpha: best.alpha ?? null, ...(best.smoothing && { smoothing: best.smoothing }) };
+  const chosen = {
+    ...others,
+    method: best.method,
+    alpha: best.alpha ?? null,
+    ...(best.smoothing && { smoothing: best.smoothing }),
+  };
   const isSame = ["method", "alpha", "smoothing"].every((name) => chosen[name] === asked[name]);
   if (!isSame) actions.edit(chosen);
   store.do("fit", { fit: { residuals, outliers, scale, words } });

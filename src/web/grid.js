@@ -4,7 +4,11 @@
 const APART = 16;
 
 /** Visible on any picture: light lines with a dark edge; a red that differs from skin. */
-const COLOURS = { line: "rgb(255 255 255 / 0.8)", under: "rgb(10 20 40 / 0.22)", fold: "rgb(235 10 50 / 0.6)" };
+const COLOURS = {
+  line: "rgb(255 255 255 / 0.8)",
+  under: "rgb(10 20 40 / 0.22)",
+  fold: "rgb(235 10 50 / 0.6)",
+};
 
 /** `place`: { zoom, x, y } in device px; `scale`: device px per CSS px; `quick`: during a drag, without the dark edge. */
 export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, quick) {
@@ -23,7 +27,9 @@ export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, qu
   }
   context.beginPath();
   for (const [i, j] of folded) {
-    mesh.corners(i, j).forEach((corner, k) => (k ? context.lineTo(...to(corner)) : context.moveTo(...to(corner))));
+    mesh
+      .corners(i, j)
+      .forEach((corner, k) => (k ? context.lineTo(...to(corner)) : context.moveTo(...to(corner))));
     context.closePath();
   }
   context.fillStyle = COLOURS.fold;
@@ -35,13 +41,17 @@ function drawLines(context, mesh, to, zoom, scale, colour, thick) {
   const { columns, rows, cell } = mesh.grid;
   const every = (size) => Math.max(1, Math.round((APART * scale) / (zoom * size)));
   const [acrossStep, downStep] = [every(cell[0]), every(cell[1])];
-  const chosen = (count, step) => Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
+  const chosen = (count, step) =>
+    Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
   // Skip vertices along a line where the difference is not visible.
   const [alongX, alongY] = [acrossStep, downStep].map((step) => Math.max(1, Math.floor(step / 2)));
-  const line = (places) => places.forEach((place, k) => (k ? context.lineTo(...to(place)) : context.moveTo(...to(place))));
+  const line = (places) =>
+    places.forEach((place, k) => (k ? context.lineTo(...to(place)) : context.moveTo(...to(place))));
   context.beginPath();
-  for (const i of chosen(columns, acrossStep)) line(chosen(rows, alongY).map((j) => mesh.posed(i, j)));
-  for (const j of chosen(rows, downStep)) line(chosen(columns, alongX).map((i) => mesh.posed(i, j)));
+  for (const i of chosen(columns, acrossStep))
+    line(chosen(rows, alongY).map((j) => mesh.posed(i, j)));
+  for (const j of chosen(rows, downStep))
+    line(chosen(columns, alongX).map((i) => mesh.posed(i, j)));
   context.strokeStyle = colour;
   context.lineWidth = thick;
   context.stroke();

@@ -42,11 +42,13 @@ function arrowTo([x, y], [dx, dy]) {
   if (length < rim + 2) return "";
   const [ux, uy] = [dx / length, dy / length];
   const [tx, ty] = [x - rim * ux, y - rim * uy];
-  const wing = (side) => `${(tx - head * ux + side * head * 0.7 * uy).toFixed(2)} ${(ty - head * uy - side * head * 0.7 * ux).toFixed(2)}`;
+  const wing = (side) =>
+    `${(tx - head * ux + side * head * 0.7 * uy).toFixed(2)} ${(ty - head * uy - side * head * 0.7 * ux).toFixed(2)}`;
   return `M${(x - dx).toFixed(2)} ${(y - dy).toFixed(2)}L${tx.toFixed(2)} ${ty.toFixed(2)}M${wing(1)}L${tx.toFixed(2)} ${ty.toFixed(2)}L${wing(-1)}`;
 }
 
-export const keyOf = (handle, vertex) => (vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`);
+export const keyOf = (handle, vertex) =>
+  vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
 
 export class Handles {
   /** The selection rectangle in stage px: [[x, y], [x, y]] or null; and the pointer position while a line is drawn. */
@@ -58,22 +60,67 @@ export class Handles {
   #thinnedFor = null;
 
   constructor(svg, store, view) {
-    Object.assign(this, { svg, store, view, marks: new Marks(document.getElementById("marks"), document.getElementById("moving"), view) });
+    Object.assign(this, {
+      svg,
+      store,
+      view,
+      marks: new Marks(document.getElementById("marks"), document.getElementById("moving"), view),
+    });
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.fit = element("g", { id: "residuals", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
     this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
     // A round arrow on a stalk, so that it does not look like a handle.
-    this.knob = element("g", { id: "ring-knob", class: "knob", tabindex: 0, role: "button", "aria-label": "Rotate the selection" });
-    const turn = ["shade", "glyph"].map((name) => element("path", { class: name, d: "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6" }));
+    this.knob = element("g", {
+      id: "ring-knob",
+      class: "knob",
+      tabindex: 0,
+      role: "button",
+      "aria-label": "Rotate the selection",
+    });
+    const turn = ["shade", "glyph"].map((name) =>
+      element("path", { class: name, d: "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6" }),
+    );
     this.stalk = element("line", { class: "stalk" });
-    this.degrees = element("text", { class: "degrees", y: -16, "text-anchor": "middle", "aria-hidden": true });
-    this.knob.append(element("circle", { class: "hit", r: COARSE.matches ? 22 : 14 }), element("circle", { class: "halo", r: 12 }), this.stalk, element("circle", { class: "plate", r: PLATE }), ...turn, this.degrees);
-    this.draft = element("g", { class: "draft", "aria-hidden": true }, element("polyline", { class: "under" }), element("polyline", { class: "over" }));
+    this.degrees = element("text", {
+      class: "degrees",
+      y: -16,
+      "text-anchor": "middle",
+      "aria-hidden": true,
+    });
+    this.knob.append(
+      element("circle", { class: "hit", r: COARSE.matches ? 22 : 14 }),
+      element("circle", { class: "halo", r: 12 }),
+      this.stalk,
+      element("circle", { class: "plate", r: PLATE }),
+      ...turn,
+      this.degrees,
+    );
+    this.draft = element(
+      "g",
+      { class: "draft", "aria-hidden": true },
+      element("polyline", { class: "under" }),
+      element("polyline", { class: "over" }),
+    );
     this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
-    this.cross = element("path", { id: "cross", class: "cross", d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14", "aria-hidden": true });
+    this.cross = element("path", {
+      id: "cross",
+      class: "cross",
+      d: "M-14 0H-4M4 0H14M0-14V-4M0 4V14",
+      "aria-hidden": true,
+    });
     this.body = element("g");
-    svg.replaceChildren(this.ghosts, this.fit, this.body, this.ringShade, this.ring, this.knob, this.draft, this.frame, this.cross);
+    svg.replaceChildren(
+      this.ghosts,
+      this.fit,
+      this.body,
+      this.ringShade,
+      this.ring,
+      this.knob,
+      this.draft,
+      this.frame,
+      this.cross,
+    );
     store.subscribe(() => this.draw());
     view.subscribe(() => this.draw());
   }
@@ -82,7 +129,9 @@ export class Handles {
     const { state } = this.store;
     const { handles } = state.document;
     const isAway = state.compare || state.peek || state.playing !== null;
-    set(this.svg, { class: isAway ? "away" : isRegionTool(state.tool) ? "aside" : state.before ? "moving" : "" });
+    set(this.svg, {
+      class: isAway ? "away" : isRegionTool(state.tool) ? "aside" : state.before ? "moving" : "",
+    });
     const counts = new Map(handles.map(({ id, p }) => [id, p.length]));
     for (const [id, nodes] of this.#drawn) {
       if (counts.get(id) === nodes.count) continue;
@@ -97,7 +146,9 @@ export class Handles {
       moving: state.before !== null,
       faults: new Set(marked(state.problem)),
       warnings: new Set([...state.apart, ...(fit && fitShown ? fit.outliers : [])]),
-      residual: fit ? (index) => residualWords(fit.residuals[index], fit.outliers.includes(index)) : () => "",
+      residual: fit
+        ? (index) => residualWords(fit.residuals[index], fit.outliers.includes(index))
+        : () => "",
     };
     let last = null;
     const [plain, drawnHere] = [[], []];
@@ -106,13 +157,22 @@ export class Handles {
       this.#update(nodes, handle, index, looks);
       (nodes.onCanvas ? plain : drawnHere).push({ handle, ...nodes.mark });
       // A handle restored by undo returns to its old position in the order.
-      if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last) (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(nodes.whole, ...nodes.places);
+      if (nodes.whole.parentNode !== this.body || nodes.whole.previousElementSibling !== last)
+        (last ? last.after.bind(last) : this.body.prepend.bind(this.body))(
+          nodes.whole,
+          ...nodes.places,
+        );
       last = nodes.places.at(-1) ?? nodes.whole;
     });
     this.#drawFit(state);
     this.#thinOut(state);
     const ring = this.#drawRing(state);
-    this.marks.draw(plain, state.before ? drawnHere : null, ring, isAway || isRegionTool(state.tool));
+    this.marks.draw(
+      plain,
+      state.before ? drawnHere : null,
+      ring,
+      isAway || isRegionTool(state.tool),
+    );
     this.#drawDraft(state);
     this.#drawMarks(state);
   }
@@ -121,21 +181,56 @@ export class Handles {
     const focusable = (...parts) => element("g", { role: "button", tabindex: 0 }, ...parts);
     const place = (small) => {
       const label = element("text", { class: "number", y: -15, "text-anchor": "middle" });
-      const rim = small ? element("rect", { class: "rim", x: -7.5, y: -7.5, width: 15, height: 15, rx: 5 }) : element("circle", { class: "rim", r: 9.5 });
-      const shape = small ? element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }) : element("circle", { class: "dot", r: 7 });
-      return focusable(element("circle", { class: "hit", r: 12 }), element("circle", { class: "halo", r: 12 }), rim, shape, label);
+      const rim = small
+        ? element("rect", { class: "rim", x: -7.5, y: -7.5, width: 15, height: 15, rx: 5 })
+        : element("circle", { class: "rim", r: 9.5 });
+      const shape = small
+        ? element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 })
+        : element("circle", { class: "dot", r: 7 });
+      return focusable(
+        element("circle", { class: "hit", r: 12 }),
+        element("circle", { class: "halo", r: 12 }),
+        rim,
+        shape,
+        label,
+      );
     };
-    const line = () => focusable(...["hit", "halo", "rim", "under", "over"].map((name) => element("polyline", { class: name })));
+    const line = () =>
+      focusable(
+        ...["hit", "halo", "rim", "under", "over"].map((name) =>
+          element("polyline", { class: name }),
+        ),
+      );
     const single = handle.p.length === 1;
-    const ghosts = handle.p.map(() => element("g", {}, element("line", { class: "rim" }), element("line"), element("circle", { r: 3.2 })));
-    const nodes = { handle: null, look: "", count: handle.p.length, whole: single ? place(false) : line(), places: single ? [] : handle.p.map(() => place(true)), ghosts };
+    const ghosts = handle.p.map(() =>
+      element(
+        "g",
+        {},
+        element("line", { class: "rim" }),
+        element("line"),
+        element("circle", { r: 3.2 }),
+      ),
+    );
+    const nodes = {
+      handle: null,
+      look: "",
+      count: handle.p.length,
+      whole: single ? place(false) : line(),
+      places: single ? [] : handle.p.map(() => place(true)),
+      ghosts,
+    };
     this.ghosts.append(...ghosts);
     this.#drawn.set(handle.id, nodes);
     return nodes;
   }
 
   /** Draws a handle, unless it looks as before: most do in a frame of a drag. */
-  #update(nodes, handle, index, { place: frame, selected, inSvg, moving, faults, warnings, residual }) {
+  #update(
+    nodes,
+    handle,
+    index,
+    { place: frame, selected, inSvg, moving, faults, warnings, residual },
+  ) {
     const fault = faults.has(index) ? "" : warnings.has(index) ? "warning" : null;
     const whole = selected.has(String(handle.id));
     const pressedAt = handle.q.map((_, k) => whole || selected.has(`${handle.id}.${k}`));
@@ -143,18 +238,36 @@ export class Handles {
     const look = `${index} ${fault} ${pressedAt} ${inSvg} ${moving} ${frame} ${words}`;
     if (nodes.handle === handle && nodes.look === look) return;
     const onCanvas = fault === null && !(inSvg && pressedAt.includes(true));
-    const labels = handle.q.map((_, k) => this.#labelOf(nodes, k, pressedAt[k] || fault !== null, index));
+    const labels = handle.q.map((_, k) =>
+      this.#labelOf(nodes, k, pressedAt[k] || fault !== null, index),
+    );
     Object.assign(nodes, { handle, look, onCanvas, mark: { pressed: pressedAt, fault, labels } });
     // In a drag the SVG is not seen: what is drawn stays as it is, and only what is told follows.
     const posed = moving ? null : handle.q.map((place) => this.view.toStage(place));
     const name = `${kindName(handle)} ${index + 1}`;
-    const common = { "data-handle": index, "data-kind": kindOf(handle), "data-fault": fault, "data-canvas": onCanvas ? "" : null };
+    const common = {
+      "data-handle": index,
+      "data-kind": kindOf(handle),
+      "data-fault": fault,
+      "data-canvas": onCanvas ? "" : null,
+    };
     const single = handle.p.length === 1;
-    set(nodes.whole, { ...common, id: `handle-${index}`, "aria-pressed": whole, "aria-label": single ? `${name} at ${placesWords(handle.q)}${words}` : name });
+    set(nodes.whole, {
+      ...common,
+      id: `handle-${index}`,
+      "aria-pressed": whole,
+      "aria-label": single ? `${name} at ${placesWords(handle.q)}${words}` : name,
+    });
     if (single) this.#updatePlace(nodes.whole, posed?.[0], handle.q[0], index + 1);
     else if (posed) for (const part of nodes.whole.children) set(part, { points: list(posed) });
     nodes.places.forEach((node, k) => {
-      set(node, { ...common, id: `handle-${index}-${k}`, "data-vertex": k, "aria-pressed": pressedAt[k], "aria-label": `${name}.${k + 1} at ${placesWords([handle.q[k]])}` });
+      set(node, {
+        ...common,
+        id: `handle-${index}-${k}`,
+        "data-vertex": k,
+        "aria-pressed": pressedAt[k],
+        "aria-label": `${name}.${k + 1} at ${placesWords([handle.q[k]])}`,
+      });
       this.#updatePlace(node, posed?.[k], handle.q[k], `${index + 1}.${k + 1}`);
     });
     if (!posed) return;
@@ -163,7 +276,8 @@ export class Handles {
       const away = Math.hypot(posed[k][0] - x, posed[k][1] - y) > LEAST_WAY;
       set(ghost, { display: away && !onCanvas ? null : "none" });
       if (onCanvas) return;
-      for (const line of ghost.querySelectorAll("line")) set(line, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
+      for (const line of ghost.querySelectorAll("line"))
+        set(line, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
       set(ghost.lastChild, { cx: x, cy: y });
     });
   }
@@ -171,7 +285,9 @@ export class Handles {
   /** The number that a vertex shows on the canvas, if it has room. */
   #labelOf(nodes, k, isShown, index) {
     const node = nodes.places[k] ?? nodes.whole;
-    return isShown && node.getAttribute("class") !== "crowded" ? `${index + 1}${nodes.places.length ? `.${k + 1}` : ""}` : "";
+    return isShown && node.getAttribute("class") !== "crowded"
+      ? `${index + 1}${nodes.places.length ? `.${k + 1}` : ""}`
+      : "";
   }
 
   #updatePlace(node, stage, place, label) {
@@ -184,10 +300,17 @@ export class Handles {
     const shown = fit && fitShown ? handles : [];
     while (this.fit.children.length > shown.length) this.fit.lastChild.remove();
     shown.forEach(({ q: [place] }, index) => {
-      const arrow = this.fit.children[index] ?? this.fit.appendChild(element("g", {}, ...["rim", "over"].map((name) => element("path", { class: name }))));
+      const arrow =
+        this.fit.children[index] ??
+        this.fit.appendChild(
+          element("g", {}, ...["rim", "over"].map((name) => element("path", { class: name }))),
+        );
       const outlier = fit.outliers.includes(index);
       set(arrow, { class: outlier ? "outlier" : null, "data-residual": index });
-      const d = arrowTo(this.view.toStage(place), fit.residuals[index].map((c) => c * fit.scale * this.view.zoom));
+      const d = arrowTo(
+        this.view.toStage(place),
+        fit.residuals[index].map((c) => c * fit.scale * this.view.zoom),
+      );
       for (const part of arrow.children) set(part, { d });
     });
   }
@@ -201,14 +324,26 @@ export class Handles {
     if (!places.length || (places.length < 2 && !pin)) return null;
     const { centre, radius } = this.turning ?? circleOf(places);
     const middle = this.view.toStage(centre);
-    const angle = -Math.PI / 4 + (pin ? (((pin.twist?.angle ?? 0) - (pin.twist?.free ?? 0)) * Math.PI) / 180 : (this.turning?.angle ?? 0));
-    const knobAt = (r) => [middle[0] + (r + STALK) * Math.cos(angle), middle[1] + (r + STALK) * Math.sin(angle)];
+    const angle =
+      -Math.PI / 4 +
+      (pin
+        ? (((pin.twist?.angle ?? 0) - (pin.twist?.free ?? 0)) * Math.PI) / 180
+        : (this.turning?.angle ?? 0));
+    const knobAt = (r) => [
+      middle[0] + (r + STALK) * Math.cos(angle),
+      middle[1] + (r + STALK) * Math.sin(angle),
+    ];
     if (pin) {
       const r = COARSE.matches ? PIN_RING.touch : PIN_RING.mouse;
       return { pin, centre, middle, r, knob: knobAt(r) };
     }
     // Keep the knob inside the stage for large selections.
-    const room = [Math.cos(angle), Math.sin(angle)].map((way, axis) => ((way > 0 ? this.view.stageSize[axis] - RING_OFF - STALK : RING_OFF + STALK) - middle[axis]) / way);
+    const room = [Math.cos(angle), Math.sin(angle)].map(
+      (way, axis) =>
+        ((way > 0 ? this.view.stageSize[axis] - RING_OFF - STALK : RING_OFF + STALK) -
+          middle[axis]) /
+        way,
+    );
     const r = Math.max(RING_OFF, Math.min(radius * this.view.zoom + RING_OFF, ...room));
     return { pin: null, centre, middle, r, knob: knobAt(r) };
   }
@@ -216,15 +351,28 @@ export class Handles {
   #drawRing({ before }) {
     const ring = this.ringAt();
     const degrees = ring?.pin?.twist?.angle;
-    const words = degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
+    const words =
+      degrees !== undefined && (before || degrees !== 0) ? `${Math.round(degrees)}°` : "";
     if (before) return ring && { ...ring, degrees: words };
     const visibility = ring ? "visible" : "hidden";
-    for (const circle of [this.ringShade, this.ring]) set(circle, { visibility, ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }) });
-    set(this.knob, { visibility, tabindex: ring ? 0 : -1, ...(ring && { transform: at(ring.knob) }) });
+    for (const circle of [this.ringShade, this.ring])
+      set(circle, {
+        visibility,
+        ...(ring && { cx: ring.middle[0], cy: ring.middle[1], r: ring.r }),
+      });
+    set(this.knob, {
+      visibility,
+      tabindex: ring ? 0 : -1,
+      ...(ring && { transform: at(ring.knob) }),
+    });
     if (!ring) return null;
     const [x, y] = [0, 1].map((axis) => (ring.middle[axis] - ring.knob[axis]) / (ring.r + STALK));
     set(this.stalk, { x1: x * STALK, y1: y * STALK, x2: x * PLATE, y2: y * PLATE });
-    set(this.knob, { "aria-label": ring.pin ? `Twist the pin${degrees === undefined ? "" : `, now ${degrees} degrees`}: arrow keys turn it by 1 degree` : "Rotate the selection: arrow keys rotate by 1 degree" });
+    set(this.knob, {
+      "aria-label": ring.pin
+        ? `Twist the pin${degrees === undefined ? "" : `, now ${degrees} degrees`}: arrow keys turn it by 1 degree`
+        : "Rotate the selection: arrow keys rotate by 1 degree",
+    });
     if (this.degrees.textContent !== words) this.degrees.textContent = words;
     return null;
   }
@@ -244,16 +392,23 @@ export class Handles {
       handle.q.forEach((place, k) => {
         const node = drawn.places[k] ?? drawn.whole;
         nodes.push(node);
-        marks.push([...this.view.toStage(place), node.lastChild.textContent, chosen.has(String(handle.id)) || chosen.has(`${handle.id}.${k}`)]);
+        marks.push([
+          ...this.view.toStage(place),
+          node.lastChild.textContent,
+          chosen.has(String(handle.id)) || chosen.has(`${handle.id}.${k}`),
+        ]);
       });
     }
     const room = withRoom(marks);
-    nodes.forEach((node, k) => set(node, { class: marks[k][3] && !room.has(k) ? "crowded" : null }));
+    nodes.forEach((node, k) =>
+      set(node, { class: marks[k][3] && !room.has(k) ? "crowded" : null }),
+    );
   }
 
   /** The pin of a selection that is a single point and may be twisted, or null. */
   #pin({ document, selection }) {
-    const handle = selection.length === 1 && document.handles.find((h) => String(h.id) === selection[0]);
+    const handle =
+      selection.length === 1 && document.handles.find((h) => String(h.id) === selection[0]);
     return handle && canTwist(handle) && !takesPinsOnly(document) ? handle : null;
   }
 
@@ -265,7 +420,11 @@ export class Handles {
     const dots = this.draft.querySelectorAll("rect");
     for (let k = posed.length; k < dots.length; k++) dots[k].remove();
     posed.forEach((place, k) => {
-      const dot = dots[k] ?? this.draft.appendChild(element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }));
+      const dot =
+        dots[k] ??
+        this.draft.appendChild(
+          element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 }),
+        );
       set(dot, { transform: at(place) });
     });
   }
@@ -275,9 +434,17 @@ export class Handles {
     set(this.frame, { visibility: box ? "visible" : "hidden" });
     if (box) {
       const [[ax, ay], [bx, by]] = box;
-      set(this.frame, { x: Math.min(ax, bx), y: Math.min(ay, by), width: Math.abs(ax - bx), height: Math.abs(ay - by) });
+      set(this.frame, {
+        x: Math.min(ax, bx),
+        y: Math.min(ay, by),
+        width: Math.abs(ax - bx),
+        height: Math.abs(ay - by),
+      });
     }
-    set(this.cross, { visibility: cross ? "visible" : "hidden", ...(cross && { transform: at(this.view.toStage(cross)) }) });
+    set(this.cross, {
+      visibility: cross ? "visible" : "hidden",
+      ...(cross && { transform: at(this.view.toStage(cross)) }),
+    });
   }
 
   /** Hit test at a stage position: { knob: true }, { handle, index, vertex } (vertex null: the whole handle), or null. */
@@ -291,11 +458,13 @@ export class Handles {
       handle.q.forEach((place, vertex) => {
         const [px, py] = this.view.toStage(place);
         const away = Math.hypot(px - x, py - y);
-        if (away <= reach && away <= least) [best, least] = [{ handle, index, vertex: handle.p.length === 1 ? null : vertex }, away];
+        if (away <= reach && away <= least)
+          [best, least] = [{ handle, index, vertex: handle.p.length === 1 ? null : vertex }, away];
       });
     });
     // Between a pin's knob and another handle, the nearer one.
-    if (fromKnob <= Math.max(14, reach) && (fromKnob <= least || !ring.pin)) return { knob: true, pin: ring.pin };
+    if (fromKnob <= Math.max(14, reach) && (fromKnob <= least || !ring.pin))
+      return { knob: true, pin: ring.pin };
     if (best) return best;
     least = reach;
     handles.forEach((handle, index) => {
@@ -312,11 +481,18 @@ export class Handles {
   inside([[ax, ay], [bx, by]]) {
     const within = (place) => {
       const [x, y] = this.view.toStage(place);
-      return x >= Math.min(ax, bx) && x <= Math.max(ax, bx) && y >= Math.min(ay, by) && y <= Math.max(ay, by);
+      return (
+        x >= Math.min(ax, bx) &&
+        x <= Math.max(ax, bx) &&
+        y >= Math.min(ay, by) &&
+        y <= Math.max(ay, by)
+      );
     };
     return this.store.state.document.handles.flatMap((handle) => {
       const kept = handle.q.map((place, k) => (within(place) ? k : -1)).filter((k) => k >= 0);
-      return kept.length === handle.q.length ? [String(handle.id)] : kept.map((k) => keyOf(handle, k));
+      return kept.length === handle.q.length
+        ? [String(handle.id)]
+        : kept.map((k) => keyOf(handle, k));
     });
   }
 
@@ -326,12 +502,20 @@ export class Handles {
     if (!node) return null;
     const index = Number(node.dataset.handle);
     const handle = this.store.state.document.handles[index];
-    return handle ? { handle, index, vertex: node.dataset.vertex === undefined ? null : Number(node.dataset.vertex) } : null;
+    return handle
+      ? {
+          handle,
+          index,
+          vertex: node.dataset.vertex === undefined ? null : Number(node.dataset.vertex),
+        }
+      : null;
   }
 
   /** Focuses the element of a handle without scrolling. */
   focus(index, vertex = null) {
-    this.svg.querySelector(vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`)?.focus({ preventScroll: true });
+    this.svg
+      .querySelector(vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`)
+      ?.focus({ preventScroll: true });
   }
 }
 

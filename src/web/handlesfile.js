@@ -35,19 +35,26 @@ export async function readHandles(file) {
   let parsed = null;
   try {
     if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
-    if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length)) return ready(await landmarks(file));
+    if (!parsed || (parsed.value?.p === undefined && Object.keys(parsed.value).length))
+      return ready(await landmarks(file));
     const read = ready(parsed.value);
-    await decodeParts(read.document.region ?? []).catch(() => demand(false, "/region", "the mask of a region, a PNG in base64,"));
+    await decodeParts(read.document.region ?? []).catch(() =>
+      demand(false, "/region", "the mask of a region, a PNG in base64,"),
+    );
     return read;
   } catch (error) {
-    if (error instanceof Broken) throw problem(`${where(error.at)}: ${error.expected} is expected.`);
+    if (error instanceof Broken)
+      throw problem(`${where(error.at)}: ${error.expected} is expected.`);
     if (!(error instanceof Unsupported)) throw error;
     const member = error.pointer && ` for ${named(error.pointer)}`;
-    throw problem(`${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`);
+    throw problem(
+      `${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`,
+    );
   }
 }
 
-const isTable = (file) => file.type === "text/csv" || /\.(csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i.test(file.name);
+const isTable = (file) =>
+  file.type === "text/csv" || /\.(csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i.test(file.name);
 
 /** The handles of two landmark files: rest and pose. */
 export async function readBoth(files) {
@@ -56,10 +63,18 @@ export async function readBoth(files) {
     const { p, q, units } = await readSides(...(await Promise.all(files.map(sideOf))));
     const isNormalized = units === "normalized";
     const document = { ...documentFrom({ p, q }), sides: names };
-    return { name: names.join(" and "), document, warp: isNormalized ? { p, q, units, sides: names } : null, missing: p.length - document.handles.length };
+    return {
+      name: names.join(" and "),
+      document,
+      warp: isNormalized ? { p, q, units, sides: names } : null,
+      missing: p.length - document.handles.length,
+    };
   } catch (error) {
     if (error instanceof Problem) {
-      const named = (text, k) => text.replace(new RegExp(`^landmarks_${"pq"[k]}, `), `In ${names[k]}, `).replaceAll(new RegExp(`\`?landmarks_${"pq"[k]}\`?`, "g"), names[k]);
+      const named = (text, k) =>
+        text
+          .replace(new RegExp(`^landmarks_${"pq"[k]}, `), `In ${names[k]}, `)
+          .replaceAll(new RegExp(`\`?landmarks_${"pq"[k]}\`?`, "g"), names[k]);
       error.detail = named(named(error.detail, 0), 1);
     }
     throw error;
@@ -83,7 +98,8 @@ async function landmarks(file) {
     const { p, q, units } = await readLandmarks(file);
     return { p, ...(q && { q }), units };
   } catch (error) {
-    if (error instanceof Problem) error.detail = error.detail.replace(/^landmarks, /, `In ${file.name}, `);
+    if (error instanceof Problem)
+      error.detail = error.detail.replace(/^landmarks, /, `In ${file.name}, `);
     throw error;
   }
 }
@@ -91,12 +107,20 @@ async function landmarks(file) {
 /** The document of a normalised warp object for a picture. */
 export function scaled({ p, q, sides, ...others }, { width, height }) {
   const place = ([x, y]) => [x * width, y * height];
-  const px = (handles) => handles.map((handle) => (isPlace(handle) ? place(handle) : (handle?.map(place) ?? null)));
-  return { ...documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" }), ...(sides && { sides }) };
+  const px = (handles) =>
+    handles.map((handle) => (isPlace(handle) ? place(handle) : (handle?.map(place) ?? null)));
+  return {
+    ...documentFrom({ ...others, p: px(p), ...(q && { q: px(q) }), units: "px" }),
+    ...(sides && { sides }),
+  };
 }
 
 /** A pointer as in the API's messages: `p[3]`. */
-export const named = (pointer) => pointer.slice(1).replace(/\/(\d+)/g, "[$1]").replaceAll("/", ".");
+export const named = (pointer) =>
+  pointer
+    .slice(1)
+    .replace(/\/(\d+)/g, "[$1]")
+    .replaceAll("/", ".");
 
 /** A warp object that this page does not support: the first value at fault. */
 export class Unsupported extends Error {
@@ -120,12 +144,17 @@ export function documentOf(warp) {
   }
 }
 
-export const isPlace = (value) => Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
+export const isPlace = (value) =>
+  Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
 
 /** The positions of a handle: [x, y] is a point, a list of positions is a line or a path. */
 function placesOf(handle, pointer) {
   if (isPlace(handle)) return [handle];
-  demand(Array.isArray(handle) && Array.isArray(handle[0]), pointer, "a position [x, y] or a list of positions");
+  demand(
+    Array.isArray(handle) && Array.isArray(handle[0]),
+    pointer,
+    "a position [x, y] or a list of positions",
+  );
   const wrong = handle.findIndex((place) => !isPlace(place));
   demand(wrong < 0, `${pointer}/${wrong}`, "a position [x, y] of two numbers");
   return handle;
@@ -133,69 +162,159 @@ function placesOf(handle, pointer) {
 
 export function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
-  demand(isObject && warp.p !== undefined, "", 'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},');
+  demand(
+    isObject && warp.p !== undefined,
+    "",
+    'an object with the handles at rest, {"p": [[x, y], ...], "q": [...]},',
+  );
   const given = Object.fromEntries(Object.entries(warp).filter(([, value]) => value !== null));
-  const { p, q = p, weights, point_mass: mass, units = "px", method = "rigid", alpha = null, smoothing, coincident, grid = "auto" } = given;
+  const {
+    p,
+    q = p,
+    weights,
+    point_mass: mass,
+    units = "px",
+    method = "rigid",
+    alpha = null,
+    smoothing,
+    coincident,
+    grid = "auto",
+  } = given;
   demand(Array.isArray(p), "/p", "a list of handles");
-  demand(Array.isArray(q) && q.length === p.length, "/q", `a list of ${p.length} handles, as many as in p,`);
+  demand(
+    Array.isArray(q) && q.length === p.length,
+    "/q",
+    `a list of ${p.length} handles, as many as in p,`,
+  );
   // A handle without a position on either side is left out, as the server does.
   const present = [...p.keys()].filter((i) => p[i] !== null && q[i] !== null);
   demand(units === "px", "/units", '"px" or "normalized"');
-  const areWeights = (list) => Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
-  demand(weights === undefined || areWeights(weights), "/weights", "a list of one positive number for each handle");
+  const areWeights = (list) =>
+    Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
+  demand(
+    weights === undefined || areWeights(weights),
+    "/weights",
+    "a list of one positive number for each handle",
+  );
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
   const handles = present.map((i, n) => {
     const [rest, posed] = [placesOf(p[i], `/p/${i}`), placesOf(q[i], `/q/${i}`)];
-    demand(posed.length === rest.length, `/q/${i}`, `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`);
+    demand(
+      posed.length === rest.length,
+      `/q/${i}`,
+      `a handle of ${rest.length} ${rest.length === 1 ? "position" : "positions"}, as in p,`,
+    );
     const pin = pinOf(rest, posed, weights?.[i], mass);
     return { id: n + 1, ...(pin ?? { p: rest, q: posed, ...(weights && { weight: weights[i] }) }) };
   });
   // Weights of 1 are only the companions of those of twisted pins.
-  if (handles.every((h) => h.twist || h.weight === 1)) for (const handle of handles) delete handle.weight;
-  demand(CLASSES.includes(given.align ?? "none"), "/align", '"none", "rigid", "similarity" or "affine"');
-  demand(METHODS.includes(method), "/method", '"rigid", "similarity", "affine", "tps" or "global_affine"');
+  if (handles.every((h) => h.twist || h.weight === 1))
+    for (const handle of handles) delete handle.weight;
+  demand(
+    CLASSES.includes(given.align ?? "none"),
+    "/align",
+    '"none", "rigid", "similarity" or "affine"',
+  );
+  demand(
+    METHODS.includes(method),
+    "/method",
+    '"rigid", "similarity", "affine", "tps" or "global_affine"',
+  );
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
-  demand(line < 0, `/p/${present[line]}`, 'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,');
+  demand(
+    line < 0,
+    `/p/${present[line]}`,
+    'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,',
+  );
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   const { policy = "mean", within = 0 } = coincident ?? {};
   demand(policy === "mean" || policy === "reject", "/coincident/policy", '"mean" or "reject"');
-  demand(within >= 0 && within <= 1_000_000, "/coincident/within", "a distance in px, 0 to 1000000,");
+  demand(
+    within >= 0 && within <= 1_000_000,
+    "/coincident/within",
+    "a distance in px, 0 to 1000000,",
+  );
   demand(alpha === null || Number.isFinite(alpha), "/alpha", "a number");
   const isTolerance = grid?.tolerance >= 0.05 && grid.tolerance <= 4;
   const cell = grid === "auto" || isTolerance ? grid : grid?.cell;
-  demand(cell === "auto" || isTolerance || cell > 0, "/grid", '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}');
+  demand(
+    cell === "auto" || isTolerance || cell > 0,
+    "/grid",
+    '"auto", {"tolerance": px} between 0.05 and 4, or {"cell": px}',
+  );
   const outside = outsideFrom(given.output?.outside ?? "transparent");
-  demand(outside !== null, "/output/outside", '"transparent", "edge", "reflect", a colour "#rrggbbaa" or {"value": number or [r, g, b]}');
+  demand(
+    outside !== null,
+    "/output/outside",
+    '"transparent", "edge", "reflect", a colour "#rrggbbaa" or {"value": number or [r, g, b]}',
+  );
   const filter = given.output?.filter ?? "bilinear";
   demand(FILTERS.includes(filter), "/output/filter", '"nearest", "bilinear" or "bicubic"');
   const holes = given.output?.holes ?? null;
-  demand(holes === null || holes === "keep" || holes === "transparent", "/output/holes", '"keep" or "transparent"');
+  demand(
+    holes === null || holes === "keep" || holes === "transparent",
+    "/output/holes",
+    '"keep" or "transparent"',
+  );
   const canvas = given.output?.canvas ?? "same";
-  demand(isCanvas(canvas), "/output/canvas", '"same", "fit" or {"x", "y", "width", "height"} in whole px');
+  demand(
+    isCanvas(canvas),
+    "/output/canvas",
+    '"same", "fit" or {"x", "y", "width", "height"} in whole px',
+  );
   const mask = given.region;
-  demand(mask === undefined || (typeof mask === "string" && /^[A-Za-z0-9+/]+={0,2}$/.test(mask)), "/region", "the mask of a region, a PNG in base64,");
+  demand(
+    mask === undefined || (typeof mask === "string" && /^[A-Za-z0-9+/]+={0,2}$/.test(mask)),
+    "/region",
+    "the mask of a region, a PNG in base64,",
+  );
   // What is in the mask is feathered already.
-  const region = mask === undefined ? {} : { region: [{ kind: "mask", png: mask }], feather: 0, holes: holes ?? "keep" };
+  const region =
+    mask === undefined
+      ? {}
+      : { region: [{ kind: "mask", png: mask }], feather: 0, holes: holes ?? "keep" };
   // Until it is aligned (align.js), its handles are where the file has them.
   const align = (given.align ?? "none") === "none" ? {} : { align: { by: given.align, handles } };
-  const read = { holes, ...region, ...align, handles, method, alpha, ...(smoothing && { smoothing }), ...((policy !== "mean" || within) && { coincident: { policy, within } }), grid: cell, outside, filter, canvas };
+  const read = {
+    holes,
+    ...region,
+    ...align,
+    handles,
+    method,
+    alpha,
+    ...(smoothing && { smoothing }),
+    ...((policy !== "mean" || within) && { coincident: { policy, within } }),
+    grid: cell,
+    outside,
+    filter,
+    canvas,
+  };
   // A mass that the page would choose itself continues to follow the lines.
   const usual = massOf(read);
-  const follows = mass === undefined || (usual !== undefined && near(mass, usual)) || handles.every((h) => h.p.length === 1);
+  const follows =
+    mass === undefined ||
+    (usual !== undefined && near(mass, usual)) ||
+    handles.every((h) => h.p.length === 1);
   return follows ? read : { ...read, mass };
 }
 
 function isCanvas(canvas) {
   if (canvas === "same" || canvas === "fit") return true;
   const { x, y, width, height } = canvas;
-  return [x, y, width, height].every(Number.isInteger) && Math.max(Math.abs(x), Math.abs(y)) <= 1_000_000 && width >= 1 && height >= 1;
+  return (
+    [x, y, width, height].every(Number.isInteger) &&
+    Math.max(Math.abs(x), Math.abs(y)) <= 1_000_000 &&
+    width >= 1 &&
+    height >= 1
+  );
 }
 
 /** The server's form of what is outside, or null. */
 function outsideFrom(told) {
   if (typeof told === "object" && told !== null) return valueFrom(told);
   if (told === "transparent" || told === "edge" || told === "reflect") return told;
-  const [, colour, alpha = "ff"] = /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
+  const [, colour, alpha = "ff"] =
+    /^(#[0-9a-f]{6})([0-9a-f]{2})?$/.exec(String(told).toLowerCase()) ?? [];
   return colour ? colour + alpha : null;
 }
 
@@ -204,6 +323,7 @@ function valueFrom({ value, ...others }) {
   const samples = [value].flat();
   const isOne = samples.length === 1 && !Array.isArray(value);
   const isSample = (sample) => Number.isInteger(sample) && sample >= 0 && sample <= 65535;
-  if (Object.keys(others).length || (!isOne && samples.length !== 3) || !samples.every(isSample)) return null;
+  if (Object.keys(others).length || (!isOne && samples.length !== 3) || !samples.every(isSample))
+    return null;
   return { value: samples.every((sample) => sample === samples[0]) ? samples[0] : samples };
 }

@@ -16,10 +16,12 @@ export function attempt(what, otherwise = null) {
 }
 
 export const setting = (name) => attempt(() => localStorage.getItem(`${KEY}.${name}`));
-export const keepSetting = (name, value) => attempt(() => localStorage.setItem(`${KEY}.${name}`, value));
+export const keepSetting = (name, value) =>
+  attempt(() => localStorage.setItem(`${KEY}.${name}`, value));
 
 /** The state stored by this tab, otherwise by the last one. */
-export const kept = () => attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY)));
+export const kept = () =>
+  attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY)));
 
 export function forget() {
   attempt(() => sessionStorage.removeItem(KEY));
@@ -42,7 +44,12 @@ export class Keeper {
   constructor(store, current, told) {
     Object.assign(this, { current, told });
     store.subscribe((state, previous) => {
-      if (["document", "picture", "past", "earlier", "later"].every((name) => state[name] === previous[name])) return;
+      if (
+        ["document", "picture", "past", "earlier", "later"].every(
+          (name) => state[name] === previous[name],
+        )
+      )
+        return;
       clearTimeout(this.#timer);
       this.#timer = setTimeout(() => this.save(store.state), state.before ? 1000 : 100);
     });
@@ -56,8 +63,18 @@ export class Keeper {
     const open = this.current();
     const text = (steps) => {
       const lastly = (past) => (steps ? past?.slice(-steps) : []);
-      const short = (picture) => ({ ...picture, past: lastly(picture.past), future: picture.future?.slice(0, steps), source: undefined, annotations: undefined });
-      return JSON.stringify({ ...short(open), earlier: earlier.map(short), later: later.map(short) });
+      const short = (picture) => ({
+        ...picture,
+        past: lastly(picture.past),
+        future: picture.future?.slice(0, steps),
+        source: undefined,
+        annotations: undefined,
+      });
+      return JSON.stringify({
+        ...short(open),
+        earlier: earlier.map(short),
+        later: later.map(short),
+      });
     };
     this.kept = keepText(sessionStorage, text) && phase === "open" && open.file !== null;
     keepText(localStorage, text);
@@ -68,7 +85,8 @@ export class Keeper {
 function database() {
   return new Promise((resolve, reject) => {
     const request = indexedDB.open(KEY, 1);
-    request.onupgradeneeded = () => request.result.createObjectStore("files", { keyPath: "key", autoIncrement: true });
+    request.onupgradeneeded = () =>
+      request.result.createObjectStore("files", { keyPath: "key", autoIncrement: true });
     request.onsuccess = () => resolve(request.result);
     request.onerror = () => reject(request.error);
   });
@@ -92,7 +110,8 @@ export async function keepFile(blob, name, needed) {
     const files = opened.transaction("files", "readwrite").objectStore("files");
     const key = await settled(files.add({ bytes, type: blob.type, name }));
     const keys = await settled(files.getAllKeys());
-    for (const old of keys.slice(0, -FILES).filter((old) => !needed.includes(old))) files.delete(old);
+    for (const old of keys.slice(0, -FILES).filter((old) => !needed.includes(old)))
+      files.delete(old);
     opened.close();
     return key;
   } catch {
@@ -107,7 +126,9 @@ export async function keptFile(key) {
     const found = await settled(opened.transaction("files").objectStore("files").get(key));
     opened.close();
     // Earlier versions of the page stored a Blob.
-    return found ? { blob: found.blob ?? new Blob([found.bytes], { type: found.type }), name: found.name } : null;
+    return found
+      ? { blob: found.blob ?? new Blob([found.bytes], { type: found.type }), name: found.name }
+      : null;
   } catch {
     return null;
   }

@@ -28,14 +28,18 @@ export class Keys {
   #down(event) {
     if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
     const open = this.store.state.phase === "open";
-    const text = event.target.closest?.("input:not([type=radio], [type=checkbox], [type=range]), textarea, select");
+    const text = event.target.closest?.(
+      "input:not([type=radio], [type=checkbox], [type=range]), textarea, select",
+    );
     if (event.ctrlKey || event.metaKey) {
-      if (!event.altKey && (!text || event.key.toLowerCase() === "o") && this.#command(event, open)) event.preventDefault();
+      if (!event.altKey && (!text || event.key.toLowerCase() === "o") && this.#command(event, open))
+        event.preventDefault();
       return;
     }
     if (text) return;
     const inStage = this.stage.contains(event.target);
-    const free = inStage || event.target === document.body || event.target === document.documentElement;
+    const free =
+      inStage || event.target === document.body || event.target === document.documentElement;
     if (event.key === "?" && this.singleKeys()) return this.#take(event, this.does.help);
     if (!open) return;
     if (!free) return this.#character(event);
@@ -72,10 +76,24 @@ export class Keys {
     const [dx, dy] = arrow;
     const coarse = event.shiftKey ? 1 : 0;
     if (event.altKey) this.view.panBy(-dx * PAN, -dy * PAN);
-    else if (this.store.state.compare) this.store.do("show", { what: { compareAt: Math.min(100, Math.max(0, this.store.state.compareAt + dx * (coarse ? 10 : 1))) } });
+    else if (this.store.state.compare)
+      this.store.do("show", {
+        what: {
+          compareAt: Math.min(
+            100,
+            Math.max(0, this.store.state.compareAt + dx * (coarse ? 10 : 1)),
+          ),
+        },
+      });
     else if (event.target === this.handles.knob) this.actions.rotate((dx || dy) * NUDGE[coarse]);
-    else if (this.#focused(event) && this.#adopts(event)) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
-    else if (this.store.state.selection.length && !this.store.state.draft.length && !this.store.state.arm) this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
+    else if (this.#focused(event) && this.#adopts(event))
+      this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
+    else if (
+      this.store.state.selection.length &&
+      !this.store.state.draft.length &&
+      !this.store.state.arm
+    )
+      this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
     else if (inStage) this.#moveCross(dx * CROSS[coarse], dy * CROSS[coarse]);
     else return false;
     return true;
@@ -92,14 +110,19 @@ export class Keys {
     if (state.arm || state.draft.length) return false;
     const { handle, vertex } = this.#focused(event);
     const keys = [String(handle.id), `${handle.id}.${vertex}`];
-    if (!state.selection.some((key) => keys.includes(key))) this.actions.choose({ handle, vertex }, false);
+    if (!state.selection.some((key) => keys.includes(key)))
+      this.actions.choose({ handle, vertex }, false);
     return true;
   }
 
   #moveCross(dx, dy) {
     const { size } = this.view;
-    const from = this.store.state.cross ?? this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map(Math.round);
-    const place = [from[0] + dx, from[1] + dy].map((c, axis) => Math.min(size[axis], Math.max(0, c)));
+    const from =
+      this.store.state.cross ??
+      this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map(Math.round);
+    const place = [from[0] + dx, from[1] + dy].map((c, axis) =>
+      Math.min(size[axis], Math.max(0, c)),
+    );
     this.#crossMoved = true;
     this.store.do("cross", { place });
     this.view.reveal(place);
@@ -112,7 +135,8 @@ export class Keys {
     if (named && !arm && !draft.length) return this.actions.choose(named, event.shiftKey);
     if (!cross) return draft.length ? this.actions.finish() : this.#moveCross(0, 0);
     // Twice at the same position: the path is complete.
-    if ((tool === "path" || tool === "lasso") && draft.length && !arm && !this.#crossMoved) return this.actions.finish();
+    if ((tool === "path" || tool === "lasso") && draft.length && !arm && !this.#crossMoved)
+      return this.actions.finish();
     this.#crossMoved = false;
     const keep = tool !== "point" && draft.length + 1 < (tool === "line" ? 2 : Infinity);
     this.actions.place(cross);
@@ -178,12 +202,14 @@ export class Keys {
   #up(event) {
     if (event.key === " ") {
       // Space without a pan selects the focused handle.
-      const named = this.pointer.spaceHeld && !this.pointer.spaceUsed && event.target && this.#focused(event);
+      const named =
+        this.pointer.spaceHeld && !this.pointer.spaceUsed && event.target && this.#focused(event);
       if (named) this.actions.choose(named, event.shiftKey);
       this.pointer.spaceHeld = false;
       delete this.stage.dataset.space;
     }
-    if (event.key.toLowerCase() === "b" && this.store.state.peek) this.store.do("show", { what: { peek: false } });
+    if (event.key.toLowerCase() === "b" && this.store.state.peek)
+      this.store.do("show", { what: { peek: false } });
   }
 
   /** Releases held keys: no keyup arrives after the window loses the focus. */

@@ -142,7 +142,11 @@ export class Live {
       this.told.way();
       this.#flush();
     });
-    socket.onmessage = current((event) => (typeof event.data === "string" ? this.#text(JSON.parse(event.data)) : this.#binary(event.data)));
+    socket.onmessage = current((event) =>
+      typeof event.data === "string"
+        ? this.#text(JSON.parse(event.data))
+        : this.#binary(event.data),
+    );
     socket.onclose = current(({ code }) => {
       // A socket that answers nothing has failed, unless it was asked for nothing.
       const hasLived = this.#open && (this.#quickest !== null || this.#seq === 0);
@@ -171,7 +175,10 @@ export class Live {
   #reopen() {
     if (this.#attempts >= ATTEMPTS) return;
     const pause = (AGAIN * 2 ** this.#attempts++ * (1 + Math.random())) / 2;
-    this.#reopening = setTimeout(() => (this.#lost || this.#broken) && !this.#socket && this.#connect(this.#broken), pause);
+    this.#reopening = setTimeout(
+      () => (this.#lost || this.#broken) && !this.#socket && this.#connect(this.#broken),
+      pause,
+    );
   }
 
   /** The response to a pose is also that to all older ones. */
@@ -186,7 +193,10 @@ export class Live {
   /** Whether a newer pose would only queue behind those that the server has not answered. */
   get #congested() {
     const [oldest = Infinity] = this.#unanswered.values();
-    return performance.now() - oldest > (this.#quickest ?? QUEUE) + QUEUE || this.#socket.bufferedAmount > BACKLOG;
+    return (
+      performance.now() - oldest > (this.#quickest ?? QUEUE) + QUEUE ||
+      this.#socket.bufferedAmount > BACKLOG
+    );
   }
 
   #answered() {
@@ -218,10 +228,19 @@ export class Live {
     const revision = this.#revisions.get(seq);
     for (const old of this.#revisions.keys()) if (old < seq) this.#revisions.delete(old);
     const report = this.#report?.seq === seq ? { ...this.#report, size: bytes.byteLength } : null;
-    const shown = () => this.#socket?.readyState === WebSocket.OPEN && this.#socket.send(JSON.stringify({ ack: seq }));
+    const shown = () =>
+      this.#socket?.readyState === WebSocket.OPEN &&
+      this.#socket.send(JSON.stringify({ ack: seq }));
     if (revision === undefined) return shown();
-    if (this.kind === "mesh") this.told.mesh(Mesh.ofCompact(this.#lattice, bytes), true, revision, report, shown);
-    else this.told.frame(new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }), revision, report, shown);
+    if (this.kind === "mesh")
+      this.told.mesh(Mesh.ofCompact(this.#lattice, bytes), true, revision, report, shown);
+    else
+      this.told.frame(
+        new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }),
+        revision,
+        report,
+        shown,
+      );
     this.#flush();
   }
 
@@ -252,7 +271,8 @@ export class Live {
       if (this.kind === "mesh") {
         const { places, report } = await api.mesh(this.#id, body, asking.signal);
         this.found(asked);
-        if (!asking.signal.aborted) this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
+        if (!asking.signal.aborted)
+          this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
       } else {
         const output = { width: Math.min(1024, this.#grid.width) };
         const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);

@@ -60,11 +60,17 @@ export class Loupe {
     const middle = side / 2;
     const arm = 11 * view.scale;
     context.beginPath();
-    for (const [dx, dy] of [[1, 0], [0, 1]]) {
+    for (const [dx, dy] of [
+      [1, 0],
+      [0, 1],
+    ]) {
       context.moveTo(middle - arm * dx, middle - arm * dy);
       context.lineTo(middle + arm * dx, middle + arm * dy);
     }
-    for (const [colour, wide] of [["rgb(0 0 0 / 0.65)", 3.5], ["#fff", 1.5]]) {
+    for (const [colour, wide] of [
+      ["rgb(0 0 0 / 0.65)", 3.5],
+      ["#fff", 1.5],
+    ]) {
       context.strokeStyle = colour;
       context.lineWidth = wide * view.scale;
       context.stroke();

@@ -22,7 +22,22 @@ import { isRegionTool, regionOf } from "./region.js";
 import { RegionTool } from "./regiontool.js";
 import { Pointer } from "./pointer.js";
 import { projectText } from "./project.js";
-import { warpedPicture, annotationsName, copy, curlLine, handlesName, handlesText, landmarksName, landmarksText, linkTo, pictureName, projectName, readLink, save, saveRegion } from "./share.js";
+import {
+  warpedPicture,
+  annotationsName,
+  copy,
+  curlLine,
+  handlesName,
+  handlesText,
+  landmarksName,
+  landmarksText,
+  linkTo,
+  pictureName,
+  projectName,
+  readLink,
+  save,
+  saveRegion,
+} from "./share.js";
 import { Store, steps } from "./state.js";
 import { shownStrength } from "./strength.js";
 import { StrengthSlider } from "./slider.js";
@@ -33,7 +48,13 @@ import { BEHIND, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
-const limits = Object.fromEntries(document.querySelector("meta[name=limits]").content.split(" ").map((pair) => pair.split("=")).map(([k, v]) => [k, Number(v)]));
+const limits = Object.fromEntries(
+  document
+    .querySelector("meta[name=limits]")
+    .content.split(" ")
+    .map((pair) => pair.split("="))
+    .map(([k, v]) => [k, Number(v)]),
+);
 
 const stage = find("stage");
 const store = new Store();
@@ -41,7 +62,15 @@ const view = new View(stage, wishes.get("webgl") !== "off");
 const sync = new Sync(store, view, wishes.get("socket") !== "off", wishes.get("plan") !== "off");
 const handles = new Handles(find("handles"), store, view);
 const actions = new Actions(store, sync, view, handles, say, (back) => opener.step(back));
-const opener = new Opener(store, sync, view, actions, limits, () => keeper.save(store.state), toast);
+const opener = new Opener(
+  store,
+  sync,
+  view,
+  actions,
+  limits,
+  () => keeper.save(store.state),
+  toast,
+);
 const exporting = new ExportDialog(store, sync, limits, toast);
 const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked);
 const region = new RegionTool(store, view, actions);
@@ -62,7 +91,15 @@ function toast(words) {
 }
 
 const KEYS = new Set(["unauthorized", "forbidden"]);
-const RETRIES = new Set(["network", "overloaded", "unavailable", "stored_by_another_version", "rate_limited", "timeout", "internal"]);
+const RETRIES = new Set([
+  "network",
+  "overloaded",
+  "unavailable",
+  "stored_by_another_version",
+  "rate_limited",
+  "timeout",
+  "internal",
+]);
 
 /** Opens the browser's file chooser. */
 function choose(accept) {
@@ -77,7 +114,10 @@ const does = {
   export: () => exporting.show(),
   help: () => find("help").showModal(),
   key: () => showKey(),
-  tool: (tool) => ((tool === "line" || tool === "path") && takesPinsOnly(store.state.document) ? toast(PINS_ONLY) : store.do("tool", { tool })),
+  tool: (tool) =>
+    (tool === "line" || tool === "path") && takesPinsOnly(store.state.document)
+      ? toast(PINS_ONLY)
+      : store.do("tool", { tool }),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   removes: (removes) => store.do("show", { what: { removes } }),
   compare: () => {
@@ -124,7 +164,14 @@ const keeper = new Keeper(store, () => opener.current, observe);
 store.subscribe((state, previous) => {
   const { meshShown: lines, compare, compareAt: at, tool } = state;
   const peek = state.peek || isRegionTool(tool);
-  if (lines !== previous.meshShown || compare !== previous.compare || at !== previous.compareAt || state.peek !== previous.peek || tool !== previous.tool) view.show({ lines, compare, at, peek });
+  if (
+    lines !== previous.meshShown ||
+    compare !== previous.compare ||
+    at !== previous.compareAt ||
+    state.peek !== previous.peek ||
+    tool !== previous.tool
+  )
+    view.show({ lines, compare, at, peek });
   view.setOutside(outsideOf(state.document));
   view.setFilter(filterOf(state.document));
   view.setCanvas(canvasOf(state.document));
@@ -167,15 +214,21 @@ function observe() {
     kept: keeper.kept,
   };
   find("behind").textContent = BEHIND[told.behind] ?? "";
-  for (const [name, value] of Object.entries(told)) if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = value;
+  for (const [name, value] of Object.entries(told))
+    if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = value;
 }
 store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
 // After a click, a tool or a button returns the focus to the stage, so that the arrow keys work. Keyboard focus stays.
-for (const bar of document.querySelectorAll("body > header, #work > .tools, #work > .zoom, #selection, #draft, #region-bar, #panel .buttons")) {
-  const giveBack = () => bar.contains(document.activeElement) && store.state.phase === "open" && stage.focus({ preventScroll: true });
+for (const bar of document.querySelectorAll(
+  "body > header, #work > .tools, #work > .zoom, #selection, #draft, #region-bar, #panel .buttons",
+)) {
+  const giveBack = () =>
+    bar.contains(document.activeElement) &&
+    store.state.phase === "open" &&
+    stage.focus({ preventScroll: true });
   bar.addEventListener("click", ({ detail }) => {
     if (detail === 0) return;
     giveBack();
@@ -191,14 +244,19 @@ document.querySelector("h1 a").addEventListener("click", (event) => {
 });
 
 // The focus never stays on a hidden control: it moves to the picture or, on the start page, to where it was or to the first button.
-const staysAt = (node, phase) => node !== document.body && node?.checkVisibility() && (phase !== "open" || node.matches(":focus-visible"));
+const staysAt = (node, phase) =>
+  node !== document.body &&
+  node?.checkVisibility() &&
+  (phase !== "open" || node.matches(":focus-visible"));
 let left = null;
 store.subscribe(({ phase }, { phase: before }) => {
   if (phase === before) return;
   const { activeElement } = document;
   if (before === "empty" && phase === "uploading") left = activeElement;
   if (phase === "uploading" || staysAt(activeElement, phase)) return;
-  (phase === "open" ? stage : staysAt(left, phase) ? left : find("pick")).focus({ preventScroll: true });
+  (phase === "open" ? stage : staysAt(left, phase) ? left : find("pick")).focus({
+    preventScroll: true,
+  });
 });
 
 // Files
@@ -207,13 +265,20 @@ find("file").addEventListener("change", ({ target }) => {
   opener.files(target.files);
   target.value = "";
 });
-for (const button of document.querySelectorAll("[data-sample]")) button.addEventListener("click", () => opener.sample(button.dataset.sample));
+for (const button of document.querySelectorAll("[data-sample]"))
+  button.addEventListener("click", () => opener.sample(button.dataset.sample));
 find("upload-cancel").addEventListener("click", () => opener.cancel());
 
 const carriesFiles = (event) => event.dataTransfer?.types.includes("Files");
 let inside = 0;
-addEventListener("dragenter", (event) => carriesFiles(event) && (find("over").hidden = ++inside < 1));
-addEventListener("dragleave", (event) => carriesFiles(event) && (find("over").hidden = --inside < 1));
+addEventListener(
+  "dragenter",
+  (event) => carriesFiles(event) && (find("over").hidden = ++inside < 1),
+);
+addEventListener(
+  "dragleave",
+  (event) => carriesFiles(event) && (find("over").hidden = --inside < 1),
+);
 addEventListener("dragover", (event) => carriesFiles(event) && event.preventDefault());
 addEventListener("drop", (event) => {
   if (!carriesFiles(event)) return;
@@ -222,7 +287,10 @@ addEventListener("drop", (event) => {
   find("over").hidden = true;
   opener.files(event.dataTransfer.files);
 });
-addEventListener("paste", (event) => event.clipboardData?.files.length && opener.files(event.clipboardData.files));
+addEventListener(
+  "paste",
+  (event) => event.clipboardData?.files.length && opener.files(event.clipboardData.files),
+);
 
 // Export
 
@@ -240,12 +308,28 @@ const copying = (words, what) =>
     await sync.settled();
     const copied = await copy(words(sync, store.state), find("copied"));
     const mask = words === curlLine ? await saveRegion(store.state) : null;
-    toast(`${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`);
+    toast(
+      `${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`,
+    );
   });
 const json = (text) => new Blob([text], { type: "application/json" });
-find("download").addEventListener("click", taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))));
-find("save-handles").addEventListener("click", taking(async (state) => save(json(await handlesText(state)), handlesName(state.picture.name))));
-find("save-landmarks").addEventListener("click", taking((state) => save(new Blob([landmarksText(state.document)], { type: "text/csv" }), landmarksName(state.picture.name))));
+find("download").addEventListener(
+  "click",
+  taking(async (state) => save(await warpedPicture(sync, store), pictureName(state.picture.name))),
+);
+find("save-handles").addEventListener(
+  "click",
+  taking(async (state) => save(json(await handlesText(state)), handlesName(state.picture.name))),
+);
+find("save-landmarks").addEventListener(
+  "click",
+  taking((state) =>
+    save(
+      new Blob([landmarksText(state.document)], { type: "text/csv" }),
+      landmarksName(state.picture.name),
+    ),
+  ),
+);
 find("copy-curl").addEventListener("click", copying(curlLine, "Command"));
 const copyLink = copying(linkTo, "Link");
 find("copy-link").addEventListener("click", async () => {
@@ -256,8 +340,21 @@ find("copy-link").addEventListener("click", async () => {
     if (find("copied").hidden) toast(`Link copied. ${words}`);
   })();
 });
-find("save-project").addEventListener("click", taking(async (state) => save(json(await projectText(state, sync.file)), projectName(state.picture.name))));
-find("annotations-save").addEventListener("click", taking(async ({ annotations: { name } }) => save(new Blob([JSON.stringify(await annotations.mapped())], { type: "application/geo+json" }), annotationsName(name))));
+find("save-project").addEventListener(
+  "click",
+  taking(async (state) =>
+    save(json(await projectText(state, sync.file)), projectName(state.picture.name)),
+  ),
+);
+find("annotations-save").addEventListener(
+  "click",
+  taking(async ({ annotations: { name } }) =>
+    save(
+      new Blob([JSON.stringify(await annotations.mapped())], { type: "application/geo+json" }),
+      annotationsName(name),
+    ),
+  ),
+);
 
 // Theme, help, panel
 
@@ -278,10 +375,18 @@ find("theme").addEventListener("click", () => {
 
 find("help-open").addEventListener("click", does.help);
 find("help-close").addEventListener("click", () => find("help").close());
-find("help").addEventListener("click", (event) => event.target === find("help") && find("help").close());
-for (const [id, name] of [["keys", "keys"], ["loupe-wanted", "loupe"]]) {
+find("help").addEventListener(
+  "click",
+  (event) => event.target === find("help") && find("help").close(),
+);
+for (const [id, name] of [
+  ["keys", "keys"],
+  ["loupe-wanted", "loupe"],
+]) {
   find(id).checked = setting(name) !== "off";
-  find(id).addEventListener("change", ({ target }) => keepSetting(name, target.checked ? "on" : "off"));
+  find(id).addEventListener("change", ({ target }) =>
+    keepSetting(name, target.checked ? "on" : "off"),
+  );
 }
 
 // The key
@@ -299,7 +404,8 @@ async function takeKey(key, remember) {
   useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  if (key === null || !KEYS.has(problem?.code)) return toast(key === null ? "Key removed" : "Key saved in this browser");
+  if (key === null || !KEYS.has(problem?.code))
+    return toast(key === null ? "Key removed" : "Key saved in this browser");
   store.do("problem", { problem: null });
   if (problem.opening) await opener.retry();
   else {
@@ -331,8 +437,12 @@ function begin() {
   const before = kept();
   const link = readLink(location.hash) && location.hash;
   if (link && before?.link !== link) opener.openLink(link);
-  else if (before) opener.restore(before).then(() => store.state.problem?.code === "session_expired" && forget());
+  else if (before)
+    opener.restore(before).then(() => store.state.problem?.code === "session_expired" && forget());
 }
-addEventListener("hashchange", () => readLink(location.hash) && location.hash !== opener.link && opener.openLink(location.hash));
+addEventListener(
+  "hashchange",
+  () => readLink(location.hash) && location.hash !== opener.link && opener.openLink(location.hash),
+);
 observe();
 begin();

@@ -11,7 +11,8 @@ export const STALK = 16;
 export const PLATE = 10.5;
 /** Space around the places of what moves, for dots and numbers, CSS px. */
 const EDGE = 40;
-const FONT = '650 12px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", "DejaVu Sans", sans-serif';
+const FONT =
+  '650 12px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", "DejaVu Sans", sans-serif';
 const BLUE = "#1a6dff";
 const SHADE = "rgb(0 0 0 / .38)";
 const FAULTS = { "": "#ff2d4b", warning: "#ffb020" };
@@ -26,7 +27,12 @@ export class Marks {
   /** `upper`: a canvas of what moves, only as large as that. */
   constructor(lower, upper, view) {
     const contextOf = (canvas) => canvas.getContext("2d", { willReadFrequently: true });
-    Object.assign(this, { view, lower: contextOf(lower), upper: contextOf(upper), context: contextOf(lower) });
+    Object.assign(this, {
+      view,
+      lower: contextOf(lower),
+      upper: contextOf(upper),
+      context: contextOf(lower),
+    });
   }
 
   /**
@@ -45,7 +51,11 @@ export class Marks {
 
   #drawStill(plain) {
     const { zoom, pan, stageSize, scale } = this.view;
-    const now = { handles: plain.map(({ handle }) => handle), looks: plain.map(({ pressed }) => String(pressed)), place: [zoom, ...pan, ...stageSize, scale] };
+    const now = {
+      handles: plain.map(({ handle }) => handle),
+      looks: plain.map(({ pressed }) => String(pressed)),
+      place: [zoom, ...pan, ...stageSize, scale],
+    };
     if (this.#drawn && Object.keys(now).every((name) => near(this.#drawn[name], now[name]))) return;
     this.#drawn = now;
     this.#begin(this.lower, [0, 0, ...stageSize]);
@@ -55,11 +65,20 @@ export class Marks {
 
   #drawMoving(moving, ring) {
     const { view } = this;
-    const places = moving.flatMap(({ handle: { p, q } }) => [...p, ...q].map((at) => view.toStage(at)));
-    if (ring) places.push(...[-1, 1].map((side) => ring.middle.map((c) => c + side * (ring.r + STALK))), ring.knob);
-    const edge = (which, axis) => places.reduce((most, at) => which(most, at[axis]), places[0][axis]);
+    const places = moving.flatMap(({ handle: { p, q } }) =>
+      [...p, ...q].map((at) => view.toStage(at)),
+    );
+    if (ring)
+      places.push(
+        ...[-1, 1].map((side) => ring.middle.map((c) => c + side * (ring.r + STALK))),
+        ring.knob,
+      );
+    const edge = (which, axis) =>
+      places.reduce((most, at) => which(most, at[axis]), places[0][axis]);
     const low = [0, 1].map((axis) => Math.max(0, Math.floor(edge(Math.min, axis) - EDGE)));
-    const high = [0, 1].map((axis) => Math.min(view.stageSize[axis], Math.ceil(edge(Math.max, axis) + EDGE)));
+    const high = [0, 1].map((axis) =>
+      Math.min(view.stageSize[axis], Math.ceil(edge(Math.max, axis) + EDGE)),
+    );
     const size = [0, 1].map((axis) => Math.max(1, high[axis] - low[axis]));
     this.#begin(this.upper, [...low, ...size]);
     this.#drawAll(moving);
@@ -70,16 +89,31 @@ export class Marks {
   #begin(context, [left, top, width, height]) {
     const { scale } = this.view;
     this.context = context;
-    Object.assign(context.canvas, { width: Math.max(1, Math.round(width * scale)), height: Math.max(1, Math.round(height * scale)) });
-    Object.assign(context.canvas.style, { width: `${width}px`, height: `${height}px`, transform: `translate(${left}px, ${top}px)` });
+    Object.assign(context.canvas, {
+      width: Math.max(1, Math.round(width * scale)),
+      height: Math.max(1, Math.round(height * scale)),
+    });
+    Object.assign(context.canvas.style, {
+      width: `${width}px`,
+      height: `${height}px`,
+      transform: `translate(${left}px, ${top}px)`,
+    });
     context.scale(scale, scale);
     context.translate(-left, -top);
-    Object.assign(context, { lineCap: "round", lineJoin: "round", textAlign: "center", font: FONT });
+    Object.assign(context, {
+      lineCap: "round",
+      lineJoin: "round",
+      textAlign: "center",
+      font: FONT,
+    });
   }
 
   #drawAll(marks) {
     const posed = marks.map(({ handle }) => handle.q.map((at) => this.view.toStage(at)));
-    this.#drawGhosts(marks.map(({ handle }) => handle), posed);
+    this.#drawGhosts(
+      marks.map(({ handle }) => handle),
+      posed,
+    );
     marks.forEach((mark, k) => this.#drawHandle(posed[k], mark));
   }
 
@@ -150,7 +184,10 @@ export class Marks {
     context.arc(a, b, PLATE, 0, 2 * Math.PI);
     this.#fill("rgb(20 21 24 / .72)");
     context.translate(a, b);
-    for (const [colour, width] of [["rgb(0 0 0 / .6)", 4], ["#fff", 2]]) {
+    for (const [colour, width] of [
+      ["rgb(0 0 0 / .6)", 4],
+      ["#fff", 2],
+    ]) {
       Object.assign(context, { strokeStyle: colour, lineWidth: width });
       context.stroke(ARROW);
     }

@@ -9,13 +9,18 @@ export class Mesh {
   }
 
   static identity(width, height) {
-    return new Mesh({ columns: 2, rows: 2, width, height, cell: [width, height] }, new Float32Array([0, 0, width, 0, 0, height, width, height]));
+    return new Mesh(
+      { columns: 2, rows: 2, width, height, cell: [width, height] },
+      new Float32Array([0, 0, width, 0, 0, height, width, height]),
+    );
   }
 
   /** The undeformed grid. */
   static atRest(grid) {
     const mesh = new Mesh(grid, new Float32Array(2 * grid.columns * grid.rows));
-    for (let j = 0, k = 0; j < grid.rows; j++) for (let i = 0; i < grid.columns; i++, k += 2) mesh.places.set([mesh.restX(i), mesh.restY(j)], k);
+    for (let j = 0, k = 0; j < grid.rows; j++)
+      for (let i = 0; i < grid.columns; i++, k += 2)
+        mesh.places.set([mesh.restX(i), mesh.restY(j)], k);
     return mesh;
   }
 
@@ -24,12 +29,18 @@ export class Mesh {
     const data = new DataView(frame);
     const scale = data.getFloat32(8, true);
     const { places } = Mesh.atRest(grid);
-    return new Mesh(grid, places.map((at, k) => at + scale * data.getInt16(12 + 2 * k, true)));
+    return new Mesh(
+      grid,
+      places.map((at, k) => at + scale * data.getInt16(12 + 2 * k, true)),
+    );
   }
 
   /** The mesh between this one (share 0) and another one of the same grid (share 1). */
   towards(other, share) {
-    return new Mesh(this.grid, this.places.map((c, k) => c + share * (other.places[k] - c)));
+    return new Mesh(
+      this.grid,
+      this.places.map((c, k) => c + share * (other.places[k] - c)),
+    );
   }
 
   restX(i) {
@@ -53,10 +64,18 @@ export class Mesh {
   forward(x, y) {
     const { columns, rows, cell, width, height } = this.grid;
     if (!(x >= 0 && y >= 0 && x <= width && y <= height)) return null;
-    const [i, j] = [Math.min(columns - 2, Math.floor(x / cell[0])), Math.min(rows - 2, Math.floor(y / cell[1]))];
-    const [s, t] = [(x - this.restX(i)) / (this.restX(i + 1) - this.restX(i)), (y - this.restY(j)) / (this.restY(j + 1) - this.restY(j))];
+    const [i, j] = [
+      Math.min(columns - 2, Math.floor(x / cell[0])),
+      Math.min(rows - 2, Math.floor(y / cell[1])),
+    ];
+    const [s, t] = [
+      (x - this.restX(i)) / (this.restX(i + 1) - this.restX(i)),
+      (y - this.restY(j)) / (this.restY(j + 1) - this.restY(j)),
+    ];
     const [a, b, c, d] = this.corners(i, j);
-    return [0, 1].map((k) => (1 - t) * ((1 - s) * a[k] + s * b[k]) + t * ((1 - s) * d[k] + s * c[k]));
+    return [0, 1].map(
+      (k) => (1 - t) * ((1 - s) * a[k] + s * b[k]) + t * ((1 - s) * d[k] + s * c[k]),
+    );
   }
 
   /** The source position of (x, y). Outside the posed picture, uses the displacement of the nearest vertex. */
@@ -67,7 +86,10 @@ export class Mesh {
         const at = this.#inCell(i, j, x, y);
         if (at) {
           const [left, top] = [this.restX(i), this.restY(j)];
-          return [left + at[0] * (this.restX(i + 1) - left), top + at[1] * (this.restY(j + 1) - top)];
+          return [
+            left + at[0] * (this.restX(i + 1) - left),
+            top + at[1] * (this.restY(j + 1) - top),
+          ];
         }
       }
     }
@@ -82,7 +104,13 @@ export class Mesh {
     const d = a + 2 * columns;
     const [ax, ay, bx, by] = [m[a], m[a + 1], m[a + 2], m[a + 3]];
     const [dx, dy, cx, cy] = [m[d], m[d + 1], m[d + 2], m[d + 3]];
-    if (x < Math.min(ax, bx, cx, dx) || x > Math.max(ax, bx, cx, dx) || y < Math.min(ay, by, cy, dy) || y > Math.max(ay, by, cy, dy)) return null;
+    if (
+      x < Math.min(ax, bx, cx, dx) ||
+      x > Math.max(ax, bx, cx, dx) ||
+      y < Math.min(ay, by, cy, dy) ||
+      y > Math.max(ay, by, cy, dy)
+    )
+      return null;
     let [s, t] = [0.5, 0.5];
     for (let step = 0; step < 12; step++) {
       const fx = (1 - t) * ((1 - s) * ax + s * bx) + t * ((1 - s) * dx + s * cx) - x;
@@ -130,12 +158,15 @@ export class Mesh {
         const [p, q] = [topX * leftY - topY * leftX, topX * rightY - topY * rightX];
         const [r, s] = [bottomX * rightY - bottomY * rightX, bottomX * leftY - bottomY * leftX];
         signs[k] = p > 0 && q > 0 && r > 0 && s > 0 ? 1 : p < 0 && q < 0 && r < 0 && s < 0 ? -1 : 0;
-        areas[1 + signs[k]] += (this.restX(i + 1) - this.restX(i)) * (this.restY(j + 1) - this.restY(j));
+        areas[1 + signs[k]] +=
+          (this.restX(i + 1) - this.restX(i)) * (this.restY(j + 1) - this.restY(j));
       }
     }
     const whole = areas[0] > areas[2] ? -1 : 1;
     const cells = [];
-    signs.forEach((sign, k) => sign === whole || cells.push([k % (columns - 1), Math.floor(k / (columns - 1))]));
+    signs.forEach(
+      (sign, k) => sign === whole || cells.push([k % (columns - 1), Math.floor(k / (columns - 1))]),
+    );
     return cells;
   }
 
@@ -166,7 +197,10 @@ export class Mesh {
 
   /** Rest x or y of the lines of `refined(n)`. */
   refinedLines(n, along) {
-    const [count, rest] = along === 0 ? [this.grid.columns, (k) => this.restX(k)] : [this.grid.rows, (k) => this.restY(k)];
+    const [count, rest] =
+      along === 0
+        ? [this.grid.columns, (k) => this.restX(k)]
+        : [this.grid.rows, (k) => this.restY(k)];
     return Float32Array.from({ length: n * (count - 1) + 1 }, (_, k) => {
       const cell = Math.min(Math.floor(k / n), count - 2);
       const share = (k - cell * n) / n;

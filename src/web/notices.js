@@ -8,7 +8,8 @@ import { unusedWords } from "./words.js";
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
 
-const isPosed = ({ p, q, twist }) => Boolean(twist) || p.some((place, k) => place[0] !== q[k][0] || place[1] !== q[k][1]);
+const isPosed = ({ p, q, twist }) =>
+  Boolean(twist) || p.some((place, k) => place[0] !== q[k][0] || place[1] !== q[k][1]);
 
 export class Notices {
   constructor(store, actions) {
@@ -23,8 +24,20 @@ export class Notices {
     store.subscribe((state) => this.#draw(state));
   }
 
-  #draw({ phase, document, before, compare, playing, tool, draft, unused, sidesClosed, holesClosed }) {
-    const quiet = phase !== "open" || compare || playing !== null || isRegionTool(tool) || draft.length > 0;
+  #draw({
+    phase,
+    document,
+    before,
+    compare,
+    playing,
+    tool,
+    draft,
+    unused,
+    sidesClosed,
+    holesClosed,
+  }) {
+    const quiet =
+      phase !== "open" || compare || playing !== null || isRegionTool(tool) || draft.length > 0;
     const { sides, handles } = document;
     find("sides").hidden = quiet || sidesClosed || !sides || !handles.length;
     if (sides) {
@@ -33,7 +46,8 @@ export class Notices {
       find("sides-align").hidden = alignOf(document) !== "none";
     }
     // Not in a drag: it would appear under the pointer.
-    const isDrawnTwice = regionOf(document).parts.length > 0 && holesOf(document) === "keep" && handles.some(isPosed);
+    const isDrawnTwice =
+      regionOf(document).parts.length > 0 && holesOf(document) === "keep" && handles.some(isPosed);
     if (!before) find("holes-hint").hidden = quiet || holesClosed || !isDrawnTwice;
     find("unused").hidden = quiet || !unused.length;
     if (unused.length) text("unused-text", unusedWords(unused));

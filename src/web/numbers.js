@@ -13,13 +13,17 @@ export function withRoom(marks) {
   const taken = new Map(); // cell to boxes: [left, top, right, bottom, owner]
   const cells = ([left, top, right, bottom], visit) => {
     for (let j = Math.floor(top / CELL); j <= Math.floor(bottom / CELL); j++) {
-      for (let i = Math.floor(left / CELL); i <= Math.floor(right / CELL); i++) if (visit(`${i},${j}`)) return true;
+      for (let i = Math.floor(left / CELL); i <= Math.floor(right / CELL); i++)
+        if (visit(`${i},${j}`)) return true;
     }
     return false;
   };
-  const put = (box) => cells(box, (cell) => void (taken.get(cell)?.push(box) ?? taken.set(cell, [box])));
-  const overlap = (a, b) => a[4] !== b[4] && a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
-  const meets = (box) => cells(box, (cell) => taken.get(cell)?.some((other) => overlap(other, box)));
+  const put = (box) =>
+    cells(box, (cell) => void (taken.get(cell)?.push(box) ?? taken.set(cell, [box])));
+  const overlap = (a, b) =>
+    a[4] !== b[4] && a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
+  const meets = (box) =>
+    cells(box, (cell) => taken.get(cell)?.some((other) => overlap(other, box)));
   marks.forEach(([x, y], k) => put([x - DOT, y - DOT, x + DOT, y + DOT, k]));
   return new Set(
     wanted.filter((k) => {

@@ -41,23 +41,45 @@ export class Opener {
     const { session, file } = this.sync;
     if (!picture) return { picture: null };
     const kept = { file: this.fileKey, source: file, link: this.link, annotations };
-    return { picture, document: before ?? document, past, future, session: session.id, borrowed: session.borrowed, ...kept };
+    return {
+      picture,
+      document: before ?? document,
+      past,
+      future,
+      session: session.id,
+      borrowed: session.borrowed,
+      ...kept,
+    };
   }
 
   /** Opens dropped, pasted or picked files: a picture, handles, annotations, or all of them; or a project. */
   async files(list) {
     if (!list.length) return;
-    const { project, picture, handles, annotations, unused } = await sorted(list, 2 * this.limits.body);
+    const { project, picture, handles, annotations, unused } = await sorted(
+      list,
+      2 * this.limits.body,
+    );
     if (project) await this.#project(project);
     else {
       try {
-        if (handles.length) await this.#take("handles", await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0])), Boolean(picture));
-        if (annotations) await this.#take("annotations", await readAnnotations(annotations, this.limits.body), Boolean(picture));
+        if (handles.length)
+          await this.#take(
+            "handles",
+            await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0])),
+            Boolean(picture),
+          );
+        if (annotations)
+          await this.#take(
+            "annotations",
+            await readAnnotations(annotations, this.limits.body),
+            Boolean(picture),
+          );
       } catch (problem) {
         return this.#refuse(problem);
       }
       if (picture) await this.file(picture, picture.name || "pasted.png");
-      else if (!handles.length && !annotations) return this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
+      else if (!handles.length && !annotations)
+        return this.#refuse(new api.Problem({ code: "not_a_picture" }, 0));
     }
     if (!this.store.state.problem) this.store.do("unused", { names: unused });
   }
@@ -88,7 +110,14 @@ export class Opener {
       return this.#refuse(new api.Problem({ code: "bad_handles_file", detail }, 0));
     }
     // A file without a region keeps the region of the picture.
-    const fitted = mask ? own : { ...own, region: before.region, feather: before.feather, holes: own.holes ?? before.holes };
+    const fitted = mask
+      ? own
+      : {
+          ...own,
+          region: before.region,
+          feather: before.feather,
+          holes: own.holes ?? before.holes,
+        };
     this.actions.edit(fitted, { select: [] });
     const without = missing ? `; ${count(missing, "handle")} without a position left out` : "";
     this.toast(`${count(fitted.handles.length, "handle")} from ${name}${without}`);
@@ -107,7 +136,10 @@ export class Opener {
 
   #project(file) {
     return this.#attempt(file.name, async (signal) => {
-      const { name, blob, document, strength, annotations, animation } = await readProject(file, 2 * this.limits.body);
+      const { name, blob, document, strength, annotations, animation } = await readProject(
+        file,
+        2 * this.limits.body,
+      );
       signal.throwIfAborted();
       await this.#fresh(blob, name, document, null, signal, async ({ width, height }) => {
         const mask = (document.region ?? []).find(({ kind }) => kind === "mask");
@@ -116,7 +148,9 @@ export class Opener {
           const detail = `In ${file.name}, the mask of the region has ${size.join(" × ")} px, and the picture ${width} × ${height} px.`;
           throw new api.Problem({ code: "bad_project", detail }, 0);
         }
-        const placed = document.align ? await aligned(document, document.align.by, { width, height }) : document;
+        const placed = document.align
+          ? await aligned(document, document.align.by, { width, height })
+          : document;
         return { document: atStrength(placed, strength), annotations };
       });
       this.store.do("animation", { change: animation });
@@ -137,9 +171,16 @@ export class Opener {
     const object = await this.#upload(blob, name, document, signal);
     const opened = await complete(object.image);
     const { waiting } = this.store.state;
-    const left = await this.#use(object, opened.document, { blob, name }, { picture: { name, sample }, annotations: opened.annotations }, signal);
+    const left = await this.#use(
+      object,
+      opened.document,
+      { blob, name },
+      { picture: { name, sample }, annotations: opened.annotations },
+      signal,
+    );
     if (waiting) await this.#useWaiting(waiting);
-    else if (left.document?.handles.length) this.toast(`${name} opened. Undo brings back ${left.picture.name}`);
+    else if (left.document?.handles.length)
+      this.toast(`${name} opened. Undo brings back ${left.picture.name}`);
   }
 
   #upload(blob, name, document, signal) {
@@ -170,7 +211,10 @@ export class Opener {
   }
 
   #refuse(error) {
-    const problem = error instanceof api.Problem ? error : new api.Problem({ code: error?.name === "EncodingError" ? "unreadable" : "internal" }, 0);
+    const problem =
+      error instanceof api.Problem
+        ? error
+        : new api.Problem({ code: error?.name === "EncodingError" ? "unreadable" : "internal" }, 0);
     problem.opening = true;
     this.store.do("problem", { problem });
     if (!(error instanceof api.Problem) && error?.name !== "EncodingError") throw error;
@@ -180,7 +224,22 @@ export class Opener {
    * Shows a session and its document; returns the picture that was open. If `file` is null, the texture comes from the session. `history`
    * makes the history of pictures from the state and the picture that was open.
    */
-  async #use(object, document, file, { picture, past, future, annotations = null, borrowed = false, fileKey, link = null, history = replaced }, signal) {
+  async #use(
+    object,
+    document,
+    file,
+    {
+      picture,
+      past,
+      future,
+      annotations = null,
+      borrowed = false,
+      fileKey,
+      link = null,
+      history = replaced,
+    },
+    signal,
+  ) {
     const { width, height } = object.image;
     const source = file ?? { blob: await this.#identity(object, signal), name: picture.name };
     let isCutout;
@@ -189,13 +248,31 @@ export class Opener {
     } catch (error) {
       if (error?.name !== "EncodingError") throw error;
       // The browser cannot decode the file, but the server can: show the server's PNG.
-      isCutout = await this.view.setPicture(await this.#identity(object, signal), width, height, signal);
+      isCutout = await this.view.setPicture(
+        await this.#identity(object, signal),
+        width,
+        height,
+        signal,
+      );
     }
     const left = this.current;
     // A session of another user keeps its region. Otherwise the session without one is known, and one with a mask is given it again.
     const region = borrowed || !object.layers?.region ? regionOf(borrowed ? document : {}) : null;
-    this.sync.begin(object, sameRest(object, document) ? restOf(document) : null, source, region, borrowed);
-    this.store.do("opened", { picture: { ...picture, width, height, isCutout }, document, annotations, past, future, ...history(this.store.state, left) });
+    this.sync.begin(
+      object,
+      sameRest(object, document) ? restOf(document) : null,
+      source,
+      region,
+      borrowed,
+    );
+    this.store.do("opened", {
+      picture: { ...picture, width, height, isCutout },
+      document,
+      annotations,
+      past,
+      future,
+      ...history(this.store.state, left),
+    });
     this.view.resized(); // only now the stage is visible and has a size
     this.#leaveLink(link);
     this.fileKey = fileKey ?? null;
@@ -209,7 +286,8 @@ export class Opener {
   /** A link in the address would open again at the next reload. */
   #leaveLink(link) {
     this.link = link;
-    if (!link && readLink(location.hash)) globalThis.history.replaceState(null, "", location.pathname + location.search);
+    if (!link && readLink(location.hash))
+      globalThis.history.replaceState(null, "", location.pathname + location.search);
   }
 
   /** The unchanged picture of the session: q = p. */
@@ -229,16 +307,27 @@ export class Opener {
       const told = documentOf(warp ?? warpOfSession(object));
       if (!told) throw new api.Problem({ code: "bad_link" }, 0);
       const document = told.align ? await aligned(told, told.align.by, object.image) : told;
-      if (object.layers?.region) document.region = [await maskPart(await api.readRegion(session, signal))];
-      await this.#use(object, document, null, { picture: { name, linked: true }, borrowed: true, link: hash }, signal);
+      if (object.layers?.region)
+        document.region = [await maskPart(await api.readRegion(session, signal))];
+      await this.#use(
+        object,
+        document,
+        null,
+        { picture: { name, linked: true }, borrowed: true, link: hash },
+        signal,
+      );
     });
   }
 
   /** A link whose session has ended still has the handles: they wait for the picture. */
   #deadLink(name, warp, { code, status }) {
     const document = warp && documentOf(warp);
-    if (document?.handles.length) this.store.do("waiting", { handles: { name: "The link", document, warp: null, missing: 0 } });
-    return new api.Problem({ code, detail: deadLinkWords(name, this.limits.idle), link: true }, status);
+    if (document?.handles.length)
+      this.store.do("waiting", { handles: { name: "The link", document, warp: null, missing: 0 } });
+    return new api.Problem(
+      { code, detail: deadLinkWords(name, this.limits.idle), link: true },
+      status,
+    );
   }
 
   /** Closes the picture; undo brings it back. */
@@ -290,7 +379,13 @@ export class Opener {
       }
       const borrowed = kept.borrowed && Boolean(object);
       object ??= await this.#upload(file.blob, file.name, kept.document, signal);
-      await this.#use(object, kept.document, file, { ...kept, borrowed, fileKey: file ? kept.file : null, history }, signal);
+      await this.#use(
+        object,
+        kept.document,
+        file,
+        { ...kept, borrowed, fileKey: file ? kept.file : null, history },
+        signal,
+      );
     });
   }
 }
@@ -305,8 +400,29 @@ async function copyOf(file) {
 }
 
 /** The warp object of a link without handles: those of the session, at rest. An alpha equal to the default counts as automatic. */
-function warpOfSession({ p, weights, method, alpha, point_mass, smoothing, coincident_policy: coincident, units, grid, output }) {
-  const warp = { p, weights, method, point_mass, smoothing, coincident, units, grid: grid.requested, output };
+function warpOfSession({
+  p,
+  weights,
+  method,
+  alpha,
+  point_mass,
+  smoothing,
+  coincident_policy: coincident,
+  units,
+  grid,
+  output,
+}) {
+  const warp = {
+    p,
+    weights,
+    method,
+    point_mass,
+    smoothing,
+    coincident,
+    units,
+    grid: grid.requested,
+    output,
+  };
   const usual = documentOf(warp);
   return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
 }

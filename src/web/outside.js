@@ -22,9 +22,14 @@ function around({ columns, rows }) {
 /** Triangles around the posed border, three vertices each. */
 export function edgeTriangles(mesh) {
   const { width, height } = mesh.grid;
-  const border = around(mesh.grid).map(([i, j]) => [mesh.posed(i, j), mesh.restX(i) / width, mesh.restY(j) / height]);
+  const border = around(mesh.grid).map(([i, j]) => [
+    mesh.posed(i, j),
+    mesh.restX(i) / width,
+    mesh.restY(j) / height,
+  ]);
   // The largest visible distance from the border.
-  const reach = 4 * Math.max(width, height, ...border.map(([[x, y]]) => Math.max(Math.abs(x), Math.abs(y))));
+  const reach =
+    4 * Math.max(width, height, ...border.map(([[x, y]]) => Math.max(Math.abs(x), Math.abs(y))));
   const numbers = [];
   /** `angle` null: a position on the border. */
   const vertex = ([[x, y], u, v], angle) => {
@@ -51,7 +56,8 @@ export function edgeTriangles(mesh) {
   for (const [place, from, to] of turns) {
     const turn = Math.atan2(Math.sin(to - from), Math.cos(to - from)) / FAN;
     for (const side of [from, from + Math.PI]) {
-      for (let k = 0; k < FAN; k++) triangle([place, null], [place, side + k * turn], [place, side + (k + 1) * turn]);
+      for (let k = 0; k < FAN; k++)
+        triangle([place, null], [place, side + k * turn], [place, side + (k + 1) * turn]);
     }
   }
   return new Float32Array(numbers);

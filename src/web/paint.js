@@ -80,11 +80,19 @@ export class Painter {
       const uniform = (name) => gl.getUniformLocation(program, name);
       gl.useProgram(program);
       samplers.forEach((name, unit) => gl.uniform1i(uniform(name), unit));
-      return { use: () => gl.useProgram(program), set: (name, ...numbers) => gl[`uniform${numbers.length}f`](uniform(name), ...numbers) };
+      return {
+        use: () => gl.useProgram(program),
+        set: (name, ...numbers) => gl[`uniform${numbers.length}f`](uniform(name), ...numbers),
+      };
     };
     this.#whole = compile(FRAGMENT, ["source"]);
     this.#part = new RegionPainter(gl, compile);
-    this.#buffers = { places: gl.createBuffer(), rest: gl.createBuffer(), cells: gl.createBuffer(), edge: gl.createBuffer() };
+    this.#buffers = {
+      places: gl.createBuffer(),
+      rest: gl.createBuffer(),
+      cells: gl.createBuffer(),
+      edge: gl.createBuffer(),
+    };
     gl.enableVertexAttribArray(0);
     gl.enableVertexAttribArray(1);
     this.#shape = "";
@@ -140,10 +148,23 @@ export class Painter {
     const [boxX, boxY] = [x + zoom * box[0], y + zoom * box[1]];
     const [left, bottom] = [Math.round(boxX), Math.round(height - boxY - zoom * box[3])];
     gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, Math.round(boxX + zoom * box[2]) - left, Math.round(height - boxY) - bottom);
-    const view = [(2 * zoom) / width, (-2 * zoom) / height, (2 * x) / width - 1, 1 - (2 * y) / height];
+    gl.scissor(
+      left,
+      bottom,
+      Math.round(boxX + zoom * box[2]) - left,
+      Math.round(height - boxY) - bottom,
+    );
+    const view = [
+      (2 * zoom) / width,
+      (-2 * zoom) / height,
+      (2 * x) / width - 1,
+      1 - (2 * y) / height,
+    ];
     const cells = () => this.#paintCells(mesh, n);
-    if (this.#mask) return this.#part.paint(view, { outside, beyond: premultiplied(outside), holes }, cells, () => this.#paintBox(box, 2 / zoom));
+    if (this.#mask)
+      return this.#part.paint(view, { outside, beyond: premultiplied(outside), holes }, cells, () =>
+        this.#paintBox(box, 2 / zoom),
+      );
     this.#whole.use();
     this.#whole.set("view", ...view);
     if (outside === "edge" || outside === "reflect") this.#paintEdge(mesh);
@@ -172,7 +193,12 @@ export class Painter {
     const gl = this.#gl;
     const [width, height] = this.#size;
     const [left, top, right, bottom] = [x - more, y - more, x + wide + more, y + high + more];
-    const corners = [[left, top], [right, top], [left, bottom], [right, bottom]].flatMap(([a, b]) => [a, b, 0, a / width, b / height]);
+    const corners = [
+      [left, top],
+      [right, top],
+      [left, bottom],
+      [right, bottom],
+    ].flatMap(([a, b]) => [a, b, 0, a / width, b / height]);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.edge);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(corners), gl.DYNAMIC_DRAW);
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * STRIDE, 0);
@@ -215,7 +241,9 @@ export class Painter {
         rest[at++] = y / height;
       }
     }
-    const cells = new (this.#wide ? Uint32Array : Uint16Array)(6 * (xs.length - 1) * (ys.length - 1));
+    const cells = new (this.#wide ? Uint32Array : Uint16Array)(
+      6 * (xs.length - 1) * (ys.length - 1),
+    );
     let end = 0;
     for (let j = 0; j < rows - 1; j++) {
       for (let i = 0; i < columns - 1; i++) {

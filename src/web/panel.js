@@ -2,12 +2,38 @@
 
 import { alignOf } from "./align.js";
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
-import { alphaOf, filterOf, hasPinsOnly, kindName, kindOfOutside, outsideOf, takesPinsOnly, toolName } from "./edits.js";
+import {
+  alphaOf,
+  filterOf,
+  hasPinsOnly,
+  kindName,
+  kindOfOutside,
+  outsideOf,
+  takesPinsOnly,
+  toolName,
+} from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
-import { ALIGN, CANVAS, FILTER, HINTS, OUTSIDE, STAGES, WARNINGS, bytes, count, cutWords, focusWords, foldWords, methodWords, noFitWords, problemWords, waitingWords } from "./words.js";
+import {
+  ALIGN,
+  CANVAS,
+  FILTER,
+  HINTS,
+  OUTSIDE,
+  STAGES,
+  WARNINGS,
+  bytes,
+  count,
+  cutWords,
+  focusWords,
+  foldWords,
+  methodWords,
+  noFitWords,
+  problemWords,
+  waitingWords,
+} from "./words.js";
 
 const find = (id) => document.getElementById(id);
 const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
@@ -46,15 +72,24 @@ export class Panel {
       store.do("waiting", { handles: null, annotations: null });
     });
     click("fit", does.fit);
-    find("fit-arrows").addEventListener("change", ({ target }) => store.do("show", { what: { fitShown: target.checked } }));
+    find("fit-arrows").addEventListener("change", ({ target }) =>
+      store.do("show", { what: { fitShown: target.checked } }),
+    );
     click("mesh", does.mesh);
     click("compare", does.compare);
     click("zoom-in", () => view.zoomTo(view.zoom * 1.25));
     click("zoom-out", () => view.zoomTo(view.zoom / 1.25));
     click("zoom-fit", () => view.fit());
     click("zoom-full", does.full);
-    for (const [id, dx, dy] of [["left", 1, 0], ["right", -1, 0], ["up", 0, 1], ["down", 0, -1]]) {
-      click(`pan-${id}`, () => view.panBy(...view.stageSize.map((side, axis) => Math.round((side / 3) * [dx, dy][axis]))));
+    for (const [id, dx, dy] of [
+      ["left", 1, 0],
+      ["right", -1, 0],
+      ["up", 0, 1],
+      ["down", 0, -1],
+    ]) {
+      click(`pan-${id}`, () =>
+        view.panBy(...view.stageSize.map((side, axis) => Math.round((side / 3) * [dx, dy][axis]))),
+      );
     }
     click("move-to", does.arm);
     click("put-back", () => actions.putBack());
@@ -73,19 +108,37 @@ export class Panel {
     find("align").addEventListener("change", ({ target }) => actions.align(target.value));
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
-    for (const input of document.querySelectorAll("input[name=tool]")) input.addEventListener("change", () => does.tool(input.value));
-    for (const input of document.querySelectorAll("input[name=method]")) input.addEventListener("change", () => this.#setMethod(input.value));
-    find("grid-size").addEventListener("change", ({ target }) => this.#set({ grid: target.value === "auto" ? "auto" : JSON.parse(target.value) }));
-    find("alpha").addEventListener("input", ({ target }) => this.#set({ alpha: Number(target.value) }, "alpha"));
-    find("alpha-auto").addEventListener("change", ({ target }) => this.#set({ alpha: target.checked ? null : alphaOf(state().document) }));
-    find("outside").addEventListener("change", ({ target }) => this.#set({ outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value }));
+    for (const input of document.querySelectorAll("input[name=tool]"))
+      input.addEventListener("change", () => does.tool(input.value));
+    for (const input of document.querySelectorAll("input[name=method]"))
+      input.addEventListener("change", () => this.#setMethod(input.value));
+    find("grid-size").addEventListener("change", ({ target }) =>
+      this.#set({ grid: target.value === "auto" ? "auto" : JSON.parse(target.value) }),
+    );
+    find("alpha").addEventListener("input", ({ target }) =>
+      this.#set({ alpha: Number(target.value) }, "alpha"),
+    );
+    find("alpha-auto").addEventListener("change", ({ target }) =>
+      this.#set({ alpha: target.checked ? null : alphaOf(state().document) }),
+    );
+    find("outside").addEventListener("change", ({ target }) =>
+      this.#set({
+        outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value,
+      }),
+    );
     // The colour field has no alpha: keep the alpha of the current value.
-    find("outside-colour").addEventListener("input", ({ target }) => this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"));
+    find("outside-colour").addEventListener("input", ({ target }) =>
+      this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"),
+    );
     find("filter").addEventListener("change", ({ target }) => this.#set({ filter: target.value }));
-    find("canvas").addEventListener("change", ({ target }) => this.#set({ canvas: target.value === "box" ? this.#box() : target.value }));
+    find("canvas").addEventListener("change", ({ target }) =>
+      this.#set({ canvas: target.value === "box" ? this.#box() : target.value }),
+    );
     for (const name of BOX) find(`canvas-${name}`).addEventListener("change", () => this.#setBox());
     click("canvas-all", () => this.#set({ canvas: "fit" }));
-    find("compare-at").addEventListener("input", ({ target }) => store.do("show", { what: { compareAt: Number(target.value) } }));
+    find("compare-at").addEventListener("input", ({ target }) =>
+      store.do("show", { what: { compareAt: Number(target.value) } }),
+    );
     this.#holds(find("before"));
   }
 
@@ -102,7 +155,10 @@ export class Panel {
   #setBox() {
     const fields = BOX.map((name) => find(`canvas-${name}`));
     for (const field of fields) field.setAttribute("aria-invalid", !field.checkValidity());
-    if (fields.every((field) => field.checkValidity())) this.#set({ canvas: Object.fromEntries(BOX.map((name, k) => [name, fields[k].valueAsNumber])) });
+    if (fields.every((field) => field.checkValidity()))
+      this.#set({
+        canvas: Object.fromEntries(BOX.map((name, k) => [name, fields[k].valueAsNumber])),
+      });
   }
 
   #setMethod(method) {
@@ -112,14 +168,19 @@ export class Panel {
 
   /** Shows the original while the button is held by pointer or keyboard. */
   #holds(button) {
-    const peek = (on) => () => this.store.state.peek !== on && this.store.do("show", { what: { peek: on } });
+    const peek = (on) => () =>
+      this.store.state.peek !== on && this.store.do("show", { what: { peek: on } });
     const isPress = (event) => event.key === " " || event.key === "Enter";
     button.addEventListener("pointerdown", (event) => {
       button.setPointerCapture(event.pointerId);
       peek(true)();
     });
-    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) button.addEventListener(end, peek(false));
-    button.addEventListener("keydown", (event) => isPress(event) && (event.preventDefault(), peek(true)()));
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture", "blur"])
+      button.addEventListener(end, peek(false));
+    button.addEventListener(
+      "keydown",
+      (event) => isPress(event) && (event.preventDefault(), peek(true)()),
+    );
     button.addEventListener("keyup", (event) => isPress(event) && peek(false)());
     button.addEventListener("contextmenu", (event) => event.preventDefault());
   }
@@ -145,7 +206,8 @@ export class Panel {
     if (state.waiting) text("waiting-text", waitingWords(state.waiting));
     const none = !state.document.handles.length;
     find("handles-none").hidden = !none;
-    for (const id of ["select-all", "put-back-all", "clear", "swap", "align"]) find(id).disabled = none;
+    for (const id of ["select-all", "put-back-all", "clear", "swap", "align"])
+      find(id).disabled = none;
     find("align").value = alignOf(state.document);
     text("align-note", ALIGN[alignOf(state.document)]);
     this.#drawPicture();
@@ -154,7 +216,14 @@ export class Panel {
   #drawUpload({ phase, progress, uploadName }) {
     if (phase !== "uploading") return;
     find("upload-bar").value = progress;
-    text("upload-text", progress === 0 ? `Opening ${uploadName}` : progress < 100 ? `Uploading ${uploadName}: ${Math.round(progress)} %` : `Processing ${uploadName}`);
+    text(
+      "upload-text",
+      progress === 0
+        ? `Opening ${uploadName}`
+        : progress < 100
+          ? `Uploading ${uploadName}: ${Math.round(progress)} %`
+          : `Processing ${uploadName}`,
+    );
   }
 
   #drawFit({ document, fit, fitShown }) {
@@ -171,7 +240,8 @@ export class Panel {
     for (const id of ["method-tps", "method-global_affine"]) find(id).disabled = !canSpline;
     text("method-note", methodWords(document, canSpline));
     const pinsOnly = takesPinsOnly(document);
-    for (const id of ["alpha", "alpha-auto", "tool-line", "tool-path", "pin-border"]) find(id).disabled = pinsOnly;
+    for (const id of ["alpha", "alpha-auto", "tool-line", "tool-path", "pin-border"])
+      find(id).disabled = pinsOnly;
     const alpha = alphaOf(document);
     find("alpha").value = alpha;
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
@@ -179,11 +249,15 @@ export class Panel {
     find("alpha-auto").checked = document.alpha === null;
     const automatic = alphaOf({ ...document, alpha: null });
     const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
-    text("alpha-note", pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus);
+    text(
+      "alpha-note",
+      pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus,
+    );
     const select = find("grid-size");
     const { tolerance } = document.grid;
     const value = tolerance ? JSON.stringify(document.grid) : String(document.grid);
-    if (![...select.options].some((option) => option.value === value)) select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
+    if (![...select.options].some((option) => option.value === value))
+      select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
     select.value = value;
     const outside = outsideOf(document);
     const kind = kindOfOutside(outside);
@@ -215,12 +289,16 @@ export class Panel {
       for (const name of BOX) {
         const field = find(`canvas-${name}`);
         // What is being typed stays until the canvas itself changes.
-        if (field !== window.document.activeElement || canvas !== this.#canvas) field.value = canvas[name];
+        if (field !== window.document.activeElement || canvas !== this.#canvas)
+          field.value = canvas[name];
       }
     }
     this.#canvas = canvas;
     const { size, mesh } = this.view;
-    const cut = size && mesh && canvas !== "fit" && !regionOf(document).parts.length ? cutOff(mesh, boxOf(canvas, size, mesh)) : null;
+    const cut =
+      size && mesh && canvas !== "fit" && !regionOf(document).parts.length
+        ? cutOff(mesh, boxOf(canvas, size, mesh))
+        : null;
     const words = cut ? cutWords(cut) : "";
     text("canvas-note", words || CANVAS[find("canvas").value]);
     find("canvas-all").hidden = !words;
@@ -233,13 +311,24 @@ export class Panel {
     find("compare-bar").hidden = !state.compare;
     find("compare-at").value = state.compareAt;
     find("before").classList.toggle("held", state.peek);
-    const { selection, draft, arm, document: { handles } } = state;
+    const {
+      selection,
+      draft,
+      arm,
+      document: { handles },
+    } = state;
     const places = selection.length && this.#placesOf(state);
     find("selection").hidden = !selection.length || draft.length > 0 || state.compare;
-    text("selection-count", selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`);
+    text(
+      "selection-count",
+      selection.length === 1 ? this.#nameOf(selection[0], handles) : `${selection.length} selected`,
+    );
     press("move-to", arm === "move");
     press("select-more", state.more);
-    const pin = selection.length === 1 && !takesPinsOnly(state.document) && canTwist(handles.find((h) => String(h.id) === selection[0]));
+    const pin =
+      selection.length === 1 &&
+      !takesPinsOnly(state.document) &&
+      canTwist(handles.find((h) => String(h.id) === selection[0]));
     for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < (state.tool === "lasso" ? 3 : 2);
@@ -254,13 +343,18 @@ export class Panel {
   }
 
   #placesOf({ selection, document: { handles } }) {
-    return selection.reduce((n, key) => n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)), 0);
+    return selection.reduce(
+      (n, key) =>
+        n + (key.includes(".") ? 1 : (handles.find((h) => h.id === Number(key))?.p.length ?? 0)),
+      0,
+    );
   }
 
   #drawHint(state) {
     const which = hintFor(state);
     find("hint").hidden = !which;
-    if (which) text("hint", HINTS[which][matchMedia("(pointer: coarse)").matches ? "touch" : "mouse"]);
+    if (which)
+      text("hint", HINTS[which][matchMedia("(pointer: coarse)").matches ? "touch" : "mouse"]);
   }
 
   #drawProblem(problem) {
@@ -287,7 +381,12 @@ export class Panel {
     find("folds").hidden = !shown.folds;
     text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"}`);
     const { grid } = session ?? {};
-    text("grid-note", grid ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.` : "");
+    text(
+      "grid-note",
+      grid
+        ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.`
+        : "",
+    );
     const rows = timingRows(shown, this.view.size && this.view.box.slice(2));
     text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
     // Not during a drag: it is read aloud.
@@ -295,32 +394,52 @@ export class Panel {
     const key = rows.join();
     if (key === this.#timing) return;
     this.#timing = key;
-    find("timing").replaceChildren(...rows.flatMap(([id, name, value]) => {
-      const [term, words] = [document.createElement("dt"), document.createElement("dd")];
-      Object.assign(words, { id: `timing-${id}`, textContent: value });
-      term.textContent = name;
-      return [term, words];
-    }));
+    find("timing").replaceChildren(
+      ...rows.flatMap(([id, name, value]) => {
+        const [term, words] = [document.createElement("dt"), document.createElement("dd")];
+        Object.assign(words, { id: `timing-${id}`, textContent: value });
+        term.textContent = name;
+        return [term, words];
+      }),
+    );
     this.#drawBar(shown.report?.timing ?? {});
   }
 
   #drawBar(timing) {
     const stages = Object.keys(STAGES).filter((name) => timing[name] > 0);
     const bar = find("timing-bar");
-    bar.replaceChildren(...stages.map((name) => {
-      const part = document.createElement("span");
-      part.className = name;
-      part.style.flexGrow = 1000 * timing[name];
-      return part;
-    }));
+    bar.replaceChildren(
+      ...stages.map((name) => {
+        const part = document.createElement("span");
+        part.className = name;
+        part.style.flexGrow = 1000 * timing[name];
+        return part;
+      }),
+    );
   }
 }
 
 /** The warnings about the shown picture, under it. */
-const statusWords = ({ warnings }) => warnings.map((w) => WARNINGS[w]).filter(Boolean).join(" ");
+const statusWords = ({ warnings }) =>
+  warnings
+    .map((w) => WARNINGS[w])
+    .filter(Boolean)
+    .join(" ");
 
 /** The hint for the current state: a key of HINTS, or null. */
-function hintFor({ phase, document, tool, arm, draft, compare, problem, selection, past, before, playing }) {
+function hintFor({
+  phase,
+  document,
+  tool,
+  arm,
+  draft,
+  compare,
+  problem,
+  selection,
+  past,
+  before,
+  playing,
+}) {
   if (phase !== "open" || draft.length || compare || problem || playing !== null) return null;
   const { handles } = document;
   if (arm) return "move";
@@ -335,7 +454,9 @@ const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;
 
 function timingRows({ report, residual, rate }, size) {
   if (!report) return [];
-  const rows = Object.entries(STAGES).filter(([name]) => report.timing[name] !== undefined).map(([name, words]) => [name, words, ms(report.timing[name])]);
+  const rows = Object.entries(STAGES)
+    .filter(([name]) => report.timing[name] !== undefined)
+    .map(([name, words]) => [name, words, ms(report.timing[name])]);
   if (report.trip !== undefined) rows.push(["trip", "Round trip", ms(report.trip)]);
   rows.push(["size", "Size", `${size ? `${size[0]} × ${size[1]}, ` : ""}${bytes(report.size)}`]);
   if (residual !== null) rows.push(["residual", "Residual", `${residual.toFixed(2)} px`]);

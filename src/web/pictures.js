@@ -7,11 +7,16 @@ const MOST = 3;
 const withLast = (earlier, left) => (left.picture ? [...earlier, left].slice(-MOST) : earlier);
 
 /** The history after `left` was replaced by another picture, or closed: a new step, after which nothing can be redone. */
-export const replaced = ({ earlier }, left) => ({ earlier: withLast(earlier, { ...left, future: [] }), later: [] });
+export const replaced = ({ earlier }, left) => ({
+  earlier: withLast(earlier, { ...left, future: [] }),
+  later: [],
+});
 
 /** The history after undo (`back`) or redo went from `left` to the next picture. */
 export const stepped = ({ earlier, later }, left, back) =>
-  back ? { earlier: earlier.slice(0, -1), later: [left, ...later] } : { earlier: withLast(earlier, left), later: later.slice(1) };
+  back
+    ? { earlier: earlier.slice(0, -1), later: [left, ...later] }
+    : { earlier: withLast(earlier, left), later: later.slice(1) };
 
 /** The history without a picture that cannot be shown any more. */
 export function without({ earlier, later }, gone) {
@@ -20,4 +25,5 @@ export function without({ earlier, later }, gone) {
 }
 
 /** The keys of the stored files that the history needs. */
-export const filesOf = ({ earlier, later }) => [...earlier, ...later].map((p) => p.file).filter((key) => key !== null && key !== undefined);
+export const filesOf = ({ earlier, later }) =>
+  [...earlier, ...later].map((p) => p.file).filter((key) => key !== null && key !== undefined);

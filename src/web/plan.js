@@ -29,14 +29,31 @@ export class Plan {
   constructor(bytes) {
     const data = new DataView(bytes);
     const integer = (at) => data.getUint32(at, true);
-    const [family, , columns, rows, count, members, width, height] = [8, 12, 16, 20, 24, 28, 32, 36].map(integer);
-    this.revision = Array.from(new Uint8Array(bytes, 40, 16), (byte) => byte.toString(16).padStart(2, "0")).join("");
-    this.grid = { columns, rows, width, height, cell: [width / (columns - 1), height / (rows - 1)] };
+    const [family, , columns, rows, count, members, width, height] = [
+      8, 12, 16, 20, 24, 28, 32, 36,
+    ].map(integer);
+    this.revision = Array.from(new Uint8Array(bytes, 40, 16), (byte) =>
+      byte.toString(16).padStart(2, "0"),
+    ).join("");
+    this.grid = {
+      columns,
+      rows,
+      width,
+      height,
+      cell: [width / (columns - 1), height / (rows - 1)],
+    };
     Object.assign(this, { family, count, bytes: bytes.byteLength });
-    const member = (at) => [integer(at), integer(at + 4), integer(at + 8), data.getFloat32(at + 12, true)];
+    const member = (at) => [
+      integer(at),
+      integer(at + 4),
+      integer(at + 8),
+      data.getFloat32(at + 12, true),
+    ];
     this.members = Array.from({ length: members }, (_, k) => member(HEADER + MEMBER * k));
     const first = HEADER + MEMBER * members;
-    this.numbers = Float32Array.from({ length: (bytes.byteLength - first) >> 1 }, (_, k) => half(data.getUint16(first + 2 * k, true)));
+    this.numbers = Float32Array.from({ length: (bytes.byteLength - first) >> 1 }, (_, k) =>
+      half(data.getUint16(first + 2 * k, true)),
+    );
     this.rest = Mesh.atRest(this.grid);
   }
 
@@ -99,10 +116,12 @@ export class Plan {
     };
     const [P, Q] = [this.#columns(p), this.#columns(q)];
     const of = (places, column) => places.subarray(2 * column, 2 * column + 2);
-    for (const [column, handle] of this.members) if (!Array.isArray(p[handle][0])) look(of(P, column), of(Q, column));
+    for (const [column, handle] of this.members)
+      if (!Array.isArray(p[handle][0])) look(of(P, column), of(Q, column));
     for (const [handle, rest] of p.entries()) {
       if (!Array.isArray(rest[0])) continue;
-      const between = (places, k, t) => [0, 1].map((axis) => places[k][axis] * (1 - t) + places[k + 1][axis] * t);
+      const between = (places, k, t) =>
+        [0, 1].map((axis) => places[k][axis] * (1 - t) + places[k + 1][axis] * t);
       for (let n = 0; n < SAMPLES * (rest.length - 1); n++) {
         const [k, t] = [Math.floor(n / SAMPLES), (n % SAMPLES) / (SAMPLES - 1)];
         look(between(rest, k, t), between(q[handle], k, t));
@@ -114,7 +133,10 @@ export class Plan {
 
 /** Bytes of a file. */
 function bytesOf({ p, method }, vertices) {
-  const columns = p.reduce((sum, handle) => sum + (Array.isArray(handle[0]) ? 2 * (handle.length - 1) : 1), 0);
+  const columns = p.reduce(
+    (sum, handle) => sum + (Array.isArray(handle[0]) ? 2 * (handle.length - 1) : 1),
+    0,
+  );
   const planes = { rigid: 3, similarity: 2 }[method] ?? 1;
   return HEADER + columns * (MEMBER + 2 * planes * vertices);
 }
@@ -139,7 +161,8 @@ export class Plans {
     // The session of a link may have other rest handles than the document.
     if (!rest || (rest.method === "tps" && rest.p.length > SPLINE)) return;
     const { width, height, columns, rows } = session.grid;
-    const along = (side) => Math.max(2, Math.round(Math.sqrt((VERTICES * side * side) / (width * height))));
+    const along = (side) =>
+      Math.max(2, Math.round(Math.sqrt((VERTICES * side * side) / (width * height))));
     const first = [along(width), along(height)];
     this.#wanted = new AbortController();
     this.arrived = this.#fetch(session, rest, first, [columns, rows], shown, this.#wanted.signal);
@@ -157,7 +180,8 @@ export class Plans {
     const begun = performance.now();
     if (!(await this.#take(session, first, shown, signal))) return;
     const time = ((performance.now() - begun) * bytes(finer)) / bytes(first);
-    if (bytes(finer) > bytes(first) && bytes(finer) <= LARGEST && time <= FINER) this.#take(session, finer, shown, signal);
+    if (bytes(finer) > bytes(first) && bytes(finer) <= LARGEST && time <= FINER)
+      this.#take(session, finer, shown, signal);
   }
 
   /** Whether a file has arrived. Without one, meshes come from the server. */

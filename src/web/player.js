@@ -45,11 +45,20 @@ export class Player {
   #meshes = { document: null, list: null };
 
   constructor(store, sync, view) {
-    Object.assign(this, { store, sync, view, still: matchMedia("(prefers-reduced-motion: reduce)") });
+    Object.assign(this, {
+      store,
+      sync,
+      view,
+      still: matchMedia("(prefers-reduced-motion: reduce)"),
+    });
     store.do("animation", { change: storedSettings() });
     find("play").addEventListener("click", () => this.toggle());
-    find("play-easing").addEventListener("change", ({ target }) => store.do("animation", { change: { easing: target.value } }));
-    find("play-back").addEventListener("change", ({ target }) => store.do("animation", { change: { back: target.checked } }));
+    find("play-easing").addEventListener("change", ({ target }) =>
+      store.do("animation", { change: { easing: target.value } }),
+    );
+    find("play-back").addEventListener("change", ({ target }) =>
+      store.do("animation", { change: { back: target.checked } }),
+    );
     store.subscribe((state, previous) => this.#follow(state, previous));
     this.#draw(store.state);
   }
@@ -65,16 +74,21 @@ export class Player {
 
   /** A change of the document ends the animation. */
   #follow(state, previous) {
-    if (state.animation !== previous.animation) keepSetting(STORED, JSON.stringify(state.animation));
+    if (state.animation !== previous.animation)
+      keepSetting(STORED, JSON.stringify(state.animation));
     if (state.playing !== null && state.document !== previous.document) this.stop();
     if (state.playing === null && previous.playing !== null) this.view.play(null);
     this.#draw(state);
   }
 
   async #play() {
-    const { document, animation: { easing, back } } = this.store.state;
+    const {
+      document,
+      animation: { easing, back },
+    } = this.store.state;
     this.store.do("play", { playing: "preparing" });
-    const isMine = () => this.store.state.playing !== null && this.store.state.document === document;
+    const isMine = () =>
+      this.store.state.playing !== null && this.store.state.document === document;
     try {
       await this.#fetch(document);
     } catch (problem) {
@@ -92,7 +106,9 @@ export class Player {
       last = now;
       if (time > (back ? 2 : 1)) return this.stop();
       const way = back ? Math.abs(1 - time) : time;
-      const share = EASINGS[easing](this.still.matches ? Math.round(way * (STILLS - 1)) / (STILLS - 1) : way);
+      const share = EASINGS[easing](
+        this.still.matches ? Math.round(way * (STILLS - 1)) / (STILLS - 1) : way,
+      );
       this.store.do("play", { playing: Math.round(100 * share * goal) / 100 });
       this.view.play(this.#meshAt(share));
       requestAnimationFrame(frame);
@@ -106,8 +122,12 @@ export class Player {
     const list = await this.sync.ask(async (id) => {
       const { grid } = this.sync.session;
       const { at } = posesOf(document);
-      const meshAt = async (k) => new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / PARTS), "q") })).places);
-      return [Mesh.atRest(grid), ...(await Promise.all(Array.from({ length: PARTS }, (_, k) => meshAt(k))))];
+      const meshAt = async (k) =>
+        new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / PARTS), "q") })).places);
+      return [
+        Mesh.atRest(grid),
+        ...(await Promise.all(Array.from({ length: PARTS }, (_, k) => meshAt(k)))),
+      ];
     });
     this.#meshes = { document, list };
   }

@@ -29,10 +29,16 @@ export class Pointer {
     stage.addEventListener("pointermove", (event) => this.#move(event));
     stage.addEventListener("pointerup", (event) => this.#up(event));
     stage.addEventListener("pointercancel", (event) => this.#lost(event));
-    stage.addEventListener("lostpointercapture", (event) => this.#gesture?.id === event.pointerId && this.#lost(event));
+    stage.addEventListener(
+      "lostpointercapture",
+      (event) => this.#gesture?.id === event.pointerId && this.#lost(event),
+    );
     stage.addEventListener("pointerleave", () => this.#hover(null));
     stage.addEventListener("wheel", (event) => this.#wheel(event), { passive: false });
-    stage.addEventListener("contextmenu", (event) => event.pointerType === "touch" && event.preventDefault());
+    stage.addEventListener(
+      "contextmenu",
+      (event) => event.pointerType === "touch" && event.preventDefault(),
+    );
     // Assistive technology activates a handle by a click without a pointer.
     stage.addEventListener("click", (event) => {
       const named = event.detail === 0 && handles.named(event.target);
@@ -52,7 +58,10 @@ export class Pointer {
 
   /** Position in the stage. The stage cannot move during a gesture, so its rectangle is read once. */
   #at(event) {
-    const { left, top } = (this.#gesture || this.#pinch) && this.#box ? this.#box : (this.#box = this.stage.getBoundingClientRect());
+    const { left, top } =
+      (this.#gesture || this.#pinch) && this.#box
+        ? this.#box
+        : (this.#box = this.stage.getBoundingClientRect());
     return [event.clientX - left, event.clientY - top];
   }
 
@@ -70,7 +79,13 @@ export class Pointer {
     this.store.do("cross", { place: null });
     this.#hover(null);
     const gesture = this.#begin(event, at);
-    this.#gesture = { still: STILL[event.pointerType] ?? STILL.mouse, ...gesture, id: event.pointerId, begun: at, moved: false };
+    this.#gesture = {
+      still: STILL[event.pointerType] ?? STILL.mouse,
+      ...gesture,
+      id: event.pointerId,
+      begun: at,
+      moved: false,
+    };
     this.#gesture.press?.(at);
   }
 
@@ -96,7 +111,11 @@ export class Pointer {
     const gesture = this.#gesture;
     if (!gesture) return event.pointerType === "mouse" && this.#hover(at);
     if (gesture.id !== event.pointerId) return;
-    if (!gesture.moved && Math.hypot(at[0] - gesture.begun[0], at[1] - gesture.begun[1]) < gesture.still) return;
+    if (
+      !gesture.moved &&
+      Math.hypot(at[0] - gesture.begun[0], at[1] - gesture.begun[1]) < gesture.still
+    )
+      return;
     if (!gesture.moved) {
       gesture.moved = true;
       gesture.begin?.();
@@ -138,7 +157,9 @@ export class Pointer {
 
   #dragging(hit, adds, kind) {
     const key = keyOf(hit.handle, hit.vertex);
-    const selected = () => this.store.state.selection.includes(key) || this.store.state.selection.includes(String(hit.handle.id));
+    const selected = () =>
+      this.store.state.selection.includes(key) ||
+      this.store.state.selection.includes(String(hit.handle.id));
     let before;
     return {
       press: () => this.handles.focus(hit.index, hit.handle.p.length === 1 ? null : hit.vertex),
@@ -152,7 +173,13 @@ export class Pointer {
         const [dx, dy] = at.map((c, axis) => (c - this.#gesture.begun[axis]) / this.view.zoom);
         this.store.do("drag", { document: translated(before, this.store.state.selection, dx, dy) });
         const dragged = this.store.state.document.handles[hit.index];
-        this.loupe.show(hit.vertex === null && dragged.q.length > 1 ? this.view.toPicture(at) : dragged.q[hit.vertex ?? 0], at, kind);
+        this.loupe.show(
+          hit.vertex === null && dragged.q.length > 1
+            ? this.view.toPicture(at)
+            : dragged.q[hit.vertex ?? 0],
+          at,
+          kind,
+        );
       },
       end: () => {
         this.store.do("dragEnd");
@@ -234,7 +261,8 @@ export class Pointer {
 
   #clickOnNothing(at, adds) {
     const place = this.view.toPicture(at);
-    if (adds || !this.actions.inPicture(place)) return adds || this.store.do("select", { keys: [] });
+    if (adds || !this.actions.inPicture(place))
+      return adds || this.store.do("select", { keys: [] });
     this.actions.place(place);
   }
 
@@ -242,14 +270,19 @@ export class Pointer {
   #placing(kind, drags = false) {
     const isDouble = (at) => {
       const { time, at: before } = this.#lastClick;
-      return performance.now() - time < DOUBLE.time && Math.hypot(at[0] - before[0], at[1] - before[1]) < DOUBLE.away;
+      return (
+        performance.now() - time < DOUBLE.time &&
+        Math.hypot(at[0] - before[0], at[1] - before[1]) < DOUBLE.away
+      );
     };
     const click = (at) => {
       const { tool, draft, arm } = this.store.state;
       const place = this.view.toPicture(at);
-      if (!arm && (tool === "path" || tool === "lasso") && draft.length && isDouble(at)) return this.actions.finish();
+      if (!arm && (tool === "path" || tool === "lasso") && draft.length && isDouble(at))
+        return this.actions.finish();
       this.#lastClick = { time: performance.now(), at };
-      if (!draft.length && !arm && tool !== "lasso" && !this.actions.inPicture(place)) return this.store.do("select", { keys: [] });
+      if (!draft.length && !arm && tool !== "lasso" && !this.actions.inPicture(place))
+        return this.store.do("select", { keys: [] });
       this.actions.place(place);
       if (kind === "mouse") this.#hover(at);
     };
@@ -302,7 +335,10 @@ export class Pointer {
       },
       move: (at) => {
         const { begun } = this.#gesture;
-        this.view.panBy(from[0] + at[0] - begun[0] - this.view.pan[0], from[1] + at[1] - begun[1] - this.view.pan[1]);
+        this.view.panBy(
+          from[0] + at[0] - begun[0] - this.view.pan[0],
+          from[1] + at[1] - begun[1] - this.view.pan[1],
+        );
       },
     };
   }
@@ -321,7 +357,12 @@ export class Pointer {
     event.preventDefault();
     this.cancel();
     const [a, b] = [...this.#fingers.values()];
-    this.#pinch = { zoom: this.view.zoom, pan: this.view.pan, apart: Math.hypot(a[0] - b[0], a[1] - b[1]), middle: middleOf(a, b) };
+    this.#pinch = {
+      zoom: this.view.zoom,
+      pan: this.view.pan,
+      apart: Math.hypot(a[0] - b[0], a[1] - b[1]),
+      middle: middleOf(a, b),
+    };
     this.stage.setPointerCapture(event.pointerId);
   }
 
@@ -340,7 +381,8 @@ export class Pointer {
   #wheel(event) {
     if (!this.view.size) return;
     event.preventDefault();
-    if (event.shiftKey && !event.ctrlKey) return this.view.panBy(-(event.deltaX || event.deltaY), 0);
+    if (event.shiftKey && !event.ctrlKey)
+      return this.view.panBy(-(event.deltaX || event.deltaY), 0);
     const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 30 : 1;
     // A touchpad pinch arrives as a wheel event with Ctrl, in smaller steps.
     const step = Math.max(-240, Math.min(240, event.deltaY * lines * (event.ctrlKey ? 5 : 1)));

@@ -20,7 +20,10 @@ export const beginsAsProject = (text) => START.test(text);
 
 function base64Of(blob) {
   return new Promise((resolve, reject) => {
-    const reader = Object.assign(new FileReader(), { onload: () => resolve(reader.result.split(",", 2)[1] ?? ""), onerror: () => reject(reader.error) });
+    const reader = Object.assign(new FileReader(), {
+      onload: () => resolve(reader.result.split(",", 2)[1] ?? ""),
+      onerror: () => reject(reader.error),
+    });
     reader.readAsDataURL(blob);
   });
 }
@@ -45,39 +48,69 @@ export async function projectText({ document, annotations, animation }, { blob, 
 
 /** The parts of a project: { name, blob, document, warp (if its handles are to be aligned), annotations, animation }. Throws a Problem. */
 export async function readProject(file, most) {
-  const problem = (detail) => new Problem({ code: "bad_project", detail: `In ${file.name}, ${detail}` }, 0);
+  const problem = (detail) =>
+    new Problem({ code: "bad_project", detail: `In ${file.name}, ${detail}` }, 0);
   if (file.size > most) throw problem("there are more bytes than this server takes.");
   try {
     return await partsOf(JSON.parse(await file.text()));
   } catch (error) {
-    if (error instanceof Unsupported) throw problem(`${error.expected} is expected${error.pointer && ` for ${named(error.pointer)}`}.`);
-    if (error instanceof SyntaxError) throw problem("the JSON is damaged: the file may not be complete.");
-    if (error?.name === "NotReadableError" || error?.name === "NotFoundError") throw new Problem({ code: "unreadable_file" }, 0);
+    if (error instanceof Unsupported)
+      throw problem(
+        `${error.expected} is expected${error.pointer && ` for ${named(error.pointer)}`}.`,
+      );
+    if (error instanceof SyntaxError)
+      throw problem("the JSON is damaged: the file may not be complete.");
+    if (error?.name === "NotReadableError" || error?.name === "NotFoundError")
+      throw new Problem({ code: "unreadable_file" }, 0);
     throw error;
   }
 }
 
 async function partsOf(project) {
   const isObject = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
-  const { mlswarp_project: version, picture, warp, strength = 1, region, annotations, animation } = project;
+  const {
+    mlswarp_project: version,
+    picture,
+    warp,
+    strength = 1,
+    region,
+    annotations,
+    animation,
+  } = project;
   demand(version === VERSION, "/mlswarp_project", `${VERSION}, the version that this page reads,`);
   demand(isObject(picture), "/picture", "the picture, an object with name, type and base64,");
   demand(typeof picture.name === "string" && picture.name, "/picture/name", "a file name");
-  demand(typeof picture.base64 === "string" && BASE64.test(picture.base64), "/picture/base64", "the picture's file in base64");
+  demand(
+    typeof picture.base64 === "string" && BASE64.test(picture.base64),
+    "/picture/base64",
+    "the picture's file in base64",
+  );
   demand(isObject(warp), "/warp", "a warp object");
   demand((warp.units ?? "px") === "px", "/warp/units", '"px"');
   const read = within("/warp", () => documentFrom(warp));
-  demand(Number.isFinite(strength) && Math.abs(strength) <= 10, "/strength", "a number between -10 and 10");
+  demand(
+    Number.isFinite(strength) && Math.abs(strength) <= 10,
+    "/strength",
+    "a number between -10 and 10",
+  );
   const drawn = region === undefined ? {} : regionFrom(region);
-  await decodeParts(drawn.region ?? []).catch(() => demand(false, "/region/parts", "masks that are PNG in base64"));
-  demand(annotations === undefined || (isObject(annotations) && isAnnotations(annotations.geojson)), "/annotations/geojson", "GeoJSON");
+  await decodeParts(drawn.region ?? []).catch(() =>
+    demand(false, "/region/parts", "masks that are PNG in base64"),
+  );
+  demand(
+    annotations === undefined || (isObject(annotations) && isAnnotations(annotations.geojson)),
+    "/annotations/geojson",
+    "GeoJSON",
+  );
   const bytes = Uint8Array.from(atob(picture.base64), (character) => character.charCodeAt(0));
   return {
     name: picture.name.slice(0, 200),
     blob: new Blob([bytes], { type: String(picture.type ?? "") }),
     document: { ...read, ...drawn },
     strength,
-    annotations: annotations ? { name: String(annotations.name ?? "annotations"), geojson: annotations.geojson } : null,
+    annotations: annotations
+      ? { name: String(annotations.name ?? "annotations"), geojson: annotations.geojson }
+      : null,
     animation: animation === undefined ? {} : animationFrom(animation),
   };
 }
@@ -99,18 +132,37 @@ function regionFrom({ parts, feather }) {
     const at = `/region/parts/${k}`;
     const kinds = ["lasso", "brush", "invert", "mask"];
     demand(kinds.includes(part?.kind), `${at}/kind`, '"lasso", "brush", "invert" or "mask"');
-    if (part.kind === "mask") demand(typeof part.png === "string" && BASE64.test(part.png), `${at}/png`, "a PNG in base64");
+    if (part.kind === "mask")
+      demand(typeof part.png === "string" && BASE64.test(part.png), `${at}/png`, "a PNG in base64");
     if (part.kind !== "lasso" && part.kind !== "brush") return;
-    demand(Array.isArray(part.places) && part.places.length > 0 && part.places.every(isPlace), `${at}/places`, "a list of positions [x, y]");
+    demand(
+      Array.isArray(part.places) && part.places.length > 0 && part.places.every(isPlace),
+      `${at}/places`,
+      "a list of positions [x, y]",
+    );
     demand(part.kind === "lasso" || part.size > 0, `${at}/size`, "a size in px, above 0,");
   });
   return { region: parts, feather };
 }
 
 function animationFrom({ easing, back, frames, file }) {
-  demand(easing in EASINGS, "/animation/easing", Object.keys(EASINGS).map((name) => `"${name}"`).join(" or "));
+  demand(
+    easing in EASINGS,
+    "/animation/easing",
+    Object.keys(EASINGS)
+      .map((name) => `"${name}"`)
+      .join(" or "),
+  );
   demand(typeof back === "boolean", "/animation/back", "true or false");
-  demand(Number.isInteger(frames) && frames >= 2 && frames <= MOST_FRAMES, "/animation/frames", `a number of frames, 2 to ${MOST_FRAMES},`);
-  demand(FORMATS.includes(file), "/animation/file", FORMATS.map((name) => `"${name}"`).join(" or "));
+  demand(
+    Number.isInteger(frames) && frames >= 2 && frames <= MOST_FRAMES,
+    "/animation/frames",
+    `a number of frames, 2 to ${MOST_FRAMES},`,
+  );
+  demand(
+    FORMATS.includes(file),
+    "/animation/file",
+    FORMATS.map((name) => `"${name}"`).join(" or "),
+  );
   return { easing, back, frames, file };
 }

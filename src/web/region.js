@@ -12,19 +12,22 @@ export const isRegionTool = (tool) => tool === "lasso" || tool === "brush";
 export const regionOf = ({ region, feather }) => ({ parts: region ?? NONE, feather: feather ?? 0 });
 
 /** Whether two regions are the same one: parts are never changed, only replaced. */
-export const sameRegion = (a, b) => (!a.parts.length && !b.parts.length) || (a.parts === b.parts && a.feather === b.feather);
+export const sameRegion = (a, b) =>
+  (!a.parts.length && !b.parts.length) || (a.parts === b.parts && a.feather === b.feather);
 
 /** The document with one more part. If the whole picture moves, a part that removes begins with the whole picture. */
 export function withPart(document, part) {
   const { parts } = regionOf(document);
-  const before = !parts.length && (part.removes || part.kind === "invert") ? [{ kind: "invert" }] : parts;
+  const before =
+    !parts.length && (part.removes || part.kind === "invert") ? [{ kind: "invert" }] : parts;
   return { ...document, region: [...before, part] };
 }
 
 export const withoutRegion = (document) => ({ ...document, region: NONE });
 
 /** The size of the brush, px of the picture. */
-export const brushSizeOf = ({ brush, picture }) => brush ?? (picture ? Math.max(4, Math.round((picture.width + picture.height) / 20)) : 1);
+export const brushSizeOf = ({ brush, picture }) =>
+  brush ?? (picture ? Math.max(4, Math.round((picture.width + picture.height) / 20)) : 1);
 
 /** The part that the lasso or the brush has drawn along a path; null if it has no area. `most`: the tolerance of its simplification, px. */
 export function partOf(state, places, most = 0) {
@@ -39,7 +42,9 @@ function isFlat(places, most) {
   const [[ax, ay]] = places.length ? places : [[0, 0]];
   const away = ([x, y]) => Math.hypot(x - ax, y - ay);
   const far = places.reduce((a, b) => (away(b) > away(a) ? b : a), [ax, ay]);
-  return places.every(([x, y]) => Math.abs((far[0] - ax) * (y - ay) - (far[1] - ay) * (x - ax)) <= most * away(far));
+  return places.every(
+    ([x, y]) => Math.abs((far[0] - ax) * (y - ay) - (far[1] - ay) * (x - ax)) <= most * away(far),
+  );
 }
 
 const tenth = (x) => Math.round(10 * x) / 10;
@@ -89,11 +94,15 @@ export const sizeOfMask = ({ png }) => [decoded.get(png).width, decoded.get(png)
 /** The part that is a mask of the server. */
 export async function maskPart(blob) {
   const bytes = new Uint8Array(await blob.arrayBuffer());
-  return { kind: "mask", png: btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join("")) };
+  return {
+    kind: "mask",
+    png: btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join("")),
+  };
 }
 
 /** Whether every mask of a region is decoded. */
-export const isDecoded = (parts) => parts.every(({ kind, png }) => kind !== "mask" || decoded.has(png));
+export const isDecoded = (parts) =>
+  parts.every(({ kind, png }) => kind !== "mask" || decoded.has(png));
 
 function canvasOf(width, height) {
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
@@ -114,11 +123,18 @@ function whiteByLuma(image) {
   return context.canvas;
 }
 
-const prepare = (context) => Object.assign(context, { fillStyle: "#fff", strokeStyle: "#fff", lineCap: "round", lineJoin: "round" });
+const prepare = (context) =>
+  Object.assign(context, {
+    fillStyle: "#fff",
+    strokeStyle: "#fff",
+    lineCap: "round",
+    lineJoin: "round",
+  });
 
 function drawPart(context, part, [width, height]) {
   const { kind, removes, places } = part;
-  context.globalCompositeOperation = kind === "invert" ? "xor" : removes ? "destination-out" : "source-over";
+  context.globalCompositeOperation =
+    kind === "invert" ? "xor" : removes ? "destination-out" : "source-over";
   if (kind === "invert") context.fillRect(0, 0, width, height);
   else if (kind === "mask") context.drawImage(decoded.get(part.png), 0, 0);
   else {
@@ -152,7 +168,12 @@ export function maskOf({ parts, feather }, size, scale = 1) {
 function blurAlpha({ data, width, height }, radius) {
   let [from, to] = [new Uint8ClampedArray(width * height), new Uint8ClampedArray(width * height)];
   for (let k = 0; k < from.length; k++) from[k] = data[4 * k + 3];
-  for (const [lines, length, next, step] of [[height, width, width, 1], [height, width, width, 1], [width, height, 1, width], [width, height, 1, width]]) {
+  for (const [lines, length, next, step] of [
+    [height, width, width, 1],
+    [height, width, width, 1],
+    [width, height, 1, width],
+    [width, height, 1, width],
+  ]) {
     for (let line = 0; line < lines; line++) meanLine(from, to, line * next, length, step, radius);
     [from, to] = [to, from];
   }

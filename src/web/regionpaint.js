@@ -34,7 +34,16 @@ export class RegionPainter {
 
   /** Sets the mask, a canvas with alpha. */
   setMask(canvas) {
-    this.#upload(1, this.texture, () => this.gl.texImage2D(this.gl.TEXTURE_2D, 0, this.gl.RGBA, this.gl.RGBA, this.gl.UNSIGNED_BYTE, canvas));
+    this.#upload(1, this.texture, () =>
+      this.gl.texImage2D(
+        this.gl.TEXTURE_2D,
+        0,
+        this.gl.RGBA,
+        this.gl.RGBA,
+        this.gl.UNSIGNED_BYTE,
+        canvas,
+      ),
+    );
   }
 
   /** Fills the texture of a unit. */
@@ -44,8 +53,10 @@ export class RegionPainter {
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, true);
     fill();
-    for (const name of ["WRAP_S", "WRAP_T"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.CLAMP_TO_EDGE);
-    for (const name of ["MIN", "MAG"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
+    for (const name of ["WRAP_S", "WRAP_T"])
+      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.CLAMP_TO_EDGE);
+    for (const name of ["MIN", "MAG"])
+      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
     gl.activeTexture(gl.TEXTURE0);
   }
 
@@ -55,7 +66,9 @@ export class RegionPainter {
     const { width, height } = gl.canvas;
     if (this.#size === `${width} ${height}`) return;
     this.#size = `${width} ${height}`;
-    this.#upload(2, this.target, () => gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, null));
+    this.#upload(2, this.target, () =>
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, null),
+    );
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.buffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.target, 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

@@ -1,6 +1,16 @@
 // The tools for the region: its overlay, the brush under the pointer, and the controls. Everything is drawn on the picture at rest.
 
-import { decodeParts, brushSizeOf, isDecoded, isRegionTool, maskOf, partOf, regionOf, sameRegion, withStroke } from "./region.js";
+import {
+  decodeParts,
+  brushSizeOf,
+  isDecoded,
+  isRegionTool,
+  maskOf,
+  partOf,
+  regionOf,
+  sameRegion,
+  withStroke,
+} from "./region.js";
 import { holesOf } from "./edits.js";
 import { HOLES, REGION } from "./words.js";
 
@@ -21,13 +31,24 @@ export class RegionTool {
   #due = false;
 
   constructor(store, view, actions) {
-    Object.assign(this, { store, view, actions, context: find("region").getContext("2d", { willReadFrequently: true }) });
+    Object.assign(this, {
+      store,
+      view,
+      actions,
+      context: find("region").getContext("2d", { willReadFrequently: true }),
+    });
     const show = (what) => store.do("show", { what });
     find("region-adds").addEventListener("change", () => show({ removes: false }));
     find("region-removes").addEventListener("change", () => show({ removes: true }));
-    find("brush-size").addEventListener("input", ({ target }) => show({ brush: Number(target.value) }));
-    find("region-shown").addEventListener("change", ({ target }) => show({ regionShown: target.checked }));
-    find("feather").addEventListener("input", ({ target }) => this.#set({ feather: Number(target.value) }, "feather"));
+    find("brush-size").addEventListener("input", ({ target }) =>
+      show({ brush: Number(target.value) }),
+    );
+    find("region-shown").addEventListener("change", ({ target }) =>
+      show({ regionShown: target.checked }),
+    );
+    find("feather").addEventListener("input", ({ target }) =>
+      this.#set({ feather: Number(target.value) }, "feather"),
+    );
     find("holes").addEventListener("change", ({ target }) => this.#set({ holes: target.value }));
     find("region-invert").addEventListener("click", () => actions.invertRegion());
     find("region-clear").addEventListener("click", () => actions.clearRegion());
@@ -45,12 +66,15 @@ export class RegionTool {
     const size = picture && [picture.width, picture.height];
     const isOther = !sameRegion(region, this.#shown) || String(size) !== String(this.#size);
     if (isOther) this.#take(region, size);
-    if (isOther || holesOf(document) !== holesOf(previous.document)) this.view.setRegion(this.#mask, holesOf(document));
+    if (isOther || holesOf(document) !== holesOf(previous.document))
+      this.view.setRegion(this.#mask, holesOf(document));
     this.#drawControls(state);
     this.#invalidate();
     if (state.tool !== "brush") this.hover(null);
-    else if (state.cross !== previous.cross) this.hover(state.cross && this.view.toStage(state.cross));
-    else if (state.brush !== previous.brush || state.playing !== previous.playing) this.hover(this.#brushAt);
+    else if (state.cross !== previous.cross)
+      this.hover(state.cross && this.view.toStage(state.cross));
+    else if (state.brush !== previous.brush || state.playing !== previous.playing)
+      this.hover(this.#brushAt);
   }
 
   #take(region, size) {
@@ -86,7 +110,11 @@ export class RegionTool {
     node.hidden = !at || tool !== "brush" || playing !== null;
     if (node.hidden) return;
     const side = brushSizeOf(this.store.state) * this.view.zoom;
-    Object.assign(node.style, { width: `${side}px`, height: `${side}px`, transform: `translate(${at[0] - side / 2}px, ${at[1] - side / 2}px)` });
+    Object.assign(node.style, {
+      width: `${side}px`,
+      height: `${side}px`,
+      transform: `translate(${at[0] - side / 2}px, ${at[1] - side / 2}px)`,
+    });
   }
 
   #invalidate() {
@@ -101,14 +129,26 @@ export class RegionTool {
   /** Covers what stays, with the stroke that is being drawn. */
   #paint() {
     const { state } = this.store;
-    const part = this.#places.length && isRegionTool(state.tool) ? partOf(state, this.#places) : null;
-    const seen = this.#size && state.phase === "open" && state.regionShown && !state.compare && !state.peek && state.playing === null;
+    const part =
+      this.#places.length && isRegionTool(state.tool) ? partOf(state, this.#places) : null;
+    const seen =
+      this.#size &&
+      state.phase === "open" &&
+      state.regionShown &&
+      !state.compare &&
+      !state.peek &&
+      state.playing === null;
     const { canvas } = this.context;
     canvas.hidden = !seen || (!this.#mask && !this.#places.length);
     if (canvas.hidden) return;
     const [width, height] = this.#size.map((side) => Math.max(1, Math.round(side * this.#scale)));
     Object.assign(canvas, { width, height });
-    const whole = () => maskOf({ parts: part?.removes || !part ? [{ kind: "invert" }] : [], feather: 0 }, this.#size, this.#scale);
+    const whole = () =>
+      maskOf(
+        { parts: part?.removes || !part ? [{ kind: "invert" }] : [], feather: 0 },
+        this.#size,
+        this.#scale,
+      );
     const mask = this.#mask ?? whole();
     const { context } = this;
     context.fillStyle = SHADE;
@@ -124,8 +164,15 @@ export class RegionTool {
     const { context } = this;
     context.beginPath();
     for (const [x, y] of this.#places) context.lineTo(x * scale, y * scale);
-    for (const [colour, wide] of [["#000a", 4], ["#fff", 2]]) {
-      Object.assign(context, { strokeStyle: colour, lineWidth: (wide * scale) / this.view.zoom, lineJoin: "round" });
+    for (const [colour, wide] of [
+      ["#000a", 4],
+      ["#fff", 2],
+    ]) {
+      Object.assign(context, {
+        strokeStyle: colour,
+        lineWidth: (wide * scale) / this.view.zoom,
+        lineJoin: "round",
+      });
       context.stroke();
     }
   }
@@ -134,7 +181,11 @@ export class RegionTool {
     const { document, tool, removes, regionShown, picture } = state;
     const { parts, feather } = regionOf(document);
     find(removes ? "region-removes" : "region-adds").checked = true;
-    find("region-bar").hidden = !isRegionTool(tool) || state.phase !== "open" || state.draft.length > 0 || state.playing !== null;
+    find("region-bar").hidden =
+      !isRegionTool(tool) ||
+      state.phase !== "open" ||
+      state.draft.length > 0 ||
+      state.playing !== null;
     find("brush-row").hidden = tool !== "brush";
     if (picture) find("brush-size").max = Math.round(Math.max(picture.width, picture.height) / 2);
     find("brush-size").value = brushSizeOf(state);
@@ -146,6 +197,7 @@ export class RegionTool {
     find("region-shown").checked = regionShown;
     find("holes").value = holesOf(document);
     text("holes-note", HOLES[holesOf(document)]);
-    for (const id of ["feather", "holes", "region-shown", "region-invert", "region-clear"]) find(id).disabled = !parts.length;
+    for (const id of ["feather", "holes", "region-shown", "region-invert", "region-clear"])
+      find(id).disabled = !parts.length;
   }
 }

@@ -6,8 +6,10 @@ import { warpOf, wire } from "./edits.js";
 import { maskFile, maskPart, regionOf } from "./region.js";
 
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
-export const pictureName = (name, format = "png") => `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
-export const animationName = (name, file) => (file === "zip" ? `${stem(name)}-frames.zip` : pictureName(name, file));
+export const pictureName = (name, format = "png") =>
+  `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
+export const animationName = (name, file) =>
+  file === "zip" ? `${stem(name)}-frames.zip` : pictureName(name, file);
 export const projectName = (name) => `${stem(name)}-project.json`;
 export const annotationsName = (name) => `${stem(name)}-warped.geojson`;
 export const handlesName = (name) => `${stem(name)}-handles.json`;
@@ -38,16 +40,27 @@ export async function warpedPicture(sync, store, output = {}, signal = undefined
   const { revision, document } = store.state;
   const usual = !Object.keys(output).length;
   if (usual && sync.png?.revision === revision) return sync.png.blob;
-  return (await sync.ask((id) => api.picture(id, { q: wire(document, "q"), ...(!usual && { output }) }, signal))).blob;
+  return (
+    await sync.ask((id) =>
+      api.picture(id, { q: wire(document, "q"), ...(!usual && { output }) }, signal),
+    )
+  ).blob;
 }
 
 /** The document as JSON: the warp object with one handle per line, and the mask of the region, if there is one, as `region` (a PNG in base64). */
 export async function handlesText({ picture, document }) {
   const region = regionOf(document);
-  const mask = region.parts.length ? { region: (await maskPart(await maskFile(region, [picture.width, picture.height]))).png } : {};
+  const mask = region.parts.length
+    ? { region: (await maskPart(await maskFile(region, [picture.width, picture.height]))).png }
+    : {};
   const { p, q, ...others } = { ...warpOf(document), ...mask };
-  const list = (handles) => (handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]");
-  const parts = [["p", list(p)], ["q", list(q)], ...Object.entries(others).map(([name, value]) => [name, JSON.stringify(value)])];
+  const list = (handles) =>
+    handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]";
+  const parts = [
+    ["p", list(p)],
+    ["q", list(q)],
+    ...Object.entries(others).map(([name, value]) => [name, JSON.stringify(value)]),
+  ];
   return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;
 }
 
@@ -61,10 +74,16 @@ export async function saveRegion({ picture, document }) {
 }
 
 /** Quotes a word for a POSIX shell. */
-const quoted = (words) => (/^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`);
+const quoted = (words) =>
+  /^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`;
 
 /** A file name in a form field of curl: quoted if it has special characters; `-` alone would be standard input. */
-const formFile = (name) => (name === "-" ? "./-" : /[",;\\]|^\s|\s$/.test(name) ? `"${name.replace(/[\\"]/g, "\\$&")}"` : name);
+const formFile = (name) =>
+  name === "-"
+    ? "./-"
+    : /[",;\\]|^\s|\s$/.test(name)
+      ? `"${name.replace(/[\\"]/g, "\\$&")}"`
+      : name;
 
 const addressOf = (path) => new URL(path, document.baseURI).href;
 const keyHeader = () => (hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "");
@@ -93,22 +112,35 @@ export function curlLine(sync, { picture, document: bent }, output = {}) {
     const body = jsonBody({ q: wire(bent, "q"), ...(chosen.output && { output }) });
     return `curl -sS ${addressOf(`sessions/${sync.session.id}/warp`)} -o ${out}${key} ${body}`;
   }
-  const mask = regionOf(bent).parts.length ? ` -F ${quoted(`region=@${formFile(regionName(picture.name))}`)}` : "";
-  const form = (file) => `curl -sS ${addressOf("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}${mask}`;
-  if (picture.sample) return `curl -sS ${addressOf(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
+  const mask = regionOf(bent).parts.length
+    ? ` -F ${quoted(`region=@${formFile(regionName(picture.name))}`)}`
+    : "";
+  const form = (file) =>
+    `curl -sS ${addressOf("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}${mask}`;
+  if (picture.sample)
+    return `curl -sS ${addressOf(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
   return form(formFile(picture.name));
 }
 
 const toBase64Url = (text) => {
-  const binary = Array.from(new TextEncoder().encode(text), (byte) => String.fromCharCode(byte)).join("");
+  const binary = Array.from(new TextEncoder().encode(text), (byte) =>
+    String.fromCharCode(byte),
+  ).join("");
   return btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
 };
 
-const fromBase64Url = (text) => new TextDecoder().decode(Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0)));
+const fromBase64Url = (text) =>
+  new TextDecoder().decode(
+    Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0)),
+  );
 
 /** A link that reopens the session with the current pose. */
 export function linkTo(sync, { picture, document: bent }) {
-  const parts = new URLSearchParams({ session: sync.session.id, warp: toBase64Url(JSON.stringify(warpOf(bent))), name: picture.name });
+  const parts = new URLSearchParams({
+    session: sync.session.id,
+    warp: toBase64Url(JSON.stringify(warpOf(bent))),
+    name: picture.name,
+  });
   return `${new URL(".", document.baseURI)}#${parts}`;
 }
 

@@ -13,8 +13,13 @@ export class StrengthSlider {
     input.addEventListener("pointerdown", () => (this.#held = true));
     input.addEventListener("input", () => this.#slide());
     input.addEventListener("change", () => this.#end());
-    for (const name of ["pointerup", "pointercancel", "blur"]) input.addEventListener(name, () => this.#end());
-    store.subscribe((state, previous) => (state.document !== previous.document || state.playing !== previous.playing) && this.#draw());
+    for (const name of ["pointerup", "pointercancel", "blur"])
+      input.addEventListener(name, () => this.#end());
+    store.subscribe(
+      (state, previous) =>
+        (state.document !== previous.document || state.playing !== previous.playing) &&
+        this.#draw(),
+    );
     this.#draw();
   }
 
@@ -22,7 +27,7 @@ export class StrengthSlider {
   #slide() {
     const { state } = this.store;
     const value = Number(this.input.value);
-    const t = this.#held ? [0, 1].find((end) => Math.abs(value - end) <= SNAP) ?? value : value;
+    const t = this.#held ? ([0, 1].find((end) => Math.abs(value - end) <= SNAP) ?? value) : value;
     const document = atStrength(state.document, t);
     if (!this.#held) this.actions.edit(document, { tag: "strength" });
     else {

@@ -9,7 +9,18 @@ const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
-export const emptyDocument = () => ({ handles: [], method: "rigid", alpha: null, grid: "auto", outside: "transparent", filter: "bilinear", canvas: "same", region: [], feather: 0, holes: null });
+export const emptyDocument = () => ({
+  handles: [],
+  method: "rigid",
+  alpha: null,
+  grid: "auto",
+  outside: "transparent",
+  filter: "bilinear",
+  canvas: "same",
+  region: [],
+  feather: 0,
+  holes: null,
+});
 
 const initialState = () => ({
   phase: "empty", // empty, uploading, open
@@ -64,22 +75,57 @@ function withDocument(state, document) {
   if (document === state.document) return state;
   const kept = state.selection.filter((key) => exists(document, key));
   const selection = kept.length === state.selection.length ? state.selection : kept;
-  const isKept = ["handles", "method", "alpha", "smoothing"].every((name) => document[name] === state.document[name]);
-  return { ...state, document, selection, revision: state.revision + 1, problem: null, apart: [], fit: isKept ? state.fit : null };
+  const isKept = ["handles", "method", "alpha", "smoothing"].every(
+    (name) => document[name] === state.document[name],
+  );
+  return {
+    ...state,
+    document,
+    selection,
+    revision: state.revision + 1,
+    problem: null,
+    apart: [],
+    fit: isKept ? state.fit : null,
+  };
 }
 
 /** A selection of handles ends the work on the region, which hides them. */
-const selecting = (state, selection) => ({ ...state, selection, ...(selection.length && isRegionTool(state.tool) && { tool: "point", regionShown: false }) });
+const selecting = (state, selection) => ({
+  ...state,
+  selection,
+  ...(selection.length && isRegionTool(state.tool) && { tool: "point", regionShown: false }),
+});
 
-const remembered = (state, document) => ({ past: [...state.past, document].slice(-STEPS), future: [], later: [] });
+const remembered = (state, document) => ({
+  past: [...state.past, document].slice(-STEPS),
+  future: [],
+  later: [],
+});
 
 const reducers = {
-  uploading: (state, { name }) => ({ ...state, phase: "uploading", progress: 0, uploadName: name, problem: null }),
+  uploading: (state, { name }) => ({
+    ...state,
+    phase: "uploading",
+    progress: 0,
+    uploadName: name,
+    problem: null,
+  }),
   progress: (state, { percent }) => ({ ...state, progress: percent }),
   uploadEnded: (state) => ({ ...state, phase: state.picture ? "open" : "empty" }),
 
   /** Opens another picture, with its handles and history; `picture` null closes the open one. */
-  opened: (state, { picture, document = emptyDocument(), annotations = null, past = [], future = [], earlier, later }) => ({
+  opened: (
+    state,
+    {
+      picture,
+      document = emptyDocument(),
+      annotations = null,
+      past = [],
+      future = [],
+      earlier,
+      later,
+    },
+  ) => ({
     ...initialState(),
     phase: picture ? "open" : "empty",
     picture,
@@ -95,7 +141,10 @@ const reducers = {
     animation: state.animation,
   }),
   history: (state, { earlier, later }) => ({ ...state, earlier, later }),
-  waiting: (state, { handles = state.waiting?.handles, annotations = state.waiting?.annotations }) => ({
+  waiting: (
+    state,
+    { handles = state.waiting?.handles, annotations = state.waiting?.annotations },
+  ) => ({
     ...state,
     waiting: handles || annotations ? { handles, annotations } : null,
     problem: null,
@@ -108,7 +157,10 @@ const reducers = {
     if (document === state.document) return state;
     const joins = tag !== "" && tag === state.tag && now - state.tagged < TOGETHER;
     const history = joins ? { future: [], later: [] } : remembered(state, state.document);
-    const next = withDocument({ ...state, ...history, tag, tagged: now }, settled(document, state.document));
+    const next = withDocument(
+      { ...state, ...history, tag, tagged: now },
+      settled(document, state.document),
+    );
     return select ? selecting(next, select) : next;
   },
 
@@ -121,34 +173,63 @@ const reducers = {
     const history = state.before === state.document ? {} : remembered(state, state.before);
     return { ...state, ...history, before: null };
   },
-  dragCancel: (state) => (state.before ? { ...withDocument(state, state.before), before: null } : state),
+  dragCancel: (state) =>
+    state.before ? { ...withDocument(state, state.before), before: null } : state,
 
   undo: (state) => {
     if (!state.past.length || state.before) return state;
-    const next = { ...state, past: state.past.slice(0, -1), future: [state.document, ...state.future], draft: [], tag: "" };
+    const next = {
+      ...state,
+      past: state.past.slice(0, -1),
+      future: [state.document, ...state.future],
+      draft: [],
+      tag: "",
+    };
     return withDocument(next, state.past.at(-1));
   },
   redo: (state) => {
     if (!state.future.length || state.before) return state;
-    const next = { ...state, past: [...state.past, state.document], future: state.future.slice(1), draft: [], tag: "" };
+    const next = {
+      ...state,
+      past: [...state.past, state.document],
+      future: state.future.slice(1),
+      draft: [],
+      tag: "",
+    };
     return withDocument(next, state.future[0]);
   },
 
   select: (state, { keys }) => {
     const selection = keys.filter((key) => exists(state.document, key));
-    return { ...selecting(state, selection), arm: selection.length ? state.arm : "", more: selection.length ? state.more : false };
+    return {
+      ...selecting(state, selection),
+      arm: selection.length ? state.arm : "",
+      more: selection.length ? state.more : false,
+    };
   },
   toggle: (state, { key }) => {
     // A handle and one of its vertices are never selected together.
-    const others = state.selection.filter((k) => idOf(k) !== idOf(key) || (k.includes(".") && key.includes(".")));
-    const selection = state.selection.includes(key) ? state.selection.filter((k) => k !== key) : [...others, key];
+    const others = state.selection.filter(
+      (k) => idOf(k) !== idOf(key) || (k.includes(".") && key.includes(".")),
+    );
+    const selection = state.selection.includes(key)
+      ? state.selection.filter((k) => k !== key)
+      : [...others, key];
     return { ...selecting(state, selection), arm: "" };
   },
 
   /** The tools for the region show the picture at rest, without handles. */
   tool: (state, { tool }) => {
-    const region = isRegionTool(tool) ? { selection: [], arm: "", more: false, compare: false } : {};
-    return { ...state, tool, draft: [], ...region, ...(tool !== state.tool && { regionShown: isRegionTool(tool) }) };
+    const region = isRegionTool(tool)
+      ? { selection: [], arm: "", more: false, compare: false }
+      : {};
+    return {
+      ...state,
+      tool,
+      draft: [],
+      ...region,
+      ...(tool !== state.tool && { regionShown: isRegionTool(tool) }),
+    };
   },
   draft: (state, { places }) => ({ ...state, draft: places }),
   arm: (state, { arm }) => ({ ...state, arm: state.selection.length ? arm : "", draft: [] }),
@@ -163,7 +244,8 @@ const reducers = {
 
 /** Steps that undo and redo can take: those of the open picture and of the other ones, and one for each change of the picture. */
 export function steps({ past, future, earlier, later }) {
-  const all = (own, others, which) => others.reduce((sum, picture) => sum + 1 + (picture[which]?.length ?? 0), own.length);
+  const all = (own, others, which) =>
+    others.reduce((sum, picture) => sum + 1 + (picture[which]?.length ?? 0), own.length);
   return { undo: all(past, earlier, "past"), redo: all(future, later, "future") };
 }
 

@@ -12,7 +12,8 @@ function without({ strength: _, full: __, ...document }) {
 }
 
 /** The strength that is shown: that of the document, or of the frame of a playing animation. */
-export const shownStrength = ({ playing, document }) => (typeof playing === "number" ? playing : strengthOf(document));
+export const shownStrength = ({ playing, document }) =>
+  typeof playing === "number" ? playing : strengthOf(document);
 
 /**
  * The poses from rest to the shown pose, or to the full one if rest is shown: a function of t from 0 to 1, and `goal`, the strength at the end.
@@ -41,7 +42,9 @@ export function atStrength(document, t) {
   }
   const handles = full.map(({ q, twist, ...handle }) => ({
     ...handle,
-    q: q.map((place, k) => place.map((c, axis) => round(handle.p[k][axis] + t * (c - handle.p[k][axis])))),
+    q: q.map((place, k) =>
+      place.map((c, axis) => round(handle.p[k][axis] + t * (c - handle.p[k][axis]))),
+    ),
     ...(twist && { twist: atTwist(twist, t) }),
   }));
   posed.add(handles);

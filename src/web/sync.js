@@ -14,14 +14,29 @@ const REST = 150;
 /** Age of the oldest pose that is newer than the shown one, and delay of the server's picture of a resting pose, ms, after which the page says
  * that it is behind. */
 const LATE = 1000;
-const TRANSIENT = new Set(["network", "overloaded", "unavailable", "stored_by_another_version", "rate_limited", "timeout"]);
+const TRANSIENT = new Set([
+  "network",
+  "overloaded",
+  "unavailable",
+  "stored_by_another_version",
+  "rate_limited",
+  "timeout",
+]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
 /** The region of a session without a mask. */
 const WHOLE = { parts: [], feather: 0 };
 
 /** What is shown before the first response. */
-const NOTHING = { revision: null, source: "none", folds: 0, residual: null, report: null, rate: 0, warnings: [] };
+const NOTHING = {
+  revision: null,
+  source: "none",
+  folds: 0,
+  residual: null,
+  report: null,
+  rate: 0,
+  warnings: [],
+};
 
 export class Sync {
   /**
@@ -62,7 +77,8 @@ export class Sync {
     this.view = view;
     this.allowPlan = allowPlan && view.webgl !== "none";
     this.live = new Live(view.webgl === "none" ? "png" : "mesh", allowSocket, {
-      mesh: (mesh, isCompact, revision, report, done) => this.#liveMesh(mesh, isCompact, revision, report, done),
+      mesh: (mesh, isCompact, revision, report, done) =>
+        this.#liveMesh(mesh, isCompact, revision, report, done),
       frame: (blob, revision, report, done) => this.#liveFrame(blob, revision, report, done),
       problem: (problem, revision) => this.#liveProblem(problem, revision),
       way: () => this.#tell(),
@@ -129,7 +145,15 @@ export class Sync {
 
   #adopt(object, rest, region, borrowed = false) {
     this.live.found(this.#asked);
-    this.session = { id: object.id, grid: gridOf(object), revision: object.rest_revision, rest: JSON.stringify(rest), region, setup: setupOf(object), borrowed };
+    this.session = {
+      id: object.id,
+      grid: gridOf(object),
+      revision: object.rest_revision,
+      rest: JSON.stringify(rest),
+      region,
+      setup: setupOf(object),
+      borrowed,
+    };
     // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
     const seq = object.seq ?? 0;
     if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
@@ -166,12 +190,17 @@ export class Sync {
   #remind() {
     clearTimeout(this.#late);
     const left = LATE - performance.now();
-    const due = [this.#poses[0]?.time ?? -Infinity, this.#changed + REST].map((time) => time + left).filter((time) => time > 0);
+    const due = [this.#poses[0]?.time ?? -Infinity, this.#changed + REST]
+      .map((time) => time + left)
+      .filter((time) => time > 0);
     if (!due.length) return;
-    this.#late = setTimeout(() => {
-      this.#tell();
-      this.#remind();
-    }, Math.min(...due) + 1);
+    this.#late = setTimeout(
+      () => {
+        this.#tell();
+        this.#remind();
+      },
+      Math.min(...due) + 1,
+    );
   }
 
   /** Retries after a problem. */
@@ -208,7 +237,8 @@ export class Sync {
   async #step() {
     this.#asked = performance.now();
     const { phase, document, revision, before } = this.store.state;
-    if (phase !== "open" || !this.session || this.#refused === revision || this.#stalled) return false;
+    if (phase !== "open" || !this.session || this.#refused === revision || this.#stalled)
+      return false;
     const rest = restOf(document);
     if (JSON.stringify(rest) !== this.session.rest) {
       await this.#putRest(rest);
@@ -221,7 +251,8 @@ export class Sync {
     }
     const moving = before || this.#burst;
     if (moving && performance.now() - this.#changed < REST) {
-      if (!this.#poseHere(document, revision) && this.#sent !== revision) this.live.send(wire(document, "q"), revision);
+      if (!this.#poseHere(document, revision) && this.#sent !== revision)
+        this.live.send(wire(document, "q"), revision);
       this.#sent = revision;
       return false;
     }
@@ -245,13 +276,19 @@ export class Sync {
     session.region = null; // unknown until the response arrives
     const { width, height } = this.store.state.picture;
     const has = region.parts.length > 0;
-    const object = await (has ? api.putRegion(session.id, await maskFile(region, [width, height])) : api.deleteRegion(session.id));
+    const object = await (has
+      ? api.putRegion(session.id, await maskFile(region, [width, height]))
+      : api.deleteRegion(session.id));
     if (this.session === session) Object.assign(session, { region, setup: setupOf(object) });
   }
 
   /** Opens a new session with the same picture: the old one has expired, or belongs to another user. */
   async #reopen(rest) {
-    if (!this.file) throw new api.Problem({ code: "no_such_session", title: "The session has ended", detail: "" }, 404);
+    if (!this.file)
+      throw new api.Problem(
+        { code: "no_such_session", title: "The session has ended", detail: "" },
+        404,
+      );
     const { session } = this;
     const object = await api.openSession(this.file.blob, this.file.name, rest, {});
     if (this.session !== session) return; // another picture was opened meanwhile
@@ -264,23 +301,39 @@ export class Sync {
     const cancel = new AbortController();
     this.#cancel = cancel;
     // The link first carries the coefficients, which are smaller than the picture.
-    await Promise.race([this.#plans.arrived, new Promise((stop) => cancel.signal.addEventListener("abort", stop))]);
+    await Promise.race([
+      this.#plans.arrived,
+      new Promise((stop) => cancel.signal.addEventListener("abort", stop)),
+    ]);
     if (cancel.signal.aborted) return;
     if (this.png?.revision !== revision) this.#poseHere(document, revision);
     const { id, grid } = this.session;
     const body = { q: wire(document, "q"), seq: this.#nextSeq() };
-    const meshing = this.#meshRevision === revision ? null : this.#fetchMesh(id, grid, body, revision, cancel.signal);
-    const [{ blob, report }, object] = await Promise.all([api.picture(id, body, cancel.signal), api.readSession(id), meshing]);
+    const meshing =
+      this.#meshRevision === revision
+        ? null
+        : this.#fetchMesh(id, grid, body, revision, cancel.signal);
+    const [{ blob, report }, object] = await Promise.all([
+      api.picture(id, body, cancel.signal),
+      api.readSession(id),
+      meshing,
+    ]);
     if (cancel.signal.aborted) return;
     // Another tab, or another user of the link, may have replaced the handles: then this page opens its own session.
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
-    if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted) return;
+    if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted)
+      return;
     this.png = { blob, revision, canvas: report.canvas };
     this.live.found(this.#asked);
     this.#settled = revision;
     const apart = movedApart(document, object.coincident ?? []);
     if (apart.length) this.store.do("apart", { handles: apart });
-    this.#show(revision, "png", { folds: report.folds, residual: report.residual, report, warnings: report.warnings });
+    this.#show(revision, "png", {
+      folds: report.folds,
+      residual: report.residual,
+      report,
+      warnings: report.warnings,
+    });
   }
 
   /** Draws the pose by the coefficients, if they are here. */
@@ -329,12 +382,25 @@ export class Sync {
     // -1: this mesh is only near that of the revision, so the full one is requested at rest.
     this.#takeMesh(mesh, isCompact ? -1 : revision);
     this.view.showMesh(mesh, done);
-    this.#show(revision, "mesh", { folds: this.view.folds, ...figures(report ?? this.shown.report), rate: this.#rate() });
+    this.#show(revision, "mesh", {
+      folds: this.view.folds,
+      ...figures(report ?? this.shown.report),
+      rate: this.#rate(),
+    });
   }
 
   async #liveFrame(blob, revision, report, done) {
-    if (!this.#overtaken(revision) && this.#settled !== revision && (await this.view.showFrame(blob, boxFrom(report?.canvas))) && this.#settled !== revision) {
-      this.#show(revision, "frame", { folds: report?.folds ?? 0, ...figures(report ?? this.shown.report), rate: this.#rate() });
+    if (
+      !this.#overtaken(revision) &&
+      this.#settled !== revision &&
+      (await this.view.showFrame(blob, boxFrom(report?.canvas))) &&
+      this.#settled !== revision
+    ) {
+      this.#show(revision, "frame", {
+        folds: report?.folds ?? 0,
+        ...figures(report ?? this.shown.report),
+        rate: this.#rate(),
+      });
     }
     done();
   }
@@ -349,7 +415,13 @@ export class Sync {
 
   /** Reports problems of the newest pose only. The loop handles lost sessions and sessions with replaced handles (`#after`). */
   #liveProblem(problem, revision) {
-    if (problem.code === "superseded" || problem.code === "shape_mismatch" || TRANSIENT.has(problem.code) || LOST.has(problem.code)) return;
+    if (
+      problem.code === "superseded" ||
+      problem.code === "shape_mismatch" ||
+      TRANSIENT.has(problem.code) ||
+      LOST.has(problem.code)
+    )
+      return;
     if (revision === this.store.state.revision) this.#refuse(problem);
   }
 
@@ -402,7 +474,11 @@ export class Sync {
         return true;
       }
       // The shapes do not match: another client has replaced the handles of the session.
-      if ((LOST.has(error.code) || error.code === "shape_mismatch") && this.file && this.#reopens++ < 3) {
+      if (
+        (LOST.has(error.code) || error.code === "shape_mismatch") &&
+        this.file &&
+        this.#reopens++ < 3
+      ) {
         await this.#reopen(restOf(document));
         return true;
       }
@@ -422,17 +498,53 @@ export class Sync {
 }
 
 /** A report, and the residual: of a compact mesh at most that of the full one and the distance between both. */
-const figures = (report) => ({ report, residual: report?.residual == null ? null : report.residual + (report.error ?? 0) });
+const figures = (report) => ({
+  report,
+  residual: report?.residual == null ? null : report.residual + (report.error ?? 0),
+});
 
 /** Whether a warp takes its handles to their posed positions, as far as its grid can follow them. */
-const meetsHandles = ({ method, smoothing }) => method !== "global_affine" && !(method === "tps" && smoothing);
+const meetsHandles = ({ method, smoothing }) =>
+  method !== "global_affine" && !(method === "tps" && smoothing);
 
 /** The members of a session object that determine a picture, except q. */
-function setupOf({ p, weights, method, alpha, point_mass: mass, smoothing, coincident_policy: coincident, units, grid, folds, output, layers }) {
-  return JSON.stringify([p, weights, method, alpha, mass, smoothing, coincident, units, grid, folds, output, layers?.region]);
+function setupOf({
+  p,
+  weights,
+  method,
+  alpha,
+  point_mass: mass,
+  smoothing,
+  coincident_policy: coincident,
+  units,
+  grid,
+  folds,
+  output,
+  layers,
+}) {
+  return JSON.stringify([
+    p,
+    weights,
+    method,
+    alpha,
+    mass,
+    smoothing,
+    coincident,
+    units,
+    grid,
+    folds,
+    output,
+    layers?.region,
+  ]);
 }
 
 /** The grid of a session object, in the form of a mesh. */
 function gridOf({ grid, image }) {
-  return { columns: grid.columns, rows: grid.rows, cell: grid.cell, width: image.width, height: image.height };
+  return {
+    columns: grid.columns,
+    rows: grid.rows,
+    cell: grid.cell,
+    width: image.width,
+    height: image.height,
+  };
 }

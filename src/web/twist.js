@@ -26,13 +26,17 @@ export function freeTurn(mesh, [x, y], reach) {
   return { angle: tenth(Math.atan2(dy, dx) / RADIANS), scale: Math.round(scale * 1000) / 1000 };
 }
 
-export const longest = ([width, height]) => Math.max(4, Math.round((width + height) * 0.5 * SHARE)) + 0.25;
+export const longest = ([width, height]) =>
+  Math.max(4, Math.round((width + height) * 0.5 * SHARE)) + 0.25;
 
 /** A pin turned to an angle. `free`: its angle and scale without a twist; at that angle it remains a plain point. */
 export function turned(handle, degrees, free, size) {
   const angle = wrapped(degrees);
   const old = handle.twist;
-  if (old) return old.angle === angle ? handle : { ...handle, twist: { ...old, ...grown(old, angle, size), angle } };
+  if (old)
+    return old.angle === angle
+      ? handle
+      : { ...handle, twist: { ...old, ...grown(old, angle, size), angle } };
   if (angle === wrapped(free.angle)) return handle;
   const twist = { free: free.angle, scale: free.scale, length: 0 };
   return { ...handle, twist: { ...twist, ...grown(twist, angle, size), angle } };
@@ -53,7 +57,9 @@ export function untwisted({ twist: _, ...handle }) {
 export function segmentOf({ p, q, twist: { angle, scale, length } }, which) {
   const half = length / 2;
   if (which === "p") return [-half, half].map((off) => [p[0][0] + off, p[0][1]]);
-  const [dx, dy] = [Math.cos(angle * RADIANS), Math.sin(angle * RADIANS)].map((share) => share * half * scale);
+  const [dx, dy] = [Math.cos(angle * RADIANS), Math.sin(angle * RADIANS)].map(
+    (share) => share * half * scale,
+  );
   return [-1, 1].map((side) => [fine(q[0][0] + side * dx), fine(q[0][1] + side * dy)]);
 }
 
@@ -64,11 +70,23 @@ export const segmentWeight = ({ weight = 1, twist }, mass) => (weight * mass) / 
 
 /** The pin of a saved segment, or null: horizontal at rest, with a weight that times its length is the point mass. */
 export function pinOf(p, q, weight, mass) {
-  if (p.length !== 2 || q.length !== 2 || p[0][1] !== p[1][1] || !(mass > 0) || weight === undefined || weight === 1) return null;
+  if (
+    p.length !== 2 ||
+    q.length !== 2 ||
+    p[0][1] !== p[1][1] ||
+    !(mass > 0) ||
+    weight === undefined ||
+    weight === 1
+  )
+    return null;
   const length = p[1][0] - p[0][0];
   if (!(length > 0) || Math.abs((weight * length) / mass - 1) > 1e-6) return null;
   const middle = ([a, b]) => [0, 1].map((axis) => Math.round((a[axis] + b[axis]) * 50) / 100 + 0);
   const [dx, dy] = [q[1][0] - q[0][0], q[1][1] - q[0][1]];
   const scale = Math.round((Math.hypot(dx, dy) / length) * 1000) / 1000;
-  return { p: [middle(p)], q: [middle(q)], twist: { angle: wrapped(Math.atan2(dy, dx) / RADIANS), scale, length } };
+  return {
+    p: [middle(p)],
+    q: [middle(q)],
+    twist: { angle: wrapped(Math.atan2(dy, dx) / RADIANS), scale, length },
+  };
 }

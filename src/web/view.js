@@ -74,7 +74,8 @@ export class View {
 
   /** The box that is shown: of the server's picture, or of the canvas around the mesh. */
   get box() {
-    if (this.source === "mesh" || this.source === "source") return boxOf(this.#canvas, this.size, this.mesh, this.#region);
+    if (this.source === "mesh" || this.source === "source")
+      return boxOf(this.#canvas, this.size, this.mesh, this.#region);
     return this.#drawn ?? boxOfPicture(this.size);
   }
 
@@ -93,7 +94,10 @@ export class View {
     let texture = null;
     if (this.webgl !== "none") {
       const most = Math.min(1, this.painter.longestSide / Math.max(width, height));
-      const wish = { premultiplyAlpha: "premultiply", ...(most < 1 && { resizeWidth: Math.floor(width * most), resizeQuality: "high" }) };
+      const wish = {
+        premultiplyAlpha: "premultiply",
+        ...(most < 1 && { resizeWidth: Math.floor(width * most), resizeQuality: "high" }),
+      };
       texture = await createImageBitmap(original, wish);
     }
     if (signal.aborted) {
@@ -116,7 +120,8 @@ export class View {
 
   /** Shows no picture. */
   clear() {
-    for (const id of ["original", "picture"]) this.#swap(Object.assign(new Image(), { id, alt: "", draggable: false }));
+    for (const id of ["original", "picture"])
+      this.#swap(Object.assign(new Image(), { id, alt: "", draggable: false }));
     this.#frame?.close();
     this.#frame = null;
     this.#setMesh(null);
@@ -247,7 +252,9 @@ export class View {
   // Zoom and pan
 
   get #margins() {
-    return this.stageSize.some((side, axis) => side < MARGINS.from[axis]) ? MARGINS.narrow : MARGINS.wide;
+    return this.stageSize.some((side, axis) => side < MARGINS.from[axis])
+      ? MARGINS.narrow
+      : MARGINS.wide;
   }
 
   fit() {
@@ -257,7 +264,10 @@ export class View {
     const room = [width - 2 * aside, height - 2 * above];
     const [x, y, wide, high] = this.box;
     this.zoom = clampZoom(Math.min(room[0] / wide, room[1] / high, 4));
-    this.pan = [(width - this.zoom * wide) / 2 - this.zoom * x, (height - this.zoom * high) / 2 - this.zoom * y];
+    this.pan = [
+      (width - this.zoom * wide) / 2 - this.zoom * x,
+      (height - this.zoom * high) / 2 - this.zoom * y,
+    ];
     this.#fitted = true;
     this.#moved();
   }
@@ -281,7 +291,10 @@ export class View {
   reveal(place) {
     const at = this.toStage(place);
     const inset = this.#margins;
-    const shift = at.map((c, axis) => Math.max(0, inset[axis] - c) - Math.max(0, c - (this.stageSize[axis] - inset[axis])));
+    const shift = at.map(
+      (c, axis) =>
+        Math.max(0, inset[axis] - c) - Math.max(0, c - (this.stageSize[axis] - inset[axis])),
+    );
     if (shift[0] || shift[1]) this.panBy(...shift);
   }
 
@@ -306,7 +319,11 @@ export class View {
     // Keep a part of the picture in the stage.
     if (this.size) {
       const { box } = this;
-      const within = (at, axis) => Math.min(this.stageSize[axis] - 40 - this.zoom * box[axis], Math.max(40 - this.zoom * (box[axis] + box[axis + 2]), at));
+      const within = (at, axis) =>
+        Math.min(
+          this.stageSize[axis] - 40 - this.zoom * box[axis],
+          Math.max(40 - this.zoom * (box[axis] + box[axis + 2]), at),
+        );
       this.pan = this.pan.map(within);
     }
     this.#place();
@@ -336,7 +353,12 @@ export class View {
     const { compare, at, peek } = this.#show;
     for (const id of ["board", "picture", "original", "region"]) {
       const { style } = this.stage.querySelector(`#${id}`);
-      const [x, y, across, down] = this.size && id !== "original" && id !== "region" ? (id === "board" ? this.box : this.#pictureBox) : [0, 0, width, height];
+      const [x, y, across, down] =
+        this.size && id !== "original" && id !== "region"
+          ? id === "board"
+            ? this.box
+            : this.#pictureBox
+          : [0, 0, width, height];
       const [wide, high] = id === "board" ? [across * this.zoom, down * this.zoom] : [across, down];
       style.width = `${wide}px`;
       style.height = `${high}px`;
@@ -352,8 +374,11 @@ export class View {
     divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
     divider.style.height = `${height * this.zoom}px`;
     // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of the divider.
-    this.lines.canvas.style.clipPath = compare ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)` : "none";
-    this.stage.querySelector("#picture").style.visibility = !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
+    this.lines.canvas.style.clipPath = compare
+      ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)`
+      : "none";
+    this.stage.querySelector("#picture").style.visibility =
+      !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
   }
 
   /** Sizes the live canvas to the visible part of the box; returns where the picture is in it, in its px. */
@@ -363,7 +388,8 @@ export class View {
     const [unit, origin] = zoom * scale > 1 ? [zoom, pan] : [1 / scale, [0, 0]];
     const [low, size] = [[], []];
     for (const axis of [0, 1]) {
-      const at = (place) => Math.min(this.stageSize[axis], Math.max(0, pan[axis] + zoom * place)) - origin[axis];
+      const at = (place) =>
+        Math.min(this.stageSize[axis], Math.max(0, pan[axis] + zoom * place)) - origin[axis];
       const [first, side] = [this.box[axis], this.box[axis + 2]];
       low[axis] = Math.floor(at(first) / unit);
       size[axis] = Math.max(1, Math.ceil(at(first + side) / unit) - low[axis]);
@@ -374,18 +400,30 @@ export class View {
     const [left, top] = low.map((at, axis) => origin[axis] + unit * at);
     style.transform = `translate(${left}px, ${top}px) scale(${unit})`;
     style.imageRendering = zoom >= CRISP ? "pixelated" : "auto";
-    this.#liveBox = [...[left, top].map((at, axis) => (at - pan[axis]) / zoom), ...size.map((side) => (side * unit) / zoom)];
+    this.#liveBox = [
+      ...[left, top].map((at, axis) => (at - pan[axis]) / zoom),
+      ...size.map((side) => (side * unit) / zoom),
+    ];
     return { zoom: zoom / unit, x: (pan[0] - left) / unit, y: (pan[1] - top) / unit };
   }
 
   #draw() {
     const { scale } = this;
-    resize(this.lines.canvas, ...this.stageSize.map((side) => Math.max(1, Math.round(side * scale))));
+    resize(
+      this.lines.canvas,
+      ...this.stageSize.map((side) => Math.max(1, Math.round(side * scale))),
+    );
     const mesh = this.shownMesh;
     const following = this.#played !== null || this.source === "mesh" || this.source === "frame";
     const crisp = this.zoom >= CRISP || this.#filter === "nearest";
     const inLive = following && this.#placeLive();
-    if (this.#played || this.source === "mesh") this.painter.paint(mesh, inLive, { crisp, outside: this.#outside, holes: this.#holes, box: this.box });
+    if (this.#played || this.source === "mesh")
+      this.painter.paint(mesh, inLive, {
+        crisp,
+        outside: this.#outside,
+        holes: this.#holes,
+        box: this.box,
+      });
     else if (this.source === "frame") this.#drawFrame(inLive);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
@@ -408,7 +446,13 @@ export class View {
     const [atX, atY, wide, high] = isLive ? this.#liveBox : this.#pictureBox;
     const [left, top] = [this.pan[0] + this.zoom * atX - x, this.pan[1] + this.zoom * atY - y];
     const shown = isLive ? this.live : this.stage.querySelector("#picture");
-    context.drawImage(shown, left * factor, top * factor, this.zoom * wide * factor, this.zoom * high * factor);
+    context.drawImage(
+      shown,
+      left * factor,
+      top * factor,
+      this.zoom * wide * factor,
+      this.zoom * high * factor,
+    );
   }
 
   #drawFrame({ zoom, x, y }) {
@@ -417,13 +461,17 @@ export class View {
     context.clearRect(0, 0, context.canvas.width, context.canvas.height);
     context.imageSmoothingEnabled = this.zoom < CRISP;
     const [left, top, wide, high] = this.box;
-    if (this.#frame) context.drawImage(this.#frame, x + zoom * left, y + zoom * top, zoom * wide, zoom * high);
+    if (this.#frame)
+      context.drawImage(this.#frame, x + zoom * left, y + zoom * top, zoom * wide, zoom * high);
   }
 }
 
 /** Whether a part of a picture is transparent: more than the rounded corners of a screenshot. */
 function isCutout(image) {
-  const context = Object.assign(document.createElement("canvas"), { width: SAMPLE, height: SAMPLE }).getContext("2d", { willReadFrequently: true });
+  const context = Object.assign(document.createElement("canvas"), {
+    width: SAMPLE,
+    height: SAMPLE,
+  }).getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0, SAMPLE, SAMPLE);
   const { data } = context.getImageData(0, 0, SAMPLE, SAMPLE);
   let clear = 0;

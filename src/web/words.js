@@ -1,11 +1,13 @@
 // User-visible texts: problems, methods, alpha, folds, warnings, hints and limits.
 
 const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
-export const places = (list) => list.map(([x, y]) => `${number.format(x)}, ${number.format(y)}`).join(" to ");
+export const places = (list) =>
+  list.map(([x, y]) => `${number.format(x)}, ${number.format(y)}`).join(" to ");
 export const count = (n, one, many = `${one}s`) => `${n} ${n === 1 ? one : many}`;
 
 export function bytes(n) {
-  const [size, unit] = n >= 1 << 20 ? [n / (1 << 20), "MiB"] : n >= 1 << 10 ? [n / (1 << 10), "KiB"] : [n, "bytes"];
+  const [size, unit] =
+    n >= 1 << 20 ? [n / (1 << 20), "MiB"] : n >= 1 << 10 ? [n / (1 << 10), "KiB"] : [n, "bytes"];
   return `${size >= 100 || unit === "bytes" ? Math.round(size) : size.toFixed(1).replace(/\.0$/, "")} ${unit}`;
 }
 
@@ -17,66 +19,164 @@ export const BEHIND = {
 
 /** Title and advice by problem code. Other codes use the title of the server. */
 const PROBLEMS = {
-  network: ["The server does not respond", "Your handles are safe in this browser. Retrying automatically."],
+  network: [
+    "The server does not respond",
+    "Your handles are safe in this browser. Retrying automatically.",
+  ],
   overloaded: ["The server is busy", "Retrying automatically."],
-  unavailable: ["The server does not respond", "It is stopped or being updated. Retrying automatically."],
-  stored_by_another_version: ["The server is being updated", "Another version of the server stored this picture. Retrying automatically."],
-  misdirected: ["The server does not serve this host name", "Open the page as localhost, or add the name to --allowed-hosts."],
+  unavailable: [
+    "The server does not respond",
+    "It is stopped or being updated. Retrying automatically.",
+  ],
+  stored_by_another_version: [
+    "The server is being updated",
+    "Another version of the server stored this picture. Retrying automatically.",
+  ],
+  misdirected: [
+    "The server does not serve this host name",
+    "Open the page as localhost, or add the name to --allowed-hosts.",
+  ],
   rate_limited: ["Too many requests", "Retrying automatically."],
   timeout: ["The request timed out", "Retrying automatically. A smaller picture takes less time."],
-  no_such_session: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
-  session_expired: ["The session has expired", "Open the picture again: the server keeps it for a limited time, and this browser has no copy."],
-  no_such_layer: ["The region of the session was removed", "Open the link again: another user has changed the session."],
-  too_large: ["Too large for this server", "Make it smaller, or ask the operator of the server for a higher limit."],
-  unsupported_format: ["Unsupported file format", "Save the picture as PNG, JPEG, WebP, GIF, BMP or TIFF and open that file."],
-  bad_landmarks: ["The landmark file cannot be read", "Correct the file at the place that the message names."],
-  nothing_visible: ["Nothing of the picture is left", "The handles make it a line or a point: undo the last step, or choose another canvas."],
-  bad_image: ["The picture cannot be read", "The file may be damaged or incomplete. Check whether it opens in another program."],
-  contradictory_handles: ["Handles contradict each other", "They meet, but are moved apart. Put one of them back, or delete it."],
-  degenerate_line: ["A line has no length", "Its points coincide at rest. Move one of them in the table, or delete the line."],
+  no_such_session: [
+    "The session has expired",
+    "Open the picture again: the server keeps it for a limited time, and this browser has no copy.",
+  ],
+  session_expired: [
+    "The session has expired",
+    "Open the picture again: the server keeps it for a limited time, and this browser has no copy.",
+  ],
+  no_such_layer: [
+    "The region of the session was removed",
+    "Open the link again: another user has changed the session.",
+  ],
+  too_large: [
+    "Too large for this server",
+    "Make it smaller, or ask the operator of the server for a higher limit.",
+  ],
+  unsupported_format: [
+    "Unsupported file format",
+    "Save the picture as PNG, JPEG, WebP, GIF, BMP or TIFF and open that file.",
+  ],
+  bad_landmarks: [
+    "The landmark file cannot be read",
+    "Correct the file at the place that the message names.",
+  ],
+  nothing_visible: [
+    "Nothing of the picture is left",
+    "The handles make it a line or a point: undo the last step, or choose another canvas.",
+  ],
+  bad_image: [
+    "The picture cannot be read",
+    "The file may be damaged or incomplete. Check whether it opens in another program.",
+  ],
+  contradictory_handles: [
+    "Handles contradict each other",
+    "They meet, but are moved apart. Put one of them back, or delete it.",
+  ],
+  degenerate_line: [
+    "A line has no length",
+    "Its points coincide at rest. Move one of them in the table, or delete the line.",
+  ],
   alpha_out_of_range: ["Focus is out of range", "Choose a value on the slider, or Automatic."],
-  shape_mismatch: ["The handles do not match", "Reload the page. If the problem persists, delete the marked handle."],
+  shape_mismatch: [
+    "The handles do not match",
+    "Reload the page. If the problem persists, delete the marked handle.",
+  ],
   not_finite: ["A number is too large", "Undo, or put the marked handle back."],
   bad_value: ["Invalid value", "Undo the last step."],
-  forbidden: ["The server does not accept this key", "Enter another key, or ask the operator of the server."],
+  forbidden: [
+    "The server does not accept this key",
+    "Enter another key, or ask the operator of the server.",
+  ],
   unauthorized: ["API key required", "Enter the key that you got from the operator of the server."],
   internal: ["Internal server error", "Undo the last step, or try again."],
-  unreadable: ["The browser cannot show this picture", "The service can warp it, but this page needs it as PNG or JPEG."],
-  unreadable_file: ["The file cannot be opened", "It may have been moved or changed. Choose it again."],
-  not_a_picture: ["No picture found", "Open a PNG, JPEG, WebP, GIF, BMP or TIFF file, a file with handles, landmarks or annotations, or a project."],
-  bad_handles_file: ["The handles cannot be opened", "Correct the file, or save the handles again."],
-  bad_annotations: ["The annotations cannot be used", "Correct the file, or save it again as GeoJSON in pixels of this picture."],
-  bad_project: ["The project cannot be opened", "Ask for the file again, or save the project again."],
-  dead_link: ["This link no longer works", "Ask for a new link or the project file. If you have the picture, open it here: the handles of the link are placed on it."],
+  unreadable: [
+    "The browser cannot show this picture",
+    "The service can warp it, but this page needs it as PNG or JPEG.",
+  ],
+  unreadable_file: [
+    "The file cannot be opened",
+    "It may have been moved or changed. Choose it again.",
+  ],
+  not_a_picture: [
+    "No picture found",
+    "Open a PNG, JPEG, WebP, GIF, BMP or TIFF file, a file with handles, landmarks or annotations, or a project.",
+  ],
+  bad_handles_file: [
+    "The handles cannot be opened",
+    "Correct the file, or save the handles again.",
+  ],
+  bad_annotations: [
+    "The annotations cannot be used",
+    "Correct the file, or save it again as GeoJSON in pixels of this picture.",
+  ],
+  bad_project: [
+    "The project cannot be opened",
+    "Ask for the file again, or save the project again.",
+  ],
+  dead_link: [
+    "This link no longer works",
+    "Ask for a new link or the project file. If you have the picture, open it here: the handles of the link are placed on it.",
+  ],
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
 /** Indices of the handles that a problem is about: the member `handle`, and those that contradict each other. */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
-  return [...new Set([problem.handle, ...(problem.coincident ?? []).flatMap(({ handles }) => handles)])];
+  return [
+    ...new Set([problem.handle, ...(problem.coincident ?? []).flatMap(({ handles }) => handles)]),
+  ];
 }
 
-const series = (list) => (list.length > 1 ? `${list.slice(0, -1).join(", ")} and ${list.at(-1)}` : `${list}`);
+const series = (list) =>
+  list.length > 1 ? `${list.slice(0, -1).join(", ")} and ${list.at(-1)}` : `${list}`;
 
 /** Counts handles from 1 instead of 0, and rounds numbers. */
 const plain = (detail) =>
   detail
-    .replace(/\b(handles?) (\d+(?:(?:, | and )\d+\b(?! more))*)/gi, (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`)
+    .replace(
+      /\b(handles?) (\d+(?:(?:, | and )\d+\b(?! more))*)/gi,
+      (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`,
+    )
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
-export function problemWords({ code, title, detail: told, handle, coincident, status, opening, link, request_id: id }) {
+export function problemWords({
+  code,
+  title,
+  detail: told,
+  handle,
+  coincident,
+  status,
+  opening,
+  link,
+  request_id: id,
+}) {
   // The detail of `unauthorized` describes a request header, which does not help here. Status 0: the page's own words.
   const detail = code === "unauthorized" ? "" : status === 0 ? (told ?? "") : plain(told ?? "");
-  const [said, usual] = PROBLEMS[link ? "dead_link" : code] ?? [title || "Request rejected", "Undo the last step, or try again."];
+  const [said, usual] = PROBLEMS[link ? "dead_link" : code] ?? [
+    title || "Request rejected",
+    "Undo the last step, or try again.",
+  ];
   // Only requests for the open picture are repeated automatically.
-  const advice = opening ? usual.replace(/(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./, "Try again.") : usual;
+  const advice = opening
+    ? usual.replace(
+        /(Your handles are safe in this browser\. )?Retrying automatically\.|Undo the last step, or try again\./,
+        "Try again.",
+      )
+    : usual;
   // A file with several specimens, images or persons: this page takes all of a file.
-  const choose = code === "bad_landmarks" && /`item`/.test(told ?? "") ? "This page opens one set of landmarks: save the one that you need as a file of its own." : "";
+  const choose =
+    code === "bad_landmarks" && /`item`/.test(told ?? "")
+      ? "This page opens one set of landmarks: save the one that you need as a file of its own."
+      : "";
   const more = code === "internal" && id ? ` Request ${id}.` : "";
   const marks = marked({ handle, coincident });
   const where = marks.length ? ` Marked: ${series(marks.map((index) => index + 1))}.` : "";
-  const sentence = detail ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}` : "";
+  const sentence = detail
+    ? `${detail[0].toUpperCase()}${detail.slice(1)}${/[.!?]$/.test(detail) ? "" : "."}`
+    : "";
   return { title: said, detail: `${sentence}${more}`, advice: choose || `${advice}${where}` };
 }
 
@@ -85,15 +185,20 @@ const METHODS = {
   similarity: "Allows scaling and keeps angles: use it to make something larger or smaller.",
   affine: "Also allows stretching and shear: follows the handles most freely.",
   tps: "Bends the whole picture as little as it can, like a thin plate of metal. For pins only.",
-  global_affine: "Moves, turns, stretches and shears the whole picture as one: it passes near the handles, not through them. For pins only.",
+  global_affine:
+    "Moves, turns, stretches and shears the whole picture as one: it passes near the handles, not through them. For pins only.",
 };
 
 /** Why no line, path, border or twist is made. */
-export const PINS_ONLY = "Spline and Global take pins without a twist only: choose another method first";
+export const PINS_ONLY =
+  "Spline and Global take pins without a twist only: choose another method first";
 
 /** The note about the method of a document. `canSpline`: whether its handles may have that method. */
 export function methodWords({ method, smoothing }, canSpline) {
-  const near = method === "tps" && smoothing ? ` Smoothing ${smoothing}: it passes near the handles, not through them.` : "";
+  const near =
+    method === "tps" && smoothing
+      ? ` Smoothing ${smoothing}: it passes near the handles, not through them.`
+      : "";
   return `${METHODS[method]}${near}${canSpline ? "" : " Spline and Global are for pins only: not with lines, paths and twists."}`;
 }
 
@@ -103,7 +208,13 @@ export function noFitWords(pins, pinsOnly, least) {
   return pins < least ? `Choosing takes ${least} pins or more.` : "";
 }
 
-const NAMES = { rigid: "Rigid", similarity: "Similarity", affine: "Affine", tps: "Spline", global_affine: "Global" };
+const NAMES = {
+  rigid: "Rigid",
+  similarity: "Similarity",
+  affine: "Affine",
+  tps: "Spline",
+  global_affine: "Global",
+};
 const px = (length) => `${length < 9.95 ? length.toFixed(1) : Math.round(length)} px`;
 
 function candidateName({ method, alpha, smoothing }) {
@@ -114,15 +225,20 @@ function candidateName({ method, alpha, smoothing }) {
 /** Why a method was chosen. `before`: the method until then. */
 export function fitWords({ best, candidates, before, outliers, scale }) {
   const ranked = candidates.toSorted((a, b) => a.rms - b.rms);
-  const other = ranked.find(({ method }) => method === before && before !== best.method) ?? ranked.find(({ method }) => method !== best.method);
+  const other =
+    ranked.find(({ method }) => method === before && before !== best.method) ??
+    ranked.find(({ method }) => method !== best.method);
   const against = other ? `; ${candidateName(other)}: ${px(other.rms)}` : "";
-  const wrong = outliers.length ? ` Check ${outliers.length > 1 ? "pins" : "pin"} ${series(outliers.map((index) => index + 1))}: far from where the others put ${outliers.length > 1 ? "them" : "it"}.` : "";
+  const wrong = outliers.length
+    ? ` Check ${outliers.length > 1 ? "pins" : "pin"} ${series(outliers.map((index) => index + 1))}: far from where the others put ${outliers.length > 1 ? "them" : "it"}.`
+    : "";
   const drawn = ` Arrows lead from the prediction to the pin${scale > 1 ? `, ${scale} times as long` : ""}.`;
   return `${candidateName(best)} predicts left-out pins best: ${px(ranked[0].rms)} on average (RMS)${against}.${wrong}${drawn}`;
 }
 
 /** What is known about a pin whose residual is shown. */
-export const residualWords = ([x, y], outlier) => `, ${px(Math.hypot(x, y))} from its prediction${outlier ? ", an outlier" : ""}`;
+export const residualWords = ([x, y], outlier) =>
+  `, ${px(Math.hypot(x, y))} from its prediction${outlier ? ", an outlier" : ""}`;
 
 export const CANVAS = {
   same: "Shows the area of the picture.",
@@ -132,14 +248,22 @@ export const CANVAS = {
 
 /** What lies outside the canvas; empty if nothing does. */
 export function cutWords({ left, top, right, bottom }) {
-  const sides = [[left, "on the left"], [right, "on the right"], [top, "above"], [bottom, "below"]].filter(([length]) => length > 0);
-  return sides.length ? `Of the result, ${series(sides.map(([length, where]) => `${length} px ${where}`))} lie outside.` : "";
+  const sides = [
+    [left, "on the left"],
+    [right, "on the right"],
+    [top, "above"],
+    [bottom, "below"],
+  ].filter(([length]) => length > 0);
+  return sides.length
+    ? `Of the result, ${series(sides.map(([length, where]) => `${length} px ${where}`))} lie outside.`
+    : "";
 }
 
 export const OUTSIDE = {
   transparent: "Transparent outside the warped picture.",
   edge: "Extends the edge pixels outside the warped picture.",
-  reflect: "Mirrors the picture at its warped border. During a drag, the edge pixels are extended instead.",
+  reflect:
+    "Mirrors the picture at its warped border. During a drag, the edge pixels are extended instead.",
   colour: "Fills the outside of the warped picture with this colour.",
   value: "Fills the outside of the warped picture with this value of the file's own depth.",
 };
@@ -203,8 +327,10 @@ export const EXPORT = {
 /** Texts of the export as an animation. */
 export const ANIMATION = {
   notes: {
-    apng: (back) => `${back ? "The frames of the way back are added. " : ""}Browsers show an animated PNG like a picture.`,
-    gif: (back) => `${back ? "The frames of the way back are added. " : ""}At most 256 colours per frame, and shown everywhere.`,
+    apng: (back) =>
+      `${back ? "The frames of the way back are added. " : ""}Browsers show an animated PNG like a picture.`,
+    gif: (back) =>
+      `${back ? "The frames of the way back are added. " : ""}At most 256 colours per frame, and shown everywhere.`,
     zip: (back) => `${back ? "The frames of the way back are added. " : ""}Each frame is a PNG.`,
   },
   session: (seconds) => `It works until ${spanOf(seconds)} after the last request`,
@@ -212,70 +338,111 @@ export const ANIMATION = {
 
 export const WARNINGS = {
   affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
-  tps_degenerate_used_similarity: "The handles lie on a line: the picture turns and scales with it.",
+  tps_degenerate_used_similarity:
+    "The handles lie on a line: the picture turns and scales with it.",
   translation_only: "One handle: the whole picture is moved.",
   rotation_undefined: "The handles do not define a rotation: none is applied.",
   near_duplicate_handles: "Two handles are almost at the same position.",
-  coincident_handles: "Handles at the same position are moved apart: the picture follows their mean.",
+  coincident_handles:
+    "Handles at the same position are moved apart: the picture follows their mean.",
   line_alpha_below_one: "With a focus below 1, lines can deviate between their ends.",
-  tolerance_exceeded: "Some details are less precise than usual, because the picture changes too abruptly there.",
+  tolerance_exceeded:
+    "Some details are less precise than usual, because the picture changes too abruptly there.",
   handles_outside_picture: "A handle is far outside the picture.",
-  looks_normalized: "The units do not fit the picture: pixels and fractions of its size look mixed up.",
-  annotations_outside_picture: "Annotations are far outside the picture, or in other units than the handles.",
+  looks_normalized:
+    "The units do not fit the picture: pixels and fractions of its size look mixed up.",
+  annotations_outside_picture:
+    "Annotations are far outside the picture, or in other units than the handles.",
   nothing_visible: "The whole picture is outside the canvas.",
   mirrored: "The picture is mirrored.",
-  mirrored_use_affine: "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
-  scaled_use_similarity: "The handles change the size of the picture, which Rigid cannot. Choose Similarity.",
+  mirrored_use_affine:
+    "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
+  scaled_use_similarity:
+    "The handles change the size of the picture, which Rigid cannot. Choose Similarity.",
   handles_missing: "Handles without a position are left out.",
   landmarks_unmatched: "Landmarks that only one file has are left out.",
-  profile_dropped: "The result says less about its colours than the picture: they may look different.",
+  profile_dropped:
+    "The result says less about its colours than the picture: they may look different.",
   metadata_dropped: "The result lacks some of the picture's metadata.",
   file_repaired: "The picture's file is damaged where no pixel is: the picture is complete.",
 };
 
-export const STAGES = { queue: "Queue", decode: "Decoding", plan: "Plan", reduce: "Scaled copies", deform: "Deformation", render: "Rendering", encode: "PNG encoding" };
+export const STAGES = {
+  queue: "Queue",
+  decode: "Decoding",
+  plan: "Plan",
+  reduce: "Scaled copies",
+  deform: "Deformation",
+  render: "Rendering",
+  encode: "PNG encoding",
+};
 
 export const HINTS = {
   first: { mouse: "Click to place a pin, then drag it", touch: "Tap to place a pin, then drag it" },
-  sample: { mouse: "Drag a handle, or click to place another pin", touch: "Drag a handle, or tap to place another pin" },
-  one: { mouse: "One handle moves everything. Click to pin the parts that should stay", touch: "One handle moves everything. Tap to pin the parts that should stay" },
+  sample: {
+    mouse: "Drag a handle, or click to place another pin",
+    touch: "Drag a handle, or tap to place another pin",
+  },
+  one: {
+    mouse: "One handle moves everything. Click to pin the parts that should stay",
+    touch: "One handle moves everything. Tap to pin the parts that should stay",
+  },
   line: { mouse: "Drag a line, or click its two ends", touch: "Drag a line, or tap its two ends" },
-  path: { mouse: "Click the points of the path; double-click the last one", touch: "Tap the points of the path, then Finish" },
-  lasso: { mouse: "Draw around what may move, or click its corners", touch: "Draw around what may move, or tap its corners" },
+  path: {
+    mouse: "Click the points of the path; double-click the last one",
+    touch: "Tap the points of the path, then Finish",
+  },
+  lasso: {
+    mouse: "Draw around what may move, or click its corners",
+    touch: "Draw around what may move, or tap its corners",
+  },
   brush: { mouse: "Paint over what may move", touch: "Paint over what may move" },
   move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
 
 export function waitingWords({ handles, annotations }) {
-  const parts = [handles && `${handles.name} has ${count(handles.document.handles.length, "handle")}.`, annotations && `${annotations.name} has annotations.`];
+  const parts = [
+    handles && `${handles.name} has ${count(handles.document.handles.length, "handle")}.`,
+    annotations && `${annotations.name} has annotations.`,
+  ];
   const isOne = !annotations && handles.document.handles.length === 1;
   return `${parts.filter(Boolean).join(" ")} Choose the picture or sample that ${isOne ? "it belongs" : "they belong"} to.`;
 }
 
-export const annotationWords = (name, n) => `${name}: ${count(n, "annotation")}, moved with the picture.`;
+export const annotationWords = (name, n) =>
+  `${name}: ${count(n, "annotation")}, moved with the picture.`;
 
 /** About the files that were opened with others, and not used. */
-export const unusedWords = (names) => `Not used: ${series(names)}. One picture, two landmark files and one GeoJSON file are opened at a time.`;
+export const unusedWords = (names) =>
+  `Not used: ${series(names)}. One picture, two landmark files and one GeoJSON file are opened at a time.`;
 
 export const ALIGN = {
   none: "The pose is where its file or you have put it.",
-  rigid: "The pose is moved and turned to fit the rest positions best. Editing a handle applies this.",
-  similarity: "The pose is moved, turned and scaled to fit the rest positions best. Editing a handle applies this.",
-  affine: "The pose is moved, turned, stretched and sheared to fit the rest positions best. Editing a handle applies this.",
+  rigid:
+    "The pose is moved and turned to fit the rest positions best. Editing a handle applies this.",
+  similarity:
+    "The pose is moved, turned and scaled to fit the rest positions best. Editing a handle applies this.",
+  affine:
+    "The pose is moved, turned, stretched and sheared to fit the rest positions best. Editing a handle applies this.",
 };
 
-const spanOf = (seconds) => (seconds < 60 ? count(Math.round(seconds), "second") : count(Math.round(seconds / 60), "minute"));
+const spanOf = (seconds) =>
+  seconds < 60 ? count(Math.round(seconds), "second") : count(Math.round(seconds / 60), "minute");
 
 /** Until when a link to a session works. */
 export function linkWords({ expires }) {
   const [end, now] = [new Date(expires), new Date()];
-  const day = end.toDateString() === now.toDateString() ? "" : `${end.toLocaleDateString("en", { day: "numeric", month: "long" })}, `;
+  const day =
+    end.toDateString() === now.toDateString()
+      ? ""
+      : `${end.toLocaleDateString("en", { day: "numeric", month: "long" })}, `;
   const time = end.toLocaleTimeString("en", { hour: "2-digit", minute: "2-digit", hour12: false });
   return `It works until ${day}${time}, and for ${spanOf((end - now) / 1000)} after each use.`;
 }
 
 /** A link to a session that has ended. */
-export const deadLinkWords = (name, idle) => `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
+export const deadLinkWords = (name, idle) =>
+  `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
 
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);

@@ -29,7 +29,10 @@ for (const [index, object] of objects.entries()) {
     complaints[index].push(refusal.message);
   }
   // One line per object, so that the line of a message identifies the object.
-  lines.push({ index, text: `export const o${index}: import("${module}").I${object.kind} = ${JSON.stringify(object)};` });
+  lines.push({
+    index,
+    text: `export const o${index}: import("${module}").I${object.kind} = ${JSON.stringify(object)};`,
+  });
 }
 
 writeFileSync("kinds.ts", lines.map((line) => line.text).join("\n"));
@@ -43,7 +46,8 @@ const program = ts.createProgram(["kinds.ts"], {
 });
 for (const diagnostic of ts.getPreEmitDiagnostics(program)) {
   const said = ts.flattenDiagnosticMessageText(diagnostic.messageText, " ");
-  if (!diagnostic.file?.fileName.endsWith("kinds.ts")) throw new Error(`${diagnostic.file?.fileName}: ${said}`);
+  if (!diagnostic.file?.fileName.endsWith("kinds.ts"))
+    throw new Error(`${diagnostic.file?.fileName}: ${said}`);
   const { line } = diagnostic.file.getLineAndCharacterOfPosition(diagnostic.start);
   complaints[lines[line].index].push(said);
 }

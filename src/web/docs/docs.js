@@ -78,12 +78,22 @@ async function build(example) {
   example.append(bar);
   for (const language of languages.split(" ")) {
     const text = await (await fetch(`docs/examples/${name}.${language}`)).text();
-    const tab = element("button", { id: `${name}-${language}-tab`, role: "tab", type: "button", textContent: LANGUAGES[language] });
+    const tab = element("button", {
+      id: `${name}-${language}-tab`,
+      role: "tab",
+      type: "button",
+      textContent: LANGUAGES[language],
+    });
     tab.dataset.language = language;
     tab.setAttribute("aria-controls", `${name}-${language}`);
     tab.onclick = () => keepInPlace(tab, () => select(language));
     list.append(tab);
-    const panel = element("pre", { id: `${name}-${language}`, role: "tabpanel", tabIndex: 0, textContent: text.replaceAll(WRITTEN, server.replace(/\/$/, "")) });
+    const panel = element("pre", {
+      id: `${name}-${language}`,
+      role: "tabpanel",
+      tabIndex: 0,
+      textContent: text.replaceAll(WRITTEN, server.replace(/\/$/, "")),
+    });
     panel.setAttribute("aria-labelledby", tab.id);
     example.append(panel);
   }
@@ -92,7 +102,12 @@ async function build(example) {
     copy.textContent = "Copied";
     setTimeout(() => (copy.textContent = "Copy"), 1500);
   };
-  const button = element("button", { className: "run", type: "button", textContent: "Run", title: "Runs the JavaScript" });
+  const button = element("button", {
+    className: "run",
+    type: "button",
+    textContent: "Run",
+    title: "Runs the JavaScript",
+  });
   button.setAttribute("aria-label", `Run the example "${name}"`);
   button.onclick = () => run(name, button, results);
   bar.append(button);
