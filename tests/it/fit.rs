@@ -35,7 +35,8 @@ fn field(candidate: Candidate, p: &[Point], weights: &[f64], scale: f64) -> Fiel
             return Field::spline(set, scale * candidate.smoothing.unwrap()).unwrap();
         }
         Method::GlobalAffine => {
-            return Field::global_affine_unless(set, Coincident::default(), 1.0, &|| false).unwrap();
+            return Field::global_affine_unless(set, Coincident::default(), 1.0, &|| false)
+                .unwrap();
         }
         Method::Affine => Family::Affine,
         Method::Similarity => Family::Similarity,
