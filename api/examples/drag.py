@@ -44,8 +44,9 @@ def pose(rest, step):
 
 async def move(socket, rest, progress):
     """Sends 125 poses per second without waiting for frames: the server keeps only the newest pose."""
-    for progress["seq"] in range(progress["seq"], STEPS):
-        await socket.send(json.dumps({"seq": progress["seq"], "q": pose(rest, progress["seq"])}))
+    for seq in range(progress["seq"], STEPS):
+        progress["seq"] = seq
+        await socket.send(json.dumps({"seq": seq, "q": pose(rest, seq)}))
         await asyncio.sleep(1 / 125)
 
 

@@ -9,6 +9,7 @@ Each attack lasts five seconds. Prints p50 and p99 in milliseconds, and the rati
 without an attack and p99 of the control server. The exit status is 1 if a ratio exceeds two.
 """
 
+import contextlib
 import http.client
 import json
 import multiprocessing
@@ -40,7 +41,7 @@ def ask(connection, method, path, body=None, headers=None):
 
 def parts(fields):
     """A multipart body of these (name, bytes)."""
-    boundary = "attack%016x" % random.getrandbits(64)
+    boundary = f"attack{random.getrandbits(64):016x}"
     head = '--{}\r\nContent-Disposition: form-data; name="{}"; filename="a"\r\n\r\n'
     body = b"".join(head.format(boundary, name).encode() + data + b"\r\n" for name, data in fields)
     return body + f"--{boundary}--\r\n".encode(), {
@@ -131,10 +132,8 @@ def batch_annotations():
             # The answer is not read.
             s = socket.create_connection((HOST, PORT), source_address=("127.0.1.1", 0))
             head = f"POST /sessions/{one}/batch HTTP/1.1\r\nHost: {HOST}\r\nContent-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
-            try:
+            with contextlib.suppress(OSError):
                 s.sendall(head.encode() + body.encode())
-            except OSError:
-                pass
             held = held[-40:] + [s]
 
     return [attack, attack]
@@ -298,7 +297,7 @@ def innocent(end, times):
             (connect(port), session(port, {"p": [[100, 100], [300, 300], [200, 400]]}), [])
         )
     while time.time() < end.value:
-        for k, (connection, id_, own) in enumerate(targets):
+        for connection, id_, own in targets:
             x = random.uniform(-20, 20)
             body = json.dumps(
                 {

@@ -15,8 +15,9 @@ import threading
 import time
 from statistics import median, quantiles
 
-from programs import Program, pose
 from websockets.sync.client import connect
+
+from programs import Program, pose
 
 RATE = 125
 POSES = 3 * RATE

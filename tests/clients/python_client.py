@@ -21,11 +21,12 @@ from mlswarp_client.models import (
     Points,
     PointsAnswer,
     PosedPoints,
+    Problem,
+    ProblemCode,
     Session,
     WarpBody,
     WarpObject,
 )
-from mlswarp_client.models import Problem, ProblemCode
 from mlswarp_client.types import File
 
 server, key, picture, folder = sys.argv[1:]

@@ -22,8 +22,7 @@ def run(*command, check=True, env=None, stdin=None):
     done = subprocess.run(
         [str(c) for c in command],
         stdin=stdin or subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        capture_output=True,
         env=env,
     )
     if check and done.returncode != 0:

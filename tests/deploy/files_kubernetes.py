@@ -227,7 +227,7 @@ def strangers(cluster, policy, peers, wanted):
 
 
 def hardening(workload):
-    spec, said = workload["spec"]["template"]["spec"], []
+    spec = workload["spec"]["template"]["spec"]
     pod = spec.get("securityContext", {})
     rules = {
         "runs as somebody": pod.get("runAsNonRoot") is True and pod.get("runAsUser", 0) > 0,

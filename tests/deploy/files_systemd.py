@@ -184,7 +184,7 @@ def check():
     if not needed + 3 <= float(last["TimeoutStopSec"]):
         said.append(f"it takes {needed} s to stop; {last['TimeoutStopSec']} are given")
     if not own.get("MLSWARP_STORE", "").startswith(f"file:%S/{last['StateDirectory']}/"):
-        said.append(f"no state directory for MLSWARP_STORE")
+        said.append("no state directory for MLSWARP_STORE")
     yield "variables, grace and places are the program's", said
 
     with program.serving(own, preexec=filter_of(text)) as ask:

@@ -5,7 +5,7 @@ import json
 import os
 import tempfile
 import time
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 
 from commands import Failure, free_port, say, text, where
@@ -64,11 +64,9 @@ class Container:
             if time.monotonic() > deadline:
                 raise Failure(f"not ready after {READY_SECONDS:.0f} s: {self.state()}")
             time.sleep(0.005)
-        ready = datetime.now(timezone.utc)
+        ready = datetime.now(UTC)
         started = self.state()["StartedAt"][:26].rstrip("Z")
-        return (
-            ready - datetime.fromisoformat(started).replace(tzinfo=timezone.utc)
-        ).total_seconds()
+        return (ready - datetime.fromisoformat(started).replace(tzinfo=UTC)).total_seconds()
 
     def warp(self, photograph, spec):
         """(status, content type, body) of a warp requested with curl."""

@@ -227,13 +227,15 @@ def copied(place):
 def build(engine, tag=IMAGE, *options):
     """Builds deploy/Dockerfile unchanged, on the network of the host."""
     base = builder_image(engine)
-    with timed(
-        f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"
+    with (
+        timed(
+            f"building deploy/Dockerfile ({'BuildKit' if engine.buildkit else 'the old builder'})"
+        ),
+        tempfile.TemporaryDirectory(dir=CACHE) as place,
     ):
-        with tempfile.TemporaryDirectory(dir=CACHE) as place:
-            files = copied(Path(place) / "src")
-            given = ["--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options]
-            engine.build(*given, "-f", files / "deploy/Dockerfile", "-t", tag, files)
+        files = copied(Path(place) / "src")
+        given = ["--network=host", "--build-arg", f"BUILDER={base}", *build_options(), *options]
+        engine.build(*given, "-f", files / "deploy/Dockerfile", "-t", tag, files)
 
 
 def program(engine, place, tag=IMAGE):

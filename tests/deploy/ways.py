@@ -19,7 +19,7 @@ from pathlib import Path
 
 from commands import ROOT, Failure, run, say, text, timed, where
 from engine import Apart
-from images import IMAGE, builder_image, build_options, copied, systemd_image
+from images import build_options, builder_image, copied, systemd_image
 from readme_commands import block
 
 COMPOSE = ROOT / "deploy" / "compose.yaml"

@@ -14,9 +14,8 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from PIL import Image, ImageChops, ImageDraw
-
 import playwright.sync_api
+from PIL import Image, ImageChops, ImageDraw
 
 HERE = Path(__file__).resolve().parent
 KEPT = HERE.parent / "artefacts" / "e2e"

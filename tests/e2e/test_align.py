@@ -7,7 +7,7 @@ import math
 import pytest
 from PIL import Image
 
-from support import BLUE, GREEN, RED, near
+from support import BLUE, GREEN, near
 from test_files import REST, drop, pts
 from test_output import run
 

@@ -4,7 +4,6 @@ import json
 
 from support import PHOTOGRAPHS
 
-
 # Landmarks of a face, and where an affine map takes them.
 LANDMARKS = [
     (183, 108),

@@ -2,6 +2,7 @@ import io
 import json
 import pathlib
 import zipfile
+
 import httpx
 
 server = httpx.Client(base_url="http://127.0.0.1:8080")

@@ -1,6 +1,7 @@
 import asyncio
 import json
 import struct
+
 import httpx
 from websockets.asyncio.client import connect  # pip install websockets
 

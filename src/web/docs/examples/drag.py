@@ -1,5 +1,6 @@
 import asyncio
 import json
+
 import httpx
 from websockets.asyncio.client import connect  # pip install websockets
 

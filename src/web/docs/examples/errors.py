@@ -1,4 +1,5 @@
 import json
+
 import httpx
 
 server = httpx.Client(base_url="http://127.0.0.1:8080")

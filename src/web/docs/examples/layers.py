@@ -1,5 +1,6 @@
 import io
 import json
+
 import httpx  # pip install httpx pillow
 from PIL import Image, ImageDraw
 

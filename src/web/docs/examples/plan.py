@@ -1,5 +1,6 @@
 import json
 import struct
+
 import httpx
 import numpy as np  # pip install numpy
 
