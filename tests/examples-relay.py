@@ -1,4 +1,5 @@
-"""A way to a server on which the first drag socket goes silent: its connection stays open, and nothing is received through it.
+"""A way to a server on which the first drag socket goes silent: its connection stays open, and
+nothing is received through it.
 
 examples-relay.py SERVER_PORT      prints its own port
 """

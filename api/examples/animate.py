@@ -1,10 +1,15 @@
 #!/usr/bin/env python3
-"""Makes an animated WebP of a warp: the image deforms from its rest pose to the posed handles and back.
+"""Makes an animated WebP of a warp: the image deforms from its rest pose to the posed handles and
+back.
 
-    api/examples/animate.py IMAGE WARP.json OUT.webp [PROGRAM]      PROGRAM: default target/release/mlswarp
+    api/examples/animate.py IMAGE WARP.json OUT.webp [PROGRAM]
 
-IMAGE is an image, WARP.json a warp object with p and q in px (api/examples has five). `mlswarp warp` renders every frame. Requires Pillow.
-The animation at the top of README.md: api/examples/animate.py tests/images/astronaut.png api/examples/thinner-face.json api/examples/drag.webp
+IMAGE is an image, WARP.json a warp object with p and q in px (api/examples has five). `mlswarp
+warp` renders every frame; PROGRAM is target/release/mlswarp by default. Requires Pillow. The
+animation at the top of README.md:
+
+    api/examples/animate.py tests/images/astronaut.png api/examples/thinner-face.json \\
+        api/examples/drag.webp
 """
 
 import io

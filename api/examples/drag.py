@@ -3,7 +3,8 @@
     pip install httpx websockets        (Python 3.11 or later)
     python drag.py IMAGE OUT.png [http://127.0.0.1:8080] [--key KEY]
 
-A server with keys needs one: --key, or the variable MLSWARP_KEY, which no other user of the machine can see.
+A server with keys needs one: --key, or the variable MLSWARP_KEY, which no other user of the machine
+can see.
 """
 
 import argparse
@@ -28,7 +29,8 @@ def failure(status, body):
         problem = json.loads(body)
         return f"{problem['code']}: {problem['detail']}"
     except (ValueError, TypeError, KeyError):
-        return f"the server answered {status}: {body[:200]!r}"  # something else is there, for example a proxy
+        # Something else is there, for example a proxy.
+        return f"the server answered {status}: {body[:200]!r}"
 
 
 def checked(answer):
@@ -43,7 +45,8 @@ def pose(rest, step):
 
 
 async def move(socket, rest, progress):
-    """Sends 125 poses per second without waiting for frames: the server keeps only the newest pose."""
+    """Sends 125 poses per second without waiting for frames: the server keeps only the newest
+    pose."""
     for seq in range(progress["seq"], STEPS):
         progress["seq"] = seq
         await socket.send(json.dumps({"seq": seq, "q": pose(rest, seq)}))
@@ -51,7 +54,8 @@ async def move(socket, rest, progress):
 
 
 async def watch(socket):
-    """Acknowledges each frame; the server then sends the next one. The last frame has the last pose, at full size."""
+    """Acknowledges each frame; the server then sends the next one. The last frame has the last
+    pose, at full size."""
     while True:
         message = await asyncio.wait_for(socket.recv(), PATIENCE)
         if isinstance(message, str):
@@ -69,7 +73,8 @@ async def watch(socket):
 
 
 async def drag(address, headers, rest):
-    """If the socket closes or is silent, opens another one, which begins with the last pose sent."""
+    """If the socket closes or is silent, opens another one, which begins with the last pose
+    sent."""
     progress = {"seq": 0}
     for _ in range(20):
         try:

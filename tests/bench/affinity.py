@@ -1,19 +1,24 @@
 #!/usr/bin/env python3
-"""Session affinity: a simulation of sessions on replicas whose caches hold a limited number of plans.
+"""Session affinity: a simulation of sessions on replicas whose caches hold a limited number of
+plans.
 
-    tests/bench/affinity.py                    the tables of deploy/capacity.md, a few minutes on one core
+    tests/bench/affinity.py                    the tables of deploy/capacity.md, in minutes
     tests/bench/affinity.py --sessions 4000    another size; --help lists all options
     tests/bench/affinity.py --check            checks the laws of every selection method, in seconds
 
-Every method gets the same requests, generated from one seed. A replica is one core that serves requests in order of arrival. A request costs --warm-ms if its
-plan is in the cache (least recently used), otherwise --cold-ms: fetching the file, decoding it, building the plan, and the drag. Sessions arrive and end. Their
-activity is Zipf-like (a few cause most of the load), in bursts of a few seconds at 10 poses per second.
+Every method gets the same requests, generated from one seed. A replica is one core that serves
+requests in order of arrival. A request costs --warm-ms if its plan is in the cache (least recently
+used), otherwise --cold-ms: fetching the file, decoding it, building the plan, and the drag.
+Sessions arrive and end. Their activity is Zipf-like (a few cause most of the load), in bursts of a
+few seconds at 10 poses per second.
 
-`posts` hashes every pose, as a proxy does with `POST /sessions/{id}/warp`. `sockets` selects a replica once per visit, as for a drag socket, which stays there
-until the replica leaves. Bounded load compares the open requests (or sockets) of a replica with the factor times the mean.
+`posts` hashes every pose, as a proxy does with `POST /sessions/{id}/warp`. `sockets` selects a
+replica once per visit, as for a drag socket, which stays there until the replica leaves. Bounded
+load compares the open requests (or sockets) of a replica with the factor times the mean.
 
-Methods: `ring n` has n points per replica (HAProxy: 16 times the weight; nginx: 160 times), `maglev` is Envoy's table of 65,537 entries. With bounded load,
-HAProxy replaces a full replica by the next on the ring, Envoy by another one that depends on the key only.
+Methods: `ring n` has n points per replica (HAProxy: 16 times the weight; nginx: 160 times),
+`maglev` is Envoy's table of 65,537 entries. With bounded load, HAProxy replaces a full replica by
+the next on the ring, Envoy by another one that depends on the key only.
 """
 
 import argparse
@@ -35,7 +40,7 @@ def mixed(value):
     return value ^ (value >> 31)
 
 
-# --- selection methods: choose(key, open) returns a replica; `open` has the open requests of each -----------------------------------------
+# --- selection methods: choose(key, open) returns a replica; `open` has the open requests of each -
 
 
 class RoundRobin:
@@ -56,7 +61,8 @@ class Modulo:
 
 
 class Bounded:
-    """Skips replicas with at least the factor times the mean load; there is always one with less."""
+    """Skips replicas with at least the factor times the mean load; there is always one with
+    less."""
 
     def __init__(self, replicas, factor):
         self.replicas, self.factor = list(replicas), factor
@@ -125,11 +131,12 @@ WAYS = {
 }
 
 
-# --- requests ---------------------------------------------------------------------------------------------------------------------
+# --- requests -------------------------------------------------------------------------------------
 
 
 def requests(options, hot):
-    """(time, session, visit) of every pose, ordered by time. A visit is a series of bursts of a session, less than a minute apart."""
+    """(time, session, visit) of every pose, ordered by time. A visit is a series of bursts of a
+    session, less than a minute apart."""
     chance = random.Random(options.seed)
     ends = options.seconds
     # Sessions that exist at the start, and arrivals: as many as end.
@@ -166,7 +173,7 @@ def requests(options, hot):
     return poses
 
 
-# --- simulation -------------------------------------------------------------------------------------------------------------------
+# --- simulation -----------------------------------------------------------------------------------
 
 
 class Window:
@@ -199,7 +206,8 @@ class Window:
 
 
 def play(way, poses, options, change):
-    """Simulates all requests; `change` happens in the middle: None, "leave", "join", "slow". Returns the window before it and the minute after."""
+    """Simulates all requests; `change` happens in the middle: None, "leave", "join", "slow".
+    Returns the window before it and the minute after."""
     before = list(range(1, options.replicas + 1))
     after = {"leave": before[:-1], "join": [*before, options.replicas + 1]}.get(change, before)
     choose = way(before)
@@ -272,12 +280,15 @@ def table(options):
         options.at - options.settle
     )
     print(
-        f"{options.replicas} replicas of one core, {options.plans} plans each; {options.sessions} sessions, {steady_poses:.0f} poses a second by {options.traffic}; "
+        f"{options.replicas} replicas of one core, {options.plans} plans each; {options.sessions} "
+        f"sessions, {steady_poses:.0f} poses a second by {options.traffic}; "
         f"warm {options.warm_ms} ms, cold {options.cold_ms} ms; seed {options.seed}\n"
     )
     print(
-        "| | steady: warm | busiest / mean | rebuilding, of capacity | wait, 99 in 100 | minute after one left: warm | rebuilding | wait | "
-        "after one joined: warm | hot sessions: warm | busiest / mean | wait | a slow replica: busiest / mean | wait |"
+        "| | steady: warm | busiest / mean | rebuilding, of capacity | wait, 99 in 100 | minute "
+        "after one left: warm | rebuilding | wait | "
+        "after one joined: warm | hot sessions: warm | busiest / mean | wait | a slow replica: "
+        "busiest / mean | wait |"
     )
     print("|---|" + "---|" * 13)
     for name, way in WAYS.items():
@@ -303,7 +314,7 @@ def table(options):
         print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
 
 
-# --- laws -------------------------------------------------------------------------------------------------------------------------
+# --- laws -----------------------------------------------------------------------------------------
 
 
 def check():
@@ -344,7 +355,8 @@ def check():
     spread = [table_of.count(replica) for replica in twelve]
     assert max(spread) - min(spread) <= 1, "Maglev gives each replica the same number of places"
 
-    # A small simulation: affinity must have a benefit, and the same seed must give the same figures.
+    # A small simulation: affinity must have a benefit, and the same seed must give the same
+    # figures.
     options = parser().parse_args(
         [
             "--sessions",

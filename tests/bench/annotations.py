@@ -1,5 +1,6 @@
-"""Warps a photograph with keypoints, boxes and a label mask by albumentations and by the program, and measures how well the annotations
-follow the picture, and how many pictures per second each makes. Run it by tests/bench/annotations."""
+"""Warps a photograph with keypoints, boxes and a label mask by albumentations and by the program,
+and measures how well the annotations follow the picture, and how many pictures per second each
+makes. Run it by tests/bench/annotations."""
 
 import http.client
 import json
@@ -21,9 +22,11 @@ PROGRAM = os.environ.get("MLSWARP_PROGRAM", ROOT / "target" / "release" / "mlswa
 FILES = ROOT / "target" / "annotations-files"
 RESULTS = ROOT / "tests" / "bench" / "results" / "annotations.md"
 PHOTO = ROOT / "tests" / "images" / "astronaut.png"
-# Pictures of one contender for accuracy: at most, at least, and how many of them are compared with the inverse.
+# Pictures of one contender for accuracy: at most, at least, and how many of them are compared with
+# the inverse.
 PICTURES, FEWEST, INVERSES = 20, 3, 3
-# Seconds of one contender, for accuracy and for speed, and its samples for speed: at least and at most.
+# Seconds of one contender, for accuracy and for speed, and its samples for speed: at least and at
+# most.
 PATIENCE, ENOUGH, LEAST, MOST = 40.0, 5.0, 2, 200
 # Frames of a batch.
 BATCH = 50
@@ -44,20 +47,27 @@ cv2.setNumThreads(1)
 warnings.simplefilter("ignore")
 lines = []
 
-HEAD = """Both sides warp one photograph of 512 x 512 pixels with 36 keypoints, 9 boxes and a label mask, with random displacements of about the
-same size where the other side has a parameter for it. Positions are in px.
+HEAD = """\
+Both sides warp one photograph of 512 x 512 pixels with 36 keypoints, 9 boxes and a label mask, with
+random displacements of about the same size where the other side has a parameter for it. Positions
+are in px.
 
-- **Keypoints.** A dot of 5 x 5 pixels is drawn at each one, in a channel of its own, and warped with the picture. The drift is the distance
-  between the centroid of the warped dot and the keypoint that is returned. The keypoints lie on pixel centres, because albumentations rounds
-  them. A keypoint is lost if its dot is in the picture and it is not returned.
-- **Boxes.** Each is drawn filled, in a channel of its own, and warped. The error is the largest difference of a side of the box that is
-  returned from the bounding box of the pixels that are at least half covered, which is itself rounded to whole pixels.
-- **Labels.** Of the pixels of the warped mask: those whose label the source does not have, and those that differ from the source's label at
-  the exact inverse of the pixel's centre, which is the map that albumentations draws with, and `POST /points` with `"inverse": true` for
-  mlswarp. A pixel is at a border if the source has another label within 0.5 px of that position.
-- **Speed.** Samples of all contenders alternate; medians; one compute thread each. albumentations runs in the measuring process and returns
-  arrays, or PNG files of the picture and the mask (compression 1). mlswarp runs in a process of its own and always returns PNG files over
-  HTTP, as three requests for each picture (picture, mask, positions) or as one batch; `arrays` includes their decoding by OpenCV.
+- **Keypoints.** A dot of 5 x 5 pixels is drawn at each one, in a channel of its own, and warped
+  with the picture. The drift is the distance between the centroid of the warped dot and the
+  keypoint that is returned. The keypoints lie on pixel centres, because albumentations rounds them.
+  A keypoint is lost if its dot is in the picture and it is not returned.
+- **Boxes.** Each is drawn filled, in a channel of its own, and warped. The error is the largest
+  difference of a side of the box that is returned from the bounding box of the pixels that are at
+  least half covered, which is itself rounded to whole pixels.
+- **Labels.** Of the pixels of the warped mask: those whose label the source does not have, and
+  those that differ from the source's label at the exact inverse of the pixel's centre, which is the
+  map that albumentations draws with, and `POST /points` with `"inverse": true` for mlswarp. A pixel
+  is at a border if the source has another label within 0.5 px of that position.
+- **Speed.** Samples of all contenders alternate; medians; one compute thread each. albumentations
+  runs in the measuring process and returns arrays, or PNG files of the picture and the mask
+  (compression 1). mlswarp runs in a process of its own and always returns PNG files over HTTP, as
+  three requests for each picture (picture, mask, positions) or as one batch; `arrays` includes
+  their decoding by OpenCV.
 
 `mask` and `direct` are the two ways in which albumentations maps keypoints; `mask` is its default.
 """
@@ -106,7 +116,8 @@ class Job:
 
 
 class Warped:
-    """A picture and its annotations after a warp. A keypoint or box that was not returned is missing from its dictionary."""
+    """A picture and its annotations after a warp. A keypoint or box that was not returned is
+    missing from its dictionary."""
 
     def __init__(self, photo, mask, keypoints, boxes, dots=(), drawn=()):
         self.photo, self.mask, self.keypoints, self.boxes = photo, mask, keypoints, boxes
@@ -115,7 +126,8 @@ class Warped:
 
 
 class Theirs:
-    """A transform of albumentations. `places()`: the source position of each pixel of the last picture."""
+    """A transform of albumentations. `places()`: the source position of each pixel of the last
+    picture."""
 
     def __init__(self, job, make, method):
         self.job, self.transform = job, make(method)
@@ -407,7 +419,8 @@ class Figures:
 
 
 def measure(job, contenders):
-    """The figures of contenders: {name: object}; those of albumentations after the first have the same maps."""
+    """The figures of contenders: {name: object}; those of albumentations after the first have the
+    same maps."""
     figures = {}
     for name, contender in contenders.items():
         figures[name], began = Figures(), time.perf_counter()
@@ -443,8 +456,8 @@ def show(name, job, warped):
 
 
 def turns(contenders):
-    """Pictures per second of {name: function, which makes that many}; one sample of each in turn, after one that is not measured. Slow ones
-    stop when their time is used."""
+    """Pictures per second of {name: function, which makes that many}; one sample of each in turn,
+    after one that is not measured. Slow ones stop when their time is used."""
     samples, spent = {name: [] for name in contenders}, dict.fromkeys(contenders, 0.0)
     for turn in range(MOST + 1):
         for name, work in contenders.items():
@@ -480,12 +493,14 @@ def row(name, figures):
     displaced = numpy.sqrt(numpy.mean(figures.displacements))
     share = f"{100 * figures.wrong / figures.pixels:.3f} | {figures.wrong_inside}"
     say(
-        f"| {name} | {figures.pictures} | {displaced:.1f} | {at} | {figures.lost} of {figures.dots} | {box} | {figures.invented} | {share} |"
+        f"| {name} | {figures.pictures} | {displaced:.1f} | {at} | {figures.lost} of "
+        f"{figures.dots} | {box} | {figures.invented} | {share} |"
     )
 
 
 def kinds():
-    """{kind: (a function that makes their transform, its description, our method, handles along a side, sigma of their moves in px)}."""
+    """{kind: (a function that makes their transform, its description, our method, handles along a
+    side, sigma of their moves in px)}."""
     return {
         "elastic": (
             lambda method: albumentations.ElasticTransform(
@@ -518,13 +533,18 @@ def kinds():
 def main():
     job = Job()
     cpu = [line.split(": ")[1] for line in open("/proc/cpuinfo") if line.startswith("model name")]
-    versions = f"albumentations {albumentations.__version__}, cv2 {cv2.__version__}, numpy {numpy.__version__}"
+    versions = (
+        f"albumentations {albumentations.__version__}, cv2 {cv2.__version__}, numpy "
+        f"{numpy.__version__}"
+    )
     say(
-        "# annotations: a picture, its keypoints, boxes and label mask, side by side with albumentations\n"
+        "# annotations: a picture, its keypoints, boxes and label mask, side by side with "
+        "albumentations\n"
     )
     say(HEAD)
     say(
-        f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}.\n"
+        f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} "
+        f"before; {versions}.\n"
     )
     program = Program()
     try:

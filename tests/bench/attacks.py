@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
-"""What hostile clients cost an innocent one: its response times beside each kind of attack, and without it.
+"""What hostile clients cost an innocent one: its response times beside each kind of attack, and
+without it.
 
     tests/bench/attacks.py PROGRAM [NAME ...]      names select attacks; needs curl
 
-Two servers run. The innocent client, a process of its own, drags a session of each in turns, every 30 ms: the attacked server, and the
-other one (control), whose times show what the load of the machine costs. Attackers are processes with other addresses of the loopback.
-Each attack lasts five seconds. Prints p50 and p99 in milliseconds, and the ratio of p99 beside the attack to the larger one of p99
-without an attack and p99 of the control server. The exit status is 1 if a ratio exceeds two.
+Two servers run. The innocent client, a process of its own, drags a session of each in turns, every
+30 ms: the attacked server, and the other one (control), whose times show what the load of the
+machine costs. Attackers are processes with other addresses of the loopback. Each attack lasts five
+seconds. Prints p50 and p99 in milliseconds, and the ratio of p99 beside the attack to the larger
+one of p99 without an attack and p99 of the control server. The exit status is 1 if a ratio exceeds
+two.
 """
 
 import contextlib
@@ -86,7 +89,8 @@ def repeat(end, address, method, path, body=None, headers=None):
             connection = connect(PORT, address)
 
 
-# Each attack returns a list of functions of the time of its end, one for each attacking process, and is prepared before the clock starts.
+# Each attack returns a list of functions of the time of its end, one for each attacking process,
+# and is prepared before the clock starts.
 
 
 def landmarks_cr():
@@ -123,15 +127,20 @@ def head_plan():
 def batch_annotations():
     one = session(PORT, {"p": [[100, 100], [300, 300]]})
     foreign = "[" + ",".join("0" * 1_900_000) + "]"
-    point = '{"type":"FeatureCollection","features":[{"type":"Feature","properties":{},"geometry":{"type":"Point","coordinates":[1,2]}}],"x":%s}'
-    body = '{"q":[[110,100],[300,310]],"steps":2,"geojson":%s}' % (point % foreign)
+    point = {"type": "Point", "coordinates": [1, 2]}
+    feature = json.dumps({"type": "Feature", "properties": {}, "geometry": point})
+    geojson = f'{{"type":"FeatureCollection","features":[{feature}],"x":{foreign}}}'
+    body = f'{{"q":[[110,100],[300,310]],"steps":2,"geojson":{geojson}}}'
 
     def attack(end):
         held = []
         while time.time() < end:
             # The answer is not read.
             s = socket.create_connection((HOST, PORT), source_address=("127.0.1.1", 0))
-            head = f"POST /sessions/{one}/batch HTTP/1.1\r\nHost: {HOST}\r\nContent-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
+            head = (
+                f"POST /sessions/{one}/batch HTTP/1.1\r\nHost: {HOST}\r\nContent-Type: "
+                f"application/json\r\nContent-Length: {len(body)}\r\n\r\n"
+            )
             with contextlib.suppress(OSError):
                 s.sendall(head.encode() + body.encode())
             held = held[-40:] + [s]
@@ -318,7 +327,8 @@ def percentiles(times):
 
 
 def measure(attackers):
-    """The innocent client's times beside these attackers: of the attacked server, and of the other one."""
+    """The innocent client's times beside these attackers: of the attacked server, and of the other
+    one."""
     end, times = multiprocessing.Value("d", time.time() + 60), multiprocessing.Queue()
     client = multiprocessing.Process(target=innocent, args=(end, times))
     client.start()
@@ -364,7 +374,8 @@ def main():
             ratio = attacked[1] / max(alone[1], control[1])
             worst = max(worst, ratio)
             print(
-                f"{name:46} p50 {attacked[0]:7.1f}  p99 {attacked[1]:7.1f} ms;  control {control[0]:6.1f} {control[1]:6.1f};  ratio {ratio:.2f}",
+                f"{name:46} p50 {attacked[0]:7.1f}  p99 {attacked[1]:7.1f} ms;  control "
+                f"{control[0]:6.1f} {control[1]:6.1f};  ratio {ratio:.2f}",
                 flush=True,
             )
     finally:

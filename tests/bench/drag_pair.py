@@ -1,11 +1,15 @@
 #!/usr/bin/env python3
-"""Compares the drag sockets of two release builds of the program on the loopback, drag by drag in turns.
+"""Compares the drag sockets of two release builds of the program on the loopback, drag by drag in
+turns.
 
-    drag_pair.py OLD NEW [DRAGS]        with the Python environment of tests/e2e; DRAGS of each program and choice of frames (9)
+    drag_pair.py OLD NEW [DRAGS]        with the Python environment of tests/e2e
 
-A drag is three seconds of poses at 125 Hz. The age of a frame is the time from sending its pose to having all of it. Prints frames per
-second, and p50 and p99 of the ages in milliseconds: medians over the drags of each program, and their ratios (new / old). Both programs
-run, one of them idle; only the ratios of one run mean something.
+DRAGS of each program and choice of frames: 9 by default.
+
+A drag is three seconds of poses at 125 Hz. The age of a frame is the time from sending its pose to
+having all of it. Prints frames per second, and p50 and p99 of the ages in milliseconds: medians
+over the drags of each program, and their ratios (new / old). Both programs run, one of them idle;
+only the ratios of one run mean something.
 """
 
 import json

@@ -1,13 +1,17 @@
 #!/usr/bin/env python3
-"""Compares two versions of the page: the work of the browser for a frame of a drag, block by block in turns.
+"""Compares two versions of the page: the work of the browser for a frame of a drag, block by block
+in turns.
 
     tests/e2e/run -k nothing                     # creates the environment
-    MLSWARP_PROGRAM=target/debug/mlswarp tests/artefacts/e2e/venv/bin/python tests/bench/page.py OLD NEW [BLOCKS]
+    export MLSWARP_PROGRAM=target/debug/mlswarp
+    tests/artefacts/e2e/venv/bin/python tests/bench/page.py OLD NEW [BLOCKS]
 
-OLD and NEW are commits or directories with the files of `src/web`. One program answers both. A frame is one movement of the mouse, and ends when
-the mesh of its pose is on the screen. Prints CPU time per frame (it depends less on the load of the machine than elapsed time) of the page's
-main thread, as the browser divides it, and of the whole browser, which includes drawing without a GPU; then elapsed time from a movement of the
-pointer to its drawn mesh, the median of a block and its slowest frame; and the median of the ratios new / old.
+OLD and NEW are commits or directories with the files of `src/web`. One program answers both. A
+frame is one movement of the mouse, and ends when the mesh of its pose is on the screen. Prints CPU
+time per frame (it depends less on the load of the machine than elapsed time) of the page's main
+thread, as the browser divides it, and of the whole browser, which includes drawing without a GPU;
+then elapsed time from a movement of the pointer to its drawn mesh, the median of a block and its
+slowest frame; and the median of the ratios new / old.
 """
 
 import json
@@ -40,12 +44,14 @@ MEDIA = {
     ".jpg": "image/jpeg",
     ".webp": "image/webp",
 }
-# `drawn` resolves when the next pose is on the screen, with the milliseconds since the pointer moved. It does not poll: frames requested while waiting would be part of the measurement.
+# `drawn` resolves when the next pose is on the screen, with the milliseconds since the pointer
+# moved. It does not poll: frames requested while waiting would be part of the measurement.
 WATCH = """() => void (window.drawn = new Promise((resolve) => {
   const { dataset } = document.body;
   const before = dataset.revision;
   let moved;
-  addEventListener("pointermove", ({ timeStamp }) => (moved = timeStamp), { once: true, capture: true });
+  addEventListener("pointermove", ({ timeStamp }) =>
+    (moved = timeStamp), { once: true, capture: true });
   const watcher = new MutationObserver(() => {
     if (dataset.revision === before || dataset.shown !== dataset.revision) return;
     watcher.disconnect();
@@ -56,15 +62,19 @@ WATCH = """() => void (window.drawn = new Promise((resolve) => {
 # The server's PNG, which follows a pause of the pointer, is not part of a drag: it never comes.
 WITHOUT_PNG = """() => {
   const plain = window.fetch;
-  const never = (signal) => new Promise((_, reject) => signal?.addEventListener("abort", () => reject(new DOMException("", "AbortError"))));
-  window.fetch = (path, options) => (/\\/warp$/.test(path) ? never(options.signal) : plain(path, options));
+  const never = (signal) =>
+    new Promise((_, reject) =>
+      signal?.addEventListener("abort", () => reject(new DOMException("", "AbortError"))));
+  window.fetch = (path, options) =>
+    (/\\/warp$/.test(path) ? never(options.signal) : plain(path, options));
 }"""
 MAIN_THREAD = {
     "script": ["ScriptDuration"],
     "style and layout": ["RecalcStyleDuration", "LayoutDuration"],
     "main thread": ["TaskDuration"],
 }
-# A page from the route below has no address, and a page of another site may not open sockets to this machine.
+# A page from the route below has no address, and a page of another site may not open sockets to
+# this machine.
 LOCAL = ["--disable-features=LocalNetworkAccessChecks,LocalNetworkAccessChecksWebSockets"]
 TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -141,7 +151,8 @@ class Version:
         return times | {"whole browser": sum(map(cpu_time, pids()))}
 
     def drag(self, pids):
-        """Drags the first handle; returns milliseconds per frame, by name: CPU time, and elapsed time from the pointer to the drawn mesh."""
+        """Drags the first handle; returns milliseconds per frame, by name: CPU time, and elapsed
+        time from the pointer to the drawn mesh."""
         self.page.bring_to_front()
         box = self.page.locator("#handle-0").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -203,7 +214,9 @@ def compare(playwright, server, directories, handles, blocks, folder):
         old, new = ([block[n][name] for block in times] for n in (0, 1))
         ratios = sorted(b / a for a, b in zip(old, new))
         print(
-            f"{handles:7}  {name:16}  {statistics.median(old):8.2f}  {statistics.median(new):8.2f}  {statistics.median(ratios):6.2f}  {ratios[0]:.2f} to {ratios[-1]:.2f}",
+            f"{handles:7}  {name:16}  {statistics.median(old):8.2f}  "
+            f"{statistics.median(new):8.2f}  {statistics.median(ratios):6.2f}  {ratios[0]:.2f} to "
+            f"{ratios[-1]:.2f}",
             flush=True,
         )
 
@@ -213,7 +226,8 @@ def main():
     blocks = int(blocks[0]) if blocks else 11
     KEPT.mkdir(parents=True, exist_ok=True)
     print(
-        f"load {os.getloadavg()[0]:.1f}; CPU milliseconds per frame, medians of {blocks} blocks of {FRAMES} frames"
+        f"load {os.getloadavg()[0]:.1f}; CPU milliseconds per frame, medians of {blocks} blocks of "
+        f"{FRAMES} frames"
     )
     print("handles  work                   old       new   ratio  of single pairs")
     server = Server("--log", "off")

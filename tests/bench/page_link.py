@@ -1,19 +1,22 @@
 #!/usr/bin/env python3
 """
-The page behind a slow link, in Chromium: frames drawn during a drag, the reaction to its first movement, the time until a new handle is
-posed without requests, the distance of the drawing from the exact deformation, and a drag during which the server is killed and starts
-again.
+The page behind a slow link, in Chromium: frames drawn during a drag, the reaction to its first
+movement, the time until a new handle is posed without requests, the distance of the drawing from
+the exact deformation, and a drag during which the server is killed and starts again.
 
     tests/e2e/run -k nothing                     # creates the environment
     cargo build --release --locked -p mlswarp-server --bin mlswarp --example link
-    MLSWARP_PROGRAM=target/release/mlswarp tests/artefacts/e2e/venv/bin/python tests/bench/page_link.py [MBIT MS [WIDTH HEIGHT]]
+    export MLSWARP_PROGRAM=target/release/mlswarp
+    tests/artefacts/e2e/venv/bin/python tests/bench/page_link.py [MBIT MS [WIDTH HEIGHT]]
 
-The link has MBIT Mbit/s (5) and MS ms each way (75); the window has WIDTH x HEIGHT CSS px (1280 x 800). A frame is a display frame in which
-another pose was drawn. The pointer moves once in each display frame. Figures are printed with the
-coefficients and with `?plan=off`, where meshes come by the socket. JavaScript: the median time to pose and to draw.
+The link has MBIT Mbit/s (5) and MS ms each way (75); the window has WIDTH x HEIGHT CSS px (1280 x
+800). A frame is a display frame in which another pose was drawn. The pointer moves once in each
+display frame. Figures are printed with the
+coefficients and with `?plan=off`, where meshes come by the socket. JavaScript: the median time to
+pose and to draw.
 
-Without a graphics card, the browser draws and composes with the CPU; the time of a frame depends on the pixels of the canvas of the
-live preview.
+Without a graphics card, the browser draws and composes with the CPU; the time of a frame depends on
+the pixels of the canvas of the live preview.
 Screenshots and pictures of the timelines are in tests/artefacts/e2e (page-link-*.png).
 """
 
@@ -44,15 +47,18 @@ ERRORS = (
     "SOCKET_NOT_CONNECTED",
 )
 BROKEN = ("404", *(f"ERR_{error}" for error in ERRORS))
-# All times are those of the page, ms. `spans`: [begin, end, words]. `work`: how long posing and drawing take.
+# All times are those of the page, ms. `spans`: [begin, end, words]. `work`: how long posing and
+# drawing take.
 RECORD = """(() => {
   const now = () => performance.now();
-  const seen = (window.seen = { pointer: [], ticks: [], drawn: [], sent: [], received: [], behind: [], plan: [] });
+  const seen = (window.seen =
+    { pointer: [], ticks: [], drawn: [], sent: [], received: [], behind: [], plan: [] });
   seen.work = { pose: [], draw: [] };
   window.WebSocket = class extends WebSocket {
     constructor(...all) {
       super(...all);
-      this.addEventListener("message", ({ data }) => typeof data !== "string" && seen.received.push(now()));
+      this.addEventListener("message", ({ data }) => typeof data !== "string" &&
+        seen.received.push(now()));
     }
     send(text) {
       super.send(text);
@@ -67,7 +73,8 @@ RECORD = """(() => {
     seen.ticks.push(now());
     if (shown !== last.shown && moving === "true") seen.drawn.push(now());
     if (plan !== last.plan) seen.plan.push([now(), plan]);
-    if (behind !== last.behind) seen.behind.push([now(), behind ? document.getElementById("behind").textContent : ""]);
+    const words = document.getElementById("behind").textContent;
+    if (behind !== last.behind) seen.behind.push([now(), behind ? words : ""]);
     last = { shown, plan, behind };
     requestAnimationFrame(look);
   };
@@ -135,7 +142,8 @@ class Recording:
             for name, times in self.work.items()
         }
         print(
-            f"  {name}: {len(self.drawn) / seconds:.0f} frames/s of {len(self.ticks) / seconds:.0f} display frames/s, "
+            f"  {name}: {len(self.drawn) / seconds:.0f} frames/s of "
+            f"{len(self.ticks) / seconds:.0f} display frames/s, "
             f"first after {first:.0f} ms, longest gap {max(gaps, default=math.nan):.0f} ms; "
             f"JavaScript: pose {middle['pose']:.1f} ms, draw {middle['draw']:.1f} ms"
         )
@@ -183,7 +191,8 @@ class Recording:
         image.save(path)
 
 
-# One movement in each display frame, as a browser delivers them: a movement from outside takes a round trip of several frames.
+# One movement in each display frame, as a browser delivers them: a movement from outside takes a
+# round trip of several frames.
 CIRCLE = """([x, y, radius, seconds]) => {
   const begun = performance.now();
   let end;
@@ -192,8 +201,10 @@ CIRCLE = """([x, y, radius, seconds]) => {
     const share = (performance.now() - begun) / (1000 * seconds);
     if (share >= 1) return end();
     const angle = 4 * Math.PI * share;
-    const at = { clientX: x + radius * Math.sin(angle), clientY: y + radius - radius * Math.cos(angle) };
-    const pointer = { pointerId: 1, pointerType: "mouse", isPrimary: true, buttons: 1, bubbles: true, ...at };
+    const at = { clientX: x + radius * Math.sin(angle),
+      clientY: y + radius - radius * Math.cos(angle) };
+    const pointer = { pointerId: 1, pointerType: "mouse", isPrimary: true, buttons: 1,
+      bubbles: true, ...at };
     document.getElementById("stage").dispatchEvent(new PointerEvent("pointermove", pointer));
     requestAnimationFrame(move);
   };
@@ -204,7 +215,8 @@ CIRCLE = """([x, y, radius, seconds]) => {
 
 
 def drag(visit, start, steps=(), seconds=SECONDS):
-    """Moves a handle on a circle, without a release. `steps` are called one after the other, at equal times."""
+    """Moves a handle on a circle, without a release. `steps` are called one after the other, at
+    equal times."""
     x, y = visit.at(*start)
     visit.page.mouse.move(x, y)
     visit.page.mouse.down()
@@ -277,7 +289,8 @@ def main():
                 found, residual, _ = distances(visit, columns, rows, visit.warp()["q"])
                 middle, largest = found[len(found) // 2], found[-1]
                 print(
-                    f"  distance from the exact deformation: median {middle:.2f}, largest {largest:.2f}, residual {residual:.2f} px"
+                    f"  distance from the exact deformation: median {middle:.2f}, largest "
+                    f"{largest:.2f}, residual {residual:.2f} px"
                 )
             if not query:
                 # The seventh point.
@@ -296,7 +309,8 @@ def main():
                 ]
                 after = f"after {times[0]:.0f} ms" if times else "never"
                 print(
-                    f"  a seventh handle is posed without requests {after}, a table of {recording.table / 1000:.0f} kB"
+                    f"  a seventh handle is posed without requests {after}, a table of "
+                    f"{recording.table / 1000:.0f} kB"
                 )
                 recording.picture(
                     KEPT / "page-link-new-handle-timeline.png",

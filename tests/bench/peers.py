@@ -1,5 +1,6 @@
-"""Times Python's image libraries in turn with the benches `render`, `png`, `jpeg` and `request` in their paired mode (harness/paired.rs): each sample is one
-warm call, ours and theirs alternate, and medians of one run are compared. One thread everywhere, unless a row says otherwise."""
+"""Times Python's image libraries in turn with the benches `render`, `png`, `jpeg` and `request` in
+their paired mode (harness/paired.rs): each sample is one warm call, ours and theirs alternate, and
+medians of one run are compared. One thread everywhere, unless a row says otherwise."""
 
 import io
 import json
@@ -110,7 +111,8 @@ def low(samples):
 
 
 def turns(contenders, rounds=101):
-    """`contenders`: {name: function that gives seconds}; one sample of each in turn. Slow ones stop when their time is used."""
+    """`contenders`: {name: function that gives seconds}; one sample of each in turn. Slow ones stop
+    when their time is used."""
     samples = {name: [] for name in contenders}
     spent = dict.fromkeys(contenders, 0.0)
     for turn in range(rounds):
@@ -123,7 +125,8 @@ def turns(contenders, rounds=101):
 
 
 def table(title, contenders, sizes=None):
-    """Prints medians and their ratio to the first contender; returns (median, fastest 5 %) of each."""
+    """Prints medians and their ratio to the first contender; returns (median, fastest 5 %) of
+    each."""
     times = {name: (statistics.median(s), low(s)) for name, s in turns(contenders).items()}
     first, first_low = next(iter(times.values()))
     say(f"## {title}\n")
@@ -133,7 +136,10 @@ def table(title, contenders, sizes=None):
     )
     say("|---|---:|---:|---:|---:|" + ("---:|" if sizes else ""))
     for name, (median, least) in times.items():
-        row = f"| {name} | {median * 1e3:.3f} | {median / first:.2f} | {least * 1e3:.3f} | {least / first_low:.2f} |"
+        row = (
+            f"| {name} | {median * 1e3:.3f} | {median / first:.2f} | {least * 1e3:.3f} | "
+            f"{least / first_low:.2f} |"
+        )
         say(row + (f" {sizes[name]} |" if sizes else ""))
     say()
     return times
@@ -184,12 +190,14 @@ def render(program, goals):
                     skimage_warp(source, y, x)
                 )
             times = table(f"render {case['what']}", contenders)
-            # Compare the results: mlswarp repeats the border inside the map, and renders nothing outside.
+            # Compare the results: mlswarp repeats the border inside the map, and renders nothing
+            # outside.
             out = cv2.remap(source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             out[x < -1] = 0
             apart = numpy.abs(ours.picture(case["ours"], case).astype(int) - out).max(axis=2)
             say(
-                f"Pixels that differ by more than 8 of 255 between cv2 and ours: {(apart > 8).sum()} of {apart.size}.\n"
+                "Pixels that differ by more than 8 of 255 between cv2 and ours: "
+                f"{(apart > 8).sum()} of {apart.size}.\n"
             )
             mine, planes, pairs = list(times.values())[:3]
             figure, least = (mine[k] / min(planes[k], pairs[k]) for k in (0, 1))
@@ -252,7 +260,8 @@ def png(program):
 
 
 def jpeg(program, goals):
-    """Our strips one after the other, on every level, and on two threads, compared with libjpeg-turbo and others; then bytes and PSNR."""
+    """Our strips one after the other, on every level, and on two threads, compared with
+    libjpeg-turbo and others; then bytes and PSNR."""
     limits = {"avx2": 0.55, "avx512": 0.45, "2 threads": 0.35}
     with Ours(program, "jpeg") as ours:
         for case in (case for case in ours.index if case["width"] >= 500):
@@ -281,7 +290,8 @@ def jpeg(program, goals):
                 "pyvips jpegsave": here(lambda: vips.jpegsave_buffer(Q=85)),
             }
             times = table(
-                f"JPEG 4:2:0 of the photograph at quality 85, {case['width']} x {case['height']} RGB",
+                f"JPEG 4:2:0 of the photograph at quality 85, {case['width']} x {case['height']} "
+                "RGB",
                 contenders,
             )
             theirs = times["cv2.imencode (libjpeg-turbo)"]
@@ -291,7 +301,8 @@ def jpeg(program, goals):
                     goals.append((f"JPEG {name}, {way}: ours / cv2", figure, limits[way], least))
         say("## JPEG, ours compared with libjpeg-turbo as one decoder reads them\n")
         say(
-            "| picture | quality | 4:2:0: bytes | PSNR, dB | difference | 4:4:4: bytes | PSNR, dB | difference |\n|---|---:|---:|---:|---:|---:|---:|---:|"
+            "| picture | quality | 4:2:0: bytes | PSNR, dB | difference | 4:4:4: bytes | PSNR, dB "
+            "| difference |\n|---|---:|---:|---:|---:|---:|---:|---:|"
         )
         worst = 0.0
         for case in ours.index:
@@ -341,7 +352,8 @@ def ratio(picture, decoded):
 
 
 def rigid(p, q, v):
-    """Rigid moving least squares, alpha 1: where the places `v` go when the points `p` go to `q`. Shapes: [n, 2], [n, 2], [m, 2]."""
+    """Rigid moving least squares, alpha 1: where the places `v` go when the points `p` go to `q`.
+    Shapes: [n, 2], [n, 2], [m, 2]."""
     w = 1.0 / (((p[None] - v[:, None]) ** 2).sum(axis=2) + 1e-9)
     total = w.sum(axis=1, keepdims=True)
     p_star, q_star = w @ p / total, w @ q / total
@@ -357,7 +369,8 @@ def rigid(p, q, v):
 
 
 def request(program):
-    """q to PNG, and the mesh alone, as typical in Python: the inverse map on a coarse grid, enlarged and sampled."""
+    """q to PNG, and the mesh alone, as typical in Python: the inverse map on a coarse grid,
+    enlarged and sampled."""
     with Ours(program, "request") as ours:
         case = ours.index
         source = cv2.cvtColor(ours.picture(case["source"], case), cv2.COLOR_RGBA2BGRA)
@@ -396,11 +409,15 @@ def request(program):
 
 def main():
     programs = build()
-    versions = f"cv2 {cv2.__version__}, Pillow {PIL.__version__}, libvips {pyvips.version(0)}.{pyvips.version(1)}.{pyvips.version(2)}"
+    versions = (
+        f"cv2 {cv2.__version__}, Pillow {PIL.__version__}, libvips "
+        f"{pyvips.version(0)}.{pyvips.version(1)}.{pyvips.version(2)}"
+    )
     cpu = [line.split(": ")[1] for line in open("/proc/cpuinfo") if line.startswith("model name")]
     say("# peers: Python's libraries, in turn with ours\n")
     say(
-        f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} before; {versions}, skimage {skimage.__version__}, numpy {numpy.__version__}.\n"
+        f"Machine: {cpu[0].strip()}, {os.cpu_count()} threads, load {os.getloadavg()[0]:.2f} "
+        f"before; {versions}, skimage {skimage.__version__}, numpy {numpy.__version__}.\n"
     )
     goals = []
     render(programs["render"], goals)
@@ -410,7 +427,8 @@ def main():
     say("## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|")
     for what, figure, limit, least in goals:
         say(
-            f"| {what} | {figure:.3f} | at most {limit:.3f} | {'yes' if figure <= limit else 'no'} | {least:.3f} |"
+            f"| {what} | {figure:.3f} | at most {limit:.3f} | {'yes' if figure <= limit else 'no'} "
+            f"| {least:.3f} |"
         )
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text("\n".join(lines) + "\n")

@@ -3,8 +3,9 @@
 
     tests/bench/programs.py OLD NEW [PAIRS]
 
-Prints the 10th percentile and the median of both in milliseconds, their ratios (new / old), and how many responses were equal byte for byte.
-Both programs, and this one, share the machine: only the ratios of one run mean something.
+Prints the 10th percentile and the median of both in milliseconds, their ratios (new / old), and how
+many responses were equal byte for byte. Both programs, and this one, share the machine: only the
+ratios of one run mean something.
 """
 
 import http.client
@@ -106,7 +107,8 @@ def main():
             at = [[sorted(t)[int(len(t) * share)] for t in times] for share in (0.1, 0.5)]
             figures = "  ".join(f"{a:.3f} {b:.3f} ms, ratio {b / a:.3f}" for a, b in at)
             print(
-                f"{name:18} {count:4} pairs: p10 and median {figures}; equal {equal} of {count + WARM_UP}",
+                f"{name:18} {count:4} pairs: p10 and median {figures}; equal {equal} of "
+                f"{count + WARM_UP}",
                 flush=True,
             )
     finally:

@@ -1,11 +1,13 @@
-"""Compares the method `tps` with scipy's RBFInterpolator (kernel `thin_plate_spline`) in the same normalised coordinates: the largest difference
-of mapped points, as a share of the largest displacement of a handle. Fails if it is more than 1e-9, or for many points more than the rounding
+"""Compares the method `tps` with scipy's RBFInterpolator (kernel `thin_plate_spline`) in the same
+normalised coordinates: the largest difference of mapped points, as a share of the largest
+displacement of a handle. Fails if it is more than 1e-9, or for many points more than the rounding
 of the coordinates alone may change: the condition number of the system times 2^-52.
 
     python3 -m venv target/splines && target/splines/bin/pip install -r tests/bench/splines.txt
     cargo build --release && target/splines/bin/python tests/bench/splines.py
 
-The program is target/release/mlswarp, or the one in MLSWARP_PROGRAM=path. The script uses only the loopback interface."""
+The program is target/release/mlswarp, or the one in MLSWARP_PROGRAM=path. The script uses only the
+loopback interface."""
 
 import json
 import os
@@ -81,7 +83,8 @@ def compare(address):
     random = numpy.random.default_rng(7)
     failed = 0
     print(
-        f"{'points':>6} {'image':>6} {'smoothing':>9} {'difference':>10} {'allowed':>8} {'ours, s':>8} {'scipy, s':>8}"
+        f"{'points':>6} {'image':>6} {'smoothing':>9} {'difference':>10} {'allowed':>8} "
+        f"{'ours, s':>8} {'scipy, s':>8}"
     )
     for count in (3, 4, 11, 50, 200, 1000, 2000):
         for size in (500, 10_000):
@@ -97,7 +100,8 @@ def compare(address):
                 limit = allowed(p, smoothing)
                 failed += not difference <= limit
                 print(
-                    f"{count:6} {size:6} {smoothing:9} {difference:10.1e} {limit:8.1e} {seconds:8.3f} {their_seconds:8.3f}",
+                    f"{count:6} {size:6} {smoothing:9} {difference:10.1e} {limit:8.1e} "
+                    f"{seconds:8.3f} {their_seconds:8.3f}",
                     flush=True,
                 )
     return failed

@@ -1,6 +1,7 @@
 """The models of datamodel-code-generator, with httpx: every step of the conversation in `run`.
 
-Each request is sent in every form that a model can be written in, with its nulls and without; each response must be a valid model.
+Each request is sent in every form that a model can be written in, with its nulls and without; each
+response must be a valid model.
 """
 
 import sys
@@ -27,7 +28,8 @@ http = httpx.Client(base_url=server, headers={"Authorization": f"Bearer {key}"},
 
 
 def forms(model):
-    """The JSON of a model: with every null and default, without nulls, and with the fields that were set."""
+    """The JSON of a model: with every null and default, without nulls, and with the fields that
+    were set."""
     assert None in model.model_dump().values(), "the model has no null: this would test nothing"
     return [
         model.model_dump_json(),

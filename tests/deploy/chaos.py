@@ -1,7 +1,8 @@
-"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the store is down; a ninth uploads.
+"""Eight clients drag through the proxy while replicas are killed, drained and added, and while the
+store is down; a ninth uploads.
 
-Every image is compared byte for byte with the result of a single server for the same pose. Nothing is asserted about time; gaps are
-printed (timeline.py)."""
+Every image is compared byte for byte with the result of a single server for the same pose. Nothing
+is asserted about time; gaps are printed (timeline.py)."""
 
 import contextlib
 import json
@@ -46,7 +47,9 @@ def check_stack(stage):
             for client in DRAG_CLIENTS:
                 client.learn(Server("127.0.0.1", lone.port))
         say(
-            f"the lone server showed {sum(len(expected) for client in DRAG_CLIENTS for expected in client.expected)} pictures"
+            "the lone server showed "
+            f"{sum(len(expected) for client in DRAG_CLIENTS for expected in client.expected)} "
+            "pictures"
         )
         for client in DRAG_CLIENTS:
             client.put(stack.proxy)

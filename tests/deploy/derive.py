@@ -1,13 +1,16 @@
 #!/usr/bin/python3
-"""Adapts deploy/compose.yaml to a machine that cannot pull images and uses only the loopback. Run by Debian's Python, whose YAML module
-docker-compose installs. Reads the path of the file, and the replacements as JSON; writes JSON, which is also YAML.
+"""Adapts deploy/compose.yaml to a machine that cannot pull images and uses only the loopback. Run
+by Debian's Python, whose YAML module docker-compose installs. Reads the path of the file, and the
+replacements as JSON; writes JSON, which is also YAML.
 
 The changes are:
 - every image is local: the built program, and Debian's HAProxy, Redis and Prometheus;
-- every container uses the network of the host with its own loopback address, listens there, and uses the DNS server of the test instead
-  of Docker's; no port is published; the loopback network is the trusted proxy;
+- every container uses the network of the host with its own loopback address, listens there, and
+  uses the DNS server of the test instead of Docker's; no port is published; the loopback network is
+  the trusted proxy;
 - `scale: 2` of the replicas becomes separate services, because a service has one address here;
-- a drag may wait longer for a worker, because one machine runs all replicas, the clients and the engine;
+- a drag may wait longer for a worker, because one machine runs all replicas, the clients and the
+  engine;
 - Grafana, which Debian does not package, is left out.
 """
 

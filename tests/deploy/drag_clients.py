@@ -45,7 +45,8 @@ def reason(answer):
 
 @dataclass
 class Entry:
-    """One response: `what` is `frame`, `upload`, `wrong` (another image), `refused`, `cut` (incomplete) or `closed` (a socket)."""
+    """One response: `what` is `frame`, `upload`, `wrong` (another image), `refused`, `cut`
+    (incomplete) or `closed` (a socket)."""
 
     what: str
     at: float
@@ -61,7 +62,8 @@ class Server:
     kept: threading.local = field(default_factory=threading.local)
 
     def ask(self, method, path, body=None, kind="application/json", headers=None):
-        """(status, headers, body), over the connection of the thread; failures are OSError or HTTPException."""
+        """(status, headers, body), over the connection of the thread; failures are OSError or
+        HTTPException."""
         # A connection that was idle for long may be closed at any moment, which is not a failure.
         if (
             getattr(self.kept, "connection", None) is None
@@ -172,7 +174,8 @@ class RequestClient(DragClient):
                 pass
 
     def once(self, server, session=None, headers=None):
-        """(status, whether the image is correct, `Warp-Plan`) of the next pose; the session id may be spelled differently."""
+        """(status, whether the image is correct, `Warp-Plan`) of the next pose; the session id may
+        be spelled differently."""
         self.seq += 1
         try:
             status, said, body = server.ask(
@@ -235,7 +238,8 @@ class SocketClient(DragClient):
         return expected
 
     def once(self, server):
-        """(a frame, is it the right picture) of the next pose, over a socket of its own; no frame is b""."""
+        """(a frame, is it the right picture) of the next pose, over a socket of its own; no frame
+        is b""."""
         self.seq += 1
         line, kind, frame = self.open(server), TEXT, b""
         line.send(self.question().encode())
@@ -277,7 +281,8 @@ class SocketClient(DragClient):
 
 
 class Uploader:
-    """Uploads a small image about once per second, alternating POST and PUT, and records the confirmed sessions."""
+    """Uploads a small image about once per second, alternating POST and PUT, and records the
+    confirmed sessions."""
 
     name = "uploads"
 

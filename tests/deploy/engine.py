@@ -12,7 +12,8 @@ from commands import AS_ROOT, CACHE, Failure, install, run, say, text, where
 class Engine:
     """A Docker engine: a running one, or one started here and ended by `stop`."""
 
-    # The containers use the loopback of the host or no network, so the network of the machine is unchanged.
+    # The containers use the loopback of the host or no network, so the network of the machine is
+    # unchanged.
     NETWORK = ["--bridge=none", "--iptables=false", "--ip-forward=false", "--ip-masq=false"]
 
     def __init__(self):
@@ -33,7 +34,8 @@ class Engine:
             self.text("info", "--format", "{{.Driver}}"),
         )
         say(
-            f"engine {version}, storage {storage}, {'started here' if self.own else 'found running'}"
+            f"engine {version}, storage {storage}, "
+            f"{'started here' if self.own else 'found running'}"
         )
 
     def _answers(self):
@@ -47,7 +49,8 @@ class Engine:
         return False
 
     def _client(self):
-        """A client that builds as users build (BuildKit: built in before 23, a plugin since), or any client with the old builder."""
+        """A client that builds as users build (BuildKit: built in before 23, a plugin since), or
+        any client with the old builder."""
         found = [
             c
             for c in dict.fromkeys((where("docker"), "/usr/bin/docker"))
@@ -69,9 +72,11 @@ class Engine:
         self.scratch = Path(tempfile.mkdtemp(prefix="mlswarp-engine-"))
         socket_path, pidfile, log = (self.scratch / n for n in ("docker.sock", "docker.pid", "log"))
         self.host = ["--host", f"unix://{socket_path}"]
-        # As root, the engine ends with this test even if the test is killed (sudo does not forward the signal).
+        # As root, the engine ends with this test even if the test is killed (sudo does not forward
+        # the signal).
         command = [
-            *AS_ROOT, "setpriv", "--pdeathsig=TERM", *self._start_in(), where("dockerd"), *self.host, "--data-root", self._data(),
+            *AS_ROOT, "setpriv", "--pdeathsig=TERM", *self._start_in(), where("dockerd"),
+            *self.host, "--data-root", self._data(),
             "--exec-root", self.scratch / "exec", "--pidfile", pidfile, *self.NETWORK,
         ]  # fmt: skip
         with open(log, "wb") as out:
@@ -88,7 +93,8 @@ class Engine:
         ).returncode != 0 or not self.text("info"):
             if self.daemon.poll() is not None or time.monotonic() > deadline:
                 raise Failure(
-                    f"dockerd did not start; the end of what it said:\n{log.read_text(errors='replace')[-4000:]}"
+                    "dockerd did not start; the end of what it said:\n"
+                    f"{log.read_text(errors='replace')[-4000:]}"
                 )
             time.sleep(0.2)
         self.pid = text(*AS_ROOT, "cat", pidfile)
@@ -134,8 +140,9 @@ class Engine:
 
 
 class Apart(Engine):
-    """An engine as Docker sets it up, with bridges, published ports and its own DNS server, in a network of its own: it changes nothing on
-    the machine, and every port is free. Its images are gone at the end."""
+    """An engine as Docker sets it up, with bridges, published ports and its own DNS server, in a
+    network of its own: it changes nothing on the machine, and every port is free. Its images are
+    gone at the end."""
 
     NETWORK = []
 

@@ -1,8 +1,10 @@
-"""Runs Envoy with the configuration that Envoy Gateway derives from deploy/kubernetes/gateway, and three replicas.
+"""Runs Envoy with the configuration that Envoy Gateway derives from deploy/kubernetes/gateway, and
+three replicas.
 
-The translation follows Envoy Gateway field by field and reads the manifests: the Lua filter that sets the session header, the hash over that header and
-its table, retries, health checks, timeouts, routes and the format of the access log. A field of a manifest that is not translated fails the test. Envoy
-comes from its wheel on PyPI.
+The translation follows Envoy Gateway field by field and reads the manifests: the Lua filter that
+sets the session header, the hash over that header and its table, retries, health checks, timeouts,
+routes and the format of the access log. A field of a manifest that is not translated fails the
+test. Envoy comes from its wheel on PyPI.
 """
 
 import functools
@@ -193,8 +195,10 @@ def translated(front, admin, endpoints):
             {
                 "match": how,
                 "route": {
-                    "cluster": "mlswarp", "timeout": duration(rule["timeouts"]["request"]), "retry_policy": retries,
-                    "hash_policy": [{"header": {"header_name": HEADER}}], "upgrade_configs": [{"upgrade_type": "websocket"}],
+                    "cluster": "mlswarp", "timeout": duration(rule["timeouts"]["request"]),
+                    "retry_policy": retries,
+                    "hash_policy": [{"header": {"header_name": HEADER}}],
+                    "upgrade_configs": [{"upgrade_type": "websocket"}],
                 },
             }
         )  # fmt: skip
@@ -226,17 +230,19 @@ def translated(front, admin, endpoints):
         path=place["file"]["path"],
         log_format={"json_format": sink["format"]["json"]},
     )
+    header_mutation = "envoy.http.early_header_mutation.header_mutation"
     manager = typed(
         "extensions.filters.network.http_connection_manager.v3.HttpConnectionManager",
         stat_prefix="clients", http_filters=filters, use_remote_address=True,
-        early_header_mutation_extensions=[{"name": "envoy.http.early_header_mutation.header_mutation", "typed_config": early}],
+        early_header_mutation_extensions=[{"name": header_mutation, "typed_config": early}],
         access_log=[{"name": "envoy.access_loggers.file", "typed_config": log}],
         route_config={"virtual_hosts": [{"name": "mlswarp", "domains": ["*"], "routes": routes}]},
     )  # fmt: skip
     idle = duration(take("BackendTrafficPolicy", "timeout", "http", "connectionIdleTimeout"))
     options = typed(
         "extensions.upstreams.http.v3.HttpProtocolOptions",
-        common_http_protocol_options={"idle_timeout": idle}, explicit_http_config={"http_protocol_options": {}},
+        common_http_protocol_options={"idle_timeout": idle},
+        explicit_http_config={"http_protocol_options": {}},
     )  # fmt: skip
     maglev = typed(
         "extensions.load_balancing_policies.maglev.v3.Maglev", table_size=hashing["tableSize"]
@@ -303,7 +309,8 @@ def translated(front, admin, endpoints):
         raise Failure(f"envoy: the manifests are of other kinds than are translated here: {kinds}")
     for kind, *path in (
         ("BackendTrafficPolicy", "targetRefs"), ("EnvoyExtensionPolicy", "targetRefs"),
-        ("ClientTrafficPolicy", "targetRefs"), ("HTTPRoute", "parentRefs"), ("HTTPRoute", "hostnames"),
+        ("ClientTrafficPolicy", "targetRefs"), ("HTTPRoute", "parentRefs"), 
+        ("HTTPRoute", "hostnames"),
     ):  # fmt: skip
         take(kind, *path)
     resources = {"listeners": [listener], "clusters": [cluster]}
@@ -315,7 +322,8 @@ def address(server):
 
 
 def publish(endpoints, servers, leaving=()):
-    """Endpoints as Kubernetes reports them: a terminating pod is removed at once, a killed one is not."""
+    """Endpoints as Kubernetes reports them: a terminating pod is removed at once, a killed one is
+    not."""
     told = [
         {
             "endpoint": {"address": address(server)},
@@ -358,7 +366,8 @@ def well(admin):
 
 
 def dragged(clients, front, events):
-    """Drags through Envoy during events, each with a name, an action, and a wait for its detection; returns the results per event."""
+    """Drags through Envoy during events, each with a name, an action, and a wait for its detection;
+    returns the results per event."""
     timeline, stop = Timeline(), threading.Event()
     threads = [
         threading.Thread(target=client.drag, args=(front, stop), name=client.name)
@@ -528,14 +537,16 @@ def check_envoy(stage):
                 for name, part in phase.parts.items()
                 if (answers := [e.detail for e in part if e.what in ("refused", "wrong")])
             }
-            # Envoy selects a replica by the hash of the session, and after a failure tries five other hashes. If all of them select the same
-            # replica, the session waits for the health checks: mostly none, for some addresses every fifth session.
+            # Envoy selects a replica by the hash of the session, and after a failure tries five
+            # other hashes. If all of them select the same replica, the session waits for the health
+            # checks: mostly none, for some addresses every fifth session.
             unlucky = 1 if phase.name == KILLED else 0
             unlike = [
                 answer for answers in refused.values() for answer in answers if answer[0] != 503
             ]
             check(
-                f"envoy: {phase.name}, and {'503 at most is answered' if unlucky else 'nobody is refused'}",
+                f"envoy: {phase.name}, and "
+                f"{'503 at most is answered' if unlucky else 'nobody is refused'}",
                 not unlike and (unlucky or not refused),
                 refused or f"{len(phase.all('frame'))} frames",
             )
@@ -548,16 +559,19 @@ def check_envoy(stage):
                 sum(e.what == "frame" and e.detail == "built" for e in part)
                 for part in phase.parts.values()
             ]
-            # Before the failure is detected, its sessions reach another replica by a second hash; afterwards by a new table.
+            # Before the failure is detected, its sessions reach another replica by a second hash;
+            # afterwards by a new table.
             check(
                 f"envoy: {phase.name}, and few plans are built",
                 max(built) <= 1 + unlucky,
                 f"{sum(built)} for {len(clients)} sessions",
             )
             say(
-                f"envoy: {phase.name}: longest time without a frame {max(gaps):.0f} ms, {len(phase.all('cut'))} cut short"
+                f"envoy: {phase.name}: longest time without a frame {max(gaps):.0f} ms, "
+                f"{len(phase.all('cut'))} cut short"
             )
-        # Only health checks detect these. (Replicas announced as leaving do not count as unhealthy.)
+        # Only health checks detect these. (Replicas announced as leaving do not count as
+        # unhealthy.)
         publish(
             endpoints, [servers[0], servers[2], *(Server(names.address(n), 8080) for n in (14, 15))]
         )

@@ -1,4 +1,5 @@
-"""Runs every check of the files in deploy/ (see `files`): prints the results, and exits with 1 after a failure."""
+"""Runs every check of the files in deploy/ (see `files`): prints the results, and exits with 1
+after a failure."""
 
 import subprocess
 import sys
@@ -42,7 +43,8 @@ def shell_scripts():
 
 def linters():
     """General-purpose linters."""
-    # DL4006 requires a shell with `pipefail`, which a builder may lack; cargo rejects an empty result of the only pipe.
+    # DL4006 requires a shell with `pipefail`, which a builder may lack; cargo rejects an empty
+    # result of the only pipe.
     yield (
         "hadolint has nothing to say",
         silent(
@@ -61,7 +63,11 @@ def linters():
         silent("shellcheck", "-x", *scripts),
     )
     # Style rules are off: line length, spaces. The default rules report duplicate keys.
-    rules = "{extends: default, rules: {line-length: disable, document-start: disable, comments: disable, comments-indentation: disable, braces: {max-spaces-inside: 1}, truthy: {check-keys: false}}}"
+    rules = (
+        "{extends: default, rules: {line-length: disable, document-start: disable, comments: "
+        "disable, comments-indentation: disable, braces: {max-spaces-inside: 1}, truthy: "
+        "{check-keys: false}}}"
+    )
     files = tracked("*.yaml", "*.yml")
     yield (
         f"yamllint has nothing to say of {len(files)} files",

@@ -1,4 +1,5 @@
-"""Checks the rendered manifests of deploy/kubernetes against their schemas, against each other, and against the program."""
+"""Checks the rendered manifests of deploy/kubernetes against their schemas, against each other, and
+against the program."""
 
 import copy
 import json
@@ -30,7 +31,7 @@ def name_of(obj):
     return f"{obj['kind']} {obj['metadata']['name']}"
 
 
-# --- schemas ----------------------------------------------------------------------------------------------------------------------
+# --- schemas --------------------------------------------------------------------------------------
 
 
 def by_schema(objects, kept):
@@ -57,7 +58,7 @@ def by_schema(objects, kept):
     return [[f"{name_of(obj)}: {text}" for text in said] for obj, said in zip(objects, complaints)]
 
 
-# --- against each other -----------------------------------------------------------------------------------------------------------
+# --- against each other ---------------------------------------------------------------------------
 
 
 class Cluster:
@@ -214,7 +215,8 @@ def across(cluster):
 
 
 def strangers(cluster, policy, peers, wanted):
-    """A peer in this namespace is one of these pods and listens on the port; other peers are named by their namespace."""
+    """A peer in this namespace is one of these pods and listens on the port; other peers are named
+    by their namespace."""
     said = []
     for peer in peers:
         if "namespaceSelector" not in peer:
@@ -288,7 +290,7 @@ def ways_in(cluster):
     return said
 
 
-# --- against the program ----------------------------------------------------------------------------------------------------------
+# --- against the program --------------------------------------------------------------------------
 
 
 def against_program(cluster, declared):
@@ -346,7 +348,8 @@ def against_program(cluster, declared):
 
 
 def in_the_program(cluster):
-    """Runs the program with the variables of the manifests: it starts, the probe paths respond, and the named metrics exist."""
+    """Runs the program with the variables of the manifests: it starts, the probe paths respond, and
+    the named metrics exist."""
     said = []
     with program.serving(cluster.variables()) as ask:
         for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
@@ -399,7 +402,8 @@ PATHS = {
 
 
 def affinity(cluster):
-    """Runs the Lua filter in LuaJIT, as Envoy does: the hashed header is the session id of the path, never a value from the client."""
+    """Runs the Lua filter in LuaJIT, as Envoy does: the hashed header is the session id of the
+    path, never a value from the client."""
     said = []
     [policy], [traffic] = cluster.kind("EnvoyExtensionPolicy"), cluster.kind("BackendTrafficPolicy")
     [header] = [h["name"] for h in traffic["spec"]["loadBalancer"]["consistentHash"]["headers"]]
@@ -412,7 +416,9 @@ def affinity(cluster):
           local map = {
             get = function(_, name) return all[name] end,
             remove = function(_, name) all[name] = nil end,
-            add = function(_, name, value) all[name] = (all[name] and all[name] .. "," or "") .. value end,
+            add = function(_, name, value)
+              all[name] = (all[name] and all[name] .. "," or "") .. value
+            end,
           }
           envoy_on_request({headers = function() return map end})
           return all["NAME"]
@@ -425,7 +431,7 @@ def affinity(cluster):
     return said
 
 
-# --- tests of the checks ---------------------------------------------------------------------------------------------------------------
+# --- tests of the checks --------------------------------------------------------------------------
 
 
 def broken(objects):

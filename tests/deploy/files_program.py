@@ -1,4 +1,5 @@
-"""Runs the program with the variables of the files in deploy/, on loopback ports and with temporary keys."""
+"""Runs the program with the variables of the files in deploy/, on loopback ports and with temporary
+keys."""
 
 import contextlib
 import os
@@ -53,8 +54,9 @@ def free_port():
 
 @contextlib.contextmanager
 def serving(variables, preexec=None):
-    """A server with these variables: its addresses are moved to the loopback, its keys file and its store to where this test can have them. Yields a
-    function that asks, `ask(variable of the listener, path) -> (status, body)`; the program must end with 0 afterwards."""
+    """A server with these variables: its addresses are moved to the loopback, its keys file and its
+    store to where this test can have them. Yields a function that asks, `ask(variable of the
+    listener, path) -> (status, body)`; the program must end with 0 afterwards."""
     with tempfile.TemporaryDirectory() as folder:
         here = dict(variables)
         ports = {}

@@ -1,4 +1,5 @@
-"""Checks the systemd unit: validity, exposure level, and the program under its system call filter."""
+"""Checks the systemd unit: validity, exposure level, and the program under its system call
+filter."""
 
 import ctypes
 import errno
@@ -70,7 +71,8 @@ def calls(words):
 
 
 def allowed(text):
-    """Evaluates the lines like systemd: the first starts a list of allowed calls, a line with ~ removes calls, others add them."""
+    """Evaluates the lines like systemd: the first starts a list of allowed calls, a line with ~
+    removes calls, others add them."""
     may = set()
     for name, value in settings(text):
         if name == "SystemCallFilter":
@@ -79,8 +81,9 @@ def allowed(text):
 
 
 def filter_of(text):
-    """The unit's filter as a function that takes it upon the process. What it does not allow ends the program, where systemd would answer EPERM: so a
-    call that the program survives without is seen as well."""
+    """The unit's filter as a function that takes it upon the process. What it does not allow ends
+    the program, where systemd would answer EPERM: so a call that the program survives without is
+    seen as well."""
     may = sorted(allowed(text))
     last = the_last(text)
     families = {FAMILIES[word] for word in last["RestrictAddressFamilies"].split()}

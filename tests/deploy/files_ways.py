@@ -1,5 +1,6 @@
-"""Runs the first block for Kubernetes in deploy/README.md as it is written there, with a `kubectl` that needs no cluster: it renders what
-would be created or applied. The objects must keep to their schemas and contain every Secret that they refer to."""
+"""Runs the first block for Kubernetes in deploy/README.md as it is written there, with a `kubectl`
+that needs no cluster: it renders what would be created or applied. The objects must keep to their
+schemas and contain every Secret that they refer to."""
 
 import shutil
 import subprocess
@@ -11,7 +12,8 @@ import yaml
 from files_kubernetes import FOLDER, by_schema, name_of
 from readme_commands import block
 
-# `create` prints the object and sends nothing; `apply -k` becomes the rendering. Every call is recorded.
+# `create` prints the object and sends nothing; `apply -k` becomes the rendering. Every call is
+# recorded.
 KUBECTL = """#!/bin/sh
 set -e
 echo "$*" >> "$KUBECTL_CALLS"
@@ -30,7 +32,10 @@ def run_block(script):
     with tempfile.TemporaryDirectory() as scratch:
         here = Path(scratch)
         shutil.copytree(FOLDER, here / FOLDER)
-        certificate = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj /CN=test -days 1 -keyout key.pem -out cert.pem"
+        certificate = (
+            "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj "
+            "/CN=test -days 1 -keyout key.pem -out cert.pem"
+        )
         subprocess.run(certificate.split(), cwd=here, check=True, capture_output=True)
         (here / "bin").mkdir()
         (here / "bin/kubectl").write_text(KUBECTL.replace("REAL", shutil.which("kubectl")))

@@ -23,14 +23,16 @@ MOVED_SHARE = 0.01
 
 
 class Container:
-    """A container of the image on the loopback of the host, isolated like in a cluster; removed at the end."""
+    """A container of the image on the loopback of the host, isolated like in a cluster; removed at
+    the end."""
 
     def __init__(self, engine, *options, **environment):
         self.engine, self.port = engine, free_port()
         self.name = f"mlswarp-test-{os.getpid()}-{self.port}"
         environment["MLSWARP_LISTEN"] = f"127.0.0.1:{self.port}"
         engine(
-            "run", "--detach", "--name", self.name, "--network=host", "--read-only", "--cap-drop=ALL",
+            "run", "--detach", "--name", self.name, "--network=host", "--read-only",
+            "--cap-drop=ALL",
             "--security-opt=no-new-privileges", "--health-interval=1s", *options,
             *(part for k, v in environment.items() for part in ("--env", f"{k}={v}")), IMAGE,
         )  # fmt: skip
@@ -73,10 +75,21 @@ class Container:
         with tempfile.TemporaryDirectory(prefix="mlswarp-answer-") as place:
             body = Path(place) / "body"
             printed = text(
-                where("curl"), "--silent", "--show-error", "--max-time", "30", "--output", body, "--write-out",
-                "%{http_code} %{content_type}", "--form", f"image=@{photograph}", "--form", f"warp={json.dumps(spec)}",
+                where("curl"),
+                "--silent",
+                "--show-error",
+                "--max-time",
+                "30",
+                "--output",
+                body,
+                "--write-out",
+                "%{http_code} %{content_type}",
+                "--form",
+                f"image=@{photograph}",
+                "--form",
+                f"warp={json.dumps(spec)}",
                 f"http://127.0.0.1:{self.port}/warp",
-            )  # fmt: skip
+            )
             status, _, kind = printed.partition(" ")
             return int(status), kind, body.read_bytes() if body.exists() else b""
 

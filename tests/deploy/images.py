@@ -1,4 +1,5 @@
-"""The images: base images made from Debian and this machine, and deploy/Dockerfile on top of them."""
+"""The images: base images made from Debian and this machine, and deploy/Dockerfile on top of
+them."""
 
 import contextlib
 import hashlib
@@ -56,7 +57,8 @@ def take(engine, tree, tag, *settings):
 
 
 def builder_image(engine):
-    """The base of the build stage: Debian with a C toolchain, and the Rust and cargo settings of this machine."""
+    """The base of the build stage: Debian with a C toolchain, and the Rust and cargo settings of
+    this machine."""
     given = os.environ.get("MLSWARP_TEST_BUILDER")
     if given:
         return given
@@ -127,7 +129,8 @@ def builder_image(engine):
     return tag
 
 
-# Of Debian's packages, what compose.yaml's images have: programs by the names that it calls them, and directories with their owners.
+# Of Debian's packages, what compose.yaml's images have: programs by the names that it calls them,
+# and directories with their owners.
 SERVICES = {
     "usr/local/sbin/haproxy": "haproxy",
     "usr/local/bin/valkey-server": "redis-server",
@@ -140,7 +143,8 @@ OWNED = {"data": "999:1000", "prometheus": "65534:65534"}
 
 
 def services_image(engine):
-    """The proxy, the store and Prometheus in one image, with the libraries that they need and nothing else."""
+    """The proxy, the store and Prometheus in one image, with the libraries that they need and
+    nothing else."""
     programs = {place: Path(where(name) or name).resolve() for place, name in SERVICES.items()}
     key = hashlib.sha256(
         inspect.getsource(services_image).encode() + repr((SERVICES, OWNED)).encode()

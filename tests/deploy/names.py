@@ -1,4 +1,5 @@
-"""A DNS server on the loopback that replaces Docker's: service names with the current addresses of their containers."""
+"""A DNS server on the loopback that replaces Docker's: service names with the current addresses of
+their containers."""
 
 import contextlib
 import random
@@ -20,7 +21,8 @@ socket.send_fds(socket.socket(fileno=0), [b"."], [bound.fileno()])
 
 
 class Names:
-    """Answers for `addresses`, a table from a name to a list of addresses that may change while it runs."""
+    """Answers for `addresses`, a table from a name to a list of addresses that may change while it
+    runs."""
 
     def __init__(self):
         self.addresses = {}
@@ -29,7 +31,8 @@ class Names:
 
     @staticmethod
     def _bind():
-        """Resolvers use port 53, which only root can bind; a loopback address of its own avoids conflicts."""
+        """Resolvers use port 53, which only root can bind; a loopback address of its own avoids
+        conflicts."""
         for _ in range(20):
             network = f"127.{random.randint(64, 250)}.{random.randint(1, 250)}"
             ours, theirs = socket.socketpair()
@@ -41,7 +44,8 @@ class Names:
                     _, (number,), _, _ = socket.recv_fds(ours, 1, 1)
                     return network, socket.socket(fileno=number)
         raise Failure(
-            f"no address of the loopback has port 53 free: {done.stderr.decode(errors='replace')[-300:]}"
+            "no address of the loopback has port 53 free: "
+            f"{done.stderr.decode(errors='replace')[-300:]}"
         )
 
     @property
@@ -77,7 +81,8 @@ class Names:
         addresses = self.addresses.get(".".join(labels))
         found = [a for a in addresses or [] if kind == A]
         status = NAME_ERROR if addresses is None else 0
-        # Header: response, recursion available; one question, the answers, no authority, no additional records.
+        # Header: response, recursion available; one question, the answers, no authority, no
+        # additional records.
         head = (
             question[:2]
             + bytes([0x81, 0x80 | status])

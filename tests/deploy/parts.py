@@ -42,7 +42,8 @@ def check_image(stage):
 
 
 def check_again(stage):
-    """A build without cache gives the same bytes. It takes minutes, so it runs only in the long form or on request."""
+    """A build without cache gives the same bytes. It takes minutes, so it runs only in the long
+    form or on request."""
     other = f"{IMAGE}-again"
     build(stage.engine, other, "--no-cache")
     try:

@@ -10,7 +10,8 @@ MOVED_LEVEL = 8
 
 
 def decode_png(data):
-    """(width, height, RGBA bytes) of an 8-bit RGB or RGBA picture without interlacing; refuses all others."""
+    """(width, height, RGBA bytes) of an 8-bit RGB or RGBA picture without interlacing; refuses all
+    others."""
     if data[:8] != b"\x89PNG\r\n\x1a\n":
         raise Failure(f"not a PNG: it begins with {data[:16]!r}")
     at, packed, header = 8, b"", None

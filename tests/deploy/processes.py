@@ -23,9 +23,16 @@ class Process:
         self.name, self.log = name, scratch / f"{name}.log"
         with open(self.log, "wb") as out:
             self.process = subprocess.Popen(
-                [str(c) for c in command], stdin=subprocess.DEVNULL, stdout=out, stderr=out, cwd=scratch,
-                env={**{k: v for k, v in os.environ.items() if not k.startswith("MLSWARP_")}, **environment},
-            )  # fmt: skip
+                [str(c) for c in command],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                cwd=scratch,
+                env={
+                    **{k: v for k, v in os.environ.items() if not k.startswith("MLSWARP_")},
+                    **environment,
+                },
+            )
 
     def __enter__(self):
         return self
@@ -70,7 +77,8 @@ class Process:
                     return
             if self.process.poll() is not None or time.monotonic() > deadline:
                 raise Failure(
-                    f"{self.name}: {what} did not come:\n{self.log.read_text(errors='replace')[-3000:]}"
+                    f"{self.name}: {what} did not come:\n"
+                    f"{self.log.read_text(errors='replace')[-3000:]}"
                 )
             time.sleep(0.002)
 
@@ -116,7 +124,8 @@ def haproxy(stage, names, address, replicas):
     """deploy/haproxy/haproxy.cfg unchanged, ready with this number of replicas."""
     started = Process(
         "haproxy", stage.scratch, [where("haproxy"), "-f", ROOT / "deploy/haproxy/haproxy.cfg"],
-        PROXY_LISTEN=f"{address}:8080", PROXY_METRICS_LISTEN=f"{address}:8404", PROXY_REPLICAS="mlswarp:8080", PROXY_DNS=f"{names.server}:53",
+        PROXY_LISTEN=f"{address}:8080", PROXY_METRICS_LISTEN=f"{address}:8404",
+        PROXY_REPLICAS="mlswarp:8080", PROXY_DNS=f"{names.server}:53",
     )  # fmt: skip
     figures = Server(address, 8404)
     started.wait(

@@ -1,4 +1,5 @@
-"""Retries of deploy/haproxy and deploy/nginx: test replicas that crash on requests count how many of them a request has reached."""
+"""Retries of deploy/haproxy and deploy/nginx: test replicas that crash on requests count how many
+of them a request has reached."""
 
 import contextlib
 import http.client
@@ -25,7 +26,8 @@ DEADLY = "whoever reads this dies"
 
 
 class Replica:
-    """Answers every request, unless the body is deadly: then it closes the connection without a response."""
+    """Answers every request, unless the body is deadly: then it closes the connection without a
+    response."""
 
     def __init__(self, address, deadly):
         self.address, self.deadly, self.lock, self.lines = address, deadly, threading.Lock(), set()
@@ -36,7 +38,8 @@ class Replica:
         return self
 
     def __exit__(self, *_):
-        """Like a kill: closes the listener and all connections at once; later connections are reset."""
+        """Like a kill: closes the listener and all connections at once; later connections are
+        reset."""
         with self.lock:
             gone, self.lines = self.lines, set()
         for line in (self.listener, *gone):
@@ -71,7 +74,8 @@ class Replica:
 
 
 def pose(front, body):
-    """(status, headers, body) of a request for a new session on a new connection; the body is sent after the head."""
+    """(status, headers, body) of a request for a new session on a new connection; the body is sent
+    after the head."""
     connection = http.client.HTTPConnection(front.host, front.port, timeout=PATIENCE)
     connection.putrequest("POST", f"/sessions/{uuid.uuid4()}/warp")
     connection.putheader("Content-Type", "application/json")

@@ -1,5 +1,6 @@
-"""Requests a second of one and of two replicas with one thread each behind HAProxy, as far as two cores can tell: the proxy and the load
-take their share of them, so processor seconds a request stand beside it. Printed, not asserted."""
+"""Requests a second of one and of two replicas with one thread each behind HAProxy, as far as two
+cores can tell: the proxy and the load take their share of them, so processor seconds a request
+stand beside it. Printed, not asserted."""
 
 import json
 import re
@@ -17,7 +18,8 @@ MOST_SESSIONS = 200
 REST = [[380, 130], [250, 400], [0, 0], [512, 0], [0, 512], [512, 512]]
 OUTPUTS = {
     "as drags are": "{}",
-    "small and compressed best, so that nearly all of the time is the replica's": '{"compression": "best", "width": 256}',
+    "small and compressed best, so that nearly all of "
+    "the time is the replica's": '{"compression": "best", "width": 256}',
 }
 
 LOAD = """
@@ -26,7 +28,8 @@ local q = '[[%%d, 130], [380, 130], [250, 400], [0, 0], [512, 0], [0, 512], [512
 function request()
     at = at + 1
     local body = '{"q": ' .. string.format(q, 100 + at %% 40) .. ', "output": %s}'
-    return wrk.format('POST', paths[at %% #paths + 1], {['Content-Type'] = 'application/json'}, body)
+    local headers = {['Content-Type'] = 'application/json'}
+    return wrk.format('POST', paths[at %% #paths + 1], headers, body)
 end
 """
 
@@ -39,14 +42,16 @@ def check_scaling(stage):
             measure(stage, names, addresses[:count], rates)
     for what in OUTPUTS:
         say(
-            f"scaling, {what}: {rates[what, 1]:.0f} and {rates[what, 2]:.0f} requests a second, ratio {rates[what, 2] / rates[what, 1]:.2f}"
+            f"scaling, {what}: {rates[what, 1]:.0f} and {rates[what, 2]:.0f} requests a second, "
+            f"ratio {rates[what, 2] / rates[what, 1]:.2f}"
         )
 
 
 def measure(stage, names, addresses, rates):
     names.addresses["mlswarp"] = addresses
     with ExitStack() as running:
-        # A shared store: requests that bounded load moves to the second replica need the session there.
+        # A shared store: requests that bounded load moves to the second replica need the session
+        # there.
         shared, store = redis(stage)
         running.enter_context(shared)
         environment = {
@@ -87,7 +92,8 @@ def measure(stage, names, addresses, rates):
                 f"{u / max(requests, 1) * 1000:.2f}" for u in (sum(used[:-1]), used[-1])
             )
             say(
-                f"scaling, {len(addresses)} replica(s), {what}: {requests} requests, processor ms each: replica + proxy {each}"
+                f"scaling, {len(addresses)} replica(s), {what}: {requests} requests, processor ms "
+                f"each: replica + proxy {each}"
             )
 
 

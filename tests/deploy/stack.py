@@ -109,7 +109,8 @@ class Stack:
         while (state := self.state(container))["Health"]["Status"] != "healthy":
             if time.monotonic() > deadline or not state["Running"]:
                 raise Failure(
-                    f"{service} is {state['Status']}, {state['Health']['Status']}: {state['Health']['Log'][-1:]}"
+                    f"{service} is {state['Status']}, {state['Health']['Status']}: "
+                    f"{state['Health']['Log'][-1:]}"
                 )
             time.sleep(0.2)
 

@@ -16,7 +16,8 @@ ASK = b"GET /readyz HTTP/1.1\r\nHost: mlswarp\r\nConnection: close\r\n\r\n"
 def check_start(stage):
     times = sorted(start(stage) for _ in range(STARTS))
     say(
-        f"start to readiness, {STARTS} times, no store: median {statistics.median(times) * 1000:.1f} ms, longest {times[-1] * 1000:.1f} ms"
+        f"start to readiness, {STARTS} times, no store: median "
+        f"{statistics.median(times) * 1000:.1f} ms, longest {times[-1] * 1000:.1f} ms"
     )
     with replica("idle", stage, "127.0.0.1", free_port()) as idle:
         time.sleep(IDLE_SECONDS)

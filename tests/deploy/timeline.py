@@ -81,7 +81,8 @@ def report(phase):
     plans = Counter(filter(None, phase.all("frame")))
     refused = Counter(f"{status} {said}" for status, _, said in phase.all("refused"))
     say(
-        f"{phase.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; {len(phase.all('upload'))} uploads"
+        f"{phase.name}: {plans['built']} built, {plans['hit'] / max(plans.total(), 1):.2%} hit; "
+        f"{len(phase.all('upload'))} uploads"
     )
     broken = (
         f"{len(phase.all('cut'))} cut short, sockets closed with {phase.all('closed') or 'nothing'}"
@@ -97,7 +98,8 @@ def check_phase(check, phase, facts):
         if client != "uploads" and not any(e.what == "frame" for e in part)
     ]
     check(f"{name}: every client receives frames", not silent, silent)
-    # A response that a killed replica has begun cannot be completed by another one: the client already has the status. It repeats the request.
+    # A response that a killed replica has begun cannot be completed by another one: the client
+    # already has the status. It repeats the request.
     if name != KILLED:
         check(f"{name}: no answer breaks off", not phase.all("cut"), phase.all("cut")[:3])
     if name in WITHOUT_STORE:

@@ -1,8 +1,11 @@
-"""The first block for Docker, Docker Compose and systemd in deploy/README.md, run as it is written there. Docker and Compose use an engine with
-the bridges and ports that Docker makes, in a network of its own; systemd boots in a container. Different is only:
+"""The first block for Docker, Docker Compose and systemd in deploy/README.md, run as it is written
+there. Docker and Compose use an engine with the bridges and ports that Docker makes, in a network
+of its own; systemd boots in a container. Different is only:
 
-- `docker build` uses the base image of this test and the network of the host, because nothing can be pulled;
-- `docker compose` is Debian's `docker-compose`; the images of HAProxy, Valkey and Prometheus contain Debian's programs, and Grafana sleeps;
+- `docker build` uses the base image of this test and the network of the host, because nothing can
+  be pulled;
+- `docker compose` is Debian's `docker-compose`; the images of HAProxy, Valkey and Prometheus
+  contain Debian's programs, and Grafana sleeps;
 - `cargo build` takes the program from the image: Debian has no Rust of this version.
 
 The block for Kubernetes is checked by `files`, without a cluster.
@@ -23,7 +26,8 @@ from images import build_options, builder_image, copied, systemd_image
 from readme_commands import block
 
 COMPOSE = ROOT / "deploy" / "compose.yaml"
-# The program that an image of compose.yaml starts by itself; where it is not named, the services' image starts it.
+# The program that an image of compose.yaml starts by itself; where it is not named, the services'
+# image starts it.
 ENTRY = {"prometheus": '["/bin/prometheus"]', "grafana": '["/bin/sleep", "1000"]'}
 BOOT_SECONDS = 60.0
 # The name of the built image in the engine that builds, which may be one that others use.
@@ -34,7 +38,8 @@ KEY = re.compile(r"ann (\S{16,})")
 def docker_of(stage, engine, place):
     """A directory with the `docker` that the commands call."""
     place.mkdir()
-    # BuildKit finds every layer in its cache: the image was built from such a copy, with the same modes of files and directories.
+    # BuildKit finds every layer in its cache: the image was built from such a copy, with the same
+    # modes of files and directories.
     options = " ".join(
         [
             "--network=host",
@@ -52,6 +57,8 @@ def docker_of(stage, engine, place):
     )
     own = " ".join(map(str, own))
     other = " ".join(map(str, (*engine.prefix, engine.client, *engine.host)))
+    compose = (*engine.prefix, "env", f"DOCKER_HOST={engine.host[1]}", where("docker-compose"))
+    compose = " ".join(map(str, compose))
     script = place / "docker"
     script.write_text(f"""#!/bin/sh
 set -e
@@ -66,7 +73,7 @@ case $1 in
         {own} build {options} "$@"
         {own} save {TAG} | {other} load
         {other} tag {TAG} mlswarp ;;
-    compose) shift; exec {" ".join(engine.prefix)} env DOCKER_HOST={engine.host[1]} {where("docker-compose")} --ansi never "$@" ;;
+    compose) shift; exec {compose} --ansi never "$@" ;;
     *) exec {other} "$@" ;;
 esac
 """)
@@ -75,7 +82,8 @@ esac
 
 
 def as_written(check, section, command):
-    """Runs the block of a section, which ends at its first failure; returns whether it succeeded."""
+    """Runs the block of a section, which ends at its first failure; returns whether it
+    succeeded."""
     with timed(f"the commands of {section}"):
         done = run(*command, "bash", "-euo", "pipefail", "-c", block(section), check=False)
     printed = (done.stdout + done.stderr).decode(errors="replace").strip()
@@ -143,9 +151,12 @@ def check_compose(stage, engine, folder, inside):
 
 # In the order of their numbers (linux/capability.h).
 CAPABILITIES = (
-    "CHOWN DAC_OVERRIDE DAC_READ_SEARCH FOWNER FSETID KILL SETGID SETUID SETPCAP LINUX_IMMUTABLE NET_BIND_SERVICE NET_BROADCAST "
-    "NET_ADMIN NET_RAW IPC_LOCK IPC_OWNER SYS_MODULE SYS_RAWIO SYS_CHROOT SYS_PTRACE SYS_PACCT SYS_ADMIN SYS_BOOT SYS_NICE SYS_RESOURCE "
-    "SYS_TIME SYS_TTY_CONFIG MKNOD LEASE AUDIT_WRITE AUDIT_CONTROL SETFCAP MAC_OVERRIDE MAC_ADMIN SYSLOG WAKE_ALARM BLOCK_SUSPEND AUDIT_READ"
+    "CHOWN DAC_OVERRIDE DAC_READ_SEARCH FOWNER FSETID KILL SETGID SETUID SETPCAP LINUX_IMMUTABLE "
+    "NET_BIND_SERVICE NET_BROADCAST "
+    "NET_ADMIN NET_RAW IPC_LOCK IPC_OWNER SYS_MODULE SYS_RAWIO SYS_CHROOT SYS_PTRACE SYS_PACCT "
+    "SYS_ADMIN SYS_BOOT SYS_NICE SYS_RESOURCE "
+    "SYS_TIME SYS_TTY_CONFIG MKNOD LEASE AUDIT_WRITE AUDIT_CONTROL SETFCAP MAC_OVERRIDE MAC_ADMIN "
+    "SYSLOG WAKE_ALARM BLOCK_SUSPEND AUDIT_READ"
 ).split()
 
 
@@ -159,7 +170,8 @@ def capabilities():
 
 @contextlib.contextmanager
 def booted(stage, engine, folder):
-    """A container in which systemd is the first process, with the files at /src and a `cargo` that takes the program from the image."""
+    """A container in which systemd is the first process, with the files at /src and a `cargo` that
+    takes the program from the image."""
     name = f"mlswarp-test-{os.getpid()}-systemd"
     engine.load(stage.engine, systemd_image(stage.engine), "mlswarp-test/systemd-here")
     given = folder.parent / "given"
@@ -180,8 +192,10 @@ def booted(stage, engine, folder):
     # systemd passes credentials to a service by a mount that must propagate to it.
     boot = f"{writable}mount --make-rshared / && exec /lib/systemd/systemd"
     engine(
-        "run", "--detach", "--name", name, *rights, *groups, "--tmpfs", "/run", "--tmpfs", "/run/lock", "--volume", f"{folder}:/src",
-        "--volume", f"{given}:/given:ro", "--workdir", "/src", "--env", "container=docker", "mlswarp-test/systemd-here", "sh", "-c", boot,
+        "run", "--detach", "--name", name, *rights, *groups, "--tmpfs", "/run", "--tmpfs",
+        "/run/lock", "--volume", f"{folder}:/src",
+        "--volume", f"{given}:/given:ro", "--workdir", "/src", "--env", "container=docker",
+        "mlswarp-test/systemd-here", "sh", "-c", boot,
     )  # fmt: skip
     try:
         deadline = time.monotonic() + BOOT_SECONDS
@@ -190,7 +204,8 @@ def booted(stage, engine, folder):
         ) not in ("running", "degraded"):
             if time.monotonic() > deadline:
                 raise Failure(
-                    f"systemd did not boot in the container: {state!r}: {engine.text('logs', '--tail', '20', name, check=False)}"
+                    f"systemd did not boot in the container: {state!r}: "
+                    f"{engine.text('logs', '--tail', '20', name, check=False)}"
                 )
             time.sleep(0.2)
         yield [

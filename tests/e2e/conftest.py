@@ -1,4 +1,5 @@
-"""Fixtures: one browser for each of the two processes of the run, one server for a module, one visit for a test."""
+"""Fixtures: one browser for each of the two processes of the run, one server for a module, one
+visit for a test."""
 
 import os
 
@@ -20,7 +21,8 @@ def playwright():
 @pytest.fixture(scope="session")
 def browser(playwright):
     assert CHROMIUM, "chromium is not in PATH: install Debian's package"
-    # Without a graphics card, GPU rasterization of the page takes several times as long as the CPU's.
+    # Without a graphics card, GPU rasterization of the page takes several times as long as the
+    # CPU's.
     browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
     yield browser
     browser.close()

@@ -1,4 +1,5 @@
-"""Firefox and WebKitGTK (the engine of Safari) by WebDriver, with Debian's browsers on a virtual display, where both have WebGL."""
+"""Firefox and WebKitGTK (the engine of Safari) by WebDriver, with Debian's browsers on a virtual
+display, where both have WebGL."""
 
 import io
 import os
@@ -19,7 +20,8 @@ from selenium.webdriver.webkitgtk.service import Service as WebKitService
 
 from support import DEADLINE, KEPT, Look
 
-# Debian has no geckodriver, and the packages of npm and PyPI download a binary: built from crates.io, once.
+# Debian has no geckodriver, and the packages of npm and PyPI download a binary: built from
+# crates.io, once.
 GECKODRIVER = "0.37.1"
 SIZE = (1280, 900)
 
@@ -27,10 +29,12 @@ SIZE = (1280, 900)
 LISTEN = """
 window.troubles = [];
 window.sources = [];
-new MutationObserver(() => sources.push(document.body.dataset.source)).observe(document.body, { attributeFilter: ["data-source"] });
+new MutationObserver(() => sources.push(document.body.dataset.source))
+  .observe(document.body, { attributeFilter: ["data-source"] });
 addEventListener("error", (event) => troubles.push(`error: ${event.message}`));
 addEventListener("unhandledrejection", (event) => troubles.push(`rejection: ${event.reason}`));
-document.addEventListener("securitypolicyviolation", (event) => troubles.push(`policy: ${event.blockedURI}`));
+document.addEventListener("securitypolicyviolation", (event) =>
+  troubles.push(`policy: ${event.blockedURI}`));
 """
 
 
@@ -200,7 +204,8 @@ class Drive:
         """Position of a picture position in the window, CSS px."""
         data = self.data
         left, top = self.driver.execute_script(
-            "const { x, y } = document.getElementById('stage').getBoundingClientRect(); return [x, y]"
+            "const { x, y } = document.getElementById('stage').getBoundingClientRect(); return [x, "
+            "y]"
         )
         pan, zoom = [float(c) for c in data["pan"].split(",")], float(data["zoom"])
         return left + pan[0] + zoom * x, top + pan[1] + zoom * y
@@ -225,13 +230,14 @@ class Drive:
         shown = Image.open(io.BytesIO(png)).width / self.driver.execute_script("return innerWidth")
         assert shown == 1, f"the screenshot is scaled by {shown}"
         width, height = self.driver.execute_script(
-            "const { naturalWidth: w, naturalHeight: h } = document.getElementById('original'); return [w, h]"
+            "const { naturalWidth: w, naturalHeight: h } = document.getElementById('original'); "
+            "return [w, h]"
         )
         return Look(png, self.at(0, 0), self.at(width, height), float(self.data["zoom"]))
 
     def seen(self, what, holds):
-        """Waits until the picture on the screen fits: a screenshot may be a frame older than the state of the page, and a frame may be
-        one in which the picture is not drawn yet."""
+        """Waits until the picture on the screen fits: a screenshot may be a frame older than the
+        state of the page, and a frame may be one in which the picture is not drawn yet."""
         give_up = time.monotonic() + DEADLINE
         while True:
             try:

@@ -1,4 +1,5 @@
-"""The relay of tests/link between the page and a server, and a record of what the page shows and sends over it."""
+"""The relay of tests/link between the page and a server, and a record of what the page shows and
+sends over it."""
 
 import json
 import math
@@ -40,9 +41,10 @@ class Link(Visited):
         self.process.wait()
 
 
-# `wrong`: what the page may never show, by its own clock, however slow the machine is. `waits`: for each pose that the socket sends, how
-# long the oldest unanswered one had waited, beyond the quickest response so far. `unacknowledged`: most frames that the page had received
-# and not acknowledged.
+# `wrong`: what the page may never show, by its own clock, however slow the machine is. `waits`: for
+# each pose that the socket sends, how long the oldest unanswered one had waited, beyond the
+# quickest response so far. `unacknowledged`: most frames that the page had received and not
+# acknowledged.
 RECORD = """(() => {
   const seen = (window.seen = { wrong: [], waits: [], unacknowledged: 0, poses: 0 });
   window.WebSocket = class extends WebSocket {
@@ -70,7 +72,8 @@ RECORD = """(() => {
       if (seq === undefined) return;
       seen.poses += 1;
       const [oldest] = this.#unanswered.values();
-      if (oldest !== undefined) seen.waits.push(performance.now() - oldest - (Number.isFinite(this.#quickest) ? this.#quickest : 300));
+      const least = Number.isFinite(this.#quickest) ? this.#quickest : 300;
+      if (oldest !== undefined) seen.waits.push(performance.now() - oldest - least);
       this.#unanswered.set(seq, performance.now());
     }
   };
@@ -78,17 +81,21 @@ RECORD = """(() => {
   let last = 0;
   const look = () => {
     const { dataset } = document.body;
-    const [revision, shown, now] = [Number(dataset.revision), Number(dataset.shown || 0), performance.now()];
+    const [revision, shown] = [Number(dataset.revision), Number(dataset.shown || 0)];
+    const now = performance.now();
     if (poses.at(-1)?.[0] !== revision) poses.push([revision, now]);
     while (poses.length && poses[0][0] <= shown) poses.shift();
     const age = poses.length ? now - poses[0][1] : 0;
     const told = JSON.stringify(dataset);
     if (shown < last) seen.wrong.push(`older than before: ${told}`);
     if (shown > revision) seen.wrong.push(`a pose of the future: ${told}`);
-    if (dataset.state === "ready" && (shown !== revision || dataset.source !== "png")) seen.wrong.push(`ready too early: ${told}`);
+    const isDone = shown === revision && dataset.source === "png";
+    if (dataset.state === "ready" && !isDone) seen.wrong.push(`ready too early: ${told}`);
     // Half a second for a busy machine, on which timers and frames are late.
-    if (age > 1500 && dataset.state === "busy" && !dataset.behind) seen.wrong.push(`${age} ms behind without a word: ${told}`);
-    if (Boolean(dataset.behind) !== Boolean(document.getElementById("behind").textContent)) seen.wrong.push(`other words: ${told}`);
+    if (age > 1500 && dataset.state === "busy" && !dataset.behind)
+      seen.wrong.push(`${age} ms behind without a word: ${told}`);
+    const words = document.getElementById("behind").textContent;
+    if (Boolean(dataset.behind) !== Boolean(words)) seen.wrong.push(`other words: ${told}`);
     last = shown;
     requestAnimationFrame(look);
   };
@@ -110,8 +117,8 @@ def vertices(handle):
 
 def distances(visit, columns, rows, q):
     """
-    How far the drawing by a lattice is from the deformation at dense points, px, ascending; the residual that the page computes; and the
-    largest distance at the handles themselves.
+    How far the drawing by a lattice is from the deformation at dense points, px, ascending; the
+    residual that the page computes; and the largest distance at the handles themselves.
     """
     warp = visit.warp()
     wide, high = (int(float(c)) for c in visit["canvas"].split(",")[2:])

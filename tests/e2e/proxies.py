@@ -1,4 +1,5 @@
-"""nginx and HAProxy with the files of `deploy`, one replica, and the lines of deploy/README.md for a path prefix."""
+"""nginx and HAProxy with the files of `deploy`, one replica, and the lines of deploy/README.md for
+a path prefix."""
 
 import http.client
 import os

@@ -1,4 +1,5 @@
-"""Shared parts of the browser tests: the program as a process, a visit of the page, and its screenshots."""
+"""Shared parts of the browser tests: the program as a process, a visit of the page, and its
+screenshots."""
 
 import base64
 import http.client
@@ -25,7 +26,8 @@ PROGRAM = os.environ["MLSWARP_PROGRAM"]
 # No test asserts speed: this is the time after which something counts as hung.
 DEADLINE = 60.0
 
-# Debian's Chromium without background network requests. Without a GPU it composes the page on the CPU, and so does WebGL.
+# Debian's Chromium without background network requests. Without a GPU it composes the page on the
+# CPU, and so does WebGL.
 CHROMIUM = shutil.which("chromium")
 FLAGS = [
     "--no-sandbox",
@@ -44,14 +46,16 @@ SOCKET = re.compile("WebSocket connection to .* failed")
 
 
 def crossed(these, those):
-    """Pairs for a test: all of them in the long form, otherwise each of these with one of those in turn."""
+    """Pairs for a test: all of them in the long form, otherwise each of these with one of those in
+    turn."""
     if os.environ.get("MLSWARP_TESTS_FULL") == "1":
         return [(this, that) for this in these for that in those]
     return [(this, those[k % len(those)]) for k, this in enumerate(these)]
 
 
 class Visited:
-    """A server that pages look at. They are closed before it ends: a request of theirs would find nobody, which is an error of the page."""
+    """A server that pages look at. They are closed before it ends: a request of theirs would find
+    nobody, which is an error of the page."""
 
     visits = ()
 
@@ -162,9 +166,11 @@ class Visit:
             self.trouble.append(f"asked for {request.url}")
 
     def _said(self, message):
-        """Records errors. The browser reports every rejected request as an error; a test announces those that it causes with `expects`."""
+        """Records errors. The browser reports every rejected request as an error; a test announces
+        those that it causes with `expects`."""
         refused = re.search(
-            r"Failed to load resource: (?:the server responded with a status of (\d+)|net::(ERR_\w+))",
+            r"Failed to load resource: (?:the server responded with a status of "
+            r"(\d+)|net::(ERR_\w+))",
             message.text,
         )
         if refused and (refused[1] or refused[2]) in self.expected:
@@ -300,12 +306,16 @@ class Visit:
     def look(self):
         """The visible picture on the stage, without handles and bars."""
         over = "#handles, #marks, #moving, #loupe, #work > :not(#stage), main > :not(#work)"
-        fade = f"(opacity) => document.querySelectorAll('{over}').forEach((node) => (node.style.opacity = opacity))"
+        fade = (
+            f"(opacity) => document.querySelectorAll('{over}').forEach((node) => "
+            "(node.style.opacity = opacity))"
+        )
         self.page.evaluate(fade, "0")
         shot = self.page.screenshot(scale="css")
         self.page.evaluate(fade, "")
         width, height = self.page.evaluate(
-            "(({ naturalWidth: w, naturalHeight: h }) => [w, h])(document.querySelector('#original'))"
+            "(({ naturalWidth: w, naturalHeight: h }) => [w, "
+            "h])(document.querySelector('#original'))"
         )
         return Look(shot, self.at(0, 0), self.at(width, height), float(self["zoom"]))
 
@@ -315,14 +325,19 @@ class Visit:
 
 
 def tell(visit, kinds, *files):
-    """Events by which a browser brings files (name, media type, bytes); tells whether the page took each of them for its own."""
+    """Events by which a browser brings files (name, media type, bytes); tells whether the page took
+    each of them for its own."""
     return visit.page.evaluate(
         """([kinds, files]) => {
           const carried = new DataTransfer();
-          for (const [name, type, base64] of files) carried.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name, { type }));
-          const make = { paste: (kind, wish) => new ClipboardEvent(kind, { ...wish, clipboardData: carried }) };
-          const drag = (kind, wish) => new DragEvent(kind, { ...wish, dataTransfer: carried });
-          return kinds.map((kind) => !document.body.dispatchEvent((make[kind] ?? drag)(kind, { bubbles: true, cancelable: true })));
+          for (const [name, type, base64] of files) {
+            const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+            carried.items.add(new File([bytes], name, { type }));
+          }
+          const wish = { bubbles: true, cancelable: true };
+          return kinds.map((kind) => !document.body.dispatchEvent(kind === "paste"
+            ? new ClipboardEvent(kind, { ...wish, clipboardData: carried })
+            : new DragEvent(kind, { ...wish, dataTransfer: carried })));
         }""",
         [kinds, [(name, media, base64.b64encode(bytes).decode()) for name, media, bytes in files]],
     )

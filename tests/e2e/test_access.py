@@ -1,4 +1,5 @@
-"""Accessibility: no serious findings of axe in any state, large enough targets, announcements for screen readers."""
+"""Accessibility: no serious findings of axe in any state, large enough targets, announcements for
+screen readers."""
 
 import json
 import re
@@ -227,13 +228,16 @@ def test_the_switch_chooses_the_other_theme(visits):
 
 
 # A line as a whole is as wide as it is long; its places are what is measured.
-SMALL = """(least) => [...document.querySelectorAll("button, input:not([type=file]), select, a[href], summary, [role=button]")]
-  .filter((node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true }) && !node.disabled)
+SMALL = """(least) => [...document.querySelectorAll(
+    "button, input:not([type=file]), select, a[href], summary, [role=button]")]
+  .filter((node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true }) &&
+    !node.disabled)
   .filter((node) => !["line", "path"].includes(node.dataset.kind) || node.dataset.vertex)
   .map((node) => [node.closest("label") ?? node.querySelector(".hit") ?? node, node])
   .map(([target, node]) => [target.getBoundingClientRect(), node])
   .filter(([{ width, height }]) => width < least - 0.5 || height < least - 0.5)
-  .map(([{ width, height }, node]) => `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
+  .map(([{ width, height }, node]) =>
+    `${node.id || node.outerHTML.slice(0, 60)}: ${width.toFixed(0)} x ${height.toFixed(0)}`)"""
 
 
 @pytest.mark.parametrize(
@@ -268,8 +272,10 @@ def test_nothing_runs_out_of_the_screen(visits, state, width, more):
     state(visit)
     assert visit.page.evaluate("document.scrollingElement.scrollWidth") <= width
     out = visit.page.evaluate(
-        """() => [...document.querySelectorAll("header *, .bar *, #drop button, #selection *, dialog[open] *, #problem *")]
-          .filter((node) => node.checkVisibility() && !node.closest("svg") && !node.matches(".unseen, .unseen *"))
+        """() => [...document.querySelectorAll(
+            "header *, .bar *, #drop button, #selection *, dialog[open] *, #problem *")]
+          .filter((node) => node.checkVisibility() && !node.closest("svg") &&
+            !node.matches(".unseen, .unseen *"))
           .map((node) => [node, node.getBoundingClientRect()])
           .filter(([, box]) => box.width && (box.left < -0.5 || box.right > innerWidth + 0.5))
           .map(([node]) => node.id || node.outerHTML.slice(0, 80))"""
@@ -294,7 +300,8 @@ def test_changes_are_said(opened):
 def test_every_control_has_a_name_and_the_focus_is_seen(visit):
     ready(visit)
     nameless = visit.page.evaluate(
-        """() => [...document.querySelectorAll("button, input, select, textarea, [role=button], [role=application]")]
+        """() => [...document.querySelectorAll(
+            "button, input, select, textarea, [role=button], [role=application]")]
           .filter((node) => node.checkVisibility())
           .filter((node) => !(node.ariaLabel || node.labels?.length || node.innerText?.trim()))
           .map((node) => node.outerHTML.slice(0, 100))"""
@@ -309,9 +316,13 @@ def test_every_control_has_a_name_and_the_focus_is_seen(visit):
             """() => {
               const node = document.activeElement;
               if (node === document.body) return null;
-              const styles = [node, node.closest("label"), ...node.querySelectorAll("*")].filter(Boolean).map((part) => getComputedStyle(part));
-              const seen = styles.some((s) => (s.outlineStyle !== "none" && parseFloat(s.outlineWidth) >= 2) || s.boxShadow !== "none");
-              return [node.id || node.outerHTML.slice(0, 60), seen || Boolean(node.closest("#handles")), node.dataset.handle !== undefined];
+              const parts = [node, node.closest("label"), ...node.querySelectorAll("*")];
+              const styles = parts.filter(Boolean).map((part) => getComputedStyle(part));
+              const outlined = (s) => s.outlineStyle !== "none" && parseFloat(s.outlineWidth) >= 2;
+              const seen = styles.some((s) => outlined(s) || s.boxShadow !== "none");
+              const isHandle = Boolean(node.closest("#handles"));
+              const name = node.id || node.outerHTML.slice(0, 60);
+              return [name, seen || isHandle, node.dataset.handle !== undefined];
             }"""
         )
         if stop is None:
@@ -325,7 +336,8 @@ def test_every_control_has_a_name_and_the_focus_is_seen(visit):
 def test_nothing_moves_for_those_who_asked_for_stillness(visit):
     assert (
         visit.page.evaluate(
-            "document.getAnimations().filter((a) => a.playState === 'running' && a.effect.getComputedTiming().duration > 50).length"
+            "document.getAnimations().filter((a) => a.playState === 'running' && "
+            "a.effect.getComputedTiming().duration > 50).length"
         )
         == 0
     )

@@ -1,4 +1,5 @@
-"""A pose of another picture is aligned with the rest positions: by the panel, in files, links and commands."""
+"""A pose of another picture is aligned with the rest positions: by the panel, in files, links and
+commands."""
 
 import io
 import json
@@ -11,7 +12,8 @@ from support import BLUE, GREEN, near
 from test_files import REST, drop, pts
 from test_output import run
 
-# The discs as another picture has them: turned by 20 degrees, 0.6 times as large, elsewhere, and one of them truly moved.
+# The discs as another picture has them: turned by 20 degrees, 0.6 times as large, elsewhere, and
+# one of them truly moved.
 TURN, SCALE = math.radians(20), 0.6
 
 

@@ -37,7 +37,8 @@ HOLD = """(wanted) => {
   const { dataset } = document.body;
   window.goOn = () => {};
   new MutationObserver((_, watch) => {
-    if (dataset.playing !== "true" || (wanted ? dataset.strength !== wanted : dataset.strength === "1")) return;
+    if (dataset.playing !== "true" ||
+      (wanted ? dataset.strength !== wanted : dataset.strength === "1")) return;
     watch.disconnect();
     next(() => {
       window.requestAnimationFrame = (step) => held.push(step);
@@ -117,7 +118,8 @@ def test_it_plays_there_and_back_and_ends_at_the_pose(visits, picture):
 
 
 def test_what_plays_is_what_the_strength_shows(visits, picture):
-    """Fewer, still frames with reduced motion: one of them is the pose at a strength that the slider can have."""
+    """Fewer, still frames with reduced motion: one of them is the pose at a strength that the
+    slider can have."""
     visit = bend(visits(), picture)
     visit.page.uncheck("#play-back")
     visit.page.select_option("#play-easing", "linear")

@@ -1,4 +1,5 @@
-"""What the panel and the tools change: method, reach, grid, comparison, mesh, folds, milliseconds."""
+"""What the panel and the tools change: method, reach, grid, comparison, mesh, folds,
+milliseconds."""
 
 import io
 import json
@@ -165,7 +166,8 @@ def test_the_mesh_is_drawn_where_the_picture_is(bent):
     bent.page.click("#mesh")
     lines = bent.look()
     assert 1000 < lines.differs(plain) < 0.5 * plain.image.width * plain.image.height
-    # Lines cross where the server maps the vertices: it is lighter there, and nothing has changed amid the cells.
+    # Lines cross where the server maps the vertices: it is lighter there, and nothing has changed
+    # amid the cells.
     grid = cells(bent)
     assert len(grid) == 8 * 6
     vertices = [cell[0] for k, cell in enumerate(grid) if k >= 8 and k % 8 and inside(cell[0])]

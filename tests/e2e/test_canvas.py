@@ -1,4 +1,5 @@
-"""The canvas: the whole result or a box instead of the area of the picture, in the preview, the server's picture and every export."""
+"""The canvas: the whole result or a box instead of the area of the picture, in the preview, the
+server's picture and every export."""
 
 import io
 import json

@@ -1,5 +1,6 @@
-"""The guide at /docs and the reference that follows it. Every example of the guide runs: the shell and Python files in a folder of their own, the
-JavaScript by the page's Run buttons. Neither page sends requests to other hosts."""
+"""The guide at /docs and the reference that follows it. Every example of the guide runs: the shell
+and Python files in a folder of their own, the JavaScript by the page's Run buttons. Neither page
+sends requests to other hosts."""
 
 import html
 import io

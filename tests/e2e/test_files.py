@@ -1,4 +1,5 @@
-"""Files that are opened together: which landmark file is rest and which pose, what is not used, annotations, TIFF."""
+"""Files that are opened together: which landmark file is rest and which pose, what is not used,
+annotations, TIFF."""
 
 import io
 import json
@@ -166,14 +167,17 @@ def test_a_tiff_is_opened_and_drawn(visit, picture):
 DRAWN = """([zoom, x, y]) => {
   const canvas = document.querySelector("#annotations");
   if (canvas.hidden) return null;
-  const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  const { data, width, height } =
+    canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   const box = [Infinity, Infinity, -Infinity, -Infinity];
   for (let k = 0; k < width * height; k++) {
     if (data[4 * k] < 200 || data[4 * k + 1] < 180 || data[4 * k + 3] < 200) continue;
     const [u, v] = [k % width, Math.floor(k / width)];
-    [box[0], box[1], box[2], box[3]] = [Math.min(box[0], u), Math.min(box[1], v), Math.max(box[2], u), Math.max(box[3], v)];
+    [box[0], box[1], box[2], box[3]] =
+      [Math.min(box[0], u), Math.min(box[1], v), Math.max(box[2], u), Math.max(box[3], v)];
   }
-  return [(box[0] - x) / zoom, (box[1] - y) / zoom, (box[2] + 1 - x) / zoom, (box[3] + 1 - y) / zoom];
+  const [right, bottom] = [box[2] + 1, box[3] + 1];
+  return [(box[0] - x) / zoom, (box[1] - y) / zoom, (right - x) / zoom, (bottom - y) / zoom];
 }"""
 
 
@@ -256,7 +260,8 @@ def test_annotations_wait_for_their_picture_and_survive_undo(visit, picture):
         ),
         (
             b'{"kind": "cells"}',
-            "In cells.geojson, a FeatureCollection, a Feature, a list of Features or a geometry is expected.",
+            "In cells.geojson, a FeatureCollection, a Feature, a list of Features or a geometry "
+            "is expected.",
         ),
     ],
 )

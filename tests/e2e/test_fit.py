@@ -1,4 +1,5 @@
-"""Choose for me: the method that predicts each pin best from the others, and the arrows of the residuals."""
+"""Choose for me: the method that predicts each pin best from the others, and the arrows of the
+residuals."""
 
 import json
 

@@ -1,4 +1,5 @@
-"""Files with handles: opened on a picture, before it or with it; what is wrong with a file is said with its name and position."""
+"""Files with handles: opened on a picture, before it or with it; what is wrong with a file is said
+with its name and position."""
 
 import base64
 import io
@@ -158,7 +159,8 @@ BROKEN = [
         b'{"p": [[1, 2], [[3, 4], [5, 6]]], "method": "tps"}',
         1,
         16,
-        'because the method "tps" and, on this page, "global_affine" take points only, is expected for p[1].',
+        'because the method "tps" and, on this page, "global_affine" take points only, is '
+        "expected for p[1].",
     ),
     (b'{"p": [[1, 2]], "units": "mm"}', 1, 26, '"px" or "normalized" is expected for units.'),
     (
@@ -213,7 +215,8 @@ def test_a_large_file_is_not_read(visit):
 
 
 def test_the_region_is_saved_with_the_handles_and_opened_again(opened):
-    """The same picture comes back, after the region was cleared, on the picture opened anew, and by curl as the refusal says."""
+    """The same picture comes back, after the region was cleared, on the picture opened anew, and by
+    curl as the refusal says."""
     opened.click(*RED)
     opened.drag(RED, (140, 130))
     opened.page.click("label:has(#tool-lasso)")

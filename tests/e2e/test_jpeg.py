@@ -1,4 +1,5 @@
-"""The service's JPEG files in independent decoders: libjpeg-turbo (Pillow and cv2), FFmpeg (PyAV) and Chromium. The Rust tests have two more."""
+"""The service's JPEG files in independent decoders: libjpeg-turbo (Pillow and cv2), FFmpeg (PyAV)
+and Chromium. The Rust tests have two more."""
 
 import base64
 import io
@@ -23,7 +24,8 @@ DECODE = """async file => {
   const context = canvas.getContext("2d")
   context.drawImage(bitmap, 0, 0)
   const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height)
-  return [bitmap.width, bitmap.height, btoa(Array.from(data, byte => String.fromCharCode(byte)).join(""))]
+  const text = Array.from(data, byte => String.fromCharCode(byte)).join("")
+  return [bitmap.width, bitmap.height, btoa(text)]
 }"""
 
 

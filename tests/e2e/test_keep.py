@@ -1,4 +1,5 @@
-"""Persistence: over a reload, in a new tab, after the session has expired, after a restart of the server."""
+"""Persistence: over a reload, in a new tab, after the session has expired, after a restart of the
+server."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""A server that wants a key: the page asks for it, keeps it in this browser, and never gives it away."""
+"""A server that wants a key: the page asks for it, keeps it in this browser, and never gives it
+away."""
 
 import base64
 import os

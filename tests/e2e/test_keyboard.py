@@ -1,4 +1,5 @@
-"""Everything by keys alone: no test here touches the mouse. The file itself comes through the browser's chooser."""
+"""Everything by keys alone: no test here touches the mouse. The file itself comes through the
+browser's chooser."""
 
 import json
 
@@ -23,7 +24,8 @@ def tab_to(visit, id, back=False):
 
 
 def cross_to(visit, place):
-    """Moves the cross from the stage's middle to a place: ten at a time, and one at a time with Shift."""
+    """Moves the cross from the stage's middle to a place: ten at a time, and one at a time with
+    Shift."""
     visit.keys("ArrowRight", "ArrowLeft")
     x, y = visit.page.evaluate(
         "document.querySelector('#says').textContent.split(', ').map(Number)"
@@ -117,7 +119,9 @@ def test_arrows_in_quick_succession_are_one_step(pinned):
     # Together, so that no slow machine takes them apart.
     pinned.page.evaluate(
         """() => {
-          for (let k = 0; k < 12; k++) document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowUp", bubbles: true, cancelable: true }));
+          const up = { key: "ArrowUp", bubbles: true, cancelable: true };
+          for (let k = 0; k < 12; k++)
+            document.activeElement.dispatchEvent(new KeyboardEvent("keydown", up));
         }"""
     )
     pinned.ready()

@@ -1,5 +1,5 @@
-"""The page over distant and poor links, with the server's coefficients and with the drag socket. Waiting times are asserted,
-frame rates are not."""
+"""The page over distant and poor links, with the server's coefficients and with the drag socket.
+Waiting times are asserted, frame rates are not."""
 
 import json
 import os
@@ -96,7 +96,8 @@ class Drag:
         seen = self.visit.page.evaluate("seen")
         assert not seen["wrong"], "\n".join(seen["wrong"][:10])
         assert seen["unacknowledged"] <= 8, seen["unacknowledged"]
-        # Behind an unanswered pose, newer ones are sent for 300 ms at most; 100 for the clock of the record.
+        # Behind an unanswered pose, newer ones are sent for 300 ms at most; 100 for the clock of
+        # the record.
         assert max(seen["waits"], default=0) <= 400, max(seen["waits"])
         if self.is_local:
             assert seen["poses"] == self.poses_before, (
@@ -127,7 +128,8 @@ def test_the_rate_halves(visits, picture, link, query):
 
 @WAYS
 def test_seconds_without_a_connection(visits, picture, link, query):
-    """The page says that it is behind, and continues by itself. Ten seconds in the long form: the page gives the socket up after five."""
+    """The page says that it is behind, and continues by itself. Ten seconds in the long form: the
+    page gives the socket up after five."""
     drag = Drag(visits, link, picture, query)
     visit = drag.visit
     drag.move(5).follows()
@@ -205,7 +207,8 @@ def test_a_response_from_before_the_server_stopped(visits, picture, link, restar
 
 
 def test_a_drag_that_ends_without_a_connection(visits, picture, link):
-    """The pose that was released there is an old one on the screen, and the page says so until the new one arrives."""
+    """The pose that was released there is an old one on the screen, and the page says so until the
+    new one arrives."""
     drag = Drag(visits, link, picture, "?plan=off")
     visit = drag.visit
     drag.move(5).follows()

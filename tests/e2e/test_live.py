@@ -1,4 +1,5 @@
-"""Live poses of the server during a drag: by socket or by requests, with and without WebGL. `test_plan` has those without the server."""
+"""Live poses of the server during a drag: by socket or by requests, with and without WebGL.
+`test_plan` has those without the server."""
 
 import json
 

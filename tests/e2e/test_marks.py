@@ -24,7 +24,8 @@ def many(opened):
 def drawn_by_svg(visit):
     """Indices of the handles whose dots the SVG draws."""
     return visit.page.evaluate(
-        "[...document.querySelectorAll('#handles .dot')].filter((dot) => dot.checkVisibility()).map((dot) => Number(dot.parentNode.dataset.handle))"
+        "[...document.querySelectorAll('#handles .dot')].filter((dot) => "
+        "dot.checkVisibility()).map((dot) => Number(dot.parentNode.dataset.handle))"
     )
 
 
@@ -35,7 +36,8 @@ def is_blue(visit, canvas, x, y):
           const canvas = document.getElementById(id);
           if (canvas.hidden) return false;
           const { left, top } = canvas.getBoundingClientRect();
-          const [r, g, b, a] = canvas.getContext("2d").getImageData((x - left) * devicePixelRatio, (y - top) * devicePixelRatio, 1, 1).data;
+          const [u, v] = [x - left, y - top].map((c) => c * devicePixelRatio);
+          const [r, g, b, a] = canvas.getContext("2d").getImageData(u, v, 1, 1).data;
           return a > 200 && b > 200 && r < 120;
         }""",
         [canvas, x, y],

@@ -55,7 +55,8 @@ def test_a_handle_put_on_a_bent_picture_holds_what_is_under_the_cursor(pinned):
     pinned.drag(RED, (160, 150))
     pinned.ready()
     for place in ((230, 160), (70, 60), (160, 175)):
-        # Asked of the picture as it is seen before the click: the point at rest lies where the click saw it.
+        # Asked of the picture as it is seen before the click: the point at rest lies where the
+        # click saw it.
         bent = pinned.warp()
         pinned.click(*place)
         pinned.body(f"[data-handles='{len(bent['p']) + 1}']").ready()

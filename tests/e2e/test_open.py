@@ -94,7 +94,8 @@ def test_a_picture_is_pasted(visit, picture):
     visit.page.evaluate(
         """async (base64) => {
           const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
-          await navigator.clipboard.write([new ClipboardItem({ "image/png": new Blob([bytes], { type: "image/png" }) })]);
+          await navigator.clipboard.write([new ClipboardItem({ "image/png": new Blob([bytes],
+            { type: "image/png" }) })]);
         }""",
         base64.b64encode(picture.read_bytes()).decode(),
     )
@@ -118,7 +119,8 @@ def test_saved_handles_are_dropped_on_an_open_picture(opened):
 
 
 def test_a_picture_is_opened_under_a_name_of_the_page(visit, picture):
-    """A proxy that hashes the name in the path sends the upload to the replica that will get the drags."""
+    """A proxy that hashes the name in the path sends the upload to the replica that will get the
+    drags."""
     asked = []
     visit.page.on("request", lambda request: asked.append((request.method, request.url)))
     # As over plain HTTP to another machine.
@@ -170,8 +172,11 @@ def test_an_upload_shows_how_far_it_is(visit, tmp_path):
     visit.page.evaluate(
         """() => {
           globalThis.seen = [];
-          const note = () => document.body.dataset.state === "uploading" && seen.push([Number(document.body.dataset.progress),
-            document.querySelector("#upload-bar").value, document.querySelector("#upload-text").innerText]);
+          const [bar, text] = ["#upload-bar", "#upload-text"].map((id) =>
+            document.querySelector(id));
+          const { dataset } = document.body;
+          const note = () => dataset.state === "uploading" &&
+            seen.push([Number(dataset.progress), bar.value, text.innerText]);
           new MutationObserver(note).observe(document.body, { attributes: true });
         }"""
     )

@@ -1,4 +1,5 @@
-"""What is taken along: the picture, the handles, the command, the link. Each of them leads to the same bytes by another way."""
+"""What is taken along: the picture, the handles, the command, the link. Each of them leads to the
+same bytes by another way."""
 
 import io
 import json
@@ -136,7 +137,8 @@ def test_a_link_says_until_when_it_works_and_a_dead_one_what_to_do(visit, visits
     bend(visit)
     link = visit.copied("copy-link")
     visit.page.wait_for_selector(
-        "#link-note:text-matches('^It works until .*[0-9]{2}:[0-9]{2}, and for 15 minutes after each use[.]$')"
+        "#link-note:text-matches('^It works until .*[0-9]{2}:[0-9]{2}, and for 15 minutes after "
+        "each use[.]$')"
     )
     assert visit.text("toast") == f"Link copied. {visit.text('link-note')}"
     until = re.search(r"(\d\d):(\d\d)", visit.text("link-note"))
@@ -149,9 +151,9 @@ def test_a_link_says_until_when_it_works_and_a_dead_one_what_to_do(visit, visits
     guest = visits(path=f"#{urlsplit(link).fragment}", expects=["404", "410"])
     guest.body("[data-problem=no_such_session], body[data-problem=session_expired]")
     assert guest.text("problem-title") == "This link no longer works"
-    assert (
-        guest.text("problem-detail")
-        == "The link to discs.png has ended: the server deletes a picture 15 minutes after its last use."
+    assert guest.text("problem-detail") == (
+        "The link to discs.png has ended: the server deletes a picture 15 minutes after its "
+        "last use."
     )
     assert (
         guest.text("waiting-text")

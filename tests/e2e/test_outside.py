@@ -1,4 +1,5 @@
-"""The content outside the warped picture: transparent, extended edge, solid colour. The same in the live preview and in the server's picture."""
+"""The content outside the warped picture: transparent, extended edge, solid colour. The same in the
+live preview and in the server's picture."""
 
 import io
 import json
@@ -83,7 +84,8 @@ def test_it_is_there_while_the_hand_moves(visits, picture, query, outside, pixel
         moving = visit.look()
     visit.ready()
     assert close(visit.look().colour(*BARE), pixel)
-    # Edges differ a little: the browser enlarges the one and draws the other. The bare strip alone is a tenth of the picture.
+    # Edges differ a little: the browser enlarges the one and draws the other. The bare strip alone
+    # is a tenth of the picture.
     assert visit.look().differs(moving) < 0.03 * moving.image.width * moving.image.height
 
 

@@ -1,4 +1,5 @@
-"""Screenshots of the page for review. MLSWARP_BLESS=1 updates them in `pictures/`; otherwise they are only in the artefacts."""
+"""Screenshots of the page for review. MLSWARP_BLESS=1 updates them in `pictures/`; otherwise they
+are only in the artefacts."""
 
 import io
 import os

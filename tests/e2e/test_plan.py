@@ -153,7 +153,8 @@ def test_new_handles_have_new_coefficients(visit, picture):
 
 @pytest.mark.parametrize("screen", [1, 1.25, 2])
 def test_the_drawing_covers_the_picture_at_each_zoom(visits, tmp_path, screen):
-    """Its canvas is the visible part of the picture: in the middle of the stage, beyond its edges, in pixels of the screen or of the picture."""
+    """Its canvas is the visible part of the picture: in the middle of the stage, beyond its edges,
+    in pixels of the screen or of the picture."""
     visit = pinned(visits(device_scale_factor=screen), discs(tmp_path / "large.png", (1600, 1200)))
     visit.page.select_option("#canvas", "fit")
     # To and fro: without folds, which a coarser lattice shows elsewhere.

@@ -114,7 +114,8 @@ def test_two_handles_that_are_moved_apart(pinned):
     )
     assert marked == ["handle-0", "handle-1"] and pinned.page.locator("tr[data-fault]").count() == 2
     pinned.keep("handles-apart")
-    # The position moves by the mean: put the second handle where the first one is, and nothing is wrong.
+    # The position moves by the mean: put the second handle where the first one is, and nothing is
+    # wrong.
     for axis, number in zip("xy", RED):
         type_number(pinned, f"q-1-0-{axis}", number)
         pinned.ready()

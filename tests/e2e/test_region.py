@@ -1,4 +1,5 @@
-"""The region: drawn by lasso and brush, what moves is inside of it, and everything else is the picture, bit for bit."""
+"""The region: drawn by lasso and brush, what moves is inside of it, and everything else is the
+picture, bit for bit."""
 
 import io
 import shutil
@@ -9,7 +10,8 @@ from PIL import Image, ImageChops, ImageDraw
 from support import BLUE, GREEN, RED, SOCKET, Fingers, Server, near
 from test_output import run
 
-# Around the red disc, and where it is dragged: within the region's reach, apart from the other discs.
+# Around the red disc, and where it is dragged: within the region's reach, apart from the other
+# discs.
 AROUND = ((60, 60), (150, 60), (150, 150), (60, 150))
 GOAL = (110, 150)
 
@@ -128,7 +130,8 @@ def test_only_the_region_moves(visits, picture):
         visit.body("[data-region='1']")
         visit.ready()
         png = visit.of_server().body
-        # The content of the region moved down by 50 px at most; the red disc is there and, as holes keep the picture, also where it was.
+        # The content of the region moved down by 50 px at most; the red disc is there and, as holes
+        # keep the picture, also where it was.
         box = difference(png, picture)
         assert inside(box, (55, 55, 165, 215)), (draws, box)
         assert rgba(png).getpixel(GOAL)[0] > 200 > 100 > rgba(png).getpixel(GOAL)[1], draws
@@ -233,7 +236,8 @@ def test_it_is_in_the_command_and_behind_the_link(bent, visits, picture, tmp_pat
     assert drawn.size == (400, 300) and drawn.getpixel(RED) == 255 and drawn.getpixel(BLUE) == 0
     run(line, tmp_path)
     assert (tmp_path / "discs-warped.png").read_bytes() == png
-    # The page of a link draws and, when it changes a handle, opens its own session with the same region.
+    # The page of a link draws and, when it changes a handle, opens its own session with the same
+    # region.
     link = bent.copied("copy-link")
     other = visits(path=link[link.index("#") :])
     assert changed(other, picture) == (box, png) and other["region"] == "1"

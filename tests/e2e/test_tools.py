@@ -150,7 +150,8 @@ def loupe(visit):
 
 
 COLOUR = """(node) => { const { width } = node; const side = 9;
-  return [...node.getContext("2d").getImageData(width / 2 + width / 7, width / 2 - width / 7, 1, 1).data]; }"""
+  const [x, y] = [width / 2 + width / 7, width / 2 - width / 7];
+  return [...node.getContext("2d").getImageData(x, y, 1, 1).data]; }"""
 
 
 def test_a_finger_that_drags_has_a_magnifier_above_it(phone):
@@ -214,7 +215,10 @@ def many(visit, side):
     ]
     places = [[round(x, 2), round(y, 2)] for x, y in places]
     link = visit.page.evaluate(
-        """([session, warp]) => `#${new URLSearchParams({ session, warp: btoa(JSON.stringify(warp)), name: "many.png" })}`""",
+        """([session, warp]) => {
+          const members = { session, warp: btoa(JSON.stringify(warp)), name: "many.png" };
+          return `#${new URLSearchParams(members)}`;
+        }""",
         [visit["session"], {"p": places, "q": places}],
     )
     visit.page.goto(f"{visit.server.address}/{link}")
@@ -228,7 +232,8 @@ def test_numbers_of_many_handles_leave_room_for_the_picture(opened):
     assert 0 < len(few) < 200
     overlaps = opened.page.evaluate(f"""() => {{
       const boxes = {NUMBERS}.map((n) => n.getBoundingClientRect());
-      const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 3 && b.top < a.bottom - 3;
+      const meet = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 &&
+        a.top < b.bottom - 3 && b.top < a.bottom - 3;
       return boxes.filter((a, i) => boxes.some((b, j) => i < j && meet(a, b))).length;
     }}""")
     assert overlaps == 0
@@ -289,7 +294,10 @@ def test_cells_are_short_and_complete_with_the_focus(opened):
     assert opened.page.input_value("#q-0-0-x") == "123.46"
     opened.page.focus("#stage")
     assert opened.page.input_value("#q-0-0-x") == "123.5"
-    cut = "[...document.querySelectorAll('#handle-table input')].filter((n) => n.scrollWidth > n.clientWidth).length"
+    cut = (
+        "[...document.querySelectorAll('#handle-table input')].filter((n) => n.scrollWidth > "
+        "n.clientWidth).length"
+    )
     opened.page.fill("#q-1-0-x", "-1484.93")
     opened.page.keyboard.press("Enter")
     opened.page.focus("#stage")

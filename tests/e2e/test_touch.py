@@ -1,4 +1,5 @@
-"""The same by fingers, on a phone's screen. Touches come as the screen reports them; the browser makes pointer events of them."""
+"""The same by fingers, on a phone's screen. Touches come as the screen reports them; the browser
+makes pointer events of them."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""Twisting a pin: by mouse, keyboard and table; what the server gets; saving and opening; what else moves."""
+"""Twisting a pin: by mouse, keyboard and table; what the server gets; saving and opening; what else
+moves."""
 
 import json
 import math
@@ -106,7 +107,8 @@ def test_the_knob_turns_the_picture_around_the_pin_and_nothing_far_away(pinned, 
 
 
 def test_a_twist_begins_where_the_other_handles_have_turned_the_pin(pinned):
-    """With a posed picture the first degree moves no vertex by more than 0.1 px beyond its own turn; without a turn it is a plain pin."""
+    """With a posed picture the first degree moves no vertex by more than 0.1 px beyond its own
+    turn; without a turn it is a plain pin."""
     pose(pinned)
     choose(pinned, 0)
     plain = mesh(pinned)
@@ -220,7 +222,8 @@ def test_a_line_of_the_user_stays_a_line(pinned):
 
 def test_a_focus_below_one_half_refuses_with_words(pinned, visits):
     link = pinned.page.evaluate(
-        "([session, warp]) => `#${new URLSearchParams({ session, warp: btoa(JSON.stringify(warp)), name: 'wide.png' })}`",
+        "([session, warp]) => `#${new URLSearchParams({ session, warp: "
+        "btoa(JSON.stringify(warp)), name: 'wide.png' })}`",
         [pinned["session"], {"p": [RED, GREEN], "q": [RED, GREEN], "alpha": 0.3}],
     )
     other = visits(path=link)

@@ -211,7 +211,8 @@ def test_the_last_few_pictures_are_kept(visit, tmp_path):
     assert visit["undo"] == "0" and visit.page.locator("#undo").is_disabled()
     # As many files are stored, whatever was opened.
     count = """new Promise((then) => { indexedDB.open("mlswarp").onsuccess = ({ target }) =>
-      (target.result.transaction("files").objectStore("files").count().onsuccess = ({ target }) => then(target.result)); })"""
+      (target.result.transaction("files").objectStore("files").count().onsuccess = ({ target }) =>
+        then(target.result)); })"""
     assert visit.page.evaluate(count) == 4
 
 

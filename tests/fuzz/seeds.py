@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""Writes tests/fuzz/seeds/image: one small real file of every kind that is read, and of some that are not, and small hostile ones.
+"""Writes tests/fuzz/seeds/image: one small real file of every kind that is read, and of some that
+are not, and small hostile ones.
 
     pip install pillow==13.0.0
     tests/fuzz/seeds.py
 
-The files are kept in git; this is how they were made. PNG chunk by chunk, because encoders choose for themselves; JPEG by libjpeg-turbo and
-WebP by libwebp, TIFF by libtiff, GIF and BMP, all through Pillow, so that what is mutated is what real encoders write.
+The files are kept in git; this is how they were made. PNG chunk by chunk, because encoders choose
+for themselves; JPEG by libjpeg-turbo and WebP by libwebp, TIFF by libtiff, GIF and BMP, all through
+Pillow, so that what is mutated is what real encoders write.
 """
 
 import io
@@ -67,7 +69,8 @@ CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def packed(width, bits, colour, xs, y):
-    """A row of samples, each of `bits` bits, filter 0 to 4 by the row's number; only filters 0 and 1 are really applied."""
+    """A row of samples, each of `bits` bits, filter 0 to 4 by the row's number; only filters 0 and
+    1 are really applied."""
     numbers = [
         sample(x, y, c) * ((1 << bits) - 1) // 255 for x in xs for c in range(CHANNELS[colour])
     ]

@@ -28,7 +28,8 @@ async def main():
             await server.post("/sessions", files={"image": image}, data={"warp": json.dumps(rest)})
         ).raise_for_status()
         session = created.json()["id"]
-        url = f"{address.replace('http', 'ws', 1)}/sessions/{session}/drag?frames=mesh&mesh=compact&tolerance=1"
+        url = f"{address.replace('http', 'ws', 1)}/sessions/{session}/drag"
+        url += "?frames=mesh&mesh=compact&tolerance=1"
         async with connect(url) as socket:
             grid = json.loads(await socket.recv())
             await socket.send(json.dumps({"seq": 1, "q": [[150, 104], [338, 126], [262, 240]]}))
