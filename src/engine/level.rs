@@ -1,5 +1,6 @@
-//! The instruction set of the kernels of `deform`, `render` and `codec`: detected once at run time, so that a plain build is fast
-//! everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it for tests; a level that the processor lacks is not used.
+//! The instruction set of the kernels of `deform`, `render` and `codec`: detected once at run time,
+//! so that a plain build is fast everywhere. `MLSWARP_LEVEL=scalar|avx2|avx512` lowers it for
+//! tests; a level that the processor lacks is not used.
 
 use std::sync::OnceLock;
 
@@ -10,7 +11,8 @@ pub enum Level {
     Scalar,
     /// x86-64 with AVX2, FMA, BMI1, BMI2 and LZCNT (x86-64-v3).
     Avx2,
-    /// x86-64 with AVX-512 F, BW, CD, DQ, VL and VBMI besides (x86-64-v4 from Ice Lake and Zen 4 on).
+    /// x86-64 with AVX-512 F, BW, CD, DQ, VL and VBMI besides (x86-64-v4 from Ice Lake and Zen 4
+    /// on).
     Avx512,
 }
 
@@ -50,8 +52,8 @@ impl Level {
         }
     }
 
-    /// Whether this processor has the level. The standard library keeps what it found, so asking is cheap; every kernel asks before it
-    /// enters code that was compiled for the level.
+    /// Whether this processor has the level. The standard library keeps what it found, so asking is
+    /// cheap; every kernel asks before it enters code that was compiled for the level.
     #[must_use]
     pub fn is_here(self) -> bool {
         match self {

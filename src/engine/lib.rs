@@ -1,8 +1,8 @@
 //! Image deformation using moving least squares (Schaefer, McPhail, Warren, SIGGRAPH 2006).
 //!
-//! *Handles* (points, segments, polylines) are placed on an image at rest positions `p` and moved to posed positions `q`; the image
-//! follows them smoothly. The part that depends on `p` alone is computed once (a [`deform::Plan`]); each new pose `q` then costs
-//! milliseconds.
+//! *Handles* (points, segments, polylines) are placed on an image at rest positions `p` and moved
+//! to posed positions `q`; the image follows them smoothly. The part that depends on `p` alone is
+//! computed once (a [`deform::Plan`]); each new pose `q` then costs milliseconds.
 //!
 //! One warp, from the bytes of an image file to the bytes of a PNG:
 //!
@@ -10,7 +10,8 @@
 //! use std::{ops::ControlFlow, sync::Arc};
 //! use mlswarp::deform::Handle;
 //! use mlswarp::geometry::Point;
-//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec, Setup, Subject, Warp, WarpError};
+//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec};
+//! use mlswarp::warp::{Setup, Subject, Warp, WarpError};
 //!
 //! /// Moves the third handle 30 px down; the other two keep their places.
 //! fn longer_nose(file: &[u8]) -> Result<Vec<u8>, WarpError> {
@@ -18,13 +19,14 @@
 //!     let image = Arc::new(Image::decode(file, &limits.image)?);
 //!
 //!     // Once for each set of rest positions and image size.
-//!     let p = [(168.0, 112.0), (316.0, 136.0), (262.0, 240.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
+//!     let point = |(x, y)| Handle::Point(Point::new(x, y));
+//!     let p = [(168.0, 112.0), (316.0, 136.0), (262.0, 240.0)].map(point);
 //!     let rest = RestSpec { p: p.to_vec(), ..RestSpec::default() };
 //!     let setup = Setup::new(&rest, image.extent(), &limits)?;
 //!     let plan = setup.plan();
 //!
 //!     // Once for each pose.
-//!     let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(|(x, y)| Handle::Point(Point::new(x, y)));
+//!     let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(point);
 //!     let pose = setup.pose(&q)?;
 //!     let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &|| false)?;
 //!     let warp = Warp::new(Subject::Image(&image), &posed, &OutputSpec::default(), &limits)?;
@@ -41,16 +43,19 @@
 //! # Ok::<(), WarpError>(())
 //! ```
 //!
-//! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the mathematics alone, [`geometry`] the
-//! grids and meshes that it moves, [`render`] draws a deformed mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
+//! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the
+//! mathematics alone, [`geometry`] the grids and meshes that it moves, [`render`] draws a deformed
+//! mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
 //!
-//! Modules depend on each other in one direction only: `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`;
-//! [`level`] chooses the vector instructions of all of them.
+//! Modules depend on each other in one direction only:
+//! `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`; [`level`] chooses
+//! the vector instructions of all of them.
 //!
-//! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the mathematics and the renderer, and one
-//! dependency.
+//! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the
+//! mathematics and the renderer, and one dependency.
 
-/// Every formula, with its derivation and the reason for its numerical form. Comments cite its sections: "mathematics 7.1".
+/// Every formula, with its derivation and the reason for its numerical form. Comments cite its
+/// sections: "mathematics 7.1".
 #[doc = include_str!("MATHEMATICS.md")]
 pub mod mathematics {}
 

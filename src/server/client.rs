@@ -1,4 +1,5 @@
-//! The identity of a client: the owner of its sessions, its address, and the tenant that limits and queues count.
+//! The identity of a client: the owner of its sessions, its address, and the tenant that limits and
+//! queues count.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};

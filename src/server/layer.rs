@@ -7,8 +7,9 @@ pub const MAX_LAYERS: usize = 16;
 /// Longest name of a layer, bytes.
 const MAX_NAME: usize = 64;
 
-/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`, not only dots. Names that begin with `@`
-/// are built-in. Clients and proxies remove `.` and `..` from paths: a request for `layers/..` would be one for the session.
+/// The name of a stored layer: 1 to 64 of the characters `A-Z`, `a-z`, `0-9`, `.`, `_` and `-`, not
+/// only dots. Names that begin with `@` are built-in. Clients and proxies remove `.` and `..` from
+/// paths: a request for `layers/..` would be one for the session.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct LayerName(String);
 
@@ -36,7 +37,8 @@ impl LayerName {
         &self.0
     }
 
-    /// Whether both are one name where upper and lower case are not told apart, as in the file names of many systems, and yet are two.
+    /// Whether both are one name where upper and lower case are not told apart, as in the file
+    /// names of many systems, and yet are two.
     pub fn is_twin(&self, other: &Self) -> bool {
         self != other && self.0.eq_ignore_ascii_case(&other.0)
     }
@@ -126,7 +128,8 @@ mod tests {
         assert!(
             LayerRef::BUILT_IN
                 .iter()
-                .all(|name| matches!(LayerRef::parse(name), Some(built_in) if built_in != LayerRef::Stored(LayerName::region())))
+                .all(|name| matches!(LayerRef::parse(name),
+                    Some(built_in) if built_in != LayerRef::Stored(LayerName::region())))
         );
         assert_eq!(
             (LayerRef::parse("region"), LayerRef::parse("@region")),

@@ -1,4 +1,5 @@
-//! The service of mlswarp: image deformation over HTTP. The use cases are in [`app`], the routes in [`http`].
+//! The service of mlswarp: image deformation over HTTP. The use cases are in [`app`], the routes in
+//! [`http`].
 
 #![allow(
     rustdoc::private_intra_doc_links,

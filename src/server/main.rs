@@ -1,5 +1,6 @@
-//! The program: `mlswarp` serves, `mlswarp health` asks a running server, and the other subcommands do the work of a route offline.
-//! Exit codes: 0 success, 1 failure, 2 a wrong command line or environment.
+//! The program: `mlswarp` serves, `mlswarp health` asks a running server, and the other subcommands
+//! do the work of a route offline. Exit codes: 0 success, 1 failure, 2 a wrong command line or
+//! environment.
 
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 #[expect(unsafe_code, reason = "calls of the C library")]

@@ -6,7 +6,8 @@ use uuid::{Uuid, Variant};
 
 use crate::client::Owner;
 
-/// The id of a session: its owner and a UUID of version 4 (122 random bits, so that it cannot be guessed). Its text is the UUID.
+/// The id of a session: its owner and a UUID of version 4 (122 random bits, so that it cannot be
+/// guessed). Its text is the UUID.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SessionId {
     owner: Owner,
@@ -53,7 +54,8 @@ impl SessionId {
     }
 }
 
-/// Identifies one state of a session: it changes with the handles and the picture, and is never used again.
+/// Identifies one state of a session: it changes with the handles and the picture, and is never
+/// used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Revision(Uuid);
 

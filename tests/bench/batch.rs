@@ -1,5 +1,6 @@
-//! A thousand poses at 512 x 512: one batch against as many single requests on one connection, in turns, from the service in a process of its
-//! own with two workers. Then the memory of the service, and the time from the client's leaving after a hundred frames until the service
+//! A thousand poses at 512 x 512: one batch against as many single requests on one connection, in
+//! turns, from the service in a process of its own with two workers. Then the memory of the
+//! service, and the time from the client's leaving after a hundred frames until the service
 //! computes nothing any more. Printed, not kept.
 //!
 //! `cargo bench --bench batch`
@@ -121,7 +122,9 @@ fn main() {
             let ratio = one_by_one.as_secs_f64() / together.as_secs_f64();
             let grown = (after - before) / f64::from(1 << 20);
             println!(
-                "{:.0} single requests a second, {:.0} frames of a batch a second: {ratio:.2} times as many (goal 1.3); {:.0} MiB resident, {grown:+.1} MiB by a batch of {} MB",
+                "{:.0} single requests a second, {:.0} frames of a batch a second: {ratio:.2} \
+                    times as many (goal 1.3); {:.0} MiB resident, {grown:+.1} MiB by a batch of \
+                    {} MB",
                 rate(one_by_one),
                 rate(together),
                 after / f64::from(1 << 20),

@@ -1,5 +1,6 @@
-//! The longest time for which a decoder does not ask whether its picture is still wanted, on constructed files at the limits on pixels, sides and
-//! bytes of a request: the table "Decoder stop times" in deploy/capacity.md. `cargo bench --bench decode`.
+//! The longest time for which a decoder does not ask whether its picture is still wanted, on
+//! constructed files at the limits on pixels, sides and bytes of a request: the table "Decoder stop
+//! times" in deploy/capacity.md. `cargo bench --bench decode`.
 
 #![allow(
     missing_docs,
@@ -99,7 +100,8 @@ fn vp8() -> Vec<u8> {
     frame.extend([0x9D, 0x01, 0x2A]);
     frame.extend(WIDTH.to_le_bytes());
     frame.extend(HEIGHT.to_le_bytes());
-    // Bits of even chances are written as they are: colour space, clamping, segments, the normal filter, level 63, sharpness 0.
+    // Bits of even chances are written as they are: colour space, clamping, segments, the normal
+    // filter, level 63, sharpness 0.
     frame.extend([0x0F, 0xC0]);
     frame.resize(frame.len() + first as usize + (8 << 20), 0);
     frame

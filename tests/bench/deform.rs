@@ -1,5 +1,6 @@
-//! Posing 10,000 vertices from the A_j table, beside merely reading a table of that size, and beside the crates that deform the same vertices;
-//! and 100,000 points mapped exactly, forwards and back.
+//! Posing 10,000 vertices from the A_j table, beside merely reading a table of that size, and
+//! beside the crates that deform the same vertices; and 100,000 points mapped exactly, forwards and
+//! back.
 
 #![allow(
     missing_docs,
@@ -102,7 +103,8 @@ fn tables() {
     growth(&mut report);
 }
 
-/// Points beside whose table the moments of each pose take less memory and time; 70 of 5,000 coincide with others.
+/// Points beside whose table the moments of each pose take less memory and time; 70 of 5,000
+/// coincide with others.
 fn many(report: &mut Report) {
     let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 101, 101);
     let two = pool(2);
@@ -183,8 +185,8 @@ fn annotations(report: &mut Report) {
     report.table("100,000 points, 7 handles", 7, &mut contenders);
 }
 
-/// Log-log slope in vertices and in handles: 1 is linear. All tables lie in L2 (1 MB and more on the processors of today) and not in L1: across
-/// two levels the slope would be that of the memory.
+/// Log-log slope in vertices and in handles: 1 is linear. All tables lie in L2 (1 MB and more on
+/// the processors of today) and not in L1: across two levels the slope would be that of the memory.
 fn growth(report: &mut Report) {
     let time = |side: u32, n: usize| {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
@@ -203,7 +205,8 @@ fn growth(report: &mut Report) {
     let (small, large) = (time(40, 7), time(80, 7));
     let (few, many) = (time(32, 30), time(32, 60));
     report.line(&format!(
-        "Growth within L2: slope {:.2} in vertices (40^2 to 80^2, 7 handles, tables of {:.2} and {:.2} MB), {:.2} in handles (30 to 60, 32^2 vertices, \
+        "Growth within L2: slope {:.2} in vertices (40^2 to 80^2, 7 handles, tables of {:.2} and \
+            {:.2} MB), {:.2} in handles (30 to 60, 32^2 vertices, \
          {:.2} and {:.2} MB).",
         slope(small, large, 4.0),
         small.1,
@@ -214,7 +217,8 @@ fn growth(report: &mut Report) {
     ));
 }
 
-/// The time of 7 and 100 handles on every level of the machine: this program again, with the level lowered as a user would lower it.
+/// The time of 7 and 100 handles on every level of the machine: this program again, with the level
+/// lowered as a user would lower it.
 fn levels(report: &mut Report) {
     report
         .line("## Levels, 10,000 vertices\n\n| level | 7 handles | 100 handles |\n|---|---:|---:|");

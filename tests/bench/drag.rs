@@ -1,8 +1,10 @@
-//! The drag socket under a recorded drag: 600 poses at 125 Hz in real time, the service in a process of its own, clients and service on the same
-//! cores. A frame's age is the time between sending its pose and having all of it. Best of three.
+//! The drag socket under a recorded drag: 600 poses at 125 Hz in real time, the service in a
+//! process of its own, clients and service on the same cores. A frame's age is the time between
+//! sending its pose and having all of it. Best of three.
 //!
-//! `cargo bench --bench drag [-- FILTER]`; a filter is a part of a title (`1 client`, `8 clients`) or of a row's name (`3840 x 2160`, `mesh`).
-//! A filter that begins with `links` runs the table of links instead (`drag/links.rs`).
+//! `cargo bench --bench drag [-- FILTER]`; a filter is a part of a title (`1 client`, `8 clients`)
+//! or of a row's name (`3840 x 2160`, `mesh`). A filter that begins with `links` runs the table of
+//! links instead (`drag/links.rs`).
 
 #![allow(
     missing_docs,
@@ -241,7 +243,8 @@ fn main() {
             continue;
         }
         let mut text = format!(
-            "## {title}\n\n| what | frames/s | age p50 | age p99 | superseded | fewest / most | width | KiB a frame |\n|---|---:|---:|---:|---:|---:|---:|---:|\n"
+            "## {title}\n\n| what | frames/s | age p50 | age p99 | superseded | fewest / most | \
+                width | KiB a frame |\n|---|---:|---:|---:|---:|---:|---:|---:|\n"
         );
         for ((_, sides, query, least), name) in cases {
             let scene = Scene::new(*sides);

@@ -1,10 +1,11 @@
-//! JPEG encoding of a photograph (RGB and RGBA, 8 bit) against the crates that do it in Rust, 500 x 500 and 1920 x 1080, one thread,
-//! and the
-//! strips on two; then bytes and PSNR over qualities. Buffers are reused where an encoder allows it.
+//! JPEG encoding of a photograph (RGB and RGBA, 8 bit) against the crates that do it in Rust, 500 x
+//! 500 and 1920 x 1080, one thread, and the strips on two; then bytes and PSNR over qualities.
+//! Buffers are reused where an encoder allows it.
 //!
 //! `cargo bench --bench jpeg [-- FILTER]`; a filter is a part of a table's title.
-//! `jpeg --paired DIR` writes the pictures there, `index.json` naming them, and then times `strips` for each case that is asked for
-//! (see `harness/paired.rs`); it also writes the files of several qualities.
+//! `jpeg --paired DIR` writes the pictures there, `index.json` naming them, and then times `strips`
+//! for each case that is asked for (see `harness/paired.rs`); it also writes the files of several
+//! qualities.
 
 #![allow(
     missing_docs,
@@ -266,7 +267,8 @@ fn answer(folder: &Path) {
             .map(|level| level.name())
             .collect();
         index.push(serde_json::json!({
-            "case": case, "width": width, "height": height, "picture": file, "levels": levels, "qualities": QUALITIES,
+            "case": case, "width": width, "height": height, "picture": file, "levels": levels,
+                "qualities": QUALITIES,
         }));
         for quality in QUALITIES {
             for (name, subsampling) in [("420", Subsampling::Half), ("444", Subsampling::Full)] {

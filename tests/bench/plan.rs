@@ -1,4 +1,5 @@
-//! Building the A_j table of 10,000 vertices, beside what a crate without a plan takes to deform the same vertices once.
+//! Building the A_j table of 10,000 vertices, beside what a crate without a plan takes to deform
+//! the same vertices once.
 
 #![allow(
     missing_docs,

@@ -1,9 +1,10 @@
-//! PNG encoding of the warped photograph (RGBA with alpha 0 or 255, and RGB, 8 bit) against the crates that do it in Rust, 500 x 500 and
-//! 1920 x 1080, one thread, and the strips on two; and how time grows with the pixels. Buffers are reused where an encoder allows it.
+//! PNG encoding of the warped photograph (RGBA with alpha 0 or 255, and RGB, 8 bit) against the
+//! crates that do it in Rust, 500 x 500 and 1920 x 1080, one thread, and the strips on two; and how
+//! time grows with the pixels. Buffers are reused where an encoder allows it.
 //!
-//! `cargo bench --bench png [-- FILTER]`; a filter is a part of a table's title.
-//! `png --paired DIR` writes the pictures there, `index.json` naming them, and then times `strips fast` for each case that is asked for
-//! (see `harness/paired.rs`).
+//! `cargo bench --bench png [-- FILTER]`; a filter is a part of a table's title. `png --paired DIR`
+//! writes the pictures there, `index.json` naming them, and then times `strips fast` for each case
+//! that is asked for (see `harness/paired.rs`).
 
 #![allow(
     missing_docs,
@@ -68,7 +69,8 @@ fn tables() {
     }
 }
 
-/// The photograph warped, transparent where it bent away; and as RGB, unwarped, since nothing of it is missing then.
+/// The photograph warped, transparent where it bent away; and as RGB, unwarped, since nothing of it
+/// is missing then.
 fn pictures() -> Vec<Picture> {
     let of = |sides, channels| {
         let photo = photograph(extent(sides), channels);
@@ -244,7 +246,8 @@ fn answer(folder: &Path) {
         });
         index.push(serde_json::json!({
             "case": case, "width": picture.width, "height": picture.height, "picture": file,
-            "bytes": contenders.0.last().and_then(Contender::bytes), "level": Level::detect().name(),
+            "bytes": contenders.0.last().and_then(Contender::bytes),
+                "level": Level::detect().name(),
         }));
     }
     paired::write(

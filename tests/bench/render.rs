@@ -1,10 +1,12 @@
-//! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth mesh of 100 x 100 vertices and two that
-//! fold, each level that the machine has, on 1 and 2 threads (bands in parallel); what lies outside painted with the edge; and how time
-//! grows with the pixels.
+//! The renderer, mesh to pixels (preparation included): the photograph at three sizes, a smooth
+//! mesh of 100 x 100 vertices and two that fold, each level that the machine has, on 1 and 2
+//! threads (bands in parallel); what lies outside painted with the edge; and how time grows with
+//! the pixels.
 //!
 //! `cargo bench --bench render [-- FILTER]`; a filter is a part of a table's title.
-//! `render --paired DIR` writes sources, dense maps and our pictures of the cases of `cases` there, `index.json` naming them, and then times
-//! our side of each case that is asked for (see `harness/paired.rs`).
+//! `render --paired DIR` writes sources, dense maps and our pictures of the cases of `cases` there,
+//! `index.json` naming them, and then times our side of each case that is asked for (see
+//! `harness/paired.rs`).
 
 #![allow(
     missing_docs,
@@ -100,7 +102,8 @@ fn table(report: &mut Report, title: &str, extent: Extent, channels: Channels, f
     ));
 }
 
-/// Most pixels lie outside of the posed picture and get the colour of its border, which is smooth or jumps to and fro across the target.
+/// Most pixels lie outside of the posed picture and get the colour of its border, which is smooth
+/// or jumps to and fro across the target.
 fn edge(report: &mut Report, title: &str, chaotic: bool) {
     let extent = extent(SMALL);
     let source = Arc::new(Source::new(photograph(extent, Channels::Rgba)));
@@ -148,7 +151,8 @@ fn edge(report: &mut Report, title: &str, chaotic: bool) {
     let medians = report.table(title, 11, &mut contenders);
     let cost = (medians[1] - medians[0]) * 1e9 / bare as f64;
     report.line(&format!(
-        "{bare} of {} pixels lie outside; {cost:.0} ns more for each of them than for a transparent one.\n",
+        "{bare} of {} pixels lie outside; {cost:.0} ns more for each of them than for a \
+            transparent one.\n",
         extent.pixels()
     ));
 }
@@ -289,7 +293,8 @@ fn answer(folder: &Path) {
             file
         });
         index.push(serde_json::json!({
-            "case": name, "what": format!("{}, {}", size(*extent), folded.name()), "width": extent.width(), "height": extent.height(),
+            "case": name, "what": format!("{}, {}", size(*extent), folded.name()),
+                "width": extent.width(), "height": extent.height(),
             "source": source, "map": map, "ours": ours, "level": Level::detect().name(),
         }));
         contenders.push(inside(&one, *name, move || drawing.draw()));

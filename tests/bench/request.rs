@@ -1,10 +1,11 @@
-//! A drag, from q to the bytes of a PNG, and of a JPEG: in process, and over loopback from the service in a process of its own.
-//! Rigid, alpha 1, 100 x 100
-//! vertices, RGBA, transparent outside, PNG `fast`; nothing is timed that is made once (the picture, the plan).
+//! A drag, from q to the bytes of a PNG, and of a JPEG: in process, and over loopback from the
+//! service in a process of its own. Rigid, alpha 1, 100 x 100 vertices, RGBA, transparent outside,
+//! PNG `fast`; nothing is timed that is made once (the picture, the plan).
 //!
-//! `cargo bench --bench request [-- FILTER]`; a filter is a part of a title (`in process`, `loopback`, `3840 x 2160`, ...).
-//! `request --paired DIR` writes the picture and the handles there and then times `1 thread`, `2 threads` and `deform` of 500 x 500 when it is asked to
-//! (see `harness/paired.rs`).
+//! `cargo bench --bench request [-- FILTER]`; a filter is a part of a title (`in process`,
+//! `loopback`, `3840 x 2160`, ...). `request --paired DIR` writes the picture and the handles there
+//! and then times `1 thread`, `2 threads` and `deform` of 500 x 500 when it is asked to (see
+//! `harness/paired.rs`).
 
 #![allow(
     missing_docs,

@@ -1,4 +1,5 @@
-//! Handle sets of the benchmarks: seven or more handles spread over 500 x 500 px, moved by 20 to 40 px.
+//! Handle sets of the benchmarks: seven or more handles spread over 500 x 500 px, moved by 20 to 40
+//! px.
 
 #![allow(dead_code, reason = "each benchmark uses a part of the sets")]
 

@@ -1,5 +1,6 @@
-//! What the stores take for one operation, one after the other, and what a start with a thousand sessions takes. Redis is Debian's `redis-server`
-//! on the loopback, keeping nothing. Printed, not kept: a disk's time says little about another disk.
+//! What the stores take for one operation, one after the other, and what a start with a thousand
+//! sessions takes. Redis is Debian's `redis-server` on the loopback, keeping nothing. Printed, not
+//! kept: a disk's time says little about another disk.
 
 #![allow(
     missing_docs,

@@ -1,9 +1,12 @@
-//! One stage of a warp, run once where callgrind counts its instructions: `counts STAGE`. Everything that the stage needs is prepared and the
-//! stage is run once before, uncounted, so that tables made at first use and the dynamic linker are not in the figure. Without a stage it
-//! prints their names and the level in use (`MLSWARP_LEVEL` lowers it). `tests/counts/run` starts it and compares.
+//! One stage of a warp, run once where callgrind counts its instructions: `counts STAGE`.
+//! Everything that the stage needs is prepared and the stage is run once before, uncounted, so that
+//! tables made at first use and the dynamic linker are not in the figure. Without a stage it prints
+//! their names and the level in use (`MLSWARP_LEVEL` lowers it). `tests/counts/run` starts it and
+//! compares.
 //!
-//! `counts files FOLDER` writes the hostile files and the seeds of the fuzz target, and prints the bytes and the claimed pixels of each;
-//! `counts decode FOLDER` decodes them in the order of their names, each counted by itself.
+//! `counts files FOLDER` writes the hostile files and the seeds of the fuzz target, and prints the
+//! bytes and the claimed pixels of each; `counts decode FOLDER` decodes them in the order of their
+//! names, each counted by itself.
 
 #![allow(
     missing_docs,

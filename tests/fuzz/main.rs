@@ -1,5 +1,6 @@
-//! Fuzzing in short: every target over its seeds, over what was found before, and over damage by chance, the same on every run. Without
-//! coverage to guide it, on the program as the other tests build it: what takes minutes to build and hours to run is in `long/`.
+//! Fuzzing in short: every target over its seeds, over what was found before, and over damage by
+//! chance, the same on every run. Without coverage to guide it, on the program as the other tests
+//! build it: what takes minutes to build and hours to run is in `long/`.
 
 #![expect(
     clippy::cast_possible_truncation,

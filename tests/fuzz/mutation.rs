@@ -1,5 +1,6 @@
-//! Damage by chance, the same for the same seed: bytes of any kind are flipped, cut, repeated and mixed with others; of pictures also the
-//! chunks are exchanged, and checksums and lengths are mended afterwards, so that the damage gets past what checks them.
+//! Damage by chance, the same for the same seed: bytes of any kind are flipped, cut, repeated and
+//! mixed with others; of pictures also the chunks are exchanged, and checksums and lengths are
+//! mended afterwards, so that the damage gets past what checks them.
 
 /// Random numbers (splitmix64).
 #[derive(Clone, Debug)]
@@ -162,7 +163,8 @@ pub(crate) fn damaged_picture(dice: &mut Dice, bytes: &[u8], other: &[u8]) -> Ve
 
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// The parts of a picture's file: its head, and its chunks or segments as far as they can be told apart.
+/// The parts of a picture's file: its head, and its chunks or segments as far as they can be told
+/// apart.
 fn chunks(bytes: &[u8]) -> Vec<&[u8]> {
     let head = match bytes {
         [0x89, ..] => PNG.len(),

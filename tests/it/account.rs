@@ -1,5 +1,5 @@
-//! The account of memory against those who would get round it: what a form says beside its parts, what sessions leave behind, and requests that are
-//! dropped at every step.
+//! The account of memory against those who would get round it: what a form says beside its parts,
+//! what sessions leave behind, and requests that are dropped at every step.
 
 use std::future::{Future, poll_fn};
 use std::task::Poll;
@@ -23,13 +23,15 @@ use tower::ServiceExt as _;
 use crate::support::server::{config, header, png};
 use crate::support::{Server, eventually, photo};
 
-/// The parser of forms keeps what it does not understand yet: it must not be given more and more of it.
+/// The parser of forms keeps what it does not understand yet: it must not be given more and more of
+/// it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_form_without_parts_is_not_kept() {
     let server = Server::start(&["--body-timeout", "10m"]).await;
     for begins in ["--x\r\nX-Note: ", "no boundary yet "] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        let head = "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=x\r\nContent-Length: 30000000\r\n\r\n";
+        let head = "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; \
+            boundary=x\r\nContent-Length: 30000000\r\n\r\n";
         stream
             .write_all(format!("{head}{begins}").as_bytes())
             .await
@@ -88,7 +90,8 @@ async fn uploads_do_not_keep_drags_out() {
     }
 }
 
-/// A request and the reading of its answer, dropped after so many polls; whether it came to its end before.
+/// A request and the reading of its answer, dropped after so many polls; whether it came to its end
+/// before.
 async fn dropped_after(polls: u32, request: impl Future<Output = ()>) -> bool {
     let mut request = Box::pin(request);
     let mut polled = 0;
@@ -155,7 +158,8 @@ fn send(
     }
 }
 
-/// Every kind of request is dropped after its first poll, after its second, and so on to its end: no turn, no place and no byte stays taken.
+/// Every kind of request is dropped after its first poll, after its second, and so on to its end:
+/// no turn, no place and no byte stays taken.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
     let app = App::new(config(&["--workers", "2", "--session-idle", "2s"])).unwrap();
@@ -252,8 +256,8 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
     eventually("sessions expire, and nothing is left", || kept() == 0).await;
 }
 
-/// The object of a new session is in its client's share before the session is there: who reads nothing opens none, and is not told that there is none
-/// when there is.
+/// The object of a new session is in its client's share before the session is there: who reads
+/// nothing opens none, and is not told that there is none when there is.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn objects_of_new_sessions_are_in_the_account() {
     let app = App::new(config(&[])).unwrap();

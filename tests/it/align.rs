@@ -1,5 +1,5 @@
-//! `align`: q is brought to the frame of p before anything else, wherever q is given. The laws of the maps themselves are unit tests of
-//! the engine.
+//! `align`: q is brought to the frame of p before anything else, wherever q is given. The laws of
+//! the maps themselves are unit tests of the engine.
 
 use serde_json::{Value, json};
 
@@ -141,7 +141,8 @@ async fn shapes_that_differ_by_a_member_of_the_class_are_the_same_picture() {
                 "{align} {method}"
             );
             let share = |handles: &Value| moved(handles, |x, y| (x / 96.0, y / 72.0));
-            let warp = json!({"p": share(&rest()), "q": share(&q), "units": "normalized", "align": align, "method": method});
+            let warp = json!({"p": share(&rest()), "q": share(&q), "units": "normalized",
+                "align": align, "method": method});
             assert!(draw(warp).await == still, "{align} {method}, normalized");
         }
     }
@@ -327,7 +328,8 @@ async fn drags_and_batches_align_each_pose() {
     }
 }
 
-/// A session keeps the class; other handles keep it too; the tag of a picture depends on the pose alone.
+/// A session keeps the class; other handles keep it too; the tag of a picture depends on the pose
+/// alone.
 #[tokio::test]
 async fn a_session_keeps_its_class_until_it_gets_another() {
     let server = Server::start(&[]).await;
@@ -467,7 +469,8 @@ async fn methods_are_compared_on_the_aligned_q() {
     );
 }
 
-/// The offline tool writes the same bytes, also from landmark files, and its option takes precedence.
+/// The offline tool writes the same bytes, also from landmark files, and its option takes
+/// precedence.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_offline_tool_aligns_like_the_server() {
     let server = Server::start(&[]).await;
@@ -558,7 +561,8 @@ async fn the_offline_tool_aligns_like_the_server() {
 async fn wrong_positions_are_refused_as_they_were_sent() {
     let server = Server::start(&[]).await;
     let ask = async |q: Value| {
-        let warp = json!({"p": [[1, 2], [50, 60], [70, 9]], "q": q, "align": "similarity", "extent": [96, 72]});
+        let warp = json!({"p": [[1, 2], [50, 60], [70, 9]], "q": q, "align": "similarity",
+            "extent": [96, 72]});
         server.post("/report").json(&warp).send().await.unwrap()
     };
     for (q, code) in [

@@ -236,7 +236,8 @@ async fn warp_objects() {
             Some("/output/width"),
         ),
         (
-            r#"{"p": [[4, 6], [8, 6], [12, 6]], "q": [[4, 6], [12, 6], [8, 6]], "folds": "reject"}"#,
+            r#"{"p": [[4, 6], [8, 6], [12, 6]], "q": [[4, 6], [12, 6], [8, 6]],
+              "folds": "reject"}"#,
             422,
             "folded",
             Some("/folds"),
@@ -333,7 +334,8 @@ async fn files() {
     }
     server.is_well().await;
 
-    // 100 MiB of zeros behind a header of one pixel: refused or cut off, never unpacked into a failure.
+    // 100 MiB of zeros behind a header of one pixel: refused or cut off, never unpacked into a
+    // failure.
     let bomb = bombs::png(&[
         (b"IHDR", ihdr(1, 1)),
         (b"IDAT", deflated_zeros(100 << 20)),

@@ -1,5 +1,5 @@
-//! Batches: what is in the file, that its frames are the single requests', and that no more is made than a reader takes. Work is counted,
-//! not timed.
+//! Batches: what is in the file, that its frames are the single requests', and that no more is made
+//! than a reader takes. Work is counted, not timed.
 
 use std::io::{Cursor, Read as _};
 
@@ -37,7 +37,8 @@ async fn animation(server: &Server, id: &str, body: &Value) -> Response {
         .unwrap()
 }
 
-/// The archive of a batch that must succeed, as an independent reader finds it; its index is checked against its entries.
+/// The archive of a batch that must succeed, as an independent reader finds it; its index is
+/// checked against its entries.
 async fn zip(response: Response) -> (Files, Value) {
     assert_eq!(response.status(), 200, "{:?}", response.text().await);
     assert_eq!(header(&response, "content-type"), "application/zip");
@@ -309,7 +310,10 @@ async fn a_seed_gives_the_same_bytes_and_its_poses_are_told() {
         Server::start(&["--workers", "1"]).await,
         Server::start(&["--workers", "4"]).await,
     );
-    let body = |seed: u32, count: u32| json!({"q": q(0), "jitter": {"seed": seed, "count": count, "sigma": 2}, "points": [[30, 30]]});
+    let body = |seed: u32, count: u32| {
+        json!({"q": q(0), "jitter": {"seed": seed, "count": count, "sigma": 2},
+            "points": [[30, 30]]})
+    };
     let mut files = Vec::new();
     for server in [&one, &other] {
         let id = server.session(&photo(120, 80), &rest()).await;
@@ -344,9 +348,11 @@ async fn a_seed_gives_the_same_bytes_and_its_poses_are_told() {
 async fn annotations_are_those_of_points() {
     let server = Server::start(&[]).await;
     let id = server.session(&photo(120, 80), &rest()).await;
-    let feature = json!({"type": "Feature", "id": 3, "properties": {"a": [1]}, "geometry": {"type": "LineString", "coordinates": [[1, 2], [90, 70]]}});
+    let feature = json!({"type": "Feature", "id": 3, "properties": {"a": [1]},
+        "geometry": {"type": "LineString", "coordinates": [[1, 2], [90, 70]]}});
     let annotations = json!({
-        "boxes": [[10, 10, 50, 60]], "points": [[1, 1], [60.5, 33]], "polygons": [[[5, 5], [60, 6], [30, 70]]],
+        "boxes": [[10, 10, 50, 60]], "points": [[1, 1], [60.5, 33]],
+            "polygons": [[[5, 5], [60, 6], [30, 70]]],
         "geojson": {"type": "FeatureCollection", "features": [feature]}, "refine": true
     });
     let with = |mut body: Value| {
@@ -396,7 +402,8 @@ async fn layers_are_those_of_single_requests() {
     put("depth", photo(120, 80)).await;
     let names = ["mask", "@coverage", "depth"];
     for format in ["png", "tiff", "jpeg"] {
-        let body = json!({"frames": [{"q": q(0)}, {"q": q(9)}], "layers": names, "output": {"format": format}});
+        let body = json!({"frames": [{"q": q(0)}, {"q": q(9)}], "layers": names,
+            "output": {"format": format}});
         let (files, index) = zip(post(&server, &id, &body).await).await;
         assert_eq!(files.len(), 2 * 4 + 1);
         for (k, place) in [0, 9].into_iter().enumerate() {
@@ -535,7 +542,8 @@ async fn an_animation_shows_the_pictures_of_the_archive() {
     }
     // Frames of different boxes show all of them.
     let moved = |d: i32| json!({"q": [[20 + d, 20], [60 + d, 40], [[10 + d, 50], [70 + d, 52]]]});
-    let body = json!({"frames": [moved(0), moved(40), moved(-15)], "output": {"canvas": "fit", "compression": "best"}});
+    let body = json!({"frames": [moved(0), moved(40), moved(-15)],
+        "output": {"canvas": "fit", "compression": "best"}});
     let response = animation(&server, &id, &body).await;
     assert_eq!(header(&response, "warp-canvas"), "-15,0,355,200");
     let (info, frames) = frames(response).await;
@@ -765,7 +773,8 @@ async fn refusals_of_a_pose_name_the_frame_and_kinds_of_files_have_their_fields(
 const LARGE: (u32, u32) = (480, 360);
 
 fn large_batch() -> Value {
-    json!({"q": [[22, 20]], "jitter": {"seed": 1, "count": 5000, "sigma": 1}, "output": {"compression": "none"}})
+    json!({"q": [[22, 20]], "jitter": {"seed": 1, "count": 5000, "sigma": 1},
+        "output": {"compression": "none"}})
 }
 
 /// A connection that has asked for a large batch and takes little at a time.
@@ -775,7 +784,8 @@ async fn ask(server: &Server, id: &str) -> TcpStream {
     let mut stream = socket.connect(server.address).await.unwrap();
     let body = large_batch().to_string();
     let head = format!(
-        "POST /sessions/{id}/batch HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        "POST /sessions/{id}/batch HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+            application/json\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     stream
@@ -890,7 +900,8 @@ async fn drags_are_served_between_the_frames_of_batches() {
     assert_eq!((drags, lengths[0]), (5, lengths[1]));
 }
 
-/// Frames that leave nothing uncovered are all posed before the first byte, because none may have alpha: other requests have their turn.
+/// Frames that leave nothing uncovered are all posed before the first byte, because none may have
+/// alpha: other requests have their turn.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn requests_are_served_while_the_frames_of_a_batch_are_surveyed() {
     let server = Server::start(&["--workers", "1"]).await;
@@ -909,7 +920,8 @@ async fn requests_are_served_while_the_frames_of_a_batch_are_surveyed() {
     still.abort();
 }
 
-/// A server without memory delays a batch; one that has none for as long as a request may take ends it, and the file has no directory.
+/// A server without memory delays a batch; one that has none for as long as a request may take ends
+/// it, and the file has no directory.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_frame_that_fails_ends_the_file_without_its_directory() {
     let server = Server::start(&["--workers", "2", "--request-timeout", "2s"]).await;
@@ -918,7 +930,8 @@ async fn a_frame_that_fails_ends_the_file_without_its_directory() {
         .await;
     let budget = server.app.budget();
     for is_given_back in [true, false] {
-        let body = json!({"q": [[22, 20]], "jitter": {"seed": 1, "count": 40, "sigma": 1}, "output": {"compression": "none"}});
+        let body = json!({"q": [[22, 20]], "jitter": {"seed": 1, "count": 40, "sigma": 1},
+            "output": {"compression": "none"}});
         let mut response = post(&server, &id, &body).await;
         assert_eq!(response.status(), 200);
         let mut bytes = response.chunk().await.unwrap().unwrap().to_vec();
@@ -975,8 +988,10 @@ async fn python_reads_the_archive() {
     let scratch = crate::support::Scratch::new();
     let path = scratch.path("batch.zip");
     std::fs::write(&path, response.bytes().await.unwrap()).unwrap();
-    let script = "import sys, zipfile, json\nz = zipfile.ZipFile(sys.argv[1])\nassert z.testzip() is None\n\
-                  print(len(z.namelist()), len(json.loads(z.read('frames.json'))['frames']), {i.compress_type for i in z.infolist()})";
+    let script = "import sys, zipfile, json\nz = zipfile.ZipFile(sys.argv[1])\nassert z.testzip() \
+        is None\n\
+                  print(len(z.namelist()), len(json.loads(z.read('frames.json'))['frames']), \
+                  {i.compress_type for i in z.infolist()})";
     let output = std::process::Command::new("python3")
         .args(["-c", script, &path])
         .output()

@@ -302,7 +302,8 @@ fn health_asks_the_server() {
 async fn a_terminated_server_finishes_what_it_has_begun() {
     let program = Program::start(&["--log-format", "json"]);
     let url = format!("http://{}/warp", program.address);
-    let warp = r#"{"p": [[100, 100], [900, 700]], "q": [[140, 130], [900, 700]], "output": {"compression": "best"}}"#;
+    let warp = r#"{"p": [[100, 100], [900, 700]], "q": [[140, 130], [900, 700]],
+      "output": {"compression": "best"}}"#;
     let mut response = reqwest::Client::new()
         .post(url)
         .multipart(form(&photo(2000, 1500), warp))

@@ -1,15 +1,17 @@
-//! Cancellation cannot be forgotten: the service calls nothing that cannot be cancelled, and no closure of it ignores the question. Only what is
-//! listed here may, with the bound of its work.
+//! Cancellation cannot be forgotten: the service calls nothing that cannot be cancelled, and no
+//! closure of it ignores the question. Only what is listed here may, with the bound of its work.
 
 use std::path::Path;
 
 use crate::layers::sources;
 
-/// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their `Cancel` contain one of these.
+/// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their
+/// `Cancel` contain one of these.
 const BOUNDED: [(&str, &str); 6] = [
     (
         "::parse",
-        "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has the time for the largest",
+        "JSON of a request, at most `--max-warp-json-bytes`, or a batch: deploy/capacity.md has \
+            the time for the largest",
     ),
     (
         "| parse(",
@@ -23,7 +25,8 @@ const BOUNDED: [(&str, &str); 6] = [
     ("to_invert(", "the same"),
     ("map_band", "2^16 positions"),
 ];
-/// Functions of the library that have a twin with an argument for cancellation. The offline tool may call them.
+/// Functions of the library that have a twin with an argument for cancellation. The offline tool
+/// may call them.
 const TWINS: [&str; 6] = [
     "Setup::new(",
     ".plan()",

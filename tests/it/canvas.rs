@@ -11,7 +11,8 @@ fn decoded(file: &[u8]) -> RgbaImage {
 }
 
 fn turned() -> Value {
-    json!({"p": [[20, 20], [300, 200], [350, 40]], "q": [[-15, 60], [280, 280], [390, 90]], "method": "affine", "alpha": 1.5})
+    json!({"p": [[20, 20], [300, 200], [350, 40]], "q": [[-15, 60], [280, 280], [390, 90]],
+        "method": "affine", "alpha": 1.5})
 }
 
 /// A result with its `Warp-Canvas`.
@@ -32,7 +33,8 @@ async fn tiles_of_a_canvas_make_up_the_whole() {
     let id = server.session(&photo(400, 300), &turned()).await;
     for outside in ["transparent", "edge"] {
         let tile = |x: u32, y: u32, width: u32, height: u32| {
-            let canvas = json!({"x": x.cast_signed() - 60, "y": y.cast_signed() - 50, "width": width, "height": height});
+            let canvas = json!({"x": x.cast_signed() - 60, "y": y.cast_signed() - 50,
+                "width": width, "height": height});
             json!({"outside": outside, "canvas": canvas})
         };
         let (whole, canvas) = drawn(&server, &id, tile(0, 0, 520, 440)).await;
@@ -169,7 +171,14 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         Server::start(&["--max-image-side", "2000", "--max-image-pixels", "1000000"]).await;
     let image = photo(200, 100);
     let upload = async |q: Value, output: Value| {
-        server.upload("/warp", &image, &json!({"p": [[0, 0], [200, 100]], "q": q, "method": "similarity", "output": output})).await
+        server
+            .upload(
+                "/warp",
+                &image,
+                &json!({"p": [[0, 0], [200, 100]], "q": q, "method": "similarity",
+                "output": output}),
+            )
+            .await
     };
     let (rest, far) = (
         json!([[0, 0], [200, 100]]),
@@ -205,9 +214,11 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
         );
     }
     // Numbers that would overflow, and a result farther away than a canvas may be.
-    let huge = json!({"width": 4_294_967_295_u32, "canvas": {"x": 0, "y": 0, "width": 2_000_000, "height": 2_000_000}});
+    let huge = json!({"width": 4_294_967_295_u32,
+        "canvas": {"x": 0, "y": 0, "width": 2_000_000, "height": 2_000_000}});
     problem(upload(rest.clone(), huge).await, 413, "too_large").await;
-    let beyond = json!({"p": [[10, 10], [10.001, 10]], "q": [[10, 10], [1_000_000, 10]], "method": "similarity",
+    let beyond = json!({"p": [[10, 10], [10.001, 10]], "q": [[10, 10], [1_000_000, 10]],
+        "method": "similarity",
         "output": {"canvas": "fit", "width": 100}});
     let refused = problem(
         server.upload("/warp", &image, &beyond).await,
@@ -233,7 +244,10 @@ async fn a_canvas_that_cannot_be_drawn_is_a_problem_with_its_numbers() {
     );
     // A zoom at which single cells would be longer than the rasteriser's numbers.
     let pixel = json!({"x": 3, "y": 3, "width": 1, "height": 1});
-    let zoom = |width: u32| json!({"p": [[0, 0]], "q": [[0, 0.5]], "output": {"canvas": pixel, "width": width}});
+    let zoom = |width: u32| {
+        json!({"p": [[0, 0]], "q": [[0, 0.5]],
+        "output": {"canvas": pixel, "width": width}})
+    };
     let long = photo(1200, 10);
     let refused = problem(
         server.upload("/warp", &long, &zoom(990)).await,
@@ -304,7 +318,8 @@ async fn a_session_keeps_its_canvas_and_a_drag_may_give_another() {
     );
     assert_eq!(drawn(&server, &id, json!({"canvas": "same"})).await.1, None);
     // No cell of the posed grid meets the canvas.
-    let beside = json!({"q": turned()["q"], "output": {"canvas": {"x": 5000, "y": 0, "width": 9, "height": 9}}});
+    let beside = json!({"q": turned()["q"],
+        "output": {"canvas": {"x": 5000, "y": 0, "width": 9, "height": 9}}});
     assert_eq!(
         header(&server.drag(&id, &beside).await, "warp-warning"),
         "nothing_visible"

@@ -1,4 +1,5 @@
-//! What comments and notes cite exists: sections of `src/engine/MATHEMATICS.md`, and files of the repository.
+//! What comments and notes cite exists: sections of `src/engine/MATHEMATICS.md`, and files of the
+//! repository.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -53,7 +54,8 @@ fn number(text: &str) -> Option<String> {
     (!number.is_empty()).then(|| number.to_owned())
 }
 
-/// The sections that a text cites: "mathematics 7.1", "mathematics section 12", "mathematics sections 2.4, 3.4 and 6".
+/// The sections that a text cites: "mathematics 7.1", "mathematics section 12", "mathematics
+/// sections 2.4, 3.4 and 6".
 fn cited(text: &str) -> Vec<String> {
     let mut cited = Vec::new();
     // A citation may be divided by the end of a line of a comment.
@@ -116,7 +118,8 @@ fn citations_of_the_mathematics_name_sections_that_exist() {
 
 #[test]
 fn citations_are_found_in_all_their_forms() {
-    let text = "/// a (mathematics\n    /// 7.1), mathematics section 12, step 2; mathematics sections 2.4, 3.4 and 6. The mathematics of 5";
+    let text = "/// a (mathematics\n    /// 7.1), mathematics section 12, step 2; mathematics \
+        sections 2.4, 3.4 and 6. The mathematics of 5";
     assert_eq!(cited(text), ["7.1", "12", "2.4", "3.4", "6"]);
     assert_eq!(
         sections("# T\n## 2. Points\n### 2.1 The problem\ntext\n## Appendix"),

@@ -9,7 +9,8 @@ use crate::support::{Server, photo};
 
 fn warp(client: u32) -> Value {
     let c = f64::from(client);
-    json!({"p": [[20, 20], [100, 70]], "q": [[20.0 + c / 4.0, 20], [100, 70.0 - c / 5.0]], "method": (["rigid", "similarity", "affine"][client as usize % 3])})
+    json!({"p": [[20, 20], [100, 70]], "q": [[20.0 + c / 4.0, 20], [100, 70.0 - c / 5.0]],
+        "method": (["rigid", "similarity", "affine"][client as usize % 3])})
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -1,4 +1,5 @@
-//! Handles that coincide at rest: points are grouped, crossing lines share the mean, and what is contradictory is reported.
+//! Handles that coincide at rest: points are grouped, crossing lines share the mean, and what is
+//! contradictory is reported.
 
 use mlswarp::deform::{
     Coincident, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Warning,
@@ -101,7 +102,8 @@ fn points_within_a_distance_are_one_handle_at_the_weighted_mean() {
 }
 
 proptest! {
-    /// Without a distance, every handle that does not contradict another is met exactly, whatever the others do.
+    /// Without a distance, every handle that does not contradict another is met exactly, whatever
+    /// the others do.
     #[test]
     fn a_handle_that_nothing_contradicts_is_met(
         places in proptest::collection::vec((0..12_i32, 0..12_i32, -5..5_i32, -5..5_i32), 3..30),
@@ -110,16 +112,21 @@ proptest! {
     ) {
         let at = |k: i32| f64::from(k) * 7.0 + 0.5;
         let p: Vec<Handle> = places.iter().map(|&(x, y, ..)| dot(at(x), at(y))).collect();
-        let q: Vec<Handle> = places.iter().map(|&(x, y, dx, dy)| dot(at(x) + f64::from(dx), at(y) + f64::from(dy))).collect();
+        let q: Vec<Handle> = places.iter().map(|&(x, y, dx, dy)| dot(at(x) + f64::from(dx), at(y)
+            + f64::from(dy))).collect();
         let field = field(p.clone(), None, 0.0, method, alpha).unwrap();
         let pose = field.pose(&q).unwrap();
-        let contradicts = |i: usize| pose.contradictions().listed.iter().any(|group| group.handles.contains(&i));
+        let contradicts = |i: usize| pose.contradictions().listed.iter().any(
+            |group| group.handles.contains(&i));
         for (i, &(x, y, dx, dy)) in places.iter().enumerate() {
-            let alike = places.iter().all(|other| (other.0, other.1) != (x, y) || (other.2, other.3) == (dx, dy));
+            let alike = places.iter().all(|other| (other.0, other.1) != (x, y)
+                || (other.2, other.3) == (dx, dy));
             prop_assert_eq!(contradicts(i), !alike);
             if alike {
-                let (p, q) = (Point::new(at(x), at(y)), Point::new(at(x) + f64::from(dx), at(y) + f64::from(dy)));
-                prop_assert!(field.map(&pose, p).distance(q) < 1e-9, "{:?}: {:?}", q, field.map(&pose, p));
+                let (p, q) = (Point::new(at(x), at(y)), Point::new(at(x) + f64::from(dx),
+                    at(y) + f64::from(dy)));
+                prop_assert!(field.map(&pose, p).distance(q) < 1e-9, "{:?}: {:?}", q,
+                    field.map(&pose, p));
             }
         }
     }
@@ -212,7 +219,8 @@ fn groups_that_meet_only_at_their_means_are_handles_of_one_position() {
 #[tokio::test]
 async fn points_of_a_tiny_set_far_from_the_origin_are_two() {
     let server = Server::start(&[]).await;
-    let warp = json!({"p": [[999_999, 0], [999_999.000_002, 0]], "q": [[999_999, 0], [999_999.000_01, 5]]});
+    let warp = json!({"p": [[999_999, 0], [999_999.000_002, 0]],
+        "q": [[999_999, 0], [999_999.000_01, 5]]});
     let answer = server.upload("/warp", &photo(20, 10), &warp).await;
     assert_eq!(answer.status(), 200, "{:?}", answer.text().await);
 }
@@ -316,7 +324,8 @@ async fn a_distance_that_joins_everything_takes_no_list_of_pairs() {
     );
 }
 
-/// f takes the mean of grouped points to the mean of their targets; how far it misses them at their own positions is reported.
+/// f takes the mean of grouped points to the mean of their targets; how far it misses them at their
+/// own positions is reported.
 #[tokio::test]
 async fn the_residual_counts_grouped_points_where_they_are() {
     let server = Server::start(&[]).await;

@@ -1,4 +1,5 @@
-//! Compact meshes on the drag socket: every n-th line of the full mesh, within the error that the server states.
+//! Compact meshes on the drag socket: every n-th line of the full mesh, within the error that the
+//! server states.
 
 use mlswarp_server::limits::memory::Purpose;
 use serde_json::{Value, json};
@@ -431,7 +432,8 @@ async fn the_lattice_is_that_of_the_handles_at_rest() {
     assert!(other.frame().await == (7, bytes));
 }
 
-/// Handles that coincide move together in the reference poses; where all of those contradict each other, the finest lattice is used.
+/// Handles that coincide move together in the reference poses; where all of those contradict each
+/// other, the finest lattice is used.
 #[tokio::test]
 async fn handles_that_must_not_contradict_each_other_have_a_lattice() {
     let server = Server::start(&[]).await;

@@ -1,5 +1,6 @@
-//! The process is killed while clients upload, replace, delete and drag; what was answered before is there after it has been started again, and what
-//! was answered to be gone is gone. Where a request was under way, either is right.
+//! The process is killed while clients upload, replace, delete and drag; what was answered before
+//! is there after it has been started again, and what was answered to be gone is gone. Where a
+//! request was under way, either is right.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -70,7 +71,8 @@ impl Dice {
     }
 }
 
-/// Asks until the server dies; `true` when it answered that it did as asked. Refusals for want of the store are no answer.
+/// Asks until the server dies; `true` when it answered that it did as asked. Refusals for want of
+/// the store are no answer.
 async fn answered(
     request: RequestBuilder,
     expected: &[u16],
@@ -314,7 +316,8 @@ impl Loop {
     fn tell(&self, what: &str, rounds: usize) {
         let (asked, checked) = (self.asked.load(Ordering::Relaxed), self.checked);
         eprintln!(
-            "{what}: {rounds} kills, {asked} requests, {checked} sessions looked at after them, none lost; slowest start {:?}",
+            "{what}: {rounds} kills, {asked} requests, {checked} sessions looked at after them, \
+                none lost; slowest start {:?}",
             self.slowest
         );
         assert!(checked > 2 * rounds, "the clients did something");

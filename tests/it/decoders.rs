@@ -1,5 +1,6 @@
-//! Every kind of picture that the service answers with is read by two decoders that share no code, and says the same however it was
-//! compressed: all compressions, depths and channels, whole answers and ones in strips, sizes on either side of where strips begin.
+//! Every kind of picture that the service answers with is read by two decoders that share no code,
+//! and says the same however it was compressed: all compressions, depths and channels, whole
+//! answers and ones in strips, sizes on either side of where strips begin.
 
 use serde_json::json;
 
@@ -7,7 +8,8 @@ use crate::support::Server;
 use crate::support::picture::{decoded, png_of};
 use crate::support::server::png;
 
-/// From one strip to many: pictures are divided above 96 KiB of rows, and a strip has half a mebibyte at most.
+/// From one strip to many: pictures are divided above 96 KiB of rows, and a strip has half a
+/// mebibyte at most.
 const SIZES: [(u32, u32); 6] = [
     (1, 1),
     (64, 48),

@@ -1,5 +1,6 @@
-//! Files of a few bytes that claim much work: each is answered promptly with the fault that it has, and clients beside those who send them are
-//! served. What files cost is counted elsewhere (`codec::tests::work`, `tests/counts`); here it is the program that answers.
+//! Files of a few bytes that claim much work: each is answered promptly with the fault that it has,
+//! and clients beside those who send them are served. What files cost is counted elsewhere
+//! (`codec::tests::work`, `tests/counts`); here it is the program that answers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -15,8 +16,9 @@ use crate::support::{Server, bombs, photo};
 
 const WARP: &str = r#"{"p": [[2, 2]], "q": [[5, 3]]}"#;
 
-/// Repeated transforms: their names, and the smallest bound on an answer that a loaded machine never misses. Walked symbol by symbol the first
-/// took 0.4 s, the second 14 s, and what goes over the limits four to five times as long.
+/// Repeated transforms: their names, and the smallest bound on an answer that a loaded machine
+/// never misses. Walked symbol by symbol the first took 0.4 s, the second 14 s, and what goes over
+/// the limits four to five times as long.
 fn attacks() -> [(&'static str, Vec<u8>, u16, &'static str); 5] {
     [
         (
@@ -153,7 +155,8 @@ async fn an_upload_beside_two_attackers_is_answered() {
     }
     let busy = busy_time(&program).saturating_sub(busy);
     println!(
-        "an innocent upload: p99 {:.1} ms of {} answers alone, {:.1} ms of {} beside two attackers (the bar: 100 ms), who sent {} files; \
+        "an innocent upload: p99 {:.1} ms of {} answers alone, {:.1} ms of {} beside two \
+            attackers (the bar: 100 ms), who sent {} files; \
          the program was busy for {busy} ms of 3 s",
         p99(&alone),
         alone.len(),

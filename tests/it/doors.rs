@@ -1,4 +1,5 @@
-//! Doors: rates, places, addresses behind proxies, what browsers are told; and that nothing here asks anybody else, but a collector of traces.
+//! Doors: rates, places, addresses behind proxies, what browsers are told; and that nothing here
+//! asks anybody else, but a collector of traces.
 
 use std::path::Path;
 use std::process::Command;
@@ -62,7 +63,8 @@ async fn behind_a_trusted_proxy_each_client_is_counted() {
     ])
     .await;
     assert_eq!(answered(&server, |n| format!("198.51.100.{n}")).await, 100);
-    // What the client wrote itself stands to the left and says nothing; of IPv6 the first half says who it is.
+    // What the client wrote itself stands to the left and says nothing; of IPv6 the first half says
+    // who it is.
     assert!(answered(&server, |n| format!("198.51.100.{n}, 203.0.113.7")).await < 20);
     assert!(answered(&server, |n| format!("2001:db8::{n:x}")).await < 20);
 }
@@ -284,7 +286,8 @@ async fn pages_of_other_sites_open_nothing_unseen() {
             .status(),
         200
     );
-    // To a server that it reaches without TLS beyond the loopback, a browser says the page's origin and no more.
+    // To a server that it reaches without TLS beyond the loopback, a browser says the page's origin
+    // and no more.
     let ask = |origin: String| {
         server
             .post("/points")
@@ -356,8 +359,9 @@ async fn every_answer_says_how_it_may_be_read() {
     }
 }
 
-/// Pictures are uploaded, nothing is ever fetched: the program could not. It has no HTTP client but hyper's bare connection, which one file names, and
-/// which goes to the collector of traces that the program was started with.
+/// Pictures are uploaded, nothing is ever fetched: the program could not. It has no HTTP client but
+/// hyper's bare connection, which one file names, and which goes to the collector of traces that
+/// the program was started with.
 #[test]
 fn the_program_has_no_http_client_but_that_of_traces() {
     let tree = |format: &str| {

@@ -8,7 +8,8 @@ use crate::support::server::{header, png};
 use crate::support::{Server, eventually, photo};
 
 fn rest() -> Value {
-    json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]], [[60, 30], [64, 44], [70, 60]]], "method": "rigid"})
+    json!({"p": [[20, 20], [100, 24], [[30, 70], [90, 80]], [[60, 30], [64, 44], [70, 60]]],
+        "method": "rigid"})
 }
 
 /// Pose `n` of a circular drag.
@@ -206,7 +207,8 @@ async fn copies_for_a_size_are_made_once_and_timed_apart() {
         made.push(header(&response, "server-timing").contains("reduce;dur="));
         png(response).await;
     }
-    // The identity at full size copies pixels. A quarter, half and all of the size have a copy each; 100 and 300 use one of them.
+    // The identity at full size copies pixels. A quarter, half and all of the size have a copy
+    // each; 100 and 300 use one of them.
     assert_eq!(made, [true, false, false, true, false, true, false, false]);
 }
 

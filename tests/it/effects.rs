@@ -1,5 +1,6 @@
-//! Every field of every request has an effect: for each route and each field that the OpenAPI document lists there, two values give two
-//! answers. A new field fails until it has a row here, and a field that is accepted and then forgotten fails for ever.
+//! Every field of every request has an effect: for each route and each field that the OpenAPI
+//! document lists there, two values give two answers. A new field fails until it has a row here,
+//! and a field that is accepted and then forgotten fails for ever.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +12,8 @@ use crate::support::picture::png_of;
 use crate::support::server::form;
 use crate::support::{Server, photo};
 
-/// Fields that describe how a file was read, which the answer of `/landmarks` has: they are accepted where this answer is sent.
+/// Fields that describe how a file was read, which the answer of `/landmarks` has: they are
+/// accepted where this answer is sent.
 const DESCRIPTIVE: [&str; 3] = ["names", "format", "unmatched"];
 /// What the form of a picture is; routes that draw nothing accept a warp object that has it.
 const OF_PICTURES: [&str; 8] = [
@@ -24,7 +26,8 @@ const OF_PICTURES: [&str; 8] = [
     "holes",
     "layer",
 ];
-/// Of files, which `landmarks::` and `missing::` send, and the order of a drag, of which `revisions::` tells.
+/// Of files, which `landmarks::` and `missing::` send, and the order of a drag, of which
+/// `revisions::` tells.
 const ELSEWHERE: [&str; 3] = ["match", "item", "seq"];
 
 /// How a route is asked.
@@ -282,7 +285,8 @@ fn values(schema: &str, field: &str) -> (Value, Value, Value) {
         "loop" => (no, json!(0), json!(3)),
         "and_back" => (no, json!(false), json!(true)),
         _ => panic!(
-            "{schema} has the new field `{field}`: give it two values here that must give different answers"
+            "{schema} has the new field `{field}`: give it two values here that must give \
+                different answers"
         ),
     }
 }
@@ -303,7 +307,8 @@ fn put(object: &mut Map<String, Value>, field: &str, value: Value) {
     }
 }
 
-/// All that may differ between two answers: the status, the headers of the warp, and the body without what is different in every answer.
+/// All that may differ between two answers: the status, the headers of the warp, and the body
+/// without what is different in every answer.
 async fn answer(response: Response) -> (u16, Vec<(String, String)>, Vec<u8>) {
     let status = response.status().as_u16();
     let is_of_warp =

@@ -1,4 +1,5 @@
-//! `deploy/env.example` is the program's own declaration of its variables, written as a file of the environment. `MLSWARP_BLESS=1` writes it anew.
+//! `deploy/env.example` is the program's own declaration of its variables, written as a file of the
+//! environment. `MLSWARP_BLESS=1` writes it anew.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -10,11 +11,14 @@ use mlswarp_server::config::{Config, command};
 use crate::support::program::{Program, mlswarp};
 
 const HEAD: &str = "\
-# All settings with their defaults. To change one, remove the # in front of it and edit the value after the =.
+# All settings with their defaults. To change one, remove the # in front of it and edit the value \
+after the =.
 #
-# systemd reads this file by EnvironmentFile= (systemd/mlswarp.service), Docker by --env-file, Compose by env_file. All of them accept one
+# systemd reads this file by EnvironmentFile= (systemd/mlswarp.service), Docker by --env-file, \
+Compose by env_file. All of them accept one
 # variable per line, comments on lines of their own, and values without quotes and without ${...}.
-# MLSWARP_KEYS, and MLSWARP_STORE with a password, are secrets: if you set them, make this file unreadable for other users.
+# MLSWARP_KEYS, and MLSWARP_STORE with a password, are secrets: if you set them, make this file \
+unreadable for other users.
 # Generated from the options of the program; tests/it/environment.rs compares.
 ";
 
@@ -64,7 +68,8 @@ fn expected() -> String {
     text
 }
 
-/// The variables of a text whose every `#NAME=` has lost its `#`, by the rules that all readers share.
+/// The variables of a text whose every `#NAME=` has lost its `#`, by the rules that all readers
+/// share.
 fn uncommented(text: &str) -> BTreeMap<&str, &str> {
     let mut variables = BTreeMap::new();
     for line in text.lines().filter(|line| line.starts_with("#MLSWARP_")) {
@@ -139,7 +144,8 @@ fn unknown_variables_are_named_at_the_start() {
     program.terminate();
     let (_, log) = program.wait();
     for said in [
-        "the variable MLSWARP_MAX_SESION is not known and has no effect; did you mean MLSWARP_MAX_SESSIONS?",
+        "the variable MLSWARP_MAX_SESION is not known and has no effect; did you mean \
+            MLSWARP_MAX_SESSIONS?",
         "the variable MLSWARP_FROBNICATE is not known and has no effect",
     ] {
         assert!(

@@ -1,4 +1,5 @@
-//! Work that would never end is refused before it begins, by an estimate that counts operations: the same on every machine and under every load.
+//! Work that would never end is refused before it begins, by an estimate that counts operations:
+//! the same on every machine and under every load.
 
 use std::time::{Duration, Instant};
 

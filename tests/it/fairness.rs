@@ -1,5 +1,6 @@
-//! What one client can take from the others: the table in `deploy/README.md`, a test for each of its rows. Clients without keys are told
-//! apart by their addresses; on Linux all of 127.0.0.0/8 is the loopback. The tests count answers and their order; times are printed.
+//! What one client can take from the others: the table in `deploy/README.md`, a test for each of
+//! its rows. Clients without keys are told apart by their addresses; on Linux all of 127.0.0.0/8 is
+//! the loopback. The tests count answers and their order; times are printed.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -117,7 +118,8 @@ async fn limited(answer: Response, what: &str) {
     );
 }
 
-/// Requests that are sent again and again until this is dropped, and how many were answered with a picture.
+/// Requests that are sent again and again until this is dropped, and how many were answered with a
+/// picture.
 struct Flood {
     answered: Arc<AtomicUsize>,
     over: Arc<AtomicBool>,
@@ -170,7 +172,8 @@ impl Flood {
     }
 }
 
-/// Asks one after the other; prints what a client that asks for little has to wait. How many others were answered meanwhile.
+/// Asks one after the other; prints what a client that asks for little has to wait. How many others
+/// were answered meanwhile.
 async fn meanwhile(what: &str, number: usize, flood: &Flood, ask: impl AsyncFn(usize)) -> usize {
     let (before, mut times) = (flood.answered(), Vec::new());
     for n in 0..number {
@@ -233,7 +236,8 @@ async fn six_busy_sessions_do_not_starve_the_session_of_another_address() {
     }
 }
 
-/// Row: worker time. A few huge requests of one client against many small ones of another, at both gates.
+/// Row: worker time. A few huge requests of one client against many small ones of another, at both
+/// gates.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
     for workers in ["1", "2"] {
@@ -297,11 +301,13 @@ async fn huge_requests_do_not_hold_all_workers_against_small_ones() {
     }
 }
 
-/// Row: worker time. Requests of a few kB that take many seconds each, from more addresses than there are slots: they give way.
+/// Row: worker time. Requests of a few kB that take many seconds each, from more addresses than
+/// there are slots: they give way.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_one() {
     let p: Vec<[u32; 2]> = (0..700).map(|k| [k * 37 % 601, k * 59 % 397]).collect();
-    let fit = json!({"p": p, "q": p, "extent": [640, 400], "candidates": vec![json!({"method": "tps"}); 40]});
+    let fit = json!({"p": p, "q": p, "extent": [640, 400],
+        "candidates": vec![json!({"method": "tps"}); 40]});
     for addresses in [1, 3] {
         let server = Server::start(&["--workers", "2"]).await;
         let busy: Vec<Party> = (2..2 + addresses)
@@ -334,7 +340,8 @@ async fn long_requests_from_three_addresses_delay_a_short_one_no_more_than_from_
         }
         times.sort_unstable();
         eprintln!(
-            "10 uploads beside long requests from {addresses} addresses: median {:.0?}, longest {:.0?}",
+            "10 uploads beside long requests from {addresses} addresses: median {:.0?}, longest \
+                {:.0?}",
             times[5], times[9]
         );
         floods
@@ -594,7 +601,8 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     // Uploads of which two megabytes come and no more.
     let part = "--x\r\nContent-Disposition: form-data; name=\"image\"; filename=\"a\"\r\n\r\n";
     let head = format!(
-        "POST /warp HTTP/1.1\r\nHost: {}\r\nContent-Type: multipart/form-data; boundary=x\r\nContent-Length: 8000000\r\n\r\n{part}",
+        "POST /warp HTTP/1.1\r\nHost: {}\r\nContent-Type: multipart/form-data; \
+            boundary=x\r\nContent-Length: 8000000\r\n\r\n{part}",
         server.address
     );
     let (mut held, mut refused) = (Vec::new(), 0);
@@ -622,7 +630,8 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     }
     let taken = server.app.budget().taken_for(Purpose::Upload);
     eprintln!(
-        "{} uploads are held, {refused} were refused; {taken} bytes are taken, {limit} is the limit",
+        "{} uploads are held, {refused} were refused; {taken} bytes are taken, \
+         {limit} is the limit",
         held.len() - refused
     );
     assert!(refused >= 6 && held.len() - refused >= 2);

@@ -1,4 +1,5 @@
-//! Leave one out: the residuals are those of refitting to all other points, and `/fit` and `method: auto` say what they say.
+//! Leave one out: the residuals are those of refitting to all other points, and `/fit` and
+//! `method: auto` say what they say.
 
 use mlswarp::deform::{Coincident, Falloff, Field, Handle, Handles, Method as Family};
 use mlswarp::geometry::{Point, Vec2};
@@ -137,10 +138,12 @@ proptest! {
 
     /// On a line, and with one point beside it, without which the rest is on it.
     #[test]
-    fn residuals_of_degenerate_sets_are_those_of_refitting((p, q, weights) in points(8), beside in any::<bool>()) {
+    fn residuals_of_degenerate_sets_are_those_of_refitting((p, q, weights) in points(8),
+        beside in any::<bool>()) {
         let direction = Vec2::new(0.6, 0.8);
         let along = |(at, k): (&Point, i32)| 60.0 * f64::from(k) + 0.3 * at.x.rem_euclid(100.0);
-        let mut p: Vec<Point> = p.iter().zip(0..).map(|at| Point::new(50.0, 20.0) + direction * along(at)).collect();
+        let mut p: Vec<Point> = p.iter().zip(0..).map(|at| Point::new(50.0, 20.0)
+            + direction * along(at)).collect();
         if beside {
             p[3] = p[3] + Vec2::new(-80.0, 60.0);
         }
@@ -311,7 +314,8 @@ async fn the_best_candidate_is_named_with_residuals_and_outliers() {
             })
             .collect()
     };
-    let body = json!({"p": shares(&p), "q": shares(&q), "units": "normalized", "extent": [400, 300], "candidates": [{"method": "global_affine"}]});
+    let body = json!({"p": shares(&p), "q": shares(&q), "units": "normalized", "extent": [400, 300],
+        "candidates": [{"method": "global_affine"}]});
     let normalized = answered(server.post("/fit").json(&body).send().await.unwrap()).await;
     let difference =
         normalized["candidates"][0]["rms"].as_f64().unwrap() - affine["rms"].as_f64().unwrap();
@@ -365,7 +369,8 @@ async fn auto_is_chosen_once_and_named() {
         )
         .await;
     assert_eq!(header(&few, "warp-method"), "rigid;alpha=1");
-    // New handles may choose again, by the pose of the session; other handles without `q` have none.
+    // New handles may choose again, by the pose of the session; other handles without `q` have
+    // none.
     let handles = |body: Value| {
         server
             .client
@@ -462,9 +467,8 @@ async fn what_cannot_be_compared_is_refused() {
         ),
         (with(json!({"p": line, "q": line})), "bad_value", "/p/2"),
         (
-            with(
-                json!({"p": [[1, 1], [2, 2], [3, 4], [1, 1]], "q": [[1, 1], [2, 2], [3, 4], [1, 1]]}),
-            ),
+            with(json!({"p": [[1, 1], [2, 2], [3, 4], [1, 1]],
+                    "q": [[1, 1], [2, 2], [3, 4], [1, 1]]})),
             "bad_value",
             "/p",
         ),
@@ -475,7 +479,8 @@ async fn what_cannot_be_compared_is_refused() {
             pointer
         );
     }
-    let met = json!({"p": [[1, 1], [1, 1], [9, 9], [3, 4], [8, 2]], "q": [[1, 1], [5, 1], [9, 9], [3, 4], [8, 2]], "extent": [400, 300]});
+    let met = json!({"p": [[1, 1], [1, 1], [9, 9], [3, 4], [8, 2]],
+        "q": [[1, 1], [5, 1], [9, 9], [3, 4], [8, 2]], "extent": [400, 300]});
     let shared = answered(fit(met).await).await;
     assert_eq!(
         shared["candidates"][0]["residuals"][0],
@@ -490,7 +495,8 @@ async fn a_comparison_ends_with_its_client() {
     let server = Server::start(&["--workers", "1", "--max-work", "1000G"]).await;
     let (p, q) = landmarks(2000);
     let candidates = vec![json!({"method": "tps", "smoothing": 0.1}); 64];
-    let body = json!({"p": p, "q": q, "extent": [400, 300], "candidates": candidates, "coincident": {"within": 0}});
+    let body = json!({"p": p, "q": q, "extent": [400, 300], "candidates": candidates,
+        "coincident": {"within": 0}});
     let request = server.post("/fit").json(&body).send();
     assert!(
         tokio::time::timeout(std::time::Duration::from_millis(700), request)

@@ -1,5 +1,6 @@
-//! Floods of HTTP/2 frames against the program: the connection is closed or slowed down, memory stays bounded, and an innocent client gets
-//! every answer. How fast it gets them is printed beside how fast it gets them without the flood (`--nocapture`), not asserted.
+//! Floods of HTTP/2 frames against the program: the connection is closed or slowed down, memory
+//! stays bounded, and an innocent client gets every answer. How fast it gets them is printed beside
+//! how fast it gets them without the flood (`--nocapture`), not asserted.
 
 use std::time::{Duration, Instant};
 
@@ -71,14 +72,16 @@ async fn flood(
     reading.await.unwrap()
 }
 
-/// Sends floods one after another, each of which must end its connection for its excess before it is read to its end.
+/// Sends floods one after another, each of which must end its connection for its excess before it
+/// is read to its end.
 async fn ended(name: &str, opening: &[u8], batch: impl Fn(u32) -> Vec<u8>) {
     let calmed = endured(name, &[], async |program| {
         let mut calmed = 0;
         for _ in 0..CONNECTIONS {
             match flood(program, opening, TOO_MANY, &batch).await {
                 End::Closed { error: Some(error) } if error == ENHANCE_YOUR_CALM => calmed += 1,
-                // What is written to a connection that has ended may reset it, and take the reason with it.
+                // What is written to a connection that has ended may reset it, and take the reason
+                // with it.
                 End::Closed { error: None } => {}
                 end => panic!("{name}: {end:?}"),
             }
@@ -87,7 +90,8 @@ async fn ended(name: &str, opening: &[u8], batch: impl Fn(u32) -> Vec<u8>) {
     })
     .await;
     eprintln!(
-        "{name}: {CONNECTIONS} connections were ended within {} frames each, {calmed} of them with the reason",
+        "{name}: {CONNECTIONS} connections were ended within {} frames each, {calmed} of them \
+            with the reason",
         TOO_MANY * BATCH
     );
     assert!(calmed > 0, "{name}");
@@ -216,7 +220,8 @@ async fn pings_settings_and_windows_are_answered_one_by_one() {
     }
 }
 
-/// A client that reads none of the answers is read no further, and its connection ends at the write deadline.
+/// A client that reads none of the answers is read no further, and its connection ends at the write
+/// deadline.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_floods_and_reads_nothing_is_cut() {
     const MOST: u32 = 10_000;

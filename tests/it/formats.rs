@@ -215,7 +215,8 @@ async fn output_of(
     picture(response, format).await
 }
 
-/// A grey picture is grey in every format that has grey, as long as nothing adds a colour; the renderer draws the same values.
+/// A grey picture is grey in every format that has grey, as long as nothing adds a colour; the
+/// renderer draws the same values.
 #[tokio::test]
 async fn grey_pictures_stay_grey() {
     let server = Server::start(&[]).await;

@@ -1,5 +1,6 @@
-//! One frame for everything in an answer: positions beside a picture are pixels of that picture, however it is scaled, cropped or posed.
-//! The picture's colours are its own coordinates, so that every pixel of a result says which position of the source it shows.
+//! One frame for everything in an answer: positions beside a picture are pixels of that picture,
+//! however it is scaled, cropped or posed. The picture's colours are its own coordinates, so that
+//! every pixel of a result says which position of the source it shows.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read as _};
@@ -184,7 +185,8 @@ async fn batch(server: &Server, id: &str, body: &Value) -> (BTreeMap<String, Vec
     (files, frame)
 }
 
-/// Batches, points with and without a session, and the inverse: in px of the picture, in shares of its sides.
+/// Batches, points with and without a session, and the inverse: in px of the picture, in shares of
+/// its sides.
 #[tokio::test]
 async fn annotations_lie_on_what_they_mark_in_every_picture() {
     let server = Server::start(&[]).await;
@@ -365,7 +367,8 @@ async fn the_report_of_a_dragged_frame_says_its_canvas_scale_and_strength() {
     );
 }
 
-/// A session with a region: `fit` contains what stays, for the picture, its positions and its report.
+/// A session with a region: `fit` contains what stays, for the picture, its positions and its
+/// report.
 #[tokio::test]
 async fn a_region_has_its_part_in_the_canvas_of_every_answer() {
     let server = Server::start(&[]).await;
@@ -412,7 +415,8 @@ async fn a_region_has_its_part_in_the_canvas_of_every_answer() {
 #[tokio::test]
 async fn the_boxes_of_a_report_are_in_its_picture() {
     let server = Server::start(&[]).await;
-    let warp = json!({"p": [[8, 8], [120, 80], [80, 8]], "q": [[88, 8], [120, 72], [20, 9]], "extent": [160, 120]});
+    let warp = json!({"p": [[8, 8], [120, 80], [80, 8]], "q": [[88, 8], [120, 72], [20, 9]],
+        "extent": [160, 120]});
     let report = async |output: Value| {
         answer(&server, "/report", &with(&warp, json!({"output": output})))
             .await
@@ -467,7 +471,8 @@ async fn the_boxes_of_a_report_are_in_its_picture() {
 #[tokio::test]
 async fn positions_of_a_picture_that_is_refused_are_refused() {
     let server = Server::start(&[]).await;
-    let warp = json!({"p": [[8, 8], [120, 80], [80, 8]], "q": [[88, 8], [120, 72], [20, 9]], "folds": "reject"});
+    let warp = json!({"p": [[8, 8], [120, 80], [80, 8]], "q": [[88, 8], [120, 72], [20, 9]],
+        "folds": "reject"});
     let whole = with(&warp, json!({"extent": [160, 120], "points": [[1, 1]]}));
     problem(
         server.post("/points").json(&whole).send().await.unwrap(),
@@ -484,7 +489,8 @@ async fn positions_of_a_picture_that_is_refused_are_refused() {
     problem(response, 422, "folded").await;
     let nothing = with(
         &whole,
-        json!({"folds": "report", "q": [[9, 9], [9, 9], [9, 9]], "method": "affine", "output": {"canvas": "fit"}}),
+        json!({"folds": "report", "q": [[9, 9], [9, 9], [9, 9]], "method": "affine",
+            "output": {"canvas": "fit"}}),
     );
     problem(
         server.post("/points").json(&nothing).send().await.unwrap(),
@@ -561,9 +567,13 @@ async fn annotations_far_outside_or_in_another_unit_are_warned_of() {
     const OUTSIDE: &str = "annotations_outside_picture";
     const UNIT: &str = "looks_normalized, annotations_outside_picture";
     let server = Server::start(&[]).await;
-    let feature = |x: f64, y: f64| json!([{"type": "Feature", "nucleusGeometry": {"type": "Point", "coordinates": [x, y]}}]);
+    let feature = |x: f64, y: f64| {
+        json!([
+            {"type": "Feature", "nucleusGeometry": {"type": "Point", "coordinates": [x, y]}}])
+    };
     let px = json!({"p": [[40, 60], [120, 60]], "q": [[42, 60], [120, 62]]});
-    let shares = json!({"p": [[0.25, 0.5], [0.75, 0.5]], "q": [[0.26, 0.5], [0.75, 0.51]], "units": "normalized"});
+    let shares = json!({"p": [[0.25, 0.5], [0.75, 0.5]], "q": [[0.26, 0.5], [0.75, 0.51]],
+        "units": "normalized"});
     for (warp, annotations, expected) in [
         (&px, json!({"points": [[80, 60], [-20, 130]]}), ""),
         (&px, json!({"points": [[80, 60], [400, 60]]}), OUTSIDE),
@@ -634,12 +644,14 @@ async fn annotations_far_outside_or_in_another_unit_are_warned_of() {
         OUTSIDE
     );
     // In the same wrong unit as the handles: that is said once.
-    let both = json!({"p": [[0.2, 0.3], [0.4, 0.9]], "q": [[0.2, 0.35], [0.4, 0.9]], "points": [[0.31, 0.2]], "extent": [160, 120]});
+    let both = json!({"p": [[0.2, 0.3], [0.4, 0.9]], "q": [[0.2, 0.35], [0.4, 0.9]],
+        "points": [[0.31, 0.2]], "extent": [160, 120]});
     assert_eq!(
         warnings(&server, "/points", &both).await,
         "looks_normalized"
     );
     // One pixel is all of a small picture.
-    let small = json!({"p": [[0.5, 0.5], [1.25, 0.5]], "q": [[0.6, 0.5], [1.25, 0.5]], "points": [[0.3, 0.2]], "extent": [2, 2]});
+    let small = json!({"p": [[0.5, 0.5], [1.25, 0.5]], "q": [[0.6, 0.5], [1.25, 0.5]],
+        "points": [[0.3, 0.2]], "extent": [2, 2]});
     assert_eq!(warnings(&server, "/points", &small).await, "");
 }

@@ -1,5 +1,5 @@
-//! GeoJSON as programs write it: every shape, every geometry, every member; what is no position stays as it is. Files of any length are
-//! mapped part by part.
+//! GeoJSON as programs write it: every shape, every geometry, every member; what is no position
+//! stays as it is. Files of any length are mapped part by part.
 
 use std::time::Instant;
 
@@ -11,7 +11,8 @@ use crate::support::{Server, photo};
 
 /// A warp that bends the whole picture, and folds nowhere.
 fn warp() -> Value {
-    json!({"p": [[40, 60], [120, 60], [80, 20], [70, 100]], "q": [[46, 62], [117, 55], [84, 26], [66, 97]], "extent": [160, 120]})
+    json!({"p": [[40, 60], [120, 60], [80, 20], [70, 100]], "q": [[46, 62], [117, 55], [84, 26],
+        [66, 97]], "extent": [160, 120]})
 }
 
 /// One of each geometry, away from the border.
@@ -27,7 +28,8 @@ fn geometries() -> Vec<Value> {
         json!({"type": "MultiPolygon", "coordinates": [[ring(30.0, 40.0)], [ring(80.0, 60.0)]]}),
     ];
     all.push(json!({"type": "GeometryCollection", "geometries": all.clone()}));
-    let nested = json!({"type": "GeometryCollection", "geometries": [all[6], {"type": "GeometryCollection", "geometries": []}]});
+    let nested = json!({"type": "GeometryCollection",
+        "geometries": [all[6], {"type": "GeometryCollection", "geometries": []}]});
     all.push(nested);
     all
 }
@@ -79,8 +81,10 @@ fn assert_same(before: &Value, after: &Value, within: f64) {
 }
 
 fn shapes(geometry: &Value) -> [Value; 4] {
-    let feature = json!({"type": "Feature", "id": 7, "geometry": geometry, "properties": {"a": [1], "b": null}, "x": {"type": "y"}});
-    let collection = json!({"type": "FeatureCollection", "features": [feature, feature], "crs": {"type": "name"}});
+    let feature = json!({"type": "Feature", "id": 7, "geometry": geometry,
+        "properties": {"a": [1], "b": null}, "x": {"type": "y"}});
+    let collection = json!({"type": "FeatureCollection", "features": [feature, feature],
+        "crs": {"type": "name"}});
     [
         geometry.clone(),
         feature.clone(),
@@ -143,13 +147,16 @@ async fn every_member_that_is_a_geometry_is_mapped_and_nothing_else() {
     let moved = mapped(&server, &point(50.0), json!({})).await;
     assert_ne!(moved, point(50.0));
     let kept = json!([
-        {"type": "Circle", "coordinates": [50, 60]}, {"type": "Point", "coordinates": "50 60"}, {"type": "Point"}, [50, 60],
-        {"coordinates": [50, 60]}, {"type": 7, "coordinates": [50, 60]}, {"type": "GeometryCollection", "coordinates": [50, 60]},
+        {"type": "Circle", "coordinates": [50, 60]}, {"type": "Point", "coordinates": "50 \
+            60"}, {"type": "Point"}, [50, 60],
+        {"coordinates": [50, 60]}, {"type": 7, "coordinates": [50, 60]},
+            {"type": "GeometryCollection", "coordinates": [50, 60]},
         {"deeper": {"type": "Point", "coordinates": [50, 60]}},
     ]);
     let members = |point: &Value| {
         let mut feature = json!({
-            "type": "Feature", "geometry": null, "nucleusGeometry": point, "a/b~c": point, "\u{e9}": point,
+            "type": "Feature", "geometry": null, "nucleusGeometry": point, "a/b~c": point,
+                "\u{e9}": point,
             "properties": {"centroid": point, "label": "x", "list": [point]}, "id": point,
         });
         // Lists and ids are no members of the feature that have a geometry.
@@ -166,7 +173,10 @@ async fn every_member_that_is_a_geometry_is_mapped_and_nothing_else() {
         members(&moved)
     );
     // Those of a collection too.
-    let collection = |point: &Value| json!({"type": "FeatureCollection", "before": point, "features": [], "outline": point});
+    let collection = |point: &Value| {
+        json!({"type": "FeatureCollection", "before": point,
+        "features": [], "outline": point})
+    };
     assert_eq!(
         mapped(&server, &collection(&point(50.0)), json!({})).await,
         collection(&moved)
@@ -183,7 +193,8 @@ async fn every_member_that_is_a_geometry_is_mapped_and_nothing_else() {
         ),
         (
             "/properties/hull/coordinates/1",
-            json!({"type": "Feature", "properties": {"hull": {"type": "Point", "coordinates": [7, "8"]}}}),
+            json!({"type": "Feature",
+                "properties": {"hull": {"type": "Point", "coordinates": [7, "8"]}}}),
         ),
     ] {
         let request = with(&warp(), json!({"geojson": [feature]}));
@@ -372,8 +383,10 @@ async fn what_is_missing_stays_missing() {
         .session(&photo(160, 120), &json!({"p": warp()["p"]}))
         .await;
     let missing = json!({
-        "points": [null, [50, 60], null], "boxes": [[10, 10, 20, 20], null], "polygons": [null, [[20, 20], [40, 20], [40, 40]], null],
-        "geojson": [{"type": "Feature", "geometry": null, "nucleusGeometry": null, "properties": null}],
+        "points": [null, [50, 60], null], "boxes": [[10, 10, 20, 20], null],
+            "polygons": [null, [[20, 20], [40, 20], [40, 40]], null],
+        "geojson": [{"type": "Feature", "geometry": null, "nucleusGeometry": null,
+            "properties": null}],
     });
     let nulls = |value: &Value| {
         ["points", "boxes", "polygons"].map(|name| {
@@ -400,8 +413,10 @@ async fn what_is_missing_stays_missing() {
         );
     }
     // Nothing of the picture is posed far outside: nulls of the answer are read.
-    let far = json!({"points": [[50, 60], [900, 900]], "boxes": [[900, 900, 910, 910]], "polygons": [[[900, 0], [910, 0], [905, 5]]],
-        "geojson": {"type": "Feature", "geometry": {"type": "Point", "coordinates": [900, 900]}}, "inverse": true});
+    let far = json!({"points": [[50, 60], [900, 900]], "boxes": [[900, 900, 910, 910]],
+        "polygons": [[[900, 0], [910, 0], [905, 5]]],
+        "geojson": {"type": "Feature", "geometry": {"type": "Point", "coordinates": [900, 900]}},
+            "inverse": true});
     let back: Value =
         serde_json::from_str(&mapped_text(&server, with(&warp(), far).to_string()).await).unwrap();
     assert!(
@@ -531,7 +546,8 @@ async fn a_long_file_is_the_sum_of_its_features() {
     );
 }
 
-/// A file of the size that is exported in practice is within the limits, also in a session and in a batch.
+/// A file of the size that is exported in practice is within the limits, also in a session and in a
+/// batch.
 #[tokio::test]
 async fn twenty_thousand_cells_are_mapped() {
     let server = Server::start(&[]).await;

@@ -1,5 +1,6 @@
-//! The example handle files on their photographs, drawn with all methods at 256 px, against committed pictures. A sample may differ
-//! by 2/255 (levels and rounding), and no more than 0.5 % of the samples may differ by more. `MLSWARP_BLESS=1` redraws them: then look at them.
+//! The example handle files on their photographs, drawn with all methods at 256 px, against
+//! committed pictures. A sample may differ by 2/255 (levels and rounding), and no more than 0.5 %
+//! of the samples may differ by more. `MLSWARP_BLESS=1` redraws them: then look at them.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,6 @@
-//! Hostile pictures through the running program: damaged files of every kind that is read, and bombs. Whatever is sent, the answer is a
-//! picture or a problem document of the client's fault, memory stays within what the options allow, and the server goes on.
+//! Hostile pictures through the running program: damaged files of every kind that is read, and
+//! bombs. Whatever is sent, the answer is a picture or a problem document of the client's fault,
+//! memory stays within what the options allow, and the server goes on.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,8 +18,8 @@ use crate::support::{bombs, photo};
 const CLIENTS: usize = 4;
 /// Codes that a picture's file may be answered with.
 const CODES: [&str; 3] = ["bad_image", "too_large", "unsupported_format"];
-/// What the options below let pictures take: two caches, and in each of two workers a picture of 2 MP with all that decoding it takes
-/// (16 bytes a pixel and the tables of prefix codes).
+/// What the options below let pictures take: two caches, and in each of two workers a picture of 2
+/// MP with all that decoding it takes (16 bytes a pixel and the tables of prefix codes).
 const MOST: u64 = (32 + 8 + 2 * (32 + 128)) << 20;
 const OPTIONS: [&str; 10] = [
     "--workers",

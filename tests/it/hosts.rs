@@ -1,4 +1,5 @@
-//! The host that a request names: one, well-formed, and on the loopback without keys one that an attacker's DNS cannot lead here.
+//! The host that a request names: one, well-formed, and on the loopback without keys one that an
+//! attacker's DNS cannot lead here.
 
 use std::net::SocketAddr;
 
@@ -17,7 +18,8 @@ use crate::support::{Server, photo};
 
 const KEY: &str = "ann-s-key-0123456789";
 
-/// An upload as the page of a site sends it whose name leads to this server: `Host` and `Origin` agree.
+/// An upload as the page of a site sends it whose name leads to this server: `Host` and `Origin`
+/// agree.
 async fn upload(server: &Server, host: &str) -> Response {
     let form = form(&photo(16, 12), json!({"p": [[2, 2]]}).to_string());
     let request = server

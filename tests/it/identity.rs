@@ -1,4 +1,5 @@
-//! The identity through all layers: file in, q = p, file out, equal samples; RGB and RGBA, 8 and 16 bit, colours under alpha 0, any size from 1 x 1.
+//! The identity through all layers: file in, q = p, file out, equal samples; RGB and RGBA, 8 and 16
+//! bit, colours under alpha 0, any size from 1 x 1.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! Keys: who has none is told so, who has another's learns nothing of what is not its own, and none of them is ever written down.
+//! Keys: who has none is told so, who has another's learns nothing of what is not its own, and none
+//! of them is ever written down.
 
 use std::time::{Duration, Instant};
 
@@ -515,7 +516,8 @@ fn beyond_the_loopback_a_key_is_wanted() {
     }
 }
 
-/// A socket is open for as long as the key that has opened it is one: not for as long as its name has another.
+/// A socket is open for as long as the key that has opened it is one: not for as long as its name
+/// has another.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_socket_ends_with_its_key() {
     let folder = Scratch::new();
@@ -591,7 +593,8 @@ async fn a_socket_ends_with_its_key() {
     );
 }
 
-/// What one owner has sent leaves no trace that another could find: each has a decode and a plan of its own, and their memory is counted.
+/// What one owner has sent leaves no trace that another could find: each has a decode and a plan of
+/// its own, and their memory is counted.
 #[tokio::test]
 async fn caches_tell_one_owner_nothing_of_another() {
     let server = server().await;
@@ -688,7 +691,8 @@ async fn caches_tell_one_owner_nothing_of_another() {
         .unwrap();
     assert_eq!(deleted.status(), 204);
     assert_eq!((drag(ANN, &anns).await.as_str(), seen()), ("hit", (4, 4)));
-    // Of Bob's nothing is left, although Ann's session has the same file: he finds what he would find without her.
+    // Of Bob's nothing is left, although Ann's session has the same file: he finds what he would
+    // find without her.
     assert_eq!((ask(BOB).await.0.as_str(), seen()), ("built", (5, 5)));
     // Without keys there is one cache for everybody.
     let open = Server::start(&[]).await;

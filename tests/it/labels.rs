@@ -1,5 +1,5 @@
-//! Label images under 200 random warps: no label is invented, and each is that of the exact inverse of its pixel's centre, unless a border
-//! between labels passes within half a pixel.
+//! Label images under 200 random warps: no label is invented, and each is that of the exact inverse
+//! of its pixel's centre, unless a border between labels passes within half a pixel.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;

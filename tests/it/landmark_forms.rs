@@ -1,5 +1,6 @@
-//! Landmark files are accepted wherever handles are: every route of the OpenAPI document whose JSON has `q` also takes a form with landmark
-//! files, and answers as it does to the same handles in JSON.
+//! Landmark files are accepted wherever handles are: every route of the OpenAPI document whose JSON
+//! has `q` also takes a form with landmark files, and answers as it does to the same handles in
+//! JSON.
 
 use std::collections::BTreeSet;
 

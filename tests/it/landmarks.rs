@@ -52,7 +52,9 @@ async fn a_picture_with_landmark_files_is_that_with_their_handles() {
     let by_json = json!({"p": P, "q": Q, "method": "affine"}).to_string();
     let (_, expected) = picture(&server, &[("warp", &by_json)]).await;
     let both = "px,py,qx,qy\n4,3,5,3\n12,8,12,9\n";
-    let normalized = json!([{"x": P[0][0] / 16.0, "y": P[0][1] / 12.0}, {"x": P[1][0] / 16.0, "y": P[1][1] / 12.0}]).to_string();
+    let normalized = json!([{"x": P[0][0] / 16.0, "y": P[0][1] / 12.0},
+        {"x": P[1][0] / 16.0, "y": P[1][1] / 12.0}])
+    .to_string();
     let larger =
         json!({"landmarks": [{"x": 0.05, "y": 0.015}, {"x": 0.12, "y": 0.045}]}).to_string();
     let options = r#"{"method": "affine"}"#;

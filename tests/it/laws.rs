@@ -1,5 +1,6 @@
-//! Laws of the method for random handles, every family, kind and alpha: interpolation, identity, reproduction, equivariance, and that the
-//! plan says what the definition says. Handles lie in separate cells of a 4 x 4 board, so that no two lines cross.
+//! Laws of the method for random handles, every family, kind and alpha: interpolation, identity,
+//! reproduction, equivariance, and that the plan says what the definition says. Handles lie in
+//! separate cells of a 4 x 4 board, so that no two lines cross.
 
 use mlswarp::deform::{Falloff, Field, Handle, Handles, Method, Plan, Pose};
 use mlswarp::geometry::{Grid, Point, Vec2};
@@ -51,12 +52,14 @@ fn map_handles(handles: &[Handle], f: impl Fn(Point) -> Point) -> Vec<Handle> {
         .collect()
 }
 
-/// A handle inside the unit square, as fractions: a point, a segment, or a polyline of three places.
+/// A handle inside the unit square, as fractions: a point, a segment, or a polyline of three
+/// places.
 fn fractions() -> impl Strategy<Value = Vec<(f64, f64)>> {
     let place = (0.05f64..0.95, 0.05f64..0.95);
     prop_oneof![
         2 => proptest::collection::vec(place, 1),
-        1 => (0.05f64..0.95, 0.05f64..0.4, 0.05f64..0.95, 0.6f64..0.95).prop_map(|(x, y, x2, y2)| vec![(x, y), (x2, y2)]),
+        1 => (0.05f64..0.95, 0.05f64..0.4, 0.05f64..0.95, 0.6f64..0.95).prop_map(|(x, y, x2,
+            y2)| vec![(x, y), (x2, y2)]),
         1 => (0.1f64..0.3, 0.1f64..0.9, 0.45f64..0.55, 0.1f64..0.9, 0.7f64..0.9, 0.1f64..0.9)
             .prop_map(|(x, y, x2, y2, x3, y3)| vec![(x, y), (x2, y2), (x3, y3)]),
     ]
@@ -144,7 +147,8 @@ fn assert_reproduces(set: &Set, method: Method, at: &[Point], g: impl Fn(Point) 
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None,
+        ..ProptestConfig::default() })]
 
     #[test]
     fn interpolation_handles_land_on_their_targets(set in sets()) {
@@ -153,14 +157,17 @@ proptest! {
             let pose = field.pose(&set.q).unwrap();
             for (p, q) in set.p.iter().zip(&set.q) {
                 for (p, q) in p.places().iter().zip(q.places()) {
-                    prop_assert!(field.map(&pose, *p).distance(*q) < 1e-6, "{method:?} alpha {}", set.alpha);
+                    prop_assert!(field.map(&pose, *p).distance(*q) < 1e-6, "{method:?} alpha {}",
+                        set.alpha);
                 }
                 for (p, q) in p.places().windows(2).zip(q.places().windows(2)) {
                     for t in [0.125, 0.5, 0.8] {
-                        // A vertex this near to the line is moved as the line: the limit, also where it is reached slowly (alpha 1/2).
+                        // A vertex this near to the line is moved as the line: the limit, also
+                        // where it is reached slowly (alpha 1/2).
                         let (v, want) = (p[0].lerp(p[1], t), q[0].lerp(q[1], t));
                         let allowed = if set.alpha < 1.0 { 12.0 } else { 1e-3 };
-                        prop_assert!(field.map(&pose, v).distance(want) < allowed, "{method:?} alpha {} on a line", set.alpha);
+                        prop_assert!(field.map(&pose, v).distance(want) < allowed, "{method:?} \
+                            alpha {} on a line", set.alpha);
                     }
                 }
             }
@@ -181,29 +188,35 @@ proptest! {
     }
 
     #[test]
-    fn translation_is_reproduced_by_every_family(set in sets(), at in places(), x in -300.0f64..300.0, y in -300.0f64..300.0) {
+    fn translation_is_reproduced_by_every_family(set in sets(), at in places(),
+        x in -300.0f64..300.0, y in -300.0f64..300.0) {
         for method in METHODS {
             assert_reproduces(&set, method, &at, |p| p + Vec2::new(x, y));
         }
     }
 
     #[test]
-    fn rotation_is_reproduced_by_every_family(set in sets(), at in places(), angle in -3.1f64..3.1) {
+    fn rotation_is_reproduced_by_every_family(set in sets(), at in places(),
+        angle in -3.1f64..3.1) {
         for method in METHODS {
-            assert_reproduces(&set, method, &at, similarity(Vec2::new(angle.cos(), angle.sin()), Vec2::new(12.0, -7.0)));
+            assert_reproduces(&set, method, &at, similarity(Vec2::new(angle.cos(), angle.sin()),
+                Vec2::new(12.0, -7.0)));
         }
     }
 
     #[test]
-    fn similarity_is_reproduced_by_similarity_and_affine(set in sets(), at in places(), x in -2.0f64..2.0, y in -2.0f64..2.0) {
+    fn similarity_is_reproduced_by_similarity_and_affine(set in sets(), at in places(),
+        x in -2.0f64..2.0, y in -2.0f64..2.0) {
         for method in [Method::Similarity, Method::Affine] {
             assert_reproduces(&set, method, &at, similarity(Vec2::new(x, y), Vec2::new(40.0, 3.0)));
         }
     }
 
     #[test]
-    fn affine_maps_are_reproduced_by_affine(set in sets(), at in places(), m in proptest::array::uniform4(-2.0f64..2.0)) {
-        assert_reproduces(&set, Method::Affine, &at, |p| Point::new(m[0] * p.x + m[1] * p.y + 5.0, m[2] * p.x + m[3] * p.y - 9.0));
+    fn affine_maps_are_reproduced_by_affine(set in sets(), at in places(),
+        m in proptest::array::uniform4(-2.0f64..2.0)) {
+        assert_reproduces(&set, Method::Affine, &at, |p| Point::new(m[0] * p.x + m[1] * p.y + 5.0,
+            m[2] * p.x + m[3] * p.y - 9.0));
     }
 
     #[test]
@@ -217,31 +230,38 @@ proptest! {
                 let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
                 // 2e-6 max|d| max(1, sum|C|/10): sum|C| is at least |f(v) - v| / max|d|.
                 let allowed = 2e-6 * set.reach() * (exact.norm() / set.reach()).max(20.0);
-                prop_assert!(off <= allowed, "{method:?} alpha {}: off by {off:e} at {v:?}", set.alpha);
+                prop_assert!(off <= allowed, "{method:?} alpha {}: off by {off:e} at {v:?}",
+                    set.alpha);
             }
         }
     }
 
     #[test]
-    fn equivariance_the_plane_may_be_turned_scaled_and_moved(set in sets(), at in places(), angle in -3.0f64..3.0, scale in 0.1f64..10.0) {
+    fn equivariance_the_plane_may_be_turned_scaled_and_moved(set in sets(), at in places(),
+        angle in -3.0f64..3.0, scale in 0.1f64..10.0) {
         let g = similarity(Vec2::new(angle.cos(), angle.sin()) * scale, Vec2::new(100.0, 50.0));
-        let there = Set { p: map_handles(&set.p, g), q: map_handles(&set.q, g), point_mass: set.point_mass * scale, ..set.clone() };
+        let there = Set { p: map_handles(&set.p, g), q: map_handles(&set.q, g),
+            point_mass: set.point_mass * scale, ..set.clone() };
         for method in METHODS {
             let (here, elsewhere) = (set.field(method), there.field(method));
-            let (pose, pose_there) = (here.pose(&set.q).unwrap(), elsewhere.pose(&there.q).unwrap());
+            let (pose, pose_there) = (here.pose(&set.q).unwrap(),
+                elsewhere.pose(&there.q).unwrap());
             for v in &at {
                 let (got, want) = (elsewhere.map(&pose_there, g(*v)), g(here.map(&pose, *v)));
-                prop_assert!(got.distance(want) < 1e-5 * scale.max(1.0), "{method:?} alpha {}: {got:?} {want:?}", set.alpha);
+                prop_assert!(got.distance(want) < 1e-5 * scale.max(1.0), "{method:?} alpha {}: \
+                    {got:?} {want:?}", set.alpha);
             }
         }
     }
 
     #[test]
-    fn composition_a_rigid_motion_of_the_targets_moves_the_result(set in sets(), at in places(), angle in -3.0f64..3.0) {
+    fn composition_a_rigid_motion_of_the_targets_moves_the_result(set in sets(), at in places(),
+        angle in -3.0f64..3.0) {
         let g = similarity(Vec2::new(angle.cos(), angle.sin()), Vec2::new(-30.0, 77.0));
         for method in METHODS {
             let field = set.field(method);
-            let (pose, moved) = (field.pose(&set.q).unwrap(), field.pose(&map_handles(&set.q, g)).unwrap());
+            let (pose, moved) = (field.pose(&set.q).unwrap(),
+                field.pose(&map_handles(&set.q, g)).unwrap());
             for v in &at {
                 prop_assert!(field.map(&moved, *v).distance(g(field.map(&pose, *v))) < 1e-5);
             }
@@ -249,10 +269,12 @@ proptest! {
     }
 
     #[test]
-    fn lines_may_be_reversed_and_cut_and_handles_reordered(set in sets(), at in places(), cut in 0.2f64..0.8) {
+    fn lines_may_be_reversed_and_cut_and_handles_reordered(set in sets(), at in places(),
+        cut in 0.2f64..0.8) {
         let reversed = |handles: &[Handle]| -> Vec<Handle> {
             handles.iter().map(|h| match h {
-                Handle::Polyline(places) => Handle::Polyline(places.iter().rev().copied().collect()),
+                Handle::Polyline(places) => Handle::Polyline(
+                    places.iter().rev().copied().collect()),
                 point => point.clone(),
             }).rev().collect()
         };
@@ -278,8 +300,10 @@ proptest! {
             let cut_pose = cut_field.pose(&divided(&set.q)).unwrap();
             for v in &at {
                 let want = field.map(&pose, *v);
-                prop_assert!(backwards.map(&backwards_pose, *v).distance(want) < 1e-7, "{method:?} alpha {} reversed", set.alpha);
-                prop_assert!(cut_field.map(&cut_pose, *v).distance(want) < 1e-7, "{method:?} alpha {} cut", set.alpha);
+                prop_assert!(backwards.map(&backwards_pose, *v).distance(want) < 1e-7,
+                    "{method:?} alpha {} reversed", set.alpha);
+                prop_assert!(cut_field.map(&cut_pose, *v).distance(want) < 1e-7, "{method:?} \
+                    alpha {} cut", set.alpha);
             }
         }
     }
@@ -292,13 +316,15 @@ proptest! {
     ) {
         let g = |p: Point| Point::new(p.x * far, p.y * far);
         let p = map_handles(&set.p, g);
-        let q: Vec<Handle> = map_handles(&set.q, |p| Point::new((p.x * jump).clamp(-1e6, 1e6), (p.y * jump).clamp(-1e6, 1e6)));
+        let q: Vec<Handle> = map_handles(&set.q, |p| Point::new((p.x * jump).clamp(-1e6, 1e6),
+            (p.y * jump).clamp(-1e6, 1e6)));
         for method in METHODS {
             let field = set.field_of(&p, method);
             let Ok(pose) = field.pose(&q) else { continue };
             let grid = Grid::with_counts(SIDE * far, SIDE * far, 9, 9);
             let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
-            prop_assert!(mesh.displacement().iter().flatten().all(|c| c.is_finite()), "{method:?} alpha {}", set.alpha);
+            prop_assert!(mesh.displacement().iter().flatten().all(|c| c.is_finite()), "{method:?} \
+                alpha {}", set.alpha);
         }
     }
 }
@@ -349,7 +375,8 @@ fn weights_a_doubled_weight_is_a_doubled_point() {
     }
 }
 
-/// Segments are the limit of dense weighted points (the definition of section 3): the error of n midpoints falls as 1/n^2.
+/// Segments are the limit of dense weighted points (the definition of section 3): the error of n
+/// midpoints falls as 1/n^2.
 #[test]
 fn segments_are_the_limit_of_dense_points() {
     let (a, b, c, d) = (

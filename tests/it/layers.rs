@@ -1,11 +1,13 @@
-//! The dependency directions of both crates. One table lists every module and the modules that it may name; a module may name only modules that
-//! stand below it, so the table itself rules out cycles. Files of one module may not form a cycle either, a module and its own children excepted.
+//! The dependency directions of both crates. One table lists every module and the modules that it
+//! may name; a module may name only modules that stand below it, so the table itself rules out
+//! cycles. Files of one module may not form a cycle either, a module and its own children excepted.
 //! Every path (`use`, inline, `super::super`) is resolved from its module before it is looked up.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Each module with the modules that it may name. Modules of the server may name every module of the engine.
+/// Each module with the modules that it may name. Modules of the server may name every module of
+/// the engine.
 const SERVER: [(&str, &[&str]); 16] = [
     (
         "cli",
@@ -183,7 +185,8 @@ impl Sources {
     }
 }
 
-/// Every `crate::a::b`, `self::..`, `super::..` path in the code, resolved; groups (`crate::{a, b::c}`) are opened.
+/// Every `crate::a::b`, `self::..`, `super::..` path in the code, resolved; groups
+/// (`crate::{a, b::c}`) are opened.
 fn paths(code: &str, module: &[String]) -> Vec<Module> {
     let mut found = Vec::new();
     let bytes = code.as_bytes();
@@ -325,7 +328,8 @@ fn forbidden_crates(sources: &Sources) -> Vec<String> {
                 let before = code[..at].chars().next_back();
                 !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
             });
-            // `codec::png` and `warp::image` are modules of this project; there the crate of that name is written `::png`.
+            // `codec::png` and `warp::image` are modules of this project; there the crate of that
+            // name is written `::png`.
             let own_name =
                 module.iter().any(|part| part == krate) || code.contains(&format!("mod {krate};"));
             if named

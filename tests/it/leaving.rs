@@ -32,7 +32,8 @@ async fn a_client_that_leaves_during_its_upload_leaves_nothing_behind() {
     let server = Server::start(&[]).await;
     for sent in [0, 1, 200, 100_000] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        let head = "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: 1000000\r\n\r\n";
+        let head = "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; \
+            boundary=b\r\nContent-Length: 1000000\r\n\r\n";
         stream.write_all(head.as_bytes()).await.unwrap();
         let mut body = b"--b\r\nContent-Disposition: form-data; name=\"image\"\r\n\r\n".to_vec();
         body.resize(body.len() + sent, 7);
@@ -55,7 +56,8 @@ async fn a_client_that_leaves_during_its_upload_leaves_nothing_behind() {
 async fn a_body_that_trickles_is_cut_at_its_deadline() {
     let server = Server::start(&["--body-timeout", "300ms"]).await;
     let mut stream = TcpStream::connect(server.address).await.unwrap();
-    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+        application/json\r\nContent-Length: 1000\r\n\r\n{";
     stream.write_all(head.as_bytes()).await.unwrap();
     let mut answer = String::new();
     let _ = stream.read_to_string(&mut answer).await;
@@ -92,7 +94,8 @@ async fn a_client_that_writes_first_reads_its_413() {
     let body = vec![b'x'; limit + 1];
     let head = |length: &str| {
         format!(
-            "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\n{length}\r\n\r\n"
+            "POST /warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; \
+                boundary=b\r\n{length}\r\n\r\n"
         )
     };
     let answer = write_first(
@@ -139,7 +142,8 @@ async fn trailers_tell_what_drawing_cost_where_the_client_takes_them() {
     ] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
         let head = format!(
-            "POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\n{te}Content-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+            "POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\n{te}Content-Type: \
+                application/json\r\nContent-Length: {}\r\n\r\n",
             body.len()
         );
         stream.write_all((head + &body).as_bytes()).await.unwrap();

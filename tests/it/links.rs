@@ -1,5 +1,6 @@
-//! The drag socket over slow and distant links: every frame is that of its own pose, frames go forward, and the last pose is shown,
-//! whatever the link does meanwhile. How fast that is, `cargo bench --bench drag -- links` tells.
+//! The drag socket over slow and distant links: every frame is that of its own pose, frames go
+//! forward, and the last pose is shown, whatever the link does meanwhile. How fast that is,
+//! `cargo bench --bench drag -- links` tells.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +17,8 @@ use relay::{Link, Relay};
 /// The picture is narrower than any preview: all of its frames are of full size.
 const SIZE: (u32, u32) = (128, 96);
 const PERIOD: Duration = Duration::from_millis(8);
-/// Without a frame for this time, nothing more comes: it is longer than the wait for rest, a round trip and the largest frame together.
+/// Without a frame for this time, nothing more comes: it is longer than the wait for rest, a round
+/// trip and the largest frame together.
 const SILENCE: Duration = Duration::from_millis(900);
 
 /// What sockets send.
@@ -45,8 +47,8 @@ fn posed(seq: u64) -> Value {
     ])
 }
 
-/// Drags `poses` poses over the link for each kind of frames at once, changes the link before one of them, and checks what comes. Returns
-/// the poses that each saw.
+/// Drags `poses` poses over the link for each kind of frames at once, changes the link before one
+/// of them, and checks what comes. Returns the poses that each saw.
 async fn drag(link: Link, poses: u64, changed: u64, change: impl Fn(&Relay)) -> Vec<Vec<u64>> {
     let server = Server::start(&[]).await;
     let id = &server
@@ -115,7 +117,8 @@ async fn requested(server: &Server, id: &str, frame: &Frame) -> Vec<u8> {
             .json(&json!({"q": q}))
             .header("accept", "application/octet-stream")
     } else {
-        let output = json!({"format": report["format"], "quality": report["quality"], "width": report["width"]});
+        let output = json!({"format": report["format"], "quality": report["quality"],
+            "width": report["width"]});
         server
             .post(&format!("/sessions/{id}/warp"))
             .json(&json!({"q": q, "output": output}))
@@ -161,7 +164,8 @@ async fn links_that_are_slow_and_distant_show_the_newest_pose() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn links_that_pass_nothing_for_a_second_lose_no_last_pose() {
-    // The server draws at most what is unacknowledged, and a few of the poses that arrive together after the pause.
+    // The server draws at most what is unacknowledged, and a few of the poses that arrive together
+    // after the pause.
     for frames in drag(Link::new(5, 25), 100, 20, |relay| {
         relay.pause(Duration::from_secs(1))
     })

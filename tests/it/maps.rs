@@ -1,4 +1,5 @@
-//! Coordinate maps: what they hold, their files, their limits, and clients that leave or do not read.
+//! Coordinate maps: what they hold, their files, their limits, and clients that leave or do not
+//! read.
 
 use mlswarp_server::limits::memory::Purpose;
 use reqwest::Response;
@@ -54,7 +55,8 @@ async fn map(server: &Server, object: &Value) -> Response {
     response
 }
 
-/// A 16-bit picture whose colours are its coordinates shows the positions of the map, and nothing where these are NaN.
+/// A 16-bit picture whose colours are its coordinates shows the positions of the map, and nothing
+/// where these are NaN.
 #[tokio::test]
 async fn a_map_has_what_a_picture_shows() {
     let server = Server::start(&[]).await;
@@ -153,7 +155,8 @@ async fn forward_maps_take_inverse_ones_back() {
         }
     }
     assert!(compared > 15_000, "{compared}");
-    let outside = r#""extent": [160, 120], "direction": "forward", "canvas": {"x": -2, "y": -1, "width": 4, "height": 2}"#;
+    let outside = r#""extent": [160, 120], "direction": "forward", "canvas": {"x": -2, "y": -1,
+      "width": 4, "height": 2}"#;
     let (_, _, beside) = array(&map(&server, &object(outside)).await.bytes().await.unwrap());
     let is_known: Vec<bool> = beside.iter().map(|[x, _]| !x.is_nan()).collect();
     assert_eq!(
@@ -211,7 +214,8 @@ async fn sessions_and_single_requests_have_the_same_maps_in_both_formats() {
         .await
         .unwrap();
     problem(refused, 406, "not_acceptable").await;
-    let chosen = r#"{"p": [[9, 9], [90, 9], [9, 70], [80, 80], [50, 40]], "q": [[9, 9], [90, 19], [9, 70], [80, 90], [50, 50]],
+    let chosen = r#"{"p": [[9, 9], [90, 9], [9, 70], [80, 80], [50, 40]], "q": [[9, 9], [90, 19],
+      [9, 70], [80, 90], [50, 50]],
                      "extent": [120, 100], "method": "auto"}"#;
     let chosen = map(&server, &serde_json::from_str(chosen).unwrap()).await;
     assert!(!header(&chosen, "warp-method").is_empty());
@@ -269,7 +273,8 @@ async fn maps_over_the_limits_are_refused_before_anything_is_allocated() {
         r#"{"p": [[1, 1]], "q": [[900000, 1]], "extent": [9, 9], "canvas": "fit", "width": 3}"#;
     let far = map(&server, &serde_json::from_str(far).unwrap()).await;
     assert_eq!(header(&far, "warp-canvas"), "899999,0,9,9");
-    let nothing = r#"{"p": [[1, 1], [5, 5]], "q": [[3, 3], [3, 3]], "method": "affine", "extent": [9, 9], "canvas": "fit", "folds": "reject"}"#;
+    let nothing = r#"{"p": [[1, 1], [5, 5]], "q": [[3, 3], [3, 3]], "method": "affine",
+      "extent": [9, 9], "canvas": "fit", "folds": "reject"}"#;
     let answer = server
         .post("/map")
         .body(nothing)

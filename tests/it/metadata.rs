@@ -1,5 +1,5 @@
-//! What an upload says beside its pixels, on every route that draws it; backgrounds in units of its depth; and files with more samples than
-//! a picture has.
+//! What an upload says beside its pixels, on every route that draws it; backgrounds in units of its
+//! depth; and files with more samples than a picture has.
 
 use std::io::{Cursor, Read as _};
 
@@ -37,7 +37,8 @@ fn warning(response: &Response) -> Option<&str> {
         .map(|value| value.to_str().unwrap())
 }
 
-/// The picture, a layer, the frames of a batch and the offline tool: px per mm times the scale of the picture is that of the upload.
+/// The picture, a layer, the frames of a batch and the offline tool: px per mm times the scale of
+/// the picture is that of the upload.
 #[tokio::test]
 async fn a_pixel_keeps_its_length_wherever_it_is_drawn() {
     let server = Server::start(&[]).await;
@@ -49,7 +50,8 @@ async fn a_pixel_keeps_its_length_wherever_it_is_drawn() {
         per_metre(&bytes(server.upload("/warp", &file, &scaled).await).await),
         Some(half)
     );
-    let cropped = json!({"p": [[20, 20]], "q": [[22, 20]], "output": {"canvas": {"x": 5, "y": 5, "width": 20, "height": 30}}});
+    let cropped = json!({"p": [[20, 20]], "q": [[22, 20]],
+        "output": {"canvas": {"x": 5, "y": 5, "width": 20, "height": 30}}});
     assert_eq!(
         per_metre(&bytes(server.upload("/warp", &file, &cropped).await).await),
         Some([11_811, 5_905])
@@ -220,7 +222,8 @@ fn deep(value: u16) -> Vec<u8> {
     file.into_inner()
 }
 
-/// A value outside has the depth of the picture; it is grey with one number, and white enough for a JPEG.
+/// A value outside has the depth of the picture; it is grey with one number, and white enough for a
+/// JPEG.
 #[tokio::test]
 async fn the_outside_has_a_value_of_the_depth() {
     let server = Server::start(&[]).await;
@@ -283,7 +286,8 @@ async fn the_outside_has_a_value_of_the_depth() {
             .unwrap();
     assert_eq!(picture.into_luma16().get_pixel(0, 0)[0], 9);
 
-    // Labels have none of their own: refused if it is asked for, without effect if the session has it.
+    // Labels have none of their own: refused if it is asked for, without effect if the session has
+    // it.
     let labels = server
         .client
         .put(server.url(&format!("/sessions/{id}/layers/l?kind=labels")))

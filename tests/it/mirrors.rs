@@ -1,4 +1,5 @@
-//! Maps that mirror or scale the whole picture: a mirror image has no folds, and a method that cannot follow the handles says so.
+//! Maps that mirror or scale the whole picture: a mirror image has no folds, and a method that
+//! cannot follow the handles says so.
 
 use serde_json::{Value, json};
 
@@ -28,7 +29,8 @@ const METHODS: [&str; 6] = [
     "auto",
 ];
 
-/// A flip, also with a turn by 90 degrees: the map of the handles, and where the pixel of the picture at x, y comes from.
+/// A flip, also with a turn by 90 degrees: the map of the handles, and where the pixel of the
+/// picture at x, y comes from.
 type Flip = (
     &'static str,
     fn([f64; 2]) -> [f64; 2],
@@ -93,7 +95,8 @@ async fn a_mirror_image_has_no_folds_by_any_method_that_can_mirror() {
         for method in &METHODS[2..] {
             for noise in [0.0, 2.0] {
                 let canvas = json!({"x": 0, "y": 0, "width": width, "height": height});
-                let warp = json!({"p": P, "q": posed(map, noise), "method": method, "folds": "reject", "output": {"canvas": canvas}});
+                let warp = json!({"p": P, "q": posed(map, noise), "method": method,
+                    "folds": "reject", "output": {"canvas": canvas}});
                 let response = server
                     .post("/warp")
                     .multipart(form(&image, warp.to_string()))
@@ -154,7 +157,8 @@ async fn a_mirror_image_has_no_folds_by_any_method_that_can_mirror() {
     }
 }
 
-/// Everything that a client learns of folds in other ways: the mesh, the drag's report, batches, maps, coverage.
+/// Everything that a client learns of folds in other ways: the mesh, the drag's report, batches,
+/// maps, coverage.
 #[tokio::test]
 async fn every_answer_agrees_that_a_mirror_image_has_no_folds() {
     let server = Server::start(&[]).await;

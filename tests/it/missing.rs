@@ -1,4 +1,5 @@
-//! Handles without a position: a landmark that nobody could see. They are left out, keep their indices, and are named by a warning.
+//! Handles without a position: a landmark that nobody could see. They are left out, keep their
+//! indices, and are named by a warning.
 
 use reqwest::Response;
 use reqwest::multipart::Form;
@@ -9,7 +10,8 @@ use crate::support::{Server, photo};
 
 const IMAGE: (u32, u32) = (64, 48);
 
-/// Handles at rest and posed, with `null` at 1 (at rest) and 4 (posed), and the same ones without these.
+/// Handles at rest and posed, with `null` at 1 (at rest) and 4 (posed), and the same ones without
+/// these.
 fn sets(has_lines: bool) -> [[Value; 2]; 2] {
     let line = |x: f64| {
         if has_lines {
@@ -183,7 +185,8 @@ async fn reports_keep_the_indices() {
         );
     }
     // Handles that contradict each other, behind one that is missing.
-    let twice = json!({"p": [null, [5, 5], [50, 8], [5, 5], [20, 40]], "q": [[1, 1], [8, 4], [49, 12], [2, 9], [23, 40]]});
+    let twice = json!({"p": [null, [5, 5], [50, 8], [5, 5], [20, 40]],
+        "q": [[1, 1], [8, 4], [49, 12], [2, 9], [23, 40]]});
     let report = post(&server, "/report", &with(twice.clone(), &extent)).await;
     assert_eq!(
         report["coincident"][0]["handles"],

@@ -1,5 +1,5 @@
-//! Mistakes that new users make, each sent as people send it, and the sentences that tell them what to do: code, pointer and words of the
-//! problem, or the warnings of the response.
+//! Mistakes that new users make, each sent as people send it, and the sentences that tell them what
+//! to do: code, pointer and words of the problem, or the warnings of the response.
 
 use reqwest::RequestBuilder;
 use reqwest::multipart::{Form, Part};
@@ -9,7 +9,8 @@ use crate::support::drag_client::Received;
 use crate::support::server::{form, header, png, problem};
 use crate::support::{DragClient, Server, bombs, photo};
 
-/// Sends a request whose problem has this status, code and pointer, and whose detail contains these words.
+/// Sends a request whose problem has this status, code and pointer, and whose detail contains these
+/// words.
 async fn told(
     request: RequestBuilder,
     status: u16,
@@ -415,7 +416,8 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
         )
         .await;
     }
-    let nulls = r#"{"coincident": null, "region": null, "grid": {"tolerance": null, "cell": 9}, "output": {"subsampling": null}}"#;
+    let nulls = r#"{"coincident": null, "region": null, "grid": {"tolerance": null, "cell": 9},
+      "output": {"subsampling": null}}"#;
     assert_eq!(
         server
             .post("/warp")
@@ -534,7 +536,8 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
             .post(path)
             .json(&json!({"p": [[1, 1]], "q": [[1, 2]]}));
         let words = [
-            "`extent` is missing: expected the size of the image, [width, height] in pixels; this request has no image",
+            "`extent` is missing: expected the size of the image, [width, height] in pixels; this \
+                request has no image",
         ];
         told(request, 422, "bad_value", Some("/extent"), &words).await;
     }
@@ -695,7 +698,8 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         ),
         (
             "correct, normalised",
-            json!({"p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.2, 0.2], [0.8, 0.8]], "units": "normalized"}),
+            json!({"p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.2, 0.2], [0.8, 0.8]],
+                "units": "normalized"}),
             &[],
         ),
         ("no handles", json!({}), &[]),
@@ -742,7 +746,8 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         ),
         (
             "px in q alone",
-            json!({"p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.1, 0.2], [250, 0.8]], "units": "normalized"}),
+            json!({"p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.1, 0.2], [250, 0.8]],
+                "units": "normalized"}),
             &[OUTSIDE, NORMALIZED],
         ),
         (
@@ -774,7 +779,8 @@ async fn mistakes_that_are_legal_are_answered_with_a_warning() {
         "correct, however small"
     );
     // Routes without a picture in the response.
-    let points = json!({"extent": [300, 60], "p": [[0.1, 0.2], [0.9, 0.8]], "q": [[0.2, 0.2], [0.8, 0.8]], "points": []});
+    let points = json!({"extent": [300, 60], "p": [[0.1, 0.2], [0.9, 0.8]],
+        "q": [[0.2, 0.2], [0.8, 0.8]], "points": []});
     let response = server.post("/points").json(&points).send().await.unwrap();
     assert_eq!(warnings(&response), [NORMALIZED]);
     let created = server
@@ -859,7 +865,8 @@ async fn mistakes_with_curl_are_recognised_by_the_parts() {
     ];
     for path in paths {
         let hint = format!(
-            "the part `warp` is the text `{path}`, which looks like a path; curl sends a file with `-F warp=@path`"
+            "the part `warp` is the text `{path}`, which looks like a path; curl sends a file \
+                with `-F warp=@path`"
         );
         told(
             server.post("/warp").multipart(form(&image, path)),
@@ -877,7 +884,8 @@ async fn mistakes_with_curl_are_recognised_by_the_parts() {
     ] {
         let parts = Form::new().text("image", path).text("warp", "{}");
         let hint = format!(
-            "the part `image` is the text `{path}`, which looks like a path; curl sends a file with `-F image=@path`"
+            "the part `image` is the text `{path}`, which looks like a path; curl sends a file \
+                with `-F image=@path`"
         );
         told(
             server.post("/sessions").multipart(parts),
@@ -1093,7 +1101,8 @@ async fn mistakes_in_the_method_and_the_path_name_the_route() {
     .await;
     // A script whose variable is empty.
     let words = [
-        "the id of the session is empty in the path, as if a variable of a script were empty; POST /sessions opens a session",
+        "the id of the session is empty in the path, as if a variable of a script were empty; \
+            POST /sessions opens a session",
     ];
     told(
         server.post("/sessions//warp"),
@@ -1338,7 +1347,8 @@ async fn mistakes_with_sessions_say_how_to_open_one() {
         "0f8fad5bd9cb469fa16570867728950e",
     ] {
         let words = [
-            "is not a session id: a session id is a hyphenated UUID of version 4, such as 0f8fad5b-",
+            "is not a session id: a session id is a hyphenated UUID of version 4, \
+             such as 0f8fad5b-",
             "POST /sessions",
         ];
         told(warp(id), 404, "no_such_session", None, &words).await;
@@ -1648,7 +1658,8 @@ async fn mistakes_in_handles_that_meet_are_all_reported() {
         [20, 250]
     ]);
     let words = [
-        "handles 2, 3, 4 meet at rest at (50, 60) but their targets there are up to 3.33 px from their mean",
+        "handles 2, 3, 4 meet at rest at (50, 60) but their targets there are up to 3.33 px from \
+            their mean",
         "handles 5 and 6 meet at rest at (300, 200) but their targets there are 10 px apart",
     ];
     let document = told(

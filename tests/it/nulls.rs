@@ -1,5 +1,5 @@
-//! `null` as the value of a field is the same as no field, in every JSON body that the OpenAPI document lists and on the drag socket:
-//! clients with types send `"weights": null`.
+//! `null` as the value of a field is the same as no field, in every JSON body that the OpenAPI
+//! document lists and on the drag socket: clients with types send `"weights": null`.
 
 use reqwest::{Method, RequestBuilder};
 use serde_json::{Map, Value, json};
@@ -34,7 +34,8 @@ fn sample(name: &str) -> Value {
         "folds" => json!("report"),
         "output" => {
             json!({
-                "format": "png", "quality": 80, "compression": "best", "width": 20, "filter": "nearest", "outside": "edge", "canvas": "fit"
+                "format": "png", "quality": 80, "compression": "best", "width": 20,
+                    "filter": "nearest", "outside": "edge", "canvas": "fit"
             })
         }
         "seq" => json!(3),
@@ -198,7 +199,8 @@ impl Body {
             .collect()
     }
 
-    /// Compares the answers for each of these fields as `null` and left out, and gives the last of them.
+    /// Compares the answers for each of these fields as `null` and left out, and gives the last of
+    /// them.
     async fn same(
         &self,
         server: &Server,
@@ -256,7 +258,8 @@ async fn a_field_that_is_null_is_absent_in_every_body_of_the_document() {
     let bodies = Body::all(&document);
     assert!(bodies.len() >= 8, "{}", bodies.len());
     for body in &bodies {
-        // Its method takes neither lines nor alpha; the poses of a batch have one form, and an archive shows no frame for a time.
+        // Its method takes neither lines nor alpha; the poses of a batch have one form, and an
+        // archive shows no frame for a time.
         let whole =
             body.of(|name| !["smoothing", "frames", "jitter", "delay", "loop"].contains(&name));
         let needed = body.of(|name| {

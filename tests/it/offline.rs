@@ -55,7 +55,8 @@ async fn the_program_writes_the_bytes_that_the_server_answers() {
     assert_eq!(child.wait_with_output().unwrap().stdout, answer);
 
     let canvas = json!({"x": -20, "y": 10, "width": 450, "height": 300});
-    let boxed = json!({"p": warp["p"], "q": warp["q"], "method": "similarity", "output": {"canvas": canvas}});
+    let boxed = json!({"p": warp["p"], "q": warp["q"], "method": "similarity",
+        "output": {"canvas": canvas}});
     let answer = png(server.upload("/warp", &image, &boxed).await).await;
     let output = mlswarp(&[
         "warp",

@@ -1,4 +1,5 @@
-//! `mlswarp warp` with several images, and what every subcommand does to the files that are there already.
+//! `mlswarp warp` with several images, and what every subcommand does to the files that are there
+//! already.
 
 use std::fs;
 use std::io::Write as _;

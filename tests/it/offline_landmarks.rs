@@ -45,7 +45,8 @@ async fn fit_compares_methods_as_the_server_does() {
     );
     fs::write(&landmarks, csv()).unwrap();
     // A file for `mlswarp warp` serves both.
-    let object = json!({"p": P, "q": Q, "method": "affine", "strength": 0.5, "output": {"width": 20}, "folds": "reject"});
+    let object = json!({"p": P, "q": Q, "method": "affine", "strength": 0.5,
+        "output": {"width": 20}, "folds": "reject"});
     fs::write(&warp, object.to_string()).unwrap();
     fs::write(&image, photo(60, 40)).unwrap();
     let two = json!([{"method": "tps", "smoothing": 0.1}, {"method": "affine"}]);
@@ -165,7 +166,8 @@ fn fit_names_what_is_wrong() {
     assert_eq!(fs::read_to_string(&landmarks).unwrap(), csv());
 }
 
-/// Every command with handles takes landmark files, of one side each or of both, and writes what it writes with the handles in JSON.
+/// Every command with handles takes landmark files, of one side each or of both, and writes what it
+/// writes with the handles in JSON.
 #[test]
 fn every_command_takes_landmark_files() {
     let scratch = Scratch::new();
@@ -270,7 +272,10 @@ fn every_command_takes_landmark_files() {
     );
     let said = failed(&[&batch[..], &[&*p]].concat(), r#"{"steps": 3}"#);
     assert!(
-        said.starts_with(&format!("bad_value: {p}: it has no posed positions: give a file with both sides, or --landmarks-q")),
+        said.starts_with(&format!(
+            "bad_value: {p}: it has no posed positions: give a file with \
+            both sides, or --landmarks-q"
+        )),
         "{said}"
     );
 }
@@ -280,7 +285,8 @@ fn every_command_takes_landmark_files() {
 fn points_maps_the_only_file_beside_landmarks() {
     let scratch = Scratch::new();
     let (landmarks, cells) = (scratch.path("landmarks.csv"), scratch.path("cells.geojson"));
-    let feature = json!({"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [30.0, 20.0]}});
+    let feature = json!({"type": "Feature", "properties": {},
+        "geometry": {"type": "Point", "coordinates": [30.0, 20.0]}});
     fs::write(&landmarks, csv()).unwrap();
     for (text, pointer) in [
         (json!([feature]), "/0/geometry/coordinates"),

@@ -1,4 +1,5 @@
-//! The options of the subcommands that JSON has too, fields that two files give, and the help texts.
+//! The options of the subcommands that JSON has too, fields that two files give, and the help
+//! texts.
 
 use std::fs;
 
@@ -65,7 +66,8 @@ fn an_option_is_the_field_of_its_name_and_counts_more_than_it() {
         .0;
         assert!(found == expected, "{options:?}");
         // Other values in the JSON do not count, without a word.
-        let other = json!({"method": "similarity", "strength": 3, "output": {"width": 7, "canvas": "same", "quality": 99}});
+        let other = json!({"method": "similarity", "strength": 3,
+            "output": {"width": 7, "canvas": "same", "quality": 99}});
         let other = if fields.get("alpha").is_some() {
             json!({"alpha": 3})
         } else {
@@ -497,7 +499,13 @@ fn layers_of_the_json_are_chosen_among_those_of_the_options() {
         &[&["batch", &*image, &*handles, "-", "-o", "-"], &layers[..]].concat(),
         r#"{"steps": 2, "layers": ["dept"]}"#,
     );
-    assert!(said.starts_with("no_such_layer: standard input: `dept` has no file: give it as --layer dept=FILE (/layers)"), "{said}");
+    assert!(
+        said.starts_with(
+            "no_such_layer: standard input: `dept` has no file: give it as \
+        --layer dept=FILE (/layers)"
+        ),
+        "{said}"
+    );
     let upper = format!("MASK={image}");
     let folder = scratch.path("folder/");
     let said = failed(

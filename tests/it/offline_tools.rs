@@ -1,5 +1,5 @@
-//! The subcommands that draw nothing: each writes the bytes that the route of its name answers. And what every subcommand does when its
-//! output cannot be written, or the program is interrupted.
+//! The subcommands that draw nothing: each writes the bytes that the route of its name answers. And
+//! what every subcommand does when its output cannot be written, or the program is interrupted.
 
 use std::io::{Read as _, Write as _};
 use std::process::{Command, Stdio};
@@ -28,11 +28,14 @@ async fn answer(server: &Server, path: &str, body: &Value) -> Vec<u8> {
 #[tokio::test]
 async fn points_are_those_that_the_server_answers() {
     let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
-    let warp = json!({"p": [[20, 20], [300, 200], [[40, 250], [350, 260]]], "q": [[40, 20], [300, 180], [[40, 255], [350, 240]]]});
+    let warp = json!({"p": [[20, 20], [300, 200], [[40, 250], [350, 260]]],
+        "q": [[40, 20], [300, 180], [[40, 255], [350, 240]]]});
     let points = json!([[0, 0], [123.25, 45.5], [399, 299]]);
-    let forward = json!({"boxes": [[10, 20, 200, 120]], "points": points, "polygons": [[[5, 5], [300, 20], [40, 280]]], "geojson": {
+    let forward = json!({"boxes": [[10, 20, 200, 120]], "points": points,
+        "polygons": [[[5, 5], [300, 20], [40, 280]]], "geojson": {
         "type": "FeatureCollection",
-        "features": [{"type": "Feature", "id": 7, "properties": {"name": "a"}, "geometry": {"type": "Point", "coordinates": [12, 34]}}],
+        "features": [{"type": "Feature", "id": 7, "properties": {"name": "a"},
+            "geometry": {"type": "Point", "coordinates": [12, 34]}}],
     }});
     let inverse = json!({"points": [[0, 0], [123.25, 45.5], [1e5, 1e5]], "inverse": true});
     let (warp_file, image) = (scratch.path("warp.json"), scratch.path("image.png"));
@@ -79,7 +82,8 @@ async fn points_are_those_that_the_server_answers() {
         assert!(done(&["points", "-", "-o", &out], &whole).0.is_empty());
         assert!(std::fs::read(out).unwrap() == expected, "{name}");
     }
-    // The size of a file on standard input; the handles of landmark files; the method and the warnings that a server sends in headers.
+    // The size of a file on standard input; the handles of landmark files; the method and the
+    // warnings that a server sends in headers.
     let mut child = mlswarp(&["points", &warp_file, "--image", "-"])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -98,7 +102,8 @@ async fn points_are_those_that_the_server_answers() {
         "px,py,qx,qy\n20,20,40,20\n300,200,300,180\n150,20,152,21\n50,220,50,222\n",
     )
     .unwrap();
-    let handles = json!({"p": [[20, 20], [300, 200], [150, 20], [50, 220]], "q": [[40, 20], [300, 180], [152, 21], [50, 222]]});
+    let handles = json!({"p": [[20, 20], [300, 200], [150, 20], [50, 220]],
+        "q": [[40, 20], [300, 180], [152, 21], [50, 222]]});
     let rest = json!({"method": "auto", "extent": [400, 300], "points": points});
     let expected = answer(&server, "/points", &merged(&handles, &rest)).await;
     let (stdout, said) = done(
@@ -118,7 +123,8 @@ async fn points_are_those_that_the_server_answers() {
 async fn geojson_files_are_mapped_into_geojson_files() {
     let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
     let warp = json!({"p": [[20, 20], [300, 200]], "q": [[40, 20], [300, 180]]});
-    let feature = json!({"type": "Feature", "properties": {"a": 1}, "geometry": {"type": "Point", "coordinates": [10, 10, 3]}});
+    let feature = json!({"type": "Feature", "properties": {"a": 1},
+        "geometry": {"type": "Point", "coordinates": [10, 10, 3]}});
     let cells: Vec<Value> = (0..20_000).map(|k| with_id(&feature, k)).collect();
     let (warp_file, file, out) = (
         scratch.path("warp.json"),
@@ -199,8 +205,10 @@ fn with_id(feature: &Value, id: usize) -> Value {
 async fn reports_are_those_that_the_server_answers() {
     let server = Server::start(&[]).await;
     // Handles that cross fold the picture, and turn it in a place by no certain angle.
-    let crossing = json!({"p": [[20, 20], [300, 200], [200, 20]], "q": [[220, 20], [300, 180], [52, 21]], "extent": [400, 300]});
-    let few = json!({"p": [[20, 20]], "q": [[25, 20]], "extent": [400, 300], "output": {"canvas": "fit"}});
+    let crossing = json!({"p": [[20, 20], [300, 200], [200, 20]],
+        "q": [[220, 20], [300, 180], [52, 21]], "extent": [400, 300]});
+    let few = json!({"p": [[20, 20]], "q": [[25, 20]], "extent": [400, 300],
+        "output": {"canvas": "fit"}});
     for (body, warnings) in [
         (crossing, "rotation_undefined, tolerance_exceeded\n"),
         (few, "translation_only\n"),
@@ -490,7 +498,8 @@ async fn batches_are_the_files_that_the_server_answers() {
 #[tokio::test]
 async fn labels_and_coverage_are_those_of_layers() {
     let (scratch, server) = (Scratch::new(), Server::start(&[]).await);
-    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]], "output": {"canvas": "fit"}});
+    let warp = json!({"p": [[10, 10], [70, 50], [10, 50]], "q": [[14, 10], [66, 41], [9, 52]],
+        "output": {"canvas": "fit"}});
     let (picture, labels) = (photo(80, 60), png_of_labels());
     let id = server.session(&picture, &json!({"p": warp["p"]})).await;
     let put = server
@@ -732,7 +741,8 @@ fn points_name_what_is_wrong() {
         (
             &["-", extent[0], extent[1], "--max-warp-json-bytes", "1"],
             "{}",
-            "too_large: standard input: the warp object is larger than 1 bytes; --max-warp-json-bytes raises the limit",
+            "too_large: standard input: the warp object is larger than 1 bytes; \
+                --max-warp-json-bytes raises the limit",
         ),
         (
             &[
@@ -745,7 +755,8 @@ fn points_name_what_is_wrong() {
             ],
             "{}",
             &*format!(
-                "too_large: {annotations}: the annotations are larger than 1 bytes; --max-body-bytes raises the limit"
+                "too_large: {annotations}: the annotations are larger than 1 bytes; \
+                    --max-body-bytes raises the limit"
             ),
         ),
     ] {

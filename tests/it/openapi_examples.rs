@@ -1,5 +1,6 @@
-//! Every example of the OpenAPI document is sent to the server, and the response is the documented one. An example that nothing replays
-//! fails. (Examples of problems are compared in `problems.rs`, by way of `api/problems.md`.)
+//! Every example of the OpenAPI document is sent to the server, and the response is the documented
+//! one. An example that nothing replays fails. (Examples of problems are compared in `problems.rs`,
+//! by way of `api/problems.md`.)
 
 use std::collections::BTreeSet;
 
@@ -69,7 +70,8 @@ impl<'a> Node<'a> {
     }
 
     fn validates(&self, instance: &Value) -> bool {
-        let schema = json!({"$ref": format!("#{}", self.pointer), "components": self.document["components"], "paths": self.document["paths"]});
+        let schema = json!({"$ref": format!("#{}", self.pointer),
+            "components": self.document["components"], "paths": self.document["paths"]});
         jsonschema::options()
             .with_draft(jsonschema::Draft::Draft202012)
             .build(&schema)
@@ -260,7 +262,8 @@ async fn compare(
     status
 }
 
-/// The requests of an operation, each sent twice to a server of its own, which has the session of the examples.
+/// The requests of an operation, each sent twice to a server of its own, which has the session of
+/// the examples.
 async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<String>) {
     let (operation, route) = (
         item.get(method).unwrap(),

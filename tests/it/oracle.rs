@@ -1,5 +1,6 @@
-//! The independent reference cases of `tests/oracle.json` (generic weighted least squares and quadrature at 50 digits and more; no closed
-//! form of the paper): exact evaluation within `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
+//! The independent reference cases of `tests/oracle.json` (generic weighted least squares and
+//! quadrature at 50 digits and more; no closed form of the paper): exact evaluation within
+//! `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
 use mlswarp::deform::{
     Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose,
@@ -154,7 +155,11 @@ fn oracle_exact_evaluation_and_plan_are_within_tolerance() {
             case["tolerance_f32"].as_f64().unwrap(),
         );
         if exact > tolerance || planned > tolerance_f32 {
-            failed.push(format!("{}: exact {exact:e} (at most {tolerance:e}), plan {planned:e} (at most {tolerance_f32:e})", case["name"]));
+            failed.push(format!(
+                "{}: exact {exact:e} (at most {tolerance:e}), plan {planned:e} \
+                (at most {tolerance_f32:e})",
+                case["name"]
+            ));
         }
         checked += 1;
     }

@@ -1,4 +1,5 @@
-//! More requests than places: refused at once, with a time to come back; health is told the truth and is never refused.
+//! More requests than places: refused at once, with a time to come back; health is told the truth
+//! and is never refused.
 
 use std::sync::mpsc;
 use std::time::Duration;
@@ -13,7 +14,8 @@ use crate::support::counters::Counted as _;
 use crate::support::server::{form, header, png, problem, this_client};
 use crate::support::{Server, eventually, photo};
 
-/// A turn of the gate's only worker, held by the client that also sends the test's requests: it gets no other.
+/// A turn of the gate's only worker, held by the client that also sends the test's requests: it
+/// gets no other.
 async fn busy(server: &Server, work: WorkClass) -> Ticket {
     eventually("nothing runs", || server.app.pool().load(work).running == 0).await;
     server

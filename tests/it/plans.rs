@@ -1,4 +1,5 @@
-//! Tables of coefficients: what a client poses with them is the mesh of the server; their files and their limits.
+//! Tables of coefficients: what a client poses with them is the mesh of the server; their files and
+//! their limits.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -241,7 +242,8 @@ async fn a_posed_table_is_the_mesh() {
             .iter()
             .flat_map(|method| [1.0, 1.3, 2.0].map(|alpha| (method, alpha)))
         {
-            let mut rest = json!({"p": p, "method": method, "alpha": alpha, "grid": {"columns": 19, "rows": 13}});
+            let mut rest = json!({"p": p, "method": method, "alpha": alpha,
+                "grid": {"columns": 19, "rows": 13}});
             rest.as_object_mut()
                 .unwrap()
                 .extend(more.as_object().unwrap().clone());

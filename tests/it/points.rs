@@ -1,5 +1,5 @@
-//! Annotations: points, polygons, boxes and GeoJSON, mapped by f and by its inverse. A picture whose colours are its own coordinates shows
-//! which position of the source is drawn at each pixel.
+//! Annotations: points, polygons, boxes and GeoJSON, mapped by f and by its inverse. A picture
+//! whose colours are its own coordinates shows which position of the source is drawn at each pixel.
 
 use mlswarp::geometry::Point;
 use mlswarp_server::limits::memory::Purpose;
@@ -44,7 +44,8 @@ impl Noise {
     }
 }
 
-/// A warp of a few points, and of a line in every third, all of which move little enough for most results to have no folds.
+/// A warp of a few points, and of a line in every third, all of which move little enough for most
+/// results to have no folds.
 pub(crate) fn warp(seed: u64, tolerance: Option<f64>) -> Value {
     let mut noise = Noise(seed * 977 + 13);
     for _ in 0..4 {
@@ -98,7 +99,8 @@ pub(crate) fn places(value: &Value) -> Vec<Option<Point>> {
     value.as_array().unwrap().iter().map(point).collect()
 }
 
-/// What is drawn at a pixel lies where its own position is mapped, and the inverse of the pixel's centre is what is drawn there.
+/// What is drawn at a pixel lies where its own position is mapped, and the inverse of the pixel's
+/// centre is what is drawn there.
 #[tokio::test]
 async fn what_is_drawn_is_where_points_are_mapped_forwards_and_back() {
     let server = Server::start(&[]).await;
@@ -302,10 +304,12 @@ async fn memory_for_reading_is_reserved() {
 #[tokio::test]
 async fn outlines_are_refined_and_what_has_no_source_is_null() {
     let server = Server::start(&[]).await;
-    let warp = json!({"p": [[40, 60], [120, 60], [80, 20]], "q": [[40, 60], [120, 60], [80, 35]], "extent": [160, 120]});
+    let warp = json!({"p": [[40, 60], [120, 60], [80, 20]], "q": [[40, 60], [120, 60], [80, 35]],
+        "extent": [160, 120]});
     let ring = json!([[20, 20], [140, 20], [140, 100], [20, 100]]);
     let line = json!({"type": "LineString", "coordinates": [[20, 20], [140, 20]]});
-    let collection = json!({"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": line, "properties": {}}]});
+    let collection = json!({"type": "FeatureCollection",
+        "features": [{"type": "Feature", "geometry": line, "properties": {}}]});
     let send = |more: Value| {
         let request = with(
             &warp,
@@ -355,7 +359,8 @@ async fn outlines_are_refined_and_what_has_no_source_is_null() {
     );
     assert_eq!(bare["boxes"], refined["boxes"]);
     // Nothing of the picture is posed far outside.
-    let far = json!({"inverse": true, "points": [[80, 60], [900, 900]], "polygons": [[[50, 50], [900, 50], [50, 60]], ring],
+    let far = json!({"inverse": true, "points": [[80, 60], [900, 900]],
+        "polygons": [[[50, 50], [900, 50], [50, 60]], ring],
         "boxes": [[60, 50, 900, 70], [60, 50, 90, 70]]});
     let far = mapped(&server, &with(&warp, far)).await;
     assert!(
@@ -372,7 +377,8 @@ async fn outlines_are_refined_and_what_has_no_source_is_null() {
 #[tokio::test]
 async fn the_grid_does_not_limit_what_has_an_inverse() {
     let server = Server::start(&[]).await;
-    let warp = json!({"p": [[40, 60], [120, 60], [80, 20]], "q": [[46, 56], [117, 69], [90, 35]], "extent": [160, 120]});
+    let warp = json!({"p": [[40, 60], [120, 60], [80, 20]], "q": [[46, 56], [117, 69], [90, 35]],
+        "extent": [160, 120]});
     let rest = json!([[80, 30], [2, 1], [158, 60], [60, 119], [90, 5]]);
     let there = mapped(&server, &with(&warp, json!({"points": rest}))).await;
     for grid in [
@@ -414,7 +420,8 @@ async fn a_session_maps_as_the_request_without_one_and_units_are_its_own() {
         .unwrap()
         .to_owned();
     for inverse in [false, true] {
-        let what = json!({"q": q, "polygons": [[[0.1, 0.1], [0.9, 0.1], [0.5, 0.8]]], "points": [[0.5, 0.5]], "inverse": inverse});
+        let what = json!({"q": q, "polygons": [[[0.1, 0.1], [0.9, 0.1], [0.5, 0.8]]],
+            "points": [[0.5, 0.5]], "inverse": inverse});
         let of_session = server
             .post(&format!("/sessions/{id}/points"))
             .json(&what)

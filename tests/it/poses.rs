@@ -1,4 +1,5 @@
-//! The pose of a session: `q` of the request that created it, from JSON or landmark files, is what requests without `q` mean.
+//! The pose of a session: `q` of the request that created it, from JSON or landmark files, is what
+//! requests without `q` mean.
 
 use std::net::SocketAddr;
 

@@ -1,5 +1,5 @@
-//! Every error is a whole problem document, whether a route, a layer or the framework rejects the request. Only heads that the HTTP library rejects
-//! are answered by the library, without a body.
+//! Every error is a whole problem document, whether a route, a layer or the framework rejects the
+//! request. Only heads that the HTTP library rejects are answered by the library, without a body.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -414,7 +414,8 @@ async fn the_page_shows_what_is_said() {
         ),
         (
             "nothing_visible",
-            json!({"p": [[2, 6], [14, 6]], "q": [[5, 5], [5, 5]], "method": "similarity", "output": {"canvas": "fit"}}),
+            json!({"p": [[2, 6], [14, 6]], "q": [[5, 5], [5, 5]], "method": "similarity",
+                "output": {"canvas": "fit"}}),
         ),
     ];
     for (code, warp) in cases {
@@ -553,7 +554,8 @@ async fn heads_that_the_http_library_rejects_have_no_problem() {
         ("no head at all\r\n\r\n".to_owned(), 400),
     ] {
         let mut stream = TcpStream::connect(server.address).await.unwrap();
-        // The server may close the connection before it has read everything, which may lose its answer.
+        // The server may close the connection before it has read everything, which may lose its
+        // answer.
         let sent = stream.write_all(head.as_bytes()).await;
         let mut answer = Vec::new();
         let read = stream.read_to_end(&mut answer).await;

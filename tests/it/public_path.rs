@@ -1,4 +1,5 @@
-//! `--public-path`: every path in a response is the one at which a proxy that removes the prefix publishes the service.
+//! `--public-path`: every path in a response is the one at which a proxy that removes the prefix
+//! publishes the service.
 
 use reqwest::Response;
 use serde_json::{Value, json};
@@ -98,7 +99,8 @@ async fn locations_problem_types_and_servers_start_with_it() {
         ("/nothing", "; see /tools/warp/docs"),
         (
             "/tools/warp/warp",
-            "; the proxy must remove /tools/warp from the path before it forwards a request. See /tools/warp/docs",
+            "; the proxy must remove /tools/warp from the path before it forwards a request. See \
+                /tools/warp/docs",
         ),
         ("/tools/warp", "; the proxy must remove /tools/warp from"),
         ("/tools/warped", "; see /tools/warp/docs"),

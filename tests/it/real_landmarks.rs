@@ -1,5 +1,6 @@
-//! Landmark files as large and as crooked as people have them: every format with a face, a pair of tissue sections and a scanned map, read
-//! and read again from the answer; and pictures warped by such files.
+//! Landmark files as large and as crooked as people have them: every format with a face, a pair of
+//! tissue sections and a scanned map, read and read again from the answer; and pictures warped by
+//! such files.
 
 use reqwest::Response;
 use reqwest::multipart::{Form, Part};
@@ -173,7 +174,10 @@ fn files(Set { p, q, size, .. }: &Set) -> Vec<(&'static str, &'static str, File)
         };
         p.iter().map(object).collect()
     };
-    let shape = |k: usize, place: &Place| json!({"label": format!("L{k}"), "points": [place], "group_id": null, "shape_type": "point", "flags": {}});
+    let shape = |k: usize, place: &Place| {
+        json!({"label": format!("L{k}"), "points": [place], "group_id": null,
+            "shape_type": "point", "flags": {}})
+    };
     let labelme: Vec<Value> = p
         .iter()
         .enumerate()
@@ -191,7 +195,8 @@ fn files(Set { p, q, size, .. }: &Set) -> Vec<(&'static str, &'static str, File)
     };
     let document = |shapes: Value| {
         json!({
-            "version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": "a.png", "imageData": null, "imageHeight": size[1],
+            "version": "5.5.0", "flags": {}, "shapes": shapes, "imagePath": "a.png",
+                "imageData": null, "imageHeight": size[1],
             "imageWidth": size[0]
         })
     };
@@ -465,7 +470,8 @@ async fn a_section_is_registered_into_the_frame_of_another() {
             q[1] - 0.5
         )
     });
-    let frame = json!({"method": "tps", "output": {"canvas": {"x": 0, "y": 0, "width": 1123, "height": 724}}});
+    let frame = json!({"method": "tps",
+        "output": {"canvas": {"x": 0, "y": 0, "width": 1123, "height": 724}}});
     let server = Server::start(&[]).await;
     let drawn = warped(
         &server,

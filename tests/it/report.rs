@@ -1,4 +1,5 @@
-//! Reports of a pose: the figures agree with what is drawn, and no request makes them cost more than a warp.
+//! Reports of a pose: the figures agree with what is drawn, and no request makes them cost more
+//! than a warp.
 
 use serde_json::{Value, json};
 
@@ -11,7 +12,8 @@ const PICTURE: &[u8] = include_bytes!("../images/rocket.jpg");
 const EXTENT: [u32; 2] = [640, 427];
 
 fn warp() -> Value {
-    json!({"p": [[120, 80], [500, 90], [300, 300], [900, 100]], "q": [[140, 60], [480, 110], [310, 260], [900, 120]]})
+    json!({"p": [[120, 80], [500, 90], [300, 300], [900, 100]],
+        "q": [[140, 60], [480, 110], [310, 260], [900, 120]]})
 }
 
 fn with(warp: &Value, more: Value) -> Value {
@@ -33,7 +35,8 @@ async fn the_figures_are_those_of_the_picture() {
     for method in ["rigid", "affine", "tps"] {
         let warp = with(
             &warp(),
-            json!({"method": method, "output": {"canvas": {"x": -40, "y": -20, "width": 700, "height": 500}}}),
+            json!({"method": method,
+                "output": {"canvas": {"x": -40, "y": -20, "width": 700, "height": 500}}}),
         );
         let response = server
             .post("/warp")
@@ -224,10 +227,12 @@ async fn wrong_and_hostile_requests_are_refused() {
         json!({"extent": [4_000_000_000_u32, 4_000_000_000_u32]}),
     );
     problem(ask(huge).await, 413, "too_large").await;
-    let canvas = json!({"extent": [9, 9], "output": {"canvas": {"x": 0, "y": 0, "width": 2_000_000, "height": 2_000_000}}});
+    let canvas = json!({"extent": [9, 9],
+        "output": {"canvas": {"x": 0, "y": 0, "width": 2_000_000, "height": 2_000_000}}});
     problem(ask(canvas).await, 413, "too_large").await;
     // Far away, on as large a canvas as there may be, of a long picture.
-    let far = json!({"extent": [2_000_000, 1], "p": [[1, 0]], "q": [[-900_000, 900_000]], "output": {"canvas": "same"}});
+    let far = json!({"extent": [2_000_000, 1], "p": [[1, 0]], "q": [[-900_000, 900_000]],
+        "output": {"canvas": "same"}});
     let report: Value = ask(far).await.json().await.unwrap();
     assert_eq!(report["covered"], 0.0, "{report}");
     problem(

@@ -1,4 +1,5 @@
-//! One id from the request to whatever is told of it: log lines, problems, the messages of a socket.
+//! One id from the request to whatever is told of it: log lines, problems, the messages of a
+//! socket.
 
 use serde_json::{Value, json};
 

@@ -150,7 +150,8 @@ async fn a_name_that_is_no_uuid_of_version_4_is_refused() {
 async fn other_handles_on_the_same_picture() {
     let server = Server::start(&[]).await;
     let file = photo(60, 40);
-    let made = json!({"p": [[20, 10], [50, 30]], "weights": [1, 2], "method": "similarity", "grid": {"cell": 3}, "output": {"compression": "none"}});
+    let made = json!({"p": [[20, 10], [50, 30]], "weights": [1, 2], "method": "similarity",
+        "grid": {"cell": 3}, "output": {"compression": "none"}});
     put(&server, NAME, &file, &made).await;
     assert_eq!(
         drag(&server, &json!({"q": [[22, 11], [50, 30]], "seq": 4}))
@@ -228,7 +229,8 @@ async fn handles_that_are_refused_leave_the_session_as_it_was() {
         (json!({"p": [[[3, 3], [3, 3]]]}), "degenerate_line"),
         (json!({"alpha": 9}), "alpha_out_of_range"),
         (
-            json!({"p": [[1, 1], [1, 1]], "q": [[2, 2], [3, 3]], "coincident": {"policy": "reject"}}),
+            json!({"p": [[1, 1], [1, 1]], "q": [[2, 2], [3, 3]],
+                "coincident": {"policy": "reject"}}),
             "contradictory_handles",
         ),
         (

@@ -1,5 +1,6 @@
-//! The thread of the asynchronous runtime moves bytes and computes nothing that grows with what a client sends or keeps: a request of one
-//! client would delay those of all others. Every operation of the OpenAPI document is sent with the largest session there may be.
+//! The thread of the asynchronous runtime moves bytes and computes nothing that grows with what a
+//! client sends or keeps: a request of one client would delay those of all others. Every operation
+//! of the OpenAPI document is sent with the largest session there may be.
 
 use std::time::{Duration, Instant};
 
@@ -9,10 +10,11 @@ use crate::support::largest::{Material, Request, Sizes};
 
 /// The most processor time of a poll of a task.
 const MOST: Duration = Duration::from_micros(200);
-/// What the dev profile needs in place of that, beside other tests: it leaves out most optimisation.
+/// What the dev profile needs in place of that, beside other tests: it leaves out most
+/// optimisation.
 const DEBUG: u32 = if cfg!(debug_assertions) { 10 } else { 1 };
-/// Times that each request is sent, of which the median counts, and in the dev profile the least: other tests that run at the same time
-/// only add to it. Fewer if that takes long.
+/// Times that each request is sent, of which the median counts, and in the dev profile the least:
+/// other tests that run at the same time only add to it. Fewer if that takes long.
 const TIMES: usize = 20;
 const LONG: Duration = Duration::from_millis(500);
 const FEWEST: usize = 3;

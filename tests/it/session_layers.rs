@@ -1,4 +1,5 @@
-//! Layers of a session: stored and read to the byte, kept and dropped as the contract says, bounded, and the same in every replica.
+//! Layers of a session: stored and read to the byte, kept and dropped as the contract says,
+//! bounded, and the same in every replica.
 
 use std::time::Duration;
 

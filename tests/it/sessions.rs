@@ -12,7 +12,8 @@ use crate::support::{Server, photo};
 async fn a_session_tells_what_it_is() {
     let server = Server::start(&[]).await;
     let file = photo(64, 48);
-    let warp = json!({"p": [[0.5, 0.5], [[0.1, 0.2], [0.6, 0.2]]], "weights": [2, 1], "units": "normalized", "grid": {"columns": 9, "rows": 7}});
+    let warp = json!({"p": [[0.5, 0.5], [[0.1, 0.2], [0.6, 0.2]]], "weights": [2, 1],
+        "units": "normalized", "grid": {"columns": 9, "rows": 7}});
     let response = server.upload("/sessions", &file, &warp).await;
     assert_eq!(response.status(), 201);
     let location = header(&response, "location").to_owned();
@@ -145,7 +146,8 @@ async fn the_picture_and_the_plan_go_with_the_last_session_that_uses_them() {
 #[tokio::test]
 async fn points_out_of_range_are_refused_and_change_nothing_for_others() {
     let server = Server::start(&[]).await;
-    let far = json!({"extent": [64, 48], "p": [[1, 1], [30, 9]], "q": [[2, 1], [31, 19]], "points": [[5, 5], [1e300, 1e300]]});
+    let far = json!({"extent": [64, 48], "p": [[1, 1], [30, 9]], "q": [[2, 1], [31, 19]],
+        "points": [[5, 5], [1e300, 1e300]]});
     for _ in 0..4 {
         let response = server
             .client
@@ -346,7 +348,8 @@ async fn a_mesh_is_the_grid_where_the_picture_is_drawn() {
             .unwrap();
         assert_eq!(session["grid"]["cell"], json!([7.0, 7.0]));
 
-        // The grid's vertices are the images of its rest places under f: what `/points` says of them.
+        // The grid's vertices are the images of its rest places under f: what `/points` says of
+        // them.
         let rest: Vec<Value> = (0..10)
             .flat_map(|j| {
                 (0..13).map(move |i| {

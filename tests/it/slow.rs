@@ -1,5 +1,6 @@
-//! Clients that are slow, silent or take nothing: each is closed or bounded at its deadline, and a healthy client gets every answer meanwhile.
-//! How fast it gets them is printed (`--nocapture`), not asserted.
+//! Clients that are slow, silent or take nothing: each is closed or bounded at its deadline, and a
+//! healthy client gets every answer meanwhile. How fast it gets them is printed (`--nocapture`),
+//! not asserted.
 
 use std::net::SocketAddr;
 use std::process::Command;
@@ -78,7 +79,8 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
         trickle(format!("GET /healthz HTTP/1.1\r\nX-{n}: {}", "x".repeat(1000)).into_bytes())
     });
     let preface = trickle([&b"PRI * HTTP/2.0\r\n\r\n"[..], &[b'S'; 100]].concat());
-    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 5000\r\n\r\n";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+        application/json\r\nContent-Length: 5000\r\n\r\n";
     let bodies = (0..20).map(|_| {
         tokio::spawn(async move {
             let mut stream = TcpStream::connect(address).await.unwrap();
@@ -124,7 +126,8 @@ async fn silent_sockets_slow_heads_and_slow_bodies_end_at_their_deadlines() {
     .await;
 }
 
-/// The rest of a body is read for a client that reads only afterwards; a body that has no end, or is far too long, is not.
+/// The rest of a body is read for a client that reads only afterwards; a body that has no end, or
+/// is far too long, is not.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_body_without_end_ends_the_connection_soon_after_its_problem() {
     let server = Server::start(&["--max-body-bytes", "1MiB"]).await;
@@ -205,7 +208,8 @@ async fn a_body_without_end_ends_the_connection_soon_after_its_problem() {
             "{took:?}: the deadline of a body is 30 s"
         );
     }
-    // A body of a length that is allowed is taken to its end, however slowly it comes, and the answer is found.
+    // A body of a length that is allowed is taken to its end, however slowly it comes, and the
+    // answer is found.
     let (mut stream, length) = (TcpStream::connect(address).await.unwrap(), 400_000);
     let head = format!(
         "POST /nothing HTTP/1.1\r\nHost: localhost\r\n{json}Content-Length: {length}\r\n\r\n"
@@ -237,7 +241,8 @@ async fn take(address: SocketAddr, id: &str) -> TcpStream {
     let body = json!({"q": [[22, 20]], "output": {"compression": "none"}}).to_string();
     let length = body.len();
     let head = format!(
-        "POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n"
+        "POST /sessions/{id}/warp HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+            application/json\r\nContent-Length: {length}\r\n"
     );
     stream
         .write_all(format!("{head}Connection: close\r\n\r\n{body}").as_bytes())
@@ -254,7 +259,8 @@ async fn who_takes_nothing_is_cut_and_who_takes_little_is_not() {
     let nothing = take(server.address, &id).await;
     let mut slow = take(server.address, &id).await;
     let began = Instant::now();
-    // 10 kB/s, for three times the deadline; then all of it. (The kernel passes on up to 64 KiB at once: a deadline must be longer than those take.)
+    // 10 kB/s, for three times the deadline; then all of it. (The kernel passes on up to 64 KiB at
+    // once: a deadline must be longer than those take.)
     let mut said = vec![0; 1000];
     let mut taken = 0;
     while began.elapsed() < Duration::from_secs(18) {
@@ -351,7 +357,8 @@ async fn two_thousand_idle_connections_are_closed_at_their_deadline() {
     well.end("2,000 idle connections").await;
 }
 
-/// It answers pings, asks for pictures, and grants no window: every stream is reset, the connection is ended, and one beside it goes on.
+/// It answers pings, asks for pictures, and grants no window: every stream is reset, the connection
+/// is ended, and one beside it goes on.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn http_2_without_window_falls_to_the_write_deadline() {
     let server = Server::start(&DEADLINES).await;
@@ -466,7 +473,8 @@ async fn a_tls_handshake_without_end_is_cut() {
     assert!(began.elapsed() < 10 * (HEADER + WRITE));
 }
 
-/// Many connections of one client take a little of their answers now and then: each makes progress, and none is ever late.
+/// Many connections of one client take a little of their answers now and then: each makes progress,
+/// and none is ever late.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_sips_holds_his_share_and_no_more() {
     let keys = "ann ann-s-key-0123456789,bob bob-s-key-9876543210";
@@ -500,7 +508,9 @@ async fn who_sips_holds_his_share_and_no_more() {
     );
     let body = json!({"q": [[21, 20]], "output": {"compression": "none"}}).to_string();
     let head = format!(
-        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {ann}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        "POST /sessions/{large}/warp HTTP/1.1\r\nHost: localhost\r\nConnection: \
+            close\r\nAuthorization: Bearer {ann}\r\nContent-Type: \
+            application/json\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let address = server.address;
@@ -582,10 +592,12 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
     let server = Server::start(&["--memory-bytes", "128MiB"]).await;
     let places = vec!["[1,2]"; 300_000].join(",");
     let body = format!(
-        r#"{{"extent": [99, 99], "p": [[10, 10], [80, 20], [30, 70]], "q": [[12, 10], [80, 25], [33, 70]], "points": [{places}]}}"#
+        r#"{{"extent": [99, 99], "p": [[10, 10], [80, 20], [30, 70]], "q": [[12, 10], [80, 25],
+          [33, 70]], "points": [{places}]}}"#
     );
     let head = format!(
-        "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
+        "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+            application/json\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let held = || {

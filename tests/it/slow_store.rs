@@ -1,4 +1,5 @@
-//! A Redis that is slow and not dead: what waits for it holds no worker, and what needs no store is answered as if it were not there.
+//! A Redis that is slow and not dead: what waits for it holds no worker, and what needs no store is
+//! answered as if it were not there.
 
 use std::time::{Duration, Instant};
 
@@ -99,7 +100,8 @@ async fn cold_drags_that_wait_for_their_files_keep_nobody_else_waiting() {
         "the store has answered nothing yet"
     );
     println!(
-        "p99 of 30 pictures that need no store: {before:.1?} before, {meanwhile:.1?} while two cold drags wait; bar {:.1?}",
+        "p99 of 30 pictures that need no store: {before:.1?} before, {meanwhile:.1?} while two \
+            cold drags wait; bar {:.1?}",
         2 * before
     );
 

@@ -1,5 +1,6 @@
-//! Batches beside requests that replace the layers they draw: a batch has the layers of one moment, or 503. A living session is never
-//! answered 404. On every store, with caches that hold almost nothing, so that files are read again and again.
+//! Batches beside requests that replace the layers they draw: a batch has the layers of one moment,
+//! or 503. A living session is never answered 404. On every store, with caches that hold almost
+//! nothing, so that files are read again and again.
 
 use std::io::{Cursor, Read as _};
 use std::sync::Arc;
@@ -18,7 +19,8 @@ const SIZE: (u32, u32) = (64, 48);
 /// Numbers of versions of a layer.
 const VERSIONS: u8 = 32;
 
-/// A version of a layer: one grey value, apart from those of the others by more than is lost where it is blended with itself.
+/// A version of a layer: one grey value, apart from those of the others by more than is lost where
+/// it is blended with itself.
 fn grey(version: u8) -> Vec<u8> {
     png(
         SIZE.0,
@@ -79,7 +81,8 @@ async fn batches_beside_writers(store: &str) {
         Arc::new(AtomicBool::new(false)),
         Arc::new(AtomicU32::new(0)),
     );
-    // One writes the first layer and then the second, so that the first is never behind; the other writes the third and the mask.
+    // One writes the first layer and then the second, so that the first is never behind; the other
+    // writes the third and the mask.
     let write = |layers: [&'static str; 2]| {
         let (server, id, over, written) = (
             Arc::clone(&server),
@@ -114,7 +117,8 @@ async fn batches_beside_writers(store: &str) {
             began.elapsed() < 20 * span,
             "{store}: {drawn} batches, {refused} were refused"
         );
-        let body = json!({"frames": [{"q": [[5, 5], [50, 40]]}], "layers": layers, "output": {"holes": "keep"}});
+        let body = json!({"frames": [{"q": [[5, 5], [50, 40]]}], "layers": layers,
+            "output": {"holes": "keep"}});
         let response = server
             .post(&format!("/sessions/{id}/batch"))
             .json(&body)

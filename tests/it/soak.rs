@@ -1,6 +1,7 @@
-//! A long mixed day in short: random requests of every route, valid and not, with uploads and answers that are dropped midway, sockets
-//! that come and go, sessions that are deleted, replaced and forgotten. What is resident when it is quiet again must be what was resident
-//! after a shorter time of the same: nothing is kept of requests that have ended.
+//! A long mixed day in short: random requests of every route, valid and not, with uploads and
+//! answers that are dropped midway, sockets that come and go, sessions that are deleted, replaced
+//! and forgotten. What is resident when it is quiet again must be what was resident after a shorter
+//! time of the same: nothing is kept of requests that have ended.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -23,11 +24,14 @@ use crate::support::server::form;
 const CLIENTS: u64 = 4;
 /// Sessions that are dragged; older ones are left to expire.
 const SESSIONS: usize = 24;
-/// What may stay more after a period of load, as a part of what stayed before, what the caches keep left out.
+/// What may stay more after a period of load, as a part of what stayed before, what the caches keep
+/// left out.
 const GROWTH: f64 = 0.05;
-/// Periods of load, of which one must end within that. Holes between what is kept come and go by some MiB; what leaks is more after every one.
+/// Periods of load, of which one must end within that. Holes between what is kept come and go by
+/// some MiB; what leaks is more after every one.
 const PERIODS: u64 = 5;
-/// Seconds for which it must be still: longer than the program waits before it gives memory back, and than sessions live.
+/// Seconds for which it must be still: longer than the program waits before it gives memory back,
+/// and than sessions live.
 const STILL: u32 = 6;
 /// Longest wait for one answer.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -188,7 +192,8 @@ fn warp(dice: &mut Dice, sides: [f64; 2]) -> Value {
         0 => warp["grid"] = json!({"cell": 1 + dice.below(40)}),
         1 => warp["grid"] = json!("pixel"),
         2 => {
-            warp["output"] = json!({"format": *dice.pick(&["jpeg", "webp", "png"]), "width": 1 + dice.below(600)})
+            warp["output"] = json!({"format": *dice.pick(&["jpeg", "webp", "png"]), "width": 1
+                + dice.below(600)})
         }
         3 => warp["folds"] = json!("reject"),
         4 => warp["output"] = json!({"compression": "best"}),
@@ -361,14 +366,17 @@ async fn step(day: &Day, dice: &mut Dice) {
 /// An upload that ends somewhere, mostly without a word.
 async fn half_upload(day: &Day, dice: &mut Dice, picture: &[u8]) {
     let body = [
-        b"--b\r\nContent-Disposition: form-data; name=\"warp\"\r\n\r\n{\"p\": []}\r\n--b\r\nContent-Disposition: form-data; name=\"image\"\r\n\r\n",
+        b"--b\r\nContent-Disposition: form-data; \
+            name=\"warp\"\r\n\r\n{\"p\": []}\r\n--b\r\nContent-Disposition: form-data; \
+            name=\"image\"\r\n\r\n",
         picture,
         b"\r\n--b--\r\n",
     ]
     .concat();
     let path = *dice.pick(&["/warp", "/sessions"]);
     let head = format!(
-        "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; boundary=b\r\nContent-Length: {}\r\n\r\n",
+        "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: multipart/form-data; \
+            boundary=b\r\nContent-Length: {}\r\n\r\n",
         body.len()
     );
     let whole = [head.as_bytes(), &body].concat();
@@ -409,7 +417,8 @@ async fn half_answer(day: &Day, dice: &mut Dice, picture: &[u8]) {
         .or_insert(0) += 1;
 }
 
-/// A socket that says a few things, right or wrong, acknowledges some of what comes, and goes with or without a word.
+/// A socket that says a few things, right or wrong, acknowledges some of what comes, and goes with
+/// or without a word.
 async fn socket(day: &Day, dice: &mut Dice, id: &str) {
     let query = *dice.pick(&[
         "",
@@ -487,7 +496,8 @@ async fn load(day: &Arc<Day>, seed: u64, time: Duration) -> Vec<u64> {
     curve
 }
 
-/// What is resident when every session has expired, nothing is asked and what was begun has ended: the same for some seconds.
+/// What is resident when every session has expired, nothing is asked and what was begun has ended:
+/// the same for some seconds.
 async fn rest(day: &Day) -> u64 {
     let mut same = 0;
     let mut resident = day.resident();

@@ -58,7 +58,8 @@ async fn frames_are_the_pictures_of_requests() {
     let grid = &session["grid"];
     assert_eq!(
         drag.hello,
-        json!({"columns": grid["columns"], "rows": grid["rows"], "width": 128, "height": 96, "cell": grid["cell"]})
+        json!({"columns": grid["columns"], "rows": grid["rows"], "width": 128, "height": 96,
+            "cell": grid["cell"]})
     );
     for seq in [1, 2, 5, 1 << 40] {
         drag.pose(seq, &posed(seq % 7)).await;
@@ -78,7 +79,8 @@ async fn frames_are_the_pictures_of_requests() {
     assert_eq!(server.app.counters().sockets_open, 2);
 }
 
-/// A region that is stored, replaced and removed during a drag: each frame is the picture of a request.
+/// A region that is stored, replaced and removed during a drag: each frame is the picture of a
+/// request.
 #[tokio::test]
 async fn frames_have_the_region_of_the_session() {
     let server = Server::start(&[]).await;
@@ -260,7 +262,8 @@ async fn the_next_frame_waits_for_the_acknowledgement() {
     let begun = server.app.counters().pictures_begun;
     assert!(begun <= 2, "one sent and one ahead, not {begun}");
     drag.ack(1).await;
-    // What was made ahead has grown old meanwhile, unless making takes as long as this client was silent.
+    // What was made ahead has grown old meanwhile, unless making takes as long as this client was
+    // silent.
     let seqs: Vec<u64> = drag
         .show_until(19)
         .await

@@ -1,4 +1,5 @@
-//! The drag socket under clients that are hostile, slow, or not there any more: each is closed with its reason, and nobody else notices.
+//! The drag socket under clients that are hostile, slow, or not there any more: each is closed with
+//! its reason, and nobody else notices.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -87,7 +88,8 @@ async fn a_flood_closes_its_socket_alone() {
     .await;
 }
 
-/// Empty fragments count towards the limit of their message, wherever control frames stand between them.
+/// Empty fragments count towards the limit of their message, wherever control frames stand between
+/// them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn empty_fragments_close_their_socket_alone() {
     const MOST: usize = 100_000;
@@ -149,7 +151,8 @@ async fn empty_fragments_close_their_socket_alone() {
     well.await.unwrap();
 }
 
-/// Pings and empty messages are messages too: more of them a second than a drag sends close the socket.
+/// Pings and empty messages are messages too: more of them a second than a drag sends close the
+/// socket.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn floods_of_pings_and_of_empty_messages_close_their_socket() {
     let server = Server::start(&[]).await;
@@ -195,7 +198,8 @@ async fn a_drag_at_five_hundred_hertz_is_no_flood() {
 async fn upgraded(address: SocketAddr, id: &str) -> TcpStream {
     let mut stream = TcpStream::connect(address).await.unwrap();
     let head = format!(
-        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+        "GET /sessions/{id}/drag HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: \
+            websocket\r\nSec-WebSocket-Version: 13\r\n\
          Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     );
     stream.write_all(head.as_bytes()).await.unwrap();

@@ -1,5 +1,6 @@
-//! Laws of the thin-plate spline for random points: interpolation, identity, reproduction, smoothing, degenerate sets, agreement with a
-//! solution of Bookstein's system by elimination, and that the plan says what the definition says.
+//! Laws of the thin-plate spline for random points: interpolation, identity, reproduction,
+//! smoothing, degenerate sets, agreement with a solution of Bookstein's system by elimination, and
+//! that the plan says what the definition says.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -169,14 +170,17 @@ fn bookstein(set: &Set, smoothing: f64, places: &[Point]) -> Vec<Point> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None,
+        ..ProptestConfig::default() })]
 
     #[test]
-    fn spline_is_the_solution_of_booksteins_system(set in sets(4), at in places(), smoothing in smoothing()) {
+    fn spline_is_the_solution_of_booksteins_system(set in sets(4), at in places(),
+        smoothing in smoothing()) {
         let (field, pose) = set.posed(smoothing);
         for (v, want) in at.iter().zip(bookstein(&set, smoothing, &at)) {
             let got = field.map(&pose, *v);
-            prop_assert!(got.distance(want) < 1e-7, "{v:?} -> {got:?}, expected {want:?}, smoothing {smoothing}");
+            prop_assert!(got.distance(want) < 1e-7, "{v:?} -> {got:?}, expected {want:?}, \
+                smoothing {smoothing}");
         }
     }
 
@@ -185,7 +189,8 @@ proptest! {
         let (field, pose) = set.posed(0.0);
         for (p, q) in set.p.iter().zip(&set.q) {
             for v in [*p, *p + Vec2::new(1e-9, 0.0)] {
-                prop_assert!(field.map(&pose, v).distance(*q) < 1e-5, "{p:?} -> {:?}, expected {q:?}", field.map(&pose, v));
+                prop_assert!(field.map(&pose, v).distance(*q) < 1e-5, "{p:?} -> {:?}, expected \
+                    {q:?}", field.map(&pose, v));
             }
         }
         prop_assert!(field.approximated(&pose, &|| false) == Some(None));
@@ -204,9 +209,11 @@ proptest! {
 
     #[test]
     fn spline_reproduces_affine_maps_with_any_smoothing(
-        set in sets(4), at in places(), m in proptest::array::uniform4(-2.0f64..2.0), smoothing in smoothing()
+        set in sets(4), at in places(), m in proptest::array::uniform4(-2.0f64..2.0),
+            smoothing in smoothing()
     ) {
-        let affine = |p: Point| Point::new(m[0] * p.x + m[1] * p.y + 5.0, m[2] * p.x + m[3] * p.y - 9.0);
+        let affine = |p: Point| Point::new(m[0] * p.x + m[1] * p.y + 5.0,
+            m[2] * p.x + m[3] * p.y - 9.0);
         let (field, pose) = set.mapped(affine).posed(smoothing);
         for v in &at {
             prop_assert!(field.map(&pose, *v).distance(affine(*v)) < 1e-6, "smoothing {smoothing}");
@@ -227,14 +234,16 @@ proptest! {
         let fit = eliminated(a, b);
         let off = |smoothing: f64| {
             let (field, pose) = set.posed(smoothing);
-            let fitted = |v: &Point| *v + fit.iter().zip(row(v)).fold(Vec2::ZERO, |sum, (a, x)| sum + *a * x);
+            let fitted = |v: &Point| *v + fit.iter().zip(row(v)).fold(Vec2::ZERO, |sum, (a, x)| sum
+                + *a * x);
             at.iter().map(|v| field.map(&pose, *v).distance(fitted(v))).fold(0.0, f64::max)
         };
         prop_assert!(off(1e6) < 2e-1 && off(1e9) < 2e-4, "{} {}", off(1e6), off(1e9));
     }
 
     #[test]
-    fn spline_plan_says_what_the_definition_says(set in sets(1), at in places(), smoothing in smoothing(), line in any::<bool>()) {
+    fn spline_plan_says_what_the_definition_says(set in sets(1), at in places(),
+        smoothing in smoothing(), line in any::<bool>()) {
         let set = if line { on_a_line(&set) } else { set };
         let (field, pose) = set.posed(smoothing);
         let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
@@ -255,15 +264,18 @@ proptest! {
         for (p, q) in set.p.iter().zip(&set.q) {
             prop_assert!(field.map(&pose, *p).distance(*q) < 1e-6);
         }
-        let similar = |p: Point| Point::new(12.0, 30.0) + Vec2::new(m.0, m.1).complex_mul(p - Point::default());
+        let similar = |p: Point| Point::new(12.0, 30.0) + Vec2::new(m.0,
+            m.1).complex_mul(p - Point::default());
         let (field, pose) = set.mapped(similar).posed(smoothing);
         for v in &at {
-            prop_assert!(field.map(&pose, *v).distance(similar(*v)) < 1e-5, "{v:?}, smoothing {smoothing}");
+            prop_assert!(field.map(&pose, *v).distance(similar(*v)) < 1e-5, "{v:?}, smoothing \
+                {smoothing}");
         }
     }
 
     #[test]
-    fn spline_of_points_that_coincide_is_that_of_one_with_their_weights(set in sets(1), at in places(), smoothing in smoothing()) {
+    fn spline_of_points_that_coincide_is_that_of_one_with_their_weights(set in sets(1),
+        at in places(), smoothing in smoothing()) {
         let (field, pose) = set.posed(smoothing);
         let mut doubled = set.clone();
         doubled.weights.iter_mut().for_each(|w| *w *= 0.5);
@@ -279,15 +291,19 @@ proptest! {
 
     #[test]
     fn spline_turns_grows_and_moves_with_the_plane(
-        set in sets(1), at in places(), smoothing in smoothing(), angle in -3.0f64..3.0, scale in 0.1f64..10.0
+        set in sets(1), at in places(), smoothing in smoothing(), angle in -3.0f64..3.0,
+            scale in 0.1f64..10.0
     ) {
         let m = Vec2::new(angle.cos(), angle.sin()) * scale;
         let g = |p: &Point| Point::new(100.0, 50.0) + m.complex_mul(*p - Point::default());
-        let there = Set { p: set.p.iter().map(g).collect(), q: set.q.iter().map(g).collect(), ..set.clone() };
-        let ((here, pose), (elsewhere, pose_there)) = (set.posed(smoothing), there.posed(smoothing));
+        let there = Set { p: set.p.iter().map(g).collect(), q: set.q.iter().map(g).collect(),
+            ..set.clone() };
+        let ((here, pose), (elsewhere, pose_there)) = (set.posed(smoothing),
+            there.posed(smoothing));
         for v in &at {
             let (want, got) = (g(&here.map(&pose, *v)), elsewhere.map(&pose_there, g(v)));
-            prop_assert!(got.distance(want) < 1e-6 * scale.max(1.0), "{v:?}: {got:?}, expected {want:?}");
+            prop_assert!(got.distance(want) < 1e-6 * scale.max(1.0), "{v:?}: {got:?}, expected \
+                {want:?}");
         }
     }
 
@@ -296,13 +312,16 @@ proptest! {
         set in sets(1),
         scale in -7.0f64..3.3,
         near in proptest::option::of((-13.0f64..0.0, 0..12usize)),
-        flat in prop_oneof![Just(1.0), Just(0.0), (-14.0f64..0.0).prop_map(|exponent| 10f64.powf(exponent))],
+        flat in prop_oneof![Just(1.0), Just(0.0),
+            (-14.0f64..0.0).prop_map(|exponent| 10f64.powf(exponent))],
         weights in proptest::collection::vec(-9.0f64..9.0, 13),
-        smoothing in prop_oneof![Just(0.0), Just(1e9), (-12.0f64..9.0).prop_map(|exponent| 10f64.powf(exponent))],
+        smoothing in prop_oneof![Just(0.0), Just(1e9),
+            (-12.0f64..9.0).prop_map(|exponent| 10f64.powf(exponent))],
         jump in prop_oneof![Just(1.0), Just(1e4)],
     ) {
         let to = |p: &Point| Point::new(p.x * 10f64.powf(scale), p.y * flat * 10f64.powf(scale));
-        let far = |p: &Point| Point::new((p.x * jump).clamp(-1e6, 1e6), (p.y * jump).clamp(-1e6, 1e6));
+        let far = |p: &Point| Point::new((p.x * jump).clamp(-1e6, 1e6),
+            (p.y * jump).clamp(-1e6, 1e6));
         let mut p: Vec<Point> = set.p.iter().map(to).collect();
         let mut q: Vec<Point> = set.q.iter().map(far).collect();
         if let Some((exponent, beside)) = near {
@@ -311,8 +330,10 @@ proptest! {
             p.push(beside + Vec2::new(10f64.powf(scale + 2.0 + exponent), 0.0));
             q.push(Point::new(1e6, -1e6));
         }
-        let weights = p.iter().zip(weights).map(|(_, exponent)| 10f64.powf(exponent).clamp(1e-9, 1e9)).collect();
-        let field = Field::spline(Handles::new(handles(&p), Some(weights)).unwrap(), smoothing).unwrap();
+        let weights = p.iter().zip(weights).map(|(_, exponent)| 10f64.powf(exponent).clamp(1e-9,
+            1e9)).collect();
+        let field = Field::spline(Handles::new(handles(&p), Some(weights)).unwrap(),
+            smoothing).unwrap();
         let Ok(pose) = field.pose(&handles(&q)) else { return Ok(()) };
         let mut at = vec![Point::new(0.0, 0.0), Point::new(1e6, -1e6), Point::new(250.0, 250.0)];
         at.extend(p.iter().flat_map(|p| [*p, *p + Vec2::new(1e-9, 0.0)]));
@@ -425,7 +446,8 @@ fn spline_refuses_what_it_does_not_take() {
     );
 }
 
-/// A group of points is one handle, whatever the policy; the mean of a group may lie on another point.
+/// A group of points is one handle, whatever the policy; the mean of a group may lie on another
+/// point.
 #[test]
 fn spline_moves_coincident_points_by_their_mean() {
     let at = |x: f64, y: f64| Point::new(x, y);
@@ -669,7 +691,8 @@ async fn spline_sessions_keep_their_smoothing_and_map_points_as_drawn() {
         "{object}"
     );
 
-    let once = json!({"p": p, "q": q, "method": "tps", "smoothing": 0.1, "extent": [64, 48], "points": [[1, 2], [30, 20], [63, 47]]});
+    let once = json!({"p": p, "q": q, "method": "tps", "smoothing": 0.1, "extent": [64, 48],
+        "points": [[1, 2], [30, 20], [63, 47]]});
     let once = told(server.post("/points").json(&once).send().await.unwrap()).await;
     let mapped = server
         .post(&format!("{path}/points"))

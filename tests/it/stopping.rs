@@ -1,4 +1,5 @@
-//! A program that is told to stop: first it is not ready but serves, then it finishes what it has begun.
+//! A program that is told to stop: first it is not ready but serves, then it finishes what it has
+//! begun.
 
 use std::time::{Duration, Instant};
 
@@ -12,16 +13,16 @@ use crate::support::server::form;
 use crate::support::{DragClient, photo};
 use crate::tls::Folder;
 
-/// What may have come of a connection's first request when the program stops: the beginning of a method, of a head, of HTTP/2's preface, and of a
-/// head on HTTP/2.
+/// What may have come of a connection's first request when the program stops: the beginning of a
+/// method, of a head, of HTTP/2's preface, and of a head on HTTP/2.
 const PARTS: [&[u8]; 4] = [
     b"G",
     b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n",
     b"PRI * HTTP/2.0\r\n",
     b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0\0\0\x01\x01\0\0\0\0\x01\x82",
 ];
-const HALF: &[u8] =
-    b"POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 66\r\n\r\n{\"extent\": [451, 300], ";
+const HALF: &[u8] = b"POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+        application/json\r\nContent-Length: 66\r\n\r\n{\"extent\": [451, 300], ";
 const OTHER_HALF: &[u8] = b"\"p\": [[9, 9]], \"q\": [[9, 9]], \"points\": []}";
 
 /// A connection on which so much was sent.

@@ -1,4 +1,5 @@
-//! The stores as an operator meets them: addresses, files that are none, full disks, servers that are away.
+//! The stores as an operator meets them: addresses, files that are none, full disks, servers that
+//! are away.
 
 use std::os::unix::process::CommandExt as _;
 use std::process::{Command, Stdio};
@@ -324,7 +325,8 @@ async fn warm_sessions_go_on_while_redis_is_away() {
             .unwrap(),
     )
     .await;
-    // All replicas have lost it: none is better than another, and this one still serves who is here.
+    // All replicas have lost it: none is better than another, and this one still serves who is
+    // here.
     let ready = server.get("/readyz").send().await.unwrap();
     assert_eq!(
         (
@@ -408,7 +410,8 @@ async fn two_replicas_on_one_redis_are_one_service() {
         png(a.drag(NAME, &drag).await).await,
         png(b.drag(NAME, &drag).await).await,
     );
-    // Each has built the table once: one when the session was made, the other when it was used there.
+    // Each has built the table once: one when the session was made, the other when it was used
+    // there.
     for server in [&a, &b] {
         let text = server
             .get("/metrics")

@@ -1,5 +1,6 @@
-//! What one name learns of another: nothing. All that Bob sees is compared between a server where Ann has stored the file that he sends,
-//! and one where she has stored another file of the same length: statuses, headers, problems, sessions and metrics.
+//! What one name learns of another: nothing. All that Bob sees is compared between a server where
+//! Ann has stored the file that he sends, and one where she has stored another file of the same
+//! length: statuses, headers, problems, sessions and metrics.
 
 use mlswarp_server::limits::memory::Purpose;
 use reqwest::{Client, RequestBuilder, Response};
@@ -96,7 +97,8 @@ fn rest() -> Value {
     json!({"p": [[20, 20], [60, 40]]})
 }
 
-/// Ann stores a picture, a layer and a mask; Bob then does all that he can do with these files. What he has seen.
+/// Ann stores a picture, a layer and a mask; Bob then does all that he can do with these files.
+/// What he has seen.
 async fn seen_by_bob(store: &str, anns: [&[u8]; 2], bobs: [&[u8]; 2]) -> Vec<String> {
     // For the two files of each, and little more.
     let room = (4 * anns[0].len() + 6144).to_string();

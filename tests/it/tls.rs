@@ -1,4 +1,5 @@
-//! TLS: both versions of HTTP and the drag socket through it, a certificate that changes, mistakes that name their file.
+//! TLS: both versions of HTTP and the drag socket through it, a certificate that changes, mistakes
+//! that name their file.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};

@@ -354,7 +354,8 @@ async fn warp(program: &Program) {
     .await;
 }
 
-/// Ends the program; says what it logged. Whatever a collector does, it ends soon: ten times the longest wait for it.
+/// Ends the program; says what it logged. Whatever a collector does, it ends soon: ten times the
+/// longest wait for it.
 async fn ends(program: Program) -> Vec<Value> {
     program.terminate();
     let began = Instant::now();
@@ -518,7 +519,8 @@ async fn spans_that_a_collector_rejects_are_not_exported() {
     assert!(tally().0 > before.0 && tally().1 == before.1);
 }
 
-/// A hosted collector: its certificate must lead to a root that is trusted here, and be for its name.
+/// A hosted collector: its certificate must lead to a root that is trusted here, and be for its
+/// name.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn spans_go_by_tls_to_whom_is_trusted_and_to_nobody_else() {
     let (folder, other) = (Folder::new("collector"), Folder::new("collector-other"));

@@ -1,5 +1,6 @@
-//! The largest requests of every operation of the OpenAPI document, many at a time, whose answers nobody reads. Everything that they take is
-//! reserved before, so that the memory of the process stays near its budget.
+//! The largest requests of every operation of the OpenAPI document, many at a time, whose answers
+//! nobody reads. Everything that they take is reserved before, so that the memory of the process
+//! stays near its budget.
 
 use std::net::Ipv4Addr;
 use std::sync::Barrier;
@@ -22,7 +23,8 @@ const SIZES: Sizes = Sizes {
     body: 2 << 20,
 };
 
-/// Sends a request so many times at once, from so many addresses; the statuses of the answers, in order.
+/// Sends a request so many times at once, from so many addresses; the statuses of the answers, in
+/// order.
 fn send(program: &Program, request: &Request, addresses: usize) -> Vec<u16> {
     let begun = Barrier::new(COUNT);
     let one = |k: usize| {
@@ -91,13 +93,15 @@ fn stays_near_the_budget(addresses: usize) {
 }
 
 #[test]
-#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that the other tests keep their pace"]
+#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that \
+    the other tests keep their pace"]
 fn of_one_address_stay_near_the_budget() {
     stays_near_the_budget(1);
 }
 
 #[test]
-#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that the other tests keep their pace"]
+#[ignore = "sends the largest requests, many at a time: a step of its own in tests/run, so that \
+    the other tests keep their pace"]
 fn of_eight_addresses_stay_near_the_budget() {
     stays_near_the_budget(8);
 }

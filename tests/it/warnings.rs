@@ -1,4 +1,5 @@
-//! What the service says beside an answer: warnings of a warp, and warnings of the log about secrets.
+//! What the service says beside an answer: warnings of a warp, and warnings of the log about
+//! secrets.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::Duration;
@@ -51,7 +52,8 @@ async fn handles_that_leave_nothing_visible_are_answered_with_a_warning() {
         }
     }
     // One cell alone, within which the whole picture lies.
-    let enlarged = json!({"p": [[31, 24], [33, 24]], "q": [[-10_000, 24], [10_000, 24]], "method": "similarity", "grid": {"columns": 2, "rows": 2}});
+    let enlarged = json!({"p": [[31, 24], [33, 24]], "q": [[-10_000, 24], [10_000, 24]],
+        "method": "similarity", "grid": {"columns": 2, "rows": 2}});
     assert!(!warns(&server.upload("/warp", &image, &enlarged).await));
     let mut drag = DragClient::open(server.address, &id, "?report=true").await;
     for (seq, q, nothing) in [(1, by(70, 0), true), (2, by(1, 0), false)] {

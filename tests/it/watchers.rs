@@ -1,4 +1,5 @@
-//! Numbers and health on a listener of their own: open to whoever reaches it, never behind the crowd, and there until the end.
+//! Numbers and health on a listener of their own: open to whoever reaches it, never behind the
+//! crowd, and there until the end.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -125,7 +126,8 @@ async fn they_are_answered_while_the_service_stops() {
         "3s",
     ]);
     let mut slow = TcpStream::connect(program.address).unwrap();
-    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\nExpect: 100-continue\r\n\r\n";
+    let head = "POST /points HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+        application/json\r\nContent-Length: 100\r\nExpect: 100-continue\r\n\r\n";
     slow.write_all(head.as_bytes()).unwrap();
     let mut begun = [0; 12];
     slow.read_exact(&mut begun).unwrap();

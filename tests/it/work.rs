@@ -1,6 +1,7 @@
-//! Work that nobody waits for any more, and the sets of handles that cost the most: the program is sent both, and an innocent client drags
-//! meanwhile. Its p99 and the time for which a worker stays busy after its client has left are printed beside the bar (`--nocapture`);
-//! asserted is only that the work ends long before it would be done.
+//! Work that nobody waits for any more, and the sets of handles that cost the most: the program is
+//! sent both, and an innocent client drags meanwhile. Its p99 and the time for which a worker stays
+//! busy after its client has left are printed beside the bar (`--nocapture`); asserted is only that
+//! the work ends long before it would be done.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -14,7 +15,8 @@ use crate::support::program::Program;
 use crate::support::server::{form, header, problem};
 use crate::support::{Server, bombs, photo};
 
-/// Work ends within this after its last client has left or at its deadline: what the service promises, on an idle machine.
+/// Work ends within this after its last client has left or at its deadline: what the service
+/// promises, on an idle machine.
 const BAR: Duration = Duration::from_millis(50);
 /// What a busy machine and a program without optimisation may make of that.
 const COARSE: Duration = Duration::from_secs(2);
@@ -123,7 +125,8 @@ impl Victim {
 /// An alpha near 1.5, at which moments of segments have no closed form.
 const SLOW_ALPHA: f64 = 1.4997;
 
-/// Segments that are weighed by quadrature at [`SLOW_ALPHA`]: a tenth of a millisecond a vertex and more.
+/// Segments that are weighed by quadrature at [`SLOW_ALPHA`]: a tenth of a millisecond a vertex and
+/// more.
 fn slow_lines(count: u32) -> Vec<[[f64; 2]; 2]> {
     let line = |k: u32| {
         let (x, y) = (
@@ -147,7 +150,10 @@ async fn work_ends_when_its_client_leaves() {
     // 25,000 vertices of 200 columns: a table of 60 MB, as large as may be.
     let victim = Victim::start(&["--max-plan-bytes", "64MiB"]);
     let lines = slow_lines(100);
-    let warp = |cell: f64| json!({"p": lines, "q": moved(&lines), "alpha": SLOW_ALPHA, "grid": {"cell": cell}});
+    let warp = |cell: f64| {
+        json!({"p": lines, "q": moved(&lines), "alpha": SLOW_ALPHA,
+        "grid": {"cell": cell}})
+    };
     let picture = photo(SIDES.0, SIDES.1);
     victim
         .leaves(
@@ -183,7 +189,8 @@ async fn work_ends_when_its_client_leaves() {
     let places: Vec<[f64; 2]> = (0..40_000_u32)
         .map(|k| [f64::from(k % 200) * 3.2, f64::from(k / 200) * 2.0])
         .collect();
-    let points = json!({"p": lines, "q": moved(&lines), "alpha": SLOW_ALPHA, "points": places, "extent": [SIDES.0, SIDES.1]});
+    let points = json!({"p": lines, "q": moved(&lines), "alpha": SLOW_ALPHA, "points": places,
+        "extent": [SIDES.0, SIDES.1]});
     victim
         .leaves("many places", victim.post("/points").json(&points))
         .await;
@@ -278,7 +285,8 @@ async fn newer_drags_do_not_stop_the_plan_that_all_of_them_need() {
         )
     };
     let mut drags = vec![drag(1)];
-    // One after the other while the plan is built: the only worker stays with the build, and the newest drag gets the picture.
+    // One after the other while the plan is built: the only worker stays with the build, and the
+    // newest drag gets the picture.
     for seq in 2..20 {
         tokio::time::sleep(Duration::from_millis(20)).await;
         drags.push(drag(seq));
@@ -369,8 +377,8 @@ async fn handles_that_crowd_keep_nobody_waiting() {
     well.end("handles that crowd").await;
 }
 
-/// Handles at both ends of each column of a grid, and one target for both: no cell covers anything, and the border jumps to and fro across
-/// the picture.
+/// Handles at both ends of each column of a grid, and one target for both: no cell covers anything,
+/// and the border jumps to and fro across the picture.
 fn chaotic(columns: u32) -> Value {
     let (width, height) = (f64::from(SIDES.0), f64::from(SIDES.1));
     let share = |k: u32| f64::from(k.wrapping_mul(2_654_435_761)) / f64::from(u32::MAX);

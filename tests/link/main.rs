@@ -1,11 +1,12 @@
 //! The relay of `relay.rs` as a program, for tests in other languages:
 //!
 //! ```text
-//! link 127.0.0.1:8080 MBIT MS     prints its own port; Mbit/s and the delay in ms, the same in both directions
+//! link 127.0.0.1:8080 MBIT MS     prints its own port; Mbit/s and the delay in ms, the same in both
+//!                                 directions
 //! ```
 //!
-//! It reads commands from its standard input, answers each with `ok`, and ends with the input: `rate MBIT` changes the rate, `pause
-//! SECONDS` passes nothing for this time.
+//! It reads commands from its standard input, answers each with `ok`, and ends with the input:
+//! `rate MBIT` changes the rate, `pause SECONDS` passes nothing for this time.
 
 #![expect(
     clippy::print_stdout,

@@ -1,7 +1,9 @@
-//! A TCP relay with the rate and the delay of a link. In each direction, bytes wait in a bounded queue, leave it at the rate of the link,
-//! and arrive after the delay. When the queue is full, the relay reads nothing more from the sender. All connections share the rate.
+//! A TCP relay with the rate and the delay of a link. In each direction, bytes wait in a bounded
+//! queue, leave it at the rate of the link, and arrive after the delay. When the queue is full, the
+//! relay reads nothing more from the sender. All connections share the rate.
 //!
-//! A lost packet is modelled as a pause: TCP repeats it, and until then nothing that was sent after it can be read.
+//! A lost packet is modelled as a pause: TCP repeats it, and until then nothing that was sent after
+//! it can be read.
 
 #![allow(
     dead_code,
@@ -19,7 +21,8 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::sleep_until;
 
-/// What the kernel holds for each of the relay's sockets, bytes. Its default of megabytes would be a second queue.
+/// What the kernel holds for each of the relay's sockets, bytes. Its default of megabytes would be
+/// a second queue.
 const SOCKET_BUFFER: u32 = 32 << 10;
 /// Bytes of a packet: the smallest piece that is read at once.
 const PACKET: u64 = 1460;
@@ -63,7 +66,8 @@ struct Departures {
 }
 
 impl Departures {
-    /// When the last byte of a piece departs that has arrived at the queue at this time. Pieces are asked for in their order.
+    /// When the last byte of a piece departs that has arrived at the queue at this time. Pieces are
+    /// asked for in their order.
     fn departure(&mut self, arrival: Instant, bytes: usize) -> Instant {
         let time = Duration::from_nanos(bytes as u64 * 1_000_000_000 / self.rate);
         self.last = self.last.max(arrival) + time;
@@ -303,8 +307,8 @@ mod tests {
         );
     }
 
-    /// Bytes through a link of 400 kB/s and 30 ms by a clock that is not simulated: the sender may not be ahead of the queue, nor the
-    /// receiver ahead of the link.
+    /// Bytes through a link of 400 kB/s and 30 ms by a clock that is not simulated: the sender may
+    /// not be ahead of the queue, nor the receiver ahead of the link.
     #[tokio::test]
     async fn link_passes_the_same_bytes_and_none_too_early() {
         let link = Link {

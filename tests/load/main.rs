@@ -1,6 +1,7 @@
-//! Four times the load that this machine can hold, for a minute: uploads and drags, more of both than there is room for. Nobody is left without
-//! an answer, memory stays within its account, and when the crowd has gone everything is as it was. What is measured is printed; of
-//! speed nothing is asserted but that bounds hold ten times over.
+//! Four times the load that this machine can hold, for a minute: uploads and drags, more of both
+//! than there is room for. Nobody is left without an answer, memory stays within its account, and
+//! when the crowd has gone everything is as it was. What is measured is printed; of speed nothing
+//! is asserted but that bounds hold ten times over.
 
 #![expect(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 #![expect(
@@ -162,7 +163,8 @@ impl Crowd {
             .to_owned()
     }
 
-    /// What so many clients that ask again as soon as they are answered get in a second: drags, uploads.
+    /// What so many clients that ask again as soon as they are answered get in a second: drags,
+    /// uploads.
     async fn capacity(&self) -> (f64, f64) {
         let (drags, uploads, over) = (
             Arc::new(Answers::default()),
@@ -283,7 +285,8 @@ async fn four_times_what_the_machine_holds() {
 
     let (drag_rate, upload_rate) = crowd.capacity().await;
     println!(
-        "held: {drag_rate:.0} drags/s and {upload_rate:.0} uploads/s at once; four times that follows"
+        "held: {drag_rate:.0} drags/s and {upload_rate:.0} uploads/s at once; four times that \
+            follows"
     );
     let before = memory(program.id(), "VmRSS");
 
@@ -388,7 +391,8 @@ async fn four_times_what_the_machine_holds() {
     }
     let mib = |bytes: u64| bytes >> 20;
     println!(
-        "resident: {} MiB before, at most {} during, {} after (account {}); slowest health check {:.0} ms; clients took {client_share:.2} of a processor; \
+        "resident: {} MiB before, at most {} during, {} after (account {}); slowest health check \
+            {:.0} ms; clients took {client_share:.2} of a processor; \
          well again after {:.0} ms",
         mib(before),
         mib(most),

@@ -1,4 +1,5 @@
-//! The system's allocator with counters: bytes that live, and the sum of all that was ever asked for. A thread may be left out: the client's.
+//! The system's allocator with counters: bytes that live, and the sum of all that was ever asked
+//! for. A thread may be left out: the client's.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -44,7 +45,8 @@ fn count(grows: i64, asked: usize) {
     }
 }
 
-// SAFETY: every call is handed to `System` as it came; counting touches no memory of the caller's and does not allocate.
+// SAFETY: every call is handed to `System` as it came; counting touches no memory of the caller's
+// and does not allocate.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as i64, layout.size());

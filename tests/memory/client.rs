@@ -1,4 +1,5 @@
-//! A client that keeps its connection and its buffers: plain HTTP/1.1 over a socket, so that nothing of it is in the service's figures.
+//! A client that keeps its connection and its buffers: plain HTTP/1.1 over a socket, so that
+//! nothing of it is in the service's figures.
 
 use std::fmt::Write as _;
 use std::io::{Read as _, Write as _};
@@ -33,7 +34,8 @@ impl Client {
         self.head.clear();
         write!(
             self.head,
-            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: {media_type}\r\nContent-Length: {}\r\n\r\n",
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Type: \
+                {media_type}\r\nContent-Length: {}\r\n\r\n",
             body.len()
         )
         .unwrap();

@@ -1,5 +1,5 @@
-//! The memory of drags, in a process of its own: what one request allocates, and that what stays does not grow. One test, because the
-//! counters are the process's.
+//! The memory of drags, in a process of its own: what one request allocates, and that what stays
+//! does not grow. One test, because the counters are the process's.
 
 #![expect(
     clippy::unwrap_used,
@@ -80,7 +80,8 @@ fn memory_of_a_drag_is_bounded_and_of_many_flat() {
             (allocator::asked().1 - calls) / requests,
         );
         println!(
-            "{width} x {height}: a drag allocates {asked} bytes ({:.2} target pictures) in {calls} calls; \
+            "{width} x {height}: a drag allocates {asked} bytes ({:.2} target pictures) in \
+                {calls} calls; \
              {after_few} bytes live after {few}, {:+} after {many}",
             asked as f64 / picture as f64,
             after_many - after_few

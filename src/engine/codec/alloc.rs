@@ -21,7 +21,8 @@ pub(super) fn room<T>(len: u64) -> Result<Vec<T>, CodecError> {
     Ok(samples)
 }
 
-/// `len` zero samples. Touching the memory takes as long as some decoders, so cancellation is checked meanwhile.
+/// `len` zero samples. Touching the memory takes as long as some decoders, so cancellation is
+/// checked meanwhile.
 pub(super) fn zeros<T: Copy + Default>(
     len: u64,
     work: &StepCounter<'_>,

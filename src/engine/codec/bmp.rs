@@ -1,5 +1,5 @@
-//! Reads BMP through the `image` crate: 1 to 32 bit, palettes and runs included. The header states resolution and colour (versions 4
-//! and 5: sRGB, a calibrated colour space, or a profile).
+//! Reads BMP through the `image` crate: 1 to 32 bit, palettes and runs included. The header states
+//! resolution and colour (versions 4 and 5: sRGB, a calibrated colour space, or a profile).
 
 use std::borrow::Cow;
 

@@ -1,7 +1,8 @@
-//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's structure, memory, pixels. The decoders
-//! are third-party code that reads hostile bytes, so they run with their own limits and inside `catch_unwind`: a panic there means a
-//! damaged file, not a crash. Allocations made here are fallible. Cost: one pass of the decoder; a second picture only when the
-//! orientation swaps the sides.
+//! Decodes a file to an upright picture. Order: header, limits, completeness of the file's
+//! structure, memory, pixels. The decoders are third-party code that reads hostile bytes, so they
+//! run with their own limits and inside `catch_unwind`: a panic there means a damaged file, not a
+//! crash. Allocations made here are fallible. Cost: one pass of the decoder; a second picture only
+//! when the orientation swaps the sides.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -28,8 +29,8 @@ pub struct Opened<'a> {
     pub(super) work: &'a StepCounter<'a>,
 }
 
-/// Reads the header of a picture and checks it against `limits` before anything grows with the sizes that it claims; then reads the rest of what
-/// determines the memory for decoding.
+/// Reads the header of a picture and checks it against `limits` before anything grows with the
+/// sizes that it claims; then reads the rest of what determines the memory for decoding.
 ///
 /// # Errors
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
@@ -84,8 +85,8 @@ impl Opened<'_> {
     /// Decodes the picture.
     ///
     /// # Errors
-    /// [`CodecError::Bad`] for a file that lacks pixels, whose pixels are damaged, or that makes a decoder panic. Bytes after the file's
-    /// end are ignored. [`CodecError::Cancelled`].
+    /// [`CodecError::Bad`] for a file that lacks pixels, whose pixels are damaged, or that makes a
+    /// decoder panic. Bytes after the file's end are ignored. [`CodecError::Cancelled`].
     pub fn decode(&self) -> Result<Decoded, CodecError> {
         let Self {
             parsed,

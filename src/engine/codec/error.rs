@@ -14,7 +14,8 @@ pub enum CodecError {
     /// The header exceeds a limit. Detected before memory is allocated.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` if the machine has too little memory.
+        /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` if the machine
+        /// has too little memory.
         what: &'static str,
         /// The limit.
         limit: u64,

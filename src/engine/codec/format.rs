@@ -1,5 +1,5 @@
-//! The file formats: names, media types, recognition by the first bytes, and the largest sides. Of GIF, single pictures are read, and
-//! animations are written; BMP is only read.
+//! The file formats: names, media types, recognition by the first bytes, and the largest sides. Of
+//! GIF, single pictures are read, and animations are written; BMP is only read.
 
 use super::CodecError;
 
@@ -78,7 +78,8 @@ impl Format {
         }
     }
 
-    /// The most pixels that the format can store: a TIFF has offsets of 32 bits, and up to 8 bytes per pixel.
+    /// The most pixels that the format can store: a TIFF has offsets of 32 bits, and up to 8 bytes
+    /// per pixel.
     #[must_use]
     pub const fn max_pixels(self) -> u64 {
         match self {

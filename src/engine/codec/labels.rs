@@ -1,6 +1,7 @@
-//! Label images: files whose samples are numbers instead of colours. They are read as they are stored: indices of a palette stay indices,
-//! grey of 1, 2 and 4 bit keeps its numbers in 8 bit, and colours stay whole. Transparency beside the samples (a PNG's tRNS chunk) and
-//! colour profiles are not applied.
+//! Label images: files whose samples are numbers instead of colours. They are read as they are
+//! stored: indices of a palette stay indices, grey of 1, 2 and 4 bit keeps its numbers in 8 bit,
+//! and colours stay whole. Transparency beside the samples (a PNG's tRNS chunk) and colour profiles
+//! are not applied.
 
 use std::sync::Arc;
 
@@ -29,7 +30,8 @@ pub struct Labels {
     pub shape: PngShape,
     /// The colours of the labels, if the file has them.
     pub palette: Option<Palette>,
-    /// The labels as a PNG stores them (16 bit big-endian). Shapes: `[height][width][shape.samples()]`.
+    /// The labels as a PNG stores them (16 bit big-endian). Shapes:
+    /// `[height][width][shape.samples()]`.
     pub values: Vec<u8>,
     /// What is written back.
     pub metadata: Arc<Metadata>,

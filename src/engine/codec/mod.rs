@@ -1,6 +1,7 @@
-//! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks the limits on that header before memory
-//! is allocated for the picture, and [`Opened::decode`] decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a
-//! file, PNG and JPEG strip by strip in any order.
+//! Reads and writes image files. [`probe`] reads a header and allocates nothing; [`open`] checks
+//! the limits on that header before memory is allocated for the picture, and [`Opened::decode`]
+//! decodes the pixels until it is cancelled; [`Writer`] encodes strips of rows into a file, PNG and
+//! JPEG strip by strip in any order.
 
 #[forbid(unsafe_code)]
 mod alloc;

@@ -1,6 +1,7 @@
-//! EXIF orientation: reads tag 0x0112 of IFD 0 (EXIF 2.32, 4.6.5), one of the eight symmetries of a rectangle, and applies it. Shapes:
-//! samples `[height][width][N]`. Malformed EXIF is the identity, never an error. Cost: 1 to 4 work in place; 5 to 8 need a second picture
-//! and are copied in tiles that fit the first-level cache.
+//! EXIF orientation: reads tag 0x0112 of IFD 0 (EXIF 2.32, 4.6.5), one of the eight symmetries of a
+//! rectangle, and applies it. Shapes: samples `[height][width][N]`. Malformed EXIF is the identity,
+//! never an error. Cost: 1 to 4 work in place; 5 to 8 need a second picture and are copied in tiles
+//! that fit the first-level cache.
 
 use super::alloc::zeros;
 use super::{CodecError, StepCounter};

@@ -1,5 +1,6 @@
-//! Reads the header of a file. The first bytes determine the format, never a name. The file is walked chunk by chunk, nothing proportional
-//! to the picture is allocated, and sizes are computed in u64. Callers reserve `Header::decode_bytes` before decoding.
+//! Reads the header of a file. The first bytes determine the format, never a name. The file is
+//! walked chunk by chunk, nothing proportional to the picture is allocated, and sizes are computed
+//! in u64. Callers reserve `Header::decode_bytes` before decoding.
 
 use super::metadata::Found;
 use super::orientation::Orientation;
@@ -13,14 +14,16 @@ pub struct Header {
     pub format: SourceFormat,
     /// Size of the upright picture (EXIF orientation applied).
     pub extent: Extent,
-    /// Channels of the decoded picture: RGBA if the file can hold transparency, else RGB (grey included).
+    /// Channels of the decoded picture: RGBA if the file can hold transparency, else RGB (grey
+    /// included).
     pub channels: Channels,
     /// Whether the colours of every pixel are equal, because the file stores one sample for them.
     pub grey: bool,
     /// Depth of the decoded picture: sixteen bit for a 16-bit PNG or TIFF, else eight.
     pub depth: Depth,
-    /// Upper bound of the memory for decoding, bytes: the picture, the decoder's planes, and the second picture of an orientation. For a
-    /// lossless WebP [`super::Opened::header`] is closer, because it has read the prefix codes.
+    /// Upper bound of the memory for decoding, bytes: the picture, the decoder's planes, and the
+    /// second picture of an orientation. For a lossless WebP [`super::Opened::header`] is closer,
+    /// because it has read the prefix codes.
     pub decode_bytes: u64,
 }
 
@@ -150,8 +153,8 @@ impl<'a> Parsed<'a> {
         } else {
             stored
         };
-        // The decoder's planes are freed before the picture is turned, so the peak is the larger of the two, not the sum; its small blocks
-        // stay with the allocator.
+        // The decoder's planes are freed before the picture is turned, so the peak is the larger of
+        // the two, not the sum; its small blocks stay with the allocator.
         let beside = if swaps {
             decoder_bytes.max(picture.saturating_add(TURNING_SLACK))
         } else {
@@ -171,8 +174,9 @@ impl<'a> Parsed<'a> {
 /// Reads the header: a few steps per chunk or segment of the file, whatever sizes they claim.
 ///
 /// # Errors
-/// [`CodecError::Unsupported`] for an unsupported format or variant, [`CodecError::TooLarge`] for an animation, [`CodecError::Bad`] for a
-/// damaged header. The caller checks the size: see [`super::Limits::check`].
+/// [`CodecError::Unsupported`] for an unsupported format or variant, [`CodecError::TooLarge`] for
+/// an animation, [`CodecError::Bad`] for a damaged header. The caller checks the size: see
+/// [`super::Limits::check`].
 pub fn probe(bytes: &[u8], work: &StepCounter<'_>) -> Result<Header, CodecError> {
     Parsed::new(bytes, work).map(|parsed| parsed.header())
 }

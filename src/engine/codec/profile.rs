@@ -1,13 +1,14 @@
 //! Selection of the colour profiles that are kept.
 
-/// The largest colour profile that is kept: real ones are below 100 KiB, printer profiles (never RGB) below 3 MiB.
+/// The largest colour profile that is kept: real ones are below 100 KiB, printer profiles (never
+/// RGB) below 3 MiB.
 pub(super) const MAX_ICC: usize = 1 << 20;
 
 /// Upper bound of a profile's memory: inflated, and encoded for writing.
 pub const PROFILE_BYTES: u64 = 2 * MAX_ICC as u64;
 
-/// Keeps a profile that is well-formed (ICC.1, 7.2: its length in the first four bytes, `acsp` at byte 36), not too large, and for the
-/// samples of the file: grey, or RGB.
+/// Keeps a profile that is well-formed (ICC.1, 7.2: its length in the first four bytes, `acsp` at
+/// byte 36), not too large, and for the samples of the file: grey, or RGB.
 pub(super) fn keep_profile(profile: Vec<u8>, grey: bool) -> Option<Vec<u8>> {
     let length = profile
         .first_chunk()

@@ -1,5 +1,6 @@
-//! Counts the steps of reading one file, and cancels it. Third-party decoders are stopped through their input: the readers here fail once
-//! the work is cancelled. Cost: one counter; `cancelled` is called once in [`STEPS`] steps.
+//! Counts the steps of reading one file, and cancels it. Third-party decoders are stopped through
+//! their input: the readers here fail once the work is cancelled. Cost: one counter; `cancelled` is
+//! called once in [`STEPS`] steps.
 
 use std::cell::Cell;
 use std::fmt;
@@ -11,10 +12,11 @@ use super::CodecError;
 
 /// Steps between two calls of `cancelled`; a step takes some nanoseconds.
 const STEPS: u64 = 1 << 16;
-/// Bytes that a decoder gets at once. Deflate expands them to at most 33 MB, which takes 10 to 30 ms.
+/// Bytes that a decoder gets at once. Deflate expands them to at most 33 MB, which takes 10 to 30
+/// ms.
 const PIECE: usize = 1 << 15;
-/// Requests for input between two calls of `cancelled`: where symbols take no bits, a decoder requests input at every symbol and uses
-/// none.
+/// Requests for input between two calls of `cancelled`: where symbols take no bits, a decoder
+/// requests input at every symbol and uses none.
 const REQUESTS: u32 = 1 << 10;
 
 /// The steps of reading one file, on one thread.
@@ -43,7 +45,8 @@ impl<'a> StepCounter<'a> {
         }
     }
 
-    /// Steps so far: chunks, segments, bytes searched, reads from a bit stream, and a decoder's requests for input.
+    /// Steps so far: chunks, segments, bytes searched, reads from a bit stream, and a decoder's
+    /// requests for input.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps.get()

@@ -1,6 +1,7 @@
-//! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several strips, rendered and encoded in parallel and
-//! sent in order; the other formats are one strip: the encoder of WebP needs whole pictures. Of grey pixels one sample is written, except in
-//! WebP, which has none.
+//! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several
+//! strips, rendered and encoded in parallel and sent in order; the other formats are one strip: the
+//! encoder of WebP needs whole pictures. Of grey pixels one sample is written, except in WebP,
+//! which has none.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -86,7 +87,8 @@ enum Coding {
 }
 
 impl Writer {
-    /// Creates a writer for one picture. A grey one becomes a file in colour if the format has no grey, or if the ground is not grey.
+    /// Creates a writer for one picture. A grey one becomes a file in colour if the format has no
+    /// grey, or if the ground is not grey.
     ///
     /// # Panics
     /// If a row is longer than 1 GiB.
@@ -123,7 +125,8 @@ impl Writer {
         }
     }
 
-    /// Creates a writer for a label image, whose samples are given as the file has them; `None` if the format would change them.
+    /// Creates a writer for a label image, whose samples are given as the file has them; `None` if
+    /// the format would change them.
     ///
     /// # Panics
     /// Like [`Self::new`].
@@ -193,11 +196,13 @@ impl Writer {
         }
     }
 
-    /// Upper bound of the memory for writing, the file included, bytes. For whole pictures: their samples, the encoder's buffers, and a
-    /// file no larger than the samples, because even noise compresses a little.
+    /// Upper bound of the memory for writing, the file included, bytes. For whole pictures: their
+    /// samples, the encoder's buffers, and a file no larger than the samples, because even noise
+    /// compresses a little.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
-        /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's buffers, the file.
+        /// Multiples of the samples: themselves, a copy without alpha or in 8 bit, the encoder's
+        /// buffers, the file.
         const COPIES: u64 = 4;
         match &self.kind {
             Kind::Png(png) => png.max_bytes(),
@@ -227,9 +232,9 @@ impl Writer {
         }
     }
 
-    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones big-endian; those of a grey picture are
-    /// overwritten. During long strips `wanted` is called from time to time, and encoding stops when it returns
-    /// false; the output is then incomplete.
+    /// Encodes one strip and appends it. `samples: [rows][width][channels]`, 16-bit ones
+    /// big-endian; those of a grey picture are overwritten. During long strips `wanted` is called
+    /// from time to time, and encoding stops when it returns false; the output is then incomplete.
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.

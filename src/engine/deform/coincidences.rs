@@ -1,10 +1,12 @@
-//! Coincidences of handles at rest: coincident points, points on segments, segments that touch, cross or overlap. Found once per field;
-//! each pose then only compares the two targets of every coincidence (mathematics section 6: where they differ, f is discontinuous).
+//! Coincidences of handles at rest: coincident points, points on segments, segments that touch,
+//! cross or overlap. Found once per field; each pose then only compares the two targets of every
+//! coincidence (mathematics section 6: where they differ, f is discontinuous).
 //!
-//! The work is bounded for every set. Points are compared with a few others of the surrounding grid cells: O(points). Segments are
-//! compared with those that overlap them along one of several directions, whichever leaves the fewest pairs: O(n log n + pairs). A set
-//! with more pairs than [`MOST_WORK`] allows is refused; at the default limit of columns that takes a million pairs of segments of which
-//! neither lies beside the other.
+//! The work is bounded for every set. Points are compared with a few others of the surrounding grid
+//! cells: O(points). Segments are compared with those that overlap them along one of several
+//! directions, whichever leaves the fewest pairs: O(n log n + pairs). A set with more pairs than
+//! [`MOST_WORK`] allows is refused; at the default limit of columns that takes a million pairs of
+//! segments of which neither lies beside the other.
 
 use std::collections::{HashMap, HashSet};
 
@@ -22,19 +24,23 @@ const NEAR: f64 = 1.0;
 const NEAR_FACTOR: f64 = 10.0;
 /// The largest number of coincidences in a set.
 const MOST: usize = 200_000;
-/// The number of points of a cell that other points are compared with, in the client's order. A warning needs some close pairs, not all.
-/// For points within [`COINCIDENT_SHARE`] the first one represents all others of its cell.
+/// The number of points of a cell that other points are compared with, in the client's order. A
+/// warning needs some close pairs, not all. For points within [`COINCIDENT_SHARE`] the first one
+/// represents all others of its cell.
 const CROWD: usize = 8;
-/// The side of a cell whose points all coincide, as a share of the distance of coincidence: its diagonal is shorter.
+/// The side of a cell whose points all coincide, as a share of the distance of coincidence: its
+/// diagonal is shorter.
 const SAME_CELL: f64 = 0.7;
-/// Limit of the work to search coincidences of segments: a pair that overlaps along the direction of the sweep costs 1, and [`COMPARISON`]
-/// more if neither lies on one side of the other's line and the two must be compared.
+/// Limit of the work to search coincidences of segments: a pair that overlaps along the direction
+/// of the sweep costs 1, and [`COMPARISON`] more if neither lies on one side of the other's line
+/// and the two must be compared.
 const MOST_WORK: u64 = 16 << 20;
 /// See [`MOST_WORK`].
 const COMPARISON: u64 = 16;
 /// Number of sweep directions, evenly spaced over half a turn.
 const DIRECTIONS: u32 = 8;
-/// A sweep along x that leaves at most this number of pairs per element is used without trying others.
+/// A sweep along x that leaves at most this number of pairs per element is used without trying
+/// others.
 const FEW_PAIRS: u64 = 8;
 
 /// A position on an element: the element's index and the parameter along it (0 for a point).
@@ -98,8 +104,8 @@ impl Coincidences {
         }
     }
 
-    /// Adds the positions at which the targets of two elements differ. `members`: the handles of an element, with the displacement that is
-    /// given for a group.
+    /// Adds the positions at which the targets of two elements differ. `members`: the handles of an
+    /// element, with the displacement that is given for a group.
     pub(super) fn add_contradictions<M: IntoIterator<Item = Member>>(
         &self,
         found: &mut Contradictions,
@@ -123,7 +129,8 @@ impl Coincidences {
         if found.is_empty() {
             return;
         }
-        // Handles that agree with each other belong to the group too; each element once, because it may be a group of many points.
+        // Handles that agree with each other belong to the group too; each element once, because it
+        // may be a group of many points.
         let mut added = HashSet::new();
         for on in self.touching.iter().flat_map(|(x, y)| [*x, *y]) {
             let (position, displacement) = at(on);
@@ -196,7 +203,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Finds coincident points, each paired with the first in the client's order, and points that are near each other.
+    /// Finds coincident points, each paired with the first in the client's order, and points that
+    /// are near each other.
     fn points(&mut self) -> Result<(), DeformError> {
         let points = || {
             self.elements
@@ -329,7 +337,8 @@ impl Cells {
         }
     }
 
-    /// Points lie within a few extents of the origin, and a side is at least a billionth of the extent.
+    /// Points lie within a few extents of the origin, and a side is at least a billionth of the
+    /// extent.
     #[expect(clippy::cast_possible_truncation, reason = "some 2^32 cells at most")]
     fn cell(&self, p: Point) -> (i64, i64) {
         let from = p - self.origin;
@@ -367,7 +376,8 @@ struct Interval {
     index: usize,
 }
 
-/// The elements in their order along a direction, and the number of overlapping pairs, pairs of points excluded.
+/// The elements in their order along a direction, and the number of overlapping pairs, pairs of
+/// points excluded.
 struct Sweep {
     segments: Vec<Interval>,
     points: Vec<Interval>,
@@ -455,7 +465,8 @@ fn on(s: &Segment, p: Point, within: f64) -> Option<f64> {
     (d2 <= within * within).then_some(t)
 }
 
-/// The parameters at which two segments cross in their interiors; parallel segments coincide at their ends or not at all.
+/// The parameters at which two segments cross in their interiors; parallel segments coincide at
+/// their ends or not at all.
 fn crossing(s: &Segment, other: &Segment) -> Option<(f64, f64)> {
     let sin = s.tau.cross(other.tau);
     if sin.abs() < 1e-12 {
@@ -576,12 +587,14 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
         #[test]
-        fn meetings_are_those_of_a_search_of_all_pairs(handles in prop::collection::vec(handle(), 0..14)) {
+        fn meetings_are_those_of_a_search_of_all_pairs(handles in prop::collection::vec(handle(),
+            0..14)) {
             agrees(handles)?;
         }
 
         #[test]
-        fn meetings_far_from_the_origin_are_too(handles in prop::collection::vec(handle(), 0..9), x in -9e5..9e5_f64, y in -9e5..9e5_f64) {
+        fn meetings_far_from_the_origin_are_too(handles in prop::collection::vec(handle(), 0..9),
+            x in -9e5..9e5_f64, y in -9e5..9e5_f64) {
             let moved = |p: &Point| Point::new(p.x + x, p.y + y);
             agrees(handles.iter().map(|h| match h {
                 Handle::Point(p) => Handle::Point(moved(p)),
@@ -608,7 +621,8 @@ mod tests {
         }
     }
 
-    /// Sets of 10,000 columns, each the worst of its kind: all of them take a bounded amount of work, and end.
+    /// Sets of 10,000 columns, each the worst of its kind: all of them take a bounded amount of
+    /// work, and end.
     #[test]
     fn the_work_of_the_worst_sets_is_bounded() {
         const N: u32 = 10_000;
@@ -708,7 +722,8 @@ mod tests {
             let outcome = search.run().map_err(|e| e.to_string());
             let (n, found) = (elements.len() as u64, &search.found);
             eprintln!(
-                "{name}: {} elements, {} comparisons of points, {} work, {} meetings, {} near, {:.1} ms, {:?}",
+                "{name}: {} elements, {} comparisons of points, {} work, {} meetings, {} near, \
+                    {:.1} ms, {:?}",
                 n,
                 search.compared,
                 search.work,

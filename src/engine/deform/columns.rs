@@ -1,5 +1,6 @@
-//! Handles at rest as elements with columns: one column per point, two per segment (mathematics sections 3.1 and 4). Degeneracy is decided
-//! once from the geometry of the set, never per vertex from a determinant.
+//! Handles at rest as elements with columns: one column per point, two per segment (mathematics
+//! sections 3.1 and 4). Degeneracy is decided once from the geometry of the set, never per vertex
+//! from a determinant.
 
 use super::handles::{COINCIDENT_SHARE, Handle, Handles};
 use crate::geometry::{Point, Vec2};
@@ -12,7 +13,8 @@ pub(super) const ONE_PLACE: f64 = 1e-6;
 pub(super) enum Element {
     /// A point: `w = mass |p - v|^(-2 alpha)`.
     Point { p: Point, mass: f64, column: usize },
-    /// A segment with a density of `weight` per px: two columns, `column` for `a` and the next for `b`.
+    /// A segment with a density of `weight` per px: two columns, `column` for `a` and the next for
+    /// `b`.
     Segment(Segment),
 }
 
@@ -141,7 +143,8 @@ pub(super) fn rank(handles: &Handles) -> Rank {
     )]
     let mean =
         first + places().fold(Vec2::ZERO, |s, p| s + (p - first)) * (1.0 / places().count() as f64);
-    // Total least squares: the direction that maximises sum (d . u)^2 has the angle atan2(2 sxy, sxx - syy) / 2.
+    // Total least squares: the direction that maximises sum (d . u)^2 has the angle atan2(2 sxy,
+    // sxx - syy) / 2.
     let (mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0);
     for p in places() {
         let d = p - mean;
@@ -162,7 +165,8 @@ pub(super) fn rank(handles: &Handles) -> Rank {
 }
 
 impl Segment {
-    /// Parameter in [0, 1] of the point of the segment nearest to `p`, and the squared distance to it.
+    /// Parameter in [0, 1] of the point of the segment nearest to `p`, and the squared distance to
+    /// it.
     pub(super) fn nearest(&self, p: Point) -> (f64, f64) {
         let along = (p - self.a).dot(self.tau);
         if along <= 0.0 {

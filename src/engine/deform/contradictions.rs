@@ -1,4 +1,5 @@
-//! Contradictory handles of a pose: those that coincide at rest and have different targets, grouped by their position.
+//! Contradictory handles of a pose: those that coincide at rest and have different targets, grouped
+//! by their position.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -11,10 +12,12 @@ const MOST_HANDLES: usize = 100;
 /// Handles that a sentence lists.
 const MOST_NAMED: usize = 5;
 
-/// Handles that coincide at rest and have different targets, or one polyline that visits a position more than once.
+/// Handles that coincide at rest and have different targets, or one polyline that visits a position
+/// more than once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contradiction {
-    /// Indices of the handles, ascending, each once, at most 100; one if it is a polyline that meets itself.
+    /// Indices of the handles, ascending, each once, at most 100; one if it is a polyline that
+    /// meets itself.
     pub handles: Vec<usize>,
     /// The number of all handles of the group.
     pub total: usize,
@@ -93,7 +96,8 @@ pub struct Contradictory {
     /// The number of all groups.
     pub total: usize,
     positions: Positions,
-    /// Positions at which f is torn, and the distance of two targets there, px. Coincident points, which move by their mean, tear nothing.
+    /// Positions at which f is torn, and the distance of two targets there, px. Coincident points,
+    /// which move by their mean, tear nothing.
     tears: Vec<(Point, f64)>,
 }
 
@@ -322,7 +326,8 @@ mod tests {
         );
         assert_eq!(
             found[0].to_string(),
-            "handles 2, 5, 7 meet at rest at (120, 80) but their targets there are up to 6 px from their mean"
+            "handles 2, 5, 7 meet at rest at (120, 80) but their targets there are up to 6 px \
+                from their mean"
         );
         let heavy = Member { weight: 5.0, ..b };
         let (found, _) = groups(&[(at, heavy), (at, a)], &[at]);

@@ -1,13 +1,15 @@
-//! The cells of a posed grid whose bilinear patch may be too far from f, found from the second differences of the grid alone.
-//! Cost: O(vertices), a few operations each.
+//! The cells of a posed grid whose bilinear patch may be too far from f, found from the second
+//! differences of the grid alone. Cost: O(vertices), a few operations each.
 
 use crate::geometry::Mesh;
 
-/// A last row or column of cells narrower than this share of a cell takes the differences of the previous one.
+/// A last row or column of cells narrower than this share of a cell takes the differences of the
+/// previous one.
 const NARROW: f64 = 0.25;
 
-/// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a patch is at most an eighth of the second
-/// differences of both axes together; of each vertex. A grid of fewer than four lines along an axis has no differences there.
+/// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a
+/// patch is at most an eighth of the second differences of both axes together; of each vertex. A
+/// grid of fewer than four lines along an axis has no differences there.
 pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
@@ -96,8 +98,9 @@ enum Axis {
     Y,
 }
 
-/// Whether the cells between two lines of a long axis may be bent, for each pair of lines. f is assumed to bend as much across a narrow
-/// grid as along it; a picture of a few rows is also compared with this share of the limit, because f may bend across it alone.
+/// Whether the cells between two lines of a long axis may be bent, for each pair of lines. f is
+/// assumed to bend as much across a narrow grid as along it; a picture of a few rows is also
+/// compared with this share of the limit, because f may bend across it alone.
 fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
     const NARROW_LIMIT: f64 = 0.25;
     let grid = mesh.grid();
@@ -153,7 +156,8 @@ impl Last {
         Self { share }
     }
 
-    /// The line whose differences stand for those of `line`, the second but last, and how to compute them.
+    /// The line whose differences stand for those of `line`, the second but last, and how to
+    /// compute them.
     fn line(self, line: usize) -> (usize, Option<Self>) {
         if self.share < NARROW {
             (line - 1, None)
@@ -177,7 +181,8 @@ mod tests {
     use super::*;
     use crate::geometry::Grid;
 
-    /// A grid of cells of 16 px whose displacement grows with the square of the distance from the 100th line, but no farther than 10 lines.
+    /// A grid of cells of 16 px whose displacement grows with the square of the distance from the
+    /// 100th line, but no farther than 10 lines.
     fn bent_near_a_line(width: f64, height: f64) -> Mesh {
         let grid = Grid::with_cell(width, height, 16.0);
         let line = |k: u32| f32::from(u16::try_from(k.clamp(90, 110)).unwrap()) - 100.0;

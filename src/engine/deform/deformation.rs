@@ -16,9 +16,11 @@ use crate::geometry::{Point, Vec2};
 
 /// Sets of more points are posed by moments where rows are used once.
 const MANY_POINTS: usize = 128;
-/// The largest alpha at which affine moments are accurate: above it, the weights at most positions differ by more than numbers hold.
+/// The largest alpha at which affine moments are accurate: above it, the weights at most positions
+/// differ by more than numbers hold.
 const MOST_AFFINE: f64 = 2.0;
-/// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some microseconds, with lines a millisecond.
+/// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some
+/// microseconds, with lines a millisecond.
 const COLUMNS_BETWEEN_CHECKS: usize = 256;
 /// Positions along a segment at which f is compared with the drawn map.
 const SEGMENT_SAMPLES: u32 = 5;
@@ -64,7 +66,8 @@ impl Field {
     }
 
     fn has_moments(&self) -> bool {
-        // Affine moments of points on nearly one line are accurate only if none of them is much lighter than the others.
+        // Affine moments of points on nearly one line are accurate only if none of them is much
+        // lighter than the others.
         let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
         let is_accurate = |falloff: Falloff| {
             falloff.alpha() <= MOST_AFFINE && self.sources.points.windows(2).all(is_equal)
@@ -86,8 +89,9 @@ impl Field {
         self.deformation(pose).map(place)
     }
 
-    /// Calls `look` with positions at which f is known, and their displacements, px: those of points, and a few of each segment. Positions
-    /// at which handles contradict each other are left out. `None` when cancelled.
+    /// Calls `look` with positions at which f is known, and their displacements, px: those of
+    /// points, and a few of each segment. Positions at which handles contradict each other are left
+    /// out. `None` when cancelled.
     pub fn look_at_handles(
         &self,
         pose: &Pose,
@@ -124,8 +128,9 @@ impl Field {
         Some(())
     }
 
-    /// Calls `look` with the client's points that are one handle with others, where they agree with them: their own positions, at which f
-    /// is only approximately known, and their displacements, px. `None` when cancelled.
+    /// Calls `look` with the client's points that are one handle with others, where they agree with
+    /// them: their own positions, at which f is only approximately known, and their displacements,
+    /// px. `None` when cancelled.
     pub fn look_at_grouped_points(
         &self,
         pose: &Pose,
@@ -149,7 +154,8 @@ impl Field {
         Some(())
     }
 
-    /// Where f takes the handles, if not to their targets: the displacements of the columns, px. The outer `None`: cancelled.
+    /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
+    /// The outer `None`: cancelled.
     #[must_use]
     pub fn approximated(
         &self,
@@ -200,7 +206,8 @@ impl Deformation<'_> {
         })
     }
 
-    /// f at many positions: the same bits as [`Deformation::map`], several times as fast. `None` when cancelled.
+    /// f at many positions: the same bits as [`Deformation::map`], several times as fast. `None`
+    /// when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
         let mut workspace = Workspace::new(self.columns());
@@ -232,7 +239,8 @@ impl Deformation<'_> {
             .collect()
     }
 
-    /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes throughout.
+    /// `f(v) - v` of N vertices, px, and the least |m| (rigid), else 1. `exact`: quadrature nodes
+    /// throughout.
     pub(super) fn displacements<const N: usize>(
         &self,
         v: &Vertices<N>,

@@ -1,6 +1,6 @@
-//! What a pose asks of the map as a whole: to mirror the picture, or another size (mathematics 10.5).
-//! Landmarks of a section that lies face down ask for it; handles that are dragged far, or past one
-//! another, do not: there is no map of that kind that explains them all.
+//! What a pose asks of the map as a whole: to mirror the picture, or another size (mathematics
+//! 10.5). Landmarks of a section that lies face down ask for it; handles that are dragged far, or
+//! past one another, do not: there is no map of that kind that explains them all.
 
 use std::ops::RangeInclusive;
 
@@ -12,16 +12,17 @@ use crate::geometry::{Point, Vec2};
 const SCALES: RangeInclusive<f64> = 0.5 - 1e-9..=2.0 + 1e-9;
 /// A map explains a pose if it leaves at most this share of what is left without it.
 const EXPLAINS: f64 = 0.25;
-/// Fewer controls than this fit many maps by chance: then what is left must be this small a share of the
-/// spread, or, with more controls than an affine map needs, of what is left without it.
+/// Fewer controls than this fit many maps by chance: then what is left must be this small a share
+/// of the spread, or, with more controls than an affine map needs, of what is left without it.
 const FEW: usize = 8;
 const LEFT_OF_FEW: f64 = 0.05;
 const EXACT: f64 = 0.01;
 const LEAST_FOR_EXACT: usize = 4;
-/// A pose is not mirrored if a rotation with a scale leaves less than this share of its spread: handles
-/// nearly on a line look the same in a mirror.
+/// A pose is not mirrored if a rotation with a scale leaves less than this share of its spread:
+/// handles nearly on a line look the same in a mirror.
 const LEAST_LEFT: f64 = 0.04;
-/// A map with less area than this, relative to the squares of its two scales, is flattened, not mirrored.
+/// A map with less area than this, relative to the squares of its two scales, is flattened, not
+/// mirrored.
 const LEAST_AREA: f64 = 0.1;
 
 /// What a pose asks for.
@@ -40,8 +41,8 @@ pub enum Demand {
 }
 
 impl Field {
-    /// What a pose asks for beyond rotations of about the same size; nothing of handles at one position
-    /// or on one line. O(columns).
+    /// What a pose asks for beyond rotations of about the same size; nothing of handles at one
+    /// position or on one line. O(columns).
     #[must_use]
     pub fn demand(&self, pose: &Pose) -> Option<Demand> {
         if pose.is_identity() {
@@ -123,7 +124,8 @@ mod tests {
         demand_of(&points(p), &points(q))
     }
 
-    /// `count` points in a picture of 300 x 200, mapped by `map` with an error of at most `noise` px.
+    /// `count` points in a picture of 300 x 200, mapped by `map` with an error of at most `noise`
+    /// px.
     fn mapped(
         seed: u32,
         count: usize,
@@ -209,14 +211,14 @@ mod tests {
             }
         }
         let [p, q] = mapped(1, 9, 0.0, turned(0.3, 4.0, false));
-        assert!(
-            matches!(of_points(&p, &q), Some(Demand::Scaled { scale }) if (scale - 4.0).abs() < 1e-9)
-        );
+        assert!(matches!(of_points(&p, &q),
+                Some(Demand::Scaled { scale }) if (scale - 4.0).abs() < 1e-9));
         let [p, q] = mapped(1, 9, 0.0, turned(0.3, 2.0, false));
         assert_eq!(of_points(&p, &q), None, "twice is within the range");
     }
 
-    /// Edits by hand: some handles go anywhere, the others stay. With three handles any pose is affine.
+    /// Edits by hand: some handles go anywhere, the others stay. With three handles any pose is
+    /// affine.
     #[test]
     fn handles_that_are_dragged_far_ask_for_nothing() {
         for (moved, count, most) in [
@@ -287,12 +289,10 @@ mod tests {
                 .map(|line| Handle::Polyline(line.places().iter().map(|p| map(*p)).collect()))
                 .collect::<Vec<_>>()
         };
-        assert!(
-            matches!(demand_of(&p, &map(1.0, true)), Some(Demand::Mirrored { determinant }) if (determinant + 1.0).abs() < 1e-9)
-        );
-        assert!(
-            matches!(demand_of(&p, &map(0.2, false)), Some(Demand::Scaled { scale }) if (scale - 0.2).abs() < 1e-9)
-        );
+        assert!(matches!(demand_of(&p, &map(1.0, true)),
+                Some(Demand::Mirrored { determinant }) if (determinant + 1.0).abs() < 1e-9));
+        assert!(matches!(demand_of(&p, &map(0.2, false)),
+                Some(Demand::Scaled { scale }) if (scale - 0.2).abs() < 1e-9));
         assert_eq!(demand_of(&p, &map(1.0, false)), None);
     }
 }

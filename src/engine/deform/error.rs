@@ -110,7 +110,8 @@ pub enum DeformError {
         /// The smoothing.
         value: f64,
     },
-    /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be interpolated).
+    /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be
+    /// interpolated).
     AlphaOutOfRange {
         /// The exponent.
         alpha: f64,
@@ -133,7 +134,8 @@ impl fmt::Display for DeformError {
             } => {
                 write!(
                     f,
-                    "handle {handle} has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px",
+                    "handle {handle} has a coordinate of {} px; coordinates must lie between \
+                        -{limit} and {limit} px",
                     Compact(*value)
                 )
             }
@@ -156,7 +158,8 @@ impl fmt::Display for DeformError {
             } => write!(f, "handle {handle} is {posed} in `q`, but {rest} in `p`"),
             Self::MissingInPose { handle } => write!(
                 f,
-                "handle {handle} has a position in `p` and none in `q`: to leave it out, the set of rest handles must have none either"
+                "handle {handle} has a position in `p` and none in `q`: to leave it out, the set \
+                    of rest handles must have none either"
             ),
             Self::WeightCount { rest, weights } => {
                 write!(
@@ -188,7 +191,8 @@ impl fmt::Display for DeformError {
             Self::DegenerateLine { handle, segment } => {
                 write!(
                     f,
-                    "handle {handle} is a line whose segment {segment} has no length at rest; send a point instead"
+                    "handle {handle} is a line whose segment {segment} has no length at rest; \
+                        send a point instead"
                 )
             }
             Self::Contradictory { listed, total } => {
@@ -206,14 +210,16 @@ impl fmt::Display for DeformError {
             ),
             Self::TooManyNeighbours { limit } => write!(
                 f,
-                "the lines lie so close to each other that more than {limit} pairs of handles would have to be compared; \
+                "the lines lie so close to each other that more than {limit} pairs of handles \
+                    would have to be compared; \
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
             Self::LineInSpline { handle } => {
                 write!(
                     f,
-                    "handle {handle} is a line, but the method `tps` takes points only; send points along the line, or another method"
+                    "handle {handle} is a line, but the method `tps` takes points only; send \
+                        points along the line, or another method"
                 )
             }
             Self::BadSmoothing { value } => write!(
@@ -252,7 +258,8 @@ const MOST_DESCRIBED: usize = 3;
 pub enum Warning {
     /// Affine with all handles on one line: the similarity rows are used.
     AffineDegenerateUsedSimilarity,
-    /// A thin-plate spline with all handles on one line: across the line, the result follows similarities.
+    /// A thin-plate spline with all handles on one line: across the line, the result follows
+    /// similarities.
     TpsDegenerateUsedSimilarity,
     /// One handle, or all at one place: the result is a translation.
     TranslationOnly,

@@ -1,8 +1,10 @@
-//! Exact rows inside the cells of a grid: the coefficients of the vertices that halving a cell adds. Computed when a pose first needs them,
-//! and kept while they fit; those that do not fit are computed again for each pose, to the same bits, because each vertex has its own lane.
+//! Exact rows inside the cells of a grid: the coefficients of the vertices that halving a cell
+//! adds. Computed when a pose first needs them, and kept while they fit; those that do not fit are
+//! computed again for each pose, to the same bits, because each vertex has its own lane.
 //!
-//! Shapes: a group holds the vertices that one halving adds to one cell, those of `[2^level + 1][2^level + 1]` with an odd index, row by
-//! row. Small groups share a block of [`LANES`] vertices.
+//! Shapes: a group holds the vertices that one halving adds to one cell, those of
+//! `[2^level + 1][2^level + 1]` with an odd index, row by row. Small groups share a block of
+//! [`LANES`] vertices.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,7 +20,8 @@ use super::plan::{IsCancelled, store, to_f32};
 use super::span::Workspace;
 use crate::geometry::{Grid, Point, Vec2};
 
-/// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the counters of its unit.
+/// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the
+/// counters of its unit.
 const ENTRY: usize = 96;
 
 /// Blocks of one or more groups, as the table of a plan, and what they hold.
@@ -88,7 +91,8 @@ impl ExactRows {
         }
     }
 
-    /// Displacements of the groups of cells, which must be sorted, `[cells][group]`; `None` when cancelled, which is checked for each unit.
+    /// Displacements of the groups of cells, which must be sorted, `[cells][group]`; `None` when
+    /// cancelled, which is checked for each unit.
     pub(super) fn displace(
         &self,
         posing: &Posing<'_>,

@@ -1,4 +1,5 @@
-//! The fall-off `w = |p - v|^(-2 alpha)`, always computed as a power of a ratio of squared distances, so that it never overflows.
+//! The fall-off `w = |p - v|^(-2 alpha)`, always computed as a power of a ratio of squared
+//! distances, so that it never overflows.
 
 use super::DeformError;
 use super::lane_math::pow;
@@ -64,7 +65,8 @@ impl Falloff {
         self.power
     }
 
-    /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no distance.
+    /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no
+    /// distance.
     #[inline(always)]
     pub(super) fn of_squares(self, squares: &mut [f64]) {
         match self.power {

@@ -1,5 +1,6 @@
-//! The families of maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`, and for rigid `v + e rho(u) + sum wn_j d_j`
-//! with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v bit for bit.
+//! The families of maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`, and for
+//! rigid `v + e rho(u) + sum wn_j d_j` with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v
+//! bit for bit.
 
 use super::Method;
 use super::lanes::Rows;
@@ -60,7 +61,8 @@ pub(super) fn rotation<const N: usize>(
     }
 }
 
-/// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes and all rotations fit equally.
+/// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes
+/// and all rotations fit equally.
 pub(super) fn rho(u: Vec2) -> Vec2 {
     let n = (1.0 + u.x).hypot(u.y);
     if n < UNDEFINED {

@@ -1,5 +1,6 @@
-//! The deformation f of one set of handles at rest: exact at any position, for any pose. Everything that does not depend on a position is
-//! decided once here: degenerate sets, coincidences, the effective family.
+//! The deformation f of one set of handles at rest: exact at any position, for any pose. Everything
+//! that does not depend on a position is decided once here: degenerate sets, coincidences, the
+//! effective family.
 
 use std::sync::Arc;
 
@@ -24,7 +25,8 @@ const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 /// Smoothing of a spline.
 const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 
-/// Handles at rest with the parameters of their method: everything that f depends on except the pose.
+/// Handles at rest with the parameters of their method: everything that f depends on except the
+/// pose.
 #[derive(Clone, Debug)]
 pub struct Field {
     /// Coincident points are one handle.
@@ -33,7 +35,8 @@ pub struct Field {
     pub(super) grouped: Option<Box<(Handles, Groups)>>,
     policy: CoincidentPolicy,
     pub(super) model: Model,
-    /// The family whose rows are used: affine on a line falls back to similarity; the rows of a spline are real, on a line complex.
+    /// The family whose rows are used: affine on a line falls back to similarity; the rows of a
+    /// spline are real, on a line complex.
     pub(super) family: Method,
     pub(super) rank: Rank,
     pub(super) elements: Vec<Element>,
@@ -126,10 +129,12 @@ fn determined(method: Method, rank: Rank) -> (Method, Vec<Warning>) {
 }
 
 impl Field {
-    /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where points and lines are mixed.
+    /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where
+    /// points and lines are mixed.
     ///
     /// # Errors
-    /// A mass or a distance out of range, too many coincidences of handles, or too many lines close to each other.
+    /// A mass or a distance out of range, too many coincidences of handles, or too many lines close
+    /// to each other.
     pub fn new(
         handles: Handles,
         method: Method,
@@ -202,8 +207,9 @@ impl Field {
         })
     }
 
-    /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends less, towards the affine map that fits
-    /// them best. A weight divides the smoothing of its handle.
+    /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends
+    /// less, towards the affine map that fits them best. A weight divides the smoothing of its
+    /// handle.
     ///
     /// # Errors
     /// Lines, a smoothing out of range, too many coincidences of handles.
@@ -224,8 +230,8 @@ impl Field {
         Self::spline_of(handles, coincident, smoothing, true, cancelled)
     }
 
-    /// The handles and parameters of [`Field::spline`] without its system, which takes nearly all of
-    /// the time: it is described by this, and cannot be evaluated.
+    /// The handles and parameters of [`Field::spline`] without its system, which takes nearly all
+    /// of the time: it is described by this, and cannot be evaluated.
     #[cfg(feature = "codec")]
     pub(crate) fn spline_without_system(
         handles: Handles,
@@ -343,7 +349,8 @@ impl Field {
         })
     }
 
-    /// Bytes that [`Field::spline`] of this number of points takes; known before anything is allocated.
+    /// Bytes that [`Field::spline`] of this number of points takes; known before anything is
+    /// allocated.
     #[must_use]
     pub const fn spline_bytes(points: u64) -> u64 {
         Spline::bytes(points)
@@ -406,7 +413,8 @@ impl Field {
             .collect()
     }
 
-    /// Pairs posed handles with the client's handles at rest. Coincident points move by the weighted mean of their displacements.
+    /// Pairs posed handles with the client's handles at rest. Coincident points move by the
+    /// weighted mean of their displacements.
     ///
     /// # Errors
     /// Shapes, numbers; contradictory targets, if the policy is to reject them.
@@ -454,7 +462,8 @@ impl Field {
                 members.unwrap_or_else(|| {
                     let handle = self.owners[element];
                     let weights = self.given().weights();
-                    // Columns of the client's set identify the points of groups; these must differ from them.
+                    // Columns of the client's set identify the points of groups; these must differ
+                    // from them.
                     vec![Member {
                         element: usize::MAX - element,
                         handle,
@@ -467,7 +476,8 @@ impl Field {
         found.finish()
     }
 
-    /// Warnings for this set and pose, in the order of [`Warning`], except undefined rotations, which only the plan finds.
+    /// Warnings for this set and pose, in the order of [`Warning`], except undefined rotations,
+    /// which only the plan finds.
     #[must_use]
     pub fn warnings(&self, pose: &Pose) -> Vec<Warning> {
         let mut warnings = self.warnings.clone();
@@ -537,7 +547,8 @@ impl Field {
         }
     }
 
-    /// All handles at one position: the mass-weighted mean of their displacements, for every family.
+    /// All handles at one position: the mass-weighted mean of their displacements, for every
+    /// family.
     fn translation<const N: usize>(&self, rows: &mut Rows<N>) {
         rows.clear();
         let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();

@@ -1,13 +1,14 @@
-//! Fits the map at a vertex (steps 4 to 6 of mathematics 7.1): centroid, second moments, and the rows of the family, rotated back from the
-//! frame. The mass of a segment is distributed along its direction; sums need only its moments, so it adds a few terms to those of a
-//! point.
+//! Fits the map at a vertex (steps 4 to 6 of mathematics 7.1): centroid, second moments, and the
+//! rows of the family, rotated back from the frame. The mass of a segment is distributed along its
+//! direction; sums need only its moments, so it adds a few terms to those of a point.
 
 use super::Method;
 use super::columns::{PointSource, Segment, Sources};
 use super::lanes::{PointMass, Rows};
 use super::span::{Scratch, Span};
 
-/// `tau`: direction of the frame, `at_v`: v in it. Leaves positions relative to p* and masses that add up to 1.
+/// `tau`: direction of the frame, `at_v`: v in it. Leaves positions relative to p* and masses that
+/// add up to 1.
 #[inline(always)]
 pub(super) fn fit<const N: usize>(
     method: Method,
@@ -67,8 +68,8 @@ struct Rotation<'a, const N: usize> {
 }
 
 impl<const N: usize> Rotation<'_, N> {
-    /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, rotated back by conj(tau), and wn; similarity `C = wn + e
-    /// H`, where the rotation cancels.
+    /// From `g p^` and `wn` of a column, with `H = g conj(p^)`: rigid keeps H, rotated back by
+    /// conj(tau), and wn; similarity `C = wn + e H`, where the rotation cancels.
     #[inline(always)]
     fn put(
         &self,
@@ -164,7 +165,8 @@ fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMa
         .chain(scratch.spans.iter().map(|span| &span.place))
 }
 
-/// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first, because next to a line S has a condition of h^(3 - 2 alpha).
+/// `C = wn + e S^-1 (w p^)^T` by LDL^T with the frame's tangent first, because next to a line S has
+/// a condition of h^(3 - 2 alpha).
 #[inline(always)]
 fn affine<const N: usize>(
     sources: &Sources,

@@ -1,5 +1,6 @@
-//! One affine map for the whole plane: that of least squares over all handles, without a fall-off. It does not interpolate the handles.
-//! Handles on a line determine a similarity only. A segment counts with the integral over its length. O(columns) for a position.
+//! One affine map for the whole plane: that of least squares over all handles, without a fall-off.
+//! It does not interpolate the handles. Handles on a line determine a similarity only. A segment
+//! counts with the integral over its length. O(columns) for a position.
 
 use super::columns::{PointSource, Segment, Sources};
 use super::lanes::{Rows, Vertices};
@@ -19,8 +20,8 @@ pub(super) struct GlobalAffine {
     columns: Vec<Column>,
 }
 
-/// The coefficient of a column at `e` in the frame: `share + gradient . (e.x, e.y - slope e.x)`, for a similarity
-/// `share + e conj(gradient)`.
+/// The coefficient of a column at `e` in the frame: `share + gradient . (e.x, e.y - slope e.x)`,
+/// for a similarity `share + e conj(gradient)`.
 #[derive(Clone, Copy, Debug)]
 struct Column {
     column: usize,
@@ -93,7 +94,8 @@ impl GlobalAffine {
         for Piece { a, b, .. } in &mut pieces {
             (*a, *b) = (turned(*a, tau), turned(*b, tau));
         }
-        // The tangent first, then what is left across it, so that handles near a line keep their digits.
+        // The tangent first, then what is left across it, so that handles near a line keep their
+        // digits.
         let sum = |f: &dyn Fn(Vec2) -> f64, g: &dyn Fn(Vec2) -> f64| -> f64 {
             pieces
                 .iter()
@@ -157,7 +159,8 @@ impl GlobalAffine {
     }
 }
 
-/// The columns of all sources; `pieces` in their order. The first moment of an end is the integral of the position times the end's share.
+/// The columns of all sources; `pieces` in their order. The first moment of an end is the integral
+/// of the position times the end's share.
 fn masses<'a>(sources: &'a Sources, pieces: &'a [Piece]) -> impl Iterator<Item = Mass> + 'a {
     let (points, segments) = pieces.split_at(sources.points.len());
     let points = sources

@@ -1,5 +1,6 @@
-//! Groups of coincident points: the points of a group are one handle, at their weighted mean (mathematics section 6). Groups follow from
-//! the handles at rest alone, so a plan does not depend on q.
+//! Groups of coincident points: the points of a group are one handle, at their weighted mean
+//! (mathematics section 6). Groups follow from the handles at rest alone, so a plan does not depend
+//! on q.
 
 use std::collections::HashMap;
 
@@ -9,7 +10,8 @@ use super::handles::COINCIDENT_SHARE;
 use super::{DeformError, Handle, Handles};
 use crate::geometry::{Point, Vec2};
 
-/// The side of a cell whose points all coincide, as a share of the distance of coincidence: its diagonal is shorter than that distance.
+/// The side of a cell whose points all coincide, as a share of the distance of coincidence: its
+/// diagonal is shorter than that distance.
 const CELL: f64 = 0.7;
 /// Points of two cells may coincide if their columns and rows differ by at most this.
 const REACH: i64 = 2;
@@ -29,7 +31,8 @@ pub enum CoincidentPolicy {
 pub struct Coincident {
     /// For those whose displacements differ.
     pub policy: CoincidentPolicy,
-    /// Points nearer to each other than this are one handle, px; at least a billionth of the set's extent.
+    /// Points nearer to each other than this are one handle, px; at least a billionth of the set's
+    /// extent.
     pub within: f64,
 }
 
@@ -68,9 +71,10 @@ enum Origin {
 }
 
 impl Groups {
-    /// Finds the groups of points within `distance` of each other, directly or by way of others. O(points), except for neighbouring cells
-    /// that have many points and none within the distance: at worst a third of the squared number of points.
-    /// `None` if no points coincide. The second result: the handle in `handles` of each grouped handle.
+    /// Finds the groups of points within `distance` of each other, directly or by way of others.
+    /// O(points), except for neighbouring cells that have many points and none within the distance:
+    /// at worst a third of the squared number of points. `None` if no points coincide. The second
+    /// result: the handle in `handles` of each grouped handle.
     ///
     /// # Errors
     /// Cancelled, which is checked for each point.
@@ -189,7 +193,8 @@ impl Groups {
         group.iter().map(|point| point.handle)
     }
 
-    /// Adds the position of each group whose displacements differ from their mean by more than `tolerance`.
+    /// Adds the position of each group whose displacements differ from their mean by more than
+    /// `tolerance`.
     pub(super) fn add_contradictions(
         &self,
         found: &mut Contradictions,
@@ -289,7 +294,8 @@ fn firsts(
         .collect())
 }
 
-/// Joins two cells, each of which is in one set, if a point of one is within `distance` of a point of the other.
+/// Joins two cells, each of which is in one set, if a point of one is within `distance` of a point
+/// of the other.
 fn join_cells(
     sets: &mut [usize],
     points: &[Point],
@@ -330,7 +336,8 @@ fn root(sets: &mut [usize], mut index: usize) -> usize {
     index
 }
 
-/// The cell of a position relative to the least one of the set: the distance is at least 1e-9 of the set's extent, so there are few cells.
+/// The cell of a position relative to the least one of the set: the distance is at least 1e-9 of
+/// the set's extent, so there are few cells.
 #[expect(clippy::cast_possible_truncation, reason = "at most 1e10")]
 fn cell(p: Vec2, side: f64) -> [i64; 2] {
     [(p.x / side).floor() as i64, (p.y / side).floor() as i64]
@@ -366,8 +373,10 @@ mod tests {
             side in 0.01..3.0_f64,
             distance in 0.005..6.0_f64,
         ) {
-            let points: Vec<Point> = places.iter().map(|&(x, y)| Point::new(f64::from(x) * side - 20.0, f64::from(y) * side)).collect();
-            prop_assert_eq!(firsts(&points, distance, NEVER).unwrap(), by_brute_force(&points, distance));
+            let points: Vec<Point> = places.iter().map(|&(x, y)| Point::new(
+                f64::from(x) * side - 20.0, f64::from(y) * side)).collect();
+            prop_assert_eq!(firsts(&points, distance, NEVER).unwrap(),
+                by_brute_force(&points, distance));
         }
     }
 

@@ -1,5 +1,5 @@
-//! Handles at rest and posed: points, segments, polylines, mixed. Shapes: a handle is one position (a point) or two and more (a polyline
-//! of segments).
+//! Handles at rest and posed: points, segments, polylines, mixed. Shapes: a handle is one position
+//! (a point) or two and more (a polyline of segments).
 
 use super::{Contradictory, DeformError};
 use crate::geometry::{Point, Vec2};
@@ -64,8 +64,9 @@ pub struct Handles {
 }
 
 impl Handles {
-    /// Checks that every coordinate is finite and within 1e6 px, every polyline has two places or more and no segment without
-    /// length, and every weight (default 1) lies in 1e-9..=1e9. An empty set is valid: it deforms nothing.
+    /// Checks that every coordinate is finite and within 1e6 px, every polyline has two places or
+    /// more and no segment without length, and every weight (default 1) lies in 1e-9..=1e9. An
+    /// empty set is valid: it deforms nothing.
     ///
     /// # Errors
     /// The first handle that fails, by index.
@@ -151,7 +152,8 @@ impl Handles {
         self.handles.iter().any(|h| matches!(h, Handle::Point(_)))
     }
 
-    /// Mean length of the segments, px; `None` without lines. The default mass of a point in a mixed set.
+    /// Mean length of the segments, px; `None` without lines. The default mass of a point in a
+    /// mixed set.
     #[must_use]
     pub fn mean_segment_length(&self) -> Option<f64> {
         let lengths: Vec<f64> = self
@@ -177,8 +179,9 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Pairs posed handles with the rest handles of the same order and shape. The field decides whether targets contradict each other.
-    /// Where a rest handle is missing, the posed one is left out too.
+    /// Pairs posed handles with the rest handles of the same order and shape. The field decides
+    /// whether targets contradict each other. Where a rest handle is missing, the posed one is left
+    /// out too.
     ///
     /// # Errors
     /// A coordinate that is not finite or out of range, a handle that is missing in this pose only,

@@ -1,16 +1,19 @@
-//! Moments of a segment in closed form for a general alpha. With u along the line from the foot of v and D = u^2 + h^2, the integral of
-//! D^-alpha is an incomplete beta function, from the foot (|u| < h) or from infinity (|u| >= h):
+//! Moments of a segment in closed form for a general alpha. With u along the line from the foot of
+//! v and D = u^2 + h^2, the integral of D^-alpha is an incomplete beta function, from the foot (|u|
+//! < h) or from infinity (|u| >= h):
 //!
 //! - `h^(1 - 2 alpha) u / sqrt(D) F(1/2, 3/2 - alpha; 3/2; u^2 / D)`
 //! - `u D^-alpha F(1, alpha; alpha + 1/2; h^2 / D) / (2 alpha - 1)`
 //!
-//! Both arguments are at most 1/2, where the hypergeometric functions F are polynomials to 1e-14, fitted once per alpha. The first and the
-//! second moment follow from powers at the ends. Unit: the length of the segment.
+//! Both arguments are at most 1/2, where the hypergeometric functions F are polynomials to 1e-14,
+//! fitted once per alpha. The first and the second moment follow from powers at the ends. Unit: the
+//! length of the segment.
 
 use super::falloff::Falloff;
 use super::lane_math::pow;
 
-/// Coefficients of a polynomial: the functions are singular at 1, so those of Chebyshev polynomials on [0, 1/2] fall by 5.8 each.
+/// Coefficients of a polynomial: the functions are singular at 1, so those of Chebyshev polynomials
+/// on [0, 1/2] fall by 5.8 each.
 const TERMS: usize = 18;
 /// The positive Chebyshev nodes, `cos((2 k + 1) pi / 36)`.
 const NODES: [f64; TERMS / 2] = [
@@ -24,7 +27,8 @@ const NODES: [f64; TERMS / 2] = [
     0.258_819_045_102_520_74,
     0.087_155_742_747_658_17,
 ];
-/// The least distance of 2 alpha from 1, 2 and 3, where a moment becomes a logarithm: at it, three of 16 digits cancel.
+/// The least distance of 2 alpha from 1, 2 and 3, where a moment becomes a logarithm: at it, three
+/// of 16 digits cancel.
 const FROM_LOGARITHM: f64 = 1e-3;
 
 /// The functions of one alpha.
@@ -73,7 +77,8 @@ impl IncompleteBeta {
         })
     }
 
-    /// `sum w y^m`, m = 0, 1, 2, with density 1, y from the nearest position; weights relative to r2min's.
+    /// `sum w y^m`, m = 0, 1, 2, with density 1, y from the nearest position; weights relative to
+    /// r2min's.
     #[inline(always)]
     pub(super) fn moments<const N: usize>(
         &self,
@@ -86,7 +91,8 @@ impl IncompleteBeta {
             h,
             ratio,
         } = along;
-        // What both ends have in common is left out where v is so near to the extension that it would cancel.
+        // What both ends have in common is left out where v is so near to the extension that it
+        // would cancel.
         let mut common = [0.0; N];
         for k in 0..N {
             common[k] = ratio[k] / (h[k] * h[k]);
@@ -120,7 +126,8 @@ impl IncompleteBeta {
         m
     }
 
-    /// The integral of w from the foot to u, or from infinity where `common` is 0; `D w` and `u D w`.
+    /// The integral of w from the foot to u, or from infinity where `common` is 0; `D w` and
+    /// `u D w`.
     #[inline(always)]
     fn up_to<const N: usize>(
         &self,

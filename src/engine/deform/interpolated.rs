@@ -1,5 +1,6 @@
-//! The vertices that halving a cell once or twice adds, interpolated from the posed grid by tensor quintics through six vertices along each
-//! axis (mathematics section 12, step 2), where differences show that the grid resolves f. This takes a few taps instead of a row of
+//! The vertices that halving a cell once or twice adds, interpolated from the posed grid by tensor
+//! quintics through six vertices along each axis (mathematics section 12, step 2), where
+//! differences show that the grid resolves f. This takes a few taps instead of a row of
 //! coefficients.
 
 use crate::geometry::{Grid, Mesh};
@@ -13,10 +14,12 @@ const POSITIONS: usize = NODES - 1;
 const MIDDLE: usize = 2;
 /// The weights of the nodes for the quarters of a cell.
 const WEIGHTS: [[[f32; NODES]; 3]; POSITIONS] = weights();
-/// The error of a quintic in a cell is at most about this share of the sixth differences, and that of a cubic of the fourth.
+/// The error of a quintic in a cell is at most about this share of the sixth differences, and that
+/// of a cubic of the fourth.
 const OF_SIXTH: [f32; POSITIONS] = shares();
 const OF_FOURTH: f32 = 3.0 / 128.0;
-/// The next order adds to the error where differences fall slowly; where they hardly fall, the grid does not resolve f.
+/// The next order adds to the error where differences fall slowly; where they hardly fall, the grid
+/// does not resolve f.
 const NEXT_ORDER: f32 = 2.0;
 const SLOWEST: f32 = 0.6;
 
@@ -44,8 +47,8 @@ const fn weights() -> [[[f32; NODES]; 3]; POSITIONS] {
     weights
 }
 
-/// The largest error of a quintic at the quarters of each cell, per sixth difference, and by how much more than in the middle it increases
-/// the errors of the values that it interpolates.
+/// The largest error of a quintic at the quarters of each cell, per sixth difference, and by how
+/// much more than in the middle it increases the errors of the values that it interpolates.
 #[expect(clippy::cast_possible_truncation, reason = "an estimate")]
 const fn shares() -> [f32; POSITIONS] {
     /// 6!
@@ -82,7 +85,8 @@ struct Axis {
 }
 
 impl Axis {
-    /// `lines`: grid lines at equal distances, from the first. `None` if there are too few for this cell.
+    /// `lines`: grid lines at equal distances, from the first. `None` if there are too few for this
+    /// cell.
     fn new(cell: usize, lines: usize) -> Option<Self> {
         let first = cell.saturating_sub(3).min(lines.checked_sub(STENCIL)?);
         let cell = cell - first;
@@ -95,7 +99,8 @@ impl Axis {
     }
 }
 
-/// The grid lines along each axis that are at equal distances from their neighbours: all, or all but the last.
+/// The grid lines along each axis that are at equal distances from their neighbours: all, or all
+/// but the last.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EvenLines {
     columns: usize,
@@ -145,7 +150,8 @@ impl<'a> Interpolated<'a> {
         })
     }
 
-    /// The vertices that the first halving adds, in the order of [`group`](super::exact_rows::group), px.
+    /// The vertices that the first halving adds, in the order of
+    /// [`group`](super::exact_rows::group), px.
     pub(super) fn halves(&self) -> [[f32; 2]; 5] {
         let [above, middle, below] = [0, 2, 4].map(|quarter| self.line(quarter));
         [
@@ -213,7 +219,8 @@ impl<'a> Interpolated<'a> {
         }
     }
 
-    /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve it.
+    /// How far interpolated vertices may be from f, px; infinite where the grid does not resolve
+    /// it.
     pub(super) fn off(&self) -> f32 {
         let (left, top) = (
             self.x.nodes + self.x.position,
@@ -258,7 +265,8 @@ impl<'a> Interpolated<'a> {
     }
 }
 
-/// The fourth and sixth differences of eight values of `COMPONENTS` numbers each; what lies beyond them is meaningless.
+/// The fourth and sixth differences of eight values of `COMPONENTS` numbers each; what lies beyond
+/// them is meaningless.
 fn differences<const COMPONENTS: usize, const N: usize>(values: &[f32]) -> ([f32; N], [f32; N]) {
     let second = |of: &[f32; N], len: usize| {
         let mut out = [0.0; N];

@@ -1,7 +1,9 @@
-//! The inverse of f, px to px: the rest position that is drawn at a posed one. The posed mesh finds the cells that may be drawn there, the
-//! last one first, and a start in each. From there f itself is solved, for [`LANES`] positions at once, by Broyden's method, which needs one
-//! f per step: its matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds, Newton's method with
-//! differences of f and shorter steps takes over. Cost: about five f per position.
+//! The inverse of f, px to px: the rest position that is drawn at a posed one. The posed mesh finds
+//! the cells that may be drawn there, the last one first, and a start in each. From there f itself
+//! is solved, for [`LANES`] positions at once, by Broyden's method, which needs one f per step: its
+//! matrix begins as the inverse Jacobian of the cell. Where that fails, beside cusps and folds,
+//! Newton's method with differences of f and shorter steps takes over. Cost: about five f per
+//! position.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,7 +21,8 @@ const NEWTON_STEPS: usize = 30;
 /// The distance of Newton's differences, px, and the most halvings of a step.
 const DIFFERENCE: f64 = 1e-4;
 const HALVINGS: usize = 10;
-/// A solution lies at most this far outside the cell from which it was sought, and a step is at most this long, in cells.
+/// A solution lies at most this far outside the cell from which it was sought, and a step is at
+/// most this long, in cells.
 const BESIDE: f64 = 1.0;
 const LONGEST_STEP: f64 = 4.0;
 /// The mesh is not f: cells this near to a position are tried, px.
@@ -94,8 +97,9 @@ impl Matrix {
 }
 
 impl<'a> Inverse<'a> {
-    /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells have 4 to 8 px: positions are not found
-    /// where larger ones differ from f by more than `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
+    /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells
+    /// have 4 to 8 px: positions are not found where larger ones differ from f by more than
+    /// `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
     pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
         Self {
@@ -106,9 +110,10 @@ impl<'a> Inverse<'a> {
         }
     }
 
-    /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture is posed. If several rest
-    /// positions have the same posed one, that of the cell that is drawn. `None` for all when cancelled, which is checked for each step of
-    /// a search: one position may have many.
+    /// The rest positions of posed ones, px, to 1e-7 px of f; `None` where nothing of the picture
+    /// is posed. If several rest positions have the same posed one, that of the cell that is drawn.
+    /// `None` for all when cancelled, which is checked for each step of a search: one position may
+    /// have many.
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
         let mut search = Search {
@@ -352,11 +357,13 @@ mod tests {
     }
 
     proptest! {
-        /// Where the pose has no folds, every position of the picture is found again. Another position is found only if f has folds that
-        /// are smaller than the mesh's cells: beside handles at alpha 1, where f has a cusp.
+        /// Where the pose has no folds, every position of the picture is found again. Another
+        /// position is found only if f has folds that are smaller than the mesh's cells: beside
+        /// handles at alpha 1, where f has a cusp.
         #[test]
         fn the_inverse_of_f_is_its_inverse(
-            method in prop::sample::select(&[Method::Affine, Method::Similarity, Method::Rigid][..]),
+            method in prop::sample::select(&[Method::Affine, Method::Similarity, Method::Rigid][
+                ..]),
             alpha in prop::sample::select(&[1.0, 1.5, 2.0][..]),
             (count, seed) in (3..12_u32, 0..1000_u32),
             places in prop::collection::vec((0.0..300.0_f64, 0.0..200.0_f64), 1..40),
@@ -366,10 +373,13 @@ mod tests {
             prop_assume!(mesh.folded_cells().next().is_none());
             let rest: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
             let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
-            for ((p, y), found) in rest.iter().zip(&posed).zip(Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap()) {
+            for ((p, y), found) in rest.iter().zip(&posed).zip(
+                Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap()) {
                 let found = found.expect("a position of the picture");
-                prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{p:?} to {y:?}: {found:?}");
-                prop_assert!(found.distance(*p) < 1e-6 || folds_finely(&field, &pose), "{p:?} to {y:?}: {found:?}");
+                prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{p:?} to {y:?}: \
+                    {found:?}");
+                prop_assert!(found.distance(*p) < 1e-6 || folds_finely(&field, &pose), "{p:?} to \
+                    {y:?}: {found:?}");
             }
         }
 
@@ -383,10 +393,12 @@ mod tests {
             let (field, pose) = set(Method::Rigid, alpha, count, seed, 120.0);
             let mesh = mesh(&field, &pose, 5.0);
             let posed: Vec<Point> = places.iter().map(|&(x, y)| Point::new(x, y)).collect();
-            for (y, found) in posed.iter().zip(Inverse::new(&field, &pose, &mesh).map(&posed, NEVER).unwrap()) {
+            for (y, found) in posed.iter().zip(Inverse::new(&field, &pose, &mesh).map(&posed,
+                NEVER).unwrap()) {
                 if let Some(found) = found {
                     prop_assert!(field.map(&pose, found).distance(*y) < 2e-6, "{y:?}: {found:?}");
-                    prop_assert!((0.0..=300.0).contains(&found.x) && (0.0..=200.0).contains(&found.y));
+                    prop_assert!((0.0..=300.0).contains(&found.x)
+                        && (0.0..=200.0).contains(&found.y));
                 }
             }
         }

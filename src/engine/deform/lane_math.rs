@@ -1,11 +1,13 @@
-//! Powers and angles without branches and library calls, so that loops over lanes are vectorised and every instruction set (and C library)
-//! gives the same bits. After fdlibm (Sun Microsystems, 1993: `e_pow.c`, `s_atan.c`), the source of the constants.
+//! Powers and angles without branches and library calls, so that loops over lanes are vectorised
+//! and every instruction set (and C library) gives the same bits. After fdlibm (Sun Microsystems,
+//! 1993: `e_pow.c`, `s_atan.c`), the source of the constants.
 
 /// The upper 21 bits of a mantissa: products of two such numbers are exact.
 const UPPER: u64 = 0xFFFF_FFFF_0000_0000;
 const MANTISSA: u64 = 0x000F_FFFF_FFFF_FFFF;
 const ONE: u64 = 0x3FF0_0000_0000_0000;
-/// 2^52 and 1.5 * 2^52: the lowest bits of `2^52 + n` are the integer n, and adding the second rounds to an integer.
+/// 2^52 and 1.5 * 2^52: the lowest bits of `2^52 + n` are the integer n, and adding the second
+/// rounds to an integer.
 const TWO_52: f64 = 4_503_599_627_370_496.0;
 const ROUND: f64 = 1.5 * TWO_52;
 
@@ -30,14 +32,16 @@ pub(super) fn pow(x: f64, y: f64) -> f64 {
     }
 }
 
-/// The natural logarithm to 2^-53 relative to the larger of it and 1, for positive normal numbers; finite for 0 and subnormal ones.
+/// The natural logarithm to 2^-53 relative to the larger of it and 1, for positive normal numbers;
+/// finite for 0 and subnormal ones.
 #[inline(always)]
 pub(super) fn ln(x: f64) -> f64 {
     let (log, tail) = log2(x);
     (log + tail) * std::f64::consts::LN_2
 }
 
-/// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger of the result and 1.
+/// log2 as a number of 21 bits and a remainder, together accurate to 2^-65 relative to the larger
+/// of the result and 1.
 #[inline(always)]
 fn log2(x: f64) -> (f64, f64) {
     const L: [f64; 6] = [

@@ -1,4 +1,5 @@
-//! N vertices at once, one per lane: their positions, the coefficients of their rows, and masses relative to each of them.
+//! N vertices at once, one per lane: their positions, the coefficients of their rows, and masses
+//! relative to each of them.
 
 use crate::geometry::Point;
 
@@ -20,7 +21,8 @@ pub(super) struct Rows<const N: usize> {
     pub(super) e: [[f64; N]; 2],
 }
 
-/// A mass and its position (of a segment: the position nearest to v), first from the anchor in the frame, later from p*.
+/// A mass and its position (of a segment: the position nearest to v), first from the anchor in the
+/// frame, later from p*.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointMass<const N: usize> {
     pub(super) x: [f64; N],

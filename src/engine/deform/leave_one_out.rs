@@ -1,6 +1,8 @@
-//! How well a method predicts a handle from all others (mathematics 10.4): each handle is left out of the set, and the map of the rest is
-//! asked for its position. Points only. Moving least squares and the global affine map need one row for each handle, O(n^2) in all; the
-//! spline one factorisation, and one substitution for each handle, O(n^3). Lengths are measured as in the whole set.
+//! How well a method predicts a handle from all others (mathematics 10.4): each handle is left out
+//! of the set, and the map of the rest is asked for its position. Points only. Moving least squares
+//! and the global affine map need one row for each handle, O(n^2) in all; the spline one
+//! factorisation, and one substitution for each handle, O(n^3). Lengths are measured as in the
+//! whole set.
 
 use std::cell::RefCell;
 
@@ -35,8 +37,9 @@ impl Field {
         )
     }
 
-    /// For each point (coincident ones are one), its posed position less the one that the map of all others predicts, px. CPU work, in
-    /// parallel on the current rayon pool. `None` when cancelled.
+    /// For each point (coincident ones are one), its posed position less the one that the map of
+    /// all others predicts, px. CPU work, in parallel on the current rayon pool. `None` when
+    /// cancelled.
     ///
     /// # Panics
     /// If a handle is a line, or there are fewer than two points.

@@ -118,8 +118,9 @@ impl Measured {
     }
 }
 
-/// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells that are not convex are split into two
-/// triangles, which differ from the patch by a quarter of its twist.
+/// The largest difference between the cells of a cell's lattice and how they are drawn, px: cells
+/// that are not convex are split into two triangles, which differ from the patch by a quarter of
+/// its twist.
 pub(super) fn split_error(vertices: &[[f32; 2]], side: usize, size: [f32; 2]) -> f32 {
     let (width, height) = (size[0] / (side - 1) as f32, size[1] / (side - 1) as f32);
     let cross = |a: [f32; 2], b: [f32; 2]| a[0] * b[1] - a[1] * b[0];
@@ -161,7 +162,8 @@ pub(super) fn at_level(vertices: &[[f32; 2]], side: usize, level: u8) -> Cow<'_,
         .collect()
 }
 
-/// The index of a vertex on an edge (top, right, bottom, left) of a lattice, from left to right or from top to bottom.
+/// The index of a vertex on an edge (top, right, bottom, left) of a lattice, from left to right or
+/// from top to bottom.
 pub(super) const fn on_edge(k: usize, side: usize, edge: usize) -> usize {
     match edge {
         0 => k,

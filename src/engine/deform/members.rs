@@ -2,8 +2,8 @@
 
 use super::{Field, Handle};
 
-/// A position of a client's handle that a column belongs to. The column's position, at rest and posed, is the sum of its members'
-/// positions, each times its share.
+/// A position of a client's handle that a column belongs to. The column's position, at rest and
+/// posed, is the sum of its members' positions, each times its share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColumnMember {
     /// The column of the table.
@@ -17,7 +17,8 @@ pub struct ColumnMember {
 }
 
 impl Field {
-    /// The members of all columns, in the order of the client's handles. A point has one, a segment one for each end.
+    /// The members of all columns, in the order of the client's handles. A point has one, a segment
+    /// one for each end.
     #[must_use]
     pub fn column_members(&self) -> Vec<ColumnMember> {
         let given = self.given();

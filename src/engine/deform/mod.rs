@@ -1,5 +1,6 @@
-//! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in an anchored form that computes ratios first
-//! and keeps full precision next to handles and on the extension of segments; and the thin-plate spline, which has no such local fit.
+//! The mathematics: moving-least-squares deformation after Schaefer, McPhail, Warren 2006, in an
+//! anchored form that computes ratios first and keeps full precision next to handles and on the
+//! extension of segments; and the thin-plate spline, which has no such local fit.
 
 #[forbid(unsafe_code)]
 mod coincidences;

@@ -1,10 +1,12 @@
-//! f at N vertices from the moments of the weights, without a row of coefficients: for poses of many points whose rows are used once.
-//! Equations (1) to (8).
+//! f at N vertices from the moments of the weights, without a row of coefficients: for poses of
+//! many points whose rows are used once. Equations (1) to (8).
 //!
-//! The moments are sums about one origin of the set, so that a vertex and a point take a division and about twenty operations; what does
-//! not depend on the vertex is computed once per pose. Where almost all weight is that of one point, such sums cancel. The vertices at
-//! which they do are computed again, anchored at their heaviest point: its position and displacement are the origin of all others, so every
-//! sum consists of relatively exact terms (mathematics 7.1), at several times the cost.
+//! The moments are sums about one origin of the set, so that a vertex and a point take a division
+//! and about twenty operations; what does not depend on the vertex is computed once per pose. Where
+//! almost all weight is that of one point, such sums cancel. The vertices at which they do are
+//! computed again, anchored at their heaviest point: its position and displacement are the origin
+//! of all others, so every sum consists of relatively exact terms (mathematics 7.1), at several
+//! times the cost.
 
 use super::Method;
 use super::columns::PointSource;
@@ -17,15 +19,17 @@ use crate::geometry::{Point, Vec2};
 const ANCHORED: usize = 8;
 /// Points whose weights are computed at once: a loop long enough that powers are vectorised.
 const AT_ONCE: usize = 32;
-/// Sums over the points: of w, w p, w d, and the second moments that similarities and affine maps need.
+/// Sums over the points: of w, w p, w d, and the second moments that similarities and affine maps
+/// need.
 const SIMILAR: usize = 8;
 const AFFINE: usize = 12;
 /// Affine: the least determinant of the second moments, as a share of the product of both.
 const SINGULAR: f64 = 1e-14;
-/// Squared distances are at least this, px^2: the heaviest point at no distance has the ratio 1 and not 0/0.
+/// Squared distances are at least this, px^2: the heaviest point at no distance has the ratio 1 and
+/// not 0/0.
 const TINY: f64 = f64::MIN_POSITIVE;
-/// The largest ratio of the moment about the origin to that about p*, and the largest product of it and |v - p*|, px, at which the sums
-/// about the origin are used: they are precise to about 1e-15.
+/// The largest ratio of the moment about the origin to that about p*, and the largest product of it
+/// and |v - p*|, px, at which the sums about the origin are used: they are precise to about 1e-15.
 const MOST_CANCELLED: f64 = 1e12;
 const MOST_CANCELLED_PX: f64 = 3e7;
 
@@ -124,8 +128,8 @@ impl<'a> MomentInputs<'a> {
         }
     }
 
-    /// `f(v) - v`, px, and |m| (rigid), else 1. The body of every instruction set's function in `kernel`; `LANES`: vertices whose sums fit
-    /// into its registers.
+    /// `f(v) - v`, px, and |m| (rigid), else 1. The body of every instruction set's function in
+    /// `kernel`; `LANES`: vertices whose sums fit into its registers.
     #[inline(always)]
     pub(super) fn displacements<const LANES: usize, const N: usize>(
         &self,
@@ -363,7 +367,8 @@ fn affine<const LANES: usize>(
     is_precise(e, about_origin, least).then(|| (means.affine(e), 1.0))
 }
 
-/// Whether a second moment about p* is the precise difference of one about the origin; false for NaN.
+/// Whether a second moment about p* is the precise difference of one about the origin; false for
+/// NaN.
 #[inline(always)]
 fn is_precise(e: Vec2, about_origin: f64, spread: f64) -> bool {
     spread * MOST_CANCELLED > about_origin && spread * MOST_CANCELLED_PX > about_origin * e.norm()

@@ -1,6 +1,7 @@
-//! The best map of a class for all handles together: least squares over the points and nine positions
-//! of each segment, with the weights of the handles and without a fall-off (mathematics 8.1). It
-//! brings q to the frame of p, and tells what a pose asks for as a whole (mathematics 10.5).
+//! The best map of a class for all handles together: least squares over the points and nine
+//! positions of each segment, with the weights of the handles and without a fall-off (mathematics
+//! 8.1). It brings q to the frame of p, and tells what a pose asks for as a whole (mathematics
+//! 10.5).
 
 use super::Handle;
 use super::columns::ONE_PLACE;
@@ -61,8 +62,8 @@ pub struct Fitted {
     pub extent: f64,
 }
 
-/// The best map of a class from the handles `from` to the handles `to` of the same shapes; `weights`: one
-/// for each, default 1. `None` without handles. O(positions), without memory.
+/// The best map of a class from the handles `from` to the handles `to` of the same shapes;
+/// `weights`: one for each, default 1. `None` without handles. O(positions), without memory.
 #[must_use]
 pub fn fitted(
     class: Class,
@@ -251,8 +252,8 @@ impl Sums {
         )
     }
 
-    /// The rotation of the best similarity; `None` if either side is one position, or none is better
-    /// than another.
+    /// The rotation of the best similarity; `None` if either side is one position, or none is
+    /// better than another.
     fn rotation(&self) -> Option<Vec2> {
         let (length, most) = (
             self.turned.norm(),
@@ -262,8 +263,8 @@ impl Sums {
         (has_extent && length > LEAST_CORRELATION * most).then(|| self.turned * (1.0 / length))
     }
 
-    /// Residual sums of squares: of the best rigid map, of the best similarity, of the best one with a
-    /// reflection, and of the best affine map if there is one.
+    /// Residual sums of squares: of the best rigid map, of the best similarity, of the best one
+    /// with a reflection, and of the best affine map if there is one.
     pub(super) fn residuals(&self) -> Residuals {
         let after =
             |correlation: Vec2| (self.to_spread - correlation.norm2() / self.from_spread).max(0.0);

@@ -1,8 +1,9 @@
-//! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as f32, so that each later q costs two to six
-//! multiplications per vertex and handle.
+//! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as
+//! f32, so that each later q costs two to six multiplications per vertex and handle.
 //!
-//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two (similarity: re, im of C) or three (rigid: re,
-//! im of H, wn), and two more per block for rigid (e). A block is read from front to back.
+//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two
+//! (similarity: re, im of C) or three (rigid: re, im of H, wn), and two more per block for rigid
+//! (e). A block is read from front to back.
 
 use rayon::prelude::*;
 
@@ -15,9 +16,11 @@ use crate::geometry::{Grid, Mesh, Point, Vec2};
 
 /// Blocks that one task computes: about a hundred rows, which makes the cost of a task negligible.
 const BLOCKS_PER_TASK: usize = 8;
-/// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking a second thread.
+/// Tables up to this size are posed on one thread, bytes: reading 1 MiB takes less time than waking
+/// a second thread.
 const SERIAL_BYTES: u64 = 2 << 20;
-/// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds; cancellation is checked between them.
+/// Tables are filled and posed in pieces of this size, bytes, which take a few milliseconds;
+/// cancellation is checked between them.
 const PIECE_BYTES: usize = 16 << 20;
 
 /// Returns true when the result is no longer needed; called by any thread.
@@ -35,22 +38,26 @@ pub struct Plan {
 /// Quality of a pose, measured while it is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseQuality {
-    /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is undefined.
+    /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is
+    /// undefined.
     pub least_rotation: f32,
 }
 
 impl Plan {
-    /// A spline of more sites has no table: a drag of this many frames takes about as long as its table alone.
+    /// A spline of more sites has no table: a drag of this many frames takes about as long as its
+    /// table alone.
     pub const MOST_SITES: usize = 64;
 
-    /// Memory that the table of `vertices` vertices takes, bytes; known before anything is allocated.
+    /// Memory that the table of `vertices` vertices takes, bytes; known before anything is
+    /// allocated.
     #[must_use]
     pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
         let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
     }
 
-    /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves of each pose is O(sites).
+    /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves
+    /// of each pose is O(sites).
     #[must_use]
     pub fn pays(field: &Field) -> bool {
         field
@@ -58,8 +65,8 @@ impl Plan {
             .is_none_or(|spline| spline.len() <= Self::MOST_SITES)
     }
 
-    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and moments take little longer than reading
-    /// them.
+    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and
+    /// moments take little longer than reading them.
     #[must_use]
     pub fn rows_inside_cells_pay(field: &Field) -> bool {
         Self::pays(field) && !field.prefers_moments()
@@ -112,7 +119,8 @@ impl Plan {
         let mut table = Vec::with_capacity(blocks * per_block);
         let per_piece = blocks_per_piece(per_block);
         for piece in (0..if per_block > 0 { blocks } else { 0 }).step_by(per_piece) {
-            // Reserves a piece at a time, because touching the memory of a large table takes tenths of a second.
+            // Reserves a piece at a time, because touching the memory of a large table takes tenths
+            // of a second.
             let start = table.len();
             table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
             table[start..]
@@ -212,9 +220,11 @@ impl Plan {
         field.handles().columns() * lanes_per_block(field.family(), 1).min(3)
     }
 
-    /// The coefficients for clients that pose by themselves, plane by plane: each plane has one number per vertex. A column has one plane
-    /// (affine: C), two (similarity: re and im of C) or three (rigid: re and im of `B = e H`, and wn). With the position of each column at
-    /// rest (P) and posed (Q), `p* = sum wn P`, `q* = sum wn Q` and `e = v - p*`, rigid is `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
+    /// The coefficients for clients that pose by themselves, plane by plane: each plane has one
+    /// number per vertex. A column has one plane (affine: C), two (similarity: re and im of C) or
+    /// three (rigid: re and im of `B = e H`, and wn). With the position of each column at rest (P)
+    /// and posed (Q), `p* = sum wn P`, `q* = sum wn Q` and `e = v - p*`, rigid is
+    /// `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
     pub fn planes(&self) -> impl Iterator<Item = impl Iterator<Item = f32> + '_> + '_ {
         let per_block = lanes_per_block(self.family, self.columns);
         let per_column = lanes_per_block(self.family, 1).min(3);
@@ -274,8 +284,9 @@ fn blocks_per_piece(per_block: usize) -> usize {
     (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
-/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would not fit or pay. O(vertices x elements)
-/// with weights. `None` when cancelled, which is checked for each block of vertices.
+/// The posed mesh without a table: computes every vertex for each pose, for grids whose table would
+/// not fit or pay. O(vertices x elements) with weights. `None` when cancelled, which is checked for
+/// each block of vertices.
 #[must_use]
 pub fn pose_without_table(
     field: &Field,

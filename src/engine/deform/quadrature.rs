@@ -1,13 +1,14 @@
-//! Graded Gauss-Legendre quadrature along a segment, for any alpha: no cancellation, no special cases (mathematics 3.2). Unit: the length
-//! of the segment.
+//! Graded Gauss-Legendre quadrature along a segment, for any alpha: no cancellation, no special
+//! cases (mathematics 3.2). Unit: the length of the segment.
 
 use super::falloff::Falloff;
 
 /// Nodes that are evaluated together.
 const BATCH: usize = 8;
 
-/// Nodes in [0, 1] and weights of a panel of length 1. A panel is no longer than its distance from v, so n nodes leave an error of about
-/// 4.6^(-2n): 8 suffice for a plan, whose coefficients are f32, at alpha up to 2.
+/// Nodes in [0, 1] and weights of a panel of length 1. A panel is no longer than its distance from
+/// v, so n nodes leave an error of about 4.6^(-2n): 8 suffice for a plan, whose coefficients are
+/// f32, at alpha up to 2.
 static GAUSS_8: [Batch; 1] = [batch([
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
     (0.525_532_409_916_329, 0.313_706_645_877_887_3),
@@ -65,8 +66,9 @@ pub(super) struct Sight {
 }
 
 impl Sight {
-    /// `sum w z^m`, m = 0, 1, 2, over z in [0, end] from the nearest position, with density 1. Panels: [0, end / 2^n], then each as long
-    /// as all before it, so none is longer than its distance from v.
+    /// `sum w z^m`, m = 0, 1, 2, over z in [0, end] from the nearest position, with density 1.
+    /// Panels: [0, end / 2^n], then each as long as all before it, so none is longer than its
+    /// distance from v.
     #[inline(always)]
     pub(super) fn side(&self, end: f64) -> [f64; 3] {
         let mut sums = [[0.0; BATCH]; 3];

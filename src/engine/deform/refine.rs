@@ -1,8 +1,11 @@
-//! Chooses the cells of a posed grid that must be drawn as smaller ones, so that the drawn map differs from f by at most a tolerance
-//! (mathematics section 12). A cell that may be bent is measured against exact rows where halving it would add vertices, and at the handles
-//! in it, where f is known. Cells over the tolerance are halved and measured again. Measurements and rejected variants: `warp/notes.md`.
+//! Chooses the cells of a posed grid that must be drawn as smaller ones, so that the drawn map
+//! differs from f by at most a tolerance (mathematics section 12). A cell that may be bent is
+//! measured against exact rows where halving it would add vertices, and at the handles in it, where
+//! f is known. Cells over the tolerance are halved and measured again. Measurements and rejected
+//! variants: `warp/notes.md`.
 //!
-//! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept change it.
+//! The choice depends on grid, handles and pose alone: neither threads nor the rows that are kept
+//! change it.
 
 use std::borrow::Cow;
 use std::cmp::Ordering;
@@ -17,12 +20,15 @@ use super::samples::{Samples, sample_error};
 use super::{Field, Pose};
 use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement};
 
-/// Cells are measured if their second differences predict more than this share of the tolerance; they bound the error of resolved cells.
+/// Cells are measured if their second differences predict more than this share of the tolerance;
+/// they bound the error of resolved cells.
 const SUSPECT: f64 = 0.6;
-/// With a larger tolerance, px, cells are measured as with this one: second differences tell little of what the grid does not resolve.
+/// With a larger tolerance, px, cells are measured as with this one: second differences tell little
+/// of what the grid does not resolve.
 const SUSPECT_TOLERANCE: f64 = 0.2;
-/// Halving a smooth cell divides its error by four; a part of that is relied on without measuring again, unless f has a cusp at its handles
-/// or a crease along them (mathematics sections 2.4, 3.4).
+/// Halving a smooth cell divides its error by four; a part of that is relied on without measuring
+/// again, unless f has a cusp at its handles or a crease along them (mathematics sections 2.4,
+/// 3.4).
 const HALVED: f32 = 0.5;
 /// The largest error of a cell in which f is resolved, as a share of its size.
 const RESOLVED: f32 = 0.1;
@@ -31,13 +37,16 @@ const INTERPOLATED: f32 = 0.35;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
-/// The largest difference of two targets at one position that counts as one, as a share of the tolerance.
+/// The largest difference of two targets at one position that counts as one, as a share of the
+/// tolerance.
 const TORN: f64 = 0.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
-/// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as well: halved once, all of them.
+/// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as
+/// well: halved once, all of them.
 const BESIDE: f64 = 0.5;
-/// An error between the vertices where it is measured is at most this much larger: where the grid resolves f, and elsewhere.
+/// An error between the vertices where it is measured is at most this much larger: where the grid
+/// resolves f, and elsewhere.
 const BETWEEN_SMOOTH: f32 = 1.1;
 const BETWEEN: f32 = 1.5;
 
@@ -50,7 +59,8 @@ pub struct Refiner<'a> {
     pub rows: &'a ExactRows,
     /// Largest distance between the drawn map and f, px.
     pub tolerance: f64,
-    /// The largest distance between what is drawn and a cell, px of the source, which the tolerance leaves room for.
+    /// The largest distance between what is drawn and a cell, px of the source, which the tolerance
+    /// leaves room for.
     pub drawn_within: f32,
     /// Whether some cell of the mesh is folded.
     pub folds: bool,
@@ -212,7 +222,8 @@ impl Work<'_> {
         Some(())
     }
 
-    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than twice. If not, its vertices will be exact.
+    /// Whether interpolated vertices suffice for a cell: it needs not be halved, or no more than
+    /// twice. If not, its vertices will be exact.
     fn interpolate(&mut self, cell: u32) -> bool {
         let corners = self.posed.corners(cell);
         if let Some(known) = self.cells.get_mut(cell) {
@@ -261,7 +272,8 @@ impl Work<'_> {
         false
     }
 
-    /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f. Whether they suffice.
+    /// Adds interpolated vertices of one halving more to a cell; `off`: how far they may be from f.
+    /// Whether they suffice.
     fn deepen_by(&mut self, cell: u32, vertices: &[[f32; 2]], off: f32) -> bool {
         let (corners, size) = (self.posed.corners(cell), self.posed.size(cell));
         let known = self.cells.get_or_insert(cell, corners);
@@ -351,7 +363,8 @@ impl Work<'_> {
         }
     }
 
-    /// Cells whose neighbours know that a common edge must be halved more often; those that must be measured for it go to `next`.
+    /// Cells whose neighbours know that a common edge must be halved more often; those that must be
+    /// measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
         let levels: Vec<u8> = self
@@ -496,7 +509,8 @@ impl Work<'_> {
         }
     }
 
-    /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours compute exactly.
+    /// Gives a cell that is halved by interpolation the vertices of its edges that neighbours
+    /// compute exactly.
     fn take_exact_edges(&self, cell: u32, level: u8, vertices: &mut [[f32; 2]]) {
         for (edge, other) in self.posed.beside(cell).into_iter().enumerate() {
             let Some(known) = other

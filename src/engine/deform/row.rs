@@ -1,9 +1,12 @@
-//! The rows: all coefficients of vertices that depend on the handles at rest, without q (mathematics 7.1). Equations (1) to (8), (12) to
-//! (14), anchored at the heaviest handle and computing ratios first, so that no precision is lost next to a handle, on the extension of a
-//! segment, or for large alpha. Cost: O(elements), for segments O(nodes); no allocation once the scratch has grown.
+//! The rows: all coefficients of vertices that depend on the handles at rest, without q
+//! (mathematics 7.1). Equations (1) to (8), (12) to (14), anchored at the heaviest handle and
+//! computing ratios first, so that no precision is lost next to a handle, on the extension of a
+//! segment, or for large alpha. Cost: O(elements), for segments O(nodes); no allocation once the
+//! scratch has grown.
 //!
-//! N vertices are computed at once: every step is a branch-free loop over them, which the compiler vectorises for the enabled instruction
-//! set (`kernel`). One vertex is N = 1. A point is a mass at a position; a segment is one too, with moments along its direction.
+//! N vertices are computed at once: every step is a branch-free loop over them, which the compiler
+//! vectorises for the enabled instruction set (`kernel`). One vertex is N = 1. A point is a mass at
+//! a position; a segment is one too, with moments along its direction.
 
 #![expect(
     clippy::needless_range_loop,
@@ -40,17 +43,20 @@ pub(super) struct RowInputs<'a> {
     pub(super) exact: bool,
 }
 
-/// The heaviest source of each vertex, and the frame of all positions: `(place - o) conj(tau) + shift`.
+/// The heaviest source of each vertex, and the frame of all positions:
+/// `(place - o) conj(tau) + shift`.
 struct Anchor<const N: usize> {
     weight: [f64; N],
     source: [u64; N],
     /// The point itself; v where a segment is the anchor.
     o: Vertices<N>,
-    /// The direction of the segment; zero until `choose_frame` if a point is the anchor. Points come first, so they never reset it.
+    /// The direction of the segment; zero until `choose_frame` if a point is the anchor. Points
+    /// come first, so they never reset it.
     tau: [[f64; N]; 2],
     /// v from the position of the anchor segment nearest to it, in the frame, exact.
     shift: [[f64; N]; 2],
-    /// The point that defines the frame of an anchor point; it lies exactly on the axis, at this distance from the anchor.
+    /// The point that defines the frame of an anchor point; it lies exactly on the axis, at this
+    /// distance from the anchor.
     defining: [u64; N],
     reach: [f64; N],
 }
@@ -101,7 +107,8 @@ impl RowInputs<'_> {
         nearest
     }
 
-    /// Weights relative to the nearest source's, the ratio before the power; the heaviest source becomes the anchor.
+    /// Weights relative to the nearest source's, the ratio before the power; the heaviest source
+    /// becomes the anchor.
     #[inline(always)]
     fn weights<const N: usize>(
         &self,
@@ -151,7 +158,8 @@ impl RowInputs<'_> {
         anchor
     }
 
-    /// If a point is the anchor, the frame points from it to the position with the largest mass * distance^2.
+    /// If a point is the anchor, the frame points from it to the position with the largest mass *
+    /// distance^2.
     #[inline(always)]
     fn choose_frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
         let mut axis = Axis {
@@ -187,8 +195,8 @@ impl RowInputs<'_> {
         }
     }
 
-    /// Transforms all positions to the anchor's frame, computed from the handles themselves: exact for whole numbers. Returns v's
-    /// position.
+    /// Transforms all positions to the anchor's frame, computed from the handles themselves: exact
+    /// for whole numbers. Returns v's position.
     #[inline(always)]
     fn in_frame<const N: usize>(
         &self,
@@ -288,7 +296,8 @@ impl RowInputs<'_> {
 }
 
 impl<const N: usize> Anchor<N> {
-    /// Makes point `index` the anchor of the vertices for which it is heavier than all earlier points.
+    /// Makes point `index` the anchor of the vertices for which it is heavier than all earlier
+    /// points.
     #[inline(always)]
     fn take_point(&mut self, index: u64, w: &[f64; N], p: Point) {
         for k in 0..N {
@@ -332,7 +341,8 @@ impl<const N: usize> Anchor<N> {
     }
 }
 
-/// The search for the direction of a frame: the position with the largest moment so far, from the anchor.
+/// The search for the direction of a frame: the position with the largest moment so far, from the
+/// anchor.
 struct Axis<const N: usize> {
     moment: [f64; N],
     x: [f64; N],

@@ -1,15 +1,19 @@
-//! The linear system of a spline (mathematics 10.1): `[[K + N, P], [P^T, 0]]`, a symmetric kernel K, the diagonal noise N of the
-//! smoothing, and 2 or 3 polynomials P. K is positive definite on the vectors that are orthogonal to P. So a QR of P by reflections leaves
-//! a positive definite block, and a Cholesky factor of it needs no pivots: half the work of a symmetric indefinite or LU factorisation of
-//! the whole, a packed triangle of memory, and no failure. Linear algebra crates bring many crates for what are few lines here.
+//! The linear system of a spline (mathematics 10.1): `[[K + N, P], [P^T, 0]]`, a symmetric kernel
+//! K, the diagonal noise N of the smoothing, and 2 or 3 polynomials P. K is positive definite on
+//! the vectors that are orthogonal to P. So a QR of P by reflections leaves a positive definite
+//! block, and a Cholesky factor of it needs no pivots: half the work of a symmetric indefinite or
+//! LU factorisation of the whole, a packed triangle of memory, and no failure. Linear algebra
+//! crates bring many crates for what are few lines here.
 //!
-//! Everything is scaled by `S = (1 + N)^(-1/2)` on both sides, so that no amount of noise drowns the kernel.
+//! Everything is scaled by `S = (1 + N)^(-1/2)` on both sides, so that no amount of noise drowns
+//! the kernel.
 
 use super::IsCancelled;
 
 /// Polynomials, at most: 1, x, y.
 pub(super) const MOST: usize = 3;
-/// Rows of the factor that are computed together, so that an earlier row is read once for all of them.
+/// Rows of the factor that are computed together, so that an earlier row is read once for all of
+/// them.
 const PANEL: usize = 8;
 
 /// A reflection `1 - beta v v^T`.
@@ -27,7 +31,8 @@ pub(super) struct Saddle {
     /// Q of `S P = Q [R; 0]`, in the order in which Q^T applies them; one per polynomial.
     reflections: Vec<Reflection>,
     r: [[f64; MOST]; MOST],
-    /// `Q^T S (K + N) S Q`: below the rows of the polynomials their columns, and beyond their columns the Cholesky factor.
+    /// `Q^T S (K + N) S Q`: below the rows of the polynomials their columns, and beyond their
+    /// columns the Cholesky factor.
     factor: Triangle,
 }
 
@@ -70,8 +75,9 @@ impl Triangle {
         }
     }
 
-    /// Replaces the block beyond the first `head` rows and columns by its Cholesky factor. A pivot that rounding has taken is replaced by
-    /// the smallest one that could be told from 0: the system then belongs to a kernel that differs by rounding.
+    /// Replaces the block beyond the first `head` rows and columns by its Cholesky factor. A pivot
+    /// that rounding has taken is replaced by the smallest one that could be told from 0: the
+    /// system then belongs to a kernel that differs by rounding.
     fn factorise(&mut self, rows: usize, head: usize, cancelled: IsCancelled<'_>) -> Option<()> {
         let largest = self
             .0
@@ -113,7 +119,8 @@ impl Saddle {
         n * (n + 1) / 2 * size_of::<f64>() as u64
     }
 
-    /// `noise`: N. `polynomials`: the columns of P, independent. O(n^3) / 6 multiplications; `None` when cancelled.
+    /// `noise`: N. `polynomials`: the columns of P, independent. O(n^3) / 6 multiplications; `None`
+    /// when cancelled.
     pub(super) fn new(
         kernel: impl Fn(usize, usize) -> f64,
         noise: &[f64],
@@ -150,7 +157,8 @@ impl Saddle {
         })
     }
 
-    /// The first n entries of the solution with the right side `(u, m)` for N right sides: `u` becomes them.
+    /// The first n entries of the solution with the right side `(u, m)` for N right sides: `u`
+    /// becomes them.
     pub(super) fn coefficients<const N: usize>(&self, u: &mut [[f64; N]], m: &[[f64; N]; MOST]) {
         self.scaled(u);
         self.reflections
@@ -180,8 +188,8 @@ impl Saddle {
         self.scaled(u);
     }
 
-    /// The solution with the right side `(d, 0)` for N right sides: `d` becomes its first n entries, the weights of the kernel; returns the
-    /// others, the coefficients of the polynomials.
+    /// The solution with the right side `(d, 0)` for N right sides: `d` becomes its first n
+    /// entries, the weights of the kernel; returns the others, the coefficients of the polynomials.
     pub(super) fn weights<const N: usize>(&self, d: &mut [[f64; N]]) -> [[f64; N]; MOST] {
         self.scaled(d);
         self.reflections
@@ -212,8 +220,8 @@ impl Saddle {
         a
     }
 
-    /// The diagonal entry i of the inverse of the whole system, i < n: the squared length of `L^-1` times what Q^T S leaves of the i-th unit
-    /// vector beyond the polynomials. O(n^2).
+    /// The diagonal entry i of the inverse of the whole system, i < n: the squared length of `L^-1`
+    /// times what Q^T S leaves of the i-th unit vector beyond the polynomials. O(n^2).
     pub(super) fn inverse_diagonal(&self, i: usize) -> f64 {
         let mut x = vec![[0.0]; self.scale.len()];
         x[i] = [1.0];

@@ -1,4 +1,5 @@
-//! The handles in the cells of a grid: positions at which f is known, and how far a cell is from it there.
+//! The handles in the cells of a grid: positions at which f is known, and how far a cell is from it
+//! there.
 
 use std::collections::BTreeMap;
 
@@ -51,7 +52,8 @@ impl Samples {
     }
 }
 
-/// The largest distance at samples between f and a cell halved `level` times; its vertices may be finer.
+/// The largest distance at samples between f and a cell halved `level` times; its vertices may be
+/// finer.
 #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
 pub(super) fn sample_error(samples: &[Sample], vertices: &[[f32; 2]], level: u8) -> f32 {
     if samples.is_empty() {

@@ -1,6 +1,7 @@
-//! Moments of a segment relative to N vertices, about the position nearest to v: by quadrature (section 3 of the paper for any alpha), and
-//! by a robust closed form for alpha = 2 that replaces the paper's appendix B. Units: lengths along the segment in lengths of the segment;
-//! weights relative to `(r2min)^-alpha`.
+//! Moments of a segment relative to N vertices, about the position nearest to v: by quadrature
+//! (section 3 of the paper for any alpha), and by a robust closed form for alpha = 2 that replaces
+//! the paper's appendix B. Units: lengths along the segment in lengths of the segment; weights
+//! relative to `(r2min)^-alpha`.
 
 #![expect(
     clippy::needless_range_loop,
@@ -14,20 +15,21 @@ use super::lane_math::angle;
 use super::lanes::Vertices;
 use super::quadrature::Sight;
 
-/// The closed form replaces the nodes for a segment further away than this share of its length: nearer, its second moment cancels by
-/// (L/h)^2.
+/// The closed form replaces the nodes for a segment further away than this share of its length:
+/// nearer, its second moment cancels by (L/h)^2.
 const CLOSED_FROM: f64 = 1e-3;
-/// The closed form of other alphas replaces the nodes for a segment nearer than this number of its lengths: further away, its second moment
-/// cancels by (h/L)^3.
+/// The closed form of other alphas replaces the nodes for a segment nearer than this number of its
+/// lengths: further away, its second moment cancels by (h/L)^3.
 const CLOSED_TO: f64 = 32.0;
 
 /// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View<const N: usize> {
-    /// Distance of v's foot on the line from the nearest position of the segment, lengths: 0 beside it, positive before a, negative beyond
-    /// b.
+    /// Distance of v's foot on the line from the nearest position of the segment, lengths: 0 beside
+    /// it, positive before a, negative beyond b.
     beyond: [f64; N],
-    /// Shares of the ends a and b at the nearest position, `1 - t` and `t`: also its distances from b and a.
+    /// Shares of the ends a and b at the nearest position, `1 - t` and `t`: also its distances from
+    /// b and a.
     pub(super) share_a: [f64; N],
     pub(super) share_b: [f64; N],
     /// Signed distance of v from the line, px, positive to the left of `tau` in y-up terms.
@@ -36,8 +38,9 @@ pub(super) struct View<const N: usize> {
     pub(super) r2: [f64; N],
 }
 
-/// `sum w y^m` over the positions of a segment, y from the position nearest to v towards b, lengths. Sums of terms of one sign, or about
-/// the position of the largest weight: nothing cancels however near v is.
+/// `sum w y^m` over the positions of a segment, y from the position nearest to v towards b,
+/// lengths. Sums of terms of one sign, or about the position of the largest weight: nothing cancels
+/// however near v is.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moments<const N: usize>(pub(super) [[f64; N]; 3]);
 
@@ -200,7 +203,8 @@ impl<const N: usize> View<N> {
         ]
     }
 
-    /// From `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no branch on the extension (mathematics 3.2).
+    /// From `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no
+    /// branch on the extension (mathematics 3.2).
     #[inline(always)]
     fn moments_alpha_two(&self, s: &Segment, v: &Vertices<N>, r2min: &[f64; N]) -> Moments<N> {
         let half = 0.5 * s.weight * s.length;
@@ -319,7 +323,8 @@ mod tests {
         ]
     }
 
-    /// Vertices beside the foot, beyond the ends, on the extension and far away, at distances 1e-3 .. 1e5 px.
+    /// Vertices beside the foot, beyond the ends, on the extension and far away, at distances 1e-3
+    /// .. 1e5 px.
     fn views(s: &Segment) -> Vec<Point> {
         let normal = Vec2::new(-s.tau.y, s.tau.x);
         let mut all = Vec::new();
@@ -377,7 +382,8 @@ mod tests {
         }
     }
 
-    /// Many small midpoints say the same, wherever v is; the second moment keeps its digits next to the line.
+    /// Many small midpoints say the same, wherever v is; the second moment keeps its digits next to
+    /// the line.
     #[test]
     fn moments_are_those_of_many_points() {
         let s = segment(Point::new(0.0, 0.0), Point::new(30.0, 40.0));
@@ -427,7 +433,8 @@ mod tests {
 
     #[test]
     fn quadrature_of_alpha_one_equals_its_integrals() {
-        // I0, I1, I2 of the mathematics' table at alpha 1, foot inside and h <= L, where that table is exact.
+        // I0, I1, I2 of the mathematics' table at alpha 1, foot inside and h <= L, where that table
+        // is exact.
         let s = segment(Point::new(10.0, 20.0), Point::new(110.0, 20.0));
         for off in [1e-3, 0.5, 20.0, 99.0] {
             let v = Point::new(47.0, 20.0 + off);

@@ -47,7 +47,8 @@ impl<const N: usize> Span<N> {
     }
 }
 
-/// Buffers reused from row to row: one mass per point, one span per segment; of a spline the right sides of its system.
+/// Buffers reused from row to row: one mass per point, one span per segment; of a spline the right
+/// sides of its system.
 #[derive(Debug, Default)]
 pub(super) struct Scratch<const N: usize> {
     pub(super) places: Vec<PointMass<N>>,

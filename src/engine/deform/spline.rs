@@ -1,9 +1,11 @@
-//! The thin-plate spline of a set of points (Bookstein 1989; mathematics 10.1): of all maps through the posed handles the one that bends
-//! least; with smoothing, a compromise. Points that coincide are one site. `U(r) = r^2 ln r^2` in coordinates whose origin is the mean of
-//! the sites, and whose unit is their root mean square distance from it.
+//! The thin-plate spline of a set of points (Bookstein 1989; mathematics 10.1): of all maps through
+//! the posed handles the one that bends least; with smoothing, a compromise. Points that coincide
+//! are one site. `U(r) = r^2 ln r^2` in coordinates whose origin is the mean of the sites, and
+//! whose unit is their root mean square distance from it.
 //!
-//! Two forms of the same map: coefficients of every position, `f = v + sum C_j d_j`, O(n^2) for a position, which a plan keeps; and
-//! weights of every pose, `f = v + A(v) + sum w_j U(|v - p_j|)`, O(n) for a position.
+//! Two forms of the same map: coefficients of every position, `f = v + sum C_j d_j`, O(n^2) for a
+//! position, which a plan keeps; and weights of every pose, `f = v + A(v) + sum w_j U(|v - p_j|)`,
+//! O(n) for a position.
 
 #![expect(
     clippy::needless_range_loop,
@@ -31,7 +33,8 @@ pub(super) struct Spline {
     x: Vec<f64>,
     y: Vec<f64>,
     saddle: Saddle,
-    /// Sites on a line bend in x only; the polynomials are complex-linear, so that similarities are reproduced.
+    /// Sites on a line bend in x only; the polynomials are complex-linear, so that similarities are
+    /// reproduced.
     is_complex: bool,
     /// Whether f takes the handles to their targets: no smoothing.
     interpolates: bool,
@@ -68,7 +71,8 @@ pub(super) struct PosedSpline<'a> {
 }
 
 impl Sites {
-    /// Points nearer than `within` are one site, at the weighted mean of their positions: the means of groups of handles may coincide.
+    /// Points nearer than `within` are one site, at the weighted mean of their positions: the means
+    /// of groups of handles may coincide.
     pub(super) fn of(points: &[PointSource], within: f64) -> Self {
         let mut first: Vec<Point> = Vec::new();
         let (mut moved, mut weights) = (Vec::new(), Vec::new());
@@ -223,8 +227,9 @@ impl Spline {
             .map(|(site, _, column)| (*column, *site))
     }
 
-    /// The displacement of each site less the one that the spline of all other sites predicts there, px (mathematics 10.4):
-    /// `w_i / (Lm^-1)_ii`, not finite where the others determine fewer polynomials. Parallel; O(n^3); `None` when cancelled.
+    /// The displacement of each site less the one that the spline of all other sites predicts
+    /// there, px (mathematics 10.4): `w_i / (Lm^-1)_ii`, not finite where the others determine
+    /// fewer polynomials. Parallel; O(n^3); `None` when cancelled.
     pub(super) fn left_out(&self, d: &[Vec2], cancelled: IsCancelled<'_>) -> Option<Vec<Vec2>> {
         let weights = self.posed(d).weights;
         let residual = |(site, w): (usize, &[f64; 2])| {
@@ -257,7 +262,8 @@ impl Spline {
         r2
     }
 
-    /// The site on which each vertex lies. Only a spline without smoothing has values of its own there: rounding must not move a handle.
+    /// The site on which each vertex lies. Only a spline without smoothing has values of its own
+    /// there: rounding must not move a handle.
     fn hits<const N: usize>(&self, at: &[[f64; N]; 2]) -> [Option<usize>; N] {
         let mut hits = [None; N];
         for site in 0..if self.interpolates { self.len() } else { 0 } {

@@ -1,5 +1,6 @@
-//! A tree of boxes over the posed cells of a mesh: finds the cells that may contain a posed position. Each level has a box for every two by
-//! two of the level below. Memory: 22 bytes per cell. Cost: O(cells) to build, O(boxes that contain the position) to ask.
+//! A tree of boxes over the posed cells of a mesh: finds the cells that may contain a posed
+//! position. Each level has a box for every two by two of the level below. Memory: 22 bytes per
+//! cell. Cost: O(cells) to build, O(boxes that contain the position) to ask.
 
 use std::ops::ControlFlow;
 
@@ -67,8 +68,8 @@ impl CellTree {
         Self { levels }
     }
 
-    /// Indices of the cells, row by row, whose boxes contain a position or are at most `margin` px from it along each axis; the last cell
-    /// first, as it is drawn over the others.
+    /// Indices of the cells, row by row, whose boxes contain a position or are at most `margin` px
+    /// from it along each axis; the last cell first, as it is drawn over the others.
     pub fn find(&self, p: Point, margin: f64, cells: &mut Vec<usize>) {
         cells.clear();
         let _ = self.visit(
@@ -81,8 +82,8 @@ impl CellTree {
         cells.sort_unstable_by(|a, b| b.cmp(a));
     }
 
-    /// Passes the index of every cell whose box meets the box with these edges (left, top, right, bottom), in any order, until `cell`
-    /// returns `Break`.
+    /// Passes the index of every cell whose box meets the box with these edges (left, top, right,
+    /// bottom), in any order, until `cell` returns `Break`.
     pub fn visit(
         &self,
         edges: [f64; 4],

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-/// A number with all its digits, and an exponent if it is very large or very small: `1e300` has 300 digits otherwise.
+/// A number with all its digits, and an exponent if it is very large or very small: `1e300` has 300
+/// digits otherwise.
 #[derive(Clone, Copy, Debug)]
 pub struct Compact(pub f64);
 

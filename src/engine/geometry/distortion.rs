@@ -1,13 +1,17 @@
-//! How the cells of a posed grid differ from those at rest: the change of their areas and of their right angles.
+//! How the cells of a posed grid differ from those at rest: the change of their areas and of their
+//! right angles.
 //!
-//! Both come from the Jacobian J of a cell: the mean of that of its bilinear patch over the cell, whose columns are the means of opposite
-//! edges over the length of the edge at rest. With the singular values s1 >= |s2| of J, s2 of the sign of its determinant:
+//! Both come from the Jacobian J of a cell: the mean of that of its bilinear patch over the cell,
+//! whose columns are the means of opposite edges over the length of the edge at rest. With the
+//! singular values s1 >= |s2| of J, s2 of the sign of its determinant:
 //!
-//! * *Area factor*: det J = s1 s2, which is the signed area of the posed cell over its area at rest. 1 keeps the area; negative is turned
-//!   over.
-//! * *Shear*: the largest change of a right angle, `90 - 2 atan(s2 / s1)` degrees. 0 is a rotation with a uniform scale, 90 is flattened to
-//!   a line, and above 90 the cell is turned over. With |mu| = (s1 - s2) / (s1 + s2), the complex dilatation, it is 2 atan |mu|. It is
-//!   relative to the orientation of the whole: in a mirrored mesh s2 has the opposite sign, so that a mirror image has no shear.
+//! * *Area factor*: det J = s1 s2, which is the signed area of the posed cell over its area at
+//!   rest. 1 keeps the area; negative is turned over.
+//! * *Shear*: the largest change of a right angle, `90 - 2 atan(s2 / s1)` degrees. 0 is a rotation
+//!   with a uniform scale, 90 is flattened to a line, and above 90 the cell is turned over. With
+//!   |mu| = (s1 - s2) / (s1 + s2), the complex dilatation, it is 2 atan |mu|. It is relative to the
+//!   orientation of the whole: in a mirrored mesh s2 has the opposite sign, so that a mirror image
+//!   has no shear.
 
 use super::{Mesh, Orientation};
 
@@ -59,8 +63,8 @@ pub struct Distortion {
 }
 
 impl Mesh {
-    /// The distortion of the grid's cells in a mesh of this orientation. Memory: 16 bytes per cell. `None` when cancelled, which is checked
-    /// for each row.
+    /// The distortion of the grid's cells in a mesh of this orientation. Memory: 16 bytes per cell.
+    /// `None` when cancelled, which is checked for each row.
     #[must_use]
     pub fn distortion(
         &self,

@@ -1,5 +1,5 @@
-//! The folded cells of a posed grid, as regions of cells that share an edge or a corner: connected components, found row by row with a
-//! union-find structure. O(cells).
+//! The folded cells of a posed grid, as regions of cells that share an edge or a corner: connected
+//! components, found row by row with a union-find structure. O(cells).
 
 use std::ops::Range;
 
@@ -14,7 +14,8 @@ pub struct FoldRegions {
     pub share: f64,
     /// The number of regions.
     pub regions: u64,
-    /// Left, top, right and bottom edges of the largest regions by their number of cells, px of the posed plane; equal ones in row order.
+    /// Left, top, right and bottom edges of the largest regions by their number of cells, px of the
+    /// posed plane; equal ones in row order.
     pub boxes: Vec<[f64; 4]>,
 }
 
@@ -65,8 +66,9 @@ fn include(bounds: &mut [f64; 4], other: [f64; 4]) {
 }
 
 impl Mesh {
-    /// The regions of the cells that fold in a mesh of this orientation, of which at most `most` have boxes. Memory: at most 32 bytes per
-    /// cell. `None` when cancelled, which is checked for each row.
+    /// The regions of the cells that fold in a mesh of this orientation, of which at most `most`
+    /// have boxes. Memory: at most 32 bytes per cell. `None` when cancelled, which is checked for
+    /// each row.
     #[must_use]
     pub fn fold_regions(
         &self,
@@ -148,7 +150,8 @@ mod tests {
     use super::*;
     use crate::geometry::Grid;
 
-    /// Moves the middle vertex of a block of two by two cells far past its neighbours: these four cells fold.
+    /// Moves the middle vertex of a block of two by two cells far past its neighbours: these four
+    /// cells fold.
     fn folded(vertices: &[(usize, usize)]) -> Mesh {
         let grid = Grid::with_counts(200.0, 100.0, 21, 11);
         let mut displacement = vec![[0.0; 2]; grid.len()];

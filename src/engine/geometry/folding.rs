@@ -1,5 +1,6 @@
-//! Folds: a fold is a change of orientation against that of the whole. Most of the area keeps one orientation, as at rest or mirrored; a
-//! cell with another one, or with none because its corners turn both ways, is folded. So an exact mirror image has no folds.
+//! Folds: a fold is a change of orientation against that of the whole. Most of the area keeps one
+//! orientation, as at rest or mirrored; a cell with another one, or with none because its corners
+//! turn both ways, is folded. So an exact mirror image has no folds.
 
 use super::{Mesh, Point, Vec2};
 
@@ -14,8 +15,9 @@ pub enum Orientation {
 }
 
 impl Orientation {
-    /// Whether all corners of a cell turn this way. Its bilinear patch is then one-to-one: the Jacobian is affine in the parameters, so the
-    /// extremes are at corners (mathematics section 9.1).
+    /// Whether all corners of a cell turn this way. Its bilinear patch is then one-to-one: the
+    /// Jacobian is affine in the parameters, so the extremes are at corners (mathematics section
+    /// 9.1).
     #[must_use]
     pub fn is_kept(self, turns: [f64; 4]) -> bool {
         match self {
@@ -50,8 +52,8 @@ pub struct Folding {
 }
 
 impl Mesh {
-    /// The orientation of most of the area at rest, and the number of folded cells, equal to `folded_cells().count()`. `None` when
-    /// cancelled, which is checked for each row.
+    /// The orientation of most of the area at rest, and the number of folded cells, equal to
+    /// `folded_cells().count()`. `None` when cancelled, which is checked for each row.
     #[must_use]
     pub fn folding(&self, cancelled: &dyn Fn() -> bool) -> Option<Folding> {
         let (mut upright, all) = (
@@ -102,8 +104,8 @@ impl Mesh {
         !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a]))
     }
 
-    /// Calls `cell` with column, row and corner cross products of every cell; computes a row of edges at a time, because each edge belongs
-    /// to two cells. `None` when cancelled.
+    /// Calls `cell` with column, row and corner cross products of every cell; computes a row of
+    /// edges at a time, because each edge belongs to two cells. `None` when cancelled.
     fn each_cell(
         &self,
         cancelled: &dyn Fn() -> bool,

@@ -1,8 +1,10 @@
-//! The grid at rest: cells over the image rectangle `[0, W] x [0, H]`, lines at 0, c, 2c, ... and the last exactly at W (H).
+//! The grid at rest: cells over the image rectangle `[0, W] x [0, H]`, lines at 0, c, 2c, ... and
+//! the last exactly at W (H).
 
 use super::Point;
 
-/// A lattice of vertices over `[0, width] x [0, height]`, px. Vertices are numbered row by row, `index = row * columns + column`.
+/// A lattice of vertices over `[0, width] x [0, height]`, px. Vertices are numbered row by row,
+/// `index = row * columns + column`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
     width: f64,
@@ -13,12 +15,13 @@ pub struct Grid {
     rows: u32,
 }
 
-/// A line 0, cell, 2 cell, ... closer than this share of a cell to the far edge becomes the far edge: the rounding of its f32
-/// displacements alone would fold a thinner last cell.
+/// A line 0, cell, 2 cell, ... closer than this share of a cell to the far edge becomes the far
+/// edge: the rounding of its f32 displacements alone would fold a thinner last cell.
 const LAST_CELL_AT_LEAST: f64 = 1e-3;
 
 impl Grid {
-    /// Cells of `cell` px; the last column and row may be narrower. `width`, `height`, `cell` are positive and finite.
+    /// Cells of `cell` px; the last column and row may be narrower. `width`, `height`, `cell` are
+    /// positive and finite.
     #[must_use]
     pub fn with_cell(width: f64, height: f64, cell: f64) -> Self {
         Self {
@@ -61,7 +64,8 @@ impl Grid {
         }
     }
 
-    /// Number of cells of `cell` px that cover `length` px; saturates, so that callers can compare it with a limit.
+    /// Number of cells of `cell` px that cover `length` px; saturates, so that callers can compare
+    /// it with a limit.
     #[must_use]
     pub fn cells_along(length: f64, cell: f64) -> u32 {
         let cells = (length / cell - LAST_CELL_AT_LEAST).ceil().max(1.0);
@@ -142,8 +146,8 @@ impl Grid {
         Point::new(self.x(column), self.y(row))
     }
 
-    /// The cell (its column and row) that contains `p`, and the position in it: `(column, row, s, t)` with s, t in [0, 1]; `None` outside
-    /// the rectangle.
+    /// The cell (its column and row) that contains `p`, and the position in it:
+    /// `(column, row, s, t)` with s, t in [0, 1]; `None` outside the rectangle.
     #[must_use]
     pub fn locate(&self, p: Point) -> Option<(u32, u32, f64, f64)> {
         if !(0.0..=self.width).contains(&p.x) || !(0.0..=self.height).contains(&p.y) {

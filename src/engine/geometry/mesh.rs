@@ -2,11 +2,12 @@
 
 use super::{Grid, Point, Refinement, Vec2};
 
-/// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch, or as those of the smaller cells of its
-/// [`Refinement`].
+/// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch,
+/// or as those of the smaller cells of its [`Refinement`].
 ///
-/// Displacements are f32: a displacement is small relative to a position, so the posed position `rest + displacement`, added in f64, keeps
-/// its precision on images of any size (absolute f32 positions would be off by 8e-3 px at 1e5 px).
+/// Displacements are f32: a displacement is small relative to a position, so the posed position
+/// `rest + displacement`, added in f64, keeps its precision on images of any size (absolute f32
+/// positions would be off by 8e-3 px at 1e5 px).
 #[derive(Clone, Debug)]
 pub struct Mesh {
     grid: Grid,
@@ -87,7 +88,8 @@ impl Mesh {
         self.grid.vertex(column, row) + self.displaced(column, row)
     }
 
-    /// The drawn position of the rest position `p`: the bilinear patch of its cell, or of the smaller one. `None` outside the image.
+    /// The drawn position of the rest position `p`: the bilinear patch of its cell, or of the
+    /// smaller one. `None` outside the image.
     #[must_use]
     pub fn map(&self, p: Point) -> Option<Point> {
         let (i, j, s, t) = self.grid.locate(p)?;
@@ -99,8 +101,8 @@ impl Mesh {
         Some(p + top * (1.0 - t) + bottom * t)
     }
 
-    /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px. `None` when cancelled, which is checked for
-    /// each row.
+    /// Left, top, right and bottom edge of the smallest box that contains all posed cells, px.
+    /// `None` when cancelled, which is checked for each row.
     #[must_use]
     pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
         let mut all = bounds(
@@ -150,9 +152,10 @@ impl Mesh {
         (self.grid.len() + refined) as u64
     }
 
-    /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom); touching its border is not enough. A
-    /// cell counts as the convex hull of its corners, which is exact for convex cells. Usually examines one vertex, at most every cell;
-    /// `None` when cancelled, which is checked for each row.
+    /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom);
+    /// touching its border is not enough. A cell counts as the convex hull of its corners, which is
+    /// exact for convex cells. Usually examines one vertex, at most every cell; `None` when
+    /// cancelled, which is checked for each row.
     #[must_use]
     pub fn intersects(&self, rectangle: [f64; 4], cancelled: &dyn Fn() -> bool) -> Option<bool> {
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
@@ -193,8 +196,8 @@ fn bounds(points: impl Iterator<Item = Point>) -> [f64; 4] {
     )
 }
 
-/// Whether the convex hull of four points and the rectangle with these edges (left, top, right, bottom) share more than a border: no line
-/// along an edge of either separates them.
+/// Whether the convex hull of four points and the rectangle with these edges (left, top, right,
+/// bottom) share more than a border: no line along an edge of either separates them.
 fn overlaps(corners: [Point; 4], [left, top, right, bottom]: [f64; 4]) -> bool {
     let range = |values: [f64; 4]| {
         values
@@ -259,7 +262,8 @@ mod tests {
                 (p.x - 51.0) * 1e4,
                 (p.y - 41.0) * 1e4
             )));
-            // Turned by 45 degrees beside a corner: its box overlaps the picture's, and it does not.
+            // Turned by 45 degrees beside a corner: its box overlaps the picture's, and it does
+            // not.
             let turned = |far: f64| {
                 moved(&|p| Point::new(far + (p.x - p.y) * 0.7, far + (p.x + p.y) * 0.7 - 63.0))
             };

@@ -1,8 +1,10 @@
-//! The plane: points, displacements, the grid at rest and the mesh that is drawn. Standard library only.
+//! The plane: points, displacements, the grid at rest and the mesh that is drawn. Standard library
+//! only.
 //!
-//! **Coordinates.** x to the right, y down, unit one pixel of the source image; the image covers `[0, W] x [0, H]` and the centre of pixel
-//! `(i, j)` is `(i + PIXEL_CENTER, j + PIXEL_CENTER)`. A position is a [`Point`], a displacement a [`Vec2`]. Points are at *rest* (where
-//! the handles were placed) or *posed* (where they were moved to); images are *source* or *target*.
+//! **Coordinates.** x to the right, y down, unit one pixel of the source image; the image covers
+//! `[0, W] x [0, H]` and the centre of pixel `(i, j)` is `(i + PIXEL_CENTER, j + PIXEL_CENTER)`. A
+//! position is a [`Point`], a displacement a [`Vec2`]. Points are at *rest* (where the handles were
+//! placed) or *posed* (where they were moved to); images are *source* or *target*.
 
 mod cell_tree;
 mod compact;

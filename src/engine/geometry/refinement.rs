@@ -1,4 +1,5 @@
-//! The cells of a posed grid that are drawn as smaller cells, because their bilinear patch would be too far from the map.
+//! The cells of a posed grid that are drawn as smaller cells, because their bilinear patch would be
+//! too far from the map.
 
 use super::{Grid, Point, Vec2};
 
@@ -11,8 +12,9 @@ pub struct RefinedCell {
     pub row: u32,
     /// The cell is halved this many times, at least once.
     pub level: u8,
-    /// The same for its edges, top, right, bottom, left: the least of both cells at an edge. Vertices on an edge that is halved fewer times
-    /// than the cell lie on the straight lines between those of the edge, so neighbours agree on all of it.
+    /// The same for its edges, top, right, bottom, left: the least of both cells at an edge.
+    /// Vertices on an edge that is halved fewer times than the cell lie on the straight lines
+    /// between those of the edge, so neighbours agree on all of it.
     pub edges: [u8; 4],
     /// Index of the first of its displacements.
     start: usize,
@@ -44,7 +46,8 @@ impl Refinement {
     /// No cell is refined.
     pub const NONE: Self = Self::new(1.0 / 16.0);
 
-    /// No cell yet, and the largest distance between what is drawn and the patch of a cell of any size, px of the source.
+    /// No cell yet, and the largest distance between what is drawn and the patch of a cell of any
+    /// size, px of the source.
     #[must_use]
     pub const fn new(drawn_within: f32) -> Self {
         Self {
@@ -60,8 +63,9 @@ impl Refinement {
         self.drawn_within
     }
 
-    /// Appends a cell, which must come after all others. Shapes: `vertices: [2^level + 1][2^level + 1]`. The edges are as fine as the cell
-    /// until [`Refinement::join`].
+    /// Appends a cell, which must come after all others. Shapes:
+    /// `vertices: [2^level + 1][2^level + 1]`. The edges are as fine as the cell until
+    /// [`Refinement::join`].
     ///
     /// # Panics
     /// If `vertices` does not have the size of its shape.
@@ -82,8 +86,8 @@ impl Refinement {
         self.displacement.extend_from_slice(vertices);
     }
 
-    /// Makes neighbours agree on their common edges: each edge gets the lesser level of both cells. `outer(cell, edge)` is the level of an
-    /// edge on the border of the grid, at most the cell's.
+    /// Makes neighbours agree on their common edges: each edge gets the lesser level of both cells.
+    /// `outer(cell, edge)` is the level of an edge on the border of the grid, at most the cell's.
     pub fn join(&mut self, grid: &Grid, outer: impl Fn(&RefinedCell, usize) -> u8) {
         let (last_column, last_row) = (grid.columns() - 2, grid.rows() - 2);
         for index in 0..self.cells.len() {
@@ -200,7 +204,8 @@ impl Refinement {
         Self::displaced_in(self.displacement(cell), cell.side(), s, t)
     }
 
-    /// The displacement at `(s, t)` of a lattice of `side x side` vertices at equal distances, by the bilinear patch of its cell there.
+    /// The displacement at `(s, t)` of a lattice of `side x side` vertices at equal distances, by
+    /// the bilinear patch of its cell there.
     #[must_use]
     pub fn displaced_in(vertices: &[[f32; 2]], side: usize, s: f64, t: f64) -> Vec2 {
         #[expect(clippy::cast_precision_loss, reason = "a few vertices")]

@@ -1,5 +1,6 @@
-//! Positions and displacements in the plane, f64, px. A [`Vec2`] is also the complex number `x + iy`: a rotation or similarity of the
-//! paper, `x -> x M` with `M2 = M1_perp`, is a multiplication by a complex `m`.
+//! Positions and displacements in the plane, f64, px. A [`Vec2`] is also the complex number
+//! `x + iy`: a rotation or similarity of the paper, `x -> x M` with `M2 = M1_perp`, is a
+//! multiplication by a complex `m`.
 
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 

@@ -1,4 +1,5 @@
-//! The pixels: straight (not premultiplied) samples as decoded, row-major, 8 or 16 bit, RGB or RGBA. Standard library only.
+//! The pixels: straight (not premultiplied) samples as decoded, row-major, 8 or 16 bit, RGB or
+//! RGBA. Standard library only.
 
 use std::num::NonZeroU32;
 

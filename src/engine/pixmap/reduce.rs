@@ -1,7 +1,9 @@
-//! Box reduction by powers of two, for sampling at a much smaller size. Shapes: `[height][width][channels]` to `[ceil(height /
-//! n)][ceil(width / n)][channels]`, `n = 2^k`. Every pixel is the average of its `n x n` block, colours weighted by alpha (premultiplied),
-//! rounded once, to nearest; blocks at the right and lower border average their existing pixels (so their mean lies up to half a block
-//! beside the centre that samplers assume). Cost: O(source pixels): about a nanosecond each if they are opaque and of 8 bit.
+//! Box reduction by powers of two, for sampling at a much smaller size. Shapes:
+//! `[height][width][channels]` to `[ceil(height / n)][ceil(width / n)][channels]`, `n = 2^k`. Every
+//! pixel is the average of its `n x n` block, colours weighted by alpha (premultiplied), rounded
+//! once, to nearest; blocks at the right and lower border average their existing pixels (so their
+//! mean lies up to half a block beside the centre that samplers assume). Cost: O(source pixels):
+//! about a nanosecond each if they are opaque and of 8 bit.
 
 use super::{Channels, Depth, Extent, Pixmap, Samples};
 
@@ -71,7 +73,8 @@ pub fn sample_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
         .saturating_mul((channels.count() * depth.bytes()) as u64)
 }
 
-/// Of opaque 8-bit samples: columns are summed first, which the compiler vectorises. The weights of all colours are equal.
+/// Of opaque 8-bit samples: columns are summed first, which the compiler vectorises. The weights of
+/// all colours are equal.
 fn reduce_opaque(
     samples: &[u8],
     from: Extent,
@@ -131,7 +134,8 @@ fn reduce<S: Copy + Into<u64> + TryFrom<u64> + Default>(
     let to = from.reduced(k);
     let side = 1_usize.checked_shl(k).unwrap_or(usize::MAX);
     let mut reduced = Vec::with_capacity(to.width() as usize * to.height() as usize * count);
-    // Per target pixel: sums of alpha * colour (colour alone where there is no alpha), and of alpha.
+    // Per target pixel: sums of alpha * colour (colour alone where there is no alpha), and of
+    // alpha.
     let mut sums = vec![[0_u64; 4]; to.width() as usize];
     for block in samples.chunks(width * count * side.min(height)) {
         sums.fill([0; 4]);

@@ -1,7 +1,8 @@
-//! Catmull-Rom samples. In each axis the four weights are integers at 128 positions between two centres; they add up to one exactly and
-//! reproduce ramps exactly (the outer two are rounded, the inner two follow from these conditions). Colours are weighted by alpha, so those
-//! under alpha 0 never show; results beyond the range of the samples are clamped. Texels beyond the border repeat it. Integers only, so that
-//! every level gives the same bytes.
+//! Catmull-Rom samples. In each axis the four weights are integers at 128 positions between two
+//! centres; they add up to one exactly and reproduce ramps exactly (the outer two are rounded, the
+//! inner two follow from these conditions). Colours are weighted by alpha, so those under alpha 0
+//! never show; results beyond the range of the samples are clamped. Texels beyond the border repeat
+//! it. Integers only, so that every level gives the same bytes.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -43,7 +44,8 @@ const WIDE: u32 = 14;
 static WEIGHTS: [[i32; 4]; STEPS] = table::<NARROW>();
 static FINE_WEIGHTS: [[i32; 4]; STEPS] = table::<WIDE>();
 
-/// The four neighbours along an axis, clamped to the picture, and the position between the middle two.
+/// The four neighbours along an axis, clamped to the picture, and the position between the middle
+/// two.
 fn neighbours(coordinate: f32, side: usize) -> ([usize; 4], usize) {
     let at = fixed(coordinate, ((side - 1) * STEPS) as f32);
     let (middle, share) = (at / STEPS, at % STEPS);

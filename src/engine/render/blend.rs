@@ -5,11 +5,12 @@ use crate::pixmap::{Channels, Depth};
 /// The weight 1 as a fixed-point number: that of a picture that is shown alone.
 pub const FULL_WEIGHT: u16 = u16::MAX;
 
-/// Mixes `over` into `under`, pixel by pixel. Weights are parts of [`FULL_WEIGHT`] and add up to at most that; what they leave is
-/// transparent. Each colour counts by its alpha times its weight, and the alpha of the result is the sum of these products. If the weight
-/// of one picture is full, the result is its pixel, bit for bit; if the weights add up to the full one and both pixels are equal, it is
-/// that pixel. Shapes: `under: [pixels][channels]`, `over: [pixels][over_channels]`, `weights: [pixels]` (of `over`, then of `under`);
-/// samples in PNG order (16-bit big-endian).
+/// Mixes `over` into `under`, pixel by pixel. Weights are parts of [`FULL_WEIGHT`] and add up to at
+/// most that; what they leave is transparent. Each colour counts by its alpha times its weight, and
+/// the alpha of the result is the sum of these products. If the weight of one picture is full, the
+/// result is its pixel, bit for bit; if the weights add up to the full one and both pixels are
+/// equal, it is that pixel. Shapes: `under: [pixels][channels]`, `over: [pixels][over_channels]`,
+/// `weights: [pixels]` (of `over`, then of `under`); samples in PNG order (16-bit big-endian).
 ///
 /// # Panics
 /// If the shapes differ, or `over` has alpha and `under` has none.

@@ -1,10 +1,13 @@
-//! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides without drawing whether the target is
-//! covered, and finds the border position nearest to each uncovered pixel for `Outside::Edge`. Lattice steps in, sampler coordinates out.
+//! The border of the posed picture: the closed polygon of the grid's outer vertices. Decides
+//! without drawing whether the target is covered, and finds the border position nearest to each
+//! uncovered pixel for `Outside::Edge`. Lattice steps in, sampler coordinates out.
 //!
-//! Each square of pixels has a list of candidate segments: those no farther from its centre than the nearest one plus the square's
-//! diagonal. The lists of the largest squares come from a binary tree of boxes over consecutive segments; smaller squares filter the list
-//! of the square around them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is therefore searched
-//! once per square and not once per pixel. The work is bounded for every border, because list lengths are ([`SQUARES`]).
+//! Each square of pixels has a list of candidate segments: those no farther from its centre than
+//! the nearest one plus the square's diagonal. The lists of the largest squares come from a binary
+//! tree of boxes over consecutive segments; smaller squares filter the list of the square around
+//! them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is
+//! therefore searched once per square and not once per pixel. The work is bounded for every border,
+//! because list lengths are ([`SQUARES`]).
 
 use std::ops::Range;
 
@@ -15,9 +18,10 @@ use crate::geometry::Point;
 
 /// Segments in a leaf of the tree.
 const LEAF: usize = 4;
-/// Squares of pixels: side, px, and the largest number of candidates of one. If more segments are as near, those nearest to the centre are
-/// kept; the result may then be farther away than the nearest position, by at most the square's diagonal. Squares depend on target
-/// positions alone, so every division into bands gives the same bytes.
+/// Squares of pixels: side, px, and the largest number of candidates of one. If more segments are
+/// as near, those nearest to the centre are kept; the result may then be farther away than the
+/// nearest position, by at most the square's diagonal. Squares depend on target positions alone, so
+/// every division into bands gives the same bytes.
 const SQUARES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
 /// Lists up to this length are searched for each pixel without smaller squares.
 const SHORT: usize = 12;
@@ -29,7 +33,8 @@ const MARGIN: f64 = 1.0;
 pub(super) struct Border {
     /// Closed: the last vertex is the first.
     vertices: Vec<Corner>,
-    /// Boxes of a complete binary tree, the root first, the children of k at 2k + 1 and 2k + 2; empty until [`Border::index`].
+    /// Boxes of a complete binary tree, the root first, the children of k at 2k + 1 and 2k + 2;
+    /// empty until [`Border::index`].
     boxes: Vec<[f64; 4]>,
     /// For `Outside::Reflect`.
     mirror: Option<Mirror>,
@@ -63,8 +68,9 @@ impl Border {
         self.vertices.windows(2).map(|pair| (pair[0], pair[1]))
     }
 
-    /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets the rectangle of the centres, and the
-    /// polygon winds around it. The picture's map then has the same non-zero degree on the whole rectangle, so every centre is covered.
+    /// Whether every pixel centre of these columns and rows is certainly inside: no segment meets
+    /// the rectangle of the centres, and the polygon winds around it. The picture's map then has
+    /// the same non-zero degree on the whole rectangle, so every centre is covered.
     pub(super) fn surrounds(&self, columns: &Range<usize>, rows: &Range<u32>) -> bool {
         let centre = |pixel: i64| pixel * i64::from(ONE) + i64::from(HALF);
         #[expect(clippy::cast_possible_wrap, reason = "a window has few columns")]
@@ -134,7 +140,8 @@ impl Border {
         self.boxes.len().div_ceil(2)
     }
 
-    /// Whether a search down the tree finds `segment` before `other` at equal distance: nearer boxes come first, then the left one.
+    /// Whether a search down the tree finds `segment` before `other` at equal distance: nearer
+    /// boxes come first, then the left one.
     fn comes_first(&self, segment: usize, other: usize, place: Point) -> bool {
         let node = |segment: usize| segment / LEAF + self.leaves() - 1;
         let (mut a, mut b) = (node(segment.min(other)), node(segment.max(other)));
@@ -150,7 +157,8 @@ impl Border {
     }
 }
 
-/// The outer edges of the grid, clockwise (y down) at rest from the top left corner: the first vertex, the cell, and its edge.
+/// The outer edges of the grid, clockwise (y down) at rest from the top left corner: the first
+/// vertex, the cell, and its edge.
 fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usize), usize)> {
     let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
     let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
@@ -165,7 +173,8 @@ fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usi
         .chain(left_column)
 }
 
-/// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to `width` are filled.
+/// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to
+/// `width` are filled.
 #[derive(Debug)]
 pub(super) struct Rows<'a> {
     pub(super) first: u32,
@@ -209,7 +218,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Gives every uncovered pixel the sampler's coordinates of the nearest border position; among equals, of the first segment.
+    /// Gives every uncovered pixel the sampler's coordinates of the nearest border position; among
+    /// equals, of the first segment.
     pub(super) fn fill(&mut self, rows: &mut Rows<'_>) {
         let (side, _) = SQUARES[0];
         let before = self.work;
@@ -226,8 +236,8 @@ impl<'a> Search<'a> {
         );
     }
 
-    /// Upper bound of the work for these rows: each square its parent's whole list (first the tree), each pixel the longest list of the
-    /// last size.
+    /// Upper bound of the work for these rows: each square its parent's whole list (first the
+    /// tree), each pixel the longest list of the last size.
     fn most_work(&self, rows: &Rows<'_>) -> u64 {
         let tree = self.border.boxes.len() + self.border.vertices.len();
         let above = [tree, SQUARES[0].1, SQUARES[1].1];
@@ -312,8 +322,8 @@ impl Border {
         nearest_on(a, b, place).0.sqrt()
     }
 
-    /// Appends all segments no farther from `place` than the nearest one plus `beyond`, and possibly more; returns the distance of the
-    /// nearest one.
+    /// Appends all segments no farther from `place` than the nearest one plus `beyond`, and
+    /// possibly more; returns the distance of the nearest one.
     fn gather(&self, place: Point, beyond: f64, list: &mut Vec<Candidate>, work: &mut u64) -> f64 {
         let leaves = self.leaves();
         let mut nearest = f64::INFINITY;
@@ -352,7 +362,8 @@ impl Border {
         nearest
     }
 
-    /// The sampler's coordinates of the position nearest to `place` on the listed segments, or mirrored beyond it.
+    /// The sampler's coordinates of the position nearest to `place` on the listed segments, or
+    /// mirrored beyond it.
     fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
         let mut best = (
             f64::INFINITY,
@@ -478,7 +489,8 @@ mod tests {
         );
     }
 
-    /// The nearest position by a search of the tree for this position alone; it defines the result among equals.
+    /// The nearest position by a search of the tree for this position alone; it defines the result
+    /// among equals.
     fn by_the_tree(border: &Border, node: usize, place: Point, best: &mut (f64, (f32, f32))) {
         if node + 1 >= border.leaves() {
             let first = (node + 1 - border.leaves()) * LEAF;
@@ -503,7 +515,8 @@ mod tests {
         }
     }
 
-    /// The coordinates of all pixels of a target, and the work per pixel; two bands, the second beginning inside a square.
+    /// The coordinates of all pixels of a target, and the work per pixel; two bands, the second
+    /// beginning inside a square.
     fn filled(border: &mut Border, width: usize, height: usize) -> (Vec<(f32, f32)>, f64) {
         border.index();
         let mut found = Vec::new();
@@ -595,7 +608,8 @@ mod tests {
             45,
             45,
         );
-        // Back and forth on the same line, and mirrored: every result occurs twice at equal distance.
+        // Back and forth on the same line, and mirrored: every result occurs twice at equal
+        // distance.
         agrees(
             "there and back",
             &(0..40)

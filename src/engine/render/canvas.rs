@@ -1,6 +1,7 @@
-//! The part of the posed plane that is drawn, and its division into windows. A window is a rectangle of the target's pixels at a fixed
-//! place of the plane; each draws with coordinates relative to its own origin, so single precision suffices everywhere, and a pixel has the
-//! same value in every canvas of the same scale that contains it.
+//! The part of the posed plane that is drawn, and its division into windows. A window is a
+//! rectangle of the target's pixels at a fixed place of the plane; each draws with coordinates
+//! relative to its own origin, so single precision suffices everywhere, and a pixel has the same
+//! value in every canvas of the same scale that contains it.
 
 use std::ops::Range;
 
@@ -29,7 +30,8 @@ impl Canvas {
         }
     }
 
-    /// The smallest box that contains both. Boxes beyond the range of their coordinates are cut off.
+    /// The smallest box that contains both. Boxes beyond the range of their coordinates are cut
+    /// off.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         let end = |at: i32, length: u32| i64::from(at) + i64::from(length);
@@ -65,7 +67,8 @@ impl Canvas {
 
 /// Side of a window, px of the target.
 const SIDE: i64 = 1 << 14;
-/// The windows left of and above the origin are divided here, because most canvases that begin there begin near it.
+/// The windows left of and above the origin are divided here, because most canvases that begin
+/// there begin near it.
 const NEAR: i64 = 1 << 10;
 /// Differences from a whole number of pixels below this are rounding errors.
 const WHOLE: f64 = 1e-6;
@@ -191,7 +194,8 @@ impl Placement {
     }
 }
 
-/// The number of windows in which a canvas is drawn onto a target of this size; each holds a posed grid.
+/// The number of windows in which a canvas is drawn onto a target of this size; each holds a posed
+/// grid.
 #[must_use]
 pub fn window_count(canvas: Canvas, target: Extent) -> u64 {
     Placement::new(canvas, target).windows().len() as u64

@@ -1,6 +1,8 @@
-//! Draws single cells of any shape, in drawing order. A convex cell is its bilinear patch; every other cell is two triangles, each affine.
-//! Most cells are drawn in lanes (`kernel::cells`); cells with longer sides are drawn row by row in double precision, between the exact
-//! crossings of their edges. Writes sampler coordinates into rows of pixels. Cost: O(rows touched + pixels painted) per cell.
+//! Draws single cells of any shape, in drawing order. A convex cell is its bilinear patch; every
+//! other cell is two triangles, each affine. Most cells are drawn in lanes (`kernel::cells`); cells
+//! with longer sides are drawn row by row in double precision, between the exact crossings of their
+//! edges. Writes sampler coordinates into rows of pixels. Cost: O(rows touched + pixels painted)
+//! per cell.
 
 use std::cmp::Ordering;
 use std::ops::Range;
@@ -15,8 +17,8 @@ use crate::geometry::Point;
 /// Blocks of cells after which the uncovered pixels are counted again.
 const BLOCKS_PER_LOOK: usize = 16;
 
-/// Draws a row of cells, last cell first, into the open rows: in each block the cells whose bits are set, and of these the rows of their
-/// column.
+/// Draws a row of cells, last cell first, into the open rows: in each block the cells whose bits
+/// are set, and of these the rows of their column.
 pub(super) fn draw_row(
     kernel: Kernel,
     lattice: &Lattice,
@@ -171,8 +173,9 @@ fn rows_between(top: i32, bottom: i32, raster: &Raster<'_>) -> u32 {
     below(from_first(top)) & !below(from_first(bottom))
 }
 
-/// Splits a cell that is not convex along the diagonal 00-11, unless only the other diagonal gives two triangles of one orientation (a
-/// dart with its notch at 10 or 01). Triangles repeat their last corner.
+/// Splits a cell that is not convex along the diagonal 00-11, unless only the other diagonal gives
+/// two triangles of one orientation (a dart with its notch at 10 or 01). Triangles repeat their
+/// last corner.
 fn triangles([a, b, c, d]: &[Corner; 4]) -> [[Corner; 4]; 2] {
     let same = |p: i64, q: i64| p.signum() * q.signum() >= 0;
     if !same(turn(*a, *b, *c), turn(*a, *c, *d)) && same(turn(*a, *b, *d), turn(*b, *c, *d)) {
@@ -188,8 +191,8 @@ fn bounds<const N: usize>(places: [i32; N]) -> (i32, i32) {
     })
 }
 
-/// Draws a polygon with long sides row by row between its exact crossings. Coordinates are linear along the row, or the exact inverse of
-/// the patch where that differs too much.
+/// Draws a polygon with long sides row by row between its exact crossings. Coordinates are linear
+/// along the row, or the exact inverse of the patch where that differs too much.
 fn large(
     corners: &[Corner; 4],
     patch: Option<Patch>,

@@ -1,7 +1,8 @@
-//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if its centre is. For the others, the area
-//! of the union of the cells in them is computed. Outlines are the border of the posed picture and the edges of folded cells: away from
-//! these, either all or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in a pixel, the area is
-//! summed over slices of 1/16 px.
+//! How much of each pixel the posed picture covers. A pixel that no outline crosses is covered if
+//! its centre is. For the others, the area of the union of the cells in them is computed. Outlines
+//! are the border of the posed picture and the edges of folded cells: away from these, either all
+//! or nothing of a pixel is covered. Accuracy: half a step of 8 bit; where folded cells overlap in
+//! a pixel, the area is summed over slices of 1/16 px.
 
 use std::ops::{ControlFlow, Range};
 
@@ -10,13 +11,15 @@ use super::inverse_map::InverseMap;
 use crate::geometry::{CellTree, Mesh, Orientation, Point, RefinedCell};
 use crate::pixmap::Extent;
 
-/// Pixels nearer than this to an outline are measured, px: the renderer snaps vertices, which may move an outline past a pixel's centre.
+/// Pixels nearer than this to an outline are measured, px: the renderer snaps vertices, which may
+/// move an outline past a pixel's centre.
 const NEAR: f64 = 1.0 / 64.0;
 /// Up to this number of triangles that do not overlap in a pixel, their area is exact.
 const MAX_EXACT: usize = 64;
 /// The slices of a pixel with more triangles, or with triangles that overlap.
 const SLICES: u32 = 16;
-/// A pixel with more triangles is covered if its centre is. This bounds the work where a large part of the picture shrinks into one pixel.
+/// A pixel with more triangles is covered if its centre is. This bounds the work where a large part
+/// of the picture shrinks into one pixel.
 const MAX_TRIANGLES: usize = 4096;
 
 /// Draws coverage in bands of rows; every division into bands gives the same bytes.
@@ -59,7 +62,8 @@ impl Coverage {
     /// Upper bound of the memory beside that of drawing a picture, bytes.
     #[must_use]
     pub fn bytes(mesh: &Mesh) -> u64 {
-        /// A displacement, a box and a third of one; of folded cells also six lines of two positions.
+        /// A displacement, a box and a third of one; of folded cells also six lines of two
+        /// positions.
         const VERTEX: u64 = 32 + 6 * 32;
         mesh.vertices() * VERTEX
     }
@@ -76,7 +80,8 @@ impl Coverage {
         self.inverse.computed_width()
     }
 
-    /// Writes the coverage of every pixel of the target rows `rows`, 0 to 255. Shapes: `out: [rows][width]`.
+    /// Writes the coverage of every pixel of the target rows `rows`, 0 to 255. Shapes:
+    /// `out: [rows][width]`.
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
@@ -154,7 +159,8 @@ impl Coverage {
         )
     }
 
-    /// Calls `quad` for the posed cell at an index, or for the smaller cells that it is divided into: corners 00, 10, 11, 01.
+    /// Calls `quad` for the posed cell at an index, or for the smaller cells that it is divided
+    /// into: corners 00, 10, 11, 01.
     fn quads(&self, cell: usize, mut quad: impl FnMut([Point; 4])) {
         let columns = self.mesh.grid().columns() as usize - 1;
         #[expect(
@@ -189,7 +195,8 @@ impl Coverage {
             .collect()
     }
 
-    /// The border of the posed picture, and the sides and diagonals of folded cells, px of the target.
+    /// The border of the posed picture, and the sides and diagonals of folded cells, px of the
+    /// target.
     fn outlines(&self) -> Vec<[Point; 2]> {
         let mut lines = Vec::new();
         let mut add = |a: Point, b: Point| {
@@ -243,7 +250,8 @@ impl Coverage {
     }
 }
 
-/// Calls `pixel` for every pixel of the rows that is at most [`NEAR`] from a line segment, and perhaps for some neighbours.
+/// Calls `pixel` for every pixel of the rows that is at most [`NEAR`] from a line segment, and
+/// perhaps for some neighbours.
 fn pixels_near(
     [a, b]: &[Point; 2],
     rows: &Range<u32>,
@@ -279,7 +287,8 @@ fn pixels_near(
     }
 }
 
-/// Divides a cell of any shape into the two triangles that it is drawn as; for a convex cell, either diagonal gives the same area.
+/// Divides a cell of any shape into the two triangles that it is drawn as; for a convex cell,
+/// either diagonal gives the same area.
 fn halves([a, b, c, d]: [Point; 4]) -> [[Point; 3]; 2] {
     let turn = |a: Point, b: Point, c: Point| (b - a).cross(c - a);
     if turn(a, b, c) * turn(a, c, d) < 0.0 && turn(a, b, d) * turn(b, c, d) >= 0.0 {
@@ -309,8 +318,9 @@ fn meets_pixel(triangle: &[Point; 3]) -> bool {
     meets(|p| p.x) && meets(|p| p.y)
 }
 
-/// The area of the union of triangles in the pixel from 0 to 1. Between two consecutive heights of corners and of crossings with the
-/// pixel's sides, the covered length is a linear function of the height, unless triangles overlap.
+/// The area of the union of triangles in the pixel from 0 to 1. Between two consecutive heights of
+/// corners and of crossings with the pixel's sides, the covered length is a linear function of the
+/// height, unless triangles overlap.
 fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
     let sides = |[a, b, c]: &[Point; 3]| [(*a, *b), (*b, *c), (*c, *a)];
     let mut heights = vec![0.0, 1.0];

@@ -1,6 +1,7 @@
-//! A posed grid drawn in strips of rows. Coordinates come from column crossings, and from single cells where crossings are inaccurate or
-//! out of order (`row_strategy`). The strategy depends on the mesh and the row alone, so every division into bands gives the same bytes.
-//! Cost: O(cells touched + pixels).
+//! A posed grid drawn in strips of rows. Coordinates come from column crossings, and from single
+//! cells where crossings are inaccurate or out of order (`row_strategy`). The strategy depends on
+//! the mesh and the row alone, so every division into bands gives the same bytes. Cost: O(cells
+//! touched + pixels).
 
 use std::ops::Range;
 
@@ -91,7 +92,8 @@ impl Drawing {
         }
     }
 
-    /// Draws the part of target rows that lies in the window. Shapes: `out: [rows][width of the target]`, pixels.
+    /// Draws the part of target rows that lies in the window. Shapes:
+    /// `out: [rows][width of the target]`, pixels.
     pub(super) fn band(
         &self,
         source: &Source,
@@ -117,9 +119,9 @@ impl Drawing {
         }
     }
 
-    /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves the others. The filter is
-    /// [`Filter::Nearest`] and the level 0, so that the sampler's coordinates are px of the source. Shapes: `out: [rows][width of the
-    /// target]`.
+    /// Writes the source positions of the covered pixels of target rows, at most `most`, and leaves
+    /// the others. The filter is [`Filter::Nearest`] and the level 0, so that the sampler's
+    /// coordinates are px of the source. Shapes: `out: [rows][width of the target]`.
     pub(super) fn positions(&self, rows: &Range<u32>, most: [f32; 2], out: &mut [[f32; 2]]) {
         debug_assert!(self.filter == Filter::Nearest && self.level == 0);
         let Window {
@@ -143,8 +145,8 @@ impl Drawing {
         });
     }
 
-    /// Computes the coordinates of the target rows that lie in the window: the index of each among `rows`, the row of the window, and where
-    /// it begins in the scratch.
+    /// Computes the coordinates of the target rows that lie in the window: the index of each among
+    /// `rows`, the row of the window, and where it begins in the scratch.
     #[inline(always)]
     fn each_line(&self, rows: &Range<u32>, mut draw: impl FnMut(usize, (u32, usize), &Scratch)) {
         let Window {
@@ -234,15 +236,16 @@ impl Drawing {
         }
     }
 
-    /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell by cell.
+    /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell
+    /// by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
         let width = self.width();
         let all_plain = strip
             .clone()
             .all(|row| self.strategies.of(row) == RowStrategy::Scanline);
         let pitch = width + SLACK;
-        // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless they are extended; the others follow
-        // it.
+        // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless
+        // they are extended; the others follow it.
         let size = if all_plain && !self.is_extended() {
             1
         } else {
@@ -339,7 +342,8 @@ impl Drawing {
                 &mut raster,
             );
         }
-        // From the last cell back and into uncovered pixels only: the same picture, without repeated work where cells overlap.
+        // From the last cell back and into uncovered pixels only: the same picture, without
+        // repeated work where cells overlap.
         (raster.over, raster.open) = (false, divided);
         for j in self.lattice.rows_touching(strip).rev() {
             if raster.open == 0 {
@@ -358,7 +362,8 @@ impl Drawing {
         raster.shrink();
     }
 
-    /// Computes a row's coordinates and its covered runs; returns where the row begins in the scratch.
+    /// Computes a row's coordinates and its covered runs; returns where the row begins in the
+    /// scratch.
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.width();
@@ -384,8 +389,8 @@ impl Drawing {
         start
     }
 
-    /// Coordinates of a split row between the columns drawn by cells, from `start` on in the scratch, the rest uncovered; returns the
-    /// covered range.
+    /// Coordinates of a split row between the columns drawn by cells, from `start` on in the
+    /// scratch, the rest uncovered; returns the covered range.
     fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
         let width = self.width();
         let stride = self.lattice.pitch + BLOCK;
@@ -422,8 +427,8 @@ impl Drawing {
         uncovered
     }
 
-    /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and the run of pixels between the first
-    /// and the last.
+    /// Coordinates of a row from its crossings of some columns, from `start` on in the scratch, and
+    /// the run of pixels between the first and the last.
     fn spans(
         &self,
         row: u32,
@@ -472,7 +477,8 @@ impl Drawing {
         scratch.runs.push(covered);
     }
 
-    /// The first pixel right of a column's single crossing with a row; `cell` is the row of cells to try first, and where it was found.
+    /// The first pixel right of a column's single crossing with a row; `cell` is the row of cells
+    /// to try first, and where it was found.
     fn crossing(&self, column: usize, row: u32, cell: &mut usize) -> Option<i64> {
         let y = row_centre(row);
         let is_above =
@@ -499,7 +505,8 @@ impl Drawing {
         .map(|crossing| crossing.pixel)
     }
 
-    /// Samples a row with known coordinates and fills what is outside. `first`: index of the row's first pixel in `out`.
+    /// Samples a row with known coordinates and fills what is outside. `first`: index of the row's
+    /// first pixel in `out`.
     fn paint(
         &self,
         sampled: Sampled<'_>,

@@ -1,6 +1,8 @@
-//! Crossings of an edge between two lattice vertices with rows of pixel centres. By the top-left rule a polygon owns the pixels whose
-//! centre is not left of its left edge and left of its right edge, and the rows from the upper end of an edge to just before its lower
-//! end. The rule is applied exactly, so polygons that share an edge neither share pixels nor leave gaps. Cost: O(1) per crossing.
+//! Crossings of an edge between two lattice vertices with rows of pixel centres. By the top-left
+//! rule a polygon owns the pixels whose centre is not left of its left edge and left of its right
+//! edge, and the rows from the upper end of an edge to just before its lower end. The rule is
+//! applied exactly, so polygons that share an edge neither share pixels nor leave gaps. Cost: O(1)
+//! per crossing.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -11,7 +13,8 @@ use std::ops::Range;
 
 use super::lattice::{Corner, HALF, ONE, first_row, row_centre};
 
-/// Crossings closer than this to a pixel's centre, px, are decided in integers. The f64 result is off by at most 2^-28 px.
+/// Crossings closer than this to a pixel's centre, px, are decided in integers. The f64 result is
+/// off by at most 2^-28 px.
 const CLOSE_CALL: f64 = 1e-6;
 
 /// An edge that is not horizontal, from top to bottom.
@@ -93,7 +96,8 @@ impl Edge {
     }
 }
 
-/// Crossings of rows with a convex polygon (a triangle repeats a corner): left and right in any order.
+/// Crossings of rows with a convex polygon (a triangle repeats a corner): left and right in any
+/// order.
 pub(super) fn walk(
     corners: &[Corner; 4],
     rows: Range<u32>,
@@ -167,7 +171,8 @@ mod tests {
     proptest! {
         #[test]
         fn crossing_is_the_exact_one(
-            (ax, ay, bx, by) in (-9000..9000_i32, -9000..9000_i32, -9000..9000_i32, -9000..9000_i32),
+            (ax, ay, bx, by) in (-9000..9000_i32, -9000..9000_i32, -9000..9000_i32,
+                -9000..9000_i32),
             row in -30..30_i64,
         ) {
             let y = row * i64::from(ONE) + i64::from(HALF);
@@ -181,11 +186,14 @@ mod tests {
         }
 
         #[test]
-        fn crossing_through_centres_takes_the_pixel(column in -40..40_i32, slant in -40..40_i32, height in 1..40_i32, row in 0..40_i32) {
+        fn crossing_through_centres_takes_the_pixel(column in -40..40_i32, slant in -40..40_i32,
+            height in 1..40_i32, row in 0..40_i32) {
             // Both ends on pixel centres: whole slopes meet centres exactly.
-            let (top, bottom) = (corner(column * ONE + HALF, HALF), corner((column + slant * height) * ONE + HALF, height * ONE + HALF));
+            let (top, bottom) = (corner(column * ONE + HALF, HALF),
+                corner((column + slant * height) * ONE + HALF, height * ONE + HALF));
             let crossing = Edge::new(bottom, top).unwrap().crossing(i64::from(row * ONE + HALF));
-            prop_assert_eq!(crossing.map(|c| c.pixel), (row < height).then(|| i64::from(column + slant * row)));
+            prop_assert_eq!(crossing.map(|c| c.pixel),
+                (row < height).then(|| i64::from(column + slant * row)));
         }
 
         #[test]

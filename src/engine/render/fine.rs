@@ -1,6 +1,7 @@
-//! The refined cells of a mesh on the lattice: each is drawn as smaller cells. Neighbours share the vertices of their common edge, but a
-//! vertex that lies on a straight edge of a coarser neighbour is snapped like any other, at most half a step beside it. The slivers that
-//! this leaves are painted as well.
+//! The refined cells of a mesh on the lattice: each is drawn as smaller cells. Neighbours share the
+//! vertices of their common edge, but a vertex that lies on a straight edge of a coarser neighbour
+//! is snapped like any other, at most half a step beside it. The slivers that this leaves are
+//! painted as well.
 
 use super::steps::{BLOCK, Corner, YRange};
 
@@ -57,7 +58,8 @@ impl FineCells {
             .map(|index| &row[index])
     }
 
-    /// The cells that a refined cell is drawn as, in drawing order, corners in the order 00, 10, 11, 01.
+    /// The cells that a refined cell is drawn as, in drawing order, corners in the order 00, 10,
+    /// 11, 01.
     pub(super) fn parts(
         &self,
         cell: &FineCell,
@@ -75,8 +77,9 @@ impl FineCells {
         })
     }
 
-    /// The slivers between a refined cell and the straight parts of its edges, as triangles of either orientation. `under`: whether the
-    /// whole cell is painted under it, which covers those at edges that are straight as a whole.
+    /// The slivers between a refined cell and the straight parts of its edges, as triangles of
+    /// either orientation. `under`: whether the whole cell is painted under it, which covers those
+    /// at edges that are straight as a whole.
     pub(super) fn slivers(
         &self,
         cell: &FineCell,

@@ -1,8 +1,10 @@
-//! Area-aware sampling where the warp shrinks the source. The Jacobian of the posed grid, interpolated between its vertices, gives the
-//! parallelogram of the source that a target pixel shows: its footprint. Its sides grow from a point at a shrinking of 1.5 to their full
-//! size at 2. A side longer than 1.5 px is divided into samples, at most 16 per pixel, which are averaged, colours weighted by alpha; if
-//! their distance is still larger, they are read from a box-reduced copy (`kernel::footprints`). The footprint depends on the source
-//! position alone, so there are no seams between cells, canvases or bands.
+//! Area-aware sampling where the warp shrinks the source. The Jacobian of the posed grid,
+//! interpolated between its vertices, gives the parallelogram of the source that a target pixel
+//! shows: its footprint. Its sides grow from a point at a shrinking of 1.5 to their full size at 2.
+//! A side longer than 1.5 px is divided into samples, at most 16 per pixel, which are averaged,
+//! colours weighted by alpha; if their distance is still larger, they are read from a box-reduced
+//! copy (`kernel::footprints`). The footprint depends on the source position alone, so there are no
+//! seams between cells, canvases or bands.
 
 use std::ops::Range;
 
@@ -52,9 +54,9 @@ pub(super) struct AveragedSamples {
     sums: Vec<u16>,
 }
 
-/// The cells in which pixels need several samples, because they shrink the source, 1 or 0, `[rows - 1][columns - 1]`; empty if there
-/// are none.
-/// `sampled`: px of the sampled picture for a px of the source, along each axis; `scale`: px of the target.
+/// The cells in which pixels need several samples, because they shrink the source, 1 or 0,
+/// `[rows - 1][columns - 1]`; empty if there are none. `sampled`: px of the sampled picture for a
+/// px of the source, along each axis; `scale`: px of the target.
 pub(super) fn shrinking_cells(
     mesh: &Mesh,
     sampled: [f64; 2],
@@ -89,7 +91,8 @@ pub(super) fn shrinking_cells(
 }
 
 impl Footprints {
-    /// `shrinking`: what [`shrinking_cells`] found. `scale`: px of the target per px of the source. `columns`, `height`: of the target.
+    /// `shrinking`: what [`shrinking_cells`] found. `scale`: px of the target per px of the source.
+    /// `columns`, `height`: of the target.
     pub(super) fn new(
         mesh: &Mesh,
         shrinking: &[u8],
@@ -186,8 +189,9 @@ impl Footprints {
         }
     }
 
-    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not shrunk. `row` and `column`: of its first
-    /// pixel; `first`: its index in `out`. Pixels that need several samples are complete after [`AveragedSamples::finish`].
+    /// Samples a run of pixels of a row, as [`sampler::sample`] does where the source is not
+    /// shrunk. `row` and `column`: of its first pixel; `first`: its index in `out`. Pixels that
+    /// need several samples are complete after [`AveragedSamples::finish`].
     pub(super) fn sample(
         &self,
         sampled: Sampled<'_>,
@@ -238,7 +242,8 @@ impl AveragedSamples {
         self.average(1, sampled, out);
     }
 
-    /// Averages the samples of pixels into those of `out`, wherever at least `least` of a kind are waiting.
+    /// Averages the samples of pixels into those of `out`, wherever at least `least` of a kind are
+    /// waiting.
     fn average(&mut self, least: usize, sampled: Sampled<'_>, out: &mut [u8]) {
         let depth = sampled.source.pixmap().depth();
         for (kind, log) in (0..2 * KINDS).zip((1..=MOST.ilog2()).cycle()) {
@@ -370,7 +375,8 @@ fn jacobians_of_line(mesh: &Mesh, j: usize, (per_x, per_y): (&[f32], f32), out: 
     }
 }
 
-/// For each row of a target, the columns in which some cells are drawn, one bit for each block of columns.
+/// For each row of a target, the columns in which some cells are drawn, one bit for each block of
+/// columns.
 #[derive(Debug)]
 struct DrawnColumns {
     /// Columns of a block.

@@ -1,4 +1,5 @@
-//! The source position that each pixel of a target shows: the inverse of the drawn mesh at the pixel's centre.
+//! The source position that each pixel of a target shows: the inverse of the drawn mesh at the
+//! pixel's centre.
 
 use std::ops::Range;
 
@@ -11,7 +12,8 @@ use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::level::Level;
 use crate::pixmap::Extent;
 
-/// The positions that a target shows, in bands of rows; every division into bands gives the same numbers.
+/// The positions that a target shows, in bands of rows; every division into bands gives the same
+/// numbers.
 #[derive(Debug)]
 pub struct InverseMap {
     target: Extent,
@@ -34,7 +36,8 @@ impl InverseMap {
         Self::with_level(mesh, target, canvas, Level::detect())
     }
 
-    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All levels give the same numbers.
+    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All
+    /// levels give the same numbers.
     ///
     /// # Panics
     /// If a side of the mesh's grid is less than a pixel.
@@ -96,7 +99,8 @@ impl InverseMap {
         self.target
     }
 
-    /// Upper bound of the pixels whose source positions are computed for a row: a window is computed from its left edge.
+    /// Upper bound of the pixels whose source positions are computed for a row: a window is
+    /// computed from its left edge.
     #[must_use]
     pub fn computed_width(&self) -> u32 {
         match &self.work {
@@ -105,7 +109,8 @@ impl InverseMap {
         }
     }
 
-    /// Writes the source position of every pixel of the target rows `rows`, px; NaN where nothing is drawn. Shapes: `out: [rows][width]`.
+    /// Writes the source position of every pixel of the target rows `rows`, px; NaN where nothing
+    /// is drawn. Shapes: `out: [rows][width]`.
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.

@@ -1,7 +1,8 @@
-//! The posed grid as the rasteriser uses it: vertices snapped to a lattice of 1/256 target px, so that integers compare edges exactly, and
-//! the sampler's coordinate of every column and row. Structure of arrays `[rows][pitch]`; the pitch is a multiple of [`BLOCK`] (the last
-//! vertex of a row is repeated). Ranges of y bound each row of cells and each block of cells, so that a strip of target rows finds the
-//! cells that it meets. Memory and time: O(vertices).
+//! The posed grid as the rasteriser uses it: vertices snapped to a lattice of 1/256 target px, so
+//! that integers compare edges exactly, and the sampler's coordinate of every column and row.
+//! Structure of arrays `[rows][pitch]`; the pitch is a multiple of [`BLOCK`] (the last vertex of a
+//! row is repeated). Ranges of y bound each row of cells and each block of cells, so that a strip
+//! of target rows finds the cells that it meets. Memory and time: O(vertices).
 
 use super::fine::FineCells;
 pub(super) use super::steps::{

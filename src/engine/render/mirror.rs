@@ -1,8 +1,10 @@
-//! The source position that an uncovered pixel shows with `Outside::Reflect`. The pixel lies at some distance from the nearest position of
-//! the posed border; the source position lies as far outside the source, beyond the same position of its border and at a right angle to
-//! it, and is mirrored back into the source as often as necessary (`fedcba|abcdef`). Distances are measured as in the cells along the
-//! border: the posed length of their inner edges is their height at rest. At a corner of the picture, the distances beyond its two sides
-//! are those along the normals of these sides. The result is continuous across the border and along it.
+//! The source position that an uncovered pixel shows with `Outside::Reflect`. The pixel lies at
+//! some distance from the nearest position of the posed border; the source position lies as far
+//! outside the source, beyond the same position of its border and at a right angle to it, and is
+//! mirrored back into the source as often as necessary (`fedcba|abcdef`). Distances are measured as
+//! in the cells along the border: the posed length of their inner edges is their height at rest. At
+//! a corner of the picture, the distances beyond its two sides are those along the normals of these
+//! sides. The result is continuous across the border and along it.
 
 use super::lattice::{Corner, Lattice};
 use crate::geometry::{Point, Vec2};
@@ -28,7 +30,8 @@ pub(super) struct Mirror {
 }
 
 impl Mirror {
-    /// `counts`: how many segments belong to each outer edge of a cell, clockwise from the top left corner.
+    /// `counts`: how many segments belong to each outer edge of a cell, clockwise from the top left
+    /// corner.
     pub(super) fn new(lattice: &Lattice, counts: &[usize]) -> Self {
         let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
         // A vertex of the border and the next one inwards.
@@ -63,7 +66,8 @@ impl Mirror {
         }
     }
 
-    /// The sampler's coordinates for `place`, whose nearest border position lies on the segment `index`. `vertices` are closed.
+    /// The sampler's coordinates for `place`, whose nearest border position lies on the segment
+    /// `index`. `vertices` are closed.
     #[expect(
         clippy::cast_possible_truncation,
         reason = "sampler coordinates are f32"

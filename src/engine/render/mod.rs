@@ -1,7 +1,9 @@
-//! The rasteriser: draws the posed grid as one bilinear patch per cell. Each row is drawn in two phases: first the source position that
-//! each pixel centre shows (`drawing`: by column crossings or cell by cell), then the samples (`kernel`, `sampler`). Exact integer rules
-//! on vertices snapped to 1/256 px assign each pixel to a cell, so that cells neither overlap nor leave gaps; under folds the later cell
-//! in row order wins. Output: straight samples of the target. Cost: O(vertices) to prepare, O(pixels) to draw.
+//! The rasteriser: draws the posed grid as one bilinear patch per cell. Each row is drawn in two
+//! phases: first the source position that each pixel centre shows (`drawing`: by column crossings
+//! or cell by cell), then the samples (`kernel`, `sampler`). Exact integer rules on vertices
+//! snapped to 1/256 px assign each pixel to a cell, so that cells neither overlap nor leave gaps;
+//! under folds the later cell in row order wins. Output: straight samples of the target. Cost:
+//! O(vertices) to prepare, O(pixels) to draw.
 
 use std::{ops::Range, sync::Arc};
 
@@ -126,15 +128,16 @@ pub struct RenderOptions {
 }
 
 impl RenderOptions {
-    /// Whether this drawing of a source has to make copies of it first (packed, reduced). They are kept for later drawings.
+    /// Whether this drawing of a source has to make copies of it first (packed, reduced). They are
+    /// kept for later drawings.
     #[must_use]
     pub fn lacks_copies(&self, source: &Source, mesh: &Mesh) -> bool {
         !self.is_copy(source, mesh)
             && source.lacks_copies(self.placement(source).source(mesh.grid()), self.is_packed())
     }
 
-    /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond or two per pixel of the source. `None`
-    /// when cancelled.
+    /// Makes the copies, for which [`Renderer::new`] otherwise takes the time: up to a nanosecond
+    /// or two per pixel of the source. `None` when cancelled.
     pub fn make_copies(
         &self,
         source: &Source,
@@ -170,7 +173,8 @@ impl RenderOptions {
     }
 }
 
-/// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same bytes.
+/// Draws a mesh of a source picture, in bands of rows; every division into bands gives the same
+/// bytes.
 #[derive(Debug)]
 pub struct Renderer {
     source: Arc<Source>,
@@ -196,7 +200,8 @@ impl Renderer {
         Self::with_level(source, mesh, options, Level::detect())
     }
 
-    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All levels give the same bytes.
+    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All
+    /// levels give the same bytes.
     #[must_use]
     pub fn with_level(
         source: Arc<Source>,
@@ -292,7 +297,8 @@ impl Renderer {
         self.options.target
     }
 
-    /// Upper bound of the pixels whose source positions are computed to draw a row: a window is computed from its left edge.
+    /// Upper bound of the pixels whose source positions are computed to draw a row: a window is
+    /// computed from its left edge.
     #[must_use]
     pub fn computed_width(&self) -> u32 {
         match &self.work {
@@ -307,7 +313,8 @@ impl Renderer {
         self.channels != self.source.pixmap().channels()
     }
 
-    /// RGBA if the source has alpha, some target pixel may need it or it was requested, otherwise RGB.
+    /// RGBA if the source has alpha, some target pixel may need it or it was requested, otherwise
+    /// RGB.
     #[must_use]
     pub const fn channels(&self) -> Channels {
         self.channels
@@ -325,7 +332,8 @@ impl Renderer {
         self.level
     }
 
-    /// Draws the target rows `rows`. Shapes: `out: [rows][width][channels]`, straight samples in PNG order (16-bit big-endian).
+    /// Draws the target rows `rows`. Shapes: `out: [rows][width][channels]`, straight samples in
+    /// PNG order (16-bit big-endian).
     ///
     /// # Panics
     /// If `rows` leave the target or `out` does not have the size of its shape.
@@ -366,8 +374,8 @@ impl Renderer {
     }
 }
 
-/// The rows of a band in which about `pixels` source positions are computed, `width` per row: a multiple of [`STRIP`], which is drawn at
-/// once.
+/// The rows of a band in which about `pixels` source positions are computed, `width` per row: a
+/// multiple of [`STRIP`], which is drawn at once.
 #[cfg(feature = "codec")]
 pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
     (pixels / width.max(1)).next_multiple_of(STRIP).max(STRIP)

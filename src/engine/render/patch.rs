@@ -1,11 +1,14 @@
-//! The bilinear patch of a cell, `P(s, t) = P00 + s e + t f + s t d` with `e = P10 - P00`, `f = P01 - P00`, `d = P11 - P10 - P01 + P00`,
-//! and its inverse. With `h = X - P00` the condition `cross(h - t f, e + t d) = 0` is quadratic in t; the root of the patch is the one at
-//! which the derivative, the Jacobian, has the sign of the four corner cross products. Lattice steps in, sampler coordinates out.
+//! The bilinear patch of a cell, `P(s, t) = P00 + s e + t f + s t d` with `e = P10 - P00`,
+//! `f = P01 - P00`, `d = P11 - P10 - P01 + P00`, and its inverse. With `h = X - P00` the condition
+//! `cross(h - t f, e + t d) = 0` is quadratic in t; the root of the patch is the one at which the
+//! derivative, the Jacobian, has the sign of the four corner cross products. Lattice steps in,
+//! sampler coordinates out.
 
 use super::lattice::Corner;
 use crate::geometry::{Point, Vec2};
 
-/// Largest error of drawn coordinates relative to the patch, px of the sampled picture: half of the contract's tolerance.
+/// Largest error of drawn coordinates relative to the patch, px of the sampled picture: half of the
+/// contract's tolerance.
 pub(super) const TOLERANCE: f64 = 1.0 / 32.0;
 
 /// The shape of a cell.
@@ -99,8 +102,9 @@ impl Patch {
         )
     }
 
-    /// Bounds the error, px of the sampled picture, of coordinates interpolated linearly between two border positions. Between parameters
-    /// that differ by (Δs, Δt) the chord leaves the patch by at most `|Δs Δt d| / 4`, and the inverse Jacobian maps that back.
+    /// Bounds the error, px of the sampled picture, of coordinates interpolated linearly between
+    /// two border positions. Between parameters that differ by (Δs, Δt) the chord leaves the patch
+    /// by at most `|Δs Δt d| / 4`, and the inverse Jacobian maps that back.
     pub(super) fn linear_error(&self, unit: f32) -> f64 {
         let (e, f, d) = (self.e, self.f, self.d);
         let (e1, f1) = (e + d, f + d);
@@ -126,7 +130,8 @@ impl Patch {
     }
 }
 
-/// Clamps to [0, 1]. A cell whose area vanishes in f64 gives 0/0, which becomes a border position and never NaN.
+/// Clamps to [0, 1]. A cell whose area vanishes in f64 gives 0/0, which becomes a border position
+/// and never NaN.
 fn within(share: f64) -> f64 {
     if share.is_nan() {
         0.0

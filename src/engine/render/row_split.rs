@@ -1,7 +1,8 @@
-//! Splits rows between column crossings and cells. Cells that are not upright, and cells at the ends of columns that a row does not cross,
-//! may hide others. These cells and enough neighbouring columns are drawn cell by cell, so that all of them lie between two columns that
-//! the row crosses once. Upright cells outside are ordered, so neither part hides the other. Cost: O(cells touched + rows * columns drawn
-//! by cells).
+//! Splits rows between column crossings and cells. Cells that are not upright, and cells at the
+//! ends of columns that a row does not cross, may hide others. These cells and enough neighbouring
+//! columns are drawn cell by cell, so that all of them lie between two columns that the row crosses
+//! once. Upright cells outside are ordered, so neither part hides the other. Cost: O(cells touched
+//! + rows * columns drawn by cells).
 
 use std::ops::Range;
 
@@ -29,7 +30,8 @@ pub(super) struct RowSplit {
     pub(super) parts: Vec<Part>,
     /// For each column of cells, the rows in which a cell is folded, one bit each.
     folded: Vec<u32>,
-    /// For each column of vertices, the rows in which it is not drawn straight, one bit each: refined cells beside it differ from crossings.
+    /// For each column of vertices, the rows in which it is not drawn straight, one bit each:
+    /// refined cells beside it differ from crossings.
     bent: Vec<u32>,
     /// Rows that are not split: drawn entirely cell by cell.
     unsplit: u32,
@@ -154,7 +156,8 @@ impl RowSplit {
                 across: self.across[n][index].clone(),
             };
             loop {
-                // The column at the left end lies left of all folded cells, and the cell left of it is upright.
+                // The column at the left end lies left of all folded cells, and the cell left of it
+                // is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
                 let end = (before + 1..=part.cells.start)
                     .rev()

@@ -1,19 +1,23 @@
-//! Chooses how each row of the target is drawn: by column crossings where cells are upright, cell by cell where they are not. Crossings
-//! draw everything between two columns at once; drawing by cells handles any shape, and later cells hide earlier ones. A row may be split
-//! between both at columns that it crosses exactly once, if everything drawn by cells lies between two such columns: then neither part
-//! hides the other. The choice depends on the mesh and the row alone. Cost: O(cells + rows).
+//! Chooses how each row of the target is drawn: by column crossings where cells are upright, cell
+//! by cell where they are not. Crossings draw everything between two columns at once; drawing by
+//! cells handles any shape, and later cells hide earlier ones. A row may be split between both at
+//! columns that it crosses exactly once, if everything drawn by cells lies between two such
+//! columns: then neither part hides the other. The choice depends on the mesh and the row alone.
+//! Cost: O(cells + rows).
 
 use std::ops::Range;
 
 use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
 use super::lattice::{BLOCK, Lattice, ONE, YRange};
 
-/// Rows are split only if at most one in this number of cells is folded; with more, finding the splits costs more than it saves.
+/// Rows are split only if at most one in this number of cells is folded; with more, finding the
+/// splits costs more than it saves.
 const FOLDED: usize = 24;
-/// Rows are split only if, on average, a block of cells meets at most this multiple of its share of rows.
+/// Rows are split only if, on average, a block of cells meets at most this multiple of its share of
+/// rows.
 const SHARES: u64 = 16;
-/// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not classified: their columns have no
-/// direction.
+/// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not
+/// classified: their columns have no direction.
 const LEAST_HEIGHT: f32 = 1.0 / 64.0;
 /// The farthest pixel at which single precision still resolves 1/256 px.
 const FARTHEST: u32 = 1 << 15;
@@ -23,8 +27,8 @@ const FARTHEST: u32 = 1 << 15;
 pub(super) enum RowStrategy {
     /// Crosses every column and meets only sound cells: drawn by column crossings.
     Scanline,
-    /// Crosses every column and meets only upright cells: drawn by column crossings, then the inaccurate cells over them. Upright cells
-    /// are ordered, so none hides another.
+    /// Crosses every column and meets only upright cells: drawn by column crossings, then the
+    /// inaccurate cells over them. Upright cells are ordered, so none hides another.
     ScanlineWithFixups,
     /// Some columns cell by cell, the others as `ScanlineWithFixups` (`row_split`).
     Mixed,
@@ -92,7 +96,8 @@ impl RowStrategies {
         &self.folded[j * self.blocks..][..self.blocks]
     }
 
-    /// Whether a row may be split: it crosses every column, few cells are folded, and few of them meet each row.
+    /// Whether a row may be split: it crosses every column, few cells are folded, and few of them
+    /// meet each row.
     pub(super) fn is_splittable(&self, row: u32) -> bool {
         self.splittable.contains(&row)
     }
@@ -245,8 +250,8 @@ impl<'a> CellClassifier<'a> {
         (self.lattice.v[j + 1] - self.lattice.v[j]) / self.lattice.unit
     }
 
-    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; steep cells also have the bit [`STEEP`]. Rows must be requested
-    /// in order.
+    /// How the cells of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; steep cells also have the
+    /// bit [`STEEP`]. Rows must be requested in order.
     fn at(&mut self, j: usize) -> &[u8] {
         let (lattice, last) = (self.lattice, self.lattice.rows - 2);
         if j < last {

@@ -1,5 +1,6 @@
-//! Sampling without hand-written kernels: nearest at any depth, bilinear at 16 bit (as defined in `kernel::scalar`, with wider integers),
-//! and the plain copy of the identity. Coordinates are scaled for the filter; output is straight samples, 16 bit big-endian.
+//! Sampling without hand-written kernels: nearest at any depth, bilinear at 16 bit (as defined in
+//! `kernel::scalar`, with wider integers), and the plain copy of the identity. Coordinates are
+//! scaled for the filter; output is straight samples, 16 bit big-endian.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -217,7 +218,8 @@ impl Sample for u16 {
     const OPAQUE: Self = Self::MAX;
 }
 
-/// The bytes of a pixel outside the posed picture if it has one colour; as many as a target pixel has.
+/// The bytes of a pixel outside the posed picture if it has one colour; as many as a target pixel
+/// has.
 pub(super) fn outside_pixel(outside: Outside, depth: Depth) -> Option<[u8; 8]> {
     let colour = match outside {
         Outside::Transparent => [0; 4],
@@ -295,7 +297,8 @@ pub(super) fn covers(picture: Extent, canvas: Canvas) -> bool {
         && within(canvas.y, canvas.extent.height(), picture.height())
 }
 
-/// Copies a row of the source's plane that begins at `(x, y)`, of which a part may lie outside the source.
+/// Copies a row of the source's plane that begins at `(x, y)`, of which a part may lie outside the
+/// source.
 pub(super) fn copy_row(
     pixmap: &Pixmap,
     (x, y): (i64, i64),

@@ -1,4 +1,5 @@
-//! Conversion of a posed mesh to the lattice: snaps every vertex and bounds the cells by ranges of y. Cost: O(vertices).
+//! Conversion of a posed mesh to the lattice: snaps every vertex and bounds the cells by ranges of
+//! y. Cost: O(vertices).
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -63,8 +64,9 @@ impl Sampled for Axes {
 }
 
 impl Lattice {
-    /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by `2^k`. `scale`: px of the target per px of
-    /// the source; `origin`: the position of the window that is drawn, px of the source.
+    /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by
+    /// `2^k`. `scale`: px of the target per px of the source; `origin`: the position of the window
+    /// that is drawn, px of the source.
     pub(super) fn new(
         mesh: &Mesh,
         source: Extent,
@@ -107,7 +109,8 @@ impl Lattice {
             Filter::Nearest => 1.0,
             Filter::Bilinear | Filter::Bicubic => 128.0,
         };
-        // Cells that show a very large part of the source need more digits than f32 has: none of them is drawn in it.
+        // Cells that show a very large part of the source need more digits than f32 has: none of
+        // them is drawn in it.
         let widest = u
             .windows(2)
             .chain(v.windows(2))

@@ -12,7 +12,8 @@ pub(super) trait Sampled {
 }
 
 impl FineCells {
-    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of the window, px of the source.
+    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of
+    /// the window, px of the source.
     pub(super) fn new(
         mesh: &Mesh,
         (scale, origin): ([f64; 2], [f64; 2]),

@@ -1,6 +1,7 @@
-//! A source picture and its derived copies, each made on first use: box-reduced pictures for small targets, and 8-bit texels packed for
-//! the bilinear kernels. `[height][width]` grows by one column and one row that repeat the last ones, so that a kernel may load a pair of
-//! texels at any pixel. Each sample is stored minus 128, as the signed operand of a byte product.
+//! A source picture and its derived copies, each made on first use: box-reduced pictures for small
+//! targets, and 8-bit texels packed for the bilinear kernels. `[height][width]` grows by one column
+//! and one row that repeat the last ones, so that a kernel may load a pair of texels at any pixel.
+//! Each sample is stored minus 128, as the signed operand of a byte product.
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -9,7 +10,8 @@ use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 /// A sample of 0 as it is stored in [`Packed`].
 pub(super) const FLIP: u32 = 0x8080_8080;
 
-/// A source picture and the copies that the samplers read (packed, reduced), each made on first use.
+/// A source picture and the copies that the samplers read (packed, reduced), each made on first
+/// use.
 #[derive(Debug)]
 pub struct Source {
     pixmap: Pixmap,
@@ -58,7 +60,8 @@ impl Source {
             .fold(0, u64::saturating_add)
     }
 
-    /// Number of halvings for a target: the reduced picture is not smaller than the target along either axis.
+    /// Number of halvings for a target: the reduced picture is not smaller than the target along
+    /// either axis.
     pub(super) fn level_for(&self, target: Extent) -> u32 {
         let extent = self.pixmap.extent();
         let fits = |k: &u32| {
@@ -123,8 +126,8 @@ impl Source {
         reduced.is_none_or(|reduced| is_packed && reduced.packed.get().is_none())
     }
 
-    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number of halvings; `None` when cancelled,
-    /// which is checked for each row.
+    /// Makes the copies that a drawing at this size of the whole picture reads. Returns the number
+    /// of halvings; `None` when cancelled, which is checked for each row.
     pub(super) fn make_copies(
         &self,
         size: Extent,

@@ -4,12 +4,14 @@
 pub(super) const ONE: i32 = 256;
 /// The lattice coordinate of the first pixel's centre.
 pub(super) const HALF: i32 = ONE / 2;
-/// The largest lattice coordinate, 2^21 px; vertices beyond it are clamped. Products of two differences stay below 2^62.
+/// The largest lattice coordinate, 2^21 px; vertices beyond it are clamped. Products of two
+/// differences stay below 2^62.
 pub(super) const LIMIT: i32 = 1 << 29;
 
 /// Lattice steps to px.
 pub(super) const STEP: f32 = 1.0 / ONE as f32;
-/// The longest side of a cell that is drawn in lanes, lattice steps: the edge functions of all lanes then fit 31 bits.
+/// The longest side of a cell that is drawn in lanes, lattice steps: the edge functions of all
+/// lanes then fit 31 bits.
 pub(super) const LONGEST_SIDE: i32 = 112 * ONE;
 /// Columns that are processed together.
 pub(super) const BLOCK: usize = 8;

@@ -1,6 +1,6 @@
-//! Alignment: q is brought from its own frame to that of p by the best map of a class, before anything
-//! else (mathematics 8.1). So two shapes of different size and place can be compared, averaged and
-//! exaggerated.
+//! Alignment: q is brought from its own frame to that of p by the best map of a class, before
+//! anything else (mathematics 8.1). So two shapes of different size and place can be compared,
+//! averaged and exaggerated.
 
 use super::setup::to_px;
 use super::{Align, RestSpec, Units};
@@ -8,8 +8,8 @@ use crate::deform::{Class, Fitted, Handle, MAX_COORDINATE, PlaneMap, fitted};
 use crate::geometry::Point;
 use crate::pixmap::Extent;
 
-/// An aligned position this near to its rest position, as a share of the extent of p, is at rest: what is
-/// left is rounding.
+/// An aligned position this near to its rest position, as a share of the extent of p, is at rest:
+/// what is left is rounding.
 const AT_REST: f64 = 1e-9;
 
 impl Align {
@@ -36,9 +36,9 @@ impl RestSpec {
     /// The strengths that can be requested.
     pub const STRENGTHS: std::ops::RangeInclusive<f64> = -10.0..=10.0;
 
-    /// The handles that a request with `q` means: q in the frame of p, and then `p + strength (q - p)`, which
-    /// at 1 is exactly q. Handles of another shape than those of `p`, or out of range, stay as they are:
-    /// posing them is refused.
+    /// The handles that a request with `q` means: q in the frame of p, and then
+    /// `p + strength (q - p)`, which at 1 is exactly q. Handles of another shape than those of `p`,
+    /// or out of range, stay as they are: posing them is refused.
     #[must_use]
     pub fn posed(
         &self,

@@ -19,7 +19,8 @@ pub enum Easing {
 }
 
 impl Easing {
-    /// The share of the way from rest to pose of one of `steps` frames: 0 for the first, 1 for the last; 1 if there is one frame.
+    /// The share of the way from rest to pose of one of `steps` frames: 0 for the first, 1 for the
+    /// last; 1 if there is one frame.
     #[must_use]
     pub fn at(self, frame: u32, steps: u32) -> f64 {
         if frame.saturating_add(1) >= steps {
@@ -36,7 +37,8 @@ impl Easing {
 /// Handles along each side of [`jitter_grid`].
 const GRID: u32 = 5;
 
-/// The handles by which a picture without handles is jittered: 5 x 5 points from corner to corner, row by row.
+/// The handles by which a picture without handles is jittered: 5 x 5 points from corner to corner,
+/// row by row.
 #[must_use]
 pub fn jitter_grid(units: Units, extent: Extent) -> Vec<Handle> {
     let (width, height) = match units {
@@ -55,12 +57,13 @@ const WAVES: usize = 64;
 /// The longest wavelength, in shortest ones.
 const LONGEST: f64 = 4.0;
 
-/// Random displacements that vary smoothly over the plane: a sum of 64 plane waves of random direction, wavelength, phase and polarisation.
-/// The shortest wavelength is the mean (root mean square) distance between the handles, the longest is four times as long. Along each axis,
-/// the displacements have the standard deviation `sigma` over all frames.
+/// Random displacements that vary smoothly over the plane: a sum of 64 plane waves of random
+/// direction, wavelength, phase and polarisation. The shortest wavelength is the mean (root mean
+/// square) distance between the handles, the longest is four times as long. Along each axis, the
+/// displacements have the standard deviation `sigma` over all frames.
 ///
-/// The waves of a frame depend on the seed and the frame's number alone, and only on operations that IEEE 754 defines exactly, so that every
-/// machine computes the same bits.
+/// The waves of a frame depend on the seed and the frame's number alone, and only on operations
+/// that IEEE 754 defines exactly, so that every machine computes the same bits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jitter {
     /// Chooses the waves.
@@ -99,8 +102,9 @@ impl Jitter {
         })
     }
 
-    /// `q` displaced by the waves of a frame. Each position moves by the displacement at its position at rest, `p`, so that handles which
-    /// coincide at rest move together. Both are in the client's units; positions of `q` without one of `p` stay.
+    /// `q` displaced by the waves of a frame. Each position moves by the displacement at its
+    /// position at rest, `p`, so that handles which coincide at rest move together. Both are in the
+    /// client's units; positions of `q` without one of `p` stay.
     #[must_use]
     pub fn displace(&self, setup: &Setup, p: &[Handle], q: &[Handle], frame: u32) -> Vec<Handle> {
         let unit = setup.unit();
@@ -176,7 +180,8 @@ fn mean_distance(handles: &[Handle], unit: (f64, f64)) -> Option<f64> {
         ((place.x - x) * unit.0) * ((place.x - x) * unit.0)
             + ((place.y - y) * unit.1) * ((place.y - y) * unit.1)
     };
-    // The mean square of the differences of two is twice the variance; each position is compared with `count - 1` others.
+    // The mean square of the differences of two is twice the variance; each position is compared
+    // with `count - 1` others.
     let sum: f64 = places().map(square).sum();
     let mean = 2.0 * sum / (count - 1.0).max(1.0);
     (mean > 0.0).then(|| mean.sqrt())
@@ -199,7 +204,8 @@ fn in_ring(random: &mut ChaCha8Rng, inner: f64) -> (f64, f64) {
     }
 }
 
-/// The sine of a number of periods, to 1e-11: a C library's sine may differ from another's in the last bit.
+/// The sine of a number of periods, to 1e-11: a C library's sine may differ from another's in the
+/// last bit.
 fn sine(periods: f64) -> f64 {
     let rest = periods - (periods + 0.5).floor();
     let quarter = if rest > 0.25 {
@@ -322,7 +328,8 @@ mod tests {
         assert_eq!(moved(7, 5), moved(7, 5));
         assert_ne!(moved(7, 5), moved(7, 6));
         assert_ne!(moved(7, 5), moved(8, 5));
-        // The other handles change the wavelengths, not the waves: those of one handle alone do not depend on where it is.
+        // The other handles change the wavelengths, not the waves: those of one handle alone do not
+        // depend on where it is.
         let twice = Jitter {
             seed: 7,
             sigma: 6.0,

@@ -1,20 +1,24 @@
-//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines depend on the rest handles, the other
-//! settings of the warp, the image's size and the tolerance, not on the pose: a client learns them once.
+//! Compact meshes: the posed grid at every n-th of its lines, as 16-bit displacements. The lines
+//! depend on the rest handles, the other settings of the warp, the image's size and the tolerance,
+//! not on the pose: a client learns them once.
 
 use super::posed::Posed;
 use super::{Plan, Setup, WarpError};
 use crate::deform::{Handle, IsCancelled, Pose};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
-/// Most vertices: a frame of the drag socket, with its number and the scale, has at most 20,000 bytes.
+/// Most vertices: a frame of the drag socket, with its number and the scale, has at most 20,000
+/// bytes.
 const MOST_VERTICES: usize = 4997;
 /// The largest 16-bit displacement.
 const LARGEST: f32 = 32_767.0;
-/// How far the handles of a reference pose move along an axis, as a share of the picture's shorter side.
+/// How far the handles of a reference pose move along an axis, as a share of the picture's shorter
+/// side.
 const MOVED: f64 = 0.1;
 /// Most reference poses.
 const MOST_POSES: usize = 16;
-/// Most work of the choice, in products of a vertex with a column or with a candidate; at least two poses.
+/// Most work of the choice, in products of a vertex with a column or with a candidate; at least two
+/// poses.
 const WORK: usize = 1 << 26;
 /// Candidates, about: those of a grid of 100 lines.
 const CANDIDATES: usize = 12;
@@ -31,13 +35,15 @@ pub struct CompactLattice {
 }
 
 impl CompactLattice {
-    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the reference poses; if none is, or the
-    /// grid has more than 2^20 vertices, the finest with at most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones, and
-    /// compares each with about a dozen lattices. Stops when `cancelled` returns true.
+    /// The coarsest of some lattices whose meshes are within `tolerance` px of the full ones at the
+    /// reference poses; if none is, or the grid has more than 2^20 vertices, the finest with at
+    /// most 4,997 vertices. CPU work: poses at most 16 meshes, or two large ones, and compares each
+    /// with about a dozen lattices. Stops when `cancelled` returns true.
     ///
-    /// In a reference pose one handle is moved along one axis, towards the middle of the picture, by a tenth of the shorter side. Of more
-    /// than eight handles (fewer of them on a large grid) several are moved at once. Handles that coincide are moved together; poses that
-    /// contradict each other are left out if the policy is to reject them.
+    /// In a reference pose one handle is moved along one axis, towards the middle of the picture,
+    /// by a tenth of the shorter side. Of more than eight handles (fewer of them on a large grid)
+    /// several are moved at once. Handles that coincide are moved together; poses that contradict
+    /// each other are left out if the policy is to reject them.
     ///
     /// # Errors
     /// Cancelled.
@@ -93,14 +99,16 @@ impl CompactLattice {
         self.tolerance
     }
 
-    /// The largest distance between the compact and the full mesh at the reference poses, px; `None` if all of them are contradictory.
+    /// The largest distance between the compact and the full mesh at the reference poses, px;
+    /// `None` if all of them are contradictory.
     #[must_use]
     pub const fn error(&self) -> Option<f64> {
         self.error
     }
 
-    /// The mesh of a pose, and its largest distance from the full one, px. The file, little-endian: the scale (f32, px), then x and y of
-    /// the displacement of each vertex, row by row, as i16 in units of the scale. The scale is the largest displacement / 32,767.
+    /// The mesh of a pose, and its largest distance from the full one, px. The file, little-endian:
+    /// the scale (f32, px), then x and y of the displacement of each vertex, row by row, as i16 in
+    /// units of the scale. The scale is the largest displacement / 32,767.
     ///
     /// # Errors
     /// Cancelled.
@@ -119,7 +127,8 @@ impl CompactLattice {
     }
 }
 
-/// Steps between lines, ascending: those of lattices that have few enough vertices. With the largest the lattice is a single cell.
+/// Steps between lines, ascending: those of lattices that have few enough vertices. With the
+/// largest the lattice is a single cell.
 fn steps(grid: &Grid) -> Vec<usize> {
     let cells = grid.columns().max(grid.rows()) as usize - 1;
     let first = (1..cells)
@@ -222,7 +231,8 @@ fn lines(count: usize, step: usize) -> impl Iterator<Item = usize> {
     (0..=(count - 1).div_ceil(step)).map(move |line| (line * step).min(count - 1))
 }
 
-/// Of each line between those of the lattice: the one before in the lattice, and the position between that and the next.
+/// Of each line between those of the lattice: the one before in the lattice, and the position
+/// between that and the next.
 fn between(count: usize, step: usize, at: impl Fn(usize) -> f64) -> Vec<(usize, f32)> {
     let last = (count - 1).div_ceil(step) - 1;
     let place = |line: usize| {
@@ -235,8 +245,8 @@ fn between(count: usize, step: usize, at: impl Fn(usize) -> f64) -> Vec<(usize, 
     (0..count).map(place).collect()
 }
 
-/// The largest distance between a mesh and the one with `displacement` at every n-th line, px. Their difference is bilinear in the cells of
-/// the full mesh, so it is largest at a vertex.
+/// The largest distance between a mesh and the one with `displacement` at every n-th line, px.
+/// Their difference is bilinear in the cells of the full mesh, so it is largest at a vertex.
 fn distance(
     mesh: &Mesh,
     step: usize,

@@ -1,5 +1,6 @@
-//! Coordinate maps: an array of f32 with a position for every pixel of a canvas, for other programs. A file is computed in bands of rows
-//! that do not depend on one another, so that only one needs to be in memory.
+//! Coordinate maps: an array of f32 with a position for every pixel of a canvas, for other
+//! programs. A file is computed in bands of rows that do not depend on one another, so that only
+//! one needs to be in memory.
 
 use std::ops::Range;
 
@@ -22,10 +23,12 @@ const SAMPLES: u16 = 2;
 /// Which positions a map has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum MapDirection {
-    /// For each pixel of the posed plane, the source position that is drawn there; NaN where nothing is.
+    /// For each pixel of the posed plane, the source position that is drawn there; NaN where
+    /// nothing is.
     #[default]
     Inverse,
-    /// For each pixel of the plane at rest, the posed position at which it is drawn; NaN outside the source.
+    /// For each pixel of the plane at rest, the posed position at which it is drawn; NaN outside
+    /// the source.
     Forward,
 }
 
@@ -210,7 +213,8 @@ impl CoordinateMap {
         band * self.band_rows..((band + 1) * self.band_rows).min(self.target.extent.height())
     }
 
-    /// The bytes of a band; those of the first begin with the head of the file, those of the last end with its tail.
+    /// The bytes of a band; those of the first begin with the head of the file, those of the last
+    /// end with its tail.
     ///
     /// # Panics
     /// If there is no such band.

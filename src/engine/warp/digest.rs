@@ -22,7 +22,8 @@ impl fmt::Display for Digest {
     }
 }
 
-/// Digests numbers bit for bit, each with a fixed width, so that different lists have different inputs.
+/// Digests numbers bit for bit, each with a fixed width, so that different lists have different
+/// inputs.
 pub(super) struct Collector(Sha256);
 
 impl Collector {

@@ -100,10 +100,11 @@ impl Warp {
         self.writer.work_bytes() + self.drawer.work_bytes()
     }
 
-    /// Renders and encodes strip by strip and passes the bytes to `sink` in order: the head with the first strip, the tail with the last.
-    /// This thread works, together with up to `helpers` tasks of the current rayon pool; their number does not change the bytes. When
-    /// `sink` returns `Break`, the work ends at the next strip and `Break` is returned. If this thread must not wait for the others, use
-    /// [`StripScheduler`].
+    /// Renders and encodes strip by strip and passes the bytes to `sink` in order: the head with
+    /// the first strip, the tail with the last. This thread works, together with up to `helpers`
+    /// tasks of the current rayon pool; their number does not change the bytes. When `sink` returns
+    /// `Break`, the work ends at the next strip and `Break` is returned. If this thread must not
+    /// wait for the others, use [`StripScheduler`].
     pub fn write(
         &self,
         helpers: usize,

@@ -21,7 +21,8 @@ pub enum WarpError {
     #[error("{0}")]
     Posed(DeformError),
     /// A position to be mapped is invalid.
-    #[error("a position has a coordinate of {} px; coordinates must lie between -{limit} and {limit} px", Compact(*value))]
+    #[error("a position has a coordinate of {} px; coordinates must lie between -{limit} and \
+        {limit} px", Compact(*value))]
     BadPlace {
         /// Index of the position.
         index: usize,
@@ -36,8 +37,9 @@ pub enum WarpError {
     /// Over a limit.
     #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
-        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`, `grid_columns`, `grid_rows`, `output_side`,
-        /// `output_pixels`, `canvas_side`, `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
+        /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`,
+        /// `grid_columns`, `grid_rows`, `output_side`, `output_pixels`, `canvas_side`,
+        /// `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
         /// `outline_samples`, `plan_bytes`.
         what: &'static str,
         /// The limit.
@@ -46,7 +48,8 @@ pub enum WarpError {
         actual: u64,
     },
     /// More work than the limit, as it is estimated before it begins.
-    #[error("{} would take {actual} operations; the limit is {limit}; {}", task.name(), task.advice())]
+    #[error("{} would take {actual} operations; the limit is {limit}; {}", task.name(),
+        task.advice())]
     TooMuchWork {
         /// What would take them.
         task: Task,
@@ -85,13 +88,15 @@ pub enum WarpError {
     #[error("{0}")]
     BadGrid(String),
     /// Labels in a format that would change them.
-    #[error("labels cannot be written as {}, which would change them; use PNG or TIFF", format.name())]
+    #[error("labels cannot be written as {}, which would change them; use PNG or TIFF",
+        format.name())]
     LabelFormat {
         /// The format.
         format: Format,
     },
     /// A value outside that the samples of the picture cannot have.
-    #[error("the value {value} of `outside` exceeds {most}, the largest of an image of {} bits", if *most > 255 { 16 } else { 8 })]
+    #[error("the value {value} of `outside` exceeds {most}, the largest of an image of {} bits",
+        if *most > 255 { 16 } else { 8 })]
     OutsideBeyondDepth {
         /// The value.
         value: u16,
@@ -102,7 +107,8 @@ pub enum WarpError {
     #[error("outside, labels are 0: `outside` with a value does not apply to them")]
     OutsideOfLabels,
     /// `folds: reject` and the posed grid folds.
-    #[error("the warp folds over itself in {cells} {} of the grid", if *cells == 1 { "cell" } else { "cells" })]
+    #[error("the warp folds over itself in {cells} {} of the grid",
+        if *cells == 1 { "cell" } else { "cells" })]
     Folded {
         /// Folded cells.
         cells: u64,
@@ -169,11 +175,11 @@ pub enum Warning {
     Deform(deform::Warning),
     /// Some cells of the grid are farther from the exact map than the tolerance.
     ToleranceExceeded,
-    /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten times as far
-    /// and not on the canvas.
+    /// A rest handle is farther from the picture than the picture's size, or a posed handle is ten
+    /// times as far and not on the canvas.
     HandlesOutsidePicture,
-    /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the picture; or the units are normalised and a
-    /// value is beyond 4.
+    /// The units are px and all of p or of q is within 0 to 1.5, and not a single corner of the
+    /// picture; or the units are normalised and a value is beyond 4.
     LooksNormalized,
     /// Handles that have no position at rest, or had none when they were posed, are left out.
     HandlesMissing {

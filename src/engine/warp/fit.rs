@@ -1,4 +1,5 @@
-//! Which method fits a set of points: each candidate predicts every point from all others (`deform`'s leave one out; mathematics 10.4).
+//! Which method fits a set of points: each candidate predicts every point from all others
+//! (`deform`'s leave one out; mathematics 10.4).
 
 use super::setup::{check_parameters, field, to_px};
 use super::spec::at_most;
@@ -7,11 +8,13 @@ use crate::deform::{DeformError, Field, Handle, Handles, IsCancelled};
 use crate::geometry::Vec2;
 use crate::pixmap::Extent;
 
-/// The fewest distinct points: without one of them there are still three, which determine an affine map.
+/// The fewest distinct points: without one of them there are still three, which determine an affine
+/// map.
 const LEAST: usize = 4;
 /// Median absolute deviation of a normal distribution to its standard deviation.
 const NORMAL: f64 = 1.4826;
-/// A residual is an outlier beyond the median by this many standard deviations, and by at least this length, px.
+/// A residual is an outlier beyond the median by this many standard deviations, and by at least
+/// this length, px.
 const FAR: f64 = 3.5;
 const LEAST_FAR: f64 = 1e-3;
 /// The fall-off of a candidate that gives none.
@@ -101,14 +104,16 @@ pub struct Prediction {
     pub rms: f64,
     /// Largest length, px.
     pub max: f64,
-    /// Of every point: its target less the prediction, px, unless it is missing. Coincident points share one.
+    /// Of every point: its target less the prediction, px, unless it is missing. Coincident points
+    /// share one.
     pub residuals: Vec<Option<Vec2>>,
     /// Points whose residuals are unusually long, ascending.
     pub outliers: Vec<usize>,
 }
 
 impl Fit {
-    /// The points and weights of `rest`, on a picture of this extent; its method is not used. `most`: the largest number of points.
+    /// The points and weights of `rest`, on a picture of this extent; its method is not used.
+    /// `most`: the largest number of points.
     ///
     /// # Errors
     /// Lines, too many points, too few distinct ones, invalid handles, cancelled.
@@ -173,7 +178,8 @@ impl Fit {
         })
     }
 
-    /// Leaves out each point in turn. CPU work, in parallel on the current rayon pool: O(points^2), for a spline O(points^3).
+    /// Leaves out each point in turn. CPU work, in parallel on the current rayon pool: O(points^2),
+    /// for a spline O(points^3).
     ///
     /// # Errors
     /// A parameter of another method or out of range, cancelled.
@@ -251,7 +257,8 @@ pub fn check_comparison(
     )
 }
 
-/// The default candidate that predicts the points best; rigid moving least squares if they are too few to compare methods.
+/// The default candidate that predicts the points best; rigid moving least squares if they are too
+/// few to compare methods.
 ///
 /// # Errors
 /// Those of [`Fit::new`] and [`Fit::predict`].

@@ -8,7 +8,8 @@ use crate::codec::{self, Carried, Limits, Metadata, Opened, Repairs, StepCounter
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::Source;
 
-/// A decoded, upright picture with its derived copies for sampling, and its metadata for every output.
+/// A decoded, upright picture with its derived copies for sampling, and its metadata for every
+/// output.
 #[derive(Debug)]
 pub struct Image {
     digest: Digest,
@@ -108,7 +109,8 @@ impl Image {
         self.source.pixmap().channels() == Channels::Rgba
     }
 
-    /// Upper bound of the memory of the picture, all sampling copies included, bytes: its weight in a cache.
+    /// Upper bound of the memory of the picture, all sampling copies included, bytes: its weight in
+    /// a cache.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();

@@ -6,7 +6,8 @@ use super::{Digest, Limits, Target, WarpError};
 use crate::codec::{self, Carried, Labels, Opened, StepCounter};
 use crate::pixmap::Extent;
 
-/// A decoded, upright label image. Its labels are those of the file: indices of a palette, grey values of up to 16 bit, or whole colours.
+/// A decoded, upright label image. Its labels are those of the file: indices of a palette, grey
+/// values of up to 16 bit, or whole colours.
 #[derive(Debug)]
 pub struct LabelImage {
     digest: Digest,

@@ -1,9 +1,11 @@
 //! Warps an image: the only module that uses all of `codec`, `pixmap`, `deform` and `render`.
 //!
-//! The steps: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved against the image's size) -> [`Setup::plan`]
-//! (cached by [`Setup::plan_key`]) -> [`Setup::pose`] (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in
-//! the client's input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in parallel, in order).
-//! What is drawn is a [`Subject`]: a picture, labels or coverage. A [`CoordinateMap`] has the positions themselves.
+//! The steps: [`Image::decode`] (cached by content) -> [`Setup::new`] (rest handles resolved
+//! against the image's size) -> [`Setup::plan`] (cached by [`Setup::plan_key`]) -> [`Setup::pose`]
+//! (q alone) -> [`Posed::new`] (the mesh) -> [`Warp::new`] (once it exists, nothing in the client's
+//! input can fail) -> [`Warp::write`] or [`StripScheduler`] (strips, rendered and encoded in
+//! parallel, in order). What is drawn is a [`Subject`]: a picture, labels or coverage. A
+//! [`CoordinateMap`] has the positions themselves.
 
 mod alignment;
 mod batch;

@@ -1,5 +1,5 @@
-//! Warnings about handles and annotations that are valid and probably not meant: other units than the client thinks, or positions far
-//! from the picture.
+//! Warnings about handles and annotations that are valid and probably not meant: other units than
+//! the client thinks, or positions far from the picture.
 
 use super::{Frame, Units, Warning};
 use crate::deform::{Handle, Handles, Pose};
@@ -10,9 +10,11 @@ use crate::render::Canvas;
 const LARGEST_SHARE: f64 = 1.5;
 /// A normalised coordinate beyond this looks like px.
 const LARGEST_NORMALIZED: f64 = 4.0;
-/// The least size of a picture for distances from it, in its larger sides: a place just beside a strip is not far from it.
+/// The least size of a picture for distances from it, in its larger sides: a place just beside a
+/// strip is not far from it.
 const LEAST_SIZE: f64 = 0.25;
-/// Distance from the picture, in sizes of the picture, beyond which a rest handle and a posed handle are probably not meant.
+/// Distance from the picture, in sizes of the picture, beyond which a rest handle and a posed
+/// handle are probably not meant.
 const FAR_AT_REST: f64 = 1.0;
 /// Handles that are just outside the picture may hold its border; in larger sides of the picture.
 const MARGIN: f64 = 0.02;

@@ -13,7 +13,8 @@ use crate::render::Canvas;
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
 
-/// Warnings and figures of a warp, known before its first pixel. A [`Quality`](super::Quality) has the figures that take longer.
+/// Warnings and figures of a warp, known before its first pixel. A [`Quality`](super::Quality) has
+/// the figures that take longer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// In the order of [`Warning`].
@@ -22,10 +23,11 @@ pub struct Report {
     pub folds: u64,
     /// That of most of the picture.
     pub orientation: Orientation,
-    /// Largest distance between a posed handle and its drawn position, px of the source; handles outside the picture are not drawn, and
-    /// positions at which handles contradict each other are left out. With smoothing, f does not take the handles to their targets: then
-    /// the distance from where it takes them. Points that are one handle because they lie within a distance of each other count at their
-    /// own positions.
+    /// Largest distance between a posed handle and its drawn position, px of the source; handles
+    /// outside the picture are not drawn, and positions at which handles contradict each other are
+    /// left out. With smoothing, f does not take the handles to their targets: then the distance
+    /// from where it takes them. Points that are one handle because they lie within a distance of
+    /// each other count at their own positions.
     pub residual: f64,
     /// Cells of the grid that are farther than the tolerance from the exact map.
     pub exceeded: u64,
@@ -54,8 +56,9 @@ pub struct Posed {
 }
 
 impl Posed {
-    /// Poses the grid, within its tolerance if it has one. CPU work, microseconds to a millisecond; longer only if the grid is large, the
-    /// plan has no table, or cells are refined for the first time. Stops when `cancelled` returns true.
+    /// Poses the grid, within its tolerance if it has one. CPU work, microseconds to a millisecond;
+    /// longer only if the grid is large, the plan has no table, or cells are refined for the first
+    /// time. Stops when `cancelled` returns true.
     ///
     /// # Errors
     /// `folds: reject` and the grid folds; cancelled.
@@ -132,7 +135,8 @@ impl Posed {
         })
     }
 
-    /// The same pose, of which only the content of a region moves. Its mask has the size of the picture.
+    /// The same pose, of which only the content of a region moves. Its mask has the size of the
+    /// picture.
     #[must_use]
     pub fn within(self, region: Region) -> Self {
         Self {
@@ -147,8 +151,8 @@ impl Posed {
         self.region.as_ref()
     }
 
-    /// Left, top, right and bottom edge of the smallest box that contains everything that is drawn, px; with a region, cells that have some
-    /// of it count as a whole.
+    /// Left, top, right and bottom edge of the smallest box that contains everything that is drawn,
+    /// px; with a region, cells that have some of it count as a whole.
     ///
     /// # Errors
     /// Cancelled.
@@ -172,7 +176,8 @@ impl Posed {
         &self.mesh
     }
 
-    /// Column and row of the cells of the grid that are farther than the tolerance from the exact map.
+    /// Column and row of the cells of the grid that are farther than the tolerance from the exact
+    /// map.
     #[must_use]
     pub fn exceeded_cells(&self) -> &[(u32, u32)] {
         &self.exceeded

@@ -1,6 +1,6 @@
-//! Figures that describe a pose: how close the drawn picture takes the handles to their posed positions, where it folds, how much it
-//! distorts, what it covers, and the error of the round trip through the inverse. Distances are in px. Cost: O(cells), and a bounded number
-//! of positions.
+//! Figures that describe a pose: how close the drawn picture takes the handles to their posed
+//! positions, where it folds, how much it distorts, what it covers, and the error of the round trip
+//! through the inverse. Distances are in px. Cost: O(cells), and a bounded number of positions.
 
 use super::setup::to_px;
 use super::{Posed, Setup, Target, WarpError};
@@ -13,7 +13,8 @@ use crate::render::{Canvas, InverseMap};
 const SEGMENT_SAMPLES: u32 = 5;
 /// The most folded regions that are listed.
 const MOST_REGIONS: usize = 100;
-/// The round trip is measured at the centres of this number of equal parts of each side, or of pixels if there are fewer.
+/// The round trip is measured at the centres of this number of equal parts of each side, or of
+/// pixels if there are fewer.
 const LATTICE: u32 = 32;
 /// f is the same at two positions if its values are nearer than this, px.
 const SAME: f64 = 1e-6;
@@ -27,8 +28,9 @@ const COUNTED_SIDE: u32 = 1024;
 /// The figures of a pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quality {
-    /// For each handle, the largest distance between its posed position and where the drawn picture has its rest position; `None` if it
-    /// rests outside the picture. A line is measured at five positions of each segment.
+    /// For each handle, the largest distance between its posed position and where the drawn picture
+    /// has its rest position; `None` if it rests outside the picture. A line is measured at five
+    /// positions of each segment.
     pub residuals: Vec<Option<f64>>,
     /// Where the grid folds.
     pub folds: FoldRegions,
@@ -57,8 +59,9 @@ pub struct ToleranceQuality {
     pub exceeded: u64,
 }
 
-/// The distances between positions of the picture and the inverse of their images, over a lattice. Positions in and beside folded
-/// cells, and those over which another part of the picture is drawn, are left out.
+/// The distances between positions of the picture and the inverse of their images, over a lattice.
+/// Positions in and beside folded cells, and those over which another part of the picture is drawn,
+/// are left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RoundTrip {
     /// The number of positions.
@@ -80,8 +83,9 @@ impl Quality {
         })
     }
 
-    /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of [`Setup::to_invert`], in which the
-    /// inverse of the round trip is sought. CPU work, in parallel on the current rayon pool; stops when `cancelled` returns true.
+    /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of
+    /// [`Setup::to_invert`], in which the inverse of the round trip is sought. CPU work, in
+    /// parallel on the current rayon pool; stops when `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.
@@ -154,7 +158,8 @@ fn counted(canvas: Canvas) -> Extent {
     Extent::new(side(canvas.extent.width()), side(canvas.extent.height())).unwrap_or(canvas.extent)
 }
 
-/// The share of the centres of the pixels, or of those of a smaller picture, that the posed picture covers.
+/// The share of the centres of the pixels, or of those of a smaller picture, that the posed picture
+/// covers.
 fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f64, WarpError> {
     let target = counted(canvas);
     let (width, height) = (target.width(), target.height());

@@ -1,26 +1,34 @@
 //! A region: the part of a picture whose content moves. Everything else stays as it is.
 //!
-//! A mask of the picture's size says how much of each position belongs to the region, 0 to 1. The drawn picture has three layers, all on
-//! the same canvas, at the same scale and with the same filter:
+//! A mask of the picture's size says how much of each position belongs to the region, 0 to 1. The
+//! drawn picture has three layers, all on the same canvas, at the same scale and with the same
+//! filter:
 //!
-//! * the *background* S: the source at rest, as a warp without handles draws it, with what `outside` puts beyond it;
+//! * the *background* S: the source at rest, as a warp without handles draws it, with what
+//!   `outside` puts beyond it;
 //! * the *moved part* M: the source through the posed mesh;
-//! * the *moved mask* m: the mask through the posed mesh, 0 where no posed cell is; and the *mask at rest* r.
+//! * the *moved mask* m: the mask through the posed mesh, 0 where no posed cell is; and the *mask
+//!   at rest* r.
 //!
-//! At each pixel the result is `m M + k S`, in colours times alpha, where k is the share of the background that is kept:
+//! At each pixel the result is `m M + k S`, in colours times alpha, where k is the share of the
+//! background that is kept:
 //!
 //! * `holes: keep`: `k = 1 - m`;
-//! * `holes: transparent`: `k = min(1 - m, 1 - r)`. The content of the region is taken from the background, as far as the moved part does
-//!   not replace it.
+//! * `holes: transparent`: `k = min(1 - m, 1 - r)`. The content of the region is taken from the
+//!   background, as far as the moved part does not replace it.
 //!
-//! What `transparent` leaves open, `1 - m - k = max(0, r - m)`, is the *hole*: content moved away from it, and nothing covers it.
+//! What `transparent` leaves open, `1 - m - k = max(0, r - m)`, is the *hole*: content moved away
+//! from it, and nothing covers it.
 //!
-//! Where m is 0 (and r, with transparent holes), the result is the background bit for bit. Where m is 1, it is the moved part: a mask that
-//! is 1 everywhere gives the warp without a region wherever a posed cell is drawn. Where nothing moves, m = r and M = S, and the result is
-//! the source. A feathered mask gives a transition as wide as the feather. Coverage is mixed like the picture. Labels are not mixed: a pixel
-//! has the label of the moved part where m is at least 1/2, otherwise that of the background, and 0 in a transparent hole of more than 1/2.
+//! Where m is 0 (and r, with transparent holes), the result is the background bit for bit. Where m
+//! is 1, it is the moved part: a mask that is 1 everywhere gives the warp without a region wherever
+//! a posed cell is drawn. Where nothing moves, m = r and M = S, and the result is the source. A
+//! feathered mask gives a transition as wide as the feather. Coverage is mixed like the picture.
+//! Labels are not mixed: a pixel has the label of the moved part where m is at least 1/2, otherwise
+//! that of the background, and 0 in a transparent hole of more than 1/2.
 //!
-//! A region changes what is drawn, not f: annotations, maps and reports are those of the whole warp.
+//! A region changes what is drawn, not f: annotations, maps and reports are those of the whole
+//! warp.
 
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -37,7 +45,8 @@ const FILTER_REACH: f64 = 2.0;
 /// Bits of a word.
 const WORD: usize = u64::BITS as usize;
 
-/// The part of a picture that moves: a mask of the picture's size, feathered or not. Cheap to clone.
+/// The part of a picture that moves: a mask of the picture's size, feathered or not. Cheap to
+/// clone.
 #[derive(Clone, Debug)]
 pub struct Region {
     mask: Arc<Source>,
@@ -71,7 +80,8 @@ impl MaskChannel {
 }
 
 impl Region {
-    /// A picture as a mask: its alpha if it has transparent pixels, otherwise its luma; white, or opaque, moves.
+    /// A picture as a mask: its alpha if it has transparent pixels, otherwise its luma; white, or
+    /// opaque, moves.
     #[must_use]
     pub fn new(mask: &Image) -> Self {
         let channel = if mask.source.pixmap().is_opaque() {
@@ -103,8 +113,9 @@ impl Region {
         self.digest
     }
 
-    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with some of the mask, px. Work: the pixels
-    /// of a mask are read once for all poses, and their bits once for each. `None` when cancelled, which is checked for each row.
+    /// Left, top, right and bottom edge of a box that contains the picture and all posed cells with
+    /// some of the mask, px. Work: the pixels of a mask are read once for all poses, and their bits
+    /// once for each. `None` when cancelled, which is checked for each row.
     pub(super) fn bounds(&self, mesh: &Mesh, cancelled: IsCancelled<'_>) -> Option<[f64; 4]> {
         let occupied = self.occupied(cancelled)?;
         let grid = mesh.grid();

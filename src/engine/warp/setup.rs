@@ -1,5 +1,5 @@
-//! Rest handles resolved against a picture's size: pixels, effective alpha and point mass, grid dimensions. All numbers are validated
-//! here, except those of q.
+//! Rest handles resolved against a picture's size: pixels, effective alpha and point mass, grid
+//! dimensions. All numbers are validated here, except those of q.
 
 use std::sync::Arc;
 
@@ -15,26 +15,30 @@ use crate::geometry::{Compact, Grid, Mesh, Point};
 use crate::pixmap::Extent;
 use crate::render::Canvas;
 
-/// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics section 12, step 1).
+/// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics
+/// section 12, step 1).
 const AUTO_CELL: (f64, f64) = (4.0, 8.0);
-/// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices that halved cells share.
+/// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices
+/// that halved cells share.
 pub(super) const FINE_BYTES: u64 = 64;
 /// A mesh has two f32 per vertex.
 const MESH_BYTES_PER_VERTEX: u64 = 8;
-/// Largest number of grid lines per px along each axis (finer cells are smaller than pixels), and the number that a small picture may
-/// always have.
+/// Largest number of grid lines per px along each axis (finer cells are smaller than pixels), and
+/// the number that a small picture may always have.
 const LINES_PER_PX: f64 = 4.0;
 const LINES_ALWAYS: f64 = 4096.0;
 /// The rasteriser's share of a tolerance: at most its own accuracy, px of the source, or half.
 const DRAWN_WITHIN: f64 = 1.0 / 16.0;
-/// Most vertices inside the cells of a grid: a number for each of its own, and a number in any case.
+/// Most vertices inside the cells of a grid: a number for each of its own, and a number in any
+/// case.
 const FINE_PER_VERTEX: usize = 4;
 const FINE_ALWAYS: usize = 1 << 16;
 /// Most vertices inside a cell of the size of `grid: auto`.
 const FINE_PER_CELL: usize = 17 * 17;
 /// Most coefficients for vertices inside cells, unless the grid's own are more: several seconds.
 const FINE_COEFFICIENTS: usize = 1 << 28;
-/// Memory for exact rows, bytes for each byte of the table, up to a size of the rows that larger tables alone exceed.
+/// Memory for exact rows, bytes for each byte of the table, up to a size of the rows that larger
+/// tables alone exceed.
 const EXACT_PER_BYTE: u64 = 4;
 const EXACT_ALWAYS: u64 = 64 << 20;
 
@@ -59,7 +63,8 @@ pub struct Setup {
     max_work: u64,
 }
 
-/// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that poses have needed.
+/// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that
+/// poses have needed.
 #[derive(Debug)]
 pub struct Plan {
     table: Option<deform::Plan>,
@@ -76,7 +81,8 @@ impl Plan {
 }
 
 impl Setup {
-    /// Resolves and validates. Cheap relative to a plan: O(handles log handles). A spline is computed here: O(handles^3).
+    /// Resolves and validates. Cheap relative to a plan: O(handles log handles). A spline is
+    /// computed here: O(handles^3).
     ///
     /// # Errors
     /// Invalid handles, parameters or grid, or too many of them.
@@ -187,8 +193,8 @@ impl Setup {
         }
     }
 
-    /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`, unless the cells of this grid have such a
-    /// size.
+    /// The same deformation on the grid that the inverse is searched on: that of `grid: auto`,
+    /// unless the cells of this grid have such a size.
     ///
     /// # Errors
     /// The grid exceeds a limit.
@@ -221,14 +227,16 @@ impl Setup {
         ))
     }
 
-    /// Digest of everything that the coefficients depend on: rest handles and weights in px, the method and its effective parameters,
-    /// resolved grid, and whether it is refined. Two pictures of one size share one plan.
+    /// Digest of everything that the coefficients depend on: rest handles and weights in px, the
+    /// method and its effective parameters, resolved grid, and whether it is refined. Two pictures
+    /// of one size share one plan.
     #[must_use]
     pub const fn plan_key(&self) -> Digest {
         self.plan_key
     }
 
-    /// Bytes of the table that [`Setup::plan`] fills, and of the exact rows that it may keep; `None` if the warp has no table.
+    /// Bytes of the table that [`Setup::plan`] fills, and of the exact rows that it may keep;
+    /// `None` if the warp has no table.
     #[must_use]
     pub fn plan_bytes(&self) -> Option<u64> {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
@@ -275,7 +283,8 @@ impl Setup {
         self.tolerance
     }
 
-    /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data; without cells that are halved.
+    /// Memory of a posed grid until its picture is drawn, bytes: vertices, and the renderer's data;
+    /// without cells that are halved.
     #[must_use]
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
@@ -283,8 +292,8 @@ impl Setup {
         self.grid.len() as u64 * VERTEX
     }
 
-    /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes; [`Posed::halved_bytes`](super::Posed::halved_bytes)
-    /// is what a pose has used of it.
+    /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes;
+    /// [`Posed::halved_bytes`](super::Posed::halved_bytes) is what a pose has used of it.
     #[must_use]
     pub fn most_halved_bytes(&self) -> u64 {
         if self.tolerance.is_some() {
@@ -393,8 +402,9 @@ impl Setup {
         &self.warnings
     }
 
-    /// The warnings of the rest handles and of a pose, each once, in their order; without those that only a posed grid shows. `canvas`: the
-    /// part of the plane that is drawn, where that is meant to contain the handles.
+    /// The warnings of the rest handles and of a pose, each once, in their order; without those
+    /// that only a posed grid shows. `canvas`: the part of the plane that is drawn, where that is
+    /// meant to contain the handles.
     #[must_use]
     pub fn warnings(&self, pose: &Pose, canvas: Option<Canvas>) -> Vec<Warning> {
         let mut warnings = self.warnings_anywhere(pose);
@@ -468,7 +478,8 @@ impl Setup {
         (self.grid.width(), self.grid.height(), self.units)
     }
 
-    /// The posed mesh; without a table every row is computed again, which may take long. Stops when `cancelled` returns true.
+    /// The posed mesh; without a table every row is computed again, which may take long. Stops when
+    /// `cancelled` returns true.
     pub(super) fn mesh(
         &self,
         plan: &Plan,
@@ -482,7 +493,8 @@ impl Setup {
         posed.ok_or(WarpError::Cancelled)
     }
 
-    /// The cells of a posed mesh that are drawn as smaller ones to meet the tolerance, if there is one.
+    /// The cells of a posed mesh that are drawn as smaller ones to meet the tolerance, if there is
+    /// one.
     pub(super) fn refine(
         &self,
         plan: &Plan,

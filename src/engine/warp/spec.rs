@@ -15,7 +15,8 @@ pub struct Limits {
     pub image: ImageLimits,
     /// Columns of a plan: one per point, two per segment.
     pub columns: usize,
-    /// Bytes of a plan's table or a mesh; a larger plan is evaluated without a table, a larger mesh is refused.
+    /// Bytes of a plan's table or a mesh; a larger plan is evaluated without a table, a larger mesh
+    /// is refused.
     pub plan_bytes: u64,
     /// Operations of one task, as they are estimated before it begins: see `deploy/capacity.md`.
     pub work: u64,
@@ -128,7 +129,8 @@ pub enum GridSpec {
     /// The default tolerance.
     #[default]
     Auto,
-    /// Cells of `clamp(min(W, H) / 100, 4, 8)` px, drawn as smaller ones where they would be farther than this from the exact map, px.
+    /// Cells of `clamp(min(W, H) / 100, 4, 8)` px, drawn as smaller ones where they would be
+    /// farther than this from the exact map, px.
     Tolerance(f64),
     /// Cells of this size, px.
     Cell(f64),
@@ -181,7 +183,8 @@ pub struct RestSpec {
     pub method: Method,
     /// Fall-off; default 1 for points alone, 2 with any line. Not of a spline.
     pub alpha: Option<f64>,
-    /// Mass of a point in a mixed set, px; default the mean length of the segments. Not of a spline.
+    /// Mass of a point in a mixed set, px; default the mean length of the segments. Not of a
+    /// spline.
     pub point_mass: Option<f64>,
     /// Of a spline alone: 0, the default, goes through the posed handles.
     pub smoothing: Option<f64>,
@@ -225,8 +228,8 @@ impl RestSpec {
             .chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
     }
 
-    /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond that of the handles; known before anything
-    /// is allocated.
+    /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond
+    /// that of the handles; known before anything is allocated.
     #[must_use]
     pub fn field_bytes(&self) -> u64 {
         self.method.field_bytes(self.p.len() as u64)
@@ -289,7 +292,8 @@ impl Default for OutputSpec {
 }
 
 impl OutputSpec {
-    /// The encoding of a picture from a source of this depth. The background of a JPEG is the colour outside, or white.
+    /// The encoding of a picture from a source of this depth. The background of a JPEG is the
+    /// colour outside, or white.
     #[must_use]
     pub fn encoding(&self, depth: Depth) -> Encoding {
         match self.format {

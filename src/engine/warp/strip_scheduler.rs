@@ -1,5 +1,6 @@
-//! Writes a prepared warp with any number of threads: each takes strips, renders and encodes them; the strips are passed on in order. No
-//! thread waits for another: the thread that finishes the next strip in order passes it on, together with finished later ones.
+//! Writes a prepared warp with any number of threads: each takes strips, renders and encodes them;
+//! the strips are passed on in order. No thread waits for another: the thread that finishes the
+//! next strip in order passes it on, together with finished later ones.
 
 use std::cell::Cell;
 use std::ops::{ControlFlow, Deref};
@@ -10,7 +11,8 @@ use super::Warp;
 use crate::codec::{StripChecksum, Writer};
 use crate::render::band_rows;
 
-/// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take half of it.
+/// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take
+/// half of it.
 const KEPT: usize = 2 << 20;
 
 /// Pixels that are computed between two checks of `is_wanted`; a strip of PNG has fewer.
@@ -30,7 +32,8 @@ pub trait WriteObserver: Sync {
     /// Calls `work` exactly once.
     fn around(&self, stage: Stage, work: &mut dyn FnMut());
 
-    /// Whether this thread takes one more strip; called before each. Other threads take the strips that it leaves.
+    /// Whether this thread takes one more strip; called before each. Other threads take the strips
+    /// that it leaves.
     fn goes_on(&self) -> bool {
         true
     }
@@ -47,8 +50,8 @@ impl WriteObserver for () {
     }
 }
 
-/// A picture that is being written. The sink gets the file in one piece per strip, in order, and whether a piece is the last one; when it
-/// returns `Break`, the work ends at the next strip.
+/// A picture that is being written. The sink gets the file in one piece per strip, in order, and
+/// whether a piece is the last one; when it returns `Break`, the work ends at the next strip.
 #[derive(Debug)]
 pub struct StripScheduler<W, S> {
     warp: W,
@@ -87,8 +90,8 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
         self.warp.writer.strips()
     }
 
-    /// Takes strips until none is left, the output is no longer needed, or the observer stops this thread. Returns true for the one call
-    /// that passed on the last piece.
+    /// Takes strips until none is left, the output is no longer needed, or the observer stops this
+    /// thread. Returns true for the one call that passed on the last piece.
     pub fn work(&self, watch: &dyn WriteObserver) -> bool {
         let Warp { drawer, writer, .. } = &*self.warp;
         let row = drawer.target().width() as usize * drawer.pixel_bytes();

@@ -14,12 +14,15 @@ use crate::render::{Coverage, Outside, Source};
 pub enum Subject<'a> {
     /// A picture.
     Image(&'a Image),
-    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where nothing is drawn. `filter` and `outside`
-    /// have no effect on labels; the filter applies to the mask of a region.
+    /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where
+    /// nothing is drawn. `filter` and `outside` have no effect on labels; the filter applies to the
+    /// mask of a region.
     Labels(&'a LabelImage),
-    /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and opaque.
+    /// How much of each pixel the posed picture of a source of this size covers, 0 to 255; grey and
+    /// opaque.
     Coverage(Extent),
-    /// Where content of a region moved away and nothing covers the place, 0 to 255; grey and opaque.
+    /// Where content of a region moved away and nothing covers the place, 0 to 255; grey and
+    /// opaque.
     Holes(&'a Region),
 }
 
@@ -75,7 +78,8 @@ impl Subject<'_> {
     /// Checks the format of the output, and a value outside.
     ///
     /// # Errors
-    /// Labels in a format that would change them, or with a value outside; a value that the picture's samples cannot have.
+    /// Labels in a format that would change them, or with a value outside; a value that the
+    /// picture's samples cannot have.
     pub fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
         match (self, output.format, output.outside) {
             (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif), _) => {
@@ -124,7 +128,8 @@ impl Subject<'_> {
         }
     }
 
-    /// Whether drawing has to make copies of a source first (packed, reduced), which are kept for later drawings.
+    /// Whether drawing has to make copies of a source first (packed, reduced), which are kept for
+    /// later drawings.
     #[must_use]
     pub fn lacks_copies(self, target: Target, posed: &Posed, output: &OutputSpec) -> bool {
         self.sources(posed)

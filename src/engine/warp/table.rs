@@ -18,7 +18,8 @@ pub struct Table {
 }
 
 impl Setup {
-    /// Digest of everything but the grid that the coefficients depend on: picture size, rest handles, method and parameters.
+    /// Digest of everything but the grid that the coefficients depend on: picture size, rest
+    /// handles, method and parameters.
     #[must_use]
     pub fn rest_digest(&self) -> Digest {
         let (field, (width, height, units)) = (self.field(), self.on());
@@ -73,7 +74,8 @@ impl Table {
         Plan::bytes_for(&self.field, self.grid.len())
     }
 
-    /// Computes the coefficients in parallel on the current rayon pool. CPU work. Stops when `cancelled` returns true.
+    /// Computes the coefficients in parallel on the current rayon pool. CPU work. Stops when
+    /// `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.

@@ -13,7 +13,8 @@ use crate::render::{Canvas, RenderOptions, window_count};
 const STEPS: f64 = 256.0;
 /// The farthest edge of a canvas from the origin, px, as of handles.
 pub const FARTHEST: i32 = 1_000_000;
-/// The longest side of the whole source at the scale of a target, px: the rasteriser holds positions up to twice as far from a window.
+/// The longest side of the whole source at the scale of a target, px: the rasteriser holds
+/// positions up to twice as far from a window.
 const LONGEST_SCALED_SOURCE: u64 = 1 << 20;
 /// Memory of a window that is drawn, bytes per vertex of the posed grid.
 const WINDOW_BYTES_PER_VERTEX: u64 = 48;
@@ -107,7 +108,8 @@ pub struct Target {
     pub canvas: Option<Canvas>,
     /// The size of the picture, px.
     pub extent: Extent,
-    /// Whether the picture has alpha even if every pixel is opaque: either all pictures of a batch have alpha, or none has.
+    /// Whether the picture has alpha even if every pixel is opaque: either all pictures of a batch
+    /// have alpha, or none has.
     pub force_alpha: bool,
     /// Whether the picture is a preview, whose file has no more metadata than its colours need.
     pub is_preview: bool,
@@ -139,8 +141,9 @@ impl Target {
         }
     }
 
-    /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a canvas is drawn in several windows, and with a
-    /// region, picture and mask are drawn posed and at rest.
+    /// Memory for drawing a mesh beyond that of one posed grid, bytes: far from the source, a
+    /// canvas is drawn in several windows, and with a region, picture and mask are drawn posed and
+    /// at rest.
     #[must_use]
     pub fn window_bytes(&self, posed: &Posed) -> u64 {
         let windows = self

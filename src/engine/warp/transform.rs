@@ -1,5 +1,6 @@
-//! Positions and outlines mapped by f or by its inverse: exactly, not by the grid. Outlines get more vertices where the map bends them.
-//! Positions at rest are those of the source, posed ones those of the picture that is drawn ([`Transform::onto`]).
+//! Positions and outlines mapped by f or by its inverse: exactly, not by the grid. Outlines get
+//! more vertices where the map bends them. Positions at rest are those of the source, posed ones
+//! those of the picture that is drawn ([`Transform::onto`]).
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -22,11 +23,12 @@ const HALVINGS: usize = 6;
 /// Positions at which the edges that a [`Transform`] maps are examined, beyond one for each edge.
 pub const SAMPLES: usize = 1 << 21;
 
-/// The vertices that are inserted into an edge: the share of the edge at each, and its mapped position.
+/// The vertices that are inserted into an edge: the share of the edge at each, and its mapped
+/// position.
 type Bend = Vec<(f64, Point)>;
 
-/// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse, positions at which nothing of the picture
-/// is posed have none.
+/// f of a pose, or its inverse, between positions in the client's units. Where it is the inverse,
+/// positions at which nothing of the picture is posed have none.
 #[derive(Debug)]
 pub struct Transform<'a> {
     map: Map<'a>,
@@ -59,7 +61,8 @@ pub struct Outline<'a> {
 pub struct MappedOutline {
     /// Its vertices.
     pub places: Vec<Point>,
-    /// Where each of them was: k for the vertex k, k + t for one that was added at this share of the edge after it.
+    /// Where each of them was: k for the vertex k, k + t for one that was added at this share of
+    /// the edge after it.
     pub at: Vec<f64>,
 }
 
@@ -100,8 +103,8 @@ impl Setup {
         Transform::new(Map::Forward(self.field().deformation(pose)), self)
     }
 
-    /// The inverse of f. `mesh`: of the same pose and of [`Setup::to_invert`]; it decides where several rest positions have the same posed
-    /// one.
+    /// The inverse of f. `mesh`: of the same pose and of [`Setup::to_invert`]; it decides where
+    /// several rest positions have the same posed one.
     #[must_use]
     pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
         Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self)
@@ -146,7 +149,8 @@ impl<'a> Transform<'a> {
         )
     }
 
-    /// The same map, where posed positions are those of a picture; without this, they are those of the plane.
+    /// The same map, where posed positions are those of a picture; without this, they are those of
+    /// the plane.
     #[must_use]
     pub fn onto(self, picture: Frame) -> Self {
         Self {
@@ -172,7 +176,8 @@ impl<'a> Transform<'a> {
         }
     }
 
-    /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops when `cancelled` returns true.
+    /// Maps positions. CPU work, in parallel on the current rayon pool for many positions; stops
+    /// when `cancelled` returns true.
     ///
     /// # Errors
     /// A coordinate that is not finite or out of range; cancelled.
@@ -191,11 +196,13 @@ impl<'a> Transform<'a> {
         Ok(mapped)
     }
 
-    /// Maps outlines; `None` if any position of an outline has none. With a `tolerance`, px of the image that has the results, vertices are
-    /// added where the mapped outline would differ from straight lines by more. CPU work like [`Transform::map`].
+    /// Maps outlines; `None` if any position of an outline has none. With a `tolerance`, px of the
+    /// image that has the results, vertices are added where the mapped outline would differ from
+    /// straight lines by more. CPU work like [`Transform::map`].
     ///
     /// # Errors
-    /// Those of [`Transform::map`], with the index of the position in all outlines; more than [`SAMPLES`] positions have to be examined.
+    /// Those of [`Transform::map`], with the index of the position in all outlines; more than
+    /// [`SAMPLES`] positions have to be examined.
     pub fn map_outlines(
         &self,
         outlines: &[Outline<'_>],
@@ -281,7 +288,8 @@ impl<'a> Transform<'a> {
         Ok(tasks?.into_iter().flatten().collect())
     }
 
-    /// The vertices to be inserted between the images of two positions; `None` if the edge has a position without an image.
+    /// The vertices to be inserted between the images of two positions; `None` if the edge has a
+    /// position without an image.
     fn bend(
         &self,
         [(a, fa), (b, fb)]: [(Point, Point); 2],
@@ -444,8 +452,9 @@ fn to_segment(p: Point, a: Point, b: Point) -> f64 {
     p.distance(a.lerp(b, t))
 }
 
-/// The fewest samples between the first and the last by the method of Douglas and Peucker: the others are within the tolerance of the lines
-/// between them. Takes the squared number of samples if each part is split near its end. `None` when cancelled.
+/// The fewest samples between the first and the last by the method of Douglas and Peucker: the
+/// others are within the tolerance of the lines between them. Takes the squared number of samples
+/// if each part is split near its end. `None` when cancelled.
 fn simplified(
     samples: &[(f64, Point)],
     tolerance: f64,

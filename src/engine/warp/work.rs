@@ -1,6 +1,7 @@
-//! Estimates of work: operations, counted before anything is computed, so that the same request is always refused or always accepted. An
-//! operation is about what it takes to weigh one point at one position in a table of coefficients: some nanoseconds. What is a product or a
-//! power by nature is compared with [`Limits::work`](super::Limits::work).
+//! Estimates of work: operations, counted before anything is computed, so that the same request is
+//! always refused or always accepted. An operation is about what it takes to weigh one point at one
+//! position in a table of coefficients: some nanoseconds. What is a product or a power by nature is
+//! compared with [`Limits::work`](super::Limits::work).
 
 use super::error::{Task, WarpError};
 use super::{Candidate, Method};
@@ -9,7 +10,8 @@ use crate::deform::{Field, Handle, Plan};
 /// Operations for weighing a point or a segment at a position.
 const POINT: u64 = 2;
 const SEGMENT: u64 = 64;
-/// Coefficients of a table, and multiplications of a linear system, that an operation poses or takes.
+/// Coefficients of a table, and multiplications of a linear system, that an operation poses or
+/// takes.
 const COEFFICIENTS: u64 = 16;
 const MULTIPLICATIONS: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.

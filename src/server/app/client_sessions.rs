@@ -1,9 +1,11 @@
-//! The number of sessions of each client, and the bytes of their files and records. What a store holds for a session cannot be reclaimed
-//! before the session ends, so each client has limits below those of the store.
+//! The number of sessions of each client, and the bytes of their files and records. What a store
+//! holds for a session cannot be reclaimed before the session ends, so each client has limits below
+//! those of the store.
 //!
-//! Only sessions that were stored through this process since its start are counted, for the client that stored them last; nothing of this
-//! is stored. Sessions of other replicas, and those from before a restart, are limited by the store's own limits. A session ends here when
-//! it is deleted or found to be gone, or when this process has not used it for one idle period.
+//! Only sessions that were stored through this process since its start are counted, for the client
+//! that stored them last; nothing of this is stored. Sessions of other replicas, and those from
+//! before a restart, are limited by the store's own limits. A session ends here when it is deleted
+//! or found to be gone, or when this process has not used it for one idle period.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -177,8 +179,8 @@ impl ClientSessions {
         })
     }
 
-    /// Counts a record that is about to replace another one of its session. `layer`: the file that only this one names.
-    /// Errors: As [`ClientSessions::claim`].
+    /// Counts a record that is about to replace another one of its session. `layer`: the file that
+    /// only this one names. Errors: As [`ClientSessions::claim`].
     pub fn claim_revision(
         &self,
         record: &Record,
@@ -264,7 +266,8 @@ impl ClientSessions {
         };
         counted.restore(claim);
         let detail = format!(
-            "this client would store {actual} {unit}; the limit of one client is {limit} (--max-client-share). \
+            "this client would store {actual} {unit}; the limit of one client is {limit} \
+                (--max-client-share). \
              Delete sessions, or let them expire"
         );
         Err(Problem::new(Code::RateLimited, detail)
@@ -324,7 +327,8 @@ impl ClientSessions {
         self.lock().sessions.get(&id).map(|session| session.claim)
     }
 
-    /// The session with this claim has ended. A session that has been stored since with the same id, or is being stored, stays counted.
+    /// The session with this claim has ended. A session that has been stored since with the same
+    /// id, or is being stored, stays counted.
     pub fn ended(&self, id: SessionId, claim: Option<u64>) {
         let mut counted = self.lock();
         if counted

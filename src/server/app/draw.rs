@@ -1,6 +1,8 @@
-//! Drawing one image: a [`DrawJob`] is posed on one compute thread, and drawn on it and on its helpers. A small image is drawn as a whole.
-//! A larger one is sent strip by strip through an unbounded channel, so that a compute thread never waits for a reader; its memory is
-//! reserved before and released strip by strip as it is sent. Drawing stops at the next strip when the receiver is dropped.
+//! Drawing one image: a [`DrawJob`] is posed on one compute thread, and drawn on it and on its
+//! helpers. A small image is drawn as a whole. A larger one is sent strip by strip through an
+//! unbounded channel, so that a compute thread never waits for a reader; its memory is reserved
+//! before and released strip by strip as it is sent. Drawing stops at the next strip when the
+//! receiver is dropped.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -29,7 +31,8 @@ use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
 use crate::problem::Problem;
 
-/// Images of at most this many bytes are drawn as a whole: the head of the response then has their length and cost.
+/// Images of at most this many bytes are drawn as a whole: the head of the response then has their
+/// length and cost.
 const MAX_WHOLE: u64 = 256 << 10;
 
 /// An image, or one that is being drawn.
@@ -76,7 +79,8 @@ pub(crate) struct DrawJob {
     pub(crate) q: Arc<Held<Vec<Handle>>>,
     pub(crate) folds: Folds,
     pub(crate) output: OutputSpec,
-    /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its tolerance.
+    /// The largest width of a preview, px. A preview is drawn on the grid as it is, whatever its
+    /// tolerance.
     pub(crate) preview: Option<u32>,
     /// See [`Target::force_alpha`].
     pub(crate) force_alpha: bool,
@@ -170,7 +174,8 @@ pub(super) struct Prepared {
     pub(super) timing: Timing,
 }
 
-/// Measures the drawing of one image and counts it when it is dropped: abandoned unless it was finished.
+/// Measures the drawing of one image and counts it when it is dropped: abandoned unless it was
+/// finished.
 struct Meter {
     app: App,
     render: StageTimer,
@@ -181,7 +186,8 @@ struct Meter {
     is_finished: AtomicBool,
 }
 
-/// The cost of a stage on all threads together; for a traced request also when it began and ended. Nanoseconds.
+/// The cost of a stage on all threads together; for a traced request also when it began and ended.
+/// Nanoseconds.
 struct StageTimer {
     spent: AtomicU64,
     first: AtomicU64,
@@ -220,7 +226,8 @@ impl Meter {
         }
     }
 
-    /// Counts the image, and adds the stages to the trace: each from its beginning on the first thread to its end on the last.
+    /// Counts the image, and adds the stages to the trace: each from its beginning on the first
+    /// thread to its end on the last.
     fn finish(&self) {
         if self.is_finished.swap(true, Ordering::Relaxed) {
             return;
@@ -373,8 +380,9 @@ impl App {
         })
     }
 
-    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most bytes of halved cells, reserved until
-    /// the pose is known, and not in the client's quota: a client that reads slowly cannot hold them.
+    /// Poses in reserved memory; returns the reservation of the posed grid. `most_halved`: the most
+    /// bytes of halved cells, reserved until the pose is known, and not in the client's quota: a
+    /// client that reads slowly cannot hold them.
     pub(super) fn reserve_and_pose<T: Send>(
         &self,
         setup: &Setup,
@@ -552,7 +560,8 @@ impl DrawTask {
                 if is_last && !pieces.is_closed() {
                     meter.finish();
                 }
-                // With the last strip, so that its end is sent with it; all strips are drawn by then.
+                // With the last strip, so that its end is sent with it; all strips are drawn by
+                // then.
                 let end = is_last.then(|| meter.cost());
                 let is_sent = pieces
                     .send(Piece {
@@ -560,7 +569,8 @@ impl DrawTask {
                         end,
                     })
                     .is_ok();
-                // The head of the response is sent with the first strip: one wake-up instead of two.
+                // The head of the response is sent with the first strip: one wake-up instead of
+                // two.
                 let is_sent = is_sent
                     && first
                         .take()

@@ -1,7 +1,9 @@
-//! What a request draws: the picture of a session, one of its layers, the coverage or the holes; and the mask of the region that moves.
+//! What a request draws: the picture of a session, one of its layers, the coverage or the holes;
+//! and the mask of the region that moves.
 //!
-//! It is made in two steps, so that a slow store blocks no worker: [`App::fetch_sources`] reads the files whose decoded form is not cached,
-//! without a ticket, and [`App::decode_content`] decodes them on the pool.
+//! It is made in two steps, so that a slow store blocks no worker: [`App::fetch_sources`] reads the
+//! files whose decoded form is not cached, without a ticket, and [`App::decode_content`] decodes
+//! them on the pool.
 
 use std::sync::Arc;
 
@@ -90,8 +92,8 @@ impl Content {
         self.mask.as_ref().map(|mask| &mask.region)
     }
 
-    /// The output where only that of pictures is known. JPEG and WebP would change labels and coverage: then it is PNG. A value outside is
-    /// one of pictures.
+    /// The output where only that of pictures is known. JPEG and WebP would change labels and
+    /// coverage: then it is PNG. A value outside is one of pictures.
     pub(crate) fn output_beside(&self, pictures: OutputSpec) -> OutputSpec {
         if matches!(self.drawable, Drawable::Image(_)) {
             return pictures;
@@ -198,7 +200,8 @@ impl App {
         Ok(ContentSources { drawn, region })
     }
 
-    /// Something with the region of a session, if there is one and the canvas depends on it: with a region, `fit` contains what stays.
+    /// Something with the region of a session, if there is one and the canvas depends on it: with a
+    /// region, `fit` contains what stays.
     pub(crate) async fn region_of(
         &self,
         client: Client,
@@ -462,7 +465,8 @@ pub(crate) fn check_extent(found: Extent, expected: Extent) -> Result<(), Proble
     let [found, expected] =
         [found, expected].map(|extent| format!("{}x{}", extent.width(), extent.height()));
     let detail = format!(
-        "the file has {found} px after EXIF orientation; a layer or region must have the size of the picture, {expected} px"
+        "the file has {found} px after EXIF orientation; a layer or region must have the size of \
+            the picture, {expected} px"
     );
     Err(Problem::new(Code::BadValue, detail).limit("layer_size", expected, found))
 }

@@ -1,4 +1,5 @@
-//! `POST /fit` and `/sessions/{id}/fit`: how well methods predict points that they do not know; and the choice of `method: auto`.
+//! `POST /fit` and `/sessions/{id}/fit`: how well methods predict points that they do not know; and
+//! the choice of `method: auto`.
 
 use std::sync::Arc;
 

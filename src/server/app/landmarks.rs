@@ -1,4 +1,5 @@
-//! `POST /landmarks`, and the landmark files of uploads: they are read on the pool, in memory that counts for the client.
+//! `POST /landmarks`, and the landmark files of uploads: they are read on the pool, in memory that
+//! counts for the client.
 
 use bytes::Bytes;
 
@@ -12,13 +13,14 @@ use crate::problem::Problem;
 use crate::wire::Reserved;
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
 
-/// Longest text of a number with its punctuation, bytes, and that of the response without numbers and names.
+/// Longest text of a number with its punctuation, bytes, and that of the response without numbers
+/// and names.
 const NUMBER_TEXT: usize = 30;
 const EMPTY_TEXT: usize = 256;
 
 impl App {
-    /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read of them.
-    /// Errors: A file that cannot be read, or too little capacity.
+    /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read
+    /// of them. Errors: A file that cannot be read, or too little capacity.
     pub(crate) async fn read_landmarks(
         &self,
         client: Client,

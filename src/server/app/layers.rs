@@ -30,8 +30,9 @@ pub struct LayerPut {
 }
 
 impl App {
-    /// Stores a layer, or replaces the one of that name, after its file has been decoded.
-    /// Errors: Unknown session, a wrong file, another size than the session's picture, too many layers, or too little capacity.
+    /// Stores a layer, or replaces the one of that name, after its file has been decoded. Errors:
+    /// Unknown session, a wrong file, another size than the session's picture, too many layers, or
+    /// too little capacity.
     pub async fn put_layer(
         &self,
         client: Client,
@@ -101,8 +102,8 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    /// The file of a layer, whose memory counts for the client until it is sent. Reading does not extend the session's life.
-    /// Errors: Unknown session or layer, or too little capacity.
+    /// The file of a layer, whose memory counts for the client until it is sent. Reading does not
+    /// extend the session's life. Errors: Unknown session or layer, or too little capacity.
     pub async fn layer_file(
         &self,
         client: Client,
@@ -141,7 +142,8 @@ impl App {
         Ok(reservation.attach(file))
     }
 
-    /// Replaces the layers of a record; they count for its client. `None`: the session has another revision by now.
+    /// Replaces the layers of a record; they count for its client. `None`: the session has another
+    /// revision by now.
     async fn revise_layers(
         &self,
         client: Client,
@@ -174,7 +176,8 @@ impl App {
             .admit(WorkClass::Transfer, QueueKey::session(client, old.id))
             .await?;
         let claim = self.0.client_sessions.claim_revision(&new, file.as_ref())?;
-        // If this future is dropped while the store works, the layer may have been stored: it stays counted.
+        // If this future is dropped while the store works, the layer may have been stored: it stays
+        // counted.
         let revised = in_stage(
             "store",
             self.0.store.revise(old.revision, Arc::clone(&new), file),
@@ -207,7 +210,8 @@ fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {
     let count = record.layers.len() + usize::from(!record.layers.contains_key(name));
     if count > MAX_LAYERS {
         let detail = format!(
-            "the session would have {count} layers; the limit is {MAX_LAYERS}. Delete or replace one of them"
+            "the session would have {count} layers; the limit is {MAX_LAYERS}. Delete or replace \
+                one of them"
         );
         return Err(Problem::new(Code::TooLarge, detail).limit(
             "session_layers",

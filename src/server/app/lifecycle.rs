@@ -1,4 +1,5 @@
-//! The phases of a service: serving, leaving, stopping, hurrying. A service never returns to an earlier phase.
+//! The phases of a service: serving, leaving, stopping, hurrying. A service never returns to an
+//! earlier phase.
 
 use tokio::sync::watch;
 
@@ -55,7 +56,8 @@ impl App {
         self.0.lifecycle.advance_to(Phase::Hurrying);
     }
 
-    /// Whether the service will stop soon, so that connections should not be kept for another request.
+    /// Whether the service will stop soon, so that connections should not be kept for another
+    /// request.
     pub fn is_leaving(&self) -> bool {
         self.0.lifecycle.is_at_least(Phase::Leaving)
     }
@@ -84,7 +86,8 @@ impl App {
         }
     }
 
-    /// Fails once the service is stopping. A leaving service still opens drag sockets: closing one soon is better than refusing it.
+    /// Fails once the service is stopping. A leaving service still opens drag sockets: closing one
+    /// soon is better than refusing it.
     pub(crate) fn require_running(&self) -> Result<(), Problem> {
         if self.0.lifecycle.is_at_least(Phase::Stopping) {
             Err(stopping())

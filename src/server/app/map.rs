@@ -1,5 +1,6 @@
-//! `POST /map` and `/sessions/{id}/map`: coordinate maps as files, which are computed band by band as the client reads them. Each band is
-//! admitted and computed as a job of its own, so that a slow reader holds no worker; when the client leaves, nothing more is computed.
+//! `POST /map` and `/sessions/{id}/map`: coordinate maps as files, which are computed band by band
+//! as the client reads them. Each band is admitted and computed as a job of its own, so that a slow
+//! reader holds no worker; when the client leaves, nothing more is computed.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -106,8 +107,9 @@ struct MapJob {
 }
 
 impl App {
-    /// The map of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
-    /// Errors: Wrong handles, a map over the limits, or too little capacity.
+    /// The map of a warp object. The second result: the method that was chosen if that was
+    /// requested, as a header shows it. Errors: Wrong handles, a map over the limits, or too little
+    /// capacity.
     pub async fn map_once(
         &self,
         client: Client,

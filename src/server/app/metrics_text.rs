@@ -1,4 +1,5 @@
-//! `GET /metrics`: the counters of the service, and values that are read at the moment of a scrape, as OpenMetrics text.
+//! `GET /metrics`: the counters of the service, and values that are read at the moment of a scrape,
+//! as OpenMetrics text.
 
 use std::sync::atomic::AtomicU64;
 
@@ -195,7 +196,8 @@ impl App {
             "Sessions that this process knows of",
             ConstGauge::new(stats.sessions),
         );
-        let help = "Size of their records, and of their files (once for each name) unless Redis keeps them";
+        let help = "Size of their records, and of their files (once for each name) unless Redis \
+            keeps them";
         registry.register_with_unit(
             "store_size",
             help,

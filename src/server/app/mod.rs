@@ -1,5 +1,5 @@
-//! The use cases, one file each, and the state that they share. HTTP is not known here, and `wire` defines the JSON. Every error is a
-//! [`Problem`].
+//! The use cases, one file each, and the state that they share. HTTP is not known here, and `wire`
+//! defines the JSON. Every error is a [`Problem`].
 
 pub mod batch;
 pub mod client_sessions;
@@ -116,8 +116,8 @@ pub enum NotStarted {
 }
 
 impl App {
-    /// Opens the store, starts the compute pool and, with a collector, the export of traces, which needs a runtime.
-    /// Errors: See [`NotStarted`].
+    /// Opens the store, starts the compute pool and, with a collector, the export of traces, which
+    /// needs a runtime. Errors: See [`NotStarted`].
     pub fn new(config: Config) -> Result<Self, NotStarted> {
         let store = crate::store::open(&config.store.url, config.store.bounds())?;
         let tracer = config
@@ -208,8 +208,9 @@ impl App {
         self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
-    /// As [`App::reserve`], for memory that counts in the quota of a client. Errors: As [`App::reserve`]; [`Code::Overloaded`] for a client
-    /// with too many unread responses, [`Code::RateLimited`] for one whose requests use too much.
+    /// As [`App::reserve`], for memory that counts in the quota of a client. Errors: As
+    /// [`App::reserve`]; [`Code::Overloaded`] for a client with too many unread responses,
+    /// [`Code::RateLimited`] for one whose requests use too much.
     pub fn reserve_for(
         &self,
         purpose: Purpose,
@@ -253,7 +254,8 @@ impl App {
         error.into()
     }
 
-    /// As [`App::reserve`] and the others, for the runtime's thread: what is evicted is freed elsewhere, before memory is taken again.
+    /// As [`App::reserve`] and the others, for the runtime's thread: what is evicted is freed
+    /// elsewhere, before memory is taken again.
     pub(crate) async fn reserve_aside<T>(
         &self,
         mut take: impl FnMut(&Budget) -> Result<T, BudgetExceeded>,
@@ -321,9 +323,10 @@ impl App {
         self.0.texts.clear();
     }
 
-    /// Whether a new client would be served, and whether the store is available; answers within about a second. A service that loses its
-    /// store stays ready: a store is unavailable to all replicas at the same time, and a proxy that removed them all would also end the
-    /// sessions that continue without it. Errors: [`Code::Overloaded`], with the reason.
+    /// Whether a new client would be served, and whether the store is available; answers within
+    /// about a second. A service that loses its store stays ready: a store is unavailable to all
+    /// replicas at the same time, and a proxy that removed them all would also end the sessions
+    /// that continue without it. Errors: [`Code::Overloaded`], with the reason.
     pub async fn ready(&self) -> Result<Ready, Problem> {
         self.require_serving()?;
         if [WorkClass::Drag, WorkClass::Upload]

@@ -1,4 +1,5 @@
-//! `GET /sessions/{id}/plan`: the coefficients of a session on a lattice, for clients that pose by themselves.
+//! `GET /sessions/{id}/plan`: the coefficients of a session on a lattice, for clients that pose by
+//! themselves.
 
 use std::time::Instant;
 
@@ -15,7 +16,8 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::wire::{PlanQuery, Precision, plan_file, plan_file_bytes};
 
-/// Maximum size of the file, bytes: 50 x 50 vertices and all columns that a session may have take more in f32, and 2,000 handles less.
+/// Maximum size of the file, bytes: 50 x 50 vertices and all columns that a session may have take
+/// more in f32, and 2,000 handles less.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 /// A table of coefficients.
@@ -38,9 +40,10 @@ pub(crate) enum PlanContent {
 }
 
 impl App {
-    /// The coefficients of a session. Does not extend its life. `is_known`: whether the client has the file of an entity tag;
-    /// `with_content`: whether the file is wanted, and not its length alone.
-    /// Errors: Unknown session, a table over the limits, a method without a table, or too little capacity.
+    /// The coefficients of a session. Does not extend its life. `is_known`: whether the client has
+    /// the file of an entity tag; `with_content`: whether the file is wanted, and not its length
+    /// alone. Errors: Unknown session, a table over the limits, a method without a table, or too
+    /// little capacity.
     pub(crate) async fn plan_of_session(
         &self,
         client: Client,
@@ -110,7 +113,8 @@ impl App {
 
 fn too_large(bytes: u64) -> Problem {
     let detail = format!(
-        "the coefficients would take {bytes} bytes; the limit is {MAX_FILE_BYTES}; request fewer vertices"
+        "the coefficients would take {bytes} bytes; the limit is {MAX_FILE_BYTES}; request fewer \
+            vertices"
     );
     Problem::new(Code::TooLarge, detail).limit("plan_file_bytes", MAX_FILE_BYTES, bytes)
 }
@@ -126,7 +130,8 @@ fn in_query(error: WarpError) -> Problem {
 
 fn too_imprecise(precision: Precision) -> Problem {
     let detail = format!(
-        "`precision` in the query must be `f32` for these handles: a coefficient is too large for {precision:?}"
+        "`precision` in the query must be `f32` for these handles: a coefficient is too large for \
+            {precision:?}"
     );
     Problem::new(Code::BadValue, detail.to_lowercase())
 }

@@ -1,6 +1,7 @@
-//! `POST /points` and `/sessions/{id}/points`: annotations, mapped by the exact deformation or its inverse instead of the grid. They are
-//! mapped part by part as the client reads them. Each part is a job of its own, so that a slow reader holds no worker; when the client
-//! leaves, nothing more is mapped.
+//! `POST /points` and `/sessions/{id}/points`: annotations, mapped by the exact deformation or its
+//! inverse instead of the grid. They are mapped part by part as the client reads them. Each part is
+//! a job of its own, so that a slow reader holds no worker; when the client leaves, nothing more is
+//! mapped.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

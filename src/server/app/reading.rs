@@ -21,7 +21,8 @@ impl App {
         move |bytes| app.reserve_for(purpose, &quota, bytes)
     }
 
-    /// As [`App::reserving`], for a request about a session, whose pose may be copied in place of another one.
+    /// As [`App::reserving`], for a request about a session, whose pose may be copied in place of
+    /// another one.
     pub(crate) fn reserving_pose(
         &self,
         purpose: Purpose,
@@ -36,7 +37,8 @@ impl App {
     }
 }
 
-/// Takes a part out of what was read, with half of its memory: the other half is released with the rest.
+/// Takes a part out of what was read, with half of its memory: the other half is released with the
+/// rest.
 pub(crate) fn part<T, U>(of: &mut Held<T>, take: impl FnOnce(&mut T) -> U) -> Held<U> {
     of.split(|value, held| (take(value), held.split(held.bytes() / 2)))
 }

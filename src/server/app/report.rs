@@ -54,8 +54,8 @@ struct ReportJob {
 }
 
 impl App {
-    /// Measures the pose of a warp object. The second result: the method that was chosen if that was requested, as a header shows it.
-    /// Errors: Wrong handles, or too little capacity.
+    /// Measures the pose of a warp object. The second result: the method that was chosen if that
+    /// was requested, as a header shows it. Errors: Wrong handles, or too little capacity.
     pub(crate) async fn report_once(
         &self,
         client: Client,
@@ -178,7 +178,8 @@ impl App {
             is_built,
             ..
         } = self.plan(client, ticket, &setup, timing).await?;
-        // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are too large or too small.
+        // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are
+        // too large or too small.
         let to_invert = self.to_invert(ticket, &setup).await?;
         let to_invert = if to_invert.plan_key() == setup.plan_key() {
             None

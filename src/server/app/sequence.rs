@@ -1,5 +1,6 @@
-//! The newest pose wins: a request with a lower `seq` than another one of its session is not drawn. The store enforces this across
-//! processes; this module cancels requests that wait in this process.
+//! The newest pose wins: a request with a lower `seq` than another one of its session is not drawn.
+//! The store enforces this across processes; this module cancels requests that wait in this
+//! process.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -20,12 +20,13 @@ use crate::session::{Revision, SessionId};
 use crate::store::{Put, Record, Session, StoreError};
 use crate::wire::{Reserved, WarpObject, WarpPatch, method_text};
 
-/// A session with its object, and the method that was chosen for it if that was requested, as a header shows it.
+/// A session with its object, and the method that was chosen for it if that was requested, as a
+/// header shows it.
 pub(crate) type Resulting = (ShownSession, Option<String>);
 
 impl App {
-    /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is sent.
-    /// Errors: A wrong file or object, or too little capacity.
+    /// Opens a session with an id of its own from a file and a warp object; `q` is checked if it is
+    /// sent. Errors: A wrong file or object, or too little capacity.
     pub async fn create_session(
         &self,
         client: Client,
@@ -37,8 +38,8 @@ impl App {
         Ok((shown, method))
     }
 
-    /// Opens or replaces a session with an id that the client has chosen. The first result: whether there was none.
-    /// Errors: A wrong file or object, or too little capacity.
+    /// Opens or replaces a session with an id that the client has chosen. The first result: whether
+    /// there was none. Errors: A wrong file or object, or too little capacity.
     pub async fn put_session(
         &self,
         client: Client,
@@ -66,7 +67,8 @@ impl App {
         Ok(id)
     }
 
-    /// Builds image and plan, and stores the session. What shows it is made before: afterwards nothing may fail.
+    /// Builds image and plan, and stores the session. What shows it is made before: afterwards
+    /// nothing may fail.
     async fn put_upload(
         &self,
         client: Client,
@@ -132,7 +134,8 @@ impl App {
             .0
             .client_sessions
             .claim(client.tenant(), &record, &files)?;
-        // If this future is dropped while the store works, the session may have been stored: it stays counted.
+        // If this future is dropped while the store works, the session may have been stored: it
+        // stays counted.
         let put = in_stage("store", self.0.store.put(record, files)).await;
         drop(ticket);
         match &put {
@@ -149,8 +152,8 @@ impl App {
         Ok(put)
     }
 
-    /// Replaces those rest handles and options of a session that `json` gives. The plan is built before the response.
-    /// Errors: Unknown session, wrong handles, or too little capacity.
+    /// Replaces those rest handles and options of a session that `json` gives. The plan is built
+    /// before the response. Errors: Unknown session, wrong handles, or too little capacity.
     pub(crate) async fn replace_handles(
         &self,
         client: Client,
@@ -236,7 +239,8 @@ impl App {
                 Ok(Some(_)) => self.0.client_sessions.confirm(&claim),
                 _ => self.0.client_sessions.undo(claim),
             }
-            // Without a session, another request has changed fields that this one may not have named: the next attempt keeps them.
+            // Without a session, another request has changed fields that this one may not have
+            // named: the next attempt keeps them.
             if let Some(session) = revised? {
                 self.cache_setup(client, &session.record, &setup);
                 self.forget_revision(&old);
@@ -282,8 +286,8 @@ impl App {
     /// Evicts what was cached for a record that no session has any more.
     fn evict_session(&self, record: &Record) {
         let setup = self.forget_revision(record);
-        // The image is evicted with the owner's last session that uses it, and the plan with it. A session of another image with the same
-        // extent and handles builds the plan again.
+        // The image is evicted with the owner's last session that uses it, and the plan with it. A
+        // session of another image with the same extent and handles builds the plan again.
         let owner = record.id.owner();
         if self.evict_file(owner, record.image)
             && let Some(setup) = setup
@@ -311,8 +315,8 @@ impl App {
         Ok(in_stage("store", self.0.store.peek(id)).await?)
     }
 
-    /// Closes the session. If it was deleted recently, or another version of the program stored it, nothing is cached for it here.
-    /// Errors: Unknown or expired.
+    /// Closes the session. If it was deleted recently, or another version of the program stored it,
+    /// nothing is cached for it here. Errors: Unknown or expired.
     pub async fn delete_session(&self, id: SessionId) -> Result<(), Problem> {
         let (session, claim) = (
             in_stage("store", self.0.store.peek(id)).await,
@@ -498,7 +502,8 @@ mod tests {
             .unwrap();
         let budget = app.budget();
         let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
-        // An upload has room, and a plan 8 MiB more: 1,500 points have a system of 9 MB, 100 one of 40 kB.
+        // An upload has room, and a plan 8 MiB more: 1,500 points have a system of 9 MB, 100 one of
+        // 40 kB.
         while app.reserve(Purpose::Upload, 1_000_000).is_ok() {
             taken.grow(100_000).unwrap();
         }

@@ -1,5 +1,6 @@
-//! The session object. All of it but its last members stays the same within a revision of a session: that text grows with the handles, is
-//! written once, on a compute thread, and is kept in a cache. No system of a spline is needed for it.
+//! The session object. All of it but its last members stays the same within a revision of a
+//! session: that text grows with the handles, is written once, on a compute thread, and is kept in
+//! a cache. No system of a spline is needed for it.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -164,8 +165,8 @@ impl App {
         Ok(Shown { text, held })
     }
 
-    /// Writes the text of a revision into memory that is reserved before. `summary`: that of its setup, if there is one. Runs on the pool.
-    /// Errors: Too little memory, cancelled.
+    /// Writes the text of a revision into memory that is reserved before. `summary`: that of its
+    /// setup, if there is one. Runs on the pool. Errors: Too little memory, cancelled.
     pub(super) fn write_text(
         &self,
         record: &Record,
@@ -200,8 +201,8 @@ impl App {
     }
 }
 
-/// Maximum length of the text of a record: two coordinates of each position on either side, its weight, and its index in a group of
-/// coincident points.
+/// Maximum length of the text of a record: two coordinates of each position on either side, its
+/// weight, and its index in a group of coincident points.
 fn longest_text(record: &Record) -> u64 {
     let posed = record.pose.iter().flat_map(|pose| &pose.q);
     let places: usize = record
@@ -276,7 +277,8 @@ fn text(
     Ok(text)
 }
 
-/// `2026-11-21T09:30:00.125Z`. A time outside the years 1970 to 9999, which humantime cannot write, becomes the nearest one inside.
+/// `2026-11-21T09:30:00.125Z`. A time outside the years 1970 to 9999, which humantime cannot write,
+/// becomes the nearest one inside.
 fn rfc3339(time: SystemTime) -> String {
     let last = SystemTime::UNIX_EPOCH + Duration::from_secs(253_402_300_799);
     humantime::format_rfc3339_millis(time.clamp(SystemTime::UNIX_EPOCH, last)).to_string()

@@ -1,5 +1,6 @@
-//! `POST /sessions/{id}/warp` and `/mesh`: new positions of the handles, drawn or returned as a posed grid. A request whose image, setup
-//! and plan are cached is of the class drag, others of the class upload.
+//! `POST /sessions/{id}/warp` and `/mesh`: new positions of the handles, drawn or returned as a
+//! posed grid. A request whose image, setup and plan are cached is of the class drag, others of the
+//! class upload.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -82,7 +83,8 @@ impl MeshForm {
         let vertices = u64::from(columns) * u64::from(rows);
         if *self == Self::Json && vertices > MAX_JSON_VERTICES {
             let detail = format!(
-                "a mesh of {vertices} vertices is too large for JSON; send `Accept: application/octet-stream`"
+                "a mesh of {vertices} vertices is too large for JSON; send `Accept: \
+                    application/octet-stream`"
             );
             return Err(Problem::new(Code::TooLarge, detail).limit(
                 "mesh_json_vertices",
@@ -137,9 +139,9 @@ pub struct PosedMesh {
 }
 
 impl App {
-    /// Reads the body of a drag: here if it is short, otherwise on a compute thread. `record`: that of the session, whose number of handles
-    /// is not exceeded.
-    /// Errors: A wrong object, or too little capacity.
+    /// Reads the body of a drag: here if it is short, otherwise on a compute thread. `record`: that
+    /// of the session, whose number of handles is not exceeded. Errors: A wrong object, or too
+    /// little capacity.
     pub(crate) async fn read_drag(
         &self,
         client: Client,
@@ -204,8 +206,8 @@ impl App {
         .await
     }
 
-    /// Returns the posed grid of one step of a drag; no image is decoded or drawn.
-    /// Errors: Unknown session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
+    /// Returns the posed grid of one step of a drag; no image is decoded or drawn. Errors: Unknown
+    /// session, superseded, wrong `q`, too many vertices for JSON, or too little capacity.
     pub(crate) async fn mesh_session(
         &self,
         client: Client,
@@ -249,8 +251,8 @@ impl App {
         }
     }
 
-    /// What is drawn of a session, and its plan. If the session was replaced while this waited, its old file is gone: then those of the
-    /// current session.
+    /// What is drawn of a session, and its plan. If the session was replaced while this waited, its
+    /// old file is gone: then those of the current session.
     pub(crate) async fn admit_newest(
         &self,
         client: Client,
@@ -266,9 +268,10 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    /// The record by which files are read again after `problem`: another request may have replaced those of `record` since it was read, and
-    /// the session lives. Every reader of a session's files asks this, so that a 404 means that the session has ended.
-    /// Errors: `problem`, if it is about something else or the session has no newer record.
+    /// The record by which files are read again after `problem`: another request may have replaced
+    /// those of `record` since it was read, and the session lives. Every reader of a session's
+    /// files asks this, so that a 404 means that the session has ended. Errors: `problem`, if it is
+    /// about something else or the session has no newer record.
     pub(crate) async fn newer_record(
         &self,
         record: &Record,
@@ -326,7 +329,8 @@ impl App {
         Ok(AdmittedPlan { ticket, planned })
     }
 
-    /// Admits a step of a drag: as a drag if everything that it uses is cached and the plan has a table, otherwise as an upload.
+    /// Admits a step of a drag: as a drag if everything that it uses is cached and the plan has a
+    /// table, otherwise as an upload.
     async fn admit_step(
         &self,
         client: Client,

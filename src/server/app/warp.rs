@@ -1,5 +1,6 @@
-//! `POST /warp` with an image, and what other use cases share with it: decoding the image, resolving the handles, building the plan. All
-//! computation runs on the pool with one ticket per request.
+//! `POST /warp` with an image, and what other use cases share with it: decoding the image,
+//! resolving the handles, building the plan. All computation runs on the pool with one ticket per
+//! request.
 
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
@@ -142,9 +143,9 @@ impl PreparedWarp {
 }
 
 impl App {
-    /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of this extent, and checks `q` if it was sent. Runs on the
-    /// pool.
-    /// Errors: Wrong handles, or too little memory.
+    /// Settles the pose, chooses the method if that was requested, resolves the handles on an image
+    /// of this extent, and checks `q` if it was sent. Runs on the pool. Errors: Wrong handles, or
+    /// too little memory.
     pub(crate) fn resolve(
         &self,
         mut object: Held<WarpObject>,
@@ -254,8 +255,9 @@ impl App {
         Ok(setup.value)
     }
 
-    /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan. `formats`: the formats that the client
-    /// accepts, if an image is drawn, for which `q` is required.
+    /// Parses the object, decodes the file, resolves the handles, checks `q` and builds the plan.
+    /// `formats`: the formats that the client accepts, if an image is drawn, for which `q` is
+    /// required.
     pub(crate) async fn prepare(
         &self,
         client: Client,
@@ -454,7 +456,8 @@ fn columns_of(rest: &RestSpec) -> u64 {
     rest.p.iter().map(|h| h.columns() as u64).sum()
 }
 
-/// The approximate size of a setup: a few copies of each column's position and weight, and the system of a spline.
+/// The approximate size of a setup: a few copies of each column's position and weight, and the
+/// system of a spline.
 pub(crate) fn setup_weight(rest: &RestSpec) -> u64 {
     1024 + 256 * columns_of(rest) + rest.field_bytes()
 }

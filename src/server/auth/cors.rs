@@ -10,7 +10,8 @@ pub(crate) enum Origins {
 }
 
 impl Origins {
-    /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the port unless it is the default.
+    /// Reads `*` or a comma-separated list of origins as browsers send them: scheme, host, and the
+    /// port unless it is the default.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let listed: Vec<&str> = text
             .split(',')

@@ -1,4 +1,5 @@
-//! The syntax of a host and its port (RFC 9110, section 4.2; RFC 3986, section 3.2.2), and the hosts that a request may name.
+//! The syntax of a host and its port (RFC 9110, section 4.2; RFC 3986, section 3.2.2), and the
+//! hosts that a request may name.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -59,7 +60,8 @@ fn parse_name(text: &str) -> Option<Host> {
     ))
 }
 
-/// The hosts that a request may name. `localhost` and IP literals are always allowed: they are not resolved by DNS.
+/// The hosts that a request may name. `localhost` and IP literals are always allowed: they are not
+/// resolved by DNS.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Hosts(Vec<Host>);
 
@@ -69,7 +71,8 @@ impl Hosts {
         let host = |entry: &str| match Authority::parse(entry) {
             Some(Authority { host, port: None }) if !entry.contains(['*', ':']) => Ok(host),
             _ => Err(format!(
-                "`{entry}` is not a host name such as warp.example (no scheme, no port, no wildcard)"
+                "`{entry}` is not a host name such as warp.example (no scheme, no port, no \
+                    wildcard)"
             )),
         };
         text.split(',')

@@ -1,4 +1,5 @@
-//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced. Only digests are kept.
+//! API keys and their owners. Keys and sessions belong to a name, so that a key can be replaced.
+//! Only digests are kept.
 
 use std::fmt;
 
@@ -46,7 +47,8 @@ struct Key {
 }
 
 impl Keys {
-    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and `#` lines are ignored. Errors never hold the key.
+    /// Reads `NAME KEY` pairs, separated by lines or commas. Empty lines and `#` lines are ignored.
+    /// Errors never hold the key.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let mut keys = Self::default();
         for (line, text) in (1..)
@@ -101,8 +103,8 @@ impl Keys {
         owner.is_some() && self.0.iter().all(|key| Some(key.owner) == owner)
     }
 
-    /// The credential of a key, if it is configured. Takes the same time for every key: all digests are compared, each in constant time,
-    /// and the owner is selected without a branch.
+    /// The credential of a key, if it is configured. Takes the same time for every key: all digests
+    /// are compared, each in constant time, and the owner is selected without a branch.
     pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);

@@ -1,4 +1,5 @@
-//! The interface of `tls.rs` in a build without the feature `tls`: every attempt to use TLS is an error.
+//! The interface of `tls.rs` in a build without the feature `tls`: every attempt to use TLS is an
+//! error.
 
 use std::io;
 use std::net::{IpAddr, TcpStream};

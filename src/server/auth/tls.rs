@@ -1,4 +1,5 @@
-//! TLS: the server's certificate and key, and the TLS clients of the health check and of the exporter of traces.
+//! TLS: the server's certificate and key, and the TLS clients of the health check and of the
+//! exporter of traces.
 
 use std::fmt;
 use std::io::{self, Read, Write};
@@ -111,7 +112,8 @@ pub(crate) fn inner<S>(stream: &mut TlsStream<S>) -> &mut S {
 }
 
 #[cfg(feature = "otlp")]
-/// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of `SSL_CERT_FILE` and `SSL_CERT_DIR`.
+/// A client's TLS for HTTP/1.1 to one host. It trusts the system's roots, or those of
+/// `SSL_CERT_FILE` and `SSL_CERT_DIR`.
 pub(crate) struct Connector {
     connector: TlsConnector,
     host: ServerName<'static>,

@@ -1,5 +1,6 @@
-//! The values of a cache with the clients that hold them, and which value makes room for another one. One client cannot empty the cache of
-//! the others: a value that nobody has used for a while goes first, and after those one of the client that holds the most.
+//! The values of a cache with the clients that hold them, and which value makes room for another
+//! one. One client cannot empty the cache of the others: a value that nobody has used for a while
+//! goes first, and after those one of the client that holds the most.
 //!
 //! Times are arguments; there is no clock here.
 
@@ -316,7 +317,8 @@ mod tests {
     proptest! {
         /// Whatever happens, every value is counted once, for the client that holds it.
         #[test]
-        fn everything_is_accounted_for(steps in prop::collection::vec((0_u8..5, 0_u8..12, 0_u8..4, 0_u64..40), 1..200)) {
+        fn everything_is_accounted_for(steps in prop::collection::vec(
+            (0_u8..5, 0_u8..12, 0_u8..4, 0_u64..40), 1..200)) {
             let (mut full, mut wanted) = (Full::new(), HashMap::new());
             for (what, n, holder, bytes) in steps {
                 match what {
@@ -326,16 +328,21 @@ mod tests {
                             wanted.remove(&gone);
                         }
                     }
-                    2 => prop_assert_eq!(full.holdings.remove(key(n)), wanted.remove(&n).map(|_| n)),
+                    2 => prop_assert_eq!(full.holdings.remove(key(n)),
+                        wanted.remove(&n).map(|_| n)),
                     3 => full.holdings.demote(key(n)),
-                    _ => prop_assert_eq!(full.holdings.get(key(n), full.now).copied(), wanted.get(&n).map(|_| n)),
+                    _ => prop_assert_eq!(full.holdings.get(key(n), full.now).copied(),
+                        wanted.get(&n).map(|_| n)),
                 }
-                let of = |client: u8| wanted.values().filter(|(holder, _)| *holder == client).map(|(_, bytes)| bytes).sum::<u64>();
-                prop_assert_eq!((full.holdings.len(), full.holdings.bytes()), (wanted.len(), (0..4).map(of).sum()));
+                let of = |client: u8| wanted.values().filter(|(holder, _)| *holder == client).map(
+                    |(_, bytes)| bytes).sum::<u64>();
+                prop_assert_eq!((full.holdings.len(), full.holdings.bytes()),
+                    (wanted.len(), (0..4).map(of).sum()));
                 for holder in 0..4 {
                     let held = full.holdings.shares.get(&client(holder));
                     prop_assert_eq!(held.map_or(0, |share| share.bytes), of(holder));
-                    prop_assert_eq!(held.is_some(), wanted.values().any(|(other, _)| *other == holder));
+                    prop_assert_eq!(held.is_some(),
+                        wanted.values().any(|(other, _)| *other == holder));
                 }
                 prop_assert_eq!(full.holdings.by_bytes.len(), full.holdings.shares.len());
             }

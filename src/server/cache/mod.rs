@@ -1,8 +1,11 @@
-//! Byte-weighted caches in which concurrent requests for one value share its build. `holdings.rs` says which value makes room.
+//! Byte-weighted caches in which concurrent requests for one value share its build. `holdings.rs`
+//! says which value makes room.
 //!
-//! A value holds its reservation of memory as long as anyone uses it, also after it was evicted. A value larger than its cache is used but
-//! not cached. Each build is a task. It goes on while at least one request waits for it, and is dropped when the last one has left: that
-//! takes it out of the workers' queue, or cancels its computation (`Pool::run`). A later request then begins a new build.
+//! A value holds its reservation of memory as long as anyone uses it, also after it was evicted. A
+//! value larger than its cache is used but not cached. Each build is a task. It goes on while at
+//! least one request waits for it, and is dropped when the last one has left: that takes it out of
+//! the workers' queue, or cancels its computation (`Pool::run`). A later request then begins a new
+//! build.
 
 mod holdings;
 
@@ -103,8 +106,9 @@ tokio::task_local! {
     static RETAINED: Retained;
 }
 
-/// Keeps builds going whose requests have ended, until it is dropped itself: a newer request of the same session supersedes an older one
-/// and needs the same values, but may still be waiting for a worker.
+/// Keeps builds going whose requests have ended, until it is dropped itself: a newer request of the
+/// same session supersedes an older one and needs the same values, but may still be waiting for a
+/// worker.
 #[derive(Clone, Debug, Default)]
 pub struct Retained(Arc<Mutex<Vec<Interest>>>);
 
@@ -293,8 +297,9 @@ impl<V: Send + Sync + 'static> Cache<V> {
         removed.into_iter().for_each(free_entry);
     }
 
-    /// The value of `key`. `build` runs if the value is neither cached nor being built; then `holder` holds the value.
-    /// Errors: Those of the build, for every request that waits; they are not cached. `lost` makes the error of a build that was torn down.
+    /// The value of `key`. `build` runs if the value is neither cached nor being built; then
+    /// `holder` holds the value. Errors: Those of the build, for every request that waits; they are
+    /// not cached. `lost` makes the error of a build that was torn down.
     pub async fn get<B>(
         &self,
         key: Key,

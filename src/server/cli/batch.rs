@@ -1,4 +1,5 @@
-//! `mlswarp batch IMAGE WARP.json [BATCH.json] -o OUT`: a session and `POST /sessions/{id}/batch` without a server.
+//! `mlswarp batch IMAGE WARP.json [BATCH.json] -o OUT`: a session and `POST /sessions/{id}/batch`
+//! without a server.
 
 use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -216,8 +217,9 @@ fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
     }
 }
 
-/// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the options, among which the JSON selects.
-/// Errors: A layer without a file; names that a folder does not tell apart.
+/// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the
+/// options, among which the JSON selects. Errors: A layer without a file; names that a folder does
+/// not tell apart.
 fn selected(
     layers: Vec<Layer>,
     merged: &Merged,
@@ -256,7 +258,8 @@ fn selected(
         .find_map(|name| Some((name, drawn.iter().find(|other| is_same(name, other))?)));
     if let Some((one, other)) = pair.filter(|_| is_directory) {
         let detail = format!(
-            "the layers {one} and {other} would be one file where upper and lower case are not told apart; rename one"
+            "the layers {one} and {other} would be one file where upper and lower case are not \
+                told apart; rename one"
         );
         return Err(Failure::Local(detail));
     }

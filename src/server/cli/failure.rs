@@ -11,8 +11,8 @@ use crate::problem::words::is_unseen;
 /// Why a subcommand failed.
 #[derive(Debug)]
 pub enum Failure {
-    /// A problem that a server would respond with, and the file or option that it is about, if that is known; printed as
-    /// `code: FILE: detail (pointer)`.
+    /// A problem that a server would respond with, and the file or option that it is about, if that
+    /// is known; printed as `code: FILE: detail (pointer)`.
     Problem(Problem, Option<String>),
     /// A problem with files or threads of this machine; printed as `error: ...`.
     Local(String),

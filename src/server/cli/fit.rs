@@ -1,4 +1,5 @@
-//! `mlswarp fit WARP.json --extent WIDTH,HEIGHT`: `POST /fit` without a server, as a table or as the JSON of the response.
+//! `mlswarp fit WARP.json --extent WIDTH,HEIGHT`: `POST /fit` without a server, as a table or as
+//! the JSON of the response.
 
 use serde_json::Value;
 
@@ -142,9 +143,12 @@ mod tests {
     #[test]
     fn the_table_begins_with_the_best_and_names_outliers() {
         let answer = br#"{"best": null, "candidates": [
-            {"method": "rigid", "alpha": 1.0, "smoothing": null, "rms": 12.345, "max": 100.0, "outliers": [2, 0]},
-            {"method": "affine", "alpha": 1.5, "smoothing": null, "rms": null, "max": null, "outliers": []},
-            {"method": "tps", "alpha": null, "smoothing": 0.01, "rms": 3.0, "max": 4.126, "outliers": [1]}]}"#;
+            {"method": "rigid", "alpha": 1.0, "smoothing": null, "rms": 12.345, "max": 100.0,
+              "outliers": [2, 0]},
+            {"method": "affine", "alpha": 1.5, "smoothing": null, "rms": null, "max": null,
+              "outliers": []},
+            {"method": "tps", "alpha": null, "smoothing": 0.01, "rms": 3.0, "max": 4.126,
+              "outliers": [1]}]}"#;
         let names = serde_json::json!(["a", "left eye"]);
         let lines = [
             "method  alpha  smoothing  rms px  max px  outliers",

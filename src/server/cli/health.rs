@@ -1,4 +1,5 @@
-//! `mlswarp health`: sends `GET /readyz` to a running server. With TLS, it trusts the configured certificate alone.
+//! `mlswarp health`: sends `GET /readyz` to a running server. With TLS, it trusts the configured
+//! certificate alone.
 
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream};
@@ -11,8 +12,8 @@ const TIMEOUT: Duration = Duration::from_secs(3);
 /// Bytes of a response that are read: its head, and the words about a wrong protocol.
 const RESPONSE_BYTES: u64 = 4096;
 
-/// Whether the server can take work now.
-/// Errors: It cannot be reached, or is not ready. The sentence names the address, and what selects another.
+/// Whether the server can take work now. Errors: It cannot be reached, or is not ready. The
+/// sentence names the address, and what selects another.
 pub fn ask(config: &Config) -> Result<(), String> {
     // The ops listener has no TLS and connections of its own.
     let ops = config.telemetry.metrics_listen;
@@ -38,14 +39,16 @@ pub fn ask(config: &Config) -> Result<(), String> {
             "the server at {address} closes the connection without a response"
         )),
         Ok(answer) if tls.is_none() && wants_tls(&answer) => Err(format!(
-            "the server at {address} serves HTTPS: give --tls-cert (MLSWARP_TLS_CERT) and --tls-key (MLSWARP_TLS_KEY)"
+            "the server at {address} serves HTTPS: give --tls-cert (MLSWARP_TLS_CERT) and \
+                --tls-key (MLSWARP_TLS_KEY)"
         )),
         Ok(answer) => Err(format!(
             "the server at {address} is not ready: {}",
             answer.lines().next().unwrap_or_default()
         )),
         Err(_) if tls.is_some() && serves_plain_http(address) => Err(format!(
-            "the server at {address} serves plain HTTP: leave out --tls-cert (MLSWARP_TLS_CERT) and --tls-key"
+            "the server at {address} serves plain HTTP: leave out --tls-cert (MLSWARP_TLS_CERT) \
+                and --tls-key"
         )),
         Err(e) => Err(format!(
             "the server at {address} does not answer GET /readyz: {e}"
@@ -53,7 +56,8 @@ pub fn ask(config: &Config) -> Result<(), String> {
     }
 }
 
-/// Whether this is the answer of a TLS port to plain HTTP: an alert, or the words of this server, of nginx and of others.
+/// Whether this is the answer of a TLS port to plain HTTP: an alert, or the words of this server,
+/// of nginx and of others.
 fn wants_tls(answer: &str) -> bool {
     answer.starts_with("\u{15}\u{3}")
         || (answer.starts_with("HTTP/1.1 400") && answer.contains("HTTPS"))

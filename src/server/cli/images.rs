@@ -1,4 +1,5 @@
-//! The images of `mlswarp warp` and their output files. Everything that can be known before the first image is drawn is checked here.
+//! The images of `mlswarp warp` and their output files. Everything that can be known before the
+//! first image is drawn is checked here.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -131,8 +132,8 @@ fn images_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(files)
 }
 
-/// The file that belongs to an image: in a folder, the one with the name of the image and another extension, which is no image.
-/// Errors: None, or several.
+/// The file that belongs to an image: in a folder, the one with the name of the image and another
+/// extension, which is no image. Errors: None, or several.
 pub(super) fn companion(
     what: &str,
     path: &Path,
@@ -246,8 +247,9 @@ impl Outputs {
         }
     }
 
-    /// The output file of each image. `others`: further files that are read.
-    /// Errors: Two images have one output file, also where upper and lower case are not told apart; an output would replace an input.
+    /// The output file of each image. `others`: further files that are read. Errors: Two images
+    /// have one output file, also where upper and lower case are not told apart; an output would
+    /// replace an input.
     pub(super) fn files(
         &self,
         inputs: &Inputs,

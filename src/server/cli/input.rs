@@ -1,4 +1,5 @@
-//! What the subcommands read: files or standard input, handles from a warp object or landmark files, the size of an image.
+//! What the subcommands read: files or standard input, handles from a warp object or landmark
+//! files, the size of an image.
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -170,8 +171,9 @@ impl LandmarkInput {
         }))
     }
 
-    /// Landmarks of both sides, if there are landmark files. `warp`: the text of the warp object, which may choose what is read of them.
-    /// Errors: As [`Self::read_files`]; landmarks of one side.
+    /// Landmarks of both sides, if there are landmark files. `warp`: the text of the warp object,
+    /// which may choose what is read of them. Errors: As [`Self::read_files`]; landmarks of one
+    /// side.
     pub(super) fn read(&self, config: &Config, warp: &[u8]) -> Result<Option<Landmarks>, Failure> {
         let Some(mut files) = self.read_files(config)? else {
             return Ok(None);
@@ -292,7 +294,8 @@ impl Body {
             )
         }));
         let mut merged = merge(&sources)?;
-        let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image FILE, or `extent` in the warp object";
+        let missing = "the size of the image is missing; give --extent WIDTH,HEIGHT, --image \
+            FILE, or `extent` in the warp object";
         let extent = extent_in(&merged.json).map_err(|problem| located(&merged, problem))?;
         extent.ok_or_else(|| Failure::Local(missing.to_owned()))?;
         let mut json = std::mem::take(&mut merged.json);
@@ -309,8 +312,8 @@ impl Body {
     }
 }
 
-/// Resolves a warp object as the server does: places the handles of landmark files, applies the strength and chooses the method.
-/// Errors: Wrong handles.
+/// Resolves a warp object as the server does: places the handles of landmark files, applies the
+/// strength and chooses the method. Errors: Wrong handles.
 pub(super) fn resolve(
     config: &Config,
     object: &mut WarpObject,

@@ -10,8 +10,8 @@ use super::output;
 use super::service::{Service, summary};
 use crate::config::{Config, MapArgs};
 
-/// Writes a coordinate map. The result: what a server sends in response headers, if there is any of it.
-/// Errors: See [`Failure`].
+/// Writes a coordinate map. The result: what a server sends in response headers, if there is any of
+/// it. Errors: See [`Failure`].
 pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
     let MapArgs {
         input,

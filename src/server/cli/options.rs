@@ -1,4 +1,5 @@
-//! The options of a subcommand as JSON: each is an object with one field, so that the same parser reads both and a message names the option.
+//! The options of a subcommand as JSON: each is an object with one field, so that the same parser
+//! reads both and a message names the option.
 
 use mlswarp::codec::Format;
 use serde_json::{Value, json};

@@ -1,4 +1,5 @@
-//! The output files of the subcommands. A file appears under its name only when it is complete; an interrupted program leaves none.
+//! The output files of the subcommands. A file appears under its name only when it is complete; an
+//! interrupted program leaves none.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -14,7 +15,8 @@ use crate::problem::{Code, Problem};
 
 /// The exit code of an interrupted program.
 const INTERRUPTED: i32 = 130;
-/// The file that is being written. It is created, renamed and removed by the thread that holds the lock.
+/// The file that is being written. It is created, renamed and removed by the thread that holds the
+/// lock.
 static PART: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Errors: The directory of the file does not exist.
@@ -175,9 +177,9 @@ fn fill(
     sink.file.flush().map_err(|e| cannot_write(out, &e))
 }
 
-/// Writes a file of a folder by `content`. What has its name is replaced, and never written through: who else may write the folder could
-/// have put a link there.
-/// Errors: It cannot be written, or those of `content`.
+/// Writes a file of a folder by `content`. What has its name is replaced, and never written
+/// through: who else may write the folder could have put a link there. Errors: It cannot be
+/// written, or those of `content`.
 pub(super) fn replace(
     out: &Path,
     content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
@@ -191,7 +193,8 @@ pub(super) fn replace(
     let created = {
         let mut part = part();
         *part = Some(path.clone());
-        // One that an earlier process with this number has left; a link that is put there in between is not followed.
+        // One that an earlier process with this number has left; a link that is put there in
+        // between is not followed.
         let _ = fs::remove_file(&path);
         File::create_new(&path)
     };
@@ -205,7 +208,8 @@ pub(super) fn replace(
     renamed.inspect_err(|_| drop(fs::remove_file(&path)))
 }
 
-/// Removes the incomplete file and ends the program at SIGTERM or Ctrl-C. Without signals, the system ends the program.
+/// Removes the incomplete file and ends the program at SIGTERM or Ctrl-C. Without signals, the
+/// system ends the program.
 fn watch_signals() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {

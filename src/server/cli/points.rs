@@ -1,4 +1,5 @@
-//! `mlswarp points WARP.json [ANNOTATIONS.json] --extent WIDTH,HEIGHT`: `POST /points` without a server.
+//! `mlswarp points WARP.json [ANNOTATIONS.json] --extent WIDTH,HEIGHT`: `POST /points` without a
+//! server.
 
 use std::path::Path;
 
@@ -25,7 +26,8 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
         ..
     } = args;
     let (mut input, mut annotations) = (args.input.clone(), args.annotations.clone());
-    // With landmarks the warp object may be left out: then the first file is that of the annotations.
+    // With landmarks the warp object may be left out: then the first file is that of the
+    // annotations.
     if annotations.is_none()
         && input.landmarks.landmarks.is_some()
         && input
@@ -94,7 +96,8 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
     Ok(summary(method, &warnings))
 }
 
-/// Whether the first file is that of the annotations: GeoJSON, or standard input, whose fields count wherever they come from.
+/// Whether the first file is that of the annotations: GeoJSON, or standard input, whose fields
+/// count wherever they come from.
 fn is_of_annotations(config: &Config, path: &Path) -> bool {
     let source = || input::source("annotations", path, Limit::body(config));
     input::is_stdio(path) || source().is_ok_and(|source| is_geojson(&source.json))

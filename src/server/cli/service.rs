@@ -1,4 +1,5 @@
-//! The use cases of the service in this process, without a listener: so a subcommand writes the same bytes as its route.
+//! The use cases of the service in this process, without a listener: so a subcommand writes the
+//! same bytes as its route.
 
 use std::future::Future;
 
@@ -55,7 +56,8 @@ impl Service {
     }
 }
 
-/// What a server sends in response headers: the method that was chosen, and warnings. `None` if there is neither.
+/// What a server sends in response headers: the method that was chosen, and warnings. `None` if
+/// there is neither.
 pub(super) fn summary(method: Option<String>, warnings: &[Warning]) -> Option<String> {
     let method = method.map(|method| format!("method {method}"));
     let warnings = warnings.iter().map(|warning| warning.code().to_owned());

@@ -1,5 +1,6 @@
-//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`, `mlswarp warp IMAGE... WARP.json -o FOLDER`:
-//! `POST /warp` without a server, with the same parser and the same bytes.
+//! `mlswarp warp IMAGE WARP.json -o OUT`, `mlswarp warp IMAGE --landmarks FILE -o OUT`,
+//! `mlswarp warp IMAGE... WARP.json -o FOLDER`: `POST /warp` without a server, with the same parser
+//! and the same bytes.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -18,8 +19,8 @@ use crate::wire::landmarks::Landmarks;
 use crate::wire::{Merged, Reserved, Source, WarpObject, WarpPatch};
 use crate::wire::{canvas_text, method_text};
 
-/// Warps images. The result: what a server sends in response headers; of several images their number.
-/// Errors: See [`Failure`]; an image of several that failed, after the others.
+/// Warps images. The result: what a server sends in response headers; of several images their
+/// number. Errors: See [`Failure`]; an image of several that failed, after the others.
 pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
     let config = &config.offline();
     let WarpArgs {
@@ -158,7 +159,8 @@ fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Sour
             });
         }
         None if landmarks.landmarks.is_none() => {
-            let missing = "the handles are missing: give a warp object, a file that ends in .json or begins with `{`, or --landmarks FILE";
+            let missing = "the handles are missing: give a warp object, a file that ends in .json \
+                or begins with `{`, or --landmarks FILE";
             return Err(Failure::Local(missing.to_owned()));
         }
         None => {}
@@ -198,7 +200,8 @@ struct Prepared {
 type Content<'a> = &'a mut dyn FnMut(&mut output::Sink<'_>) -> Result<(), Failure>;
 
 impl Job<'_> {
-    /// Draws one image. `write`: to its output file. The result: what a server sends in response headers.
+    /// Draws one image. `write`: to its output file. The result: what a server sends in response
+    /// headers.
     fn draw(
         &mut self,
         image: &InputFile,

@@ -22,37 +22,51 @@ type Networks = Vec<Network>;
 #[derive(Args, Clone, Debug, PartialEq)]
 #[command(next_help_heading = "Access and TLS")]
 pub struct AuthConfig {
-    /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
+    /// File of API keys, one `NAME KEY` per line. Sessions belong to the name. The file is read
+    /// again when it changes.
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", path)))]
     keys_file: Maybe<PathBuf>,
-    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other users of the machine can see command
-    /// lines.
-    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true, value_parser = Checked(given_keys))]
+    /// API keys: `NAME KEY` pairs separated by commas or line breaks. Prefer the variable: other
+    /// users of the machine can see command lines.
+    #[arg(long = "keys", value_name = "PAIRS", default_value = "", hide_default_value = true,
+        value_parser = Checked(given_keys))]
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
-    /// Allow a listen address that other machines can reach without keys. Anyone who can reach it can use the service.
+    /// Allow a listen address that other machines can reach without keys. Anyone who can reach it
+    /// can use the service.
     #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
-    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true,
+        action = ArgAction::Set)]
     pub allow_anonymous: bool,
     /// Answer GET /metrics without a key.
     #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
-    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true, action = ArgAction::Set)]
+    #[arg(default_missing_value = "true", num_args = 0..=1, require_equals = true,
+        action = ArgAction::Set)]
     pub open_metrics: bool,
     /// TLS certificate chain, PEM. The file is read again when it changes.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", path)))]
     tls_cert: Maybe<PathBuf>,
     /// Private key of the certificate, PEM.
-    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true, value_parser = Checked(unless("", path)))]
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", path)))]
     tls_key: Maybe<PathBuf>,
-    /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every origin.
-    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true, value_parser = Checked(Origins::parse))]
+    /// Origins whose pages may use the service (CORS), separated by commas; `*` allows every
+    /// origin.
+    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true,
+        value_parser = Checked(Origins::parse))]
     pub(crate) cors_origin: Origins,
-    /// Host names that requests may use besides localhost and IP addresses, separated by commas; others are answered 421. Without a list,
-    /// hosts are checked only by a server without keys on a loopback address.
-    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true, value_parser = Checked(Hosts::parse))]
+    /// Host names that requests may use besides localhost and IP addresses, separated by commas;
+    /// others are answered 421. Without a list, hosts are checked only by a server without keys on
+    /// a loopback address.
+    #[arg(long, value_name = "HOSTS", default_value = "", hide_default_value = true,
+        value_parser = Checked(Hosts::parse))]
     pub(crate) allowed_hosts: Hosts,
-    /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For header names the client.
-    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true, value_parser = Checked(networks))]
+    /// Trusted reverse proxies: addresses or networks, separated by commas. Their X-Forwarded-For
+    /// header names the client.
+    #[arg(long, value_name = "NETWORKS", default_value = "", hide_default_value = true,
+        value_parser = Checked(networks))]
     pub(crate) trusted_proxies: Networks,
     /// The keys; `None`: no key is needed.
     #[arg(skip)]
@@ -90,7 +104,8 @@ impl KeysConfig {
 }
 
 impl AuthConfig {
-    /// The hosts that a listener without keys serves; `None`: all. On a loopback address this prevents DNS rebinding.
+    /// The hosts that a listener without keys serves; `None`: all. On a loopback address this
+    /// prevents DNS rebinding.
     pub(crate) fn hosts_without_keys(&self, listen: SocketAddr) -> Option<&Hosts> {
         Some(&self.allowed_hosts).filter(|_| is_loopback(listen))
     }

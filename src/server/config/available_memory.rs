@@ -1,4 +1,5 @@
-//! The memory that this process may use: the least of the machine's and of the limits of its control groups (Linux).
+//! The memory that this process may use: the least of the machine's and of the limits of its
+//! control groups (Linux).
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,8 +30,8 @@ pub(crate) fn kib_field(text: &str, name: &str) -> Option<u64> {
         .checked_mul(1024)
 }
 
-/// The files with the limits of a group and of its ancestors: `0::/a/b` of version 2, `5:memory:/a/b` of version 1. A container often sees
-/// only the limit at the root.
+/// The files with the limits of a group and of its ancestors: `0::/a/b` of version 2,
+/// `5:memory:/a/b` of version 1. A container often sees only the limit at the root.
 fn limit_files(line: &str) -> Vec<PathBuf> {
     let mut fields = line.splitn(3, ':').skip(1);
     let (Some(controllers), Some(path)) = (fields.next(), fields.next()) else {

@@ -15,11 +15,14 @@ pub enum Command {
     Points(PointsArgs),
     /// Write the coordinate map without a server: the file of POST /map.
     Map(MapArgs),
-    /// Draw many frames of one image without a server: an animation, or an archive as POST /sessions/{id}/batch sends it.
+    /// Draw many frames of one image without a server: an animation, or an archive as POST
+    /// /sessions/{id}/batch sends it.
     Batch(BatchArgs),
-    /// Measure a pose without a server (residuals, folds, distortion, tolerance): the JSON of POST /report.
+    /// Measure a pose without a server (residuals, folds, distortion, tolerance): the JSON of POST
+    /// /report.
     Report(ReportArgs),
-    /// Compare methods without a server: how well each predicts every landmark from the others, as POST /fit does.
+    /// Compare methods without a server: how well each predicts every landmark from the others, as
+    /// POST /fit does.
     Fit(FitArgs),
     /// Check whether a running server can take work: exit code 0 if it can, otherwise 1.
     Health,
@@ -28,19 +31,22 @@ pub enum Command {
 /// Landmark files with the handles.
 #[derive(Args, Clone, Debug)]
 pub struct LandmarkInput {
-    /// Landmark file with the handles: p and q, or p alone with --landmarks-q. The format is recognised by content.
+    /// Landmark file with the handles: p and q, or p alone with --landmarks-q. The format is
+    /// recognised by content.
     #[arg(long, value_name = "FILE", display_order = 1)]
     pub landmarks: Option<PathBuf>,
     /// Landmark file with q.
     #[arg(long, value_name = "FILE", requires = "landmarks", display_order = 2)]
     pub landmarks_q: Option<PathBuf>,
-    /// Size of the image on which p was placed, such as a thumbnail. Default for normalised files (0 to 1): that of the image.
+    /// Size of the image on which p was placed, such as a thumbnail. Default for normalised files
+    /// (0 to 1): that of the image.
     #[arg(long, value_name = "W,H", requires = "landmarks", display_order = 3)]
     pub extent_p: Option<String>,
     /// Size of the image on which q was placed. Default: that of p.
     #[arg(long, value_name = "W,H", requires = "landmarks", display_order = 3)]
     pub extent_q: Option<String>,
-    /// How two landmark files are matched: name or order. Default: by name if the names explain them.
+    /// How two landmark files are matched: name or order. Default: by name if the names explain
+    /// them.
     #[arg(
         long = "match",
         value_name = "HOW",
@@ -56,7 +62,8 @@ pub struct LandmarkInput {
 /// The files that the handles come from: a warp object, landmark files, or both.
 #[derive(Args, Clone, Debug)]
 pub struct WarpInput {
-    /// Warp object (JSON) with p and q; `-` reads standard input. With --landmarks it has no p and q, and may be left out.
+    /// Warp object (JSON) with p and q; `-` reads standard input. With --landmarks it has no p and
+    /// q, and may be left out.
     #[arg(required_unless_present = "landmarks")]
     pub warp: Option<PathBuf>,
     /// The landmark files.
@@ -64,7 +71,8 @@ pub struct WarpInput {
     pub landmarks: LandmarkInput,
 }
 
-/// How the handles move the image; fields of the same names in JSON. An option takes precedence over JSON.
+/// How the handles move the image; fields of the same names in JSON. An option takes precedence
+/// over JSON.
 #[derive(Args, Clone, Debug)]
 pub struct PoseOptions {
     /// rigid (default), similarity, affine, tps, global_affine, or auto (the one that fits best).
@@ -84,7 +92,8 @@ pub struct PoseOptions {
 /// What a picture shows; fields of the same names in `output`.
 #[derive(Args, Clone, Debug)]
 pub struct FrameOptions {
-    /// Part of the result: `same` (that of the image), `fit` (all of it), or a box X,Y,WIDTH,HEIGHT in pixels.
+    /// Part of the result: `same` (that of the image), `fit` (all of it), or a box X,Y,WIDTH,HEIGHT
+    /// in pixels.
     #[arg(
         long,
         value_name = "BOX",
@@ -140,7 +149,8 @@ pub struct ExtentInput {
     /// Size of the image that the warp belongs to, unless the warp object has it in `extent`.
     #[arg(long, value_name = "WIDTH,HEIGHT", display_order = 4)]
     pub extent: Option<String>,
-    /// Image file that the warp belongs to, from which only the size is read; `-` reads standard input.
+    /// Image file that the warp belongs to, from which only the size is read; `-` reads standard
+    /// input.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub image: Option<PathBuf>,
 }
@@ -155,15 +165,17 @@ pub enum WarpKind {
     Labels,
     /// How much of each pixel the posed image covers, 0 to 255. Only the size of the image is read.
     Coverage,
-    /// Where content of the region moved away and nothing covers the place, 0 to 255. Only the size of the image is read.
+    /// Where content of the region moved away and nothing covers the place, 0 to 255. Only the size
+    /// of the image is read.
     Holes,
 }
 
 /// The arguments of `mlswarp warp`.
 #[derive(Args, Clone, Debug)]
 pub struct WarpArgs {
-    /// Images, folders of images, and the warp object with the handles: that is the file whose name ends in .json or whose content begins
-    /// with `{`, all others are images. `-` reads standard input.
+    /// Images, folders of images, and the warp object with the handles: that is the file whose name
+    /// ends in .json or whose content begins with `{`, all others are images. `-` reads standard
+    /// input.
     #[arg(required = true, value_name = "IMAGE|WARP.json")]
     pub files: Vec<PathBuf>,
     /// The landmark files.
@@ -181,7 +193,8 @@ pub struct WarpArgs {
     /// Mask of the same size: only what is white in it moves.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
-    /// image (default); labels (values are not interpolated); coverage or holes: where the result covers the picture, or the region left it.
+    /// image (default); labels (values are not interpolated); coverage or holes: where the result
+    /// covers the picture, or the region left it.
     #[arg(
         long,
         value_enum,
@@ -191,8 +204,8 @@ pub struct WarpArgs {
         display_order = 4
     )]
     pub kind: WarpKind,
-    /// Output file (.png, .jpg, .webp, .tif), `-` for standard output; for several images a folder, which is created: the names stay, with
-    /// the extension of the format.
+    /// Output file (.png, .jpg, .webp, .tif), `-` for standard output; for several images a folder,
+    /// which is created: the names stay, with the extension of the format.
     // All of these stand before the options of the server.
     #[arg(short, long, value_name = "PATH", display_order = 8)]
     pub out: PathBuf,
@@ -204,8 +217,9 @@ pub struct PointsArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Annotations: a JSON object with points, polygons, boxes, geojson, inverse, refine; or a GeoJSON file, whose result is GeoJSON; `-`
-    /// reads standard input. Without this file they are read from the warp object, as in the body of POST /points.
+    /// Annotations: a JSON object with points, polygons, boxes, geojson, inverse, refine; or a
+    /// GeoJSON file, whose result is GeoJSON; `-` reads standard input. Without this file they are
+    /// read from the warp object, as in the body of POST /points.
     pub annotations: Option<PathBuf>,
     /// Map from the picture that is drawn back to the image, as `"inverse": true` does.
     #[arg(long, display_order = 4)]
@@ -239,8 +253,8 @@ pub struct MapArgs {
     /// The size of the image.
     #[command(flatten)]
     pub extent: ExtentInput,
-    /// `inverse` (default): for each pixel of the result, the source position that is drawn there; `forward`: for each pixel of the
-    /// source, where it is drawn.
+    /// `inverse` (default): for each pixel of the result, the source position that is drawn there;
+    /// `forward`: for each pixel of the source, where it is drawn.
     #[arg(long, value_name = "WAY", display_order = 4)]
     pub direction: Option<String>,
     /// The method.
@@ -249,8 +263,9 @@ pub struct MapArgs {
     /// The part of the result.
     #[command(flatten)]
     pub frame: FrameOptions,
-    /// Output file; `-` writes standard output. Its extension selects the format: .npy (NumPy, float32, [height, width, 2]), .tif or .tiff
-    /// (two float bands). Otherwise the output is NumPy.
+    /// Output file; `-` writes standard output. Its extension selects the format: .npy (NumPy,
+    /// float32, [height, width, 2]), .tif or .tiff (two float bands). Otherwise the output is
+    /// NumPy.
     #[arg(short, long, value_name = "FILE", display_order = 8)]
     pub out: PathBuf,
 }
@@ -267,7 +282,8 @@ pub struct ReportArgs {
     /// The method.
     #[command(flatten)]
     pub pose: PoseOptions,
-    /// Part of the result whose coverage is measured: `same`, `fit`, or a box X,Y,WIDTH,HEIGHT in pixels.
+    /// Part of the result whose coverage is measured: `same`, `fit`, or a box X,Y,WIDTH,HEIGHT in
+    /// pixels.
     #[arg(
         long,
         value_name = "BOX",
@@ -298,7 +314,8 @@ pub struct FitArgs {
     /// Bring q to the frame of p first, by the best map of this class: rigid, similarity or affine.
     #[arg(long, value_name = "CLASS", display_order = 5)]
     pub align: Option<String>,
-    /// Write the JSON of POST /fit to this file, `-` for standard output. Default: a table on standard output, the best method first.
+    /// Write the JSON of POST /fit to this file, `-` for standard output. Default: a table on
+    /// standard output, the best method first.
     #[arg(short, long, value_name = "FILE", display_order = 8)]
     pub out: Option<PathBuf>,
 }
@@ -311,8 +328,9 @@ pub struct BatchArgs {
     /// The handles.
     #[command(flatten)]
     pub input: WarpInput,
-    /// Batch (JSON), as the body of POST /sessions/{id}/batch: frames, steps or jitter; layers, output, points and others; `-` reads
-    /// standard input. Without this file, these fields are read from the warp object.
+    /// Batch (JSON), as the body of POST /sessions/{id}/batch: frames, steps or jitter; layers,
+    /// output, points and others; `-` reads standard input. Without this file, these fields are
+    /// read from the warp object.
     pub batch: Option<PathBuf>,
     /// The frames.
     #[command(flatten)]
@@ -329,15 +347,16 @@ pub struct BatchArgs {
     /// Mask of the same size: only what is white in it moves.
     #[arg(long, value_name = "FILE", display_order = 4)]
     pub region: Option<PathBuf>,
-    /// Layer to draw in each frame, into a file of its own: NAME=FILE, NAME=FILE:labels, @coverage or @holes; may be repeated. `layers` in
-    /// the JSON selects among them.
+    /// Layer to draw in each frame, into a file of its own: NAME=FILE, NAME=FILE:labels, @coverage
+    /// or @holes; may be repeated. `layers` in the JSON selects among them.
     #[arg(long = "layer", value_name = "LAYER", display_order = 4)]
     pub layers: Vec<String>,
     /// Show no progress on a terminal.
     #[arg(short = 'Q', long, display_order = 8)]
     pub quiet: bool,
-    /// Animation (.gif, .png or .apng), or archive (.zip) of pictures, annotations and frames.json; or a folder for the files of the
-    /// archive, which is created; `-` writes the archive to standard output.
+    /// Animation (.gif, .png or .apng), or archive (.zip) of pictures, annotations and frames.json;
+    /// or a folder for the files of the archive, which is created; `-` writes the archive to
+    /// standard output.
     #[arg(short, long, value_name = "PATH", display_order = 8)]
     pub out: PathBuf,
 }

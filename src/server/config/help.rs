@@ -1,4 +1,5 @@
-//! The command line as a whole: which options have an effect on which subcommand, what its help shows, and what a mistyped option meant.
+//! The command line as a whole: which options have an effect on which subcommand, what its help
+//! shows, and what a mistyped option meant.
 
 use std::ffi::OsString;
 
@@ -63,9 +64,11 @@ const HEALTH_CHECK: &str = "Examples:
   mlswarp health --listen 127.0.0.1:9000 || systemctl restart mlswarp
   MLSWARP_TLS_CERT=cert.pem MLSWARP_TLS_KEY=key.pem mlswarp health --listen 127.0.0.1:8443";
 
-const VALUES: &str = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also be set by the variable that its help names.";
+const VALUES: &str = "Sizes: 32MiB, 512K, 1048576. Times: 500ms, 30s, 15m. Every option can also \
+    be set by the variable that its help names.";
 
-/// The options that limit the work of a subcommand. An empty help text stands for that of the server.
+/// The options that limit the work of a subcommand. An empty help text stands for that of the
+/// server.
 const LIMITS: [(&str, &str); 8] = [
     (
         "workers",
@@ -81,16 +84,19 @@ const LIMITS: [(&str, &str); 8] = [
     ("max-columns", ""),
     (
         "max-fit-handles",
-        "Maximum number of handles on which the method auto compares methods; the time grows with its cube",
+        "Maximum number of handles on which the method auto compares methods; the time grows with \
+            its cube",
     ),
     ("max-plan-bytes", ""),
 ];
 
 const MEMORY: (&str, &str) = (
     "memory-bytes",
-    "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the control group",
+    "Maximum memory for plans and results. auto = 6 tenths of the memory of the machine or of the \
+        control group",
 );
-/// [`LIMITS`] and [`MEMORY`]: the options of the subcommands that run the use cases of the server, which reserve memory.
+/// [`LIMITS`] and [`MEMORY`]: the options of the subcommands that run the use cases of the server,
+/// which reserve memory.
 const SERVICE: [(&str, &str); 9] = {
     let mut options = [MEMORY; 9];
     let (limits, _) = options.split_at_mut(LIMITS.len());
@@ -117,7 +123,8 @@ const HEALTH: [(&str, &str); 4] = [
 struct Subcommand {
     name: &'static str,
     examples: &'static str,
-    /// The options of the server that have an effect on it, with their help texts, as in [`LIMITS`].
+    /// The options of the server that have an effect on it, with their help texts, as in
+    /// [`LIMITS`].
     effective: &'static [(&'static str, &'static str)],
     /// Whether its help leaves them out: they are limits, which few people need.
     has_limits: bool,
@@ -185,8 +192,9 @@ impl Subcommand {
     }
 }
 
-/// The command with all options; each has a variable and may stand before or after the subcommand. The help of `serve` shows all of them,
-/// that of another subcommand none or those that have an effect on it; `shows_limits`: these alone.
+/// The command with all options; each has a variable and may stand before or after the subcommand.
+/// The help of `serve` shows all of them, that of another subcommand none or those that have an
+/// effect on it; `shows_limits`: these alone.
 fn command_with(shows_limits: bool) -> Command {
     let command = Cli::command().mut_args(|arg| match arg.get_long().map(variable) {
         Some(variable) => arg.env(variable).global(true).hide(true),
@@ -252,7 +260,8 @@ pub(super) fn limits_help(args: &[OsString]) -> Option<Error> {
     })?
 }
 
-/// The options that have an effect on the subcommand that the arguments name; those of the server without one.
+/// The options that have an effect on the subcommand that the arguments name; those of the server
+/// without one.
 pub(super) fn effective_flags(args: &[OsString]) -> Vec<String> {
     let command = Cli::command();
     let subcommand = Subcommand::of(args);
@@ -269,7 +278,8 @@ pub(super) fn effective_flags(args: &[OsString]) -> Vec<String> {
         .collect()
 }
 
-/// Notes the options of the command line that have no effect on the subcommand. A variable may be meant for another command.
+/// Notes the options of the command line that have no effect on the subcommand. A variable may be
+/// meant for another command.
 pub(super) fn report_without_effect(matches: &ArgMatches, command: &Command) {
     let Some((name, given)) = matches.subcommand() else {
         return;

@@ -1,4 +1,5 @@
-//! The command line: flags and `MLSWARP_*` variables. A flag takes precedence over its variable, a variable over the default.
+//! The command line: flags and `MLSWARP_*` variables. A flag takes precedence over its variable, a
+//! variable over the default.
 
 mod auth;
 pub(crate) mod available_memory;
@@ -38,7 +39,8 @@ pub use work::WorkConfig;
 #[derive(Debug, Parser)]
 #[command(name = "mlswarp", version, args_override_self = true)]
 #[command(
-    about = "Warps images with control points, lines and polylines (moving least squares): as an HTTP service, or offline."
+    about = "Warps images with control points, lines and polylines (moving least squares): as an \
+        HTTP service, or offline."
 )]
 pub struct Cli {
     /// The command; without one the server starts.
@@ -54,11 +56,14 @@ pub struct Cli {
 #[command(next_help_heading = "Limits of one request")]
 pub struct Config {
     /// Address and port of the service.
-    #[arg(long, help_heading = None, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = Checked(address))]
+    #[arg(long, help_heading = None, value_name = "ADDR", default_value = "127.0.0.1:8080",
+        value_parser = Checked(address))]
     pub listen: SocketAddr,
-    /// Path at which a reverse proxy publishes the service, such as /tools/warp. The proxy removes it from requests; the server puts it
-    /// before the paths in responses: Location, the type of problems, and the servers of /openapi.json.
-    #[arg(long, help_heading = None, value_name = "PATH", default_value = "", hide_default_value = true)]
+    /// Path at which a reverse proxy publishes the service, such as /tools/warp. The proxy removes
+    /// it from requests; the server puts it before the paths in responses: Location, the type of
+    /// problems, and the servers of /openapi.json.
+    #[arg(long, help_heading = None, value_name = "PATH", default_value = "",
+        hide_default_value = true)]
     #[arg(value_parser = Checked(public_path))]
     pub public_path: String,
     /// Maximum size of a request body.
@@ -68,23 +73,30 @@ pub struct Config {
     #[arg(long, value_name = "SIZE", default_value = "4MiB", value_parser = Checked(size))]
     pub max_warp_json_bytes: u64,
     /// Maximum number of pixels of a source or target.
-    #[arg(long, value_name = "N", default_value = "50M", value_parser = Checked(whole::<u64>(1, u64::from(u32::MAX))))]
+    #[arg(long, value_name = "N", default_value = "50M",
+        value_parser = Checked(whole::<u64>(1, u64::from(u32::MAX))))]
     max_image_pixels: u64,
     /// Maximum width and height of a source or target, px.
-    #[arg(long, value_name = "N", default_value = "16384", value_parser = Checked(whole::<u32>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "16384",
+        value_parser = Checked(whole::<u32>(1, 1_000_000)))]
     max_image_side: u32,
     /// Maximum size of a set of handles: a point counts 1, a segment 2.
-    #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(1, 1_000_000)))]
+    #[arg(long, value_name = "N", default_value = "10000",
+        value_parser = Checked(whole::<usize>(1, 1_000_000)))]
     max_columns: usize,
-    /// Maximum number of handles on which methods are compared, by POST /fit and by the method auto; the time grows with its cube.
-    #[arg(long, value_name = "N", default_value = "2000", value_parser = Checked(whole::<usize>(4, 2000)))]
+    /// Maximum number of handles on which methods are compared, by POST /fit and by the method
+    /// auto; the time grows with its cube.
+    #[arg(long, value_name = "N", default_value = "2000",
+        value_parser = Checked(whole::<usize>(4, 2000)))]
     pub max_fit_handles: usize,
     /// Maximum size of a plan's table of coefficients; a larger warp is evaluated without a table.
     #[arg(long, value_name = "SIZE", default_value = "512MiB", value_parser = Checked(size))]
     max_plan_bytes: u64,
-    /// Maximum work of one task, in operations of some nanoseconds that are counted before it begins: handles times grid vertices or
-    /// positions, the system of a spline, methods that are compared. A larger task is answered 413.
-    #[arg(long, value_name = "N", default_value = "12G", value_parser = Checked(whole::<u64>(1, u64::MAX)))]
+    /// Maximum work of one task, in operations of some nanoseconds that are counted before it
+    /// begins: handles times grid vertices or positions, the system of a spline, methods that are
+    /// compared. A larger task is answered 413.
+    #[arg(long, value_name = "N", default_value = "12G",
+        value_parser = Checked(whole::<u64>(1, u64::MAX)))]
     max_work: u64,
     /// Workers, queues and memory.
     #[command(flatten)]
@@ -107,8 +119,8 @@ pub struct Config {
 }
 
 impl Cli {
-    /// Reads a command line and the environment.
-    /// Errors: All mistakes at once, one per line. Without `--allow-anonymous`, a server that others can reach without keys is one.
+    /// Reads a command line and the environment. Errors: All mistakes at once, one per line.
+    /// Without `--allow-anonymous`, a server that others can reach without keys is one.
     pub fn read<I: IntoIterator<Item: Into<OsString> + Clone>>(
         args: I,
     ) -> Result<Self, clap::Error> {
@@ -215,7 +227,12 @@ impl Default for Config {
 fn address(text: &str) -> Result<SocketAddr, String> {
     text.replace("localhost:", "127.0.0.1:")
         .parse()
-        .map_err(|_| format!("`{text}` is not an address and port such as 127.0.0.1:8080, 0.0.0.0:80 or [::]:8080"))
+        .map_err(|_| {
+            format!(
+                "`{text}` is not an address and port such as 127.0.0.1:8080, \
+            0.0.0.0:80 or [::]:8080"
+            )
+        })
 }
 
 /// A path without its last slash; the root is empty.

@@ -1,4 +1,5 @@
-//! Parsers of option values. clap stops at the first wrong value; [`Checked`] notes each, so that all are reported at once.
+//! Parsers of option values. clap stops at the first wrong value; [`Checked`] notes each, so that
+//! all are reported at once.
 
 use std::cell::RefCell;
 use std::ffi::{OsStr, OsString};
@@ -8,8 +9,8 @@ use clap::builder::TypedValueParser;
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Command, Error};
 
-/// An optional value that is written as text (`off`, `auto` or nothing stand for `None`); clap takes a plain `Option` for an option
-/// without a default.
+/// An optional value that is written as text (`off`, `auto` or nothing stand for `None`); clap
+/// takes a plain `Option` for an option without a default.
 pub(super) type Maybe<T> = Option<T>;
 
 thread_local! {
@@ -73,7 +74,8 @@ pub(super) fn clear_mistakes() {
     MISTAKES.take();
 }
 
-/// Keeps the mistakes in values that count: clap parses each variable once per subcommand, and values that are overridden.
+/// Keeps the mistakes in values that count: clap parses each variable once per subcommand, and
+/// values that are overridden.
 pub(super) fn keep_final(matches: &ArgMatches, command: &Command) {
     let is_final = |mistake: &Mistake, value: &OsStr| {
         let arg = command

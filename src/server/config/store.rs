@@ -9,7 +9,8 @@ use crate::store::{Bounds, StoreUrl};
 #[derive(Args, Clone, Debug, PartialEq)]
 #[command(next_help_heading = "Sessions")]
 pub struct StoreConfig {
-    /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]` (Redis or Valkey).
+    /// Session store: `memory`, `file:PATH`, or `redis://[user:password@]host[:port][/database]`
+    /// (Redis or Valkey).
     #[arg(
         long = "store",
         value_name = "STORE",
@@ -21,11 +22,14 @@ pub struct StoreConfig {
     /// Time after which an unused session expires.
     #[arg(long, value_name = "TIME", default_value = "15m", value_parser = Checked(span))]
     pub session_idle: std::time::Duration,
-    /// Maximum number of sessions; a request to open another one is answered 503. (Redis: limited by its own memory only.)
-    #[arg(long, value_name = "N", default_value = "10000", value_parser = Checked(whole::<usize>(0, 100_000_000)))]
+    /// Maximum number of sessions; a request to open another one is answered 503. (Redis: limited
+    /// by its own memory only.)
+    #[arg(long, value_name = "N", default_value = "10000",
+        value_parser = Checked(whole::<usize>(0, 100_000_000)))]
     max_sessions: usize,
-    /// Maximum size of the sessions' records and image files; a session that does not fit is answered 503. (Redis: memory for this
-    /// process's copies of records; Redis itself is limited by its `maxmemory`.)
+    /// Maximum size of the sessions' records and image files; a session that does not fit is
+    /// answered 503. (Redis: memory for this process's copies of records; Redis itself is limited
+    /// by its `maxmemory`.)
     #[arg(long, value_name = "SIZE", default_value = "1GiB", value_parser = Checked(bytes))]
     store_bytes: u64,
 }

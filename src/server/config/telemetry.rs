@@ -14,11 +14,15 @@ use crate::observe::otlp_client::{CollectorUrl, parse_collector};
 #[derive(Args, Clone, Debug, PartialEq)]
 #[command(next_help_heading = "Metrics, traces and logs")]
 pub struct TelemetryConfig {
-    /// Additional address and port for /metrics, /healthz and /readyz, without keys and without TLS.
-    #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true, value_parser = Checked(unless("", address)))]
+    /// Additional address and port for /metrics, /healthz and /readyz, without keys and without
+    /// TLS.
+    #[arg(long, value_name = "ADDR", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", address)))]
     pub metrics_listen: Maybe<SocketAddr>,
-    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or https://collector.example; spans are sent to its /v1/traces.
-    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true, value_parser = Checked(unless("", parse_collector)))]
+    /// Collector of traces (OTLP over HTTP), such as http://127.0.0.1:4318 or
+    /// https://collector.example; spans are sent to its /v1/traces.
+    #[arg(long, value_name = "URL", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", parse_collector)))]
     pub(crate) otlp_endpoint: Maybe<CollectorUrl>,
     /// Ratio of requests and frames that are traced, 0 to 1, unless the caller has decided.
     #[arg(long, value_name = "RATIO", default_value = "1", value_parser = Checked(ratio))]

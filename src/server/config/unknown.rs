@@ -1,5 +1,5 @@
-//! Names that the program does not have: variables of the environment, and options of the command line. Each is told with the name that was
-//! probably meant, of those that have an effect there.
+//! Names that the program does not have: variables of the environment, and options of the command
+//! line. Each is told with the name that was probably meant, of those that have an effect there.
 
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
 use clap::{Arg, Command};
@@ -10,8 +10,8 @@ use crate::problem::words::nearest;
 /// Variables that are no options: the engine's level of instructions, and those of the tests.
 const OTHERS: [&str; 2] = ["MLSWARP_LEVEL", "MLSWARP_TESTS_FULL"];
 
-/// A sentence for each variable of this environment that begins like those of the program and is none of them. It has no effect: a
-/// misspelt limit would be no limit.
+/// A sentence for each variable of this environment that begins like those of the program and is
+/// none of them. It has no effect: a misspelt limit would be no limit.
 pub fn unknown_variables() -> Vec<String> {
     let mut names: Vec<String> = std::env::vars_os()
         .filter_map(|(name, _)| name.into_string().ok())
@@ -46,7 +46,8 @@ fn unknown_of(names: &[String], command: &Command) -> Vec<String> {
     unknown.map(sentence).collect()
 }
 
-/// Replaces the suggestion of clap, which also knows the options that have no effect on the subcommand. `flags`: those that have one.
+/// Replaces the suggestion of clap, which also knows the options that have no effect on the
+/// subcommand. `flags`: those that have one.
 pub(super) fn suggest_effective(mut error: Error, flags: &[String]) -> Error {
     let Some(ContextValue::String(given)) = error
         .get(ContextKind::InvalidArg)
@@ -121,7 +122,8 @@ mod tests {
         assert_eq!(
             told(&links),
             [
-                "the variable MLSWARP_STOER is not known and has no effect; did you mean MLSWARP_STORE?"
+                "the variable MLSWARP_STOER is not known and has no effect; did you mean \
+                    MLSWARP_STORE?"
             ]
         );
     }

@@ -9,7 +9,8 @@ use super::option::{Checked, Maybe, bytes, span, unless, whole};
 
 /// The shortest automatic queue: a drag takes milliseconds, so that even one core serves this many.
 pub(super) const MIN_QUEUE: usize = 64;
-/// Tenths of the available memory that clients may use; the rest is for the program, its stacks, the allocator and the kernel's buffers.
+/// Tenths of the available memory that clients may use; the rest is for the program, its stacks,
+/// the allocator and the kernel's buffers.
 const TENTHS: u64 = 6;
 /// The service does not start with less memory.
 const MIN_MEMORY: u64 = 16 << 20;
@@ -18,19 +19,24 @@ const MIN_MEMORY: u64 = 16 << 20;
 #[derive(Args, Clone, Copy, Debug, PartialEq, Eq)]
 #[command(next_help_heading = "Workers and memory")]
 pub struct WorkConfig {
-    /// Number of requests that run at the same time, separately for drags and for uploads; each has a compute thread. auto = number of cores.
+    /// Number of requests that run at the same time, separately for drags and for uploads; each has
+    /// a compute thread. auto = number of cores.
     #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(workers))]
     pub workers: usize,
-    /// Number of drags, and of uploads, that may wait for a worker; further ones are answered 503. auto = 4 times the workers, at least 64.
-    #[arg(long, value_name = "N", default_value = "auto", value_parser = Checked(unless("auto", whole::<usize>(0, 100_000))))]
+    /// Number of drags, and of uploads, that may wait for a worker; further ones are answered 503.
+    /// auto = 4 times the workers, at least 64.
+    #[arg(long, value_name = "N", default_value = "auto",
+        value_parser = Checked(unless("auto", whole::<usize>(0, 100_000))))]
     queue: Maybe<usize>,
     /// Maximum time that a drag waits for a worker; then it is answered 503.
     #[arg(long, value_name = "TIME", default_value = "200ms", value_parser = Checked(span))]
     pub drag_wait: Duration,
-    /// Maximum time that an upload, or a drag whose image or plan must be rebuilt, waits for a worker; then it is answered 503.
+    /// Maximum time that an upload, or a drag whose image or plan must be rebuilt, waits for a
+    /// worker; then it is answered 503.
     #[arg(long, value_name = "TIME", default_value = "5s", value_parser = Checked(span))]
     pub upload_wait: Duration,
-    /// Memory for uploads, images, plans, responses and sockets. auto = 6 tenths of the memory of the machine or of the control group.
+    /// Memory for uploads, images, plans, responses and sockets. auto = 6 tenths of the memory of
+    /// the machine or of the control group.
     #[arg(long, value_name = "SIZE", default_value = "auto", value_parser = Checked(memory_bytes))]
     pub memory_bytes: u64,
     /// Part of `--memory-bytes` that decoded images may use while no request uses them.

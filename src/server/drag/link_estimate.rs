@@ -1,13 +1,17 @@
-//! What acknowledgements tell about a connection: its rate, and the time that a frame takes if nothing is in front of it.
+//! What acknowledgements tell about a connection: its rate, and the time that a frame takes if
+//! nothing is in front of it.
 //!
-//! - **Rate.** A frame's sample is the number of bytes that were acknowledged since the last acknowledgement before the frame was sent, per
-//!   time. It never exceeds the rate of the connection, except by jitter, and reaches it when the connection is never idle. The estimate is
-//!   the maximum of the samples of the last [`RATE_MEMORY`].
-//! - **Time of a frame.** Without a queue a frame takes a constant latency and its bytes divided by the rate. The estimate for a frame is
-//!   the minimum over the frames of the last [`MEMORY`], each of them corrected if it was smaller. Of each [`THIN`], the fastest frame is
-//!   kept, of frames of about equal size.
-//! - **Rate by size.** While the connection is idle at times, the rate above is too low. Then the difference between the fastest frames of
-//!   two sizes shows what a byte takes. It is kept until there are such frames again.
+//! - **Rate.** A frame's sample is the number of bytes that were acknowledged since the last
+//!   acknowledgement before the frame was sent, per time. It never exceeds the rate of the
+//!   connection, except by jitter, and reaches it when the connection is never idle. The estimate
+//!   is the maximum of the samples of the last [`RATE_MEMORY`].
+//! - **Time of a frame.** Without a queue a frame takes a constant latency and its bytes divided by
+//!   the rate. The estimate for a frame is the minimum over the frames of the last [`MEMORY`], each
+//!   of them corrected if it was smaller. Of each [`THIN`], the fastest frame is kept, of frames of
+//!   about equal size.
+//! - **Rate by size.** While the connection is idle at times, the rate above is too low. Then the
+//!   difference between the fastest frames of two sizes shows what a byte takes. It is kept until
+//!   there are such frames again.
 //! - **Queue.** What a frame takes beyond that has been spent behind other frames.
 //!
 //! Times are arguments. O(number of kept samples) per frame.
@@ -19,13 +23,14 @@ use std::time::{Duration, Instant};
 const MEMORY: Duration = Duration::from_secs(10);
 /// Age of the samples of the rate: a rate that falls is noticed in this time.
 const RATE_MEMORY: Duration = Duration::from_secs(2);
-/// One sample of the time of a frame is kept in each interval of this length, of frames of about equal size.
+/// One sample of the time of a frame is kept in each interval of this length, of frames of about
+/// equal size.
 const THIN: Duration = Duration::from_millis(200);
 /// Maximum numbers of samples: of the rate, and of the time of a frame.
 const RATES: usize = 64;
 const TIMES: usize = 512;
-/// Frames of at most this part of the size of another one are compared with it, and those whose size differs by at most the second part
-/// count as equal.
+/// Frames of at most this part of the size of another one are compared with it, and those whose
+/// size differs by at most the second part count as equal.
 const SMALLER: f64 = 0.75;
 const EQUAL: f64 = 0.1;
 /// Weight of the newest frame in the mean difference.
@@ -56,9 +61,11 @@ pub struct Measured {
     pub queue: f64,
     /// The sending time of the frame at the estimated rate.
     pub frame: f64,
-    /// The mean difference between the queues of successive frames: a queue of this length may be jitter.
+    /// The mean difference between the queues of successive frames: a queue of this length may be
+    /// jitter.
     pub jitter: f64,
-    /// Sending times of this frame that fit in the time of a frame, at the rate of the newest sample.
+    /// Sending times of this frame that fit in the time of a frame, at the rate of the newest
+    /// sample.
     pub fits: f64,
 }
 
@@ -85,8 +92,9 @@ struct FrameTime {
 }
 
 impl FrameTime {
-    /// The time of a frame of another size. A smaller one is not assumed to be faster: while the connection is idle at times, the rate is
-    /// too low, and would explain more than the time of the larger frame.
+    /// The time of a frame of another size. A smaller one is not assumed to be faster: while the
+    /// connection is idle at times, the rate is too low, and would explain more than the time of
+    /// the larger frame.
     fn of(&self, bytes: f64, rate: f64) -> f64 {
         self.took + (bytes - self.bytes).max(0.0) / rate
     }
@@ -172,7 +180,8 @@ impl LinkEstimate {
         }
     }
 
-    /// The rate by the fastest frames of this size and of smaller ones: infinite if they were as fast.
+    /// The rate by the fastest frames of this size and of smaller ones: infinite if they were as
+    /// fast.
     fn compare(&self, size: f64) -> Option<f64> {
         let fastest = |least: f64, most: f64| {
             let of_size = self
@@ -194,7 +203,8 @@ impl LinkEstimate {
             .map(|rate| rate.max(self.by_size.unwrap_or(0.0)))
     }
 
-    /// Bytes per second that the connection has carried at most; `None` before the first acknowledgement.
+    /// Bytes per second that the connection has carried at most; `None` before the first
+    /// acknowledgement.
     pub fn rate(&self) -> Option<f64> {
         self.rates
             .iter()
@@ -202,7 +212,8 @@ impl LinkEstimate {
             .max_by(f64::total_cmp)
     }
 
-    /// Seconds that a frame of this size takes from sending to its acknowledgement if nothing is in front of it.
+    /// Seconds that a frame of this size takes from sending to its acknowledgement if nothing is in
+    /// front of it.
     pub fn frame_time(&self, bytes: u64) -> Option<f64> {
         let rate = self.rate()?;
         self.times

@@ -1,5 +1,5 @@
-//! The rules of a drag over a socket, without a clock, threads or I/O: which pose is drawn next, how wide its preview is, and
-//! how many frames are under way.
+//! The rules of a drag over a socket, without a clock, threads or I/O: which pose is drawn next,
+//! how wide its preview is, and how many frames are under way.
 
 pub mod frame_scheduler;
 pub mod link_estimate;

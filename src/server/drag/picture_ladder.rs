@@ -11,7 +11,8 @@
 //! | the window reports a queue | `budget` shrinks by a seventh; by a third if it is long | fewer bytes before fewer frames |
 //! | the pointer rests | PNG of the full size if it passes in a second, otherwise JPEG of [`REST_QUALITY`] | it is looked at |
 //!
-//! Sizes are predicted by a curve, which the last frames correct. Times are arguments. O(1) per frame.
+//! Sizes are predicted by a curve, which the last frames correct. Times are arguments. O(1) per
+//! frame.
 
 use std::time::Duration;
 
@@ -19,13 +20,15 @@ use super::preview_controller::preview_widths;
 
 /// Frames per second for which pictures become smaller.
 pub const RATE: f64 = 32.0;
-/// Range of JPEG qualities of moving pictures. Only the narrowest width may go below the first, down to the third.
+/// Range of JPEG qualities of moving pictures. Only the narrowest width may go below the first,
+/// down to the third.
 const LEAST_QUALITY: u8 = 40;
 const MOST_QUALITY: u8 = 85;
 const NARROWEST_QUALITY: u8 = 20;
 /// Quality of a picture of a resting pointer.
 const REST_QUALITY: u8 = 95;
-/// Bytes of a moving picture at first and at least. If the first is too small, that costs a round trip; if it is too large, seconds.
+/// Bytes of a moving picture at first and at least. If the first is too small, that costs a round
+/// trip; if it is too large, seconds.
 const LEAST_BUDGET: f64 = 8e3;
 /// Factor of a step of the budget, and when a queue is long.
 const STEP: f64 = 7.0 / 6.0;
@@ -127,15 +130,16 @@ impl PictureLadder {
         (f64::from(self.full) / f64::from(width)).sqrt()
     }
 
-    /// Maximum bytes of a moving JPEG picture. `possible`: bytes per second that the connection would carry.
+    /// Maximum bytes of a moving JPEG picture. `possible`: bytes per second that the connection
+    /// would carry.
     fn most(&self, possible: Option<f64>) -> f64 {
         let narrowest = self.widths[self.widths.len() - 1];
         self.bytes(narrowest, Encoding::Jpeg(MOST_QUALITY))
             .max(possible.unwrap_or(0.0) * MAX_SEND)
     }
 
-    /// Width and encoding of the next moving picture. `rate`: bytes per second that the connection has carried; `possible`: those that it
-    /// would carry.
+    /// Width and encoding of the next moving picture. `rate`: bytes per second that the connection
+    /// has carried; `possible`: those that it would carry.
     pub fn next(&self, rate: Option<f64>, possible: Option<f64>) -> (u32, Encoding) {
         let rate = rate.unwrap_or(0.0);
         let drawn = |width: &&u32| self.draw * self.pixels(**width) <= MAX_DRAW;
@@ -183,7 +187,8 @@ impl PictureLadder {
         }
     }
 
-    /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the connection would carry.
+    /// Whether pictures can become larger, and smaller. `possible`: bytes per second that the
+    /// connection would carry.
     pub fn possible_steps(&self, possible: Option<f64>) -> PossibleSteps {
         let widest = self.bytes(self.widths[0], Encoding::Jpeg(MOST_QUALITY));
         PossibleSteps {

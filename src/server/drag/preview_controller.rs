@@ -1,10 +1,12 @@
-//! The width of previews: as wide as about sixty frames per second allow. The controller measures the drawing time of a frame and the time
-//! until its acknowledgement, divided by the number of unacknowledged frames; the longer of the two is the period, because the next frame
-//! is drawn while others are being sent. Times are arguments. O(1) per frame.
+//! The width of previews: as wide as about sixty frames per second allow. The controller measures
+//! the drawing time of a frame and the time until its acknowledgement, divided by the number of
+//! unacknowledged frames; the longer of the two is the period, because the next frame is drawn
+//! while others are being sent. Times are arguments. O(1) per frame.
 //!
-//! A model predicts the period of another width: it is proportional to the pixels. That is wrong where the latency of the connection or a
-//! slow screen dominates, so each step is a trial: a narrower width that is hardly faster is taken back, a wider one that is hardly slower
-//! is kept, and a failed trial is not repeated soon.
+//! A model predicts the period of another width: it is proportional to the pixels. That is wrong
+//! where the latency of the connection or a slow screen dominates, so each step is a trial: a
+//! narrower width that is hardly faster is taken back, a wider one that is hardly slower is kept,
+//! and a failed trial is not repeated soon.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +14,8 @@ use std::time::{Duration, Instant};
 const EIGHTHS: [u32; 6] = [8, 6, 4, 3, 2, 1];
 /// Minimum width, px: narrower previews show too little.
 const MIN_WIDTH: u32 = 256;
-/// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits to send.
+/// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits to
+/// send.
 const FIRST_PIXELS: f64 = 1.2e6;
 /// Maximum period, seconds: sixty frames per second.
 const MAX_PERIOD: f64 = 1.0 / 60.0;
@@ -140,8 +143,9 @@ impl PreviewController {
         Duration::from_secs_f64(self.ack)
     }
 
-    /// A preview of this width was acknowledged, with its drawing time and the time until the acknowledgement. `unacknowledged`: the number
-    /// of frames that were unacknowledged when it was sent, itself included.
+    /// A preview of this width was acknowledged, with its drawing time and the time until the
+    /// acknowledgement. `unacknowledged`: the number of frames that were unacknowledged when it was
+    /// sent, itself included.
     pub fn acknowledged(
         &mut self,
         now: Instant,
@@ -224,7 +228,8 @@ mod tests {
 
     const UHD: (u32, u32) = (3840, 2160);
 
-    /// A machine and a way to the client: seconds that a frame of so many pixels takes to be made and to be shown.
+    /// A machine and a way to the client: seconds that a frame of so many pixels takes to be made
+    /// and to be shown.
     struct World {
         make: fn(f64) -> f64,
         ack: fn(f64) -> f64,

@@ -1,5 +1,5 @@
-//! How many frames may be unacknowledged. A fixed window is a number. The automatic one is 1 at first and changes by trial, so that the
-//! connection is busy and no queue stands in front of it:
+//! How many frames may be unacknowledged. A fixed window is a number. The automatic one is 1 at
+//! first and changes by trial, so that the connection is busy and no queue stands in front of it:
 //!
 //! | state | rule | reason |
 //! |---|---|---|
@@ -12,7 +12,8 @@
 //! | never alone for 10 s | half of the window for a round trip | the time of a frame without a queue is measured again |
 //! | frames can become smaller or larger, and there are about [`picture_ladder::RATE`] per second | they do, in place of a step | quality |
 //!
-//! Jitter looks like a queue: each rule allows for a multiple of the mean difference between successive frames. Times are arguments.
+//! Jitter looks like a queue: each rule allows for a multiple of the mean difference between
+//! successive frames. Times are arguments.
 
 use std::time::{Duration, Instant};
 
@@ -23,23 +24,28 @@ use super::picture_ladder::{self, Advice, PossibleSteps};
 pub const MAX_WINDOW: usize = 8;
 /// Frames per second beyond which the window does not grow.
 const RATE: f64 = 60.0;
-/// Part of a frame by which the window may fall short of that rate: a screen that shows sixty frames per second acknowledges late.
+/// Part of a frame by which the window may fall short of that rate: a screen that shows sixty
+/// frames per second acknowledges late.
 const MARGIN: f64 = 0.25;
-/// Lengths of a queue: in sending times of a frame, plus in mean differences by jitter, plus in seconds.
+/// Lengths of a queue: in sending times of a frame, plus in mean differences by jitter, plus in
+/// seconds.
 type Length = (f64, f64, f64);
 /// A step up is taken below this queue.
 const EMPTY: Length = (0.15, 1.1, 0.0);
-/// Above this queue, frames become smaller; if they have enough frames per second, a step down is taken.
+/// Above this queue, frames become smaller; if they have enough frames per second, a step down is
+/// taken.
 const SMALL: Length = (0.25, 1.5, 0.002);
 /// A step down is taken above this queue.
 const STANDING: Length = (0.5, 1.5, 0.003);
 /// At this queue, the window is reduced at once.
 const LONG: Length = (2.0, 4.0, 0.03);
-/// No step up is taken if a frame takes longer than this to send, seconds: the step may make a frame that much older.
+/// No step up is taken if a frame takes longer than this to send, seconds: the step may make a
+/// frame that much older.
 const MAX_TRIAL: f64 = 0.3;
 /// More than one step is taken if the frames take at most this time to send, seconds.
 const MAX_STEPS: f64 = 0.15;
-/// Part of a frame that may wait after a reduction by more than one step: a window of one less would leave the connection idle.
+/// Part of a frame that may wait after a reduction by more than one step: a window of one less
+/// would leave the connection idle.
 const EXCESS: f64 = 0.25;
 /// Pause after a failed step up; it doubles up to the second value.
 const PAUSE: Duration = Duration::from_secs(2);
@@ -69,7 +75,8 @@ struct RoundTrip {
 }
 
 impl RoundTrip {
-    /// Frames under way for `rate` per second; `margin`: the part of a frame by which they may fall short.
+    /// Frames under way for `rate` per second; `margin`: the part of a frame by which they may fall
+    /// short.
     fn frames_of(&self, rate: f64, margin: f64) -> f64 {
         (rate * (self.link.took - self.link.queue) - margin).ceil()
     }
@@ -136,8 +143,9 @@ impl SendWindow {
         self.is_limit = true;
     }
 
-    /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the next frame; `is_alone`: no other frame
-    /// was unacknowledged when it was sent. The result says what pictures should do. They become smaller before there are fewer than
+    /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the
+    /// next frame; `is_alone`: no other frame was unacknowledged when it was sent. The result says
+    /// what pictures should do. They become smaller before there are fewer than
     /// [`picture_ladder::RATE`] per second.
     pub fn acknowledged(
         &mut self,
@@ -167,7 +175,8 @@ impl SendWindow {
         }
         let queue = self.least.map_or(link.queue, |least| least.min(link.queue));
         self.least = Some(queue);
-        // The last frame of the round trip is the last that was sent before the first was acknowledged.
+        // The last frame of the round trip is the last that was sent before the first was
+        // acknowledged.
         if number + 1 < self.round + self.frames as u64 && self.is_limit {
             return Advice::Same;
         }
@@ -244,7 +253,8 @@ impl SendWindow {
         Some(Advice::Same)
     }
 
-    /// After a round trip in which poses waited without a queue: larger pictures, or a larger window.
+    /// After a round trip in which poses waited without a queue: larger pictures, or a larger
+    /// window.
     fn grow(&mut self, round: &RoundTrip) -> Option<Advice> {
         if !self.is_limit || round.queue >= length(round.link, EMPTY) {
             return None;

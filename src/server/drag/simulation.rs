@@ -1,5 +1,5 @@
-//! Drags over simulated connections: a pointer at 125 Hz, a server, and a path with a rate, a delay, jitter and outages. All times are
-//! simulated, so the results are the same every time.
+//! Drags over simulated connections: a pointer at 125 Hz, a server, and a path with a rate, a
+//! delay, jitter and outages. All times are simulated, so the results are the same every time.
 
 #![allow(clippy::cast_possible_truncation, reason = "small numbers")]
 
@@ -344,7 +344,8 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
     seen
 }
 
-/// Bounds of the automatic window, by the order of [`LINKS`]: bytes of a frame, frames per second at least, ages p50 and p99 at most.
+/// Bounds of the automatic window, by the order of [`LINKS`]: bytes of a frame, frames per second
+/// at least, ages p50 and p99 at most.
 const BOUNDS: [[(u64, f64, f64, f64); 2]; LINKS.len()] = [
     [(10_000, 118.0, 3.0, 3.0), (20_000, 118.0, 3.0, 3.0)],
     [(10_000, 58.0, 26.0, 26.0), (20_000, 58.0, 26.0, 26.0)],

@@ -1,4 +1,5 @@
-//! `GET /` and `GET /page/{file}`: the embedded drag page. Its content security policy permits nothing from other sites.
+//! `GET /` and `GET /page/{file}`: the embedded drag page. Its content security policy permits
+//! nothing from other sites.
 
 use std::sync::LazyLock;
 
@@ -19,7 +20,8 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::store::StoreUrl;
 
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; \
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' \
+    blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 pub(crate) const HTML: &str = "text/html; charset=utf-8";
 pub(crate) const CSS: &str = "text/css; charset=utf-8";
@@ -37,16 +39,22 @@ macro_rules! assets {
 static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS,
-        "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS, "annotations.js" JS, "api.js" JS, "canvas.js" JS,
+        "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
+            "annotations.js" JS, "api.js" JS, "canvas.js" JS,
         "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "grid.js" JS,
-        "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS, "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
+        "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,
+            "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
         "mesh.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS,
-        "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "plan.js" JS, "player.js" JS, "pointer.js" JS, "project.js" JS, "region.js" JS,
+        "outside.js" JS, "paint.js" JS, "panel.js" JS, "pictures.js" JS, "plan.js" JS,
+            "player.js" JS, "pointer.js" JS, "project.js" JS, "region.js" JS,
         "regionpaint.js" JS, "regiontool.js" JS, "samples.js" JS, "share.js" JS, "slider.js" JS,
-        "state.js" JS, "strength.js" JS, "sync.js" JS, "table.js" JS, "twist.js" JS, "view.js" JS, "words.js" JS,
+        "state.js" JS, "strength.js" JS, "sync.js" JS, "table.js" JS, "twist.js" JS, "view.js" JS,
+            "words.js" JS,
         "icon.svg" "image/svg+xml",
-        "cat.jpg" "image/jpeg", "portrait.jpg" "image/jpeg", "rocket.jpg" "image/jpeg", "horse.webp" "image/webp",
-        "cat-before.webp" "image/webp", "cat-after.webp" "image/webp", "horse-before.webp" "image/webp", "horse-after.webp" "image/webp",
+        "cat.jpg" "image/jpeg", "portrait.jpg" "image/jpeg", "rocket.jpg" "image/jpeg",
+            "horse.webp" "image/webp",
+        "cat-before.webp" "image/webp", "cat-after.webp" "image/webp",
+            "horse-before.webp" "image/webp", "horse-after.webp" "image/webp",
         "portrait-before.webp" "image/webp", "portrait-after.webp" "image/webp",
         "rocket-before.webp" "image/webp", "rocket-after.webp" "image/webp",
     ]

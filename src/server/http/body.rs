@@ -1,4 +1,5 @@
-//! Request bodies: a limit and a deadline for the whole body, and buffers whose memory is reserved before they grow.
+//! Request bodies: a limit and a deadline for the whole body, and buffers whose memory is reserved
+//! before they grow.
 
 use std::future::Future as _;
 use std::pin::Pin;
@@ -40,7 +41,8 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
     .limit(what, limit, actual)
 }
 
-/// The problem of a failed read: that of [`LimitedBody`] or of the multipart gate among the causes, or a malformed body with `context`.
+/// The problem of a failed read: that of [`LimitedBody`] or of the multipart gate among the causes,
+/// or a malformed body with `context`.
 pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &str) -> Problem {
     let causes = std::iter::successors(Some(error), |error| error.source());
     let problem = causes
@@ -50,12 +52,14 @@ pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &
     problem.unwrap_or_else(|| Problem::new(Code::MalformedRequest, format!("{context}: {error}")))
 }
 
-/// The time for which the rest of a body is read and discarded that is too large, or may have no end.
+/// The time for which the rest of a body is read and discarded that is too large, or may have no
+/// end.
 const LINGER: Duration = Duration::from_secs(2);
 
-/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded, so that a client which sends its whole body
-/// before it reads finds the response instead of a reset connection: until the deadline if the rest has a length within the limit, and
-/// otherwise for [`LINGER`] at most, as the rest could be endless.
+/// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded, so
+/// that a client which sends its whole body before it reads finds the response instead of a reset
+/// connection: until the deadline if the rest has a length within the limit, and otherwise for
+/// [`LINGER`] at most, as the rest could be endless.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,
@@ -69,7 +73,8 @@ pub(crate) struct LimitedBody {
 }
 
 impl LimitedBody {
-    /// `expects_continue`: the client sends the body only after `100 Continue`, which the first read makes hyper send.
+    /// `expects_continue`: the client sends the body only after `100 Continue`, which the first
+    /// read makes hyper send.
     pub(crate) fn wrap(
         body: Body,
         limit: u64,
@@ -268,7 +273,8 @@ pub(crate) fn sent(headers: &HeaderMap) -> String {
     )
 }
 
-/// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads from blocking the bodies of drags.
+/// Reads a JSON body of at most `limit` bytes; `what` names the limit. The `purpose` keeps uploads
+/// from blocking the bodies of drags.
 pub(crate) async fn json(
     caller: &Caller,
     request: Request,
@@ -280,7 +286,8 @@ pub(crate) async fn json(
         return Err(Problem::new(
             Code::UnsupportedMediaType,
             format!(
-                "the body must be `application/json`, or `multipart/form-data` with landmark files; {}",
+                "the body must be `application/json`, or `multipart/form-data` with landmark \
+                    files; {}",
                 sent(request.headers())
             ),
         ));

@@ -86,7 +86,8 @@ pub(crate) fn elements(headers: &HeaderMap, name: HeaderName) -> impl Iterator<I
         .filter(|element| !element.is_empty())
 }
 
-/// Whether the client has the response of this entity tag. Tags are compared weakly (RFC 9110, section 13.1.2).
+/// Whether the client has the response of this entity tag. Tags are compared weakly (RFC 9110,
+/// section 13.1.2).
 pub(crate) fn sends_tag(headers: &HeaderMap, tag: &str) -> bool {
     elements(headers, IF_NONE_MATCH)
         .any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)

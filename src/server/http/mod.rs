@@ -1,7 +1,8 @@
-//! HTTP: the routers and their middleware. Every error is a problem document, except for request heads that hyper itself rejects.
+//! HTTP: the routers and their middleware. Every error is a problem document, except for request
+//! heads that hyper itself rejects.
 //!
-//! A request passes `middleware` (all routes), `authenticate` (routes that need a key), `reject_if_queue_full` (uploads, before their body
-//! is read), and its handler.
+//! A request passes `middleware` (all routes), `authenticate` (routes that need a key),
+//! `reject_if_queue_full` (uploads, before their body is read), and its handler.
 
 mod accept;
 pub(crate) mod assets;
@@ -30,7 +31,8 @@ use crate::problem::{Code, Problem};
 
 const LAYER: &str = "/sessions/{id}/layers/{name}";
 
-/// The routes of the contract and who may use them; a test compares them with the OpenAPI document. The page's files are not among them.
+/// The routes of the contract and who may use them; a test compares them with the OpenAPI document.
+/// The page's files are not among them.
 fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
     use Access::{Keyed, Open};
     let metrics_access = if app.config().auth.open_metrics {
@@ -193,7 +195,8 @@ async fn reject_query(request: Request, next: Next) -> Result<Response, Problem>
     Ok(next.run(request).await)
 }
 
-/// Rejects an upload before its body is read when the queue is full. Drags are small: for them the queue decides later.
+/// Rejects an upload before its body is read when the queue is full. Drags are small: for them the
+/// queue decides later.
 async fn reject_if_queue_full(
     State(app): State<App>,
     caller: Caller,

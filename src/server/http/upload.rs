@@ -1,4 +1,5 @@
-//! Multipart uploads: the parts `image` (the file), `warp` (the warp object), `region` (a mask) and landmark files, each once, in any order.
+//! Multipart uploads: the parts `image` (the file), `warp` (the warp object), `region` (a mask) and
+//! landmark files, each once, in any order.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,7 +23,8 @@ use crate::store::Record;
 use crate::wire::fields;
 use crate::wire::landmarks::{Choice, LandmarkFiles, Target, extent};
 
-/// Bytes that the parser may buffer without a result: the head of a part, and what precedes the first part.
+/// Bytes that the parser may buffer without a result: the head of a part, and what precedes the
+/// first part.
 const MAX_OVERHEAD: u64 = 16 << 10;
 /// Memory of the parser: that, a frame before, a frame after, and capacity to grow.
 const PARSER_BYTES: u64 = 128 << 10;
@@ -40,9 +42,13 @@ const UPLOAD: [&str; 10] = [
     "match",
     "item",
 ];
-const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p`, `extent_q`, `match` and `item`";
-const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
-/// The parts of a request without an image: the other fields, and landmark files; of a session, those of its pose.
+const UPLOAD_ADVICE: &str = "the parts are `image`, `warp` and `region`; landmark files are \
+    `landmarks`, or `landmarks_p` and `landmarks_q`, with `extent_p`, `extent_q`, `match` and \
+    `item`";
+const LANDMARKS_ADVICE: &str = "the parts are `landmarks`, or `landmarks_p` and `landmarks_q`; \
+    and `extent_p`, `extent_q`, `match`, `item`";
+/// The parts of a request without an image: the other fields, and landmark files; of a session,
+/// those of its pose.
 const FORM: [&str; 8] = [
     "warp",
     "landmarks",
@@ -53,16 +59,19 @@ const FORM: [&str; 8] = [
     "match",
     "item",
 ];
-const FORM_ADVICE: &str = "the parts are `warp`, the JSON without handles; `landmarks`, or `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
+const FORM_ADVICE: &str = "the parts are `warp`, the JSON without handles; `landmarks`, or \
+    `landmarks_p` and `landmarks_q`; and `extent_p`, `extent_q`, `match`, `item`";
 const POSE: [&str; 4] = ["warp", "landmarks_q", "extent_q", "item"];
-const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `landmarks_q`, the file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
+const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `landmarks_q`, the \
+    file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
 /// Parts that only the limit of the whole body applies to.
 const NO_LIMIT: &str = "body_bytes";
 /// Longest text of an extent, and of the name of an item, bytes.
 const EXTENT_BYTES: u64 = 64;
 const ITEM_BYTES: u64 = 1024;
 
-const NO_BOUNDARY: &str = "`Content-Type` has no valid `boundary`: do not set `Content-Type` yourself; the client library adds the boundary";
+const NO_BOUNDARY: &str = "`Content-Type` has no valid `boundary`: do not set `Content-Type` \
+    yourself; the client library adds the boundary";
 /// Extensions of the files that people send.
 const EXTENSIONS: [&str; 23] = [
     "json", "txt", "csv", "pts", "tem", "points", "tps", "xml", "fcsv", "png", "jpg", "jpeg",
@@ -81,7 +90,8 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
         let hint = if route == "/warp" { of_session } else { "" };
         let sent = sent(request.headers());
         let detail = format!(
-            "{} {route} expects multipart/form-data with the parts `image` and `warp`; {sent}{hint}",
+            "{} {route} expects multipart/form-data with the parts `image` and `warp`; \
+             {sent}{hint}",
             request.method()
         );
         return Err(Problem::new(Code::UnsupportedMediaType, detail));
@@ -138,8 +148,8 @@ pub(crate) async fn read_landmark_parts(
     landmark_files(files)
 }
 
-/// Reads the JSON of a request whose handles may be in landmark files: then it is the part `warp` of a form. `limit`: its name, and the
-/// most bytes of JSON.
+/// Reads the JSON of a request whose handles may be in landmark files: then it is the part `warp`
+/// of a form. `limit`: its name, and the most bytes of JSON.
 pub(crate) async fn json_or_form(
     caller: &Caller,
     request: Request,
@@ -297,7 +307,8 @@ async fn read_parts(
     Ok(read)
 }
 
-/// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends it without `@`.
+/// Rejects parts that contain a URL, or the path of a file instead of its contents, as curl sends
+/// it without `@`.
 fn require_contents(parts: &[(&str, Code, Option<&Bytes>)]) -> Result<(), Problem> {
     for (name, code, part) in parts {
         let Some(text) = part.and_then(|part| as_line(part)) else {
@@ -337,7 +348,8 @@ fn is_url(text: &str) -> bool {
     })
 }
 
-/// Whether a line ends with the extension of a file that people send, without characters that JSON has.
+/// Whether a line ends with the extension of a file that people send, without characters that JSON
+/// has.
 fn is_path(text: &str) -> bool {
     let extension = text.rsplit_once('.').map_or("", |(_, extension)| extension);
     !text.contains(['{', '}', '<', '>', '"'])
@@ -369,8 +381,9 @@ async fn read_part(
     Ok(buffer.finish_exact().await)
 }
 
-/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too much: it keeps everything that it cannot
-/// parse yet. `buffered`: bytes passed to the parser since its last result.
+/// Passes data to the multipart parser one frame at a time, and fails when the parser buffers too
+/// much: it keeps everything that it cannot parse yet. `buffered`: bytes passed to the parser since
+/// its last result.
 fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
     let mut frames = body.into_data_stream();
     // The parser polls until nothing is ready, and only then looks at what it has.
@@ -382,7 +395,8 @@ fn gated(body: Body, buffered: Arc<AtomicU64>) -> Body {
         }
         if buffered.load(Ordering::Relaxed) > MAX_OVERHEAD {
             let detail = format!(
-                "the heads of the parts, and what lies between the parts, are longer than {MAX_OVERHEAD} bytes"
+                "the heads of the parts, and what lies between the parts, are longer than \
+                    {MAX_OVERHEAD} bytes"
             );
             return Poll::Ready(Some(Err(axum::Error::new(malformed(detail)))));
         }

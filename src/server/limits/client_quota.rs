@@ -1,4 +1,5 @@
-//! Quotas of memory per client, for responses that it reads slowly and for requests that it sends slowly: this memory cannot be reclaimed.
+//! Quotas of memory per client, for responses that it reads slowly and for requests that it sends
+//! slowly: this memory cannot be reclaimed.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +16,8 @@ const MANY: usize = 1024;
 pub(crate) enum QuotaKind {
     /// Responses, until they are sent.
     Responses,
-    /// Requests while they are received and parsed, and the files that sessions in memory keep of them.
+    /// Requests while they are received and parsed, and the files that sessions in memory keep of
+    /// them.
     Requests,
 }
 
@@ -87,8 +89,8 @@ impl ClientQuota {
         self.used.load(Ordering::Relaxed)
     }
 
-    /// Reserves `more` bytes for an owner of `own` bytes. A single response may exceed the quota; requests may not.
-    /// Errors: The bytes in use, if the quota is exceeded.
+    /// Reserves `more` bytes for an owner of `own` bytes. A single response may exceed the quota;
+    /// requests may not. Errors: The bytes in use, if the quota is exceeded.
     pub(crate) fn reserve(&self, own: u64, more: u64) -> Result<(), u64> {
         let is_alone = |used: u64| self.kind == QuotaKind::Responses && used <= own;
         let fits = |used: u64| {

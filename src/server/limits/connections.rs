@@ -1,5 +1,5 @@
-//! Limits the number of connections, in total and per address. Further connections are closed immediately: in the backlog they would wait
-//! without limit.
+//! Limits the number of connections, in total and per address. Further connections are closed
+//! immediately: in the backlog they would wait without limit.
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};

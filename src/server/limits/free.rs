@@ -1,9 +1,10 @@
-//! Where large values are freed. Unmapping takes a millisecond for every few tens of megabytes, for which the runtime's thread would not
-//! serve anybody.
+//! Where large values are freed. Unmapping takes a millisecond for every few tens of megabytes, for
+//! which the runtime's thread would not serve anybody.
 
 use tokio::runtime::Handle;
 
-/// Values of fewer bytes are freed where they are dropped: handing them to another thread would take longer.
+/// Values of fewer bytes are freed where they are dropped: handing them to another thread would
+/// take longer.
 const MIN_ASIDE: u64 = 2 << 20;
 
 /// Drops a value of so many bytes: on a blocking thread, if this may be a thread of the runtime.

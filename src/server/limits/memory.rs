@@ -1,8 +1,10 @@
-//! The memory budget. Memory whose size depends on clients is reserved by its predicted size before it is allocated, and released when it
-//! is dropped: uploads, the files of sessions, decoded pictures, plans, responses, sockets. Not counted are the program (some 15 MiB),
-//! stacks, and buffers of a few KiB per request.
+//! The memory budget. Memory whose size depends on clients is reserved by its predicted size before
+//! it is allocated, and released when it is dropped: uploads, the files of sessions, decoded
+//! pictures, plans, responses, sockets. Not counted are the program (some 15 MiB), stacks, and
+//! buffers of a few KiB per request.
 //!
-//! Frames may use all of the budget, other purposes only a part, so that drags continue when uploads or the store have used theirs.
+//! Frames may use all of the budget, other purposes only a part, so that drags continue when
+//! uploads or the store have used theirs.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -65,9 +67,11 @@ impl Purpose {
 
 /// A reservation exceeds a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{} would need {asked} bytes of memory; {taken} of {limit} are in use{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
+#[error("{} would need {asked} bytes of memory; {taken} of {limit} are in \
+    use{}", .purpose.name(), .quota.map_or("", QuotaKind::used_by))]
 pub struct BudgetExceeded {
-    /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose may use.
+    /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose
+    /// may use.
     pub(crate) quota: Option<QuotaKind>,
     pub(crate) purpose: Purpose,
     /// Bytes of the whole reservation.
@@ -77,7 +81,8 @@ pub struct BudgetExceeded {
 }
 
 impl BudgetExceeded {
-    /// The reservation would not fit even if nothing else were in use. A response that is its client's only one may exceed the quota.
+    /// The reservation would not fit even if nothing else were in use. A response that is its
+    /// client's only one may exceed the quota.
     pub(crate) fn is_forever(&self) -> bool {
         self.quota != Some(QuotaKind::Responses) && self.asked > self.limit
     }

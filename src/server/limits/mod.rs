@@ -1,4 +1,5 @@
-//! The limits that clients can reach. Not all of them are in this module: the last column says where.
+//! The limits that clients can reach. Not all of them are in this module: the last column says
+//! where.
 //!
 //! | limit | option | excess | in |
 //! |---|---|---|---|

@@ -31,8 +31,9 @@ impl Network {
     }
 }
 
-/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded` (`X-Forwarded-For`, first hop first) that is no
-/// trusted proxy. The client may have written those before it, so they are ignored.
+/// The client's address: the peer's, or behind trusted proxies the last one in `forwarded`
+/// (`X-Forwarded-For`, first hop first) that is no trusted proxy. The client may have written those
+/// before it, so they are ignored.
 pub fn client_ip<'a>(
     peer: IpAddr,
     forwarded: impl DoubleEndedIterator<Item = &'a str>,

@@ -1,5 +1,6 @@
-//! Request rates: a token bucket per key in a table of fixed size. In a full row, a new key replaces the key with the fullest bucket, the
-//! least active one: many clients with few requests are not limited, one with many requests is.
+//! Request rates: a token bucket per key in a table of fixed size. In a full row, a new key
+//! replaces the key with the fullest bucket, the least active one: many clients with few requests
+//! are not limited, one with many requests is.
 
 use std::hash::{BuildHasher as _, Hash, RandomState};
 use std::sync::{Mutex, PoisonError};
@@ -89,7 +90,8 @@ mod tests {
         assert_eq!(taken(1, now + Duration::from_millis(510)), 5);
     }
 
-    /// A million others come between, and the table has no more places than before; one who floods among them is still held back.
+    /// A million others come between, and the table has no more places than before; one who floods
+    /// among them is still held back.
     #[test]
     fn a_crowd_takes_no_more_places_and_hides_no_flood() {
         let rates = RateLimit::new(1);

@@ -1,4 +1,5 @@
-//! Limits the number of drag sockets, in total, per session and per client, and the number of frames that one client submits at a time.
+//! Limits the number of drag sockets, in total, per session and per client, and the number of
+//! frames that one client submits at a time.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -45,7 +46,8 @@ pub(crate) struct SocketSlot {
 }
 
 impl SocketSlots {
-    /// At most `max_frames` frames of one client are in the pool or its queue at a time; the rest of the queue is for its requests.
+    /// At most `max_frames` frames of one client are in the pool or its queue at a time; the rest
+    /// of the queue is for its requests.
     pub(crate) fn new(
         max: usize,
         max_per_client: impl Into<ClientLimit>,

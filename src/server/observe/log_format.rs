@@ -1,4 +1,5 @@
-//! Log lines, as text or as one flat JSON object each. Lines of a request end with its id, and with its trace's id if there is a collector.
+//! Log lines, as text or as one flat JSON object each. Lines of a request end with its id, and with
+//! its trace's id if there is a collector.
 
 use std::fmt;
 

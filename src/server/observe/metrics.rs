@@ -1,4 +1,5 @@
-//! Counters and histograms that are updated as events happen. No label holds text that a client chose.
+//! Counters and histograms that are updated as events happen. No label holds text that a client
+//! chose.
 
 use std::time::Duration;
 

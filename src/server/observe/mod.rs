@@ -1,4 +1,5 @@
-//! Observability: log lines on standard error, metrics, and traces. None of them holds picture data, session ids, keys or paths.
+//! Observability: log lines on standard error, metrics, and traces. None of them holds picture
+//! data, session ids, keys or paths.
 
 pub(crate) mod log_format;
 pub(crate) mod metrics;

@@ -1,4 +1,5 @@
-//! The stand-in for `otlp_client` in a build without the feature `otlp`: no text is the address of a collector.
+//! The stand-in for `otlp_client` in a build without the feature `otlp`: no text is the address of
+//! a collector.
 
 use std::fmt;
 use std::sync::Arc;

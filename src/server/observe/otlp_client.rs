@@ -1,4 +1,5 @@
-//! An HTTP client for the OTLP exporter: HTTP/1.1, plain or over TLS, on one connection that is kept.
+//! An HTTP client for the OTLP exporter: HTTP/1.1, plain or over TLS, on one connection that is
+//! kept.
 
 use std::fmt;
 use std::future::Future;
@@ -54,7 +55,8 @@ pub(crate) fn parse_collector(text: &str) -> Result<CollectorUrl, String> {
                 .port()
                 .is_none_or(|port| authority != format!("{host}:{port}")));
     if host.is_empty() || has_more {
-        let why = "has no host, or more than a host, a port and a path; set headers in OTEL_EXPORTER_OTLP_HEADERS";
+        let why = "has no host, or more than a host, a port and a path; set headers in \
+            OTEL_EXPORTER_OTLP_HEADERS";
         return Err(format!("`{text}` {why}"));
     }
     let url = Uri::builder()
@@ -65,7 +67,8 @@ pub(crate) fn parse_collector(text: &str) -> Result<CollectorUrl, String> {
         .map_err(|_| is_no_address())
 }
 
-/// An exporter to a collector, and the number of spans that the collector rejected of batches that it accepted.
+/// An exporter to a collector, and the number of spans that the collector rejected of batches that
+/// it accepted.
 pub(super) fn exporter(
     collector: &CollectorUrl,
     resource: &Resource,

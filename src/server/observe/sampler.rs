@@ -1,5 +1,6 @@
-//! The sampler of traces. It follows a caller's decision not to sample always, and the decision to sample up to a rate. All other requests
-//! are sampled at random, never by the trace's id, which a caller chooses.
+//! The sampler of traces. It follows a caller's decision not to sample always, and the decision to
+//! sample up to a rate. All other requests are sampled at random, never by the trace's id, which a
+//! caller chooses.
 
 use std::sync::{Arc, Mutex};
 use std::time::Instant;

@@ -1,4 +1,5 @@
-//! The id and the span of the current request. A scope goes with the request's futures, and by its ticket to compute threads.
+//! The id and the span of the current request. A scope goes with the request's futures, and by its
+//! ticket to compute threads.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -38,7 +39,8 @@ struct RecordedSpan {
     context: Context,
     began: Instant,
     start_time: SystemTime,
-    /// The end of the response's head or of the last stage, in nanoseconds after the beginning; 0 before there is one.
+    /// The end of the response's head or of the last stage, in nanoseconds after the beginning; 0
+    /// before there is one.
     ended: AtomicU64,
 }
 
@@ -108,7 +110,8 @@ impl Scope {
         })
     }
 
-    /// A frame of the drag that this request opened. Its own trace links to the handshake's, which would have no end.
+    /// A frame of the drag that this request opened. Its own trace links to the handshake's, which
+    /// would have no end.
     pub(crate) fn frame(&self, tracer: Option<&Tracer>) -> Self {
         let (Some(handshake), Some(tracer)) = (&self.0, tracer) else {
             return self.clone();
@@ -165,7 +168,8 @@ impl Scope {
         CURRENT.try_with(Self::clone).unwrap_or_default()
     }
 
-    /// The same request without its span, for work that goes on after the response: log lines still have its id.
+    /// The same request without its span, for work that goes on after the response: log lines still
+    /// have its id.
     pub(crate) fn answered(&self) -> Self {
         let Some(request) = &self.0 else {
             return Self::default();

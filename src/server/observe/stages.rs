@@ -11,7 +11,8 @@ pub struct Timing {
     pub decode: Duration,
     /// Building the table of coefficients, or waiting for another request that does.
     pub plan: Duration,
-    /// Making copies of the image for its size in the output, or waiting for another request that does.
+    /// Making copies of the image for its size in the output, or waiting for another request that
+    /// does.
     pub reduce: Duration,
     /// Posing the grid.
     pub deform: Duration,

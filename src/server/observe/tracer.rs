@@ -1,4 +1,5 @@
-//! The OpenTelemetry tracer: the SDK's provider and batch processor, with a bounded queue and counters of exported and dropped spans.
+//! The OpenTelemetry tracer: the SDK's provider and batch processor, with a bounded queue and
+//! counters of exported and dropped spans.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -50,7 +51,8 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// Starts to export to `collector` a `share` of the requests whose callers have not decided. Needs a runtime.
+    /// Starts to export to `collector` a `share` of the requests whose callers have not decided.
+    /// Needs a runtime.
     pub(crate) fn new(collector: &CollectorUrl, share: f64) -> Result<Self, String> {
         let failed = |why: String| format!("traces cannot be exported to {collector}: {why}");
         let stats = Arc::<ExportStats>::default();
@@ -90,7 +92,8 @@ impl Tracer {
         &self.queue.stats
     }
 
-    /// Exports what is left, for at most `timeout`. A thread may still hold the span of an answered request: it has a quarter of that time.
+    /// Exports what is left, for at most `timeout`. A thread may still hold the span of an answered
+    /// request: it has a quarter of that time.
     pub(crate) async fn shutdown(&self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
         while self.stats().open.load(Ordering::Relaxed) > 0
@@ -139,13 +142,15 @@ impl SpanProcessor for SpanQueue {
         self.batches.force_flush()
     }
 
-    /// Does nothing: the provider calls this when it is dropped, which must not block. [`Tracer::shutdown`] exports what is left.
+    /// Does nothing: the provider calls this when it is dropped, which must not block.
+    /// [`Tracer::shutdown`] exports what is left.
     fn shutdown_with_timeout(&self, _: Duration) -> OTelSdkResult {
         Ok(())
     }
 }
 
-/// Counts what becomes of each batch, and logs when exports begin to fail and when they succeed again.
+/// Counts what becomes of each batch, and logs when exports begin to fail and when they succeed
+/// again.
 #[derive(Debug)]
 struct CountingExporter<E> {
     exporter: E,
@@ -185,7 +190,8 @@ impl<E: SpanExporter> SpanExporter for CountingExporter<E> {
     }
 }
 
-/// The resource of all spans: `OTEL_SERVICE_NAME` and `OTEL_RESOURCE_ATTRIBUTES` come before our own attributes.
+/// The resource of all spans: `OTEL_SERVICE_NAME` and `OTEL_RESOURCE_ATTRIBUTES` come before our
+/// own attributes.
 fn resource() -> Resource {
     let version = KeyValue::new("service.version", env!("CARGO_PKG_VERSION"));
     let instance = KeyValue::new("service.instance.id", uuid::Uuid::new_v4().to_string());

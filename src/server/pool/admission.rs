@@ -1,4 +1,5 @@
-//! Admission to one class of work: a request runs, waits up to `max_wait`, or is rejected. A long job gives way to other clients.
+//! Admission to one class of work: a request runs, waits up to `max_wait`, or is rejected. A long
+//! job gives way to other clients.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -13,10 +14,12 @@ use super::queue::{Arrival, FairQueue, QueueKey};
 use super::worker_threads::WorkerThreads;
 use crate::client::Tenant;
 
-/// How long a job runs before it gives way to a client that has used less, and how long until it looks again if there is none.
+/// How long a job runs before it gives way to a client that has used less, and how long until it
+/// looks again if there is none.
 const TURN: Duration = Duration::from_millis(100);
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
-/// A job goes on without a permit after this time: permits may be held by requests that wait for what it builds.
+/// A job goes on without a permit after this time: permits may be held by requests that wait for
+/// what it builds.
 const MAX_PAUSE: Duration = Duration::from_secs(1);
 /// A paused job looks this often whether it is cancelled.
 const PAUSED_LOOK: Duration = Duration::from_millis(5);
@@ -72,7 +75,8 @@ pub(crate) struct AdmissionPermit {
     tenant: Tenant,
     /// When the job may give way, nanoseconds since the queue began.
     turn_ends: AtomicU64,
-    /// Held by the thread of the job that waits until the job goes on; other threads of the job wait for it.
+    /// Held by the thread of the job that waits until the job goes on; other threads of the job
+    /// wait for it.
     pause: Mutex<()>,
     is_paused: AtomicBool,
     /// It was never used: its request had left.
@@ -176,7 +180,8 @@ impl AdmissionQueue {
                     if let Err(mut permit) =
                         waiter.send(AdmissionPermit::new(Arc::clone(self), tenant))
                     {
-                        // The request left at this moment: its permit ends here, not by being dropped.
+                        // The request left at this moment: its permit ends here, not by being
+                        // dropped.
                         permit.is_returned = true;
                         returned = Some(tenant);
                     }
@@ -267,8 +272,9 @@ impl AdmissionPermit {
         self.is_paused.load(Ordering::Relaxed)
     }
 
-    /// Called by a job between parts of its work: if its turn is over and another client that has used less waits, that client gets the
-    /// permit, and this thread sleeps until the job is next or cancelled. Costs nothing while nobody waits.
+    /// Called by a job between parts of its work: if its turn is over and another client that has
+    /// used less waits, that client gets the permit, and this thread sleeps until the job is next
+    /// or cancelled. Costs nothing while nobody waits.
     #[inline]
     pub(crate) fn give_way(&self, is_cancelled: &dyn Fn() -> bool) {
         if self.queue.waiting.load(Ordering::Relaxed) > 0 && self.queue.gives_way {

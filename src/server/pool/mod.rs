@@ -1,8 +1,9 @@
 //! Admission and compute threads: `README.md` describes both, with a diagram.
 //!
-//! Async tasks compute nothing but small JSON bodies, and compute threads never wait for a client. A request waits for a [`Ticket`];
-//! everything that computes for it holds a clone, so that the ticket is returned when the last closure has ended, even if the request's
-//! future was dropped before.
+//! Async tasks compute nothing but small JSON bodies, and compute threads never wait for a client.
+//! A request waits for a [`Ticket`]; everything that computes for it holds a clone, so that the
+//! ticket is returned when the last closure has ended, even if the request's future was dropped
+//! before.
 
 mod admission;
 mod queue;
@@ -32,7 +33,8 @@ pub struct NoThreads(String);
 /// Why nothing was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PoolError {
-    /// All workers are busy and the queue is full, or became full with requests that take precedence.
+    /// All workers are busy and the queue is full, or became full with requests that take
+    /// precedence.
     #[error("all workers are busy and the queue is full")]
     Full,
     /// No worker became free in time.
@@ -46,11 +48,12 @@ pub enum PoolError {
     Panicked,
 }
 
-/// Niceness of upload threads: beside a drag thread on the same processor they get about a quarter of the processor, otherwise all of it.
+/// Niceness of upload threads: beside a drag thread on the same processor they get about a quarter
+/// of the processor, otherwise all of it.
 const UPLOAD_NICENESS: i32 = 5;
 
-/// Simultaneous transfers of files from and to the store, not counting the spare permit. Not more than the Redis connections for
-/// files, so that no transfer waits for a connection.
+/// Simultaneous transfers of files from and to the store, not counting the spare permit. Not more
+/// than the Redis connections for files, so that no transfer waits for a connection.
 const MAX_TRANSFERS: usize = 6;
 
 /// The classes of work, each with a queue of its own.
@@ -67,7 +70,8 @@ pub enum WorkClass {
 /// The size of a pool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Threads and permits of each class; each class has one more of both for a client without a permit.
+    /// Threads and permits of each class; each class has one more of both for a client without a
+    /// permit.
     pub workers: usize,
     /// Requests that may wait in each queue.
     pub queue: usize,
@@ -103,7 +107,8 @@ impl Ticket {
         self.queue.threads.is_thread_wanted()
     }
 
-    /// Whether a long job is cancelled that learns it in another way than by a [`Cancel`]. Returns later if other clients come first.
+    /// Whether a long job is cancelled that learns it in another way than by a [`Cancel`]. Returns
+    /// later if other clients come first.
     pub fn is_over(&self, is_cancelled: &dyn Fn() -> bool) -> bool {
         self.permit.give_way(is_cancelled);
         is_cancelled()
@@ -120,8 +125,8 @@ impl Ticket {
     }
 }
 
-/// Whether a result is no longer needed; long computations check it between their steps, at least every 10 ms. A job gives way to other
-/// clients there.
+/// Whether a result is no longer needed; long computations check it between their steps, at least
+/// every 10 ms. A job gives way to other clients there.
 #[derive(Clone, Debug)]
 pub struct Cancel {
     is_cancelled: Arc<AtomicBool>,
@@ -231,8 +236,8 @@ impl Pool {
         })
     }
 
-    /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is set.
-    /// Errors: [`PoolError::Panicked`].
+    /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is
+    /// set. Errors: [`PoolError::Panicked`].
     pub async fn run<T, F>(&self, ticket: &Ticket, work: F) -> Result<T, PoolError>
     where
         T: Send + 'static,
@@ -251,13 +256,14 @@ impl Pool {
         result.await.map_err(|_| PoolError::Panicked)
     }
 
-    /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops what it owns.
+    /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops
+    /// what it owns.
     pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
         ticket.queue.threads.submit(job(ticket, work));
     }
 
-    /// Offers a part of a computation to `helpers` more threads, each of which calls `help`. Threads that are busy call it later, so `help`
-    /// returns at once when nothing is left to do.
+    /// Offers a part of a computation to `helpers` more threads, each of which calls `help`.
+    /// Threads that are busy call it later, so `help` returns at once when nothing is left to do.
     pub fn offer(&self, ticket: &Ticket, helpers: usize, help: impl Fn() + Clone + Send + 'static) {
         ticket
             .queue
@@ -265,8 +271,9 @@ impl Pool {
             .offer((0..helpers).map(|_| job(ticket, help.clone())));
     }
 
-    /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only, if they are in use (a thread that waits
-    /// for its part of one computation would otherwise execute all of another). A panic is propagated.
+    /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only,
+    /// if they are in use (a thread that waits for its part of one computation would otherwise
+    /// execute all of another). A panic is propagated.
     pub fn run_parallel<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match self.parallel.try_lock() {
             Ok(threads) => threads.install(work),
@@ -304,7 +311,8 @@ fn job(ticket: &Ticket, work: impl FnOnce() + Send + 'static) -> Box<dyn FnOnce(
     })
 }
 
-/// Does long work that needs no permit, such as a copy, on a blocking thread; short work here. A panic is propagated.
+/// Does long work that needs no permit, such as a copy, on a blocking thread; short work here. A
+/// panic is propagated.
 pub(crate) async fn aside<T: Send + 'static>(
     is_long: bool,
     work: impl FnOnce() -> T + Send + 'static,

@@ -1,6 +1,7 @@
-//! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it takes the next one, so that no request
-//! waits for a part of another's. One idle thread polls for a short time before it sleeps, because waking a sleeping thread takes up to a
-//! tenth of a millisecond; the other idle threads sleep.
+//! The compute threads of one class, behind one queue of jobs. A thread finishes its job before it
+//! takes the next one, so that no request waits for a part of another's. One idle thread polls for
+//! a short time before it sleeps, because waking a sleeping thread takes up to a tenth of a
+//! millisecond; the other idle threads sleep.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,8 +11,8 @@ use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose within half of this. At sixty poses a
-/// second it costs about 1 % of a processor.
+/// How long an idle thread polls before it sleeps: a client on the same machine sends its next pose
+/// within half of this. At sixty poses a second it costs about 1 % of a processor.
 const POLL_TIME: Duration = Duration::from_micros(200);
 
 type Job = Box<dyn FnOnce() + Send>;
@@ -22,7 +23,8 @@ pub(crate) struct WorkerThreads {
     state: Arc<WorkerState>,
     name: String,
     niceness: i32,
-    /// Threads that work, and those beyond them that have been started in the place of sleeping ones.
+    /// Threads that work, and those beyond them that have been started in the place of sleeping
+    /// ones.
     threads: usize,
     more: Mutex<usize>,
 }
@@ -45,7 +47,8 @@ impl std::fmt::Debug for WorkerState {
 #[derive(Default)]
 struct JobQueue {
     jobs: VecDeque<Job>,
-    /// Threads that sleep, the last one to fall asleep last. It is woken first: two threads that take turns stay on their processors.
+    /// Threads that sleep, the last one to fall asleep last. It is woken first: two threads that
+    /// take turns stay on their processors.
     asleep: Vec<Thread>,
     /// Whether an idle thread polls.
     is_polled: bool,
@@ -53,7 +56,8 @@ struct JobQueue {
 }
 
 impl JobQueue {
-    /// Adds jobs; returns the threads to wake for them, at most `idle` of the idle ones. A thread that polls takes the first job.
+    /// Adds jobs; returns the threads to wake for them, at most `idle` of the idle ones. A thread
+    /// that polls takes the first job.
     fn push(&mut self, jobs: impl IntoIterator<Item = Job>, idle: usize) -> Vec<Thread> {
         let before = self.jobs.len();
         self.jobs.extend(jobs);
@@ -91,8 +95,8 @@ impl WorkerThreads {
         Ok(())
     }
 
-    /// Makes sure that so many threads may sleep in the middle of their jobs, and as many as before work. Returns false if the operating
-    /// system refuses to start a thread.
+    /// Makes sure that so many threads may sleep in the middle of their jobs, and as many as before
+    /// work. Returns false if the operating system refuses to start a thread.
     pub(crate) fn reserve(&self, sleeping: usize) -> bool {
         // No code panics under the lock.
         let mut more = self.more.lock().unwrap_or_else(PoisonError::into_inner);
@@ -115,8 +119,8 @@ impl WorkerThreads {
         self.queue([job], |_| 1);
     }
 
-    /// Queues jobs that help another one. They wake idle threads as long as one is left for the next job; later ones wait until a thread
-    /// is free.
+    /// Queues jobs that help another one. They wake idle threads as long as one is left for the
+    /// next job; later ones wait until a thread is free.
     pub(crate) fn offer(&self, jobs: impl IntoIterator<Item = Job>) {
         self.queue(jobs, |idle| idle.saturating_sub(1));
     }
@@ -133,7 +137,8 @@ impl WorkerThreads {
     }
 }
 
-/// Sets the niceness of this thread. Linux only: elsewhere it would apply to the process. A refusal changes nothing.
+/// Sets the niceness of this thread. Linux only: elsewhere it would apply to the process. A refusal
+/// changes nothing.
 fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
     if niceness > 0 {
@@ -158,7 +163,8 @@ impl WorkerState {
     }
 
     fn run(&self) {
-        // A rayon pool of this thread only: parallel iterators of a job run here instead of on the global pool.
+        // A rayon pool of this thread only: parallel iterators of a job run here instead of on the
+        // global pool.
         let _local: Option<ThreadPool> = ThreadPoolBuilder::new()
             .num_threads(1)
             .use_current_thread()

@@ -1,4 +1,5 @@
-//! The stable error codes of the contract: name, status, title. `api/problems.md` describes each code in a section of its own (tested).
+//! The stable error codes of the contract: name, status, title. `api/problems.md` describes each
+//! code in a section of its own (tested).
 
 macro_rules! codes {
     ($($variant:ident = $status:literal, $name:literal, $title:literal;)*) => {
@@ -27,7 +28,8 @@ macro_rules! codes {
                 match self { $(Self::$variant => $title,)* }
             }
 
-            /// The problem type, a URI reference: `/problems/<code>`, which `Problem::to_json` puts after the public path.
+            /// The problem type, a URI reference: `/problems/<code>`, which `Problem::to_json` puts
+            /// after the public path.
             pub const fn type_uri(self) -> &'static str {
                 match self { $(Self::$variant => concat!("/problems/", $name),)* }
             }

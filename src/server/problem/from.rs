@@ -1,4 +1,5 @@
-//! The errors of the engine as problems. The matches have no `_` arm, so a new error does not compile until it has a code here.
+//! The errors of the engine as problems. The matches have no `_` arm, so a new error does not
+//! compile until it has a code here.
 
 use mlswarp::codec::CodecError;
 use mlswarp::deform::{Contradiction, DeformError};
@@ -173,7 +174,8 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
 
 /// A group of handles that contradict each other.
 fn coincident(group: &Contradiction) -> Value {
-    json!({"handles": group.handles, "position": [group.position.x, group.position.y], "spread": group.spread})
+    json!({"handles": group.handles, "position": [group.position.x, group.position.y],
+        "spread": group.spread})
 }
 
 /// JSON has no infinities and no NaN; they become strings.

@@ -1,7 +1,8 @@
 //! Problem documents (RFC 9457): the errors that clients see.
 //!
-//! A [`Problem`] contains no HTTP except the status of its [`Code`]. `from.rs` converts every error of the engine. JSON pointers (RFC 6901)
-//! point into the JSON of the request: the body, or the part `warp` of a multipart body.
+//! A [`Problem`] contains no HTTP except the status of its [`Code`]. `from.rs` converts every error
+//! of the engine. JSON pointers (RFC 6901) point into the JSON of the request: the body, or the
+//! part `warp` of a multipart body.
 
 mod code;
 mod from;
@@ -96,7 +97,8 @@ impl Problem {
         self.code.status()
     }
 
-    /// The document; with the id of the request if there is one. `public_path` precedes the path of the problem type.
+    /// The document; with the id of the request if there is one. `public_path` precedes the path of
+    /// the problem type.
     pub fn to_json(&self, public_path: &str, request_id: Option<&str>) -> Value {
         let fields = [
             (
@@ -162,8 +164,10 @@ mod tests {
             .retry_after(2);
         assert_eq!(
             problem.to_json("/tools/warp", Some("r-1")),
-            json!({"type": "/tools/warp/problems/too_large", "title": "Too large", "status": 413, "detail": "too much", "code": "too_large",
-                   "pointer": "/p", "handle": 3, "limit_name": "handle_columns", "limit": 10, "actual": 11, "retry_after": 2,
+            json!({"type": "/tools/warp/problems/too_large", "title": "Too \
+                large", "status": 413, "detail": "too much", "code": "too_large",
+                   "pointer": "/p", "handle": 3, "limit_name": "handle_columns", "limit": 10,
+                       "actual": 11, "retry_after": 2,
                    "request_id": "r-1"})
         );
     }

@@ -1,5 +1,6 @@
-//! Parts of sentences: names and values of the client, quoted so that they are short and show no control characters, and the known name
-//! that was probably meant. The work is bounded: only the beginning of hostile input is quoted, and long names are not compared.
+//! Parts of sentences: names and values of the client, quoted so that they are short and show no
+//! control characters, and the known name that was probably meant. The work is bounded: only the
+//! beginning of hostile input is quoted, and long names are not compared.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -35,10 +36,13 @@ pub(crate) fn quote(text: &str) -> String {
     quoted
 }
 
-/// Control characters, zero-width characters and those that change the direction of text: a reader would not see what was sent.
+/// Control characters, zero-width characters and those that change the direction of text: a reader
+/// would not see what was sent.
 pub(crate) fn is_unseen(c: char) -> bool {
-    let is_format = matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
-        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}');
+    let is_format = matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}'
+        | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}'
+            | '\u{e0000}'..='\u{e007f}');
     c.is_control() || is_format
 }
 
@@ -60,7 +64,8 @@ pub(crate) fn series(words: &[&str], last: &str) -> String {
     }
 }
 
-/// The known name that is most similar to `name`, if one is similar enough; upper and lower case are equal.
+/// The known name that is most similar to `name`, if one is similar enough; upper and lower case
+/// are equal.
 pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let scored = known
         .into_iter()
@@ -72,7 +77,8 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, other)| other)
 }
 
-/// How similar two names are: 1 if they are equal except for case, 0 if they are not alike or too long to compare.
+/// How similar two names are: 1 if they are equal except for case, 0 if they are not alike or too
+/// long to compare.
 pub(crate) fn similarity(name: &str, other: &str) -> f64 {
     if name.eq_ignore_ascii_case(other) {
         return 1.0;

@@ -1,10 +1,13 @@
-//! The sessions of one process: which are alive, what they take, when they expire. Shared by the memory store and the file store.
+//! The sessions of one process: which are alive, what they take, when they expire. Shared by the
+//! memory store and the file store.
 //!
-//! A file counts once for each owner whose sessions name it, also where the store keeps it once for all of them: otherwise the bytes that
-//! the store takes would tell one owner what another one has stored.
+//! A file counts once for each owner whose sessions name it, also where the store keeps it once for
+//! all of them: otherwise the bytes that the store takes would tell one owner what another one has
+//! stored.
 //!
-//! A full index refuses new sessions and never drops a living one. A change is checked first (`check_*`), which changes nothing, and then
-//! applied, which cannot fail: in between a store writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
+//! A full index refuses new sessions and never drops a living one. A change is checked first
+//! (`check_*`), which changes nothing, and then applied, which cannot fail: in between a store
+//! writes to its disk. Operations are a few map accesses; a sweep visits all sessions.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -196,7 +199,8 @@ impl Index {
         Ok(outcome)
     }
 
-    /// The bytes that these files of a session add. The files that they replace count until they are replaced.
+    /// The bytes that these files of a session add. The files that they replace count until they
+    /// are replaced.
     fn added_bytes(&self, id: SessionId, files: &[NamedFile]) -> u64 {
         let is_first = |(k, file): &(usize, &NamedFile)| {
             !files[..*k]
@@ -271,7 +275,8 @@ impl Index {
         old
     }
 
-    /// Adds a session of an earlier process; it lives for another idle period. `sizes`: those of its files, in the order of the record.
+    /// Adds a session of an earlier process; it lives for another idle period. `sizes`: those of
+    /// its files, in the order of the record.
     pub(crate) fn restore(&mut self, record: Arc<Record>, sizes: &[u64], seq: Option<u64>) {
         for (digest, len) in record.files().zip(sizes) {
             self.name_file(record.id.owner(), digest, *len, &Bytes::new());
@@ -279,7 +284,8 @@ impl Index {
         self.insert(record, seq);
     }
 
-    /// Adds a session whose record, of `bytes` bytes, another version of the program has written, and the files that it names.
+    /// Adds a session whose record, of `bytes` bytes, another version of the program has written,
+    /// and the files that it names.
     pub(crate) fn restore_unread(&mut self, id: SessionId, bytes: u64, files: &[(Digest, u64)]) {
         for (digest, len) in files {
             self.name_file(id.owner(), *digest, *len, &Bytes::new());
@@ -367,7 +373,8 @@ impl Index {
         .map(|()| true)
     }
 
-    /// Replaces a record after the change has been checked. `layer`: the file that only the new one names.
+    /// Replaces a record after the change has been checked. `layer`: the file that only the new one
+    /// names.
     pub(crate) fn revise(&mut self, new: Arc<Record>, layer: &[NamedFile]) -> Option<Session> {
         for digest in new.files() {
             let added = layer.iter().find(|file| file.digest == digest);
@@ -384,7 +391,8 @@ impl Index {
         self.peek(id).ok()
     }
 
-    /// Whether a delete removes something. `false`: the session was deleted less than one idle period ago.
+    /// Whether a delete removes something. `false`: the session was deleted less than one idle
+    /// period ago.
     pub(crate) fn check_delete(&self, id: SessionId) -> Result<bool, StoreError> {
         let is_deleted = |tombstone: &Tombstone| {
             tombstone.end == End::Deleted && Instant::now() < tombstone.until
@@ -421,7 +429,8 @@ impl Index {
         entry.record
     }
 
-    /// The files that no session of any owner names once these are gone and another one names `kept`.
+    /// The files that no session of any owner names once these are gone and another one names
+    /// `kept`.
     pub(crate) fn freed(&self, gone: &[SessionId], kept: &[Digest]) -> Vec<Digest> {
         let mut fewer: HashMap<(Owner, Digest), usize> = HashMap::new();
         for (id, entry) in gone.iter().filter_map(|id| self.sessions.get_key_value(id)) {
@@ -504,7 +513,8 @@ impl Index {
             .filter_map(|(id, entry)| entry.seq.map(|seq| (*id, seq)))
     }
 
-    /// Keeps the expiry, the numbers and the tombstones of `old` after the sessions have been read again.
+    /// Keeps the expiry, the numbers and the tombstones of `old` after the sessions have been read
+    /// again.
     pub(crate) fn carry_over(&mut self, old: Self) {
         let created = |entry: &Entry| entry.record.as_ref().map(|record| record.created);
         for (id, entry) in &mut self.sessions {

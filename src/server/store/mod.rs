@@ -1,4 +1,5 @@
-//! Stores of sessions and of the files of their pictures and layers: one trait, three implementations, one test suite for all of them.
+//! Stores of sessions and of the files of their pictures and layers: one trait, three
+//! implementations, one test suite for all of them.
 //!
 //! | store | an answered change lasts | when the store fails |
 //! |---|---|---|
@@ -6,13 +7,16 @@
 //! | `file` | beyond a kill or a power cut: it has reached the disk | reads and drags go on, changes are refused |
 //! | `redis` | as long as that server keeps it, for every process that uses it | sessions used in this process go on for one idle period |
 //!
-//! What can be lost: the highest `seq` of a drag, which the file store writes with the next sweep, and the Redis store with the next pose.
+//! What can be lost: the highest `seq` of a drag, which the file store writes with the next sweep,
+//! and the Redis store with the next pose.
 //!
-//! A record never changes: new handles, layers or another picture make a new record with a new revision. Only [`Store::touch`] changes the time of
-//! the last use and the highest `seq`, both atomically.
+//! A record never changes: new handles, layers or another picture make a new record with a new
+//! revision. Only [`Store::touch`] changes the time of the last use and the highest `seq`, both
+//! atomically.
 //!
-//! A session whose record another version of the program has written ([`record`]) is kept: only its owner's `delete` changes it, and every
-//! other request for it is refused ([`StoreError::OtherVersion`]).
+//! A session whose record another version of the program has written ([`record`]) is kept: only its
+//! owner's `delete` changes it, and every other request for it is refused
+//! ([`StoreError::OtherVersion`]).
 
 #[cfg(feature = "file-store")]
 pub mod file;
@@ -79,7 +83,8 @@ pub struct Record {
     ///
     /// [`MAX_LAYERS`]: crate::layer::MAX_LAYERS
     pub layers: BTreeMap<LayerName, StoredLayer>,
-    /// Digest of the mask that the session was made with. The layer `region` may have changed since.
+    /// Digest of the mask that the session was made with. The layer `region` may have changed
+    /// since.
     pub made_with_region: Option<Digest>,
     /// Upright size of the picture.
     pub extent: Extent,
@@ -105,7 +110,8 @@ pub struct StoredLayer {
 }
 
 impl Record {
-    /// Whether both were made from the same files and the same handles. Layers that were added or removed since do not count.
+    /// Whether both were made from the same files and the same handles. Layers that were added or
+    /// removed since do not count.
     pub fn is_made_like(&self, other: &Self) -> bool {
         let made = |record: &Self| {
             (
@@ -118,7 +124,8 @@ impl Record {
         made(self) == made(other) && self.rest == other.rest && self.pose == other.pose
     }
 
-    /// The digests of the files that it names: the picture's first, then those of the layers. Two may be the same.
+    /// The digests of the files that it names: the picture's first, then those of the layers. Two
+    /// may be the same.
     pub fn files(&self) -> impl Iterator<Item = Digest> + '_ {
         std::iter::once(self.image).chain(self.layers.values().map(|layer| layer.digest))
     }
@@ -177,11 +184,13 @@ pub struct Session {
 pub enum StoreError {
     /// It never existed, was deleted, or expired more than one idle period ago.
     #[error(
-        "there is no such session: it was deleted, expired a while ago, or never existed; open a new one with POST /sessions"
+        "there is no such session: it was deleted, expired a while ago, or never existed; open a \
+            new one with POST /sessions"
     )]
     NoSuchSession,
     /// Expired less than one idle period ago.
-    #[error("the session has expired: it was idle for {}; open a new one with POST /sessions", period(*idle))]
+    #[error("the session has expired: it was idle for {}; open a new one with POST /sessions",
+        period(*idle))]
     Expired {
         /// The idle period.
         idle: Duration,
@@ -202,10 +211,12 @@ pub enum StoreError {
     /// Every attempt collided with another request's change.
     #[error("other requests changed the session at the same time; send the request again")]
     Contended,
-    /// Another version of the program has written the record, with something that this one does not know.
+    /// Another version of the program has written the record, with something that this one does not
+    /// know.
     #[error("another version of the program has stored this session, and this one cannot read it")]
     OtherVersion,
-    /// The store fails at the moment. The cause is only in the log: it may contain paths and addresses.
+    /// The store fails at the moment. The cause is only in the log: it may contain paths and
+    /// addresses.
     #[error("the session store is unavailable")]
     Away,
 }
@@ -251,12 +262,13 @@ pub struct Figures {
 
 /// Sessions and the files of their pictures and layers.
 pub trait Store: Send + Sync + fmt::Debug {
-    /// Creates or replaces a session. Its numbers start again, and it lives for another idle period. `files`: the picture's, and those of the
-    /// record's layers.
+    /// Creates or replaces a session. Its numbers start again, and it lives for another idle
+    /// period. `files`: the picture's, and those of the record's layers.
     fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put>;
 
-    /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the file of the layer that only the new record
-    /// names, if there is one. Files of layers that only the old record names are removed. `None`: another revision is there.
+    /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the
+    /// file of the layer that only the new record names, if there is one. Files of layers that only
+    /// the old record names are removed. `None`: another revision is there.
     fn revise(
         &self,
         old: Revision,
@@ -267,16 +279,19 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// Reads a session without prolonging it.
     fn peek(&self, id: SessionId) -> Answer<'_, Session>;
 
-    /// Prolongs a session by another idle period and stores `seq` if it is the highest. The answer has the highest.
+    /// Prolongs a session by another idle period and stores `seq` if it is the highest. The answer
+    /// has the highest.
     fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session>;
 
-    /// Deletes a session, and each of its files with the last session that names it. For one idle period another delete has the same answer.
+    /// Deletes a session, and each of its files with the last session that names it. For one idle
+    /// period another delete has the same answer.
     fn delete(&self, id: SessionId) -> Answer<'_, ()>;
 
     /// The most memory that [`Store::file`] takes, beyond what the store holds, bytes.
     fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
 
-    /// The file of that digest, of the session's picture or of one of its layers, if the session still names it.
+    /// The file of that digest, of the session's picture or of one of its layers, if the session
+    /// still names it.
     fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
 
     /// Whether a session of that owner, known to this process, names that file.
@@ -292,8 +307,8 @@ pub trait Store: Send + Sync + fmt::Debug {
     fn figures(&self) -> Figures;
 }
 
-/// Opens a store. A server may be down at this moment.
-/// Errors: The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
+/// Opens a store. A server may be down at this moment. Errors: The file cannot be opened, is not a
+/// session file, is damaged beyond reading, or is open in another process.
 pub fn open(url: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
     Ok(match url {
         StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),

@@ -1,17 +1,22 @@
-//! The stored form of a record: a checksum and a JSON object. Floating-point numbers are restored exactly.
+//! The stored form of a record: a checksum and a JSON object. Floating-point numbers are restored
+//! exactly.
 //!
-//! Programs of several versions use one store, during a rolling update and after a rollback. Four rules keep their sessions safe:
+//! Programs of several versions use one store, during a rolling update and after a rollback. Four
+//! rules keep their sessions safe:
 //!
-//! 1. A field at its default is left out of the record and of the digest `made`. The defaults are those of the stored form (`base`) and
-//!    never change; those of the HTTP contract may.
-//! 2. One exception: the fields of the first version are always in the digest `made`. So every version computes the same digest of the same
-//!    request, and a repeated `PUT` is one session whichever replica it reaches. A later field is in the digest only if it is not at its
+//! 1. A field at its default is left out of the record and of the digest `made`. The defaults are
+//!    those of the stored form (`base`) and never change; those of the HTTP contract may.
+//! 2. One exception: the fields of the first version are always in the digest `made`. So every
+//!    version computes the same digest of the same request, and a repeated `PUT` is one session
+//!    whichever replica it reaches. A later field is in the digest only if it is not at its
 //!    default: then the older program cannot read the record anyway.
-//! 3. A record with a correct checksum that this program cannot read in full (another version, an unknown field or value) was written by
-//!    another version. It is kept: not served, not replaced, and deleted only by its owner.
-//! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal digits of its digest. A program that cannot
-//!    read the rest keeps the files named like this (`named_files`), and the Redis store removes no layer's file that is,
-//!    unless only the fields `image` and `made_with_region` name it.
+//! 3. A record with a correct checksum that this program cannot read in full (another version, an
+//!    unknown field or value) was written by another version. It is kept: not served, not replaced,
+//!    and deleted only by its owner.
+//! 4. In every version a record names each file that it needs by the 64 lower-case hexadecimal
+//!    digits of its digest. A program that cannot read the rest keeps the files named like this
+//!    (`named_files`), and the Redis store removes no layer's file that is, unless only the fields
+//!    `image` and `made_with_region` name it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -375,7 +380,8 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     }))
 }
 
-/// The file digests that a record of any version may name (rule 4). A session's name looks the same and is among them.
+/// The file digests that a record of any version may name (rule 4). A session's name looks the same
+/// and is among them.
 pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     let words = bytes.split(|byte| !matches!(byte, b'0'..=b'9' | b'a'..=b'f'));
     let mut named: Vec<Digest> = words
@@ -386,7 +392,8 @@ pub(crate) fn named_files(bytes: &[u8]) -> Vec<Digest> {
     named
 }
 
-/// The digest of what a session was made from, the same in every version of the program (rule 2). Layers that were added since are not in it.
+/// The digest of what a session was made from, the same in every version of the program (rule 2).
+/// Layers that were added since are not in it.
 pub(crate) fn made(record: &Record) -> Digest {
     let (image, warp) = (record.image.to_string(), Warp(record, Defaults::Written));
     let made = match record.made_with_region {
@@ -557,7 +564,8 @@ mod tests {
         );
     }
 
-    /// What the first version of the program computed. A program that computes anything else would make a session anew that a replica has.
+    /// What the first version of the program computed. A program that computes anything else would
+    /// make a session anew that a replica has.
     #[test]
     fn the_digest_of_what_a_session_was_made_from_is_the_first_programs() {
         let digest = |record: &Record, warp: &str| {
@@ -570,7 +578,8 @@ mod tests {
         assert_eq!(made(&full), digest(&full, warp));
     }
 
-    /// A field of a later version: older programs keep what they cannot read (rule 3), and read everything else.
+    /// A field of a later version: older programs keep what they cannot read (rule 3), and read
+    /// everything else.
     #[test]
     fn smoothing_is_written_and_digested_only_where_it_is_given() {
         let text = |record: &Record| String::from_utf8(write(record)).unwrap();

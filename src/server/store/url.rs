@@ -41,10 +41,14 @@ impl FromStr for StoreUrl {
         }
         match text.split_once("://").map(|(scheme, _)| scheme) {
             Some("redis" | "valkey") => redis(text),
-            Some("rediss" | "valkeys") => {
-                Err("TLS to the store is not supported: use redis:// on a network that is trusted, or through a tunnel".to_owned())
-            }
-            _ => Err("a store is `memory`, `file:PATH` or `redis://[user:password@]host[:port][/database]`".to_owned()),
+            Some("rediss" | "valkeys") => Err(
+                "TLS to the store is not supported: use redis:// on a network that is \
+                    trusted, or through a tunnel"
+                    .to_owned(),
+            ),
+            _ => Err("a store is `memory`, `file:PATH` or \
+                `redis://[user:password@]host[:port][/database]`"
+                .to_owned()),
         }
     }
 }

@@ -1,5 +1,6 @@
-//! `POST /sessions/{id}/batch`: the body, with the poses of the frames in one of three forms, and the JSON files of the result. The objects
-//! in `frames` stay text, each of which is parsed when its frame is checked and drawn: 10,000 sets of handles are never in memory together.
+//! `POST /sessions/{id}/batch`: the body, with the poses of the frames in one of three forms, and
+//! the JSON files of the result. The objects in `frames` stay text, each of which is parsed when
+//! its frame is checked and drawn: 10,000 sets of handles are never in memory together.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -152,8 +153,9 @@ impl BatchPoses {
 type BatchFields<'j, 'p> = [Option<Node<'j, 'p>>; fields::BATCH.len()];
 
 impl<H> Reserved<BatchObject, H> {
-    /// Reads the object in memory that `reserve` takes before. `most_bytes`: the most bytes of everything but frames and annotations;
-    /// `most_frame_bytes`: the most of one frame; `source`: the image of annotations.
+    /// Reads the object in memory that `reserve` takes before. `most_bytes`: the most bytes of
+    /// everything but frames and annotations; `most_frame_bytes`: the most of one frame; `source`:
+    /// the image of annotations.
     pub fn parse(
         body: &Bytes,
         most_bytes: u64,
@@ -446,7 +448,8 @@ pub(crate) struct BatchFrame {
     pub(crate) residual: f64,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'static str>,
-    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there are none.
+    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there
+    /// are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) exceeded: Option<u64>,
 }
@@ -477,9 +480,11 @@ mod tests {
 
     #[test]
     fn the_three_forms_are_read() {
-        let frames =
-            parse(r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}], "points": [[1, 1]], "output": {"width": 9}}"#)
-                .unwrap();
+        let frames = parse(
+            r#"{"frames": [{"q": [[1, 2]]}, {"strength": 0.5, "q": [[3, 4]]}],
+              "points": [[1, 1]], "output": {"width": 9}}"#,
+        )
+        .unwrap();
         let BatchPoses::Frames(texts) = &frames.poses else {
             panic!()
         };
@@ -765,10 +770,13 @@ mod tests {
         assert_eq!(
             serde_json::to_value(BatchIndex { frames: &frames }).unwrap(),
             serde_json::json!({"frames": [
-                {"picture": "0000.png", "strength": 0.5, "t": 0.25, "width": 4, "height": 3, "canvas": canvas, "scale": [0.5, 0.5],
+                {"picture": "0000.png", "strength": 0.5, "t": 0.25, "width": 4, "height": 3,
+                    "canvas": canvas, "scale": [0.5, 0.5],
                  "folds": 1, "residual": 0.5, "warnings": ["translation_only"]},
-                {"picture": "0000.png", "annotations": "0001.json", "strength": 1.0, "jitter": {"seed": 7, "frame": 1}, "width": 4,
-                 "height": 3, "canvas": canvas, "scale": [0.5, 0.5], "folds": 1, "residual": 0.5, "warnings": ["translation_only"]}
+                {"picture": "0000.png", "annotations": "0001.json", "strength": 1.0,
+                    "jitter": {"seed": 7, "frame": 1}, "width": 4,
+                 "height": 3, "canvas": canvas, "scale": [0.5, 0.5], "folds": 1, "residual": 0.5,
+                     "warnings": ["translation_only"]}
             ]})
         );
     }

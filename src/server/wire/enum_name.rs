@@ -1,5 +1,5 @@
-//! The names of enum values: those of this version, and those that only the contract has. One table serves reading, writing and the OpenAPI
-//! document (tested).
+//! The names of enum values: those of this version, and those that only the contract has. One table
+//! serves reading, writing and the OpenAPI document (tested).
 
 use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::CoincidentPolicy;
@@ -124,14 +124,18 @@ enum_names!(
 );
 enum_names!(
     RequestedMethod, unsupported ["beier_neely", "arap"],
-    RequestedMethod::Rigid = "rigid", RequestedMethod::Similarity = "similarity", RequestedMethod::Affine = "affine",
-    RequestedMethod::ThinPlateSpline = "tps", RequestedMethod::GlobalAffine = "global_affine", RequestedMethod::Auto = "auto"
+    RequestedMethod::Rigid = "rigid", RequestedMethod::Similarity = "similarity",
+        RequestedMethod::Affine = "affine",
+    RequestedMethod::ThinPlateSpline = "tps", RequestedMethod::GlobalAffine = "global_affine",
+        RequestedMethod::Auto = "auto"
 );
-enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean", CoincidentPolicy::Reject = "reject");
+enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean",
+    CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(
     Align, unsupported [],
-    Align::None = "none", Align::Rigid = "rigid", Align::Similarity = "similarity", Align::Affine = "affine"
+    Align::None = "none", Align::Rigid = "rigid", Align::Similarity = "similarity",
+        Align::Affine = "affine"
 );
 enum_names!(
     Folds,
@@ -140,11 +144,14 @@ enum_names!(
     Folds::Reject = "reject"
 );
 enum_names!(Holes, unsupported [], Holes::Keep = "keep", Holes::Transparent = "transparent");
-enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none", Compression::Best = "best");
+enum_names!(Compression, unsupported [], Compression::Fast = "fast", Compression::None = "none",
+    Compression::Best = "best");
 enum_names!(Subsampling, unsupported [], Subsampling::Half = "4:2:0", Subsampling::Full = "4:4:4");
-enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest", Filter::Bicubic = "bicubic");
+enum_names!(Filter, unsupported [], Filter::Bilinear = "bilinear", Filter::Nearest = "nearest",
+    Filter::Bicubic = "bicubic");
 enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::Labels = "labels");
-enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse", MapDirection::Forward = "forward");
+enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse",
+    MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
 enum_names!(

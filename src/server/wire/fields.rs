@@ -135,7 +135,8 @@ pub(crate) fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
         .collect()
 }
 
-/// Fields and parts of the contract that this version does not support, each with a known name of the objects that it belongs to.
+/// Fields and parts of the contract that this version does not support, each with a known name of
+/// the objects that it belongs to.
 const UNSUPPORTED: [(&str, &str); 1] = [("region", "q")];
 
 /// Whether the contract has the name beside the `known` ones, and this version does not support it.
@@ -149,8 +150,10 @@ pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {
 pub(crate) fn unsupported(name: &str, known: &[&str]) -> Problem {
     let supported = list(&useful(known));
     // The page saves the mask with the handles: whoever sends such a file must not lose it unseen.
-    let instead = ". A region is a mask of its own: the part `region` of an upload, --region FILE, or the layer `region` of a session. A file \
-                   that the page has saved holds it as base64: `jq -r .region FILE | base64 -d > region.png` and `jq 'del(.region)' FILE`";
+    let instead = ". A region is a mask of its own: the part `region` of an upload, --region \
+        FILE, or the layer `region` of a session. A file \
+                   that the page has saved holds it as base64: `jq -r .region FILE | base64 -d > \
+                   region.png` and `jq 'del(.region)' FILE`";
     let detail =
         format!("not supported by this version: `{name}`; supported: {supported}{instead}");
     Problem::new(Code::NotSupported, detail)

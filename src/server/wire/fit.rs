@@ -1,4 +1,5 @@
-//! `/fit`: the request, the response, and `method: auto`, which applies the best candidate to a warp object.
+//! `/fit`: the request, the response, and `method: auto`, which applies the best candidate to a
+//! warp object.
 
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Method, Prediction, RestSpec};
@@ -127,7 +128,8 @@ pub(crate) fn in_candidate(index: usize, mut problem: Problem) -> Problem {
     problem
 }
 
-/// A method with its parameters as a header shows it: `affine;alpha=1.5`, `tps;smoothing=0`, `global_affine`.
+/// A method with its parameters as a header shows it: `affine;alpha=1.5`, `tps;smoothing=0`,
+/// `global_affine`.
 pub(crate) fn method_text(rest: &RestSpec) -> String {
     let mut text = rest.method.as_str().to_owned();
     for (name, value) in [("alpha", rest.alpha), ("smoothing", rest.smoothing)] {

@@ -1,4 +1,5 @@
-//! The picture formats that a client accepts. `output.format` decides if it is given, otherwise `Accept`.
+//! The picture formats that a client accepts. `output.format` decides if it is given, otherwise
+//! `Accept`.
 
 use mlswarp::codec::Format;
 
@@ -23,8 +24,8 @@ impl Formats {
         }
     }
 
-    /// The format to write: the `requested` one, otherwise that with the largest weight, among equals `default`.
-    /// Errors: 406 if `Accept` excludes the `requested` format.
+    /// The format to write: the `requested` one, otherwise that with the largest weight, among
+    /// equals `default`. Errors: 406 if `Accept` excludes the `requested` format.
     pub fn choose(&self, requested: Option<Format>, default: Format) -> Result<Format, Problem> {
         let weight = |format: Format| {
             Format::ALL

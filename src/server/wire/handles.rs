@@ -1,5 +1,6 @@
-//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline, `null` a handle without a position. Numbers are finite; the engine checks everything
-//! else (range, length, pairing). The memory used is at most ten times the text, usually two or three times.
+//! Handles and places: `[x, y]` is a point, `[[x, y], [x, y], ...]` a segment or polyline, `null` a
+//! handle without a position. Numbers are finite; the engine checks everything else (range, length,
+//! pairing). The memory used is at most ten times the text, usually two or three times.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -22,7 +23,8 @@ pub(crate) fn handles(node: &Node<'_, '_>) -> Result<Vec<Handle>, Problem> {
     })
 }
 
-/// Handles that are as many as those at rest; a list with more is refused before the rest of it is read.
+/// Handles that are as many as those at rest; a list with more is refused before the rest of it is
+/// read.
 pub(crate) fn posed_handles(node: &Node<'_, '_>, at_rest: usize) -> Result<Vec<Handle>, Problem> {
     node.list("an array of handles", PLACE_TEXT, |index, item| {
         if index >= at_rest {

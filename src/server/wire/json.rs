@@ -1,8 +1,10 @@
 //! JSON text as nodes with an address.
 //!
-//! [`root`] lets `serde_json` check the syntax of the whole text first (400). A [`Node`] is a part of that text, so only its meaning can be
-//! wrong (422). No tree is built, and memory is allocated for problems only: every level of the document is one more scan of its text, and
-//! the messages have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of range, not a syntax error.
+//! [`root`] lets `serde_json` check the syntax of the whole text first (400). A [`Node`] is a part
+//! of that text, so only its meaning can be wrong (422). No tree is built, and memory is allocated
+//! for problems only: every level of the document is one more scan of its text, and the messages
+//! have at most four levels. Numbers stay text until `number.rs` reads them: `1e999` is out of
+//! range, not a syntax error.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -119,7 +121,8 @@ fn list_hint(list: &Node<'_, '_>) -> &'static str {
     match first {
         Some(first) if first.kind() == Kind::Array => "; handles are {\"p\": [...], \"q\": [...]}",
         Some(first) if shape::geojson(&first.members()).is_some() => {
-            "; GeoJSON goes in the field `geojson`: {\"type\": \"FeatureCollection\", \"features\": [...]}"
+            "; GeoJSON goes in the field `geojson`: \
+                {\"type\": \"FeatureCollection\", \"features\": [...]}"
         }
         _ => "",
     }
@@ -201,7 +204,8 @@ impl<'j, 'p> Node<'j, 'p> {
         self.unexpected(expected, format_args!("{}{hint}", self.kind().name()))
     }
 
-    /// Whether this is a string that contains a number, `true` or `false`, or the beginning of an array or object.
+    /// Whether this is a string that contains a number, `true` or `false`, or the beginning of an
+    /// array or object.
     fn is_quoted_value(&self) -> bool {
         let Some(inside) = self
             .text
@@ -243,7 +247,8 @@ impl<'j, 'p> Node<'j, 'p> {
         }
     }
 
-    /// The JSON pointer to an unknown field; to this object if the name is long or has characters that a reader would not see.
+    /// The JSON pointer to an unknown field; to this object if the name is long or has characters
+    /// that a reader would not see.
     fn pointer_to(&self, name: &str) -> String {
         if is_unreadable(name) {
             return self.at.to_string();
@@ -266,7 +271,8 @@ impl<'j, 'p> Node<'j, 'p> {
         serde_json::from_str(self.text).map_err(|e| self.not_json(&e))
     }
 
-    /// The values of the `known` fields, in that order. A field of the contract with the value `null` is absent; other fields are refused.
+    /// The values of the `known` fields, in that order. A field of the contract with the value
+    /// `null` is absent; other fields are refused.
     pub(crate) fn fields<'q, const N: usize>(
         &'q self,
         known: &[&'static str; N],
@@ -357,7 +363,8 @@ impl<'j, 'p> Node<'j, 'p> {
         })
     }
 
-    /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists on the way.
+    /// Calls `found` with the value that a JSON pointer leads to, or with the last one that exists
+    /// on the way.
     pub(crate) fn resolve<T>(&self, pointer: &str, found: impl FnOnce(&Node<'_, '_>) -> T) -> T {
         let mut node = Node {
             at: At::Root,
@@ -406,8 +413,8 @@ impl<'j, 'p> Node<'j, 'p> {
         Ok(())
     }
 
-    /// Reads every value of an array. `text_length`: bytes of an ordinary value; the capacity of the list is estimated from it, and from the
-    /// commas, of which there is one less than values.
+    /// Reads every value of an array. `text_length`: bytes of an ordinary value; the capacity of
+    /// the list is estimated from it, and from the commas, of which there is one less than values.
     pub(crate) fn list<T>(
         &self,
         expected: &str,
@@ -438,7 +445,8 @@ fn step(name: &str) -> String {
     name.replace('~', "~0").replace('/', "~1")
 }
 
-/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its end, or when the work is cancelled.
+/// Cuts the next value or field name off the inside of a well-formed array or object; `None` at its
+/// end, or when the work is cancelled.
 fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
     let range = value_from(rest.as_bytes(), 0, work)?;
     let (value, after) = (rest.get(range.clone())?, rest.get(range.end..)?);
@@ -446,8 +454,8 @@ fn next<'j>(rest: &mut &'j str, work: Option<&Work<'_>>) -> Option<&'j str> {
     Some(value)
 }
 
-/// Where the next value or field name is in the inside of a well-formed array or object, from a byte between two of them on; `None` at
-/// its end.
+/// Where the next value or field name is in the inside of a well-formed array or object, from a
+/// byte between two of them on; `None` at its end.
 pub(crate) fn next_value(text: &[u8], from: usize) -> Option<Range<usize>> {
     value_from(text, from, None)
 }
@@ -593,9 +601,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn items_are_those_that_serde_finds(items in prop::collection::vec(json(), 0..5), pretty: bool) {
+        fn items_are_those_that_serde_finds(items in prop::collection::vec(json(), 0..5),
+            pretty: bool) {
             let array = Value::from(items);
-            let text = if pretty { serde_json::to_string_pretty(&array) } else { serde_json::to_string(&array) }.unwrap();
+            let text = if pretty { serde_json::to_string_pretty(&array) } else {
+                serde_json::to_string(&array) }.unwrap();
             let expected: Vec<&RawValue> = serde_json::from_str(&text).unwrap();
             prop_assert_eq!(texts(&text), expected.iter().map(|raw| raw.get()).collect::<Vec<_>>());
         }

@@ -76,7 +76,8 @@ impl MapObject {
     }
 }
 
-/// Corrects the pointer of a problem for a request of a map, whose canvas and width are not in `output`.
+/// Corrects the pointer of a problem for a request of a map, whose canvas and width are not in
+/// `output`.
 pub(crate) fn in_map(mut problem: Problem) -> Problem {
     if matches!(problem.what, Some("map_side" | "map_pixels")) {
         return problem.pointer("/extent");

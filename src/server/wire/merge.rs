@@ -1,4 +1,5 @@
-//! The bodies of requests, put together by the subcommands from several JSON objects: files, and options of the command line.
+//! The bodies of requests, put together by the subcommands from several JSON objects: files, and
+//! options of the command line.
 
 use mlswarp::pixmap::Extent;
 
@@ -38,9 +39,10 @@ pub(crate) struct Merged {
 }
 
 impl Merged {
-    /// An object with the fields of all `sources`. Of two that give a field the later one counts, for each field of `output` apart; `null` is
-    /// no field. A field that one object gives twice is kept twice, which its parser reports.
-    /// Errors: A text that is not a JSON object, and its index.
+    /// An object with the fields of all `sources`. Of two that give a field the later one counts,
+    /// for each field of `output` apart; `null` is no field. A field that one object gives twice is
+    /// kept twice, which its parser reports. Errors: A text that is not a JSON object, and its
+    /// index.
     pub(crate) fn of(sources: &[Source]) -> Result<Self, (usize, Problem)> {
         let (mut merged, mut replaced): (Vec<Field<'_>>, Vec<String>) = (Vec::new(), Vec::new());
         for (
@@ -215,9 +217,9 @@ pub(crate) fn of_fit(object: &[u8]) -> Result<Vec<u8>, Problem> {
     without(object, &others)
 }
 
-/// Splits an object with the fields of both into the warp object of a session and the body of a batch. `keeps_pose`: whether the session
-/// gets the pose; otherwise the batch does.
-/// Errors: Not a JSON object.
+/// Splits an object with the fields of both into the warp object of a session and the body of a
+/// batch. `keeps_pose`: whether the session gets the pose; otherwise the batch does. Errors: Not a
+/// JSON object.
 pub(crate) fn split_batch(object: &[u8], keeps_pose: bool) -> Result<[Vec<u8>; 2], Problem> {
     let root = json::root(object)?;
     let is_of_batch =
@@ -285,7 +287,11 @@ mod tests {
             without(br#"{"p": [1], "item": 2}"#, &["item", "q"]).unwrap(),
             br#"{"p":[1]}"#
         );
-        let fit = of_fit(br#"{"p": [], "method": "tps", "candidates": [], "output": {}, "align": "rigid", "more": 1}"#).unwrap();
+        let fit = of_fit(
+            br#"{"p": [], "method": "tps", "candidates": [], "output": {}, "align": "rigid",
+              "more": 1}"#,
+        )
+        .unwrap();
         assert_eq!(fit, br#"{"p":[],"candidates":[],"align":"rigid","more":1}"#);
         let spliced = |object: &str, more: &str| {
             String::from_utf8(spliced(object.as_bytes(), &["item"], more.as_bytes()).unwrap())

@@ -1,4 +1,5 @@
-//! The grid of a mesh: in the answer of `POST /sessions/{id}/mesh`, and in the first message of a drag socket.
+//! The grid of a mesh: in the answer of `POST /sessions/{id}/mesh`, and in the first message of a
+//! drag socket.
 
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::Extent;
@@ -16,7 +17,8 @@ pub(crate) struct MeshShape {
     /// Size of the picture, px.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the picture's edge.
+    /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the
+    /// picture's edge.
     pub(crate) cell: [f64; 2],
     #[serde(flatten)]
     pub(crate) compact: Option<CompactShape>,

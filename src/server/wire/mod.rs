@@ -1,8 +1,10 @@
 //! JSON bodies to checked values, and back: the only validation of what a client writes.
 //!
-//! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what a set of handles means. Text that is
-//! not a JSON object and repeated fields are 400 `malformed_request`; everything else, such as an unknown field, is 422 with a JSON
-//! pointer. `null` as the value of a field means that the field is absent; inside an array it is a value of the wrong kind.
+//! The form is checked here: names, types, shapes of arrays, finite numbers. The engine judges what
+//! a set of handles means. Text that is not a JSON object and repeated fields are 400
+//! `malformed_request`; everything else, such as an unknown field, is 422 with a JSON pointer.
+//! `null` as the value of a field means that the field is absent; inside an array it is a value of
+//! the wrong kind.
 
 pub mod annotations;
 mod batch;
@@ -130,7 +132,8 @@ impl WarpObject {
             Some(_) => Ok(()),
             None if self.rest.p.is_empty() => Ok(()),
             None => {
-                let detail = "`q` is missing: the method `auto` compares methods by where the handles go; send `q`, or choose a method";
+                let detail = "`q` is missing: the method `auto` compares methods by where the \
+                    handles go; send `q`, or choose a method";
                 Err(Problem::new(Code::BadValue, detail).pointer("/q"))
             }
         }
@@ -147,8 +150,9 @@ impl WarpObject {
             .leave_out_missing(self.q.as_deref_mut().unwrap_or_default());
     }
 
-    /// Leaves out the handles that are missing on either side, aligns the posed ones and moves them to where the strength has them, once.
-    /// Errors: `bad_value` at `/strength` if there are handles at rest and no `q` that it could apply to.
+    /// Leaves out the handles that are missing on either side, aligns the posed ones and moves them
+    /// to where the strength has them, once. Errors: `bad_value` at `/strength` if there are
+    /// handles at rest and no `q` that it could apply to.
     pub fn settle_pose(&mut self, extent: Extent) -> Result<Option<Alignment>, Problem> {
         #[expect(clippy::float_cmp, reason = "the default")]
         if self.q.is_none() && !self.rest.p.is_empty() && self.strength != 1.0 {
@@ -270,7 +274,8 @@ pub struct PointsObject {
 }
 
 impl PointsObject {
-    /// Reads the object of `/points`. `q` may be absent if there is no `p`. `most_bytes`: the most bytes of everything but annotations.
+    /// Reads the object of `/points`. `q` may be absent if there is no `p`. `most_bytes`: the most
+    /// bytes of everything but annotations.
     fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
         let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
@@ -293,7 +298,8 @@ impl PointsObject {
         })
     }
 
-    /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the session.
+    /// Reads the object of `/sessions/{id}/points`; `extent`, `units` and `output`: those of the
+    /// session.
     fn parse_posed(
         body: &Bytes,
         most_bytes: u64,
@@ -352,7 +358,8 @@ fn require_length(length: usize, most_bytes: u64, large: &str) -> Result<(), Pro
 
 const SIZE: &str = "a size: [width, height] in pixels";
 /// The size that a request without an image gives.
-const EXTENT: &str = "the size of the image, [width, height] in pixels; this request has no image, and the grid and the units depend on it";
+const EXTENT: &str = "the size of the image, [width, height] in pixels; this request has no \
+    image, and the grid and the units depend on it";
 /// Bytes of text of an ordinary side.
 const SIDE_TEXT: usize = 5;
 

@@ -97,7 +97,8 @@ pub(crate) fn integer(node: &Node<'_, '_>, most: i32, expected: &str) -> Result<
     Ok(value)
 }
 
-/// A whole number of `min..=u32::MAX`. Whether the service can process so large a value is decided later.
+/// A whole number of `min..=u32::MAX`. Whether the service can process so large a value is decided
+/// later.
 pub(crate) fn count(node: &Node<'_, '_>, min: u32, expected: &str) -> Result<u32, Problem> {
     let value = whole(node, expected)?;
     match u32::try_from(value) {

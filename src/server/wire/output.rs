@@ -1,4 +1,5 @@
-//! The `output` object: how the picture is made. A drag gives some of its fields, which replace those of the session.
+//! The `output` object: how the picture is made. A drag gives some of its fields, which replace
+//! those of the session.
 
 use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format, Subsampling};
@@ -145,7 +146,12 @@ pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
                 .zip(place(y))
                 .zip(extent)
                 .map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
-            canvas.ok_or_else(|| format!("x and y must lie between -{FARTHEST} and {FARTHEST}, width and height between 1 and {LONGEST}"))
+            canvas.ok_or_else(|| {
+                format!(
+                    "x and y must lie between -{FARTHEST} and {FARTHEST}, \
+                width and height between 1 and {LONGEST}"
+                )
+            })
         }
         _ => Err("expected `same`, `fit`, or four whole numbers: x,y,width,height".to_owned()),
     }

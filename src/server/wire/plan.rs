@@ -1,5 +1,5 @@
-//! The answer of `GET /sessions/{id}/plan`: a header, the handle behind each column, and the coefficients, all little-endian. `/docs` has
-//! the layout and the code that poses it.
+//! The answer of `GET /sessions/{id}/plan`: a header, the handle behind each column, and the
+//! coefficients, all little-endian. `/docs` has the layout and the code that poses it.
 
 use half::f16;
 use mlswarp::deform::{Method, Plan};

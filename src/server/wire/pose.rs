@@ -36,8 +36,8 @@ impl PosePatch {
         })
     }
 
-    /// The pose that is meant. A strength belongs to its `q`: that of the session does not apply to another one.
-    /// Errors: `bad_value` at `/q` if neither the request nor the session has one.
+    /// The pose that is meant. A strength belongs to its `q`: that of the session does not apply to
+    /// another one. Errors: `bad_value` at `/q` if neither the request nor the session has one.
     pub fn onto(self, session: Option<&Pose>) -> Result<Pose, Problem> {
         match (self.q, session) {
             (Some(q), _) => Ok(Pose {

@@ -44,7 +44,8 @@ pub struct ReportAnswer<'a> {
     pub alignment: Option<Alignment>,
     /// Those of the header `Warp-Warning`, with their figures.
     pub warnings: &'a [WarningEntry],
-    /// The picture that the output asks for, in px; `None` if `fit` has nothing to show. Boxes are in its frame.
+    /// The picture that the output asks for, in px; `None` if `fit` has nothing to show. Boxes are
+    /// in its frame.
     pub picture: Option<Frame>,
 }
 

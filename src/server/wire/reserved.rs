@@ -1,5 +1,6 @@
-//! What was read from a client's text owns the memory that it takes. Outside of this module a text is read by [`Reserved`] alone, which
-//! reserves first: the parsers themselves are not visible there.
+//! What was read from a client's text owns the memory that it takes. Outside of this module a text
+//! is read by [`Reserved`] alone, which reserves first: the parsers themselves are not visible
+//! there.
 
 use std::ops::{Deref, DerefMut};
 
@@ -35,7 +36,8 @@ impl<T, H> DerefMut for Reserved<T, H> {
 }
 
 impl<T, H> Reserved<T, H> {
-    /// `most`: the most memory of the value, bytes. `reserve` takes it before `read` makes the value.
+    /// `most`: the most memory of the value, bytes. `reserve` takes it before `read` makes the
+    /// value.
     pub(super) fn read<E: From<Problem>>(
         most: u64,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
@@ -81,7 +83,8 @@ impl<T, H> Reserved<T, H> {
     }
 }
 
-/// Upper bound of the memory in which a value is read, bytes. Annotations and the frames of a batch stay text.
+/// Upper bound of the memory in which a value is read, bytes. Annotations and the frames of a batch
+/// stay text.
 pub(super) fn reading_bytes(json: &[u8]) -> u64 {
     let text = std::str::from_utf8(json).unwrap_or_default().trim();
     let node = Node::new(text, At::Root);
@@ -96,8 +99,8 @@ pub(super) fn reading_bytes(json: &[u8]) -> u64 {
         .sum()
 }
 
-/// What begins with each byte takes at most, while the list that it is in grows to twice its length: a position, an object, a number, `null`
-/// in place of a handle.
+/// What begins with each byte takes at most, while the list that it is in grows to twice its
+/// length: a position, an object, a number, `null` in place of a handle.
 fn value_bytes(text: &str) -> u64 {
     let bytes = |byte: u8| match byte {
         b'[' => 48,
@@ -108,7 +111,8 @@ fn value_bytes(text: &str) -> u64 {
     text.bytes().map(bytes).sum()
 }
 
-/// The parsers of JSON. `at_rest`: the number of handles at rest, more than which are refused before they are read.
+/// The parsers of JSON. `at_rest`: the number of handles at rest, more than which are refused
+/// before they are read.
 macro_rules! parsers {
     ($($object:ident: $($parse:ident $(($parameter:ident: $kind:ty))?),+;)+) => {$(
         impl<H> Reserved<$object, H> {
@@ -119,7 +123,8 @@ macro_rules! parsers {
                     $($parameter: $kind,)?
                     reserve: impl FnOnce(u64) -> Result<H, Problem>,
                 ) -> Result<Self, Problem> {
-                    Self::read(reading_bytes(json), reserve, || $object::$parse(json $(, $parameter)?))
+                    Self::read(reading_bytes(json), reserve,
+                        || $object::$parse(json $(, $parameter)?))
                 }
             )+
         }
@@ -128,14 +133,16 @@ macro_rules! parsers {
 
 parsers! {
     WarpObject: parse;
-    DragObject: parse(at_rest: usize), parse_posed(at_rest: usize), parse_for_report(at_rest: usize);
+    DragObject: parse(at_rest: usize), parse_posed(at_rest: usize),
+        parse_for_report(at_rest: usize);
     MapObject: parse, parse_posed;
     ReportObject: parse;
     FitObject: parse, parse_posed;
 }
 
 impl<H> Reserved<PointsObject, H> {
-    /// Reads the object of `/points`; annotations stay text. `most_bytes`: the most bytes of everything else.
+    /// Reads the object of `/points`; annotations stay text. `most_bytes`: the most bytes of
+    /// everything else.
     pub fn parse(
         body: &Bytes,
         most_bytes: u64,

@@ -97,8 +97,8 @@ impl WarpPatch {
         })
     }
 
-    /// For a request whose handles are in landmark files, from which the chosen ones have been read.
-    /// Errors: `bad_value` at the first field that says the same.
+    /// For a request whose handles are in landmark files, from which the chosen ones have been
+    /// read. Errors: `bad_value` at the first field that says the same.
     pub(crate) fn require_no_handles(&mut self) -> Result<(), Problem> {
         self.choice = Choice::default();
         let given = [
@@ -131,8 +131,9 @@ impl WarpPatch {
         }
     }
 
-    /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p` without them have none. Parameters belong to their
-    /// method: another method that does not have them drops them.
+    /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p`
+    /// without them have none. Parameters belong to their method: another method that does not have
+    /// them drops them.
     pub(crate) fn merge_onto(self, base: WarpObject) -> WarpObject {
         let weights = if self.p.is_some() {
             self.weights
@@ -188,7 +189,8 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
     match ["p", "q", "units"].into_iter().find(|name| is_given(name)) {
         Some(name) => {
             let detail = format!(
-                "both `{name}` and landmark files are given: the files say it already; leave `{name}` out"
+                "both `{name}` and landmark files are given: the files say it already; leave \
+                    `{name}` out"
             );
             Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
         }
@@ -196,8 +198,8 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
     }
 }
 
-/// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say nothing more; the result: whether
-/// landmarks are `unmatched`.
+/// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say
+/// nothing more; the result: whether landmarks are `unmatched`.
 pub(crate) fn of_landmarks(
     [names, format, unmatched]: [Option<Node<'_, '_>>; 3],
     p: Option<&[Handle]>,
@@ -276,15 +278,27 @@ fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
                 [None, None, None, Some(tolerance)] => {
                     let (least, most) = GridSpec::TOLERANCES.into_inner();
                     let expected = format!("a number of pixels between {least} and {most}");
-                    Ok(GridSpec::Tolerance(number_in(&tolerance, GridSpec::TOLERANCES, &expected)?))
+                    Ok(GridSpec::Tolerance(number_in(
+                        &tolerance,
+                        GridSpec::TOLERANCES,
+                        &expected,
+                    )?))
                 }
-                [Some(cell), None, None, None] => Ok(GridSpec::Cell(positive(&cell, "a positive number of pixels")?)),
-                [None, Some(columns), Some(rows), None] => {
-                    Ok(GridSpec::Counts { columns: count(&columns, 2, vertices)?, rows: count(&rows, 2, vertices)? })
-                }
+                [Some(cell), None, None, None] => Ok(GridSpec::Cell(positive(
+                    &cell,
+                    "a positive \
+                    number of pixels",
+                )?)),
+                [None, Some(columns), Some(rows), None] => Ok(GridSpec::Counts {
+                    columns: count(&columns, 2, vertices)?,
+                    rows: count(&rows, 2, vertices)?,
+                }),
                 _ => Err(node.problem(
                     Code::BadValue,
-                    format!("expected `tolerance` or `cell` alone, or `columns` and `rows`; a grid is one of {GRID}"),
+                    format!(
+                        "expected `tolerance` or `cell` alone, or `columns` and `rows`; a \
+                        grid is one of {GRID}"
+                    ),
                 )),
             }
         }

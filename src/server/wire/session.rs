@@ -1,4 +1,6 @@
-//! The session object in two parts, what stays the same within a revision and what does not: the answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the effective values.
+//! The session object in two parts, what stays the same within a revision and what does not: the
+//! answer of `POST /sessions` and `GET /sessions/{id}`. Alpha, point mass and grid are the
+//! effective values.
 
 use std::collections::BTreeMap;
 
@@ -57,7 +59,8 @@ pub(crate) struct SessionObject<'a> {
     pub(crate) created: &'a str,
 }
 
-/// What follows the text of a [`SessionObject`] without its brace. `seq`: the highest sequence number seen; `null` before the first.
+/// What follows the text of a [`SessionObject`] without its brace. `seq`: the highest sequence
+/// number seen; `null` before the first.
 pub(crate) fn session_tail(expires: &str, seq: Option<u64>) -> String {
     let seq = seq.map_or_else(|| "null".to_owned(), |seq| seq.to_string());
     format!(",\"expires\":\"{expires}\",\"seq\":{seq}}}")
@@ -91,7 +94,8 @@ pub(crate) struct SessionGrid {
     /// Vertices in a row.
     pub(crate) columns: u32,
     pub(crate) rows: u32,
-    /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the picture's edge.
+    /// Distance of neighbouring grid lines, px: they lie at 0, c, 2c, ... and the last at the
+    /// picture's edge.
     pub(crate) cell: [f64; 2],
     pub(crate) requested: AsJson<GridSpec>,
 }

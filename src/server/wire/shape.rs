@@ -1,5 +1,6 @@
-//! Objects of another kind that people send: annotations, landmark files, answers of other routes. They are known by their members, so
-//! what is said about them is about this object, and not about one of its fields.
+//! Objects of another kind that people send: annotations, landmark files, answers of other routes.
+//! They are known by their members, so what is said about them is about this object, and not about
+//! one of its fields.
 
 use crate::problem::words::quote;
 
@@ -22,15 +23,18 @@ const GEOJSON: [(&str, &str); 9] = [
 const KINDS: [(&[&str], &str); 5] = [
     (
         &["best", "candidates"],
-        "an answer of /fit: the fields of its `best` (`method`, `alpha`, `smoothing`) are those of a warp object",
+        "an answer of /fit: the fields of its `best` (`method`, `alpha`, `smoothing`) are those \
+            of a warp object",
     ),
     (
         &["id", "image", "p", "seq"],
-        "the object of a session: a warp object has its `p`, `method`, `alpha`, `units` and `output`, and `q`",
+        "the object of a session: a warp object has its `p`, `method`, `alpha`, `units` and \
+            `output`, and `q`",
     ),
     (
         &["images", "annotations", "categories"],
-        "a COCO file: send it as landmarks (the part `landmarks`, or --landmarks FILE), or its boxes as `boxes`, [left, top, right, bottom], to POST /points",
+        "a COCO file: send it as landmarks (the part `landmarks`, or --landmarks FILE), or its \
+            boxes as `boxes`, [left, top, right, bottom], to POST /points",
     ),
     (
         &["shapes", "imagePath"],

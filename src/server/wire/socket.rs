@@ -1,4 +1,5 @@
-//! The messages of the drag socket: poses, as `{"seq", "q"}` or binary, and `{"ack"}` from the client; the report that precedes a frame.
+//! The messages of the drag socket: poses, as `{"seq", "q"}` or binary, and `{"ack"}` from the
+//! client; the report that precedes a frame.
 
 use bytes::Bytes;
 use mlswarp::deform::{Contradiction, Handle};
@@ -58,8 +59,8 @@ impl Default for UnreadHandles {
 }
 
 impl<H> Reserved<Vec<Handle>, H> {
-    /// Reads the handles of a pose in memory that `reserve` takes before. `rest`: the handles at rest on a picture of this extent;
-    /// `session`: the pose of the session, if it has one.
+    /// Reads the handles of a pose in memory that `reserve` takes before. `rest`: the handles at
+    /// rest on a picture of this extent; `session`: the pose of the session, if it has one.
     pub(crate) fn of_pose(
         q: &UnreadHandles,
         rest: &RestSpec,
@@ -111,7 +112,8 @@ impl UnreadHandles {
         !matches!(self, Self::OfSession { .. })
     }
 
-    /// How much of the way from p to q the handles are moved. `session`: the pose of the session, if it has one.
+    /// How much of the way from p to q the handles are moved. `session`: the pose of the session,
+    /// if it has one.
     pub(crate) fn strength(&self, session: Option<&Pose>) -> f64 {
         match self {
             Self::Json { strength, .. } => *strength,
@@ -122,8 +124,8 @@ impl UnreadHandles {
         }
     }
 
-    /// `rest`: the handles at rest on a picture of this extent, of a session with this pose. Alignment and strength need their positions,
-    /// and numbers their shapes.
+    /// `rest`: the handles at rest on a picture of this extent, of a session with this pose.
+    /// Alignment and strength need their positions, and numbers their shapes.
     fn read(
         &self,
         rest: &RestSpec,
@@ -150,7 +152,8 @@ fn read_binary(bytes: &[u8], rest: &[Handle]) -> Result<Vec<Handle>, Problem> {
         .sum::<usize>();
     if numbers.len() != expected {
         let detail = format!(
-            "`q` must have {expected} numbers, x and y of each position of the handles at rest; found {}",
+            "`q` must have {expected} numbers, x and y of each position of the handles at rest; \
+                found {}",
             numbers.len()
         );
         return Err(Problem::new(Code::ShapeMismatch, detail)
@@ -212,7 +215,8 @@ impl DragMessage {
                 q: UnreadHandles::Binary(bytes.slice(size_of_val(&seq)..)),
             }),
             _ => {
-                let detail = "a binary message is a pose: `seq` (8 bytes), then the numbers of `q` (4 bytes each); found";
+                let detail = "a binary message is a pose: `seq` (8 bytes), then the numbers of \
+                    `q` (4 bytes each); found";
                 let problem = Problem::new(
                     Code::MalformedRequest,
                     format!("{detail} {} bytes", bytes.len()),
@@ -269,7 +273,8 @@ pub(crate) struct FrameReport<'a> {
     /// Size of the frame, px; of the source if the frame is a mesh.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// The part of the posed plane that the picture shows; that of the source if the frame is a mesh.
+    /// The part of the posed plane that the picture shows; that of the source if the frame is a
+    /// mesh.
     pub(crate) canvas: AsJson<Canvas>,
     /// px of the picture in a px of the canvas, along each axis.
     pub(crate) scale: [f64; 2],
@@ -291,7 +296,8 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) error: Option<f64>,
     /// Codes of warnings.
     pub(crate) warnings: Vec<&'a str>,
-    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there are none.
+    /// Cells of the grid that are farther than its tolerance from the exact map; absent if there
+    /// are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) exceeded: Option<u64>,
     /// The groups of handles that coincide at rest and move differently.

@@ -195,7 +195,8 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
         let (_, place) = OF_OTHERS.iter().find(|(names, _)| names.contains(&name))?;
         Some(format!("`{name}` {place}"))
     };
-    // A name of another level is known only if it is spelled right: a similar one would be a guess about two things.
+    // A name of another level is known only if it is spelled right: a similar one would be a guess
+    // about two things.
     nested(name)
         .or_else(outside)
         .or_else(|| {
@@ -214,7 +215,8 @@ pub(crate) fn value<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
     other.or_else(|| nearest(text, names.iter().copied()))
 }
 
-/// The colour that was probably meant: a name, a short form, or digits without `#`, of which letters alone are a word.
+/// The colour that was probably meant: a name, a short form, or digits without `#`, of which
+/// letters alone are a word.
 pub(crate) fn colour(text: &str) -> Option<String> {
     if let Some(known) = in_table(&COLOURS, text) {
         return Some(known.to_owned());
@@ -268,7 +270,8 @@ mod tests {
                 "steps",
                 &WARP,
                 Some(
-                    "`steps` belongs to many frames in one file: POST /sessions/{id}/batch, or mlswarp batch",
+                    "`steps` belongs to many frames in one file: POST /sessions/{id}/batch, or \
+                        mlswarp batch",
                 ),
             ),
             (

@@ -12,7 +12,8 @@ const BEGINNINGS: [(&[u8], &str); 11] = [
     (b"\0{", "the text is UTF-16; send UTF-8"),
     (
         b"\x1f\x8b",
-        "the text is compressed with gzip, and `Content-Encoding` is not supported; send it uncompressed",
+        "the text is compressed with gzip, and `Content-Encoding` is not supported; send it \
+            uncompressed",
     ),
     (b"\x89PNG", IMAGE),
     (b"\xff\xd8\xff", IMAGE),

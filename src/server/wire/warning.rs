@@ -1,11 +1,13 @@
-//! Warnings in a report: each has its code, as in the header `Warp-Warning`, and the figures that describe it.
+//! Warnings in a report: each has its code, as in the header `Warp-Warning`, and the figures that
+//! describe it.
 
 use mlswarp::warp::{Figure, Warning};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::AsJson;
 
-/// A warning of a report. It may come from the engine, or from what only the server sees, such as landmark files.
+/// A warning of a report. It may come from the engine, or from what only the server sees, such as
+/// landmark files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WarningEntry {
     /// As in the header.

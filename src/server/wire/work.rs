@@ -1,4 +1,5 @@
-//! The work of reading a text: the bytes that were looked at, and whether anybody still wants what they say.
+//! The work of reading a text: the bytes that were looked at, and whether anybody still wants what
+//! they say.
 
 use std::cell::Cell;
 use std::io::{self, BufReader, Read};

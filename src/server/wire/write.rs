@@ -1,5 +1,6 @@
-//! Values to JSON in the form in which they are read. f64 is written with the fewest digits that read back to the same bits. Defaults are
-//! written, so that a client sees them; an option without a default is left out.
+//! Values to JSON in the form in which they are read. f64 is written with the fewest digits that
+//! read back to the same bits. Defaults are written, so that a client sees them; an option without
+//! a default is left out.
 
 use mlswarp::deform::{Coincident, Contradiction, Handle};
 use mlswarp::geometry::Point;

@@ -1,8 +1,10 @@
-//! The drag socket over links: three seconds of the recorded drag behind a relay with a rate and a delay, for each choice of frames. Tells
-//! what the client sees: how often, how late, and how close to the lossless frame of full size.
+//! The drag socket over links: three seconds of the recorded drag behind a relay with a rate and a
+//! delay, for each choice of frames. Tells what the client sees: how often, how late, and how close
+//! to the lossless frame of full size.
 //!
-//! A filter that begins with [`TITLE`] selects rows: `links` is all of them, twelve minutes at most, and is saved in `results/links.md`;
-//! `links 5 Mbit/s, 50 ms` is the rows of one link, `links 1 Mbit/s, 25 ms, 512 x 512, auto` is one row.
+//! A filter that begins with [`TITLE`] selects rows: `links` is all of them, twelve minutes at
+//! most, and is saved in `results/links.md`; `links 5 Mbit/s, 50 ms` is the rows of one link,
+//! `links 1 Mbit/s, 25 ms, 512 x 512, auto` is one row.
 
 use std::fmt::Write as _;
 use std::time::{Duration, Instant};
@@ -123,7 +125,8 @@ impl Row {
     }
 }
 
-/// The median width and the PSNR of some of the frames, evenly spread; `None` if they are no pictures.
+/// The median width and the PSNR of some of the frames, evenly spread; `None` if they are no
+/// pictures.
 fn compared(
     frames: &[Shown],
     scene: &Scene,
@@ -249,7 +252,8 @@ pub fn run() {
                 .block_on(async { Relay::start(service.address, link, link) })
                 .expect("a relay");
             let mut text = format!(
-                "## {title}\n\n| frames | frames/s | age p50 | age p99 | last pose | KiB a frame | width | PSNR |\n\
+                "## {title}\n\n| frames | frames/s | age p50 | age p99 | last pose | KiB a frame \
+                    | width | PSNR |\n\
                  |---|---:|---:|---:|---:|---:|---:|---:|\n"
             );
             let rows: Vec<_> = frames

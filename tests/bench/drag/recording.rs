@@ -1,5 +1,6 @@
-//! A recorded drag: six strokes, each of which takes a handle, carries it along an arc as people do (slow, fast, slow) and holds it, trembling,
-//! before the next. A device that reports 125 times a second is not punctual, and neither is this one. The same every time.
+//! A recorded drag: six strokes, each of which takes a handle, carries it along an arc as people do
+//! (slow, fast, slow) and holds it, trembling, before the next. A device that reports 125 times a
+//! second is not punctual, and neither is this one. The same every time.
 
 use std::time::Duration;
 

@@ -1,5 +1,6 @@
-//! A blocking WebSocket client that does as little as it can: prepared poses go out when they are due, frames are counted and acknowledged,
-//! and no more of them is kept than is needed. It shares the cores with the service, so what it saves the service gets.
+//! A blocking WebSocket client that does as little as it can: prepared poses go out when they are
+//! due, frames are counted and acknowledged, and no more of them is kept than is needed. It shares
+//! the cores with the service, so what it saves the service gets.
 
 use std::io::{self, BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpStream};
@@ -63,7 +64,8 @@ impl Socket {
             .expect("a TCP socket");
         let mut reader = BufReader::with_capacity(BUFFER, stream);
         let head = format!(
-            "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n\
+            "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: \
+                websocket\r\nSec-WebSocket-Version: 13\r\n\
              Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
         );
         reader
@@ -82,8 +84,8 @@ impl Socket {
         Ok(Self(reader))
     }
 
-    /// Sends each pose when it is due after `start`, and shows frames until that of the last pose, or for so long after that was sent.
-    /// Keeps this number of bytes of each message.
+    /// Sends each pose when it is due after `start`, and shows frames until that of the last pose,
+    /// or for so long after that was sent. Keeps this number of bytes of each message.
     pub fn drag(
         self,
         start: Instant,

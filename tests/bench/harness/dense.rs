@@ -1,15 +1,18 @@
-//! The dense map of a mesh, for rivals that sample a given map: drawn by subdivided triangles, in no hurry, and sharing no code with the renderer.
+//! The dense map of a mesh, for rivals that sample a given map: drawn by subdivided triangles, in
+//! no hurry, and sharing no code with the renderer.
 
 use mlswarp::geometry::{Mesh, Point};
 use mlswarp::pixmap::Extent;
 
-/// A cell is divided into so many parts along each side; two triangles of a part are its bilinear patch to a few hundredths of a pixel.
+/// A cell is divided into so many parts along each side; two triangles of a part are its bilinear
+/// patch to a few hundredths of a pixel.
 const PARTS: u32 = 4;
 /// What the map says where nothing is drawn.
 pub const OUTSIDE: [f32; 2] = [-1.0; 2];
 
-/// The place of the source that the centre of each target pixel shows, `[height][width]`, px (the centre of pixel 0 is at 1/2), where target and
-/// source have one size; `OUTSIDE` where there is none. Under folds the later cell in row order wins.
+/// The place of the source that the centre of each target pixel shows, `[height][width]`, px (the
+/// centre of pixel 0 is at 1/2), where target and source have one size; `OUTSIDE` where there is
+/// none. Under folds the later cell in row order wins.
 pub fn map(mesh: &Mesh, extent: Extent) -> Vec<[f32; 2]> {
     let mut map = vec![OUTSIDE; extent.width() as usize * extent.height() as usize];
     let grid = mesh.grid();
@@ -49,7 +52,8 @@ pub fn map(mesh: &Mesh, extent: Extent) -> Vec<[f32; 2]> {
     map
 }
 
-/// Writes the places of the pixels whose centre lies in the triangle or on its border. Corners: where they are posed, what they show.
+/// Writes the places of the pixels whose centre lies in the triangle or on its border. Corners:
+/// where they are posed, what they show.
 fn triangle(
     map: &mut [[f32; 2]],
     extent: Extent,

@@ -1,5 +1,6 @@
-//! What every benchmark shares: contenders of one table are timed in turn (A B C A B C ...) so that a drifting clock meets them alike,
-//! medians are printed with their ratio to a named rival, and the report is written to `tests/bench/results/`.
+//! What every benchmark shares: contenders of one table are timed in turn (A B C A B C ...) so that
+//! a drifting clock meets them alike, medians are printed with their ratio to a named rival, and
+//! the report is written to `tests/bench/results/`.
 
 #![allow(dead_code, reason = "each benchmark uses a part of the harness")]
 
@@ -86,7 +87,8 @@ impl Contender<'_> {
 }
 
 fn timed(work: &mut dyn FnMut(), repeats: u32) -> f64 {
-    // One unmeasured call brings the contender's own data back into the caches that the others have taken.
+    // One unmeasured call brings the contender's own data back into the caches that the others have
+    // taken.
     work();
     let start = Instant::now();
     for _ in 0..repeats {
@@ -119,7 +121,8 @@ impl Times {
         self.quantile(0.5)
     }
 
-    /// The twentieth part of the samples was at least so fast: what the work takes when nobody disturbs it.
+    /// The twentieth part of the samples was at least so fast: what the work takes when nobody
+    /// disturbs it.
     pub fn low(&self) -> f64 {
         self.quantile(0.05)
     }
@@ -204,7 +207,8 @@ impl Report {
         self.text.push('\n');
     }
 
-    /// Times the contenders and prints a table with the ratio of each to the first. Returns the medians, seconds.
+    /// Times the contenders and prints a table with the ratio of each to the first. Returns the
+    /// medians, seconds.
     pub fn table(
         &mut self,
         title: &str,
@@ -275,7 +279,8 @@ impl Report {
         }
     }
 
-    /// A figure beside the goal that it is held against; the goals stand together at the report's end.
+    /// A figure beside the goal that it is held against; the goals stand together at the report's
+    /// end.
     pub fn goal(&mut self, what: &str, figure: impl Into<Figure>, goal: Goal) {
         let Figure {
             median: figure,
@@ -323,7 +328,8 @@ impl Drop for Report {
     fn drop(&mut self) {
         if !self.goals.is_empty() {
             let goals = format!(
-                "## Goals\n\n| what | figure | goal | met | of the fastest 5 % |\n|---|---:|---|---|---:|\n{}",
+                "## Goals\n\n| what | figure | goal | met | of the fastest 5 % \
+                    |\n|---|---:|---|---|---:|\n{}",
                 self.goals
             );
             self.line(&goals);
@@ -392,8 +398,8 @@ fn machine() -> String {
     )
 }
 
-/// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...: otherwise the scheduler may leave two
-/// of them on one for longer than a sample lasts.
+/// A pool of this many threads. On Linux, two or more are pinned to logical processors 0, 1, ...:
+/// otherwise the scheduler may leave two of them on one for longer than a sample lasts.
 pub fn pool(threads: usize) -> rayon::ThreadPool {
     let pinned = move |thread| {
         #[cfg(target_os = "linux")]

@@ -22,7 +22,8 @@ pub fn size(extent: Extent) -> String {
     format!("{} x {}", extent.width(), extent.height())
 }
 
-/// The astronaut cropped to 500 x 500, or to 512 px and the proportions of `extent`; enlarged where that is larger. RGBA is opaque.
+/// The astronaut cropped to 500 x 500, or to 512 px and the proportions of `extent`; enlarged where
+/// that is larger. RGBA is opaque.
 pub fn photograph(extent: Extent, channels: Channels) -> Pixmap {
     let side = if extent.width() == extent.height() {
         500
@@ -45,7 +46,8 @@ pub fn photograph(extent: Extent, channels: Channels) -> Pixmap {
     )
 }
 
-/// The 500 x 500 photograph side by side as often as it takes: larger pictures of the same kind, to see how time grows.
+/// The 500 x 500 photograph side by side as often as it takes: larger pictures of the same kind, to
+/// see how time grows.
 pub fn tiles(extent: Extent) -> Pixmap {
     let photo = astronaut().crop_imm(0, 0, 500, 500).to_rgba8();
     let tiled = image::RgbaImage::from_fn(extent.width(), extent.height(), |x, y| {
@@ -144,7 +146,8 @@ pub fn handles(n: usize, extent: Extent, strength: f64) -> (Vec<Handle>, Vec<Han
     )
 }
 
-/// One of a hundred handles: a lattice of ten by ten, its points shifted, moved by up to 14 px of 500 along each axis.
+/// One of a hundred handles: a lattice of ten by ten, its points shifted, moved by up to 14 px of
+/// 500 along each axis.
 fn lattice(k: u32) -> ([f64; 2], [f64; 2]) {
     let noise = |n: u32| {
         f64::from((k * 4 + n).wrapping_mul(2_654_435_761) >> 8) / f64::from(1_u32 << 23) - 1.0
@@ -174,8 +177,9 @@ impl Folded {
     }
 }
 
-/// The rigid moving-least-squares mesh of eleven handles, 100 x 100 vertices; where cells shall fold the handles move farther: as far as
-/// keeps the folded cells under 1 %, or just so far that 10 % of them fold.
+/// The rigid moving-least-squares mesh of eleven handles, 100 x 100 vertices; where cells shall
+/// fold the handles move farther: as far as keeps the folded cells under 1 %, or just so far that
+/// 10 % of them fold.
 pub fn mesh(extent: Extent, folded: Folded) -> Mesh {
     let share = match folded {
         Folded::Nowhere => {
@@ -210,7 +214,8 @@ pub fn mesh(extent: Extent, folded: Folded) -> Mesh {
     )
 }
 
-/// Rigid moving least squares straight from the paper: no plan, so that the mesh does not hang on the code that other benchmarks time.
+/// Rigid moving least squares straight from the paper: no plan, so that the mesh does not hang on
+/// the code that other benchmarks time.
 fn posed(extent: Extent, strength: f64) -> Mesh {
     let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
     let grid = Grid::with_counts(width, height, VERTICES, VERTICES);

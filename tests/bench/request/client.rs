@@ -1,5 +1,6 @@
-//! A blocking HTTP/1.1 client that does as little as it can: prepared bytes go out, an answer's body is counted, nothing is allocated.
-//! It shares the cores with the service, so what it saves the service gets.
+//! A blocking HTTP/1.1 client that does as little as it can: prepared bytes go out, an answer's
+//! body is counted, nothing is allocated. It shares the cores with the service, so what it saves
+//! the service gets.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -24,7 +25,8 @@ impl Client {
         }
     }
 
-    /// Sends a whole request and hands the body of its answer to `body`, piece by piece. Status 2xx only.
+    /// Sends a whole request and hands the body of its answer to `body`, piece by piece. Status 2xx
+    /// only.
     pub fn send(&mut self, request: &[u8], mut body: impl FnMut(&[u8])) {
         self.stream
             .get_mut()
@@ -89,7 +91,8 @@ pub struct Load {
 }
 
 impl Load {
-    /// Every client sends its requests one after the other, each as soon as it has the answer to the last, for so long.
+    /// Every client sends its requests one after the other, each as soon as it has the answer to
+    /// the last, for so long.
     pub fn run(clients: &mut [(Client, Vec<Vec<u8>>)], time: Duration) -> Self {
         let start = Instant::now();
         let drag = |(client, requests): &mut (Client, Vec<Vec<u8>>)| {

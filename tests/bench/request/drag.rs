@@ -78,8 +78,8 @@ impl Drag {
         self.plan.bytes()
     }
 
-    /// The next q to the strips of a file, a PNG unless `output` is changed, which stay where the writer put them: the service
-    /// sends them as they are.
+    /// The next q to the strips of a file, a PNG unless `output` is changed, which stay where the
+    /// writer put them: the service sends them as they are.
     pub fn picture(&mut self, helpers: usize) {
         self.turn = (self.turn + 1) % self.poses.len();
         let pose = self

@@ -1,4 +1,5 @@
-//! q to PNG in process, by `mlswarp::warp` as the service and the offline program call it, beside crates that do a part of it or all.
+//! q to PNG in process, by `mlswarp::warp` as the service and the offline program call it, beside
+//! crates that do a part of it or all.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -140,12 +141,14 @@ fn many(report: &mut Report, title: &str) {
     );
 }
 
-/// How time and memory grow with the number of points: the setup and the table of coefficients, which are made once, the first picture,
-/// which also computes the exact rows of cells that are halved, and later ones.
+/// How time and memory grow with the number of points: the setup and the table of coefficients,
+/// which are made once, the first picture, which also computes the exact rows of cells that are
+/// halved, and later ones.
 fn numbers(report: &mut Report, title: &str) {
     const MIB: f64 = (1 << 20) as f64;
     report.line(&format!(
-        "## {title}\n\n| points | method | grid | setup and plan, ms | first picture, ms | later, ms (median) | plan at most, MiB |"
+        "## {title}\n\n| points | method | grid | setup and plan, ms | first picture, ms | later, \
+            ms (median) | plan at most, MiB |"
     ));
     report.line("|---|---|---|---|---|---|---|");
     let file = drag::file(&photograph(extent(SMALL), Channels::Rgba));
@@ -219,7 +222,8 @@ fn scattered(count: u32, extent: Extent) -> (Vec<Handle>, Vec<Vec<Handle>>) {
     )
 }
 
-/// The best chain of crates that leads from q to a PNG: every fifth pixel of every fifth row is deformed, the rest interpolated.
+/// The best chain of crates that leads from q to a PNG: every fifth pixel of every fifth row is
+/// deformed, the rest interpolated.
 fn chain(extent: Extent) -> Contender<'static> {
     let photo = photograph(extent, Channels::Rgb);
     let photo =
@@ -286,14 +290,16 @@ fn levels(report: &mut Report, title: &str) {
     }
 }
 
-/// The other side of `levels`, and of a rival in another language: `folder` takes what that needs to do the same.
+/// The other side of `levels`, and of a rival in another language: `folder` takes what that needs
+/// to do the same.
 pub fn answer(folder: Option<&Path>) {
     let photo = photograph(extent(SMALL), Channels::Rgba);
     if let Some(folder) = folder {
         let [p, q] = <[_; 2]>::from(handles(HANDLES, extent(SMALL), 1.0)).map(|list| places(&list));
         let (width, height) = SMALL;
         let index = serde_json::json!({
-            "width": width, "height": height, "source": "source.rgba", "vertices": VERTICES, "p": p, "q": q, "level": Level::detect().name(),
+            "width": width, "height": height, "source": "source.rgba", "vertices": VERTICES, "p": p,
+                "q": q, "level": Level::detect().name(),
         });
         paired::write(folder, "source.rgba", bytes(&photo));
         paired::write(folder, "index.json", index.to_string().as_bytes());
@@ -314,7 +320,8 @@ pub fn answer(folder: Option<&Path>) {
     ]);
 }
 
-/// The photograph side by side with itself: the same kind of pixels, ever more of them. The deformation stays the same, so the slope is below 1.
+/// The photograph side by side with itself: the same kind of pixels, ever more of them. The
+/// deformation stays the same, so the slope is below 1.
 fn growth(report: &mut Report, title: &str) {
     let sides = [500, 1000, 2000];
     let one = pool(1);

@@ -1,5 +1,6 @@
-//! `POST /sessions/{id}/warp` over loopback: the service in a process of its own, the clients in this one, on the same cores. In between the
-//! same drags are made in process, so that both come from the same minutes.
+//! `POST /sessions/{id}/warp` over loopback: the service in a process of its own, the clients in
+//! this one, on the same cores. In between the same drags are made in process, so that both come
+//! from the same minutes.
 
 use std::net::SocketAddr;
 use std::time::Duration;

@@ -52,10 +52,14 @@ impl Service {
     /// A session of its own; its path.
     pub fn session(&self, client: &mut Client, file: &[u8], warp: &str) -> String {
         let mut body = Vec::new();
-        body.extend_from_slice(b"--boundary\r\nContent-Disposition: form-data; name=\"image\"; filename=\"picture.png\"\r\n\r\n");
+        body.extend_from_slice(
+            b"--boundary\r\nContent-Disposition: form-data; name=\"image\"; \
+            filename=\"picture.png\"\r\n\r\n",
+        );
         body.extend_from_slice(file);
         let part = format!(
-            "\r\n--boundary\r\nContent-Disposition: form-data; name=\"warp\"\r\n\r\n{warp}\r\n--boundary--\r\n"
+            "\r\n--boundary\r\nContent-Disposition: form-data; \
+                name=\"warp\"\r\n\r\n{warp}\r\n--boundary--\r\n"
         );
         body.extend_from_slice(part.as_bytes());
         let mut answer = Vec::new();
@@ -71,7 +75,8 @@ impl Service {
     pub fn post(&self, path: &str, media_type: &str, body: &[u8]) -> Vec<u8> {
         let (address, length) = (self.address, body.len());
         let head = format!(
-            "POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Type: {media_type}\r\nContent-Length: {length}\r\n\r\n"
+            "POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Type: \
+                {media_type}\r\nContent-Length: {length}\r\n\r\n"
         );
         [head.as_bytes(), body].concat()
     }

@@ -3,7 +3,8 @@
 #![no_main]
 
 #[path = "../mutation.rs"]
-#[expect(dead_code, clippy::cast_possible_truncation, reason = "only the mending of pictures is wanted here")]
+#[expect(dead_code, clippy::cast_possible_truncation, reason = "only the mending of pictures is \
+    wanted here")]
 mod mutation;
 #[path = "../targets/mod.rs"]
 mod targets;
@@ -13,11 +14,12 @@ use std::sync::LazyLock;
 use libfuzzer_sys::{fuzz_mutator, fuzz_target, fuzzer_mutate};
 
 static TARGET: LazyLock<targets::Target> = LazyLock::new(|| {
-    // A decoder's panic is caught and is a damaged file; libfuzzer-sys would end the process where it begins. What gets out of a target
-    // still does.
+    // A decoder's panic is caught and is a damaged file; libfuzzer-sys would end the process where
+    // it begins. What gets out of a target still does.
     drop(std::panic::take_hook());
     let name = std::env::var("MLSWARP_FUZZ").unwrap_or_default();
-    targets::TARGETS.into_iter().find(|(known, _)| *known == name).expect("MLSWARP_FUZZ names a target")
+    targets::TARGETS.into_iter().find(|(known, _)| *known == name).expect("MLSWARP_FUZZ names a \
+        target")
 });
 
 fuzz_target!(|bytes: &[u8]| (TARGET.1)(bytes));

@@ -1,5 +1,6 @@
-//! Any bytes as a picture's file, behind limits. What is decoded is what the header said, and neither takes more memory or work than follows
-//! from the file's bytes and the pixels that it claims within the limits.
+//! Any bytes as a picture's file, behind limits. What is decoded is what the header said, and
+//! neither takes more memory or work than follows from the file's bytes and the pixels that it
+//! claims within the limits.
 
 use mlswarp::codec::{self, Limits, StepCounter, probe};
 
@@ -7,7 +8,8 @@ const LIMITS: Limits = Limits {
     max_pixels: 1 << 20,
     max_side: 1 << 12,
 };
-/// Most bytes that decoding a picture within the limits may be predicted to take beside five times the file: 16 a pixel, its tables, 2 MiB.
+/// Most bytes that decoding a picture within the limits may be predicted to take beside five times
+/// the file: 16 a pixel, its tables, 2 MiB.
 const MOST: u64 = (16 << 20) + (128 << 20) + (2 << 20);
 
 /// The steps of `read` are at most `most`.
@@ -24,8 +26,9 @@ fn within<T>(most: u64, read: impl FnOnce(&StepCounter<'_>) -> T) -> T {
 
 pub(super) fn decode(bytes: &[u8]) {
     let length = bytes.len() as u64;
-    // The bounds are those of the codec's own test of its corpus, with the whole file in the place of its header.
-    // A TIFF's directory is searched for each of some twenty tags; an entry has twelve bytes.
+    // The bounds are those of the codec's own test of its corpus, with the whole file in the place
+    // of its header. A TIFF's directory is searched for each of some twenty tags; an entry has
+    // twelve bytes.
     let header = within(64 + 2 * length, |work| probe(bytes, work));
     let pixels = header
         .as_ref()
@@ -38,7 +41,8 @@ pub(super) fn decode(bytes: &[u8]) {
     let decoded = within(4_096 + 66 * length + 2 * pixels, |work| {
         codec::open(bytes, &LIMITS, work)?.decode()
     });
-    // The pixels of labels are read once more as they are stored; the palette of a BMP takes its header again.
+    // The pixels of labels are read once more as they are stored; the palette of a BMP takes its
+    // header again.
     let labels = within(8_192 + 132 * length + 3 * pixels, |work| {
         codec::open_labels(bytes, &LIMITS, work)?.decode_labels()
     });

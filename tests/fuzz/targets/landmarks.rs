@@ -1,5 +1,6 @@
-//! Any bytes as a landmark file, or as two with a zero byte between them if the first byte is odd. What is read has as many handles as
-//! names, and its JSON is read again to the same; what is refused is refused by a whole problem document, with line and column.
+//! Any bytes as a landmark file, or as two with a zero byte between them if the first byte is odd.
+//! What is read has as many handles as names, and its JSON is read again to the same; what is
+//! refused is refused by a whole problem document, with line and column.
 
 use bytes::Bytes;
 use mlswarp::pixmap::Extent;

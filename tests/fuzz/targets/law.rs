@@ -1,6 +1,7 @@
-//! Handles made of any bytes: every method, points, segments and polylines, weights, alpha and point mass. Coordinates lie on a lattice of 256
-//! steps, so that handles meet, repeat, stand in a row and cross far more often than numbers by chance would, and now and then a hair
-//! beside it. Two laws: everything is finite, and the plan says what the exact function says.
+//! Handles made of any bytes: every method, points, segments and polylines, weights, alpha and
+//! point mass. Coordinates lie on a lattice of 256 steps, so that handles meet, repeat, stand in a
+//! row and cross far more often than numbers by chance would, and now and then a hair beside it.
+//! Two laws: everything is finite, and the plan says what the exact function says.
 
 use mlswarp::deform::{Falloff, Field, Handle, Handles, Method, Plan, Pose};
 use mlswarp::geometry::{Point, Vec2};
@@ -121,8 +122,8 @@ pub(super) fn hold(bytes: &[u8]) {
             d.iter().all(|c| c.is_finite()),
             "the plan says {d:?} at {v:?}"
         );
-        // Where rotations fit almost equally well, which one is found hangs on the last digit. Beside handles that contradict each other,
-        // f has no bound.
+        // Where rotations fit almost equally well, which one is found hangs on the last digit.
+        // Beside handles that contradict each other, f has no bound.
         let is_bounded = quality.least_rotation > 1e-2 && pose.contradictions().total == 0;
         if let Some(gain) = probes.gain(*v).filter(|_| is_bounded) {
             let rounding = 1e-15 * ((*v - Point::default()).norm() + exact.norm());
@@ -131,14 +132,16 @@ pub(super) fn hold(bytes: &[u8]) {
                 2e-6 * farthest * gain.max(1.0) / f64::from(quality.least_rotation) + rounding;
             assert!(
                 off <= allowed,
-                "{method:?} alpha {alpha}: the plan is {off:e} off at {v:?}, allowed {allowed:e}; {exact:?}"
+                "{method:?} alpha {alpha}: the plan is {off:e} off at {v:?}, allowed {allowed:e}; \
+                    {exact:?}"
             );
         }
     }
 }
 
-/// How much the coefficients of a place add up to, seen from outside: the fit is posed with unit steps whose directions are drawn by chance,
-/// the same for handles that rest at one place. The promise of the plan is 2e-6 of the longest step times a tenth of that sum.
+/// How much the coefficients of a place add up to, seen from outside: the fit is posed with unit
+/// steps whose directions are drawn by chance, the same for handles that rest at one place. The
+/// promise of the plan is 2e-6 of the longest step times a tenth of that sum.
 struct Probes {
     field: Field,
     poses: Vec<Pose>,
@@ -191,7 +194,8 @@ impl Probes {
             .poses
             .iter()
             .map(|pose| (self.field.map(pose, v) - v).norm());
-        // Of n terms with directions by chance, the length of the sum is a few roots of n below the sum of the lengths.
+        // Of n terms with directions by chance, the length of the sum is a few roots of n below the
+        // sum of the lengths.
         steps
             .reduce(f64::max)
             .map(|longest| 3.0 * longest * self.columns.sqrt())

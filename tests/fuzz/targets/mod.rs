@@ -1,5 +1,6 @@
-//! What is fuzzed: each target takes any bytes and panics when a law is broken. The same functions run under a coverage-guided fuzzer
-//! (`long/`) and, over seeds, found inputs and damage by chance, in `main.rs`.
+//! What is fuzzed: each target takes any bytes and panics when a law is broken. The same functions
+//! run under a coverage-guided fuzzer (`long/`) and, over seeds, found inputs and damage by chance,
+//! in `main.rs`.
 
 mod image;
 mod landmarks;
@@ -9,7 +10,8 @@ mod record;
 mod socket;
 mod warp;
 
-/// A target: its name, which is its folder of seeds and found inputs too, and what it does with bytes.
+/// A target: its name, which is its folder of seeds and found inputs too, and what it does with
+/// bytes.
 pub(crate) type Target = (&'static str, fn(&[u8]));
 
 /// All of them.

@@ -1,4 +1,5 @@
-//! Any bytes as the body of an upload, through the router in this process. The first byte chooses the route and its media type.
+//! Any bytes as the body of an upload, through the router in this process. The first byte chooses
+//! the route and its media type.
 
 use std::sync::LazyLock;
 
@@ -15,7 +16,8 @@ use tower::ServiceExt as _;
 use super::assert_is_problem;
 
 /// Small, so that any input is answered soon.
-const OPTIONS: &str = "mlswarp --workers 1 --max-image-pixels 64k --max-columns 64 --max-plan-bytes 1MiB --image-cache-bytes 1MiB \
+const OPTIONS: &str = "mlswarp --workers 1 --max-image-pixels 64k --max-columns 64 \
+    --max-plan-bytes 1MiB --image-cache-bytes 1MiB \
                        --plan-cache-bytes 1MiB --max-warp-json-bytes 4KiB --log off";
 
 /// An application of one worker, and the runtime that it lives in.

@@ -1,5 +1,6 @@
-//! Any bytes as what a store has kept. An odd first byte has the checksum made for what follows, so that the form behind it is met. What is read is
-//! written and read again to the same, and its handles are what a request could have asked for.
+//! Any bytes as what a store has kept. An odd first byte has the checksum made for what follows, so
+//! that the form behind it is met. What is read is written and read again to the same, and its
+//! handles are what a request could have asked for.
 
 use mlswarp::warp::{Limits, Setup};
 use mlswarp_server::store::record::{read, write};

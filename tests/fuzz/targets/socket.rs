@@ -1,4 +1,5 @@
-//! Any bytes as the messages of a drag socket, one a line: what is heard never ends the drag, what is said is a frame or a whole document.
+//! Any bytes as the messages of a drag socket, one a line: what is heard never ends the drag, what
+//! is said is a frame or a whole document.
 
 use std::sync::LazyLock;
 use std::time::{Duration, Instant};

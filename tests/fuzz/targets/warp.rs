@@ -1,5 +1,6 @@
-//! Any bytes as the JSON of each route. The first byte chooses the route. What is read is warped, on a small picture and behind small limits;
-//! what is refused is refused by a whole problem document. Fields whose value is `null` change nothing.
+//! Any bytes as the JSON of each route. The first byte chooses the route. What is read is warped,
+//! on a small picture and behind small limits; what is refused is refused by a whole problem
+//! document. Fields whose value is `null` change nothing.
 
 use std::fmt::Debug;
 use std::ops::ControlFlow;
@@ -91,7 +92,8 @@ fn value<T>(read: Result<Reserved<T, ()>, Problem>) -> Result<T, Problem> {
     read.map(|read| read.into_parts().0)
 }
 
-/// What the text is read as, which must not change when the fields of the schema that it does not have are added as `null`.
+/// What the text is read as, which must not change when the fields of the schema that it does not
+/// have are added as `null`.
 fn as_with_nulls<T: PartialEq + Debug>(
     schema: &str,
     json: &[u8],

@@ -73,7 +73,8 @@ impl Pen {
 
     /// A code for green with one symbol from 256 on, which takes no bits either.
     fn only_far(&mut self, symbol: u32) {
-        // Of code lengths, 18 (a run of zeros) is `1`, and 1 is `0`; four of them are read: three runs and the symbol's own.
+        // Of code lengths, 18 (a run of zeros) is `1`, and 1 is `0`; four of them are read: three
+        // runs and the symbol's own.
         self.put(0, 1);
         self.put(0, 4);
         [0, 1, 0, 1]
@@ -100,8 +101,8 @@ pub(crate) fn vp8l_head(width: u32, height: u32) -> Pen {
     pen
 }
 
-/// The same predictor transform again and again, each with the largest image that its picture allows. The pixels of the images take no bits: all
-/// have the same colour of a cache.
+/// The same predictor transform again and again, each with the largest image that its picture
+/// allows. The pixels of the images take no bits: all have the same colour of a cache.
 fn transforms(mut pen: Pen, count: usize) -> Vec<u8> {
     for _ in 0..count {
         // A transform; the predictor, in blocks of 4 x 4; a cache of two colours.
@@ -115,7 +116,8 @@ fn transforms(mut pen: Pen, count: usize) -> Vec<u8> {
     pen.bytes
 }
 
-/// A lossless WebP with one transform, whose image is made of copies: there is nothing that they could copy.
+/// A lossless WebP with one transform, whose image is made of copies: there is nothing that they
+/// could copy.
 pub(crate) fn webp_transform_of_copies(width: u32, height: u32) -> Vec<u8> {
     let mut pen = vp8l_head(width, height);
     pen.put(0b001, 3);
@@ -155,7 +157,8 @@ pub(crate) fn webp_of_one_cached_colour(width: u32, height: u32) -> Vec<u8> {
     riff(&[(b"VP8L", pen.bytes)])
 }
 
-/// A lossless WebP whose pixels take no bits, but for the first of a region: each is a copy of one pixel. `side`: 512 or a multiple of it.
+/// A lossless WebP whose pixels take no bits, but for the first of a region: each is a copy of one
+/// pixel. `side`: 512 or a multiple of it.
 pub(crate) fn webp_of_copies(side: u32) -> Vec<u8> {
     let mut pen = vp8l_head(side, side);
     // No transform, no cache; regions of 256: the first has group 0, the others group 1.
@@ -200,7 +203,8 @@ impl EmptyBlock {
             Self::Dynamic => {
                 pen.put(0b100, 3);
                 pen.put(0, 10);
-                // Lengths of the code for lengths, 18 of them: 18 and 0 have two bits (`11` and `10`), 1 has one (`0`).
+                // Lengths of the code for lengths, 18 of them: 18 and 0 have two bits (`11` and
+                // `10`), 1 has one (`0`).
                 pen.put(14, 4);
                 (0..18).for_each(|k| {
                     pen.put([0, 0, 2, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1][k], 3)
@@ -256,12 +260,14 @@ fn deflated(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// An EXIF block (without its six bytes of name) whose directories point into each other, and whose values lie nowhere.
+/// An EXIF block (without its six bytes of name) whose directories point into each other, and whose
+/// values lie nowhere.
 fn exif_loop() -> Vec<u8> {
     let mut block = b"II*\0\x08\0\0\0".to_vec();
     block.extend(400_u16.to_le_bytes());
     for entry in 0..400_u16 {
-        // Sub-directories, thumbnails and orientations in turn, each at the first directory or beyond the end.
+        // Sub-directories, thumbnails and orientations in turn, each at the first directory or
+        // beyond the end.
         let tag = [0x8769_u16, 0x0112, 0x0201, 0xA005][usize::from(entry % 4)];
         block.extend(tag.to_le_bytes());
         block.extend([4, 0, 0xFF, 0xFF, 0xFF, 0x7F]);
@@ -312,7 +318,8 @@ pub(crate) fn jpeg_scans(side: u16, scans: usize) -> Vec<u8> {
     let mut file = jpeg_head(side, side, 0xC2);
     file.extend(segment(0xDA, &[1, 1, 0, 0, 0, 0]));
     file.resize(file.len() + blocks.div_ceil(8), 0);
-    // A run of 16384 + 16383 blocks is a zero and 14 ones: written as runs of 16384, a zero and 14 zeros.
+    // A run of 16384 + 16383 blocks is a zero and 14 ones: written as runs of 16384, a zero and 14
+    // zeros.
     let runs = vec![0; (blocks.div_ceil(16_384) * 15).div_ceil(8)];
     for _ in 0..scans {
         file.extend(segment(0xDA, &[1, 1, 0, 1, 63, 0]));
@@ -351,7 +358,8 @@ fn vp8(width: u16, height: u16) -> Vec<u8> {
     .concat()
 }
 
-/// Every bomb with its name and the statuses that may answer it; `code_tables` is the file of that name.
+/// Every bomb with its name and the statuses that may answer it; `code_tables` is the file of that
+/// name.
 pub(crate) fn all(code_tables: &[u8]) -> Vec<(&'static str, Vec<u8>, &'static [u16])> {
     let row = || deflated(&[0; 1 + 3]);
     let one = |chunks: &[(&[u8; 4], Vec<u8>)]| {

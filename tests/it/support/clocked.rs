@@ -1,6 +1,7 @@
-//! A server whose runtime has one thread, and the processor time that this thread takes between two looks at its queue: at least the longest
-//! poll of a task. Nothing in the server is changed for that. While the thread is awake, a task that is always ready comes once in each pass
-//! over the queue; the hooks for the thread's sleep tell the rest.
+//! A server whose runtime has one thread, and the processor time that this thread takes between two
+//! looks at its queue: at least the longest poll of a task. Nothing in the server is changed for
+//! that. While the thread is awake, a task that is always ready comes once in each pass over the
+//! queue; the hooks for the thread's sleep tell the rest.
 
 use std::net::SocketAddr;
 use std::pin::Pin;

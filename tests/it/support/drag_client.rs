@@ -167,7 +167,8 @@ impl DragClient {
         }
     }
 
-    /// Acknowledges every frame until that of `seq` has come at full size: nothing more comes after it. The frames.
+    /// Acknowledges every frame until that of `seq` has come at full size: nothing more comes after
+    /// it. The frames.
     pub(crate) async fn show_until(&mut self, seq: u64) -> Vec<(u64, Vec<u8>)> {
         let mut frames = Vec::new();
         loop {

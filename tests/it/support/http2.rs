@@ -31,7 +31,8 @@ pub(crate) fn frame(kind: u8, flags: u8, stream: u32, payload: &[u8]) -> Vec<u8>
     [&length[1..], &[kind, flags], &stream.to_be_bytes(), payload].concat()
 }
 
-/// HPACK without a table: indexed where the static table has it, else literals. No `:authority` where it is empty.
+/// HPACK without a table: indexed where the static table has it, else literals. No `:authority`
+/// where it is empty.
 pub(crate) fn block(method: u8, path: &str, authority: &str, fields: &[(&str, &str)]) -> Vec<u8> {
     let text = |text: &str| [&[text.len() as u8], text.as_bytes()].concat();
     let mut block = [&[method, 0x86, 0x04][..], &text(path)].concat();

@@ -1,5 +1,5 @@
-//! The largest requests of every operation of the OpenAPI document, for tests of what one client can cause for others. An operation that
-//! has none here fails those tests.
+//! The largest requests of every operation of the OpenAPI document, for tests of what one client
+//! can cause for others. An operation that has none here fails those tests.
 
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpStream};
@@ -122,7 +122,8 @@ impl Request {
         })
     }
 
-    /// Sends it from an address of the loopback; the response is still to be read, by little and little.
+    /// Sends it from an address of the loopback; the response is still to be read, by little and
+    /// little.
     pub(crate) fn send(&self, from: Ipv4Addr, to: SocketAddr) -> std::io::Result<TcpStream> {
         const RECEIVE_BUFFER: usize = 16 << 10;
         let socket = Socket::new(Domain::IPV4, Type::STREAM, None)?;

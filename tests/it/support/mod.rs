@@ -1,4 +1,5 @@
-//! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and the program itself.
+//! What the topics share: pictures made on the spot, a server on a real socket of the loopback, and
+//! the program itself.
 
 pub(crate) mod bombs;
 pub(crate) mod clocked;

@@ -87,7 +87,8 @@ pub(crate) struct Decoded {
     pub(crate) samples: Vec<u8>,
 }
 
-/// Reads a file that we wrote by two decoders that share no code, both with every checksum: each must take it, and they must agree.
+/// Reads a file that we wrote by two decoders that share no code, both with every checksum: each
+/// must take it, and they must agree.
 pub(crate) fn decoded(file: &[u8]) -> Decoded {
     let first = by_png(file);
     let second = by_zune(file);

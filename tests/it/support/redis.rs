@@ -1,4 +1,5 @@
-//! A Redis of the test's own: on a free port of the loopback, in a directory of its own, ended with the test.
+//! A Redis of the test's own: on a free port of the loopback, in a directory of its own, ended with
+//! the test.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};

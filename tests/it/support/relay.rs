@@ -1,4 +1,5 @@
-//! A relay before a Redis that can be slow: the answers to some commands are held until the test lets them go.
+//! A relay before a Redis that can be slow: the answers to some commands are held until the test
+//! lets them go.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -60,7 +61,8 @@ impl Relay {
         format!("redis://{}", self.address)
     }
 
-    /// From now on the answers to this command are held, and all that comes after them on the same connection. `None` lets all of them go.
+    /// From now on the answers to this command are held, and all that comes after them on the same
+    /// connection. `None` lets all of them go.
     pub(crate) fn hold(&self, command: Option<&'static str>) {
         self.held.send_replace(command);
     }

@@ -12,7 +12,8 @@ use tokio::sync::oneshot;
 
 use super::picture::decoded;
 
-/// Options as on the command line. No test that is not about waiting depends on how fast this machine is.
+/// Options as on the command line. No test that is not about waiting depends on how fast this
+/// machine is.
 pub(crate) fn config(options: &[&str]) -> Config {
     let usual = [
         "mlswarp",

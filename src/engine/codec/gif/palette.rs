@@ -1,21 +1,26 @@
 //! The colours of one GIF frame, and which of them each pixel gets.
 //!
-//! A frame of few colours keeps them. Otherwise the colours are divided into boxes, always by the cut that lowers the sum of squared errors
-//! most (X. Wu, "Color quantization by dynamic programming and principal analysis", ACM Transactions on Graphics 11(4), 1992, greedy form),
-//! and each box is replaced by its mean. A pixel between two colours of the palette gets one or the other by an ordered pattern (B. E.
-//! Bayer, 1973), which depends on its place alone: so what does not move does not flicker, and like frames get like palettes.
+//! A frame of few colours keeps them. Otherwise the colours are divided into boxes, always by the
+//! cut that lowers the sum of squared errors most (X. Wu, "Color quantization by dynamic
+//! programming and principal analysis", ACM Transactions on Graphics 11(4), 1992, greedy form), and
+//! each box is replaced by its mean. A pixel between two colours of the palette gets one or the
+//! other by an ordered pattern (B. E. Bayer, 1973), which depends on its place alone: so what does
+//! not move does not flicker, and like frames get like palettes.
 //!
-//! Sums are integers and everything runs on one thread, so that every machine finds the same palette.
+//! Sums are integers and everything runs on one thread, so that every machine finds the same
+//! palette.
 
 use std::collections::HashMap;
 
 /// The most colours of a frame.
 pub(super) const MOST_COLOURS: usize = 256;
-/// Cells of the table of colours along each channel: one per eight values, and an empty one before them.
+/// Cells of the table of colours along each channel: one per eight values, and an empty one before
+/// them.
 const SIDE: usize = 33;
 /// How much a difference of each channel is seen.
 const SEEN: [i32; 3] = [2, 4, 3];
-/// Two colours farther apart than this are never mixed, in every channel: single pixels of the other colour would be seen.
+/// Two colours farther apart than this are never mixed, in every channel: single pixels of the
+/// other colour would be seen.
 const MOST_MIXED: i32 = 20;
 /// Pixels between two calls of `wanted`.
 const PIXELS: usize = 1 << 16;
@@ -35,7 +40,8 @@ pub(super) struct Palette {
     is_exact: bool,
 }
 
-/// The pixels of colours: their number, the sums of their channels, and the weighted sum of their squares.
+/// The pixels of colours: their number, the sums of their channels, and the weighted sum of their
+/// squares.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     count: i64,
@@ -51,7 +57,8 @@ impl Sums {
         }
     }
 
-    /// How much the mean of these pixels explains of their squares; what it leaves is their squared error.
+    /// How much the mean of these pixels explains of their squares; what it leaves is their squared
+    /// error.
     fn explained(self) -> f64 {
         let sum: f64 = (0..3)
             .map(|k| f64::from(SEEN[k]) * self.channels[k] as f64 * self.channels[k] as f64)

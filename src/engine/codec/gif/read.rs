@@ -1,5 +1,6 @@
-//! Reads GIF (89a): walks the blocks for the frames; the `gif` crate decodes the indices of one frame, some rows at a time. Pixels that the
-//! frame does not cover, or marks, are transparent. A file that ends behind its frame without a trailer is read.
+//! Reads GIF (89a): walks the blocks for the frames; the `gif` crate decodes the indices of one
+//! frame, some rows at a time. Pixels that the frame does not cover, or marks, are transparent. A
+//! file that ends behind its frame without a trailer is read.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -56,7 +57,8 @@ fn table(flags: u8) -> usize {
     }
 }
 
-/// The end of a run of sub-blocks, and whether the run is whole; of one that is not, where its last sub-block begins, or the end.
+/// The end of a run of sub-blocks, and whether the run is whole; of one that is not, where its last
+/// sub-block begins, or the end.
 fn skip(bytes: &[u8], mut at: usize, work: &StepCounter<'_>) -> Result<(usize, bool), CodecError> {
     loop {
         work.step(1)?;
@@ -333,8 +335,8 @@ fn find<'a>(
             None => found.dropped.add(Kind::Comment),
         },
         (0xFF, b"XMP DataXMP") => {
-            // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to their end: 1, and then 255 to 0, among
-            // which is that of `>`.
+            // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to
+            // their end: 1, and then 255 to 0, among which is that of `>`.
             let packet = &data[12..];
             let packet = &packet[..packet
                 .windows(2)

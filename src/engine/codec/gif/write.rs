@@ -1,5 +1,5 @@
-//! Writes GIF (89a): files of one frame, which become the frames of one animation. Each frame has a palette of its own. A pixel is
-//! transparent or opaque: an alpha of a half decides.
+//! Writes GIF (89a): files of one frame, which become the frames of one animation. Each frame has a
+//! palette of its own. A pixel is transparent or opaque: an alpha of a half decides.
 
 use weezl::encode::Encoder;
 use weezl::{BitOrder, LzwStatus};
@@ -27,7 +27,8 @@ pub(in crate::codec) fn work_bytes(extent: Extent) -> u64 {
     WORK_BYTES + extent.pixels()
 }
 
-/// Appends a file of one frame. `wanted` is called from time to time; the output is incomplete when it returns false.
+/// Appends a file of one frame. `wanted` is called from time to time; the output is incomplete when
+/// it returns false.
 pub(in crate::codec) fn write(
     extent: Extent,
     channels: Channels,
@@ -147,7 +148,8 @@ pub struct GifAnimation {
 }
 
 impl GifAnimation {
-    /// An animation of frames that are each shown for `delay` ms. `plays`: how often viewers play it; 0 is without end.
+    /// An animation of frames that are each shown for `delay` ms. `plays`: how often viewers play
+    /// it; 0 is without end.
     #[must_use]
     pub const fn new(delay: u16, plays: u16) -> Self {
         Self {
@@ -198,8 +200,9 @@ impl GifAnimation {
         vec![TRAILER]
     }
 
-    /// How long the next frame is shown: the rounded end of its display less that of the frame before, so that the animation takes its time.
-    /// Viewers show frames of less than two hundredths much longer.
+    /// How long the next frame is shown: the rounded end of its display less that of the frame
+    /// before, so that the animation takes its time. Viewers show frames of less than two
+    /// hundredths much longer.
     fn hundredths(&self) -> u16 {
         let end = |frame: u64| (frame * u64::from(self.delay) + 5) / 10;
         u16::try_from(end(self.frames + 1) - end(self.frames))

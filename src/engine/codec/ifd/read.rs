@@ -1,4 +1,5 @@
-//! Reads directories (TIFF 6.0, section 2; BigTIFF; EXIF 2.32, 4.6): tags and their values, in place.
+//! Reads directories (TIFF 6.0, section 2; BigTIFF; EXIF 2.32, 4.6): tags and their values, in
+//! place.
 
 use crate::codec::metadata::resolution::{Ratio, Resolution, Unit};
 use crate::codec::{CodecError, Format, StepCounter};

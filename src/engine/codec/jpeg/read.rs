@@ -1,8 +1,10 @@
-//! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header; `zune-jpeg` decodes baseline and progressive
-//! Huffman pictures of 8 bit to RGB. Decoders fill missing data with grey, so completeness is checked here: behind the data come one-bits
-//! and the marker EOI. No Huffman code consists of ones alone (T.81, annex C), so a truncated scan meets an invalid code instead of zeros.
-//! A file without EOI is read if its scans state every bit of every coefficient, and if the picture is the same whether ones or zeros
-//! follow. Cost: one copy of the file; without EOI, the work of decoding twice.
+//! Reads JPEG (ITU-T T.81; JFIF, EXIF, ICC.1 annex B.4): walks the segments for the header;
+//! `zune-jpeg` decodes baseline and progressive Huffman pictures of 8 bit to RGB. Decoders fill
+//! missing data with grey, so completeness is checked here: behind the data come one-bits and the
+//! marker EOI. No Huffman code consists of ones alone (T.81, annex C), so a truncated scan meets an
+//! invalid code instead of zeros. A file without EOI is read if its scans state every bit of every
+//! coefficient, and if the picture is the same whether ones or zeros follow. Cost: one copy of the
+//! file; without EOI, the work of decoding twice.
 
 use std::ops::Range;
 
@@ -20,7 +22,8 @@ use crate::codec::work::{Bytes, StepCounter};
 use crate::codec::{CodecError, Repairs};
 use crate::pixmap::{Channels, Extent, Samples};
 
-/// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still requests, and a whole code of 16 bits.
+/// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still
+/// requests, and a whole code of 16 bits.
 const ONES: usize = 8;
 /// The most places with bytes between segments.
 const MOST_GAPS: usize = 64;
@@ -113,7 +116,8 @@ impl<'a> JpegFile<'a> {
                         components,
                         factors,
                     } = frame.ok_or_else(|| bad("a scan before the frame"))?;
-                    // The decoder silently drops the last rows of such a scan if they are truncated.
+                    // The decoder silently drops the last rows of such a scan if they are
+                    // truncated.
                     if !progressive
                         && segment
                             .data
@@ -173,8 +177,8 @@ impl<'a> JpegFile<'a> {
         })
     }
 
-    /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a progressive picture, and some rows of MCUs
-    /// before and after upsampling.
+    /// Memory beside the picture: the copy of the file, the coefficients of all blocks of a
+    /// progressive picture, and some rows of MCUs before and after upsampling.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let coefficients = if self.progressive {
             2 * 64 * self.padded_blocks()
@@ -230,7 +234,8 @@ impl<'a> JpegFile<'a> {
                 let segment = match Segment::at(self.bytes, at, work) {
                     Ok(segment) => segment,
                     Err(CodecError::Cancelled) => return Err(CodecError::Cancelled),
-                    // Behind the last scan that a picture needs, nothing is missing but the mark of the end.
+                    // Behind the last scan that a picture needs, nothing is missing but the mark of
+                    // the end.
                     Err(error) if self.progressive && !precision.is_full() => return Err(error),
                     Err(_) => {
                         return Ok(Scans {
@@ -262,7 +267,8 @@ impl<'a> JpegFile<'a> {
 
     /// The file as far as the decoder needs it, without its end.
     fn needed(&self, scans: &Scans, work: &StepCounter<'_>) -> Result<Vec<u8>, CodecError> {
-        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow a single scan.
+        // The decoder omits the last rows if it sees a marker ahead of them, so nothing may follow
+        // a single scan.
         let end = if self.progressive {
             scans.end
         } else {
@@ -305,7 +311,8 @@ impl<'a> JpegFile<'a> {
         }
         let mut whole = self.needed(&scans, work)?;
         let length = whole.len();
-        // The decoder looks for the marker directly behind the first scan of a progressive picture, where ones would hide it.
+        // The decoder looks for the marker directly behind the first scan of a progressive picture,
+        // where ones would hide it.
         if !(self.progressive && scans.count == 1) {
             whole.extend_from_slice(&[0xFF, 0].repeat(ONES));
         }

@@ -38,8 +38,8 @@ pub(super) struct Segment<'a> {
 }
 
 impl<'a> Segment<'a> {
-    /// The segment at `at`. Zero bytes before it, which some programs write, are skipped, and so are fill bytes before its marker. Markers
-    /// without a length have no data.
+    /// The segment at `at`. Zero bytes before it, which some programs write, are skipped, and so
+    /// are fill bytes before its marker. Markers without a length have no data.
     pub(super) fn at(
         bytes: &'a [u8],
         at: usize,

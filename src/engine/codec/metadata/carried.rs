@@ -68,7 +68,8 @@ impl Carried {
         }
     }
 
-    /// Whether a file of this format, grey or not, says less about colour than the source, and what else it lacks.
+    /// Whether a file of this format, grey or not, says less about colour than the source, and what
+    /// else it lacks.
     #[must_use]
     pub fn losses(&self, format: Format, grey: bool) -> (bool, Dropped) {
         let Self {
@@ -236,7 +237,8 @@ impl Carried {
         exif.into_iter().chain(xmp).chain(comments).collect()
     }
 
-    /// Adds the tags to the main directory of a TIFF; `pointers`: what [`Self::put_below_page`] has returned.
+    /// Adds the tags to the main directory of a TIFF; `pointers`: what [`Self::put_below_page`] has
+    /// returned.
     pub(in crate::codec) fn put_tags(
         &self,
         grey: bool,
@@ -267,7 +269,8 @@ impl Carried {
             .map_or_else(Vec::new, |exif| exif.put_below_page(out, start))
     }
 
-    /// Adds the resolution to a TIFF, which must state one: without a known one, square pixels of no size.
+    /// Adds the resolution to a TIFF, which must state one: without a known one, square pixels of
+    /// no size.
     pub(in crate::codec) fn put_resolution(
         this: Option<&Self>,
         directory: &mut DirectoryWriter<'_>,

@@ -1,7 +1,8 @@
-//! EXIF (2.32, section 4.6; 3.0): what a file says about its making, kept tag by tag. Left out is what describes the stored pixels and
-//! would be wrong of others: orientation, size, thumbnail, subject area; and the resolution, which the writers state anew. Maker's notes
-//! stay at their place in the block, because many have offsets from its beginning; those with a picture in them are dropped. Memory: at
-//! most [`MOST_BYTES`], whatever the directories claim, and as much work.
+//! EXIF (2.32, section 4.6; 3.0): what a file says about its making, kept tag by tag. Left out is
+//! what describes the stored pixels and would be wrong of others: orientation, size, thumbnail,
+//! subject area; and the resolution, which the writers state anew. Maker's notes stay at their
+//! place in the block, because many have offsets from its beginning; those with a picture in them
+//! are dropped. Memory: at most [`MOST_BYTES`], whatever the directories claim, and as much work.
 
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
@@ -26,7 +27,8 @@ const MAKER_NOTE: u16 = 0x927C;
 /// Microsoft's room for more.
 const PADDING: u16 = 0xEA1C;
 
-/// Tags of the main directory of a block that describe the stored pixels, or that have a carrier of their own.
+/// Tags of the main directory of a block that describe the stored pixels, or that have a carrier of
+/// their own.
 const OF_PIXELS: [RangeInclusive<u16>; 12] = [
     254..=259,
     262..=266,
@@ -43,8 +45,8 @@ const OF_PIXELS: [RangeInclusive<u16>; 12] = [
 ];
 /// Those of the EXIF directory: size, subject area and location.
 const OF_PICTURE: [u16; 6] = [0xA002, 0xA003, 0x9214, 0xA214, INTEROPERABILITY, PADDING];
-/// Tags of a page of a TIFF that describe what it shows: document, description, maker and model, page, software, date, artist, computer,
-/// copyright, rating, and those of Windows.
+/// Tags of a page of a TIFF that describe what it shows: document, description, maker and model,
+/// page, software, date, artist, computer, copyright, rating, and those of Windows.
 const OF_PAGE: [RangeInclusive<u16>; 8] = [
     269..=272,
     285..=285,
@@ -87,7 +89,8 @@ struct MakerNote {
 }
 
 impl Exif {
-    /// Reads a block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG. Returns its resolution too.
+    /// Reads a block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG. Returns its
+    /// resolution too.
     pub(super) fn of_block(
         block: &[u8],
         dropped: &mut Dropped,
@@ -271,8 +274,8 @@ impl Exif {
         });
     }
 
-    /// Appends the directories below the main one to the file that begins at `start`; returns their pointers. `note`: the offset of the
-    /// maker's note in that file.
+    /// Appends the directories below the main one to the file that begins at `start`; returns their
+    /// pointers. `note`: the offset of the maker's note in that file.
     fn put_below(
         &self,
         (out, start): (&mut Vec<u8>, usize),
@@ -303,7 +306,8 @@ impl Exif {
         pointers
     }
 
-    /// Appends the directories below the main one to a big-endian TIFF; returns their pointers. Without the maker's note.
+    /// Appends the directories below the main one to a big-endian TIFF; returns their pointers.
+    /// Without the maker's note.
     pub(super) fn put_below_page(&self, out: &mut Vec<u8>, start: usize) -> Vec<(u16, u32)> {
         self.put_below((out, start), false, None)
     }
@@ -362,7 +366,8 @@ pub(super) fn put_resolution(resolution: Resolution, directory: &mut DirectoryWr
     directory.short(296, unit);
 }
 
-/// Whether a description is that of OME-TIFF, which states size, type and channels of the stored pixels.
+/// Whether a description is that of OME-TIFF, which states size, type and channels of the stored
+/// pixels.
 pub(in crate::codec) fn is_ome(description: &[u8]) -> bool {
     let head = &description[..description.len().min(1024)];
     head.windows(4).any(|window| window == b"<OME")

@@ -1,6 +1,7 @@
-//! What a file says about its picture beside the pixels: resolution, colour, EXIF, XMP, texts. A reader collects it as slices of the file
-//! ([`Found`]); [`Metadata`] is what is kept, with the memory of a picture; [`Carried`] is that of one output. What an output cannot hold
-//! is named ([`Dropped`]). Memory: at most [`METADATA_BYTES`] beside the profile.
+//! What a file says about its picture beside the pixels: resolution, colour, EXIF, XMP, texts. A
+//! reader collects it as slices of the file ([`Found`]); [`Metadata`] is what is kept, with the
+//! memory of a picture; [`Carried`] is that of one output. What an output cannot hold is named
+//! ([`Dropped`]). Memory: at most [`METADATA_BYTES`] beside the profile.
 
 mod carried;
 mod dropped;
@@ -93,8 +94,8 @@ pub struct Metadata {
 }
 
 impl Metadata {
-    /// Keeps what was found. `icc`: whether the file has a profile, and the one that is kept; `swaps`: whether the upright picture has the
-    /// sides of the stored one swapped.
+    /// Keeps what was found. `icc`: whether the file has a profile, and the one that is kept;
+    /// `swaps`: whether the upright picture has the sides of the stored one swapped.
     ///
     /// # Errors
     /// [`CodecError::Cancelled`].
@@ -114,7 +115,8 @@ impl Metadata {
             .and_then(|page| Exif::of_page(page, &mut dropped, work));
         let xmp = found.xmp.as_deref().and_then(xmp::kept);
         dropped.add_if(found.xmp.is_some() && xmp.is_none(), Kind::Xmp);
-        // A format's own resolution without a unit is the shape of a pixel, and one of whole numbers may be rounded; EXIF may have more.
+        // A format's own resolution without a unit is the shape of a pixel, and one of whole
+        // numbers may be rounded; EXIF may have more.
         let own = found.resolution.filter(|own| {
             own.unit != Unit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif))
         });
@@ -152,7 +154,8 @@ impl Metadata {
         self.resolution
     }
 
-    /// The ICC profile, which describes grey if the file has one sample for the three colours, and RGB otherwise.
+    /// The ICC profile, which describes grey if the file has one sample for the three colours, and
+    /// RGB otherwise.
     #[must_use]
     pub fn icc(&self) -> Option<&[u8]> {
         self.profile.as_ref().map(Profile::icc)

@@ -3,7 +3,8 @@
 use super::{Dropped, Kind};
 use crate::codec::StepCounter;
 
-/// What of the resources is dropped: IPTC-IIM, and paths. The others are a thumbnail, settings of the program, and copies of metadata.
+/// What of the resources is dropped: IPTC-IIM, and paths. The others are a thumbnail, settings of
+/// the program, and copies of metadata.
 pub(in crate::codec) fn resources(mut data: &[u8], dropped: &mut Dropped, work: &StepCounter<'_>) {
     while let Some((id, content, rest)) = resource(data) {
         if work.step(1).is_err() {

@@ -1,5 +1,6 @@
-//! The chunks of PNG that say what the numbers mean (third edition, 11.3.2). They are kept in PNG; the other formats have no place for
-//! them. There, nothing is lost if they say sRGB, which is what every format means by default.
+//! The chunks of PNG that say what the numbers mean (third edition, 11.3.2). They are kept in PNG;
+//! the other formats have no place for them. There, nothing is lost if they say sRGB, which is what
+//! every format means by default.
 
 use super::Chunk;
 

@@ -1,5 +1,5 @@
-//! The resolution of a picture: pixels per unit of length along both axes, as exact ratios, so that a
-//! number that a file does not change is the same in the next file.
+//! The resolution of a picture: pixels per unit of length along both axes, as exact ratios, so that
+//! a number that a file does not change is the same in the next file.
 
 use crate::pixmap::Extent;
 
@@ -29,7 +29,8 @@ impl Ratio {
         }
     }
 
-    /// The ratio, or the last convergent of its continued fraction that 32 bits hold; `None` beyond their range.
+    /// The ratio, or the last convergent of its continued fraction that 32 bits hold; `None` beyond
+    /// their range.
     fn nearest(mut numerator: u128, mut denominator: u128) -> Option<Self> {
         let (mut last, mut next) = ([1, 0], [0, 1]);
         while denominator != 0 {
@@ -146,7 +147,8 @@ impl Resolution {
         }
     }
 
-    /// That of a picture of `target` pixels which shows `canvas` pixels of this one; `None` beyond the range.
+    /// That of a picture of `target` pixels which shows `canvas` pixels of this one; `None` beyond
+    /// the range.
     #[must_use]
     pub fn scaled(self, target: Extent, canvas: Extent) -> Option<Self> {
         let (x, y) = (

@@ -1,5 +1,6 @@
-//! XMP (ISO 16684-1): a packet is kept as it is, without the properties that describe the stored pixels and would be wrong of others.
-//! They are found by the names that the specifications give them, in both forms that a property has: an attribute or an element.
+//! XMP (ISO 16684-1): a packet is kept as it is, without the properties that describe the stored
+//! pixels and would be wrong of others. They are found by the names that the specifications give
+//! them, in both forms that a property has: an attribute or an element.
 
 use std::borrow::Cow;
 
@@ -70,7 +71,8 @@ fn without(text: &str, name: &str) -> Option<String> {
     Some(out)
 }
 
-/// The end of an element whose name has been read: 0 if the name is longer, `None` if there is no end.
+/// The end of an element whose name has been read: 0 if the name is longer, `None` if there is no
+/// end.
 fn element_end(behind: &str, end_tag: &str) -> Option<usize> {
     if !behind.is_empty()
         && !behind.starts_with(|c: char| c.is_ascii_whitespace() || c == '>' || c == '/')
@@ -132,7 +134,8 @@ mod tests {
         for content in [
             "<tiff:Orientation>6</tiff:Orientation>",
             "<tiff:Orientation/>",
-            "<xmp:Thumbnails>\n<rdf:Alt><rdf:li xmpGImg:image=\"/9j/4AAQ\"/></rdf:Alt></xmp:Thumbnails>",
+            "<xmp:Thumbnails>\n<rdf:Alt><rdf:li \
+                xmpGImg:image=\"/9j/4AAQ\"/></rdf:Alt></xmp:Thumbnails>",
             "<mwg-rs:Regions rdf:parseType=\"Resource\"><a/></mwg-rs:Regions >",
         ] {
             assert_eq!(

@@ -123,8 +123,9 @@ pub(super) fn bmp(size: u32, space: [u8; 4], gamma: u32, icc: &[u8]) -> Vec<u8> 
     [file, header, vec![9, 9, 9, 0], icc.to_vec()].concat()
 }
 
-/// A carrier: its name, a file with it, how the content is recognised in an output, and what becomes of it in PNG, JPEG, WebP and TIFF:
-/// `k`ept, `d`ropped by the name that follows, `p`: the colours lose their meaning, `-`: nothing that the format does not say by itself.
+/// A carrier: its name, a file with it, how the content is recognised in an output, and what
+/// becomes of it in PNG, JPEG, WebP and TIFF: `k`ept, `d`ropped by the name that follows, `p`: the
+/// colours lose their meaning, `-`: nothing that the format does not say by itself.
 pub(super) type Carrier = (&'static str, Vec<u8>, Sign, &'static str, &'static str);
 
 #[derive(Clone)]

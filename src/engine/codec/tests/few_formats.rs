@@ -1,11 +1,13 @@
-//! GIF and BMP, which are only read. Files are written by the `image` and `gif` crates, or byte by byte.
+//! GIF and BMP, which are only read. Files are written by the `image` and `gif` crates, or byte by
+//! byte.
 
 use image::codecs::gif::GifEncoder;
 use image::{DynamicImage, Frame, ImageFormat, RgbImage, RgbaImage};
 
 use super::*;
 
-/// A GIF of frames of these sizes on a screen of the first, of four colours; one of them may be transparent.
+/// A GIF of frames of these sizes on a screen of the first, of four colours; one of them may be
+/// transparent.
 pub(super) fn gif(frames: &[(u16, u16)], transparent: Option<u8>) -> Vec<u8> {
     let mut file = b"GIF89a".to_vec();
     let (width, height) = frames[0];

@@ -239,7 +239,8 @@ fn bombs_are_refused_by_their_header() {
     ));
 }
 
-/// Callers reserve the predicted memory: it covers the picture, the turned copy, and a progressive picture's coefficients.
+/// Callers reserve the predicted memory: it covers the picture, the turned copy, and a progressive
+/// picture's coefficients.
 #[test]
 fn decode_bytes_follow_the_picture() {
     let bytes = |file: Vec<u8>| probe(&file).unwrap().decode_bytes;

@@ -1,4 +1,5 @@
-//! JPEG pixels: flat blocks whose values are known exactly, and photographs against the lenient path of the same decoder.
+//! JPEG pixels: flat blocks whose values are known exactly, and photographs against the lenient
+//! path of the same decoder.
 
 use super::made::Jpeg;
 use super::*;

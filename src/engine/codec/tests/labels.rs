@@ -212,7 +212,8 @@ fn a_palette_that_is_missing_or_damaged_is_an_error() {
     }
 }
 
-/// What is written is read as it was, with its palette; formats that would change labels have no writer.
+/// What is written is read as it was, with its palette; formats that would change labels have no
+/// writer.
 #[test]
 fn labels_survive_being_written() {
     let extent = Extent::new(131, 97).unwrap();

@@ -1,4 +1,5 @@
-//! Files built chunk by chunk, because the encoders of the crates under test would add chunks of their own.
+//! Files built chunk by chunk, because the encoders of the crates under test would add chunks of
+//! their own.
 
 use std::io::Write as _;
 
@@ -114,7 +115,8 @@ impl Png {
     }
 }
 
-/// A JPEG whose blocks are flat: one DC coefficient each, quantised by 8, so that a sample is exactly 128 + coefficient.
+/// A JPEG whose blocks are flat: one DC coefficient each, quantised by 8, so that a sample is
+/// exactly 128 + coefficient.
 #[derive(Clone)]
 pub(super) struct Jpeg {
     pub(super) size: (u16, u16),
@@ -267,7 +269,8 @@ impl Jpeg {
 /// A tag: its number, type, number of values, and their bytes in the order of the file.
 pub(super) type Tag<'a> = (u16, u16, u32, &'a [u8]);
 
-/// A block of EXIF: the tags of the main directory, of the EXIF directory (from 0x8769 on), and of GPS (from 0x8825 on), then a thumbnail.
+/// A block of EXIF: the tags of the main directory, of the EXIF directory (from 0x8769 on), and of
+/// GPS (from 0x8825 on), then a thumbnail.
 pub(super) fn exif_block(
     little: bool,
     main: &[Tag<'_>],

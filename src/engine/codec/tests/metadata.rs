@@ -1,5 +1,6 @@
-//! Metadata: every carrier of every format that is read, in every format that is written, is kept or named; the length of a pixel; what
-//! describes the stored pixels is left out; and what hostile metadata cost.
+//! Metadata: every carrier of every format that is read, in every format that is written, is kept
+//! or named; the length of a pixel; what describes the stored pixels is left out; and what hostile
+//! metadata cost.
 
 use std::sync::Arc;
 
@@ -26,7 +27,8 @@ fn token_in(file: &[u8]) -> bool {
     file.windows(TOKEN.len()).any(|window| window == TOKEN)
 }
 
-/// A decoded file, written in a format as a picture of another size would be: the file, and what is lost.
+/// A decoded file, written in a format as a picture of another size would be: the file, and what is
+/// lost.
 fn written(
     file: &[u8],
     encoding: Encoding,
@@ -189,7 +191,8 @@ fn what_describes_the_stored_pixels_is_left_out_of_exif() {
     }
 }
 
-/// A maker's note keeps its place, because its offsets may count from the beginning of the block; one with a picture is dropped.
+/// A maker's note keeps its place, because its offsets may count from the beginning of the block;
+/// one with a picture is dropped.
 #[test]
 fn a_makers_note_stays_at_its_place() {
     let note: Vec<u8> = [b"MAKER\0".as_slice(), TOKEN].concat();

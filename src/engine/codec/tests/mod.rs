@@ -1,5 +1,5 @@
-//! Tests of reading files: properties of all formats here, and one file per format. Files are built in `made`, so that every chunk is
-//! known; photographs come from `tests/images`.
+//! Tests of reading files: properties of all formats here, and one file per format. Files are built
+//! in `made`, so that every chunk is known; photographs come from `tests/images`.
 
 #![expect(
     clippy::cast_possible_truncation,

@@ -1,4 +1,5 @@
-//! PNG pixels: every colour type and depth against values computed here, and photographs against a decoder of other authors.
+//! PNG pixels: every colour type and depth against values computed here, and photographs against a
+//! decoder of other authors.
 
 use zune_png::zune_core::bytestream::ZCursor;
 use zune_png::zune_core::result::DecodingResult;

@@ -318,7 +318,8 @@ fn every_kind_of_pixel_is_expanded() {
     );
 }
 
-/// Infrared beside RGB, masses of spectra: samples that are neither colour nor alpha are never dropped.
+/// Infrared beside RGB, masses of spectra: samples that are neither colour nor alpha are never
+/// dropped.
 #[test]
 fn samples_that_are_no_colours_are_refused_by_their_number() {
     let grey = |samples: usize| Tiff::new(2, 1, &vec![8; samples], 1, &vec![9; 2 * samples]);

@@ -1,4 +1,5 @@
-//! TIFF as archives, microscopes and scanners write it: group 4, JPEG, planes, `BigTIFF`, labels of many bits.
+//! TIFF as archives, microscopes and scanners write it: group 4, JPEG, planes, `BigTIFF`, labels of
+//! many bits.
 
 use ::tiff::encoder::{TiffEncoder, colortype};
 use fax::encoder::Encoder;

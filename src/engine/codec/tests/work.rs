@@ -1,6 +1,7 @@
-//! The number of steps depends on a file's bytes and on the pixels that it claims within the limits, whatever else it claims. Steps are
-//! those of this crate's parsers and the library decoders' requests for input; `tests/counts/run` counts the instructions of the decoders.
-//! The corpus: every kind of file, damaged files, bombs, the seeds of the fuzz target and its findings.
+//! The number of steps depends on a file's bytes and on the pixels that it claims within the
+//! limits, whatever else it claims. Steps are those of this crate's parsers and the library
+//! decoders' requests for input; `tests/counts/run` counts the instructions of the decoders. The
+//! corpus: every kind of file, damaged files, bombs, the seeds of the fuzz target and its findings.
 
 use std::cell::Cell;
 
@@ -54,7 +55,8 @@ fn corpus() -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// Bytes of a file's header: all except the data of its pixels. Each chunk counts its own head and eight bytes of its data.
+/// Bytes of a file's header: all except the data of its pixels. Each chunk counts its own head and
+/// eight bytes of its data.
 fn header_bytes(bytes: &[u8]) -> u64 {
     let head = match bytes {
         [0x89, ..] => 8,
@@ -141,7 +143,8 @@ fn steps_follow_the_bytes_and_the_pixels_of_every_file() {
     );
 }
 
-/// Each file is decoded and cancelled at the first, second, third ... check: it ends there with `Cancelled`.
+/// Each file is decoded and cancelled at the first, second, third ... check: it ends there with
+/// `Cancelled`.
 #[test]
 fn decoding_ends_at_the_first_question_that_is_answered_with_no() {
     let mut asked = 0;

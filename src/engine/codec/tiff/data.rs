@@ -1,4 +1,5 @@
-//! The compressed data of a strip or tile as a stream. Every stream ends with its data, and cancellation is checked as it is read.
+//! The compressed data of a strip or tile as a stream. Every stream ends with its data, and
+//! cancellation is checked as it is read.
 
 use std::io::{self, BufReader, Read};
 
@@ -55,12 +56,14 @@ impl Compression {
             Self::Lzw => 4096,
             Self::Deflate => 1032,
             Self::PackBits => 64,
-            // A bit for each line, or for some blocks of 64 samples: the lines and blocks are counted as they are decoded.
+            // A bit for each line, or for some blocks of 64 samples: the lines and blocks are
+            // counted as they are decoded.
             Self::Group4 | Self::Jpeg => 1 << 16,
         }
     }
 
-    /// The data of a part `width` pixels wide; `reversed`: whether its bytes begin with their lowest bit. Not of JPEG.
+    /// The data of a part `width` pixels wide; `reversed`: whether its bytes begin with their
+    /// lowest bit. Not of JPEG.
     pub(super) fn reader<'a>(
         self,
         data: &'a [u8],
@@ -89,7 +92,8 @@ impl Compression {
     }
 }
 
-/// The code tables look at more bits than a last code has; behind the data they see zeros, which begin no code.
+/// The code tables look at more bits than a last code has; behind the data they see zeros, which
+/// begin no code.
 fn padded(data: impl Read) -> impl Iterator<Item = io::Result<u8>> {
     const ZEROS: usize = 4;
     BufReader::new(data)

@@ -1,5 +1,6 @@
-//! CCITT group 4 (ITU-T T.6) as rows of bits, black ones. The code tables are those of the `fax` crate; the lines are decoded here, so that
-//! hostile data can neither make one longer than it is wide nor go back in it. Work and memory are in proportion to the picture.
+//! CCITT group 4 (ITU-T T.6) as rows of bits, black ones. The code tables are those of the `fax`
+//! crate; the lines are decoded here, so that hostile data can neither make one longer than it is
+//! wide nor go back in it. Work and memory are in proportion to the picture.
 
 use std::io::{self, Read};
 
@@ -15,7 +16,8 @@ const MAKE_UP: u32 = 64;
 pub(super) struct Group4<R: Iterator<Item = io::Result<u8>>> {
     bits: ByteReader<R>,
     width: u32,
-    /// Where the colour of the last line changes, from white on; increasing, so that no change is looked at again and again.
+    /// Where the colour of the last line changes, from white on; increasing, so that no change is
+    /// looked at again and again.
     reference: Vec<u32>,
     row: Vec<u8>,
     /// The bytes of the row that have been read.

@@ -1,5 +1,5 @@
-//! Writes TIFF (6.0) of 32-bit floating-point samples, not compressed, piece by piece: a head, rows from the top, and a tail with the
-//! directory, all of whose values are known before the first row.
+//! Writes TIFF (6.0) of 32-bit floating-point samples, not compressed, piece by piece: a head, rows
+//! from the top, and a tail with the directory, all of whose values are known before the first row.
 
 use crate::codec::Carried;
 use crate::codec::ifd::write::{DirectoryWriter, SHORT};
@@ -18,7 +18,8 @@ pub struct FloatTiff {
 }
 
 impl FloatTiff {
-    /// Rows of this number of samples a pixel in strips of `rows`; `None` if the file would need offsets of more than 32 bits.
+    /// Rows of this number of samples a pixel in strips of `rows`; `None` if the file would need
+    /// offsets of more than 32 bits.
     #[must_use]
     pub fn new(extent: Extent, samples: u16, rows: u32) -> Option<Self> {
         /// The directory and its values, beside two offsets of a strip.

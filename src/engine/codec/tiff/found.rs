@@ -10,8 +10,8 @@ use crate::codec::{CodecError, StepCounter};
 /// Tags from here on are registered to programs.
 const PRIVATE: u16 = 32_768;
 
-/// Collects what is kept, and names what is not; the second result is the colour profile. `has_mask`: whether another page masks the
-/// picture.
+/// Collects what is kept, and names what is not; the second result is the colour profile.
+/// `has_mask`: whether another page masks the picture.
 pub(super) fn found<'a>(
     page: Directory<'a>,
     has_mask: bool,
@@ -42,7 +42,8 @@ pub(super) fn found<'a>(
             34_675 => profile = Some(entry.data),
             37_724 => dropped.add(Kind::Layers),
             50_838 | 50_839 => dropped.add(Kind::ImageJ),
-            // Copyright, EXIF, GPS and the tags of Windows are kept; the others describe the stored pixels.
+            // Copyright, EXIF, GPS and the tags of Windows are kept; the others describe the stored
+            // pixels.
             33_432
             | 34_665
             | 34_853

@@ -16,14 +16,16 @@ const SUB_DIRECTORIES: u16 = 330;
 /// A well-formed file of a kind that is not read.
 pub(super) fn unsupported(what: impl std::fmt::Display) -> CodecError {
     CodecError::unsupported(format!(
-        "a TIFF {what}. Of TIFF, the following is read: one page of grey, palette, or RGB, with at most one sample of alpha; \
-         unsigned samples of 1, 2, 4, 8 or 16 bits (labels also of 32 and 64 bits); not compressed, or LZW, deflate, PackBits, \
+        "a TIFF {what}. Of TIFF, the following is read: one page of grey, palette, or RGB, with \
+            at most one sample of alpha; \
+         unsigned samples of 1, 2, 4, 8 or 16 bits (labels also of 32 and 64 bits); not \
+         compressed, or LZW, deflate, PackBits, \
          CCITT group 4, JPEG"
     ))
 }
 
-/// The only page, and whether the file has a mask beside it. Copies of a page in less detail and masks are no pages, unless the file has
-/// nothing else.
+/// The only page, and whether the file has a mask beside it. Copies of a page in less detail and
+/// masks are no pages, unless the file has nothing else.
 pub(super) fn only_page<'a>(
     file: File<'a>,
     work: &StepCounter<'_>,
@@ -48,7 +50,8 @@ pub(super) fn only_page<'a>(
                 }),
                 // Raw files of cameras: the first directory is a preview, the picture is below it.
                 (None, _) if first.values(SUB_DIRECTORIES, work)?.is_some() => Err(unsupported(
-                    "that holds a preview, with the picture in a subdirectory, like the raw files of cameras",
+                    "that holds a preview, with the picture in a subdirectory, like the raw files \
+                        of cameras",
                 )),
                 (None, _) => Ok((first, false)),
             };
@@ -62,7 +65,8 @@ pub(super) fn only_page<'a>(
     Err(bad(format!("more than {MOST_DIRECTORIES} directories")))
 }
 
-/// The first value of a tag; an error if others differ from it. One value serves for all samples of a pixel.
+/// The first value of a tag; an error if others differ from it. One value serves for all samples of
+/// a pixel.
 pub(super) fn uniform(
     page: &Directory<'_>,
     tag: u16,

@@ -1,8 +1,10 @@
-//! Reads TIFF (6.0; `BigTIFF`): one page of grey, palette or RGB, with or without alpha, in strips or tiles, interleaved or in planes, not
-//! compressed or with LZW, deflate, PackBits, CCITT group 4 or JPEG. The directory is read in place; rows are decoded one at a time (JPEG:
-//! a strip or tile). Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, 16 bit stays 16 bit, and premultiplied alpha is divided out.
-//! A picture has no samples that are neither colour nor alpha: such files are refused, never reduced. Memory: the picture and a few rows;
-//! work: in proportion to the picture and the file.
+//! Reads TIFF (6.0; `BigTIFF`): one page of grey, palette or RGB, with or without alpha, in strips
+//! or tiles, interleaved or in planes, not compressed or with LZW, deflate, PackBits, CCITT group 4
+//! or JPEG. The directory is read in place; rows are decoded one at a time (JPEG: a strip or tile).
+//! Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, 16 bit stays 16 bit, and premultiplied
+//! alpha is divided out. A picture has no samples that are neither colour nor alpha: such files are
+//! refused, never reduced. Memory: the picture and a few rows; work: in proportion to the picture
+//! and the file.
 
 use super::data::Compression;
 use super::found::found;
@@ -15,7 +17,8 @@ use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::{CodecError, Palette, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent};
 
-/// The largest JPEG tables, which precede every strip or tile: two of quantisation and four of codes take 600 bytes.
+/// The largest JPEG tables, which precede every strip or tile: two of quantisation and four of
+/// codes take 600 bytes.
 const MOST_TABLES: usize = 2048;
 /// The widest line of group 4.
 const WIDEST_FAX: u32 = 1 << 20;
@@ -191,7 +194,8 @@ impl<'a> TiffFile<'a> {
         if self.is_counted() {
             let sign = if self.is_signed { " with a sign" } else { "" };
             return Err(unsupported(format_args!(
-                "of samples of {} bits{sign}. If they are labels, send the file as a layer with `?kind=labels` (offline: `--kind labels`); \
+                "of samples of {} bits{sign}. If they are labels, send the file as a layer with \
+                    `?kind=labels` (offline: `--kind labels`); \
                  if they are a picture, save it with 16 bits",
                 self.bits
             )));
@@ -235,8 +239,9 @@ impl<'a> TiffFile<'a> {
         (u64::from(self.parts.width) * self.interleaved() as u64 * u64::from(self.bits)).div_ceil(8)
     }
 
-    /// Memory beside the picture: the decoders' windows, and a row as stored and as samples of up to two bytes, or the changes of four
-    /// lines of group 4; of JPEG a strip or tile as RGB, its data three times, and rows of its blocks.
+    /// Memory beside the picture: the decoders' windows, and a row as stored and as samples of up
+    /// to two bytes, or the changes of four lines of group 4; of JPEG a strip or tile as RGB, its
+    /// data three times, and rows of its blocks.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let width = u64::from(self.parts.width);
         let rows = self.row_bytes() + 2 * width * self.interleaved() as u64;
@@ -309,14 +314,16 @@ fn is_signed(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<bool, Codec
         1 | 4 => Ok(false),
         2 => Ok(true),
         3 => Err(unsupported(
-            "of floating-point samples, which are measurements rather than a picture. To warp them, fetch the positions with POST /map \
+            "of floating-point samples, which are measurements rather than a picture. To warp \
+                them, fetch the positions with POST /map \
              (offline: mlswarp map) and sample the array there, for example with cv2.remap",
         )),
         _ => Err(unsupported("of complex samples")),
     }
 }
 
-/// The alpha of pixels with this number of stored samples, and of colours among them. Other samples have no place in a picture.
+/// The alpha of pixels with this number of stored samples, and of colours among them. Other samples
+/// have no place in a picture.
 fn alpha_of(
     page: &Directory<'_>,
     colour: Colour,
@@ -328,7 +335,8 @@ fn alpha_of(
         page.values(338, work)?.and_then(|kinds| kinds.get(0)),
     ) {
         (0, _) => Ok(None),
-        // Writers that leave the tag out mean a picture with alpha; two samples without it are as often two channels of a microscope.
+        // Writers that leave the tag out mean a picture with alpha; two samples without it are as
+        // often two channels of a microscope.
         (1, None) if matches!(colour, Colour::Rgb) => Ok(Some(Alpha {
             is_premultiplied: false,
         })),
@@ -347,7 +355,8 @@ fn alpha_of(
                 "the others are"
             };
             Err(unsupported(format_args!(
-                "of {stored} samples per pixel, of which {colours}; {others} not alpha (ExtraSamples 1 or 2), and would be lost. Save each \
+                "of {stored} samples per pixel, of which {colours}; {others} not alpha \
+                    (ExtraSamples 1 or 2), and would be lost. Save each \
                  channel as a file of its own, and send them as layers of a session"
             )))
         }

@@ -1,4 +1,5 @@
-//! The samples of a TIFF: decodes its strips and tiles, and converts them to RGB or RGBA. Shapes: `[height][width][channels]`.
+//! The samples of a TIFF: decodes its strips and tiles, and converts them to RGB or RGBA. Shapes:
+//! `[height][width][channels]`.
 
 use std::io::Read as _;
 
@@ -57,8 +58,8 @@ impl<'a> TiffFile<'a> {
             .ok_or_else(cut_off)
     }
 
-    /// Checks that the parts are there, that they can hold the picture, and that they are not the same bytes again and again, so that
-    /// the work is in proportion to the file and the picture.
+    /// Checks that the parts are there, that they can hold the picture, and that they are not the
+    /// same bytes again and again, so that the work is in proportion to the file and the picture.
     pub(super) fn weigh_data(&self, work: &StepCounter<'_>) -> Result<(), CodecError> {
         let parts = self.parts_of_plane() * self.planes() as u64;
         if parts > self.parts.offsets.len() as u64 {
@@ -290,7 +291,8 @@ impl<'a> TiffFile<'a> {
         }
     }
 
-    /// Appends the labels of a row that may be negative, or larger than 16 bits hold, if none of them is.
+    /// Appends the labels of a row that may be negative, or larger than 16 bits hold, if none of
+    /// them is.
     fn count<T: Sample>(&self, row: &[u8], out: &mut Vec<T>) -> Result<(), CodecError> {
         let most = u64::MAX >> (64 - self.bits);
         let mut label = 0;
@@ -308,7 +310,8 @@ impl<'a> TiffFile<'a> {
             }
             if label > MOST_LABEL {
                 return Err(CodecError::unsupported(format!(
-                    "a TIFF with the label {label}; labels are numbers from 0 to 65535. Number them anew, for example with \
+                    "a TIFF with the label {label}; labels are numbers from 0 to 65535. Number \
+                        them anew, for example with \
                      skimage.segmentation.relabel_sequential"
                 )));
             }

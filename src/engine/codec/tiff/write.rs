@@ -1,5 +1,6 @@
-//! Writes TIFF (6.0), big-endian: strips of deflated differences, or of samples as they are. Alpha is an additional sample that is not
-//! premultiplied (ExtraSamples 2). The directory follows the strips.
+//! Writes TIFF (6.0), big-endian: strips of deflated differences, or of samples as they are. Alpha
+//! is an additional sample that is not premultiplied (ExtraSamples 2). The directory follows the
+//! strips.
 
 use std::io::Write as _;
 
@@ -13,7 +14,8 @@ use crate::pixmap::{Channels, Depth};
 /// Target size of a strip, bytes.
 const STRIP: usize = 256 << 10;
 
-/// Appends the file, or its beginning if it is no longer wanted. `samples: [height][width][PngShape::samples]`, 16-bit ones big-endian.
+/// Appends the file, or its beginning if it is no longer wanted.
+/// `samples: [height][width][PngShape::samples]`, 16-bit ones big-endian.
 pub(in crate::codec) fn write(
     shape: PngShape,
     compression: Compression,

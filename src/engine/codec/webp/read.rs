@@ -1,6 +1,7 @@
-//! Reads WebP (RFC 9649): walks the chunks for the header; `image` decodes the bitstream. The decoder gets a container made here that
-//! holds only the frame with validated size, alpha and length, so flags that promise absent chunks do no harm, and a frame larger than its
-//! canvas is refused before memory is allocated. Cost: one copy of the file.
+//! Reads WebP (RFC 9649): walks the chunks for the header; `image` decodes the bitstream. The
+//! decoder gets a container made here that holds only the frame with validated size, alpha and
+//! length, so flags that promise absent chunks do no harm, and a frame larger than its canvas is
+//! refused before memory is allocated. Cost: one copy of the file.
 
 use std::borrow::Cow;
 
@@ -18,7 +19,8 @@ use crate::pixmap::{Channels, Extent, Samples};
 const ANIMATION_FLAG: u8 = 0b0000_0010;
 const EXIF_FLAG: u8 = 0b0000_1000;
 const ALPHA_FLAG: u8 = 0b0001_0000;
-/// The bits of an ALPH chunk's first byte that give its coding, and their value for a lossless stream.
+/// The bits of an ALPH chunk's first byte that give its coding, and their value for a lossless
+/// stream.
 const ALPHA_CODING: u8 = 0b11;
 const ALPHA_LOSSLESS: u8 = 1;
 /// Position, size, duration and flags of an animation's frame, before its chunks.
@@ -43,7 +45,8 @@ pub(in crate::codec) struct WebPFile<'a> {
     pub(in crate::codec) found: Found<'a>,
     pub(in crate::codec) repairs: Repairs,
     profile: Option<&'a [u8]>,
-    /// Memory for the tables of a lossless stream's prefix codes: an upper bound, and exact once the codes have been read.
+    /// Memory for the tables of a lossless stream's prefix codes: an upper bound, and exact once
+    /// the codes have been read.
     code_bytes: u64,
 }
 
@@ -110,7 +113,8 @@ impl<'a> Chunks<'a> {
                 }
             };
             place.get_or_insert(data);
-            // A last chunk of odd length may lack its padding, because the container's length has been checked.
+            // A last chunk of odd length may lack its padding, because the container's length has
+            // been checked.
             rest = behind.get(size + size % 2..).unwrap_or_default();
         }
         Ok(found)
@@ -247,9 +251,10 @@ impl<'a> WebPFile<'a> {
         }
     }
 
-    /// Memory beside the picture: the copy of the frame (for VP8 its partitions twice more); for VP8 its planes (3/2 bytes per pixel of
-    /// whole macroblocks, and a record of each); for ALPH its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up
-    /// to three quarter-size images of transforms and code groups, and the tables of its codes.
+    /// Memory beside the picture: the copy of the frame (for VP8 its partitions twice more); for
+    /// VP8 its planes (3/2 bytes per pixel of whole macroblocks, and a record of each); for ALPH
+    /// its RGBA and its green; for VP8L the RGBA that is decoded when RGB is wanted, up to three
+    /// quarter-size images of transforms and code groups, and the tables of its codes.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let (width, height) = (
             u64::from(self.extent.width()),

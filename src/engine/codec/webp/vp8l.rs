@@ -1,20 +1,24 @@
-//! Bounds the memory of a lossless WebP stream's prefix codes (RFC 9649, section 3), which a decoder builds before the first pixel. A
-//! stream may hold 65,536 groups of five codes whatever the size of its picture, and eight bytes of it can describe a code whose tables
-//! take 70 KiB: a file of 672 kB took 3.6 GB. This module reads the stream up to its picture without building anything: it skips the
-//! images of the transforms symbol by symbol (their number of bits does not depend on the pixels), takes the number of groups from the
-//! largest literal of the entropy image, and computes table sizes from the code lengths. Cost: at most a fixed number of steps per bit
-//! read and per byte of the tables, whatever size the header claims: a transform may occur once, and an image whose symbols take no bits
-//! is skipped in one step.
+//! Bounds the memory of a lossless WebP stream's prefix codes (RFC 9649, section 3), which a
+//! decoder builds before the first pixel. A stream may hold 65,536 groups of five codes whatever
+//! the size of its picture, and eight bytes of it can describe a code whose tables take 70 KiB: a
+//! file of 672 kB took 3.6 GB. This module reads the stream up to its picture without building
+//! anything: it skips the images of the transforms symbol by symbol (their number of bits does not
+//! depend on the pixels), takes the number of groups from the largest literal of the entropy image,
+//! and computes table sizes from the code lengths. Cost: at most a fixed number of steps per bit
+//! read and per byte of the tables, whatever size the header claims: a transform may occur once,
+//! and an image whose symbols take no bits is skipped in one step.
 
 use crate::codec::work::StepCounter;
 use crate::codec::{CodecError, Format};
 
-/// Larger tables are refused. Encoders stay far below: libwebp makes at most 2,600 groups of about 20 KiB.
+/// Larger tables are refused. Encoders stay far below: libwebp makes at most 2,600 groups of about
+/// 20 KiB.
 const MAX_CODE_BYTES: u64 = 128 << 20;
 /// Tables for a picture of any size: eight groups of the largest codes.
 const FREE_CODE_BYTES: u64 = 1 << 20;
-/// Larger tables per pixel are refused. A code of n bits pays off only for as many pixels as the n-th Fibonacci number, so a table of 1024
-/// entries of 4 bytes stands for at least 89 pixels, and five of them for at most 230 bytes per pixel.
+/// Larger tables per pixel are refused. A code of n bits pays off only for as many pixels as the
+/// n-th Fibonacci number, so a table of 1024 entries of 4 bytes stands for at least 89 pixels, and
+/// five of them for at most 230 bytes per pixel.
 const PIXEL_CODE_BYTES: u64 = 256;
 
 /// The largest tables that are accepted for this number of pixels.
@@ -50,8 +54,8 @@ const GROUP: u64 = 3 * 5 * 56;
 /// Overhead of the allocator for a code's two blocks.
 const BLOCKS: u64 = 32;
 
-/// Bytes of the tables that a decoder builds for a stream: a whole `VP8L` chunk (`size: None`), or an `ALPH` chunk without its first byte.
-/// At most `most`.
+/// Bytes of the tables that a decoder builds for a stream: a whole `VP8L` chunk (`size: None`), or
+/// an `ALPH` chunk without its first byte. At most `most`.
 pub(super) fn code_bytes(
     stream: &[u8],
     size: Option<(u32, u32)>,
@@ -148,8 +152,9 @@ impl Walk<'_> {
         }
     }
 
-    /// Skips an image that has one group of codes. Returns the largest number that red and green of a pixel make: copies repeat earlier
-    /// pixels, and colours of a cache are zero until a literal sets them.
+    /// Skips an image that has one group of codes. Returns the largest number that red and green of
+    /// a pixel make: copies repeat earlier pixels, and colours of a cache are zero until a literal
+    /// sets them.
     fn image(&mut self, width: u32, height: u32) -> Result<u32, CodecError> {
         let cached = self.cached_colours()?;
         let mut group = Vec::with_capacity(ALPHABETS.len());
@@ -173,7 +178,8 @@ impl Walk<'_> {
             (&[cached], ..) if usize::from(cached) >= ALPHABETS[0] => return Ok(0),
             _ => {}
         }
-        // From here on every iteration reads at least one bit, except for a copy as the only symbol, which has nothing to copy.
+        // From here on every iteration reads at least one bit, except for a copy as the only
+        // symbol, which has nothing to copy.
         let pixels = u64::from(width) * u64::from(height);
         let (mut at, mut largest) = (0, 0);
         while at < pixels {
@@ -389,7 +395,8 @@ mod tests {
         code_bytes(stream, None, most, &StepCounter::new(&|| false))
     }
 
-    /// A code of `count` symbols, all of one length, in as few bits as there are: only that length is a symbol of the code for lengths.
+    /// A code of `count` symbols, all of one length, in as few bits as there are: only that length
+    /// is a symbol of the code for lengths.
     fn equal(pen: &mut Pen, length: usize, count: u32) {
         let place = LENGTH_CODE_ORDER
             .iter()
@@ -403,7 +410,8 @@ mod tests {
         pen.put(count - 2, 12);
     }
 
-    /// A stream whose entropy image has one literal, and as many groups of the heaviest codes as that asks for.
+    /// A stream whose entropy image has one literal, and as many groups of the heaviest codes as
+    /// that asks for.
     fn bomb(groups: u32) -> Vec<u8> {
         let mut pen = vp8l_head(4, 4);
         // No transform; a cache of 2048 colours; an entropy image of one block, without a cache.
@@ -441,7 +449,8 @@ mod tests {
         assert_eq!(most_code_bytes(u64::MAX), MAX_CODE_BYTES);
     }
 
-    /// Every symbol of real files is understood, with every kind of code, copy and cache that encoders write.
+    /// Every symbol of real files is understood, with every kind of code, copy and cache that
+    /// encoders write.
     #[test]
     fn streams_of_real_files_are_walked_to_their_picture() {
         let mut weights = Vec::new();

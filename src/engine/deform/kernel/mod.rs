@@ -1,6 +1,7 @@
-//! Poses blocks of vertices, the only loop over the table during a drag, and computes blocks of rows for a plan. The one place of `deform`
-//! that chooses an instruction set; every level does the same operations in the same order (no fused multiply-add), so all levels give the
-//! same bits. Measurements and rejected variants: `notes.md`.
+//! Poses blocks of vertices, the only loop over the table during a drag, and computes blocks of
+//! rows for a plan. The one place of `deform` that chooses an instruction set; every level does the
+//! same operations in the same order (no fused multiply-add), so all levels give the same bits.
+//! Measurements and rejected variants: `notes.md`.
 
 mod scalar;
 #[cfg(target_arch = "x86_64")]
@@ -37,8 +38,9 @@ pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
     }
 }
 
-/// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px. Shapes: `table: [blocks][lanes per block]`, `d: [columns]`,
-/// `out: [blocks]`. Returns the least |m| (rigid), else 1.
+/// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px. Shapes:
+/// `table: [blocks][lanes per block]`, `d: [columns]`, `out: [blocks]`. Returns the least |m|
+/// (rigid), else 1.
 pub(super) fn displace(
     family: Method,
     table: &[Lanes],
@@ -156,8 +158,8 @@ mod tests {
         }
     }
 
-    /// The same for rows: points and segments, every kind of power, vertices on handles, next to them and far away, sixteen at once and
-    /// one by one.
+    /// The same for rows: points and segments, every kind of power, vertices on handles, next to
+    /// them and far away, sixteen at once and one by one.
     #[test]
     fn levels_weigh_to_the_same_bits() {
         let segment = |a: Point, b: Point, column| {

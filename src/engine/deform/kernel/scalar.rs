@@ -1,5 +1,6 @@
-//! The reference: plain loops over the lanes of a block, which every compiler turns into vectors of the width it is allowed.
-//! Functions, not closures: a closure may stay a function of its own, which then has the reference's vectors in every level.
+//! The reference: plain loops over the lanes of a block, which every compiler turns into vectors of
+//! the width it is allowed. Functions, not closures: a closure may stay a function of its own,
+//! which then has the reference's vectors in every level.
 
 use super::{LANES, Lanes, Method, Pairs, lanes_per_block};
 
@@ -24,7 +25,8 @@ pub(super) fn displace_inline(
     d: &[[f32; 2]],
     out: &mut Vec<Pairs>,
 ) -> f32 {
-    // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops free of a horizontal step.
+    // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops
+    // free of a horizontal step.
     let mut least = [1.0f32; LANES];
     out.reserve(table.len() / lanes_per_block(family, d.len()));
     for block in table.chunks_exact(lanes_per_block(family, d.len())) {
@@ -102,8 +104,8 @@ fn turn(block: &[Lanes], [ux, uy, x, y]: &[[f32; LANES]; 4], least: &mut [f32; L
     let (mut x, mut y) = (*x, *y);
     let (Lanes(ex), Lanes(ey)) = (&block[block.len() - 2], &block[block.len() - 1]);
     for k in 0..LANES {
-        // rho(u) of mathematics 2.3 without a branch and with one division: where the turn is less than a right angle,
-        // `(mx - n) / n` cancels and is `-uy^2 / (n (n + mx))` instead.
+        // rho(u) of mathematics 2.3 without a branch and with one division: where the turn is less
+        // than a right angle, `(mx - n) / n` cancels and is `-uy^2 / (n (n + mx))` instead.
         let mx = 1.0 + ux[k];
         let n = (mx * mx + uy[k] * uy[k]).sqrt();
         let ahead = mx > 0.0;

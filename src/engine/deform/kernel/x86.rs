@@ -1,4 +1,5 @@
-//! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a processor that has the level.
+//! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a
+//! processor that has the level.
 
 use super::{Lanes, Method, MomentInputs, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
 

@@ -1,5 +1,6 @@
-//! AVX2: the scalar loops compiled again for wide registers, and a hand-written bilinear sampler with the integers of `scalar`. Public
-//! functions take a [`Kernel`] as proof that the machine has the level.
+//! AVX2: the scalar loops compiled again for wide registers, and a hand-written bilinear sampler
+//! with the integers of `scalar`. Public functions take a [`Kernel`] as proof that the machine has
+//! the level.
 
 use std::arch::x86_64::*;
 use std::ops::Range;
@@ -29,14 +30,16 @@ macro_rules! widened {
 }
 
 widened! {
-    snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32], y: &mut [i32]);
+    snap(rest_x: &[f64], rest_y: f64, displacement: &[[f32; 2]], scale: [f64; 2], x: &mut [i32],
+        y: &mut [i32]);
     y_ranges(y: &[i32], y_ranges: &mut [YRange]);
     edges(from: (&[i32], &[i32]), to: (&[i32], &[i32]), scale: f32, edges: &mut Edges);
     soundness(cells: &Neighbours<'_>, soundness: &mut [u8]);
     steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]);
     bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]);
     shrinks(lines: (&[[f32; 2]], &[[f32; 2]]), per: [f32; 2], least: f32, shrinking: &mut [u8]);
-    footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize, batch: &mut FootprintBatch);
+    footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize,
+        batch: &mut FootprintBatch);
     positions(alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]);
     classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
@@ -45,7 +48,8 @@ widened! {
 const LANES: usize = 8;
 const _: () = assert!(LANES == BLOCK, "a block of columns fills a register");
 
-/// Crossings of columns with rows: [`scalar::crossings`], with a block of columns in registers for all rows that it reaches.
+/// Crossings of columns with rows: [`scalar::crossings`], with a block of columns in registers for
+/// all rows that it reaches.
 pub(super) fn crossings(
     kernel: Kernel,
     lattice: &Lattice,
@@ -103,7 +107,8 @@ fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [
                 let (x, v) = (first_of(&mut x[at..]), first_of(&mut v[at..]));
                 let x_new = _mm256_add_ps(x0, _mm256_mul_ps(below, slope_x));
                 let v_new = _mm256_add_ps(top, _mm256_mul_ps(below, slope_v));
-                // Adds to zeros: a blend would be compiled to a masked store, which takes ten times as long on some machines.
+                // Adds to zeros: a blend would be compiled to a masked store, which takes ten times
+                // as long on some machines.
                 put(x, _mm256_or_ps(get(x), _mm256_and_ps(x_new, crosses)));
                 put(v, _mm256_or_ps(get(v), _mm256_and_ps(v_new, crosses)));
             }
@@ -190,8 +195,9 @@ fn note(spans: &mut Spans<'_>) {
     scalar::pin_ends(spans);
 }
 
-/// Coordinates along a row: [`note`], then eight pixels at a time. A span always writes its first group: values beyond its end belong to a
-/// later span, which overwrites them, or lie outside the covered run.
+/// Coordinates along a row: [`note`], then eight pixels at a time. A span always writes its first
+/// group: values beyond its end belong to a later span, which overwrites them, or lie outside the
+/// covered run.
 pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
     #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
     unsafe fn wide(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
@@ -216,8 +222,9 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
                 );
                 let mut k = lanes;
                 loop {
-                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at the ends is; so `at < end <= width`
-                    // after the first group, and there is room for a group behind the row.
+                    // SAFETY: `note` keeps `first` at or below the width, as the asserted range at
+                    // the ends is; so `at < end <= width` after the first group, and there is room
+                    // for a group behind the row.
                     unsafe {
                         _mm256_storeu_ps(u.add(at), _mm256_add_ps(nu, _mm256_mul_ps(k, ndu)));
                         _mm256_storeu_ps(v.add(at), _mm256_add_ps(nv, _mm256_mul_ps(k, ndv)));
@@ -242,7 +249,8 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         u.len() >= spans.width + LANES && v.len() >= spans.width + LANES,
         "a group may end behind the row"
     );
-    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room
+    // is asserted above.
     unsafe { wide(spans, u, v) }
 }
 
@@ -274,7 +282,8 @@ pub(super) fn sample(
     if packed.width > 1 << 15 || packed.height > 1 << 15 {
         return scalar::sample(packed, u, v, channels, out);
     }
-    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the sizes are asserted above.
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the
+    // sizes are asserted above.
     unsafe {
         match (channels, packed.opaque) {
             (Channels::Rgb, true) => row::<3, true>(packed, u, v, out),
@@ -294,7 +303,8 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
     v: &[f32],
     out: &mut [u8],
 ) {
-    // Computes the positions of a chunk first and fetches texels afterwards, so that fetches only wait for each other.
+    // Computes the positions of a chunk first and fetches texels afterwards, so that fetches only
+    // wait for each other.
     let mut places = [Places {
         index: [0; LANES],
         fractions: [0; LANES],
@@ -311,7 +321,8 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
             locate(packed, u, v, places);
         }
         for (places, out) in places.iter().zip(out.chunks_exact_mut(LANES * CHANNELS)) {
-            // SAFETY: the places are in the picture, as `locate` makes them; `out` has room for a group.
+            // SAFETY: the places are in the picture, as `locate` makes them; `out` has room for a
+            // group.
             unsafe { store::<CHANNELS>(group::<OPAQUE>(packed, places), out.as_mut_ptr()) };
         }
     }
@@ -361,7 +372,8 @@ fn locate(packed: &Packed, u: &[f32; LANES], v: &[f32; LANES], places: &mut Plac
     let (across, down) = (inside(u, last_x), inside(v, last_y));
     let index = _mm256_mullo_epi32(_mm256_srli_epi32::<7>(down), _mm256_set1_epi32(stride));
     let index = _mm256_add_epi32(index, _mm256_srli_epi32::<7>(across));
-    // The low half of each lane comes from `across`, the high half from `down`; integer parts are dropped.
+    // The low half of each lane comes from `across`, the high half from `down`; integer parts are
+    // dropped.
     let fractions = _mm256_blend_epi16::<0b1010_1010>(across, _mm256_slli_epi32::<16>(down));
     let fractions = _mm256_and_si256(fractions, _mm256_set1_epi16(127));
     // SAFETY: eight integers are stored into eight integers, twice.
@@ -400,16 +412,18 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
 /// Eight pixels, RGBA.
 ///
 /// # Safety
-/// `packed.texels` holds `(width + 1) (height + 1)` texels, and `places` is what [`locate`] made for it.
+/// `packed.texels` holds `(width + 1) (height + 1)` texels, and `places` is what [`locate`] made
+/// for it.
 #[inline]
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i {
     let (stride, index) = (packed.stride(), &places.index);
-    // A left and right texel for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the upper and the lower row.
+    // A left and right texel for each pixel: pixels 0, 1 | 4, 5 and 2, 3 | 6, 7 of the upper and
+    // the lower row.
     let texels = packed.texels.as_ptr();
     let pair = |row: *const u32, a: usize, b: usize| {
-        // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so a pixel's pair begins before the last column and row, which are
-        // padding.
+        // SAFETY: U <= 128 (width - 1) and V <= 128 (height - 1), so a pixel's pair begins before
+        // the last column and row, which are padding.
         unsafe {
             let low = _mm_loadl_epi64(row.add(index[a] as usize).cast());
             _mm_castpd_si128(_mm_loadh_pd(
@@ -496,8 +510,8 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     };
     let (above_a, above_b) = (blend(rows[0], wx_a), blend(rows[1], wx_b));
     let (below_a, below_b) = (blend(rows[2], wx_a), blend(rows[3], wx_b));
-    // Down: above + (below - above) f / 128, rounded to nearest by 2^6; then 2^14 for the 128 subtracted from each texel, and 2^6 to
-    // round.
+    // Down: above + (below - above) f / 128, rounded to nearest by 2^6; then 2^14 for the 128
+    // subtracted from each texel, and 2^6 to round.
     let bias = _mm256_set1_epi16((1 << 14) + (1 << 6));
     let mean = |above: __m256i, below: __m256i, weights: __m256i| {
         let step = _mm256_mulhrs_epi16(_mm256_sub_epi16(below, above), weights);

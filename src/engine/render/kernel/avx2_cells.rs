@@ -1,4 +1,5 @@
-//! AVX2: `cells::fill` for eight pixels of a row at a time, by blocks of columns and then by rows. The same operations in the same order.
+//! AVX2: `cells::fill` for eight pixels of a row at a time, by blocks of columns and then by rows.
+//! The same operations in the same order.
 
 use std::arch::x86_64::*;
 
@@ -21,7 +22,8 @@ pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster
         raster.width + LANES <= raster.pitch && end <= raster.u.len() && end <= raster.v.len(),
         "a block may end behind the row"
     );
-    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room
+    // is asserted above.
     unsafe {
         if raster.over {
             blocks::<true>(piece, rows, raster)
@@ -98,7 +100,8 @@ fn within(share: __m256) -> __m256 {
 }
 
 /// # Safety
-/// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block behind the width.
+/// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block
+/// behind the width.
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
 unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     let (from, to) = reach(piece, raster.width);

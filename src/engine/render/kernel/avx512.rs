@@ -1,5 +1,6 @@
-//! AVX-512: the cells of `avx2_cells` with masks instead of blends: unpainted pixels are not stored, and nothing is loaded where cells
-//! overwrite others. Everything else is `avx2`: wider registers gain little or nothing (`notes.md`).
+//! AVX-512: the cells of `avx2_cells` with masks instead of blends: unpainted pixels are not
+//! stored, and nothing is loaded where cells overwrite others. Everything else is `avx2`: wider
+//! registers gain little or nothing (`notes.md`).
 
 use std::arch::x86_64::*;
 
@@ -28,7 +29,8 @@ pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster
         raster.width + LANES <= raster.pitch && end <= raster.u.len() && end <= raster.v.len(),
         "a block may end behind the row"
     );
-    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room is asserted above.
+    // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it; the room
+    // is asserted above.
     unsafe {
         if raster.over {
             blocks::<true>(piece, rows, raster)
@@ -39,7 +41,8 @@ pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster
 }
 
 /// # Safety
-/// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block behind the width.
+/// Rows up to the last one of `rows` have room for `pitch` coordinates, and `pitch` for a block
+/// behind the width.
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2")]
 unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     let (from, to) = reach(piece, raster.width);

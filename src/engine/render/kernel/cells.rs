@@ -1,6 +1,8 @@
-//! Draws single cells in lanes. Exact integers decide which pixel centres a convex polygon contains (the rule of `edge`); the closed
-//! inverse of the bilinear patch gives the source position of each (`patch` derives the root). One branch-free loop over eight pixels of a
-//! row, which compilers vectorise; f32 in a fixed order, so all levels give the same bits. Cost: O(rows * blocks of pixels).
+//! Draws single cells in lanes. Exact integers decide which pixel centres a convex polygon contains
+//! (the rule of `edge`); the closed inverse of the bilinear patch gives the source position of each
+//! (`patch` derives the root). One branch-free loop over eight pixels of a row, which compilers
+//! vectorise; f32 in a fixed order, so all levels give the same bits. Cost: O(rows * blocks of
+//! pixels).
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -30,12 +32,13 @@ pub(in crate::render) struct Raster<'a> {
     pub(in crate::render) first: u32,
     /// Pixels of a row.
     pub(in crate::render) width: usize,
-    /// Pixels from one row to the next: at least `width + LANES`, and none behind `width` is [`UNCOVERED`].
+    /// Pixels from one row to the next: at least `width + LANES`, and none behind `width` is
+    /// [`UNCOVERED`].
     pub(in crate::render) pitch: usize,
     pub(in crate::render) u: &'a mut [f32],
     pub(in crate::render) v: &'a mut [f32],
-    /// Whether cells come in drawing order and overwrite earlier ones; otherwise they come in reverse order and fill uncovered pixels
-    /// only.
+    /// Whether cells come in drawing order and overwrite earlier ones; otherwise they come in
+    /// reverse order and fill uncovered pixels only.
     pub(in crate::render) over: bool,
     /// In each row, the range from the first to the last uncovered pixel.
     pub(in crate::render) uncovered: &'a mut [Range<usize>],
@@ -44,7 +47,8 @@ pub(in crate::render) struct Raster<'a> {
 }
 
 impl Raster<'_> {
-    /// Updates `uncovered` and `open` after painting. O(1) per pixel over all calls together, and per row and call.
+    /// Updates `uncovered` and `open` after painting. O(1) per pixel over all calls together, and
+    /// per row and call.
     #[inline]
     pub(in crate::render) fn shrink(&mut self) {
         if self.over {
@@ -66,7 +70,8 @@ impl Raster<'_> {
     }
 }
 
-/// A convex polygon (a triangle repeats its last corner) and the map of the source on it: the patch of a cell, or affine.
+/// A convex polygon (a triangle repeats its last corner) and the map of the source on it: the patch
+/// of a cell, or affine.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct Piece {
     /// The lattice origin of all other coordinates.
@@ -89,8 +94,9 @@ pub(super) enum Map {
     Root(Root),
 }
 
-/// Around the middle of a patch that is nearly affine, with s and t from -1/2 to 1/2: `s = s0 - s t twist.0` and `t = t0 - s t twist.1`,
-/// solved by two substitutions; s0 and t0 are the affine inverse, each `x X + y Y + c` in px.
+/// Around the middle of a patch that is nearly affine, with s and t from -1/2 to 1/2:
+/// `s = s0 - s t twist.0` and `t = t0 - s t twist.1`, solved by two substitutions; s0 and t0 are
+/// the affine inverse, each `x X + y Y + c` in px.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Near {
     pub(super) s: [f32; 3],
@@ -160,7 +166,8 @@ impl Piece {
         }
     }
 
-    /// The patch of a single cell; `None` if it is not strictly convex, or has a side longer than `longest_side`.
+    /// The patch of a single cell; `None` if it is not strictly convex, or has a side longer than
+    /// `longest_side`.
     #[inline(always)]
     pub(in crate::render) fn patch(
         corners: &[Corner; 4],
@@ -246,7 +253,8 @@ impl Piece {
     }
 }
 
-/// The function that is not negative inside an edge, where the inside is on the right of `from` to `to` if `sign` is 1.
+/// The function that is not negative inside an edge, where the inside is on the right of `from` to
+/// `to` if `sign` is 1.
 #[inline(always)]
 fn edge(from: &Corner, to: &Corner, origin: &Corner, sign: i32) -> [i32; 3] {
     edge_between([from.x, from.y], [to.x, to.y], [origin.x, origin.y], sign)
@@ -330,7 +338,8 @@ impl Near {
         }
     }
 
-    /// Whether two substitutions suffice for a cell that spans `du` and `dv`; false if the area vanishes.
+    /// Whether two substitutions suffice for a cell that spans `du` and `dv`; false if the area
+    /// vanishes.
     #[inline(always)]
     fn is_accurate(&self, du: f32, dv: f32, unit: f32) -> bool {
         let [ds, dt] = self.twist.map(f32::abs);
@@ -345,9 +354,11 @@ impl Near {
 pub(in crate::render) struct CellBlock {
     /// The open rows of the raster that each cell meets, one bit each.
     pub(in crate::render) rows: [u32; BLOCK],
-    /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes, else 0.
+    /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes,
+    /// else 0.
     pub(in crate::render) convex: [i32; BLOCK],
-    /// Input of convex cells' pieces: [`Near`] if it is accurate, the pixels that they can reach, and their edges.
+    /// Input of convex cells' pieces: [`Near`] if it is accurate, the pixels that they can reach,
+    /// and their edges.
     near: [[f32; BLOCK]; 8],
     is_near: [bool; BLOCK],
     pixels: [[i32; BLOCK]; 2],
@@ -458,7 +469,8 @@ pub(super) fn classify(
     }
 }
 
-/// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest and its lowest corner.
+/// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest and
+/// its lowest corner.
 #[inline(always)]
 pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     let (from, to) = reach(piece, raster.width);

@@ -1,6 +1,7 @@
-//! Footprints of eight pixels at a time, and the positions of their samples (`footprint` says what they are): f32 in a fixed order, so all
-//! levels give the same bits. Most pixels of a marked cell need one sample, which is seen without a root or a division. Cost: about 15 ns
-//! per pixel with more samples.
+//! Footprints of eight pixels at a time, and the positions of their samples (`footprint` says what
+//! they are): f32 in a fixed order, so all levels give the same bits. Most pixels of a marked cell
+//! need one sample, which is seen without a root or a division. Cost: about 15 ns per pixel with
+//! more samples.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -31,7 +32,8 @@ pub(in crate::render) const TOGETHER: usize = 64;
 pub(in crate::render) const BATCH: usize = 2 * TOGETHER;
 /// Different numbers of samples.
 pub(in crate::render) const KINDS: usize = MOST.ilog2() as usize;
-/// Pixels that compilers process together: passes are over whole groups, because the rest would be processed one by one.
+/// Pixels that compilers process together: passes are over whole groups, because the rest would be
+/// processed one by one.
 const LANES: usize = 8;
 
 /// The Jacobians of a mesh that shrinks the source somewhere.
@@ -39,8 +41,8 @@ const LANES: usize = 8;
 pub(in crate::render) struct FootprintGrid {
     pub(in crate::render) columns: usize,
     pub(in crate::render) rows: usize,
-    /// At the corners of marked cells, `[rows][columns]`: derivatives of the posed position by the rest position, of x and y along x, of x
-    /// and y along y.
+    /// At the corners of marked cells, `[rows][columns]`: derivatives of the posed position by the
+    /// rest position, of x and y along x, of x and y along y.
     pub(in crate::render) jacobians: Vec<[f32; 4]>,
     /// 1 for the cells that may shrink the source and those beside them, else 0, `[rows][columns]`.
     pub(in crate::render) marked: Vec<u8>,
@@ -56,7 +58,8 @@ pub(in crate::render) struct FootprintGrid {
 /// Pixels that need several samples.
 #[derive(Debug, Default)]
 pub(in crate::render) struct FootprintBatch {
-    /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the picture itself, then the others.
+    /// By the number of samples, 2, 4, 8 and 16; first those whose samples are read from the
+    /// picture itself, then the others.
     pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
     /// Kept, because zeroing it costs as much as a pass.
     lanes: Box<Lanes>,
@@ -89,7 +92,8 @@ impl Default for Alike {
 }
 
 impl Alike {
-    /// Keeps the pixels whose samples are read from the same copy as those of the first, and moves the others to `rest`.
+    /// Keeps the pixels whose samples are read from the same copy as those of the first, and moves
+    /// the others to `rest`.
     pub(in crate::render) fn split(&mut self, rest: &mut Self) {
         let all = std::mem::take(&mut self.len);
         for k in 0..all {
@@ -118,15 +122,17 @@ impl Alike {
     }
 }
 
-/// The shrinking up to which a footprint certainly needs one sample, where a px of the target is `scale` px of the sampled picture: the
-/// root of `scale x (x - LEAST) / (FULL - LEAST) = APART`, less a margin for rounding.
+/// The shrinking up to which a footprint certainly needs one sample, where a px of the target is
+/// `scale` px of the sampled picture: the root of `scale x (x - LEAST) / (FULL - LEAST) = APART`,
+/// less a margin for rounding.
 pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     let share = APART * (FULL - LEAST) / scale;
     0.999 * (0.5 * LEAST + (0.25 * LEAST * LEAST + share).sqrt())
 }
 
-/// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be room for as many of each kind. `first`:
-/// index of the first pixel. Passes over arrays, which compilers vectorise; each keeps fewer pixels.
+/// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be
+/// room for as many of each kind. `first`: index of the first pixel. Passes over arrays, which
+/// compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
 pub(super) fn footprints(
     grid: &FootprintGrid,
@@ -319,8 +325,8 @@ fn squares([xx, yx, xy, yy]: &[f32; 4]) -> (f32, [f32; 2]) {
     (det, [yy * yy + yx * yx, xx * xx + xy * xy])
 }
 
-/// Footprints: their sides, coordinates of the sampler, and how their samples are arranged: binary logarithms of the numbers along both
-/// sides, and their distance, px.
+/// Footprints: their sides, coordinates of the sampler, and how their samples are arranged: binary
+/// logarithms of the numbers along both sides, and their distance, px.
 #[derive(Debug)]
 struct Shapes {
     sides: [[f32; TOGETHER]; 4],

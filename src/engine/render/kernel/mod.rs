@@ -1,7 +1,8 @@
-//! The inner loops of the renderer, and the selection of an instruction set. `scalar` is the reference and defines every result: f32
-//! operations in a fixed order without fused products, and integers; so all levels give the same bytes. `avx2` compiles the scalar loops
-//! that the compiler can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells. Rejected variants:
-//! `notes.md`.
+//! The inner loops of the renderer, and the selection of an instruction set. `scalar` is the
+//! reference and defines every result: f32 operations in a fixed order without fused products, and
+//! integers; so all levels give the same bytes. `avx2` compiles the scalar loops that the compiler
+//! can vectorise again, and has a hand-written sampler and cells. `avx512` has its own cells.
+//! Rejected variants: `notes.md`.
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
@@ -99,7 +100,8 @@ impl Kernel {
         dispatch!(self, edges(from, to, scale, edges));
     }
 
-    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; upright cells may also have the bit [`STEEP`].
+    /// How each cell of a row may be drawn: [`SOUND`], [`UPRIGHT`] or 0; upright cells may also
+    /// have the bit [`STEEP`].
     pub(super) fn soundness(self, cells: &Neighbours<'_>, soundness: &mut [u8]) {
         dispatch!(self, soundness(cells, soundness));
     }
@@ -115,13 +117,15 @@ impl Kernel {
         dispatch!(self, steepness(cells, above, below, soundness));
     }
 
-    /// The bend of the columns at the line between two rows of cells: squared jump of the derivative along them.
+    /// The bend of the columns at the line between two rows of cells: squared jump of the
+    /// derivative along them.
     pub(super) fn bends(self, above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32]) {
         dispatch!(self, bends(above, below, bends));
     }
 
-    /// Whether each cell between two lines of vertices shrinks the source by more than `least`, from its left and upper sides: 1 or 0.
-    /// `lines`: displacements, px; `per`: cells per px of the source.
+    /// Whether each cell between two lines of vertices shrinks the source by more than `least`,
+    /// from its left and upper sides: 1 or 0. `lines`: displacements, px; `per`: cells per px of
+    /// the source.
     pub(super) fn shrinks(
         self,
         lines: (&[[f32; 2]], &[[f32; 2]]),
@@ -132,7 +136,8 @@ impl Kernel {
         dispatch!(self, shrinks(lines, per, least, shrinking));
     }
 
-    /// Appends the pixels that need several samples. `first`: index of the first pixel. There must be room for as many of each kind.
+    /// Appends the pixels that need several samples. `first`: index of the first pixel. There must
+    /// be room for as many of each kind.
     pub(super) fn footprints(
         self,
         grid: &FootprintGrid,
@@ -144,13 +149,15 @@ impl Kernel {
         dispatch!(self, footprints(grid, u, v, first, batch));
     }
 
-    /// The positions of `2^log` samples of each pixel: the first samples of all, then the second ones.
+    /// The positions of `2^log` samples of each pixel: the first samples of all, then the second
+    /// ones.
     pub(super) fn positions(self, alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]) {
         dispatch!(self, positions(alike, log, u, v));
     }
 
-    /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero before the call and where nothing is
-    /// crossed; meaningless for a column that crosses a row more than once.
+    /// Crossings of every column with target rows: x, px, and v, `[rows][pitch + BLOCK]`, zero
+    /// before the call and where nothing is crossed; meaningless for a column that crosses a row
+    /// more than once.
     pub(super) fn crossings(
         self,
         lattice: &Lattice,
@@ -166,7 +173,8 @@ impl Kernel {
         dispatch!(self, spans(spans, u, v));
     }
 
-    /// Classifies a block of cells: the rows of the raster that they meet, and whether they are convex.
+    /// Classifies a block of cells: the rows of the raster that they meet, and whether they are
+    /// convex.
     pub(super) fn classify(
         self,
         lattice: &Lattice,
@@ -178,7 +186,8 @@ impl Kernel {
         dispatch!(self, classify(lattice, j, block, raster, seen));
     }
 
-    /// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest and its lowest corner.
+    /// Draws a piece in the rows of the raster whose bits are set; all must lie between its highest
+    /// and its lowest corner.
     pub(super) fn fill(self, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
         dispatch!(self, fill(piece, rows, raster));
     }

@@ -1,8 +1,10 @@
-//! The reference kernels, which define every result. Snapping: f64 to the nearest 1/256 px. Column crossings: f32. Bilinear samples:
-//! integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and fx = U & 127 (likewise for v), the value is `(sum of w t + 8256) >> 14`
-//! over the four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 rounds in two steps of 7 bits, which
-//! 16-bit lanes can do). With alpha it is `round(sum of w a t / sum of w a)`, so colours under alpha 0 never show. The functions are
-//! inlined so that `avx2` can compile them again for wider registers.
+//! The reference kernels, which define every result. Snapping: f64 to the nearest 1/256 px. Column
+//! crossings: f32. Bilinear samples: integers; with U = floor(128 (u - 1/2) + 1/2), x0 = U >> 7 and
+//! fx = U & 127 (likewise for v), the value is `(sum of w t + 8256) >> 14` over the four texels t
+//! and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 rounds in two steps of 7
+//! bits, which 16-bit lanes can do). With alpha it is `round(sum of w a t / sum of w a)`, so
+//! colours under alpha 0 never show. The functions are inlined so that `avx2` can compile them
+//! again for wider registers.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -64,7 +66,8 @@ pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
     }
 }
 
-/// A row of cells: its two lines of vertices, lattice steps, padded by one block beyond whole blocks.
+/// A row of cells: its two lines of vertices, lattice steps, padded by one block beyond whole
+/// blocks.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::render) struct CellRow<'a> {
     pub(in crate::render) top: (&'a [i32], &'a [i32]),
@@ -109,7 +112,8 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     }
 }
 
-/// The Jacobian of the posed by the rest position, of differences of the displacement along x and y: x and y along x, x and y along y.
+/// The Jacobian of the posed by the rest position, of differences of the displacement along x and
+/// y: x and y along x, x and y along y.
 #[inline(always)]
 pub(in crate::render) fn jacobian(
     along_x: [f32; 2],
@@ -160,7 +164,8 @@ const STEEPEST: f32 = 4.0;
 /// A cell whose chords may cross more cells than its neighbours; [`steepness`] classifies it.
 pub(in crate::render) const STEEP: u8 = 4;
 
-/// Vectors from vertex to vertex, lattice steps: along a grid line, or along the columns of a row of cells per px at rest.
+/// Vectors from vertex to vertex, lattice steps: along a grid line, or along the columns of a row
+/// of cells per px at rest.
 #[derive(Clone, Debug, Default)]
 pub(in crate::render) struct Edges {
     pub(in crate::render) x: Vec<f32>,
@@ -197,12 +202,15 @@ pub(in crate::render) struct Neighbours<'a> {
 
 /// How cells may be drawn: [`UPRIGHT`], [`SOUND`] and [`STEEP`].
 ///
-/// A chord is drawn from a column, at the height V0 of the source, to the next one, at V1. Its error relative to the patches that it
-/// crosses is `δ = λ (1 - λ) (V1 - V0) (B' - A')`, where A' and B' are the derivatives of the two columns, each a mean over its side of λ.
-/// In a cell whose chords cross at most one grid line, B' - A' is a mean of this cell's twist and of the difference between one cell's
-/// column and the next cell's other column; each bounds the error of this cell's pixels by `|ΔV| / 4 |cross(column, B' - A')| width /
-/// area` in u and `|ΔV| / 4 |cross(line, B' - A')| / area` in v, with columns and area per px of height. The area is the one in the
-/// middle, minus half of its decrease to one side, because `4 λ (1 - λ)` decreases as well.
+/// A chord is drawn from a column, at the height V0 of the source, to the next one, at V1. Its
+/// error relative to the patches that it crosses is `δ = λ (1 - λ) (V1 - V0) (B' - A')`, where A'
+/// and B' are the derivatives of the two columns, each a mean over its side of λ. In a cell whose
+/// chords cross at most one grid line, B' - A' is a mean of this cell's twist and of the difference
+/// between one cell's column and the next cell's other column; each bounds the error of this cell's
+/// pixels by `|ΔV| / 4 |cross(column, B' - A')| width / area` in u and
+/// `|ΔV| / 4 |cross(line, B' - A')| / area` in v, with columns and area per px of height. The area
+/// is the one in the middle, minus half of its decrease to one side, because `4 λ (1 - λ)`
+/// decreases as well.
 #[inline(always)]
 pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
     let n = soundness.len();
@@ -252,8 +260,8 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
         );
         let most_slant = most(slant, most(over_y[c].abs(), under_y[c].abs()));
 
-        // The cell's own twist, and the difference of columns across a line. Where a line falls to the right, a row comes from the cell
-        // below.
+        // The cell's own twist, and the difference of columns across a line. Where a line falls to
+        // the right, a row comes from the cell below.
         let twist = minus(right, left);
         let across_top = choose(
             top.1 > 0.0,
@@ -292,10 +300,11 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
     }
 }
 
-/// How steep cells may be drawn, whose chords may cross many cells. A cell is sound if it is not too steep (|dt| rows of cells between
-/// columns) and the chord between its columns stays near its patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the
-/// chord in target px (each grid line that it crosses bends it once), r |column| width / area and r |line| height / area bound the error
-/// in u and v. All terms are squared and multiplied by the denominators.
+/// How steep cells may be drawn, whose chords may cross many cells. A cell is sound if it is not
+/// too steep (|dt| rows of cells between columns) and the chord between its columns stays near its
+/// patch: with r = |dt| (|d| + lines * height * bend) / 4 the distance of the chord in target px
+/// (each grid line that it crosses bends it once), r |column| width / area and r |line| height /
+/// area bound the error in u and v. All terms are squared and multiplied by the denominators.
 #[inline(always)]
 pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], soundness: &mut [u8]) {
     let n = soundness.len();
@@ -326,7 +335,8 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
             most(norm2(top), norm2(bottom)) * height2,
         );
         let fall2 = fall * fall;
-        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1, else at most 1 + |dt|.
+        // Lines that a row of pixels crosses between the columns, times fall: one where |dt| < 1,
+        // else at most 1 + |dt|.
         let lines = if slant < fall { fall } else { fall + slant };
         let off = slant * (twist2.sqrt() * fall + (height2 * bend2).sqrt() * lines);
         let near = off * off * reach2
@@ -558,7 +568,8 @@ fn spread(texel: u32) -> u64 {
 
 #[inline(always)]
 fn opaque(texels: [u32; 4], fx: u64, fy: u64) -> [u8; 4] {
-    // Across: up to 128 * 255, fits 16 bits. Down: up to 128^2 * 255, two samples at a time, spaced by 32 bits.
+    // Across: up to 128 * 255, fits 16 bits. Down: up to 128^2 * 255, two samples at a time, spaced
+    // by 32 bits.
     let across = |left: u32, right: u32| spread(left) * (128 - fx) + spread(right) * fx;
     let (above, below) = (across(texels[0], texels[1]), across(texels[2], texels[3]));
     let down = |shift: u32| {

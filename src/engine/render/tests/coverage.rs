@@ -7,7 +7,8 @@ use super::super::kernel::{Kernel, LANES, Raster, UNCOVERED};
 use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
 use super::*;
 
-/// Draws each cell by itself, in drawing order, in strips of a few rows, and returns the coordinates.
+/// Draws each cell by itself, in drawing order, in strips of a few rows, and returns the
+/// coordinates.
 fn cell_by_cell(
     lattice: &Lattice,
     target: Extent,
@@ -104,7 +105,8 @@ fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
     counts
 }
 
-/// The winding number of the snapped border around a position, in exact integers; `None` on the border itself.
+/// The winding number of the snapped border around a position, in exact integers; `None` on the
+/// border itself.
 fn winding(lattice: &Lattice, x: i64, y: i64) -> Option<i64> {
     let (c, r) = (lattice.columns - 1, lattice.rows - 1);
     let loop_ = (0..c)
@@ -282,7 +284,8 @@ fn coordinates_are_those_of_the_bilinear_patch() {
     assert!(fast > 600 && compared > 400_000, "{fast} {compared}");
 }
 
-/// Compares all rows with painting the cells one after the other; returns the number of painted pixels.
+/// Compares all rows with painting the cells one after the other; returns the number of painted
+/// pixels.
 fn as_painted_in_order(drawing: &Drawing, target: Extent, what: &str) -> usize {
     let (width, mut painted) = (target.width() as usize, 0);
     let mut places = vec![None; width * target.height() as usize];
@@ -417,8 +420,8 @@ fn cells_without_area_paint_nothing() {
     assert_eq!(ONE, 256, "lattice steps in the places above");
 }
 
-/// Steep grid lines, and columns that bend at some of them: a chord between columns crosses several cells, of which only one may be out of
-/// shape.
+/// Steep grid lines, and columns that bend at some of them: a chord between columns crosses several
+/// cells, of which only one may be out of shape.
 #[test]
 fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
     let (mut worst, mut mended) = (0.0_f64, 0);

@@ -155,7 +155,8 @@ fn the_mesh_takes_every_position_to_its_pixel() {
                     .map(Point::new((*x).into(), (*y).into()))
                     .expect("in the source");
                 drawn += 1;
-                // 1/16 px of the source, which folded cells may exceed, and the snapping of vertices.
+                // 1/16 px of the source, which folded cells may exceed, and the snapping of
+                // vertices.
                 far += usize::from(shown.distance(at) > 0.13);
             }
             assert!(drawn * 4 > map.len(), "{name}: {drawn}");
@@ -169,7 +170,8 @@ fn the_mesh_takes_every_position_to_its_pixel() {
     }
 }
 
-/// In every pixel the position lies in the source pixel that the nearest filter shows, in folds as well, and NaN is where it shows nothing.
+/// In every pixel the position lies in the source pixel that the nearest filter shows, in folds as
+/// well, and NaN is where it shows nothing.
 #[test]
 fn positions_are_those_that_the_nearest_filter_samples() {
     let size = extent(200, 150);

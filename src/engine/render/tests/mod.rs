@@ -1,4 +1,5 @@
-//! Tests of the renderer: properties of every mesh, small pictures, and a photograph against a slow reference.
+//! Tests of the renderer: properties of every mesh, small pictures, and a photograph against a slow
+//! reference.
 
 #![expect(
     clippy::cast_possible_truncation,
@@ -100,7 +101,8 @@ fn posed(grid: Grid, f: impl Fn(Point) -> Point) -> Mesh {
     Mesh::new(grid, displacement)
 }
 
-/// A smooth warp: waves of `strength` times the largest that cannot fold, over lengths of 90 px and more.
+/// A smooth warp: waves of `strength` times the largest that cannot fold, over lengths of 90 px and
+/// more.
 fn waves(grid: Grid, seed: u64, strength: f64) -> Mesh {
     let mut noise = Noise(seed);
     let waves: Vec<[f64; 5]> = (0..6)
@@ -184,7 +186,8 @@ fn astronaut() -> Pixmap {
     )
 }
 
-/// The same picture with an alpha that is opaque in a disc, soft at its edge, and transparent outside.
+/// The same picture with an alpha that is opaque in a disc, soft at its edge, and transparent
+/// outside.
 fn cut_out(picture: &Pixmap) -> Pixmap {
     let Samples::Eight(samples) = picture.samples() else {
         panic!("8 bit")

@@ -1,4 +1,5 @@
-//! Filters and what lies outside: laws that hold exactly, and the error of area-aware sampling against a supersampled reference.
+//! Filters and what lies outside: laws that hold exactly, and the error of area-aware sampling
+//! against a supersampled reference.
 
 use super::super::canvas::Canvas;
 use super::*;
@@ -275,7 +276,8 @@ fn reference_samples() -> usize {
     }
 }
 
-/// What else is usual: two box-reduced copies, chosen by the longer side of the footprint, each sampled bilinearly, and blended.
+/// What else is usual: two box-reduced copies, chosen by the longer side of the footprint, each
+/// sampled bilinearly, and blended.
 fn trilinear(picture: &Pixmap, mesh: &Mesh, side: u32) -> Vec<u8> {
     let places = reference::places(mesh, extent(side, side));
     let copies: Vec<Pixmap> = (0..5).map(|k| picture.reduced(k)).collect();
@@ -305,7 +307,8 @@ fn trilinear(picture: &Pixmap, mesh: &Mesh, side: u32) -> Vec<u8> {
     (0..width * width).flat_map(pixel).collect()
 }
 
-/// The root of the mean squared difference of covered samples from a reference of many bilinear samples per pixel.
+/// The root of the mean squared difference of covered samples from a reference of many bilinear
+/// samples per pixel.
 fn error(picture: &Pixmap, mesh: &Mesh, out: &[u8], side: u32) -> f64 {
     let n = reference_samples();
     let places = reference::places(mesh, extent(side * n as u32, side * n as u32));

@@ -1,4 +1,5 @@
-//! Draws the rows of a subject; each kind of subject has its variant. Every division into bands gives the same bytes.
+//! Draws the rows of a subject; each kind of subject has its variant. Every division into bands
+//! gives the same bytes.
 
 pub(super) mod region;
 
@@ -167,7 +168,8 @@ impl Drawer {
         }
     }
 
-    /// Draws the target rows `rows`. Shapes: `out: [rows][width][pixel_bytes]`, samples in PNG order (16-bit big-endian).
+    /// Draws the target rows `rows`. Shapes: `out: [rows][width][pixel_bytes]`, samples in PNG
+    /// order (16-bit big-endian).
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         match self {
             Self::Image { renderer, .. } => renderer.band(rows, out),

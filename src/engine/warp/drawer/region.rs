@@ -1,4 +1,5 @@
-//! Draws a subject of which a region moves, and the holes that the region leaves. `warp/region.rs` has the rule.
+//! Draws a subject of which a region moves, and the holes that the region leaves. `warp/region.rs`
+//! has the rule.
 
 use std::ops::Range;
 
@@ -204,7 +205,8 @@ struct Weights {
 }
 
 impl Weights {
-    /// The weights of the moved part and of the background for each pixel of target rows; `None` if all pixels show the background alone.
+    /// The weights of the moved part and of the background for each pixel of target rows; `None` if
+    /// all pixels show the background alone.
     fn of(&self, rows: Range<u32>) -> Option<Vec<[u16; 2]>> {
         let moved = self.mask.weights(rows.clone());
         let at_rest = self.mask_at_rest.as_ref().map(|mask| mask.weights(rows));

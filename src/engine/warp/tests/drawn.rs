@@ -1,4 +1,5 @@
-//! A picture whose samples are its own coordinates is warped, decoded, and compared with f at every pixel.
+//! A picture whose samples are its own coordinates is warped, decoded, and compared with f at every
+//! pixel.
 
 use std::sync::Arc;
 
@@ -9,7 +10,8 @@ use crate::pixmap::{Channels, Extent, Pixmap, Samples};
 use crate::render::{Filter, Outside, RenderOptions, Renderer, Source};
 use crate::warp::{Folds, GridSpec, Limits, Plan, Posed, RestSpec, Setup, WarpError};
 
-/// The error of coordinates in 16 bits, of sampling between 1/128 px, and of snapping vertices, px of the source.
+/// The error of coordinates in 16 bits, of sampling between 1/128 px, and of snapping vertices, px
+/// of the source.
 const ENCODED: f64 = 1.0 / 64.0;
 /// Within this of the picture's border samples repeat the outermost pixel, px.
 const BORDER: f64 = 1.0;
@@ -19,7 +21,8 @@ const AT_ONCE: usize = 4096;
 /// How far a drawn picture is from f.
 #[derive(Debug)]
 pub(super) struct Drawn {
-    /// Pixels that were compared: all that are drawn, but not those of cells that are reported to exceed the tolerance.
+    /// Pixels that were compared: all that are drawn, but not those of cells that are reported to
+    /// exceed the tolerance.
     pub(super) compared: usize,
     /// The largest distance from f, px.
     pub(super) error: f64,

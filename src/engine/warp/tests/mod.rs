@@ -33,7 +33,8 @@ fn is_full() -> bool {
     std::env::var_os("MLSWARP_TESTS_FULL").is_some()
 }
 
-/// Draws the cases, each beside the others; returns what is wrong. Of the pixels, one in `each` is compared.
+/// Draws the cases, each beside the others; returns what is wrong. Of the pixels, one in `each` is
+/// compared.
 fn wrong(cases: &[Case], tolerance: f64, each: usize) -> Vec<String> {
     let check = |case: &Case| {
         let Drawn {
@@ -54,12 +55,14 @@ fn wrong(cases: &[Case], tolerance: f64, each: usize) -> Vec<String> {
             report.exceeded, report.folds
         );
         let line = format!(
-            "{} at {tolerance}: error {error:.3}, {over} px of {compared} over, residual {:.3}, {counts}, {farthest}",
+            "{} at {tolerance}: error {error:.3}, {over} px of {compared} over, residual {:.3}, \
+                {counts}, {farthest}",
             case.name, report.residual
         );
         println!("{line}");
         let is_residual_over = report.exceeded == 0 && report.residual > tolerance;
-        // Where f is torn or creased, and this is reported, a few pixels beside the cells that are counted may be over, too.
+        // Where f is torn or creased, and this is reported, a few pixels beside the cells that are
+        // counted may be over, too.
         let is_over = if report.exceeded == 0 {
             over > 0
         } else {

@@ -147,7 +147,8 @@ fn the_inverse_returns_outside_folds() {
         assert_eq!(round_trip.missing, 0, "{}: {round_trip:?}", case.name);
         if let Some(distance) = round_trip.distance {
             assert!(distance.median < 1e-7, "{}: {round_trip:?}", case.name);
-            // Where f is nearly singular, beside folds and at cusps and creases, positions differ by more than their images.
+            // Where f is nearly singular, beside folds and at cusps and creases, positions differ
+            // by more than their images.
             let is_smooth = folds.cells == 0 && case.rest.alpha.is_none_or(|alpha| alpha >= 1.5);
             smooth += usize::from(is_smooth);
             assert!(

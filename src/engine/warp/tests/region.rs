@@ -1,4 +1,5 @@
-//! Regions: what is outside stays bit for bit, what is inside is the warp, and the transition is as wide as the feather.
+//! Regions: what is outside stays bit for bit, what is inside is the warp, and the transition is as
+//! wide as the feather.
 
 use super::drawn::shown;
 use super::sets::{Case, FEW, Kind, LINES, MIXED, MORE, Noise, extent, random};
@@ -12,7 +13,8 @@ use crate::warp::{
 };
 
 const SIDE: (u32, u32) = (120, 90);
-/// Rest positions nearer than this to the edge of a mask may be mixed, px: the reach of a filter, and of a mean of a few pixels.
+/// Rest positions nearer than this to the edge of a mask may be mixed, px: the reach of a filter,
+/// and of a mean of a few pixels.
 const NEAR: f64 = 5.0;
 
 /// A picture of every sample value: noise, so that a wrong pixel is seen.
@@ -377,7 +379,8 @@ fn holes_are_what_is_left_transparent() {
     assert!(open > 300 && closed > 10_000, "{open} {closed}");
 }
 
-/// The largest difference between neighbouring pixels of a grey ramp, whose middle is moved to the right.
+/// The largest difference between neighbouring pixels of a grey ramp, whose middle is moved to the
+/// right.
 fn largest_step(disc: Disc, filter: Filter) -> u16 {
     let size = extent(SIDE.0, SIDE.1);
     let ramp = (0..SIDE.1)

@@ -146,7 +146,8 @@ pub(super) fn randoms(extent: Extent, seeds: std::ops::Range<u64>) -> Vec<Case> 
             .into_iter()
             .flat_map(|method| ALPHAS.map(|alpha| (method, alpha)))
         {
-            // Many handles make f so steep at alpha 3 that this would be a test of what is left out.
+            // Many handles make f so steep at alpha 3 that this would be a test of what is left
+            // out.
             let points = [FEW, MORE, if alpha > 2.0 { FEW } else { MANY }];
             cases.push(random(
                 extent,
@@ -322,7 +323,8 @@ pub(super) fn examples(size: f64) -> Vec<Case> {
     cases
 }
 
-/// A face of 478 landmarks in whole pixels, some of which coincide and go to different pixels, on a picture of this side.
+/// A face of 478 landmarks in whole pixels, some of which coincide and go to different pixels, on a
+/// picture of this side.
 pub(super) fn face(side: u32, method: Method) -> Case {
     let size = f64::from(side);
     let at = |x: f64, y: f64| Point::new((size * x).round(), (size * y).round());

@@ -82,8 +82,8 @@ fn label_image(extent: Extent) -> LabelImage {
     LabelImage::decode(&encoded(shape, &values, None), &Limits::default()).unwrap()
 }
 
-/// Labels are a subset of the source's and 0; each is that of the position that the mesh inverts the pixel's centre to, and the mesh takes
-/// this position to the pixel. Depth and grey are kept.
+/// Labels are a subset of the source's and 0; each is that of the position that the mesh inverts
+/// the pixel's centre to, and the mesh takes this position to the pixel. Depth and grey are kept.
 #[test]
 fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
     let size = extent(160, 120);

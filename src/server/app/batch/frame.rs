@@ -29,7 +29,8 @@ use crate::problem::Problem;
 use crate::store::Record;
 use crate::wire::{AsJson, BatchFrame, BatchObject, BatchPoses, Cursor, in_frame};
 
-/// Time after which a survey gives its worker back, so that other clients do not wait for all of its frames.
+/// Time after which a survey gives its worker back, so that other clients do not wait for all of
+/// its frames.
 const MAX_SURVEY_TIME: Duration = Duration::from_millis(20);
 /// Text of an ordinary handle, bytes; longer ones are reserved when they are sent.
 const HANDLE_TEXT: u64 = 64;
@@ -48,7 +49,8 @@ pub(crate) struct BatchJob {
     pub(crate) rest: Rest,
     /// The poses and the annotations.
     pub(crate) object: Held<BatchObject>,
-    /// The number of frames: those of the poses, and then the same in the reverse order as far as they are repeated.
+    /// The number of frames: those of the poses, and then the same in the reverse order as far as
+    /// they are repeated.
     pub(crate) frames: u32,
     pub(crate) output: OutputSpec,
     pub(crate) form: BatchForm,
@@ -130,7 +132,8 @@ impl BatchJob {
             .pose_of(&self.object.poses, pose, &|bytes| self.reserve(bytes))
     }
 
-    /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its own.
+    /// Adds the number of a frame to a problem, also to its pointer if the frame has a pose of its
+    /// own.
     fn located(&self, frame: u32, mut problem: Problem) -> Problem {
         problem.detail.insert_str(0, &format!("frame {frame}: "));
         let is_pose = problem
@@ -144,8 +147,8 @@ impl BatchJob {
         }
     }
 
-    /// Checks all poses, and whether frames must be posed to find out what all pictures have in common.
-    /// Errors: Those of a frame, or of the output.
+    /// Checks all poses, and whether frames must be posed to find out what all pictures have in
+    /// common. Errors: Those of a frame, or of the output.
     pub(crate) fn check(&self, cancel: &Cancel) -> Result<Survey, Problem> {
         self.rest
             .check(&self.object.poses, &|bytes| self.reserve(bytes), &|| {
@@ -164,9 +167,9 @@ impl BatchJob {
         })
     }
 
-    /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an animation: none if nothing depends on
-    /// it, all of them if one of them may be refused. It ends earlier after [`MAX_SURVEY_TIME`].
-    /// Errors: Those of a frame.
+    /// Poses frames until it is known what all pictures have in common, alpha and the canvas of an
+    /// animation: none if nothing depends on it, all of them if one of them may be refused. It ends
+    /// earlier after [`MAX_SURVEY_TIME`]. Errors: Those of a frame.
     pub(crate) fn survey(&mut self, survey: &mut Survey, cancel: &Cancel) -> Result<(), Problem> {
         let began = Instant::now();
         // Any content that may gain alpha shows whether a frame needs it.
@@ -232,7 +235,8 @@ impl BatchJob {
         std::iter::once(&self.content).chain(self.layers.iter().map(|(_, content)| content))
     }
 
-    /// Whether pictures have alpha if the posed picture does not cover them, or has holes, and none otherwise.
+    /// Whether pictures have alpha if the posed picture does not cover them, or has holes, and none
+    /// otherwise.
     fn may_need_alpha(&self) -> bool {
         let is_opaque = match self.output.outside {
             Outside::Transparent => false,
@@ -325,7 +329,8 @@ impl BatchJob {
         })
     }
 
-    /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture; with jitter, also the handles.
+    /// The annotations of a frame as JSON, as `/points` returns them, in the frame of its picture;
+    /// with jitter, also the handles.
     fn annotate(
         &self,
         q: &[Handle],

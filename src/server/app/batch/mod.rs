@@ -1,5 +1,6 @@
-//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is streamed while it is made. Each frame is drawn by
-//! one thread, and several frames at the same time: that is faster than several threads for each frame.
+//! `POST /sessions/{id}/batch`: many poses of one session, drawn into one file that is streamed
+//! while it is made. Each frame is drawn by one thread, and several frames at the same time: that
+//! is faster than several threads for each frame.
 
 mod frame;
 pub(crate) mod package;
@@ -52,9 +53,9 @@ pub(crate) struct Batch {
 }
 
 impl App {
-    /// Draws the first frame of a batch, and the others as they are taken. `most_frame_bytes`: as of the JSON of a drag, by the columns of
-    /// the session.
-    /// Errors: Unknown session, a wrong pose in any frame, or too little capacity.
+    /// Draws the first frame of a batch, and the others as they are taken. `most_frame_bytes`: as
+    /// of the JSON of a drag, by the columns of the session. Errors: Unknown session, a wrong pose
+    /// in any frame, or too little capacity.
     pub(crate) async fn batch(
         &self,
         client: Client,
@@ -169,8 +170,8 @@ impl App {
 type Layers = Vec<(LayerRef, Content)>;
 
 impl App {
-    /// The picture of a session, its layers of these names and its plan, all by one record: the newest, if files of another one are gone.
-    /// Errors: An unknown layer, or too little capacity.
+    /// The picture of a session, its layers of these names and its plan, all by one record: the
+    /// newest, if files of another one are gone. Errors: An unknown layer, or too little capacity.
     async fn admit_layers(
         &self,
         client: Client,
@@ -189,8 +190,8 @@ impl App {
         Err(StoreError::Contended.into())
     }
 
-    /// The handles at rest and the plan by which a session without handles is jittered: those of a grid.
-    /// Errors: Too little capacity.
+    /// The handles at rest and the plan by which a session without handles is jittered: those of a
+    /// grid. Errors: Too little capacity.
     async fn grid_unless_handles(
         &self,
         client: Client,
@@ -198,7 +199,8 @@ impl App {
         planned: Planned,
         poses: &BatchPoses,
     ) -> Result<(Planned, Option<RestSpec>), Problem> {
-        let is_empty = matches!(poses, BatchPoses::Jitter { pose, .. } if pose.q.as_ref().is_none_or(Vec::is_empty));
+        let is_empty = matches!(poses, BatchPoses::Jitter { pose,
+            .. } if pose.q.as_ref().is_none_or(Vec::is_empty));
         if !record.rest.p.is_empty() || !is_empty {
             return Ok((planned, None));
         }
@@ -266,12 +268,14 @@ fn check_form(object: &BatchObject, form: BatchForm) -> Result<(), Problem> {
         ),
         BatchForm::Apng | BatchForm::Gif if !object.layers.is_empty() => refused(
             "/layers",
-            "`layers` does not apply to an animation, which has pictures only, but to an archive (application/zip)",
+            "`layers` does not apply to an animation, which has pictures only, but to an archive \
+                (application/zip)",
         ),
         BatchForm::Apng | BatchForm::Gif if !object.annotations.kinds.is_empty() => {
             let name = object.annotations.kinds[0].name();
             let why = format!(
-                "`{name}` does not apply to an animation, which has pictures only, but to an archive (application/zip)"
+                "`{name}` does not apply to an animation, which has pictures only, but to an \
+                    archive (application/zip)"
             );
             refused(&format!("/{name}"), &why)
         }

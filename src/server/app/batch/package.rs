@@ -56,7 +56,8 @@ impl BatchForm {
         }
     }
 
-    /// Prepares the files of a frame; all but the first are left out of an animation. CPU work: a copy and its checksum.
+    /// Prepares the files of a frame; all but the first are left out of an animation. CPU work: a
+    /// copy and its checksum.
     pub(crate) fn pack(self, files: Vec<(String, Bytes)>) -> Result<PackedFrame, Problem> {
         let bytes = files.iter().map(|(_, bytes)| bytes.len()).sum();
         let packed = match self {
@@ -107,12 +108,14 @@ enum Writer {
 }
 
 impl Package {
-    /// `delay`: how long an animation shows each frame, ms. `plays`: how often it is played; 0 is without end.
+    /// `delay`: how long an animation shows each frame, ms. `plays`: how often it is played; 0 is
+    /// without end.
     pub(crate) fn new(form: BatchForm, frames: u32, delay: u16, plays: u16) -> Self {
         match form {
             BatchForm::Zip => {
                 let written = Written::default();
-                // Every size is known before its entry is written, so that nothing is sought and no entry needs a data descriptor.
+                // Every size is known before its entry is written, so that nothing is sought and no
+                // entry needs a data descriptor.
                 let writer = Box::new(ZipWriter::new(StreamWriter::new(written.clone())));
                 Self(Writer::Zip { writer, written })
             }
@@ -149,7 +152,8 @@ impl Package {
         }
     }
 
-    /// The last bytes of the file. `index`: the JSON of all frames, which an animation does not have.
+    /// The last bytes of the file. `index`: the JSON of all frames, which an animation does not
+    /// have.
     pub(crate) fn finish(self, index: &[u8]) -> Result<Vec<u8>, Problem> {
         match self.0 {
             Writer::Zip {
@@ -168,7 +172,8 @@ impl Package {
     }
 }
 
-/// An entry that is stored as it is, because pictures do not compress. Its metadata are the same on every machine and at every time.
+/// An entry that is stored as it is, because pictures do not compress. Its metadata are the same on
+/// every machine and at every time.
 fn entry(name: &str, bytes: &[u8]) -> Result<PreparedZipFile, Problem> {
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Stored)

@@ -113,8 +113,8 @@ impl Rest {
         })
     }
 
-    /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme ones: only these are checked.
-    /// Errors: The first invalid pose.
+    /// Checks the poses of all frames. In-betweens and jittered poses lie between a few extreme
+    /// ones: only these are checked. Errors: The first invalid pose.
     pub(crate) fn check(
         &self,
         poses: &BatchPoses,

@@ -1,5 +1,6 @@
-//! The frames of a batch in order. A few are made ahead of the reader, each in its own task, so that no frame holds a worker while it waits
-//! for the reader. When the stream is dropped, the tasks are cancelled.
+//! The frames of a batch in order. A few are made ahead of the reader, each in its own task, so
+//! that no frame holds a worker while it waits for the reader. When the stream is dropped, the
+//! tasks are cancelled.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -18,9 +19,9 @@ use crate::pool::{PoolError, QueueKey, WorkClass, aside};
 use crate::problem::{Code, Problem};
 use crate::wire::{BatchFrame, BatchIndex};
 
-/// Frames that are made ahead beyond the number of workers, so that none waits while the reader takes one.
-/// With two workers, 0, 1, 2, 4 and 6 gave 1.08, 1.21, 1.27, 1.23 and 1.25 times the frames of single requests
-/// (`cargo bench --bench batch`).
+/// Frames that are made ahead beyond the number of workers, so that none waits while the reader
+/// takes one. With two workers, 0, 1, 2, 4 and 6 gave 1.08, 1.21, 1.27, 1.23 and 1.25 times the
+/// frames of single requests (`cargo bench --bench batch`).
 const SPARE: usize = 2;
 /// The most frames that are made ahead.
 const MOST_AHEAD: usize = 8;
@@ -141,7 +142,8 @@ impl BatchStream {
         Ok(held.attach(bytes))
     }
 
-    /// The next frame. A busy server delays a batch that has begun; it ends it only if one frame takes longer than a request may.
+    /// The next frame. A busy server delays a batch that has begun; it ends it only if one frame
+    /// takes longer than a request may.
     async fn made(&mut self) -> Result<Frame, Problem> {
         let (began, limit) = (Instant::now(), self.job.app.config().timeouts.request);
         let most = most_ahead(&self.job);
@@ -203,7 +205,8 @@ fn most_ahead(job: &BatchJob) -> usize {
     (job.app.pool().workers() + SPARE).min(MOST_AHEAD)
 }
 
-/// Makes a frame on a worker. The batches of a client wait in the queue like one request of the client.
+/// Makes a frame on a worker. The batches of a client wait in the queue like one request of the
+/// client.
 async fn make(job: Arc<BatchJob>, frame: u32) -> Result<Frame, Problem> {
     let pool = job.app.pool().clone();
     let ticket = pool

@@ -48,7 +48,8 @@ impl Form {
     }
 }
 
-/// The newest lattice of compact meshes, and the record that it was chosen for. It is known even if the frame that it was chosen for fails.
+/// The newest lattice of compact meshes, and the record that it was chosen for. It is known even if
+/// the frame that it was chosen for fails.
 #[derive(Clone, Debug, Default)]
 pub(super) struct KnownLattice(Arc<Mutex<Option<LatticeOf>>>);
 
@@ -165,7 +166,8 @@ async fn try_draw_frame(
         .await
         .expect("the semaphore is never closed");
     let quota = app.response_quota(client);
-    // Once per frame, not once per pose: the store knows whether the session still exists and has changed.
+    // Once per frame, not once per pose: the store knows whether the session still exists and has
+    // changed.
     let record = app.touch(id, None).await?.record;
     let seq = request.pose.seq;
     match form {
@@ -267,7 +269,8 @@ async fn try_draw_frame(
     }
 }
 
-/// The shape of a mesh, and its lattice if it is compact: the known one unless the rest handles, the image or the output have changed.
+/// The shape of a mesh, and its lattice if it is compact: the known one unless the rest handles,
+/// the image or the output have changed.
 pub(super) async fn mesh_shape(
     app: &App,
     plan: &AdmittedPlan,

@@ -1,6 +1,8 @@
-//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_text`] and [`Drag::on_binary`]; [`Drag::next_outgoing`]
-//! returns what is to be sent. The order, width and encoding of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the
-//! newest pose, at most one frame in progress or ready, and what the socket has not sent yet: at most the frames of the window.
+//! A drag over a socket: poses in, frames out. Messages arrive in [`Drag::on_text`] and
+//! [`Drag::on_binary`]; [`Drag::next_outgoing`] returns what is to be sent. The order, width and
+//! encoding of frames is decided by [`crate::drag`]; `frame` draws one. A drag holds the newest
+//! pose, at most one frame in progress or ready, and what the socket has not sent yet: at most the
+//! frames of the window.
 
 mod frame;
 
@@ -63,8 +65,8 @@ pub enum Outgoing {
     Frame(u64, Vec<Bytes>),
 }
 
-/// Memory of a socket besides its frames, bytes: buffers of both directions, and per column of its session a pose that is being received
-/// (twice), one that waits and one that is being drawn.
+/// Memory of a socket besides its frames, bytes: buffers of both directions, and per column of its
+/// session a pose that is being received (twice), one that waits and one that is being drawn.
 const SOCKET_BYTES: (u64, u64) = (512 << 10, 256);
 
 /// Work in progress.
@@ -217,7 +219,8 @@ fn full(options: DragOptions, record: &Record) -> u32 {
 }
 
 impl Drag {
-    /// A text message arrived. A long one is read on a compute thread: until [`Drag::is_reading`] is false, no other may arrive.
+    /// A text message arrived. A long one is read on a compute thread: until [`Drag::is_reading`]
+    /// is false, no other may arrive.
     pub fn on_text(&mut self, text: Bytes, now: Instant) {
         if text.len() <= MAX_INLINE {
             return self.on_message(parse(&text), now);
@@ -291,7 +294,8 @@ impl Drag {
             .push_back(Outgoing::Text(document.to_string()));
     }
 
-    /// Starts, cancels and sends the frames that are due; returns the time of the next step, if nothing happens before.
+    /// Starts, cancels and sends the frames that are due; returns the time of the next step, if
+    /// nothing happens before.
     pub fn act(&mut self, now: Instant) -> Option<Instant> {
         let until = loop {
             match self.scheduler.next(now) {
@@ -336,7 +340,8 @@ impl Drag {
         self.app.metrics().frames_sent.inc();
     }
 
-    /// Waits for the frame in progress or a message that is being read, or forever if there is none. May be dropped and called again.
+    /// Waits for the frame in progress or a message that is being read, or forever if there is
+    /// none. May be dropped and called again.
     pub async fn work(&mut self) {
         tokio::select! {
             drawn = done(&mut self.drawing) => self.on_drawn(drawn, Instant::now()),
@@ -363,7 +368,8 @@ impl Drag {
             Err(problem) => {
                 let request = self.scheduler.failed();
                 self.is_over = matches!(problem.code, Code::NoSuchSession | Code::SessionExpired);
-                // The preview of a full frame was sent already; a problem that arose since is sent with the next pose.
+                // The preview of a full frame was sent already; a problem that arose since is sent
+                // with the next pose.
                 if let Some(request) =
                     request.filter(|request| self.is_over || !request.is_full_quality)
                 {

@@ -1,15 +1,19 @@
-//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is sent. Times are arguments and frames are
-//! of any type.
+//! The request of a drag's frames: which pose is drawn next, when, how wide, and when a frame is
+//! sent. Times are arguments and frames are of any type.
 //!
 //! - Of the waiting poses, only the newest is kept.
 //! - At most `window` frames are unacknowledged. At most one more is in progress or ready.
-//! - An acknowledgement of a frame acknowledges all earlier ones too: a client may show, and acknowledge, only the newest of several.
-//! - If the window is full, the next frame is started so that it is ready when the acknowledgement is expected: earlier, its pose would be
-//!   old; later, the connection would be idle. If the client takes longer than expected and a newer pose waits, an outdated frame is drawn
-//!   again, once.
-//! - If the window is not full, frames are sent at equal distances of the time that a frame takes: sent at once, they would form a queue.
+//! - An acknowledgement of a frame acknowledges all earlier ones too: a client may show, and
+//!   acknowledge, only the newest of several.
+//! - If the window is full, the next frame is started so that it is ready when the acknowledgement
+//!   is expected: earlier, its pose would be old; later, the connection would be idle. If the
+//!   client takes longer than expected and a newer pose waits, an outdated frame is drawn again,
+//!   once.
+//! - If the window is not full, frames are sent at equal distances of the time that a frame takes:
+//!   sent at once, they would form a queue.
 //! - While a full-quality frame is unacknowledged, no more than one frame is: it may be large.
-//! - A frame is always completed, except the full-quality frame of a resting pointer, which is cancelled when the pointer moves.
+//! - A frame is always completed, except the full-quality frame of a resting pointer, which is
+//!   cancelled when the pointer moves.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -75,7 +79,8 @@ pub struct NotSent;
 #[derive(Debug)]
 pub struct FrameScheduler<F> {
     previews: PreviewController,
-    /// Chooses width and encoding, if they are chosen; then `previews` only has averages, of the full width.
+    /// Chooses width and encoding, if they are chosen; then `previews` only has averages, of the
+    /// full width.
     pictures: Option<PictureLadder>,
     /// The full width.
     full: u32,
@@ -128,8 +133,8 @@ struct Sent {
 }
 
 impl<F> FrameScheduler<F> {
-    /// `full`: the full width; narrower previews are followed by a full frame when the pointer rests.
-    /// `pictures`: chooses the encoding; then the width of `previews` is fixed.
+    /// `full`: the full width; narrower previews are followed by a full frame when the pointer
+    /// rests. `pictures`: chooses the encoding; then the width of `previews` is fixed.
     pub fn new(
         previews: PreviewController,
         pictures: Option<PictureLadder>,
@@ -169,7 +174,8 @@ impl<F> FrameScheduler<F> {
         self.preview = None;
     }
 
-    /// Number of poses and frames that newer ones replaced before they were sent, since the last call.
+    /// Number of poses and frames that newer ones replaced before they were sent, since the last
+    /// call.
     pub fn take_superseded(&mut self) -> u64 {
         std::mem::take(&mut self.superseded)
     }
@@ -286,7 +292,8 @@ impl<F> FrameScheduler<F> {
         self.drawing.take().map(|drawing| drawing.request)
     }
 
-    /// The service rejected the frame in progress: its pose waits again, unless there is a newer one.
+    /// The service rejected the frame in progress: its pose waits again, unless there is a newer
+    /// one.
     pub fn rejected(&mut self, now: Instant) {
         if let Some(Drawing { request, .. }) = self.drawing.take() {
             self.not_before = Some(now + REJECTED_POSE_RETRY);
@@ -392,7 +399,8 @@ impl<F> FrameScheduler<F> {
         frame
     }
 
-    /// The number of frames that may be unacknowledged: one while that is a full frame, which may be large.
+    /// The number of frames that may be unacknowledged: one while that is a full frame, which may
+    /// be large.
     fn frames(&self) -> usize {
         if self
             .sent

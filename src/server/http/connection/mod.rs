@@ -1,4 +1,5 @@
-//! The listener: accepts connections, reloads keys and certificate, and drains after SIGTERM or Ctrl-C. A second signal shortens the drain.
+//! The listener: accepts connections, reloads keys and certificate, and drains after SIGTERM or
+//! Ctrl-C. A second signal shortens the drain.
 
 pub(crate) mod reload;
 pub(crate) mod serve;
@@ -24,13 +25,15 @@ use reload::Reloader;
 use serve::Connections;
 use signals::Signals;
 
-/// Maximum time for drag sockets to close after the grace, and then for the exporter of traces to finish.
+/// Maximum time for drag sockets to close after the grace, and then for the exporter of traces to
+/// finish.
 const FINISH: Duration = Duration::from_secs(3);
 /// Maximum time for all of the shutdown after a second signal.
 const HURRY: Duration = Duration::from_secs(1);
 /// Pause after the operating system has refused another connection.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
-/// Async tasks compute little: a thread serves the tasks of this many workers. More threads wake each other for every request.
+/// Async tasks compute little: a thread serves the tasks of this many workers. More threads wake
+/// each other for every request.
 const WORKERS_PER_ASYNC_THREAD: usize = 2;
 /// Open files beside connections: of the runtime, the store, the log and the ops listener.
 const OTHER_FILES: u64 = 256;
@@ -110,8 +113,10 @@ pub async fn serve(
     reloader.warn_of_readable_secrets();
     if access.has_keys_in_plain(address) {
         tracing::warn!(
-            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert (MLSWARP_TLS_CERT) is not set. Set --tls-cert \
-             and --tls-key, or put a proxy that speaks TLS in front and let only that reach this address"
+            "keys travel unencrypted: {address} is not a loopback address, and --tls-cert \
+                (MLSWARP_TLS_CERT) is not set. Set --tls-cert \
+             and --tls-key, or put a proxy that speaks TLS in front and let only that reach this \
+             address"
         );
     }
     // Serves until this function returns.
@@ -123,7 +128,8 @@ pub async fn serve(
         stop.await;
         app.leave();
         if !timeouts.drain_delay.is_zero() {
-            tracing::info!(delay = ?timeouts.drain_delay, "leaving: not ready any more, still serving");
+            tracing::info!(delay = ?timeouts.drain_delay, "leaving: not ready any more, still \
+                serving");
             unless(app.hurrying(), sleep(timeouts.drain_delay)).await;
         }
     };
@@ -204,7 +210,8 @@ async fn accept(
                     };
                 }
                 None => {
-                    tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection is closed")
+                    tracing::debug!(peer = %peer.ip(), "connection limit reached: the connection \
+                        is closed")
                 }
             },
             // The client has closed the connection already.
@@ -222,7 +229,8 @@ async fn accept(
     }
 }
 
-/// Raises the soft limit of open files to what the connections need, as far as the hard limit allows.
+/// Raises the soft limit of open files to what the connections need, as far as the hard limit
+/// allows.
 fn raise_open_files(connections: usize) {
     #[cfg(unix)]
     {

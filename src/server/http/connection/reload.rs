@@ -1,4 +1,5 @@
-//! Reloads keys, certificate and private key while the server runs: after a change of their files, and after SIGHUP.
+//! Reloads keys, certificate and private key while the server runs: after a change of their files,
+//! and after SIGHUP.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -57,7 +58,8 @@ impl Reloader {
         }
     }
 
-    /// Warns of files with secrets that other users can read or write. Access by the group is usual: Kubernetes mounts secrets so.
+    /// Warns of files with secrets that other users can read or write. Access by the group is
+    /// usual: Kubernetes mounts secrets so.
     pub(crate) fn warn_of_readable_secrets(&self) {
         let key = self.tls.iter().map(|(files, _)| &files.key);
         for path in self
@@ -69,7 +71,8 @@ impl Reloader {
             if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
                 let path = path.display();
                 tracing::warn!(
-                    "other users can read or write {path} (mode {mode:03o}), which holds secrets: run chmod o-rwx {path}"
+                    "other users can read or write {path} (mode {mode:03o}), which holds secrets: \
+                        run chmod o-rwx {path}"
                 );
             }
         }
@@ -90,7 +93,8 @@ impl Reloader {
         .collect()
     }
 
-    /// Reloads the files if one has changed. A file that cannot be used leaves everything as it was.
+    /// Reloads the files if one has changed. A file that cannot be used leaves everything as it
+    /// was.
     fn check(mut self, is_forced: bool) -> Self {
         let stamps = self.stamps();
         if stamps.is_empty() || (stamps == self.stamps && !is_forced) {

@@ -1,4 +1,5 @@
-//! One connection: the choice of its protocol, its HTTP settings, and its end. Every step has a deadline.
+//! One connection: the choice of its protocol, its HTTP settings, and its end. Every step has a
+//! deadline.
 
 use std::convert::Infallible;
 use std::future::{Future, pending};
@@ -40,11 +41,14 @@ const HTTP1_HEAD: usize = 64 << 10;
 const HTTP2_HEAD: u32 = 16 << 10;
 /// Maximum number of open streams of one HTTP/2 connection.
 const STREAMS: u32 = 64;
-/// Streams that the client has reset and that are not accepted yet; one more ends the connection (CVE-2023-44487).
+/// Streams that the client has reset and that are not accepted yet; one more ends the connection
+/// (CVE-2023-44487).
 const PENDING_RESETS: usize = 20;
-/// Streams that this side has reset for the client's errors; one more ends the connection (CVE-2025-8671).
+/// Streams that this side has reset for the client's errors; one more ends the connection
+/// (CVE-2025-8671).
 const LOCAL_RESETS: usize = 1024;
-/// Bytes that an HTTP/2 client may send ahead on one stream and on all streams; they stay in memory until they are read.
+/// Bytes that an HTTP/2 client may send ahead on one stream and on all streams; they stay in memory
+/// until they are read.
 const STREAM_WINDOW: u32 = 256 << 10;
 const CONNECTION_WINDOW: u32 = 512 << 10;
 /// Bytes of one stream's response that may wait for the client's window.
@@ -55,7 +59,8 @@ const OPS_CONNECTIONS: (usize, usize) = (64, 32);
 const PREFACE: &[u8; 24] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
 /// Pause between two looks at an incomplete preface.
 const PREFACE_PAUSE: Duration = Duration::from_millis(20);
-/// How long a stopping server waits for the rest of a handshake or of a connection's first request head.
+/// How long a stopping server waits for the rest of a handshake or of a connection's first request
+/// head.
 const FIRST_HEAD_GRACE: Duration = Duration::from_millis(500);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,7 +126,8 @@ impl Connections {
             .any(|network| network.contains(peer))
     }
 
-    /// The turns of a peer's connections; none of a proxy, whose requests are those of many clients.
+    /// The turns of a peer's connections; none of a proxy, whose requests are those of many
+    /// clients.
     pub(crate) fn turns(&self, peer: IpAddr) -> Option<AddressTurns> {
         (!self.is_proxy(peer)).then(|| self.turns.of(peer))
     }
@@ -163,7 +169,8 @@ impl Connections {
 
     /// Reads the first bytes or makes the TLS handshake, and chooses the protocol.
     async fn open(&self, stream: WriteTimeoutStream) -> io::Result<(Transport, Protocol)> {
-        // Browsers and proxies open connections in advance; a stopping server ends those that have sent nothing.
+        // Browsers and proxies open connections in advance; a stopping server ends those that have
+        // sent nothing.
         let (mut first, mut unread) = ([0], [MaybeUninit::uninit()]);
         match unless(self.stopping(), stream.socket().peek(&mut first)).await {
             Some(peeked) => peeked?,
@@ -247,7 +254,8 @@ impl Connections {
         .await;
     }
 
-    /// Runs a connection to its end. It is shut down gracefully when the service stops or when `idle` completes.
+    /// Runs a connection to its end. It is shut down gracefully when the service stops or when
+    /// `idle` completes.
     async fn drive<C: Future<Output = hyper::Result<()>>>(
         &self,
         mut connection: Pin<&mut C>,
@@ -255,7 +263,8 @@ impl Connections {
         has_request: &AtomicBool,
         idle: impl Future<Output = ()>,
     ) {
-        // Polled first: a connection that is shut down before it has read anything does not read a request that has arrived.
+        // Polled first: a connection that is shut down before it has read anything does not read a
+        // request that has arrived.
         let ended = tokio::select! {
             biased;
             ended = connection.as_mut() => Some(ended),
@@ -326,7 +335,8 @@ impl Connections {
     }
 }
 
-/// Tells HTTP/2 from HTTP/1 without reading: hyper's header timeout begins only afterwards. `P` may begin `POST` or the preface.
+/// Tells HTTP/2 from HTTP/1 without reading: hyper's header timeout begins only afterwards. `P` may
+/// begin `POST` or the preface.
 async fn plain_protocol(socket: &TcpStream) -> io::Result<Protocol> {
     let mut first = [0; PREFACE.len()];
     loop {

@@ -1,6 +1,6 @@
-//! The streams of one HTTP/2 connection, with a write timeout for each. A client may answer pings and grant a stream no window, which the
-//! socket does not show. So bodies leave in small pieces; a stream whose client takes none within the timeout is reset, and the others go
-//! on.
+//! The streams of one HTTP/2 connection, with a write timeout for each. A client may answer pings
+//! and grant a stream no window, which the socket does not show. So bodies leave in small pieces; a
+//! stream whose client takes none within the timeout is reset, and the others go on.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

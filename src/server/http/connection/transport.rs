@@ -15,11 +15,13 @@ use tokio_util::either::Either;
 use crate::auth::tls::{TlsStream, inner};
 use crate::limits::connections::ConnectionPermit;
 
-/// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100 Mbit/s over 40 ms.
+/// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100
+/// Mbit/s over 40 ms.
 const SEND_BUFFER: usize = 512 << 10;
 /// Maximum size of a write.
 const PIECE: usize = 64 << 10;
-/// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at most.
+/// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at
+/// most.
 const UNIT: usize = 1 << 10;
 /// How often a blocked write is tried again within the write timeout.
 const RETRIES: u32 = 8;
@@ -36,7 +38,8 @@ pub(crate) fn without_write_timeout(mut transport: Transport) -> Transport {
     transport
 }
 
-/// A socket whose writes fail when the client reads nothing for the write timeout. A slow but steady client is never cut off.
+/// A socket whose writes fail when the client reads nothing for the write timeout. A slow but
+/// steady client is never cut off.
 #[derive(Debug)]
 pub(crate) struct WriteTimeoutStream {
     socket: TcpStream,
@@ -73,8 +76,9 @@ impl WriteTimeoutStream {
         &self.socket
     }
 
-    /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of the buffer is free, which a slow client
-    /// may not reach within the timeout; so the write is also retried on a timer.
+    /// The kernel's buffer is full. The kernel reports the socket as writable only when a third of
+    /// the buffer is free, which a slow client may not reach within the timeout; so the write is
+    /// also retried on a timer.
     fn poll_blocked(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let Some(timeout) = self.timeout else {
             return Poll::Pending;
@@ -123,7 +127,8 @@ impl AsyncRead for WriteTimeoutStream {
     }
 }
 
-/// Takes the moved bytes from the budget of this poll. When it is used up, the socket is not ready before the next one.
+/// Takes the moved bytes from the budget of this poll. When it is used up, the socket is not ready
+/// before the next one.
 fn charge(cx: &mut Context<'_>, bytes: usize) {
     for _ in 0..bytes / UNIT {
         if !coop::has_budget_remaining() {
@@ -135,7 +140,8 @@ fn charge(cx: &mut Context<'_>, bytes: usize) {
     }
 }
 
-/// As many of the slices as have [`PIECE`] bytes together; the first one that is not empty in any case.
+/// As many of the slices as have [`PIECE`] bytes together; the first one that is not empty in any
+/// case.
 fn piece<'s, 'b>(slices: &'s [IoSlice<'b>]) -> &'s [IoSlice<'b>] {
     let slices = &slices[slices.iter().take_while(|slice| slice.is_empty()).count()..];
     let mut bytes = 0;

@@ -1,10 +1,11 @@
-//! Turns on the runtime's threads, which serve all connections: the tasks of one address together get no more time than those of another
-//! one, however many connections and streams it has.
+//! Turns on the runtime's threads, which serve all connections: the tasks of one address together
+//! get no more time than those of another one, however many connections and streams it has.
 //!
-//! Time is divided into rounds. In each round the tasks of an address are polled until they have used [`TURN`]; others of them wait for the
-//! next round, in the order in which they became ready. A round lasts as long as the runtime needs for everything that is ready, so an
-//! address that is alone gets all of the time. Half of the time that passes is forgiven, so that a client that asks for one thing after
-//! another seldom waits for a round.
+//! Time is divided into rounds. In each round the tasks of an address are polled until they have
+//! used [`TURN`]; others of them wait for the next round, in the order in which they became ready.
+//! A round lasts as long as the runtime needs for everything that is ready, so an address that is
+//! alone gets all of the time. Half of the time that passes is forgiven, so that a client that asks
+//! for one thing after another seldom waits for a round.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::IpAddr;
@@ -265,7 +266,8 @@ mod tests {
         }
     }
 
-    /// Runs so many busy tasks of an address beside one of another, until that was polled a hundred times; how often the others were.
+    /// Runs so many busy tasks of an address beside one of another, until that was polled a hundred
+    /// times; how often the others were.
     async fn beside(tasks: usize, time: Duration) -> usize {
         let (turns, polls, own) = (
             Turns::default(),

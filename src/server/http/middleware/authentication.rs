@@ -1,5 +1,6 @@
-//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser cannot give a WebSocket a header, so
-//! its key travels as a subprotocol that is offered beside `mlswarp`, never in the address.
+//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser
+//! cannot give a WebSocket a header, so its key travels as a subprotocol that is offered beside
+//! `mlswarp`, never in the address.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
@@ -129,14 +130,16 @@ fn key(headers: &HeaderMap) -> Option<String> {
         .flatten()
 }
 
-/// What is wrong with a field `Authorization` from which no key was read. Nothing of it is repeated: it may be a key.
+/// What is wrong with a field `Authorization` from which no key was read. Nothing of it is
+/// repeated: it may be a key.
 fn unreadable(field: &[u8]) -> &'static str {
     let is_bearer = field
         .split(|b| *b == b' ')
         .next()
         .is_some_and(|scheme| scheme.eq_ignore_ascii_case(b"bearer"));
     if is_bearer && !field.is_ascii() {
-        "the key in `Authorization` has characters outside ASCII, which no key has: send `Authorization: Bearer <key>`"
+        "the key in `Authorization` has characters outside ASCII, which no key has: send \
+            `Authorization: Bearer <key>`"
     } else if is_bearer {
         "`Authorization` must be given once, with one key: send `Authorization: Bearer <key>`"
     } else {

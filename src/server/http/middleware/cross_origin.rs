@@ -1,4 +1,5 @@
-//! What browsers may do for pages of other sites: CORS, and the rejection of requests that change something.
+//! What browsers may do for pages of other sites: CORS, and the rejection of requests that change
+//! something.
 
 use std::time::Duration;
 
@@ -68,14 +69,17 @@ pub(super) fn cors_layer(origins: &Origins) -> Option<CorsLayer> {
     Some(names.expose_headers(RESPONSE_HEADERS.map(HeaderName::from_static)))
 }
 
-/// Rejects requests by which a page of another site would change something. A browser sends them and only hides the response; on a server
-/// without keys they would open sessions for any site that a user visits.
+/// Rejects requests by which a page of another site would change something. A browser sends them
+/// and only hides the response; on a server without keys they would open sessions for any site that
+/// a user visits.
 ///
-/// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it rejects pages of this server behind a
-/// proxy that sends `Host: warp.example:443`, and it has no exemption for servers with keys, which browsers do not send by themselves.
+/// tower-http's `csrf` cannot replace this: it compares `Origin` and `Host` byte for byte, so it
+/// rejects pages of this server behind a proxy that sends `Host: warp.example:443`, and it has no
+/// exemption for servers with keys, which browsers do not send by themselves.
 pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Problem> {
     let headers = request.headers();
-    // Browsers send Sec-Fetch-Site to servers that they reach by TLS or on the loopback, and no script can change it (W3C Fetch Metadata).
+    // Browsers send Sec-Fetch-Site to servers that they reach by TLS or on the loopback, and no
+    // script can change it (W3C Fetch Metadata).
     let is_cross_origin = match headers.get(FETCH_SITE) {
         Some(site) => site != "same-origin" && site != "none",
         None => config.keys.is_none() && !is_same_origin(headers, request.uri().authority()),
@@ -89,8 +93,9 @@ pub(super) fn check(config: &AuthConfig, request: &Request) -> Result<(), Proble
     Ok(())
 }
 
-/// Which pages may embed a response (`Cross-Origin-Resource-Policy`): those of a listed site, if the request is from one. A listed site
-/// opens nothing for others, whose pages send no `Origin` when they embed a picture; so a listed one embeds it with `crossorigin`.
+/// Which pages may embed a response (`Cross-Origin-Resource-Policy`): those of a listed site, if
+/// the request is from one. A listed site opens nothing for others, whose pages send no `Origin`
+/// when they embed a picture; so a listed one embeds it with `crossorigin`.
 pub(super) fn resource_policy(headers: &HeaderMap, origins: &Origins) -> HeaderValue {
     let is_open = *origins == Origins::Any || is_listed(headers, origins);
     HeaderValue::from_static(if is_open {
@@ -106,7 +111,8 @@ pub(crate) fn is_listed(headers: &HeaderMap, origins: &Origins) -> bool {
     origins.has(origin.unwrap_or_default())
 }
 
-/// Whether a request is sent by no page, or by one of this server. The authority of the `target` takes precedence over the `Host` header.
+/// Whether a request is sent by no page, or by one of this server. The authority of the `target`
+/// takes precedence over the `Host` header.
 pub(crate) fn is_same_origin(headers: &HeaderMap, target: Option<&Authority>) -> bool {
     let Some(origin) = headers.get(ORIGIN) else {
         return true;

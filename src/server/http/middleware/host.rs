@@ -1,4 +1,5 @@
-//! The check of a request's host: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113, section 8.3.1), and served by this listener.
+//! The check of a request's host: exactly one, well-formed (RFC 9112, section 3.2; RFC 9113,
+//! section 8.3.1), and served by this listener.
 
 use axum::extract::Request;
 use axum::http::Version;
@@ -26,7 +27,8 @@ pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Pro
         _ => "of a request that names none".to_owned(),
     };
     let detail = format!(
-        "this server does not serve the host {host}; --allowed-hosts adds names to localhost and IP addresses"
+        "this server does not serve the host {host}; --allowed-hosts adds names to localhost and \
+            IP addresses"
     );
     Err(Problem::new(Code::Misdirected, detail))
 }

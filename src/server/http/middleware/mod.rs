@@ -1,4 +1,5 @@
-//! The middleware of every request: id, log line, trace, host, CORS, cross-origin check, body limit, deadline, panics, problem documents.
+//! The middleware of every request: id, log line, trace, host, CORS, cross-origin check, body
+//! limit, deadline, panics, problem documents.
 
 pub(crate) mod authentication;
 pub(crate) mod cross_origin;
@@ -147,7 +148,8 @@ async fn outermost(
         let ms = began.elapsed().as_secs_f64() * 1e3;
         // A client may send any word as its method, as long as a head may be.
         let method = known_method(method.as_str()).unwrap_or("other");
-        tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"), "answered");
+        tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"),
+            "answered");
         response
     };
     // A proxy's connection has the requests of many clients.
@@ -171,8 +173,9 @@ fn set_security_headers(app: &App, headers: &mut HeaderMap, policy: HeaderValue)
 
 /// Rejects cross-origin requests, and limits the body and the time of the others.
 ///
-/// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408) from a slow server (503 with
-/// `Retry-After`), give no actual size, and do not drain the rest of a body after an early response.
+/// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408)
+/// from a slow server (503 with `Retry-After`), give no actual size, and do not drain the rest of a
+/// body after an early response.
 async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
     let (timeouts, max_bytes) = (app.config().timeouts, app.config().max_body_bytes);
     cross_origin::check(&app.config().auth, &request)?;
@@ -214,7 +217,8 @@ fn on_panic(panic: Box<dyn Any + Send>) -> Response {
     Problem::new(Code::Internal, "internal error").into_response()
 }
 
-/// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id` accepts any id.
+/// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id`
+/// accepts any id.
 fn request_id(headers: &HeaderMap) -> String {
     let is_plain = |id: &&str| {
         (1..=MAX_REQUEST_ID).contains(&id.len())

@@ -1,4 +1,5 @@
-//! Responses: pictures, meshes and JSON, with the headers of the contract. Dropping a picture's body cancels the drawing.
+//! Responses: pictures, meshes and JSON, with the headers of the contract. Dropping a picture's
+//! body cancels the drawing.
 
 pub(crate) mod problem;
 
@@ -284,8 +285,9 @@ pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
     headers
 }
 
-/// A response whose body is computed as the client takes it: the next piece when hyper asks for it. The first piece is known, so that its
-/// problems are problem documents. A later problem ends the connection, which is all that can still be said.
+/// A response whose body is computed as the client takes it: the next piece when hyper asks for it.
+/// The first piece is known, so that its problems are problem documents. A later problem ends the
+/// connection, which is all that can still be said.
 pub(crate) fn streamed(
     headers: HeaderMap,
     first: Bytes,

@@ -1,4 +1,5 @@
-//! Problem documents as responses. A problem travels in the response's extensions until [`finish`] writes the document.
+//! Problem documents as responses. A problem travels in the response's extensions until [`finish`]
+//! writes the document.
 
 use axum::http::header::{CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{HeaderValue, StatusCode};
@@ -16,7 +17,8 @@ impl IntoResponse for Problem {
     }
 }
 
-/// Writes the problem document of a response that is not a success. Errors without a problem, such as axum's, get the one of their status.
+/// Writes the problem document of a response that is not a success. Errors without a problem, such
+/// as axum's, get the one of their status.
 pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) -> Response {
     let status = response.status();
     if !status.is_client_error() && !status.is_server_error() {
@@ -45,7 +47,8 @@ pub(crate) fn finish(response: Response, public_path: &str, request_id: &str) ->
     )
 }
 
-/// axum rejects a request by itself only when an extractor fails: the router's fallbacks have problems of their own.
+/// axum rejects a request by itself only when an extractor fails: the router's fallbacks have
+/// problems of their own.
 fn of_status(status: StatusCode) -> Problem {
     let code = if status.is_client_error() {
         Code::MalformedRequest

@@ -1,5 +1,6 @@
-//! `GET /docs`: the guide (`src/web/docs`), and `GET /docs/reference`: Scalar with `/openapi.json`. Scalar's crate embeds its script (5 MB), which
-//! is compressed at the first request. `notes.md` beside the guide compares it with others.
+//! `GET /docs`: the guide (`src/web/docs`), and `GET /docs/reference`: Scalar with `/openapi.json`.
+//! Scalar's crate embeds its script (5 MB), which is compressed at the first request. `notes.md`
+//! beside the guide compares it with others.
 
 use std::io::Write as _;
 use std::sync::LazyLock;
@@ -18,16 +19,19 @@ use crate::app::App;
 use crate::http::assets::{Asset, CSS, HTML, JS, find};
 use crate::problem::{Code, Problem};
 
-/// Scalar writes its styles into the page. The page shows only our document, and scripts come from this server only.
+/// Scalar writes its styles into the page. The page shows only our document, and scripts come from
+/// this server only.
 const REFERENCE_POLICY: HeaderValue = HeaderValue::from_static(
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; connect-src \
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' \
+        blob: data:; font-src 'self' data:; connect-src \
      'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 const TEXT: &str = "text/plain; charset=utf-8";
 
 macro_rules! assets {
     ($($name:literal $media:expr,)+) => {
-        [$(($name, Asset::new($media, Bytes::from_static(include_bytes!(concat!("../../../web/docs/", $name)))))),+]
+        [$(($name, Asset::new($media,
+            Bytes::from_static(include_bytes!(concat!("../../../web/docs/", $name)))))),+]
     };
 }
 
@@ -103,7 +107,8 @@ async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Respons
     find(&*EXAMPLES, &format!("examples/{name}"), &headers)
 }
 
-/// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and nothing else reads this file.
+/// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and
+/// nothing else reads this file.
 async fn scalar(headers: HeaderMap) -> Result<Response, Problem> {
     // Compressing takes some tenths of a second, once.
     let asset = tokio::task::spawn_blocking(|| SCALAR.as_ref())

@@ -1,4 +1,5 @@
-//! Requests for a path or a method that is not served: the problem names the route that was probably meant.
+//! Requests for a path or a method that is not served: the problem names the route that was
+//! probably meant.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -15,7 +16,8 @@ use crate::problem::{Code, Problem};
 
 /// Longest path that is compared with those of the contract, bytes.
 const LONGEST_COMPARED: usize = 200;
-/// How similar the first segments must be: they are few, and words that mean something else are as near.
+/// How similar the first segments must be: they are few, and words that mean something else are as
+/// near.
 const SIMILAR_FAMILY: f64 = 0.7;
 /// Prefixes that other services have before such paths.
 const PREFIXES: [&str; 2] = ["api", "rest"];
@@ -111,7 +113,8 @@ pub(crate) fn not_allowed(request: &Request, public: &str) -> Problem {
     Problem::new(Code::MethodNotAllowed, detail)
 }
 
-/// The routes below a path, or below the pattern of one, that have the method, or any: what a path means that lacks its last part.
+/// The routes below a path, or below the pattern of one, that have the method, or any: what a path
+/// means that lacks its last part.
 fn below(method: Option<&str>, path: &str, public: &str) -> Option<String> {
     let segments: Vec<&str> = path.split('/').skip(1).collect();
     let is_below = |pattern: &&str| {
@@ -153,7 +156,8 @@ fn methods(operations: &BTreeMap<&str, IgnoredAny>) -> Vec<&'static str> {
         .collect()
 }
 
-/// The route of the contract that a path probably means: its method and a space, if one is clear, and its path.
+/// The route of the contract that a path probably means: its method and a space, if one is clear,
+/// and its path.
 fn meant(method: &str, path: &str) -> Option<(String, &'static str)> {
     let path = Some(path).filter(|path| path.len() <= LONGEST_COMPARED)?;
     let mut segments: Vec<&str> = path

@@ -9,7 +9,8 @@ use crate::problem::{Code, Problem};
 pub(crate) async fn page(State(app): State<App>) -> Problem {
     let public = &app.config().public_path;
     let detail = format!(
-        "this build has no documentation page (feature `docs`); the contract is at {public}/openapi.json"
+        "this build has no documentation page (feature `docs`); the contract is at \
+            {public}/openapi.json"
     );
     Problem::new(Code::NotFound, detail)
 }

@@ -1,4 +1,5 @@
-//! `POST /points` and `POST /sessions/{id}/points`: annotations mapped by the exact function, without an image.
+//! `POST /points` and `POST /sessions/{id}/points`: annotations mapped by the exact function,
+//! without an image.
 
 use axum::extract::{Path, Request};
 use axum::response::Response;

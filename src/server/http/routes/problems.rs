@@ -1,5 +1,5 @@
-//! `GET /problems/{code}`: a section of `api/problems.md` as HTML or JSON. Only the Markdown that the file uses is converted (tested):
-//! paragraphs, code, bold and blocks of JSON.
+//! `GET /problems/{code}`: a section of `api/problems.md` as HTML or JSON. Only the Markdown that
+//! the file uses is converted (tested): paragraphs, code, bold and blocks of JSON.
 
 use std::fmt::Write as _;
 

@@ -20,7 +20,8 @@ pub(crate) async fn healthz() -> Response {
     response::json(&json!({"status": "alive", "version": env!("CARGO_PKG_VERSION")}))
 }
 
-/// `GET /readyz`: work would be admitted now. 503 while the queue is full, until the store has been reachable, and while the server stops.
+/// `GET /readyz`: work would be admitted now. 503 while the queue is full, until the store has been
+/// reachable, and while the server stops.
 pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
     let store = match app.ready().await? {
         Ready::Whole => "available",

@@ -26,7 +26,8 @@ pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response,
     Ok(with_method(created(&caller, shown), method))
 }
 
-/// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise 200.
+/// Creates or replaces the session with an id that the client chose: 201 if it is new, otherwise
+/// 200.
 pub(crate) async fn put(
     caller: Caller,
     Path(id): Path<String>,
@@ -59,7 +60,8 @@ pub(crate) async fn handles(
     Ok(with_method(session(shown), method))
 }
 
-/// The session object; of `HEAD` only whether there is the session. Reading does not extend the session's life.
+/// The session object; of `HEAD` only whether there is the session. Reading does not extend the
+/// session's life.
 pub(crate) async fn read(
     caller: Caller,
     Path(id): Path<String>,
@@ -113,10 +115,13 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
 
 fn not_an_id(text: &str) -> String {
     if text.is_empty() {
-        return "the id of the session is empty in the path, as if a variable of a script were empty".to_owned();
+        return "the id of the session is empty in the path, \
+                as if a variable of a script were empty"
+            .to_owned();
     }
     format!(
-        "{} is not a session id: a session id is a hyphenated UUID of version 4, such as {EXAMPLE_ID}",
+        "{} is not a session id: a session id is a hyphenated UUID of version 4, such as \
+            {EXAMPLE_ID}",
         quote(text)
     )
 }

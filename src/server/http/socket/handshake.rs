@@ -25,7 +25,8 @@ const VERSION: HeaderValue = HeaderValue::from_static("13");
 const KEY_BYTES: usize = 16;
 
 /// The response to a request that opens a WebSocket. Pages of the listed origins may open one.
-/// Errors: the response to another request: 405 to another method, 426 without an upgrade, 400 if malformed, 403 to pages of other sites.
+/// Errors: the response to another request: 405 to another method, 426 without an upgrade, 400 if
+/// malformed, 403 to pages of other sites.
 pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, Response> {
     let headers = request.headers();
     if request.method() != Method::GET {
@@ -40,7 +41,8 @@ pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, R
         || !has(UPGRADE, "websocket")
     {
         return Err(upgrade_required(
-            "this route is a WebSocket: connect with a WebSocket client (an upgrade of an HTTP/1.1 connection)",
+            "this route is a WebSocket: connect with a WebSocket client (an upgrade of an \
+                HTTP/1.1 connection)",
         ));
     }
     if headers.get(SEC_WEBSOCKET_VERSION) != Some(&VERSION) {
@@ -96,7 +98,8 @@ fn check_origin(
     }
     Err(Problem::new(
         Code::Forbidden,
-        "a page of another site may not open this socket: Origin and Host differ, and the origin is not among those of --cors-origin",
+        "a page of another site may not open this socket: Origin and Host differ, and the origin \
+            is not among those of --cors-origin",
     ))
 }
 

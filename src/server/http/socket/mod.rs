@@ -1,5 +1,5 @@
-//! `GET /sessions/{id}/drag`: the drag socket. Errors of the request are answered before the upgrade; afterwards a task carries messages
-//! between the connection and the drag.
+//! `GET /sessions/{id}/drag`: the drag socket. Errors of the request are answered before the
+//! upgrade; afterwards a task carries messages between the connection and the drag.
 
 pub(crate) mod handshake;
 mod query;
@@ -89,7 +89,8 @@ async fn run(app: &App, credential: Credential, mut drag: Drag, mut socket: WebS
         Ending::Close(code, reason) => (u16::from(*code), *reason),
     };
     let seconds = began.elapsed().as_secs_f64();
-    tracing::info!(target: "mlswarp::http", code, reason, seconds = format_args!("{seconds:.1}"), "drag ended");
+    tracing::info!(target: "mlswarp::http", code, reason, seconds = format_args!("{seconds:.1}"),
+        "drag ended");
     // Cancels the frame; the socket's slot is kept until the connection is closed.
     drag.stop();
     socket.close(ending).await;
@@ -135,7 +136,8 @@ async fn exchange(
                 }
             }
             () = drag.work() => {}
-            () = &mut stopping => return Ending::Close(CloseCode::Restart, "the service is stopping"),
+            () = &mut stopping => return Ending::Close(CloseCode::Restart,
+                "the service is stopping"),
             () = &mut revoked => {
                 let detail = "the key of this socket was revoked";
                 drag.send_problem(None, &Problem::new(Code::Forbidden, detail));
@@ -170,7 +172,8 @@ enum Action {
     Close(&'static str),
 }
 
-/// The next deadline of a client: to read what it is sent, to acknowledge a frame, to send something or to answer a ping.
+/// The next deadline of a client: to read what it is sent, to acknowledge a frame, to send
+/// something or to answer a ping.
 fn next_deadline(
     heard: Instant,
     pinged: Option<Instant>,

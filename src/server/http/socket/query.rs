@@ -15,7 +15,9 @@ const TOLERANCES: RangeInclusive<f64> = 0.1..=16.0;
 /// The tolerance if the query has none, px.
 const TOLERANCE: f64 = 0.5;
 
-/// Reads `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N&report=true|false`.
+/// Reads
+/// `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N`
+/// `&report=true|false`.
 /// Errors: Unknown fields, bad values, and fields that do not suit the frames.
 pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions, Problem> {
     let [frames, mesh, tolerance, width, window, report] = query_fields(
@@ -75,7 +77,8 @@ fn mesh_of(value: &str, frames: Option<Form>) -> Result<Form, Problem> {
 
 fn with_tolerance(form: Form, value: &str) -> Result<Form, Problem> {
     let Form::CompactMesh(_) = form else {
-        let detail = "`tolerance` in the query needs compact meshes: add `mesh=compact`, or remove `tolerance`";
+        let detail = "`tolerance` in the query needs compact meshes: add `mesh=compact`, or \
+            remove `tolerance`";
         return Err(Problem::new(Code::BadValue, detail));
     };
     let expected = || {

@@ -1,5 +1,6 @@
-//! A WebSocket connection: reads whole messages, and writes from a queue. Pictures leave in fragments, so that at most one fragment is
-//! copied and each one counts as progress. One task reads and writes; neither blocks the other.
+//! A WebSocket connection: reads whole messages, and writes from a queue. Pictures leave in
+//! fragments, so that at most one fragment is copied and each one counts as progress. One task
+//! reads and writes; neither blocks the other.
 
 use std::collections::VecDeque;
 use std::future::poll_fn;
@@ -65,7 +66,8 @@ type CountingTransport = InspectReader<Transport, Box<dyn FnMut(&[u8]) + Send>>;
 /// A WebSocket.
 pub(crate) struct WebSocketConnection {
     socket: WebSocketStream<CountingTransport>,
-    /// Bytes read since the last whole message. tungstenite's limit counts payloads alone, and permits any number of empty fragments.
+    /// Bytes read since the last whole message. tungstenite's limit counts payloads alone, and
+    /// permits any number of empty fragments.
     unread: Arc<AtomicUsize>,
     max_unread: usize,
     queue: VecDeque<Message>,
@@ -155,7 +157,8 @@ impl WebSocketConnection {
         self.last_written
     }
 
-    /// Writes the queue and waits for the client's next message. Nothing is read while the queue is full, and unless `reads`. Cancel safe.
+    /// Writes the queue and waits for the client's next message. Nothing is read while the queue is
+    /// full, and unless `reads`. Cancel safe.
     pub(crate) async fn next(&mut self, reads: bool) -> Event {
         poll_fn(|cx| {
             if let Poll::Ready(Err(_)) = self.poll_write(cx) {
@@ -234,7 +237,9 @@ impl WebSocketConnection {
             if let Ending::Close(code, reason) = ending {
                 if code != CloseCode::Normal {
                     // Between two fragments only a control frame is allowed.
-                    let is_continued = matches!(self.queue.front(), Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(Data::Continue));
+                    let is_continued = matches!(self.queue.front(),
+                        Some(Message::Frame(frame)) if frame.header().opcode == OpCode::Data(
+                            Data::Continue));
                     self.queue.clear();
                     self.queue
                         .extend(self.before_close.take().filter(|_| !is_continued));

@@ -1,18 +1,23 @@
-//! The order of waiting requests: which one gets the next permit, and which one is rejected. It decides at three levels:
+//! The order of waiting requests: which one gets the next permit, and which one is rejected. It
+//! decides at three levels:
 //!
-//! 1. Between clients ([`Tenant`]): the client that has used the least worker time recently is next. Worker time is the time for which a
-//!    client's requests have held permits, including those that run now; it counts half after each [`HALF_LIFE`]. A client with a few
-//!    large requests therefore gets no more of the workers than one with many small ones. A client that waits alone gets all permits.
+//! 1. Between clients ([`Tenant`]): the client that has used the least worker time recently is
+//!    next. Worker time is the time for which a client's requests have held permits, including
+//!    those that run now; it counts half after each [`HALF_LIFE`]. A client with a few large
+//!    requests therefore gets no more of the workers than one with many small ones. A client that
+//!    waits alone gets all permits.
 //! 2. Between the keys of a client (its sessions, and its requests without a session): round robin.
-//! 3. Within a key: the newest request of a session, because its user wants to see the newest pose; otherwise the oldest.
+//! 3. Within a key: the newest request of a session, because its user wants to see the newest pose;
+//!    otherwise the oldest.
 //!
-//! There is one permit ([`SPARE`]) more than workers, for a client that holds none. A long job gives way between parts of its work
-//! ([`FairQueue::gives_way`]): it returns its permit when another client that has used less waits for one, and is next when that is no
-//! longer so. So what a client holds shrinks while others wait, and long requests of any number of clients delay a short one of another
-//! by a part of their work only.
+//! There is one permit ([`SPARE`]) more than workers, for a client that holds none. A long job
+//! gives way between parts of its work ([`FairQueue::gives_way`]): it returns its permit when
+//! another client that has used less waits for one, and is next when that is no longer so. So what
+//! a client holds shrinks while others wait, and long requests of any number of clients delay a
+//! short one of another by a part of their work only.
 //!
-//! A full queue rejects the oldest request of the longest key for a newcomer: of the client with the most waiting requests, or of the
-//! newcomer's own client.
+//! A full queue rejects the oldest request of the longest key for a newcomer: of the client with
+//! the most waiting requests, or of the newcomer's own client.
 //!
 //! Times are arguments; there are no clocks and no threads here.
 
@@ -132,7 +137,8 @@ impl Usage {
     fn used(&self, now: Instant) -> f64 {
         let half_lives = now.saturating_duration_since(self.at).as_secs_f64() / HALF_LIFE;
         let kept = (-half_lives).exp2();
-        // The integral of what the running requests have added since, each moment weighted by its age.
+        // The integral of what the running requests have added since, each moment weighted by its
+        // age.
         let added = (1.0 - kept) * HALF_LIFE / std::f64::consts::LN_2;
         self.used * kept + self.running as f64 * added
     }
@@ -207,7 +213,8 @@ impl<W> FairQueue<W> {
         }
     }
 
-    /// The client's key with the most waiting requests, and their number; among equals, the one that is farthest from its turn.
+    /// The client's key with the most waiting requests, and their number; among equals, the one
+    /// that is farthest from its turn.
     fn longest(&self, tenant: Tenant) -> Option<(QueueKey, usize)> {
         let keys = self.usage.get(&tenant)?.keys.iter();
         keys.map(|key| (*key, self.waiters.get(key).map_or(0, VecDeque::len)))
@@ -322,7 +329,8 @@ impl<W> FairQueue<W> {
         }
     }
 
-    /// Whether a job of this client should give way now: another client has used less and would get the permit.
+    /// Whether a job of this client should give way now: another client has used less and would get
+    /// the permit.
     pub(crate) fn gives_way(&self, tenant: Tenant, now: Instant) -> bool {
         let (used, _) = self.rank(tenant, now);
         // More run than permits allow if jobs have waited too long; then it helps to run less.
@@ -356,7 +364,8 @@ impl<W> FairQueue<W> {
         }
     }
 
-    /// The next request or paused job that runs, and its client; `None` if none may run. After an end there may be permits for two.
+    /// The next request or paused job that runs, and its client; `None` if none may run. After an
+    /// end there may be permits for two.
     pub(crate) fn next(&mut self, now: Instant) -> Option<(Tenant, W)> {
         let waiting = self.first(self.order.iter().copied(), now);
         let paused = self.first(self.paused.iter().map(|(_, tenant, _)| *tenant), now);
@@ -399,7 +408,8 @@ impl<W> FairQueue<W> {
             .min_by(|(_, a), (_, b)| by_rank(*a, *b))
     }
 
-    /// The next key of the client at this place in `order`. It becomes the last of its client, and its client the last among equals.
+    /// The next key of the client at this place in `order`. It becomes the last of its client, and
+    /// its client the last among equals.
     fn take_turn(&mut self, at: usize) -> Option<QueueKey> {
         let tenant = self.order.remove(at)?;
         self.order.push_back(tenant);

@@ -186,8 +186,8 @@ fn one_client_has_every_turn_and_another_gets_the_spare_one() {
 
 const MS: Duration = Duration::from_millis(1);
 
-/// Clients that always have requests waiting, each of a given number of ms, at `permits` permits; the worker time that each gets in a
-/// minute.
+/// Clients that always have requests waiting, each of a given number of ms, at `permits` permits;
+/// the worker time that each gets in a minute.
 fn minute(permits: usize, costs: &[(u8, u32)]) -> BTreeMap<u8, u32> {
     let (mut queue, start) = (FairQueue::new(permits, 1000), Instant::now());
     let mut running: Vec<(u32, u8, u32)> = Vec::new();
@@ -229,7 +229,8 @@ fn clients_get_equal_worker_time_whatever_one_request_costs() {
             let got = minute(permits, costs);
             let (least, most) = (got.values().min().unwrap(), got.values().max().unwrap());
             eprintln!(
-                "{permits} permits, (client, ms a request) {costs:?}: worker time in a minute {got:?} ms"
+                "{permits} permits, (client, ms a request) {costs:?}: worker time in a minute \
+                    {got:?} ms"
             );
             assert!(
                 got.len() == costs.len() && *most <= *least * 3 / 2,
@@ -249,8 +250,9 @@ struct Job {
 
 const TURN: u32 = 100;
 
-/// `attackers` clients whose requests take `cost` ms, and of which always two wait, at two permits; one client that sends a request of 20 ms
-/// each second. Jobs give way at the end of their turns. Returns how long each request of that client took, ms.
+/// `attackers` clients whose requests take `cost` ms, and of which always two wait, at two permits;
+/// one client that sends a request of 20 ms each second. Jobs give way at the end of their turns.
+/// Returns how long each request of that client took, ms.
 fn beside(attackers: u8, cost: u32) -> Vec<u32> {
     const CALM: u8 = 255;
     const PERMITS: usize = 2;
@@ -316,7 +318,8 @@ fn many_clients_with_long_requests_delay_a_short_one_no_more_than_one_does() {
             let took = beside(attackers, cost);
             let worst = *took.iter().max().unwrap();
             eprintln!(
-                "{attackers} clients with requests of {cost} ms: {} answers of 20 ms, the last after {worst} ms",
+                "{attackers} clients with requests of {cost} ms: {} answers of 20 ms, the last \
+                    after {worst} ms",
                 took.len()
             );
             assert!(
@@ -357,7 +360,8 @@ fn a_job_gives_way_to_one_that_has_used_less_and_goes_on_afterwards() {
     );
     queue.end(at(1).tenant(), second + 2 * MS);
     assert_eq!(queue.next(second + 2 * MS), Some((at(1).tenant(), 1)));
-    // A job that has waited too long goes on beyond the permits, and the next to end is not replaced.
+    // A job that has waited too long goes on beyond the permits, and the next to end is not
+    // replaced.
     let id = queue.pause(at(1).tenant(), second, 11);
     for n in [4, 5] {
         assert_eq!(
@@ -418,12 +422,14 @@ fn what_was_used_is_forgotten_and_so_are_clients() {
 }
 
 proptest! {
-    /// Arrivals, ends and departures in any order: never more than are allowed, every request is called or refused exactly once, and
-    /// no request waits while there is a turn for it.
+    /// Arrivals, ends and departures in any order: never more than are allowed, every request is
+    /// called or refused exactly once, and no request waits while there is a turn for it.
     #[test]
-    fn everyone_is_accounted_for(steps in prop::collection::vec((0_u8..5, 0_u8..6), 1..400), permits in 1_usize..4, most in 0_usize..8) {
+    fn everyone_is_accounted_for(steps in prop::collection::vec((0_u8..5, 0_u8..6), 1..400),
+        permits in 1_usize..4, most in 0_usize..8) {
         let mut queue: FairQueue<u32> = FairQueue::new(permits, most);
-        let (mut running, mut waiting, mut name) = (Vec::new(), Vec::<(QueueKey, u64, u32)>::new(), 0);
+        let (mut running, mut waiting, mut name) = (Vec::new(), Vec::<(QueueKey, u64, u32)>::new(),
+            0);
         let mut paused = Vec::new();
         let mut now = Instant::now();
         for (what, n) in steps {
@@ -441,7 +447,8 @@ proptest! {
                             prop_assert_eq!(waiting.len(), before - 1);
                             waiting.push((key, id, name));
                         }
-                        Arrival::Rejected => prop_assert!(running.len() >= permits && waiting.len() == most),
+                        Arrival::Rejected => prop_assert!(running.len() >= permits
+                            && waiting.len() == most),
                     }
                 }
                 2 | 3 if !running.is_empty() => {
@@ -466,16 +473,21 @@ proptest! {
                     }
                 }
             }
-            prop_assert_eq!((queue.running(), queue.waiting(), queue.paused()), (running.len(), waiting.len(), paused.len()));
+            prop_assert_eq!((queue.running(), queue.waiting(), queue.paused()),
+                (running.len(), waiting.len(), paused.len()));
             prop_assert!(running.len() <= permits + SPARE && waiting.len() <= most);
-            let running_of = |tenant: Tenant| running.iter().filter(|other| **other == tenant).count();
+            let running_of = |tenant: Tenant| running.iter().filter(
+                |other| **other == tenant).count();
             for (key, ..) in &waiting {
-                prop_assert!(running.len() >= permits && (running.len() == permits + SPARE || running_of(key.tenant) > 0));
+                prop_assert!(running.len() >= permits && (running.len() == permits + SPARE
+                    || running_of(key.tenant) > 0));
             }
             let sum = |of: fn(&Usage) -> usize| queue.usage.values().map(of).sum::<usize>();
-            prop_assert_eq!(queue.usage.values().filter(|usage| usage.waiting > 0).count(), queue.order.len());
+            prop_assert_eq!(queue.usage.values().filter(|usage| usage.waiting > 0).count(),
+                queue.order.len());
             prop_assert_eq!(queue.waiters.len(), sum(|usage| usage.keys.len()));
-            prop_assert_eq!((queue.waiting, queue.running), (sum(|usage| usage.waiting), sum(|usage| usage.running)));
+            prop_assert_eq!((queue.waiting, queue.running), (sum(|usage| usage.waiting),
+                sum(|usage| usage.running)));
         }
     }
 }

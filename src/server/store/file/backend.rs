@@ -5,8 +5,8 @@ use std::io;
 
 use redb::StorageBackend;
 
-/// The database writes in its header how long the file is, and does not open a file that is shorter. Without this, a power failure could keep
-/// the header and lose the growth.
+/// The database writes in its header how long the file is, and does not open a file that is
+/// shorter. Without this, a power failure could keep the header and lose the growth.
 #[derive(Debug)]
 pub(crate) struct DurableLength<B>(pub(crate) B);
 

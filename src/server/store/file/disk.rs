@@ -1,8 +1,10 @@
-//! The database under the file store: created, opened, changed, read, and opened again after a disk error.
+//! The database under the file store: created, opened, changed, read, and opened again after a disk
+//! error.
 //!
-//! Every change is one transaction in two phases (the data, then the switch to it), each of which waits for the disk. The allocator's state
-//! is stored with it, so that an opening after a crash does not scan the file. A picture's file is cut into pieces that fill their pages;
-//! in one value it would take the next power of two.
+//! Every change is one transaction in two phases (the data, then the switch to it), each of which
+//! waits for the disk. The allocator's state is stored with it, so that an opening after a crash
+//! does not scan the file. A picture's file is cut into pieces that fill their pages; in one value
+//! it would take the next power of two.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
@@ -117,8 +119,8 @@ struct DiskState {
     failures: u64,
 }
 
-/// A database whose closing may panic, as it does when the file is damaged. The panic is caught: the thread that happens to close it must
-/// not fail.
+/// A database whose closing may panic, as it does when the file is damaged. The panic is caught:
+/// the thread that happens to close it must not fail.
 struct OpenDatabase<T = Database>(Option<T>);
 
 impl<T> OpenDatabase<T> {
@@ -194,7 +196,8 @@ impl Disk {
         self.lock().database.clone().ok_or(StoreError::Away)
     }
 
-    /// Opens the database again if it had failed; returns whether it did. Only one caller at a time.
+    /// Opens the database again if it had failed; returns whether it did. Only one caller at a
+    /// time.
     pub(crate) fn reopen(&self) -> Result<bool, StoreError> {
         let mut state = self.lock();
         if state.database.is_some() {
@@ -382,7 +385,8 @@ fn open_or_create(path: &Path) -> Result<Database, String> {
     }
 }
 
-/// Creates an empty database under a temporary name and links it to `path`, so that an interruption leaves no half of it.
+/// Creates an empty database under a temporary name and links it to `path`, so that an interruption
+/// leaves no half of it.
 fn create(path: &Path) -> Result<(), String> {
     let why = |e: io::Error| e.to_string();
     let mut temporary = path.as_os_str().to_owned();

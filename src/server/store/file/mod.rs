@@ -1,10 +1,12 @@
-//! The store in a file of this machine: an embedded transactional database (`disk.rs`) with records, numbers and files.
+//! The store in a file of this machine: an embedded transactional database (`disk.rs`) with
+//! records, numbers and files.
 //!
-//! A change is one transaction that has reached the disk before it is answered; it is finished even if its request is dropped. An index in
-//! memory answers everything that changes no record. After a start every session lives for another idle period. The highest numbers (`seq`)
-//! and the end of expired sessions are written by the next sweep, numbers also when the store is closed: after a crash they may be some
-//! seconds old. One process opens the file. After a disk error the change is refused and the database closed; the next change opens it
-//! again, and until then reads go on.
+//! A change is one transaction that has reached the disk before it is answered; it is finished even
+//! if its request is dropped. An index in memory answers everything that changes no record. After a
+//! start every session lives for another idle period. The highest numbers (`seq`) and the end of
+//! expired sessions are written by the next sweep, numbers also when the store is closed: after a
+//! crash they may be some seconds old. One process opens the file. After a disk error the change is
+//! refused and the database closed; the next change opens it again, and until then reads go on.
 
 mod backend;
 mod disk;
@@ -60,8 +62,9 @@ impl fmt::Debug for FileStore {
 }
 
 impl FileStore {
-    /// Opens the file, or creates it. Damaged records are logged and left out.
-    /// Errors: The file cannot be opened, is not a session file, is damaged beyond reading, or is open in another process.
+    /// Opens the file, or creates it. Damaged records are logged and left out. Errors: The file
+    /// cannot be opened, is not a session file, is damaged beyond reading, or is open in another
+    /// process.
     pub fn open(path: &Path, bounds: Bounds) -> Result<Self, NotOpened> {
         let store = Self::on(Disk::open(path)?, bounds)?;
         let Figures {
@@ -130,8 +133,8 @@ impl FileStoreState {
         Ok(written)
     }
 
-    /// Builds the index from the disk and deletes files that no session names. Damaged records are left where they are; records of another
-    /// version, and the files that they name, are kept.
+    /// Builds the index from the disk and deletes files that no session names. Damaged records are
+    /// left where they are; records of another version, and the files that they name, are kept.
     fn read_all(&self, written: &mut Numbers) -> Result<(), StoreError> {
         let mut index = Index::new(self.bounds, false);
         written.clear();
@@ -141,22 +144,32 @@ impl FileStoreState {
                 let (name, bytes) = entry?;
                 let id = SessionId::from_bytes(&name.value());
                 let why = match record::read(bytes.value()) {
-                    Ok(record) => match (checked_files(change, &mut files, &record)?, record.id == id) {
-                        (Ok(sizes), true) => {
-                            let number = change.numbers.get(&name.value())?.map(|number| number.value());
-                            written.extend(number.map(|number| (id, number)));
-                            index.restore(record, &sizes, number);
-                            continue;
+                    Ok(record) => {
+                        match (checked_files(change, &mut files, &record)?, record.id == id) {
+                            (Ok(sizes), true) => {
+                                let number = change
+                                    .numbers
+                                    .get(&name.value())?
+                                    .map(|number| number.value());
+                                written.extend(number.map(|number| (id, number)));
+                                index.restore(record, &sizes, number);
+                                continue;
+                            }
+                            (Ok(_), false) => "its record is another session's",
+                            (Err(why), _) => why,
                         }
-                        (Ok(_), false) => "its record is another session's",
-                        (Err(why), _) => why,
-                    },
+                    }
                     Err(Unreadable::OtherVersion(why)) => {
                         self.other_version.fetch_add(1, Ordering::Relaxed);
-                        tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
+                        tracing::warn!(session = ?id, why, "a session is kept and not served: \
+                            another version of the program has stored it");
                         let mut named = Vec::new();
                         for digest in record::named_files(bytes.value()) {
-                            named.extend(checked_file(change, &mut files, digest)?.ok().map(|len| (digest, len)));
+                            named.extend(
+                                checked_file(change, &mut files, digest)?
+                                    .ok()
+                                    .map(|len| (digest, len)),
+                            );
                         }
                         index.restore_unread(id, bytes.value().len() as u64, &named);
                         continue;
@@ -166,7 +179,11 @@ impl FileStoreState {
                 self.damaged.fetch_add(1, Ordering::Relaxed);
                 tracing::error!(session = ?id, why, "a damaged session record is left out");
             }
-            for digest in change.files()?.iter().filter(|digest| !files.contains_key(digest)) {
+            for digest in change
+                .files()?
+                .iter()
+                .filter(|digest| !files.contains_key(digest))
+            {
                 change.remove_file(*digest)?;
             }
             Ok(())
@@ -207,7 +224,8 @@ impl FileStoreState {
         Ok(self.index().revise(new, layer))
     }
 
-    /// Writes a record and its new files, and removes those that no record names any more, in one transaction with `more`.
+    /// Writes a record and its new files, and removes those that no record names any more, in one
+    /// transaction with `more`.
     fn write_record(
         &self,
         record: &Record,
@@ -249,7 +267,8 @@ impl FileStoreState {
         Ok(())
     }
 
-    /// Removes sessions from the disk. The index follows: a session whose end was answered must not come back after a crash.
+    /// Removes sessions from the disk. The index follows: a session whose end was answered must not
+    /// come back after a crash.
     fn remove(&self, ids: &[SessionId], written: &mut Numbers) -> Result<(), StoreError> {
         let freed = self.index().freed(ids, &[]);
         self.disk.change(|change| {
@@ -313,7 +332,8 @@ impl FileStoreState {
             .filter(names)
             .map(|record| record.id)
             .collect();
-        tracing::error!(sessions = ?lost, "sessions have ended: the file of their picture or of a layer is damaged");
+        tracing::error!(sessions = ?lost, "sessions have ended: the file of their picture or of a \
+            layer is damaged");
         self.remove(&lost, &mut written)?;
         self.damaged.fetch_add(lost.len() as u64, Ordering::Relaxed);
         let mut index = self.index();

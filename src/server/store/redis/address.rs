@@ -4,7 +4,8 @@ use std::fmt;
 
 use redis::{ConnectionAddr, ConnectionInfo};
 
-/// The address and the credentials of a Redis or Valkey server. Its text has neither user nor password.
+/// The address and the credentials of a Redis or Valkey server. Its text has neither user nor
+/// password.
 #[derive(Clone)]
 pub struct Address(ConnectionInfo);
 
@@ -13,7 +14,8 @@ impl Address {
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let info: Option<ConnectionInfo> = text.parse().ok();
         info.filter(|info| matches!(info.addr(), ConnectionAddr::Tcp(..))).map(Self).ok_or_else(|| {
-            "that is not `redis://[user:password@]host[:port][/database]`; in user and password, other signs than letters and digits are \
+            "that is not `redis://[user:password@]host[:port][/database]`; in user and password, \
+                other signs than letters and digits are \
              written as % and two hexadecimal digits"
                 .to_owned()
         })

@@ -1,6 +1,7 @@
-//! A connection to the server, with a time limit on every wait. A broken connection is replaced by the next request. A server that does not
-//! answer is not asked for a second; requests in that second fail at once. A file that is late says nothing about the server and closes
-//! only its own connection.
+//! A connection to the server, with a time limit on every wait. A broken connection is replaced by
+//! the next request. A server that does not answer is not asked for a second; requests in that
+//! second fail at once. A file that is late says nothing about the server and closes only its own
+//! connection.
 
 use std::future::Future;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -121,8 +122,8 @@ impl RedisConnection {
         }
     }
 
-    /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that turns out to be broken it is sent once
-    /// more: all requests are idempotent.
+    /// Sends a request by `ask` and waits at most `limit` for its answer. Over a connection that
+    /// turns out to be broken it is sent once more: all requests are idempotent.
     pub(crate) async fn ask<T, F>(
         &self,
         limit: Duration,
@@ -231,8 +232,9 @@ impl RedisConnection {
         slot.generation == generation && slot.connection.take().is_some()
     }
 
-    /// Classifies an error. Only a full server, and a foreign value under a session's key, leave the connection open: after any other error
-    /// the server may have become a replica, or be starting.
+    /// Classifies an error. Only a full server, and a foreign value under a session's key, leave
+    /// the connection open: after any other error the server may have become a replica, or be
+    /// starting.
     async fn fail(&self, generation: u64, error: &RedisError) -> StoreError {
         let (text, endpoint) = (error.to_string(), &self.0.endpoint);
         if text.contains("OOM") {

@@ -1,4 +1,5 @@
-//! Connections for files. Each transfers one file at a time, so that a slow file delays neither records nor other files.
+//! Connections for files. Each transfers one file at a time, so that a slow file delays neither
+//! records nor other files.
 
 use std::future::Future;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +15,8 @@ use crate::store::StoreError;
 
 /// Files that are transferred at one time, at most.
 const TRANSFERS: usize = 8;
-/// The client library keeps the largest buffer of a connection: after a larger file than this the connection is closed.
+/// The client library keeps the largest buffer of a connection: after a larger file than this the
+/// connection is closed.
 const LARGE_FILE: usize = 1 << 20;
 
 pub(crate) struct FileConnections {
@@ -55,7 +57,8 @@ impl FileConnections {
         }
     }
 
-    /// As [`RedisConnection::ask`], on a connection that transfers nothing else. `len` is the size of the transferred file in bytes.
+    /// As [`RedisConnection::ask`], on a connection that transfers nothing else. `len` is the size
+    /// of the transferred file in bytes.
     pub(crate) async fn ask<T, F>(
         &self,
         limit: Duration,

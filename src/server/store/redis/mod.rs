@@ -1,11 +1,13 @@
 //! The store on a Redis or Valkey server that several processes share.
 //!
-//! Every operation is one script (`script.rs` describes the keys), and every change is visible to all processes at once. Sessions expire by
-//! the server's own expiry; its `maxmemory` bounds their size. Each session has a copy of its picture's file and of those of its
-//! layers, transferred on separate connections (`files.rs`).
+//! Every operation is one script (`script.rs` describes the keys), and every change is visible to
+//! all processes at once. Sessions expire by the server's own expiry; its `maxmemory` bounds their
+//! size. Each session has a copy of its picture's file and of those of its layers, transferred on
+//! separate connections (`files.rs`).
 //!
-//! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on for one idle period, with numbers that
-//! rise in this process alone; the server learns the highest one from the next pose. Everything else is refused.
+//! While the server does not answer, sessions that this process has used (`session_cache.rs`) go on
+//! for one idle period, with numbers that rise in this process alone; the server learns the highest
+//! one from the next pose. Everything else is refused.
 
 mod address;
 mod connection;
@@ -168,7 +170,8 @@ impl RedisStoreState {
             Unreadable::OtherVersion(why) => {
                 // Each refused request is logged anyway.
                 if self.other_version.fetch_add(1, Ordering::Relaxed) == 0 {
-                    tracing::warn!(session = ?id, why, "a session is kept and not served: another version of the program has stored it");
+                    tracing::warn!(session = ?id, why, "a session is kept and not served: another \
+                        version of the program has stored it");
                 }
                 Err(StoreError::OtherVersion)
             }
@@ -339,8 +342,8 @@ impl RedisStoreState {
         Ok(self.session(record, seq, left))
     }
 
-    /// Waits briefly for an answer that the cache can replace. A late answer still updates the cache: otherwise a server that is slow, and
-    /// not away, would never be believed.
+    /// Waits briefly for an answer that the cache can replace. A late answer still updates the
+    /// cache: otherwise a server that is slow, and not away, would never be believed.
     async fn ask_briefly<T: Send + 'static>(
         &self,
         answer: impl Future<Output = Result<T, StoreError>> + Send + 'static,

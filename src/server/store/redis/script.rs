@@ -1,4 +1,5 @@
-//! The scripts that run on the server: each operation on a session is one of them, and atomic. The keys of a session share a hash tag:
+//! The scripts that run on the server: each operation on a session is one of them, and atomic. The
+//! keys of a session share a hash tag:
 //!
 //! | key | content | expires after |
 //! |---|---|---|
@@ -9,15 +10,17 @@
 //! | `mlswarp:{NAME}:deleted` | empty; the session was deleted | one idle period |
 //! | `mlswarp:{NAME}:upload` | a file, only inside the transaction of a `put` | |
 //!
-//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they compare as strings. A full server refuses
-//! the first write of a script if it may take memory; `touch` therefore begins with `PEXPIRE`, which takes none.
+//! NAME is owner and session in hexadecimal. Sequence numbers have twenty digits, so that they
+//! compare as strings. A full server refuses the first write of a script if it may take memory;
+//! `touch` therefore begins with `PEXPIRE`, which takes none.
 //!
-//! Scripts are called by their digest (`EVALSHA`) and sent once. Those that follow a file are sent in full each time: inside `MULTI` a missing
-//! script would fail after the file has been stored.
+//! Scripts are called by their digest (`EVALSHA`) and sent once. Those that follow a file are sent
+//! in full each time: inside `MULTI` a missing script would fail after the file has been stored.
 //!
-//! The file of a layer is set before the script runs that decides whether a record will name it. That script then removes all layers' files
-//! that the record does not name, which it would contain in hexadecimal. The picture, and the mask that the session was made with, are named
-//! by fields of their own: they keep no layer's file, which may be the same file.
+//! The file of a layer is set before the script runs that decides whether a record will name it.
+//! That script then removes all layers' files that the record does not name, which it would contain
+//! in hexadecimal. The picture, and the mask that the session was made with, are named by fields of
+//! their own: they keep no layer's file, which may be the same file.
 
 use std::sync::LazyLock;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -38,7 +41,8 @@ pub(crate) mod status {
     pub(crate) const OTHER: i64 = 3;
 }
 
-/// ARGV: idle, made. Prolongs the session if it was made from the same and its file is there. Returns what is there.
+/// ARGV: idle, made. Prolongs the session if it was made from the same and its file is there.
+/// Returns what is there.
 static SAME: LazyLock<Script> = LazyLock::new(|| {
     Script::new(
         r"
@@ -67,8 +71,9 @@ local function keep_named(record)
   end
 end"#;
 
-/// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the revision that may be replaced (empty: no
-/// session), and whether its record is readable. Any other revision, and its file, stay as they are.
+/// KEYS[4]: the file, set in the same transaction. ARGV: idle, made, record, revision, life, the
+/// revision that may be replaced (empty: no session), and whether its record is readable. Any other
+/// revision, and its file, stay as they are.
 const PUT: &str = r"
 local is = redis.call('HMGET', KEYS[1], 'made', 'seq', 'revision', 'record')
 if (is[3] or '') ~= ARGV[6] then
@@ -90,7 +95,8 @@ redis.call('PEXPIRE', KEYS[1], ARGV[1])
 redis.call('SET', KEYS[3], '', 'PX', 2 * ARGV[1])
 return {0, ''}";
 
-/// ARGV: idle, seq, and of the cached session: revision, life, seq. Returns the record only if its revision is not the cached one.
+/// ARGV: idle, seq, and of the cached session: revision, life, seq. Returns the record only if its
+/// revision is not the cached one.
 static TOUCH: LazyLock<Script> = LazyLock::new(|| {
     Script::new(
         r"
@@ -122,7 +128,8 @@ return {2, redis.call('HGET', KEYS[1], 'record'), is[2] or '', left}",
     )
 });
 
-/// ARGV: idle, old revision, made, record, revision. A layer is removed before memory is needed: that works on a full server.
+/// ARGV: idle, old revision, made, record, revision. A layer is removed before memory is needed:
+/// that works on a full server.
 const REVISE: &str = r"
 local is = redis.call('HMGET', KEYS[1], 'revision', 'seq', 'record')
 local is_old = is[1] == ARGV[2]

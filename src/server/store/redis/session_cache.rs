@@ -1,4 +1,5 @@
-//! What the server last said about the sessions used in this process. Bounded in bytes; the least recently used are forgotten first.
+//! What the server last said about the sessions used in this process. Bounded in bytes; the least
+//! recently used are forgotten first.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -61,7 +62,8 @@ impl SessionCache {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Remembers what the server has just said. Higher numbers of the same incarnation that it has not been told yet are kept.
+    /// Remembers what the server has just said. Higher numbers of the same incarnation that it has
+    /// not been told yet are kept.
     pub(crate) fn learn(&self, record: Arc<Record>, seq: Option<u64>) {
         let mut state = self.lock();
         let before = state.sessions.pop(&record.id);

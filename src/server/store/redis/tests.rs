@@ -502,7 +502,8 @@ async fn what_another_version_has_stored_is_kept() {
     .await;
 }
 
-/// Between the look at what is there and the transfer of a file another process may have put a session that this one cannot read.
+/// Between the look at what is there and the transfer of a file another process may have put a
+/// session that this one cannot read.
 #[tokio::test]
 async fn a_file_that_comes_too_late_changes_nothing() {
     let server = Redis::start(&[]);
@@ -634,7 +635,8 @@ async fn a_layers_file_goes_with_its_layer_also_if_it_is_the_pictures_or_the_fir
     assert_eq!(store.file(a.id, mask).await, Err(StoreError::NoSuchSession));
 }
 
-/// Several processes put different pictures under one name: each is told that it did, and one of them is there.
+/// Several processes put different pictures under one name: each is told that it did, and one of
+/// them is there.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn one_of_those_who_put_at_the_same_time_is_there() {
     let server = Redis::start(&[]);

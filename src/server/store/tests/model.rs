@@ -1,5 +1,6 @@
-//! Random sequences of everything that may be asked of a store, against a model that is simple enough to be right. Time is real: where a
-//! session's life ends during the question, either answer is right, and the model believes it.
+//! Random sequences of everything that may be asked of a store, against a model that is simple
+//! enough to be right. Time is real: where a session's life ends during the question, either answer
+//! is right, and the model believes it.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -427,8 +428,8 @@ pub(crate) async fn follows<S: Store>(
     println!("seed {seed}: {steps} steps, {seen:?}");
 }
 
-/// Each of some clients has sessions of its own, all of the same few pictures, and looks at everybody's pictures: nobody loses anything by
-/// what the others do.
+/// Each of some clients has sessions of its own, all of the same few pictures, and looks at
+/// everybody's pictures: nobody loses anything by what the others do.
 pub(crate) async fn neighbours_do_not_disturb_each_other<S: Store + 'static>(
     stores: Vec<Arc<S>>,
     span: Duration,

@@ -428,8 +428,8 @@ fn resealed(record: &Record, change: impl Fn(&str) -> String) -> Vec<u8> {
     crate::store::record::sealed(change(json).as_bytes())
 }
 
-/// Records as a later version of the program may write them. `plant` puts these bytes in the places of those sessions' records, as another
-/// process does.
+/// Records as a later version of the program may write them. `plant` puts these bytes in the places
+/// of those sessions' records, as another process does.
 pub(crate) async fn what_another_version_has_stored_is_kept<S: Store>(
     store: S,
     plant: impl AsyncFn(S, &[(SessionId, Vec<u8>)]) -> S,
@@ -564,7 +564,8 @@ async fn a_file_is_held_once(store: &impl Store) {
     assert_eq!((store.figures().bytes, store.figures().sessions), (0, 0));
 }
 
-/// Whatever another owner has stored: the figures, and what a full store says, are those of a file that nobody has.
+/// Whatever another owner has stored: the figures, and what a full store says, are those of a file
+/// that nobody has.
 async fn a_file_counts_once_for_each_owner(store: &impl Store) {
     let theirs = |picture: u8| {
         let id = SessionId::random(Owner::from_bytes([7; 16]));

@@ -1,6 +1,7 @@
-//! Annotations: points, polygons, boxes and GeoJSON that are mapped with the picture. [`Annotations::read`] checks them and keeps their
-//! text; [`Annotations::map_part`] maps them part by part, so that few of their positions are in memory at the same time. Each kind is
-//! returned under its own name, in the order of the request.
+//! Annotations: points, polygons, boxes and GeoJSON that are mapped with the picture.
+//! [`Annotations::read`] checks them and keeps their text; [`Annotations::map_part`] maps them part
+//! by part, so that few of their positions are in memory at the same time. Each kind is returned
+//! under its own name, in the order of the request.
 
 mod geojson;
 mod part;
@@ -84,7 +85,8 @@ pub(crate) fn is_geojson(file: &[u8]) -> bool {
 }
 
 impl Annotations {
-    /// Reads the fields in the order of `fields::ANNOTATIONS`, `inverse`, `refine`. `image`: that of the positions, of the inverse or not.
+    /// Reads the fields in the order of `fields::ANNOTATIONS`, `inverse`, `refine`. `image`: that
+    /// of the positions, of the inverse or not.
     pub(super) fn read(
         body: &Bytes,
         [points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6],
@@ -207,7 +209,8 @@ fn read_polygon<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), 
     reader.line(node.text, Edges::Closed, false, |reader| {
         node.items(POLYGON, |index, vertex| {
             if vertex.kind() == Kind::Null {
-                let detail = "a vertex of a polygon is null; leave it out, or send null in place of the polygon";
+                let detail = "a vertex of a polygon is null; leave it out, or send null in place \
+                    of the polygon";
                 return Err(vertex.problem(Code::BadValue, detail));
             }
             count = index + 1;
@@ -238,7 +241,8 @@ fn read_box<'j>(node: &Node<'j, '_>, reader: &mut Reader<'j>) -> Result<(), Prob
         return Err(node.unexpected(BOX, format_args!("{count} numbers")));
     }
     if right < left || bottom < top {
-        let found = "a right side before the left one, or a bottom above the top; is this [left, top, width, height]?";
+        let found = "a right side before the left one, or a bottom above the top; is this [left, \
+            top, width, height]?";
         return Err(node.unexpected(BOX, found));
     }
     let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];

@@ -1,5 +1,5 @@
-//! Mapped annotations as JSON. The text of GeoJSON is copied around what is replaced: positions, and
-//! the bounding boxes of objects and geometries.
+//! Mapped annotations as JSON. The text of GeoJSON is copied around what is replaced: positions,
+//! and the bounding boxes of objects and geometries.
 
 use std::borrow::Cow;
 use std::ops::Range;

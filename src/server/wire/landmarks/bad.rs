@@ -44,7 +44,8 @@ impl Bad {
         }
     }
 
-    /// An error of JSON syntax in `text`, which begins at `start`; serde counts lines and bytes from 1.
+    /// An error of JSON syntax in `text`, which begins at `start`; serde counts lines and bytes
+    /// from 1.
     pub(super) fn of_syntax(text: &str, start: usize, error: &SyntaxError) -> Self {
         let lines = text[start..]
             .split_inclusive('\n')

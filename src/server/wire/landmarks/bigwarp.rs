@@ -1,10 +1,12 @@
-//! BigWarp's landmark table in two dimensions: `name, active, moving x, moving y, fixed x, fixed y`, without a header. The moving image is
-//! the one that is warped, so `p` is moving and `q` is fixed.
+//! BigWarp's landmark table in two dimensions:
+//! `name, active, moving x, moving y, fixed x, fixed y`, without a header. The moving image is the
+//! one that is warped, so `p` is moving and `q` is fixed.
 //!
-//! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after `active`). Positions are those of
-//! BigDataViewer, where the centre of the first pixel is 0, 0: 1/2 is added. (With a calibrated image they are in its physical unit; open
-//! the images uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does; `Infinity` is a side that is not
-//! set yet.
+//! Source: `LandmarkTableModel.java` of BigWarp (`save`, `loadCsv`; newer versions have an id after
+//! `active`). Positions are those of BigDataViewer, where the centre of the first pixel is 0, 0:
+//! 1/2 is added. (With a calibrated image they are in its physical unit; open the images
+//! uncalibrated for px.) Rows that are not active are checked and left out, as BigWarp does;
+//! `Infinity` is a side that is not set yet.
 
 use super::bad::Bad;
 use super::collect::Collector;
@@ -32,7 +34,8 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
         return Err(Bad::new(
             first.at,
             format!(
-                "expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 dimensions"
+                "expected BigWarp landmarks in 2 dimensions, 6 or 7 fields; found {width}: 3 \
+                    dimensions"
             ),
         ));
     }

@@ -1,8 +1,12 @@
-//! BigWarp's landmarks in JSON: `{"type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints", "fixedPoints", "active", "names"}`, by
-//! itself, as `landmarks`, or as `Transform.landmarks` in a project. Moving is `p`, fixed is `q`.
+//! BigWarp's landmarks in JSON:
+//! `{"type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints", "fixedPoints",
+//! "active", "names"}`,
+//! by itself, as `landmarks`, or as `Transform.landmarks` in a project. Moving is `p`, fixed is
+//! `q`.
 //!
-//! Source: `LandmarkTableModel.java` of BigWarp (`toJson`) and `TransformWriterJson.java`. As in its CSV the centre of the first pixel is
-//! 0, 0 (of an image that is not calibrated): 1/2 is added. Landmarks that are not active are checked and left out.
+//! Source: `LandmarkTableModel.java` of BigWarp (`toJson`) and `TransformWriterJson.java`. As in
+//! its CSV the centre of the first pixel is 0, 0 (of an image that is not calibrated): 1/2 is
+//! added. Landmarks that are not active are checked and left out.
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};

@@ -1,9 +1,13 @@
-//! COCO keypoints, JSON: `{"images", "annotations": [{"image_id", "category_id", "keypoints": [x, y, v, ...]}], "categories"}`, and lists of
-//! results, which are annotations alone. An annotation with a keypoint that is labelled is an item, named by the file of its image; the
-//! names of the keypoints are those of its category. Where v is 0, a keypoint is missing.
+//! COCO keypoints, JSON:
+//! `{"images", "annotations": [{"image_id", "category_id", "keypoints": [x, y, v, ...]}],
+//! "categories"}`,
+//! and lists of results, which are annotations alone. An annotation with a keypoint that is
+//! labelled is an item, named by the file of its image; the names of the keypoints are those of its
+//! category. Where v is 0, a keypoint is missing.
 //!
-//! Sources: COCO, "Data format" ("each keypoint has a 0-indexed location x,y and a visibility flag v"); detectron2,
-//! `detectron2/data/datasets/coco.py`, which takes them for indices of pixels, too. 1/2 is added.
+//! Sources: COCO, "Data format" ("each keypoint has a 0-indexed location x,y and a visibility flag
+//! v"); detectron2, `detectron2/data/datasets/coco.py`, which takes them for indices of pixels,
+//! too. 1/2 is added.
 
 use std::collections::HashMap;
 
@@ -136,7 +140,10 @@ fn files<'j>(text: &str, images: &Node<'j, '_>) -> Result<HashMap<&'j str, &'j s
     let mut files = HashMap::new();
     images.items::<BadJson>("an array of images", |index, image| {
         if index == MOST_IMAGES {
-            let detail = format!("expected at most {MOST_IMAGES} images; found more: send the part of the file with the wanted ones");
+            let detail = format!(
+                "expected at most {MOST_IMAGES} images; found more: send the \
+                part of the file with the wanted ones"
+            );
             return Err(Bad::new(offset(text, &image), detail).into());
         }
         if let [Some(id), Some(file)] = image.find(&["id", "file_name"])? {

@@ -110,7 +110,8 @@ impl Unmatched {
 pub(super) struct File {
     pub(super) p: Vec<Handle>,
     pub(super) q: Option<Vec<Handle>>,
-    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names may be repeated.
+    /// All handles have names, or none has: where each is in the file, bytes, and its text. Names
+    /// may be repeated.
     pub(super) names: Option<Vec<(usize, String)>>,
     /// Where each handle is in the file, bytes.
     pub(super) at: Vec<usize>,
@@ -169,9 +170,9 @@ impl Collector {
         self.frame = frame;
     }
 
-    /// The next item of the file begins, which has these names. Whether its landmarks are wanted; those that were collected before
-    /// may be forgotten.
-    /// Errors: A second item with the wanted name.
+    /// The next item of the file begins, which has these names. Whether its landmarks are wanted;
+    /// those that were collected before may be forgotten. Errors: A second item with the wanted
+    /// name.
     pub(super) fn item(&mut self, at: usize, names: &[&str]) -> Result<bool, Bad> {
         let turn = self.items.next(at, names)?;
         if turn == Turn::ReadInstead {

@@ -1,8 +1,10 @@
-//! CSV with the columns `x,y` (one side) or `px,py,qx,qy` (both sides), in px of the contract: nothing is converted. Decimal commas are read
-//! where tabs or semicolons separate the fields, if the file has no decimal points.
+//! CSV with the columns `x,y` (one side) or `px,py,qx,qy` (both sides), in px of the contract:
+//! nothing is converted. Decimal commas are read where tabs or semicolons separate the fields, if
+//! the file has no decimal points.
 //!
-//! With a header the columns may have any order; `name`, `label`, `id` or `landmark` is the name, and further columns are ignored. Without
-//! one, the rows are 2 or 4 numbers, before or after which a name may stand. A named landmark whose cells are empty or `NaN` is missing.
+//! With a header the columns may have any order; `name`, `label`, `id` or `landmark` is the name,
+//! and further columns are ignored. Without one, the rows are 2 or 4 numbers, before or after which
+//! a name may stand. A named landmark whose cells are empty or `NaN` is missing.
 
 use super::bad::Bad;
 use super::collect::{Collector, Located};
@@ -160,7 +162,8 @@ fn unnamed(first: &Row) -> Result<Columns, Bad> {
         3 | 5 if !is_number(0) => (1, Some(0)),
         3 | 5 if !is_number(width - 1) => (0, Some(width - 1)),
         _ => {
-            let detail = "expected x, y or px, py, qx, qy, with or without a name, or a header that names the columns";
+            let detail = "expected x, y or px, py, qx, qy, with or without a name, or a header \
+                that names the columns";
             return Err(Bad::new(
                 first.at,
                 format!("{detail}; found {width} fields{}", hint(first)),

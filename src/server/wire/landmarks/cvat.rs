@@ -1,9 +1,12 @@
-//! Annotations of CVAT, "CVAT for images 1.1", XML: `<annotations><image name="..."><points label="..." points="x,y;x,y"/>`. Points become
-//! points, polylines and polygons lines, as those of labelme. The label is the name; of several points in one element the label and a
-//! number. A skeleton is an item of its own, whose elements that are `outside` are missing; all other shapes of an image are one item.
-//! Boxes, ellipses, masks, cuboids and tags are no landmarks.
+//! Annotations of CVAT, "CVAT for images 1.1", XML:
+//! `<annotations><image name="..."><points label="..." points="x,y;x,y"/>`. Points become points,
+//! polylines and polygons lines, as those of labelme. The label is the name; of several points in
+//! one element the label and a number. A skeleton is an item of its own, whose elements that are
+//! `outside` are missing; all other shapes of an image are one item. Boxes, ellipses, masks,
+//! cuboids and tags are no landmarks.
 //!
-//! Source: CVAT, "XML annotation format". The corner of the image is 0, 0, as in the contract: nothing is added.
+//! Source: CVAT, "XML annotation format". The corner of the image is 0, 0, as in the contract:
+//! nothing is added.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -28,12 +31,14 @@ fn is_cvat(head: &str) -> bool {
 
 fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut tags = Tags::new(source);
-    // Whether the item is wanted: of the loose shapes of the image, known at the first, and of a skeleton.
+    // Whether the item is wanted: of the loose shapes of the image, known at the first, and of a
+    // skeleton.
     let (mut image, mut skeletons, mut loose, mut skeleton) = (String::new(), 0_usize, None, None);
     while let Some(tag) = tags.next_tag()? {
         match (tag.name, tag.is_end) {
             ("track", false) => {
-                let detail = "expected `CVAT for images`; found a track of a video: export the task as `CVAT for images 1.1`";
+                let detail = "expected `CVAT for images`; found a track of a video: export the \
+                    task as `CVAT for images 1.1`";
                 return Err(Bad::new(tag.at, detail));
             }
             ("image", false) => {

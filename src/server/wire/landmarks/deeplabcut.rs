@@ -1,9 +1,11 @@
-//! Keypoints of DeepLabCut, CSV: the header rows `scorer`, `individuals` (of several animals), `bodyparts` and `coords`, then a row for each
-//! image. A row is an item, and with several animals each of them; its names are the path of the image, the name of its file, and the
-//! animal after either. The body part is the name of a landmark; an empty cell or `NaN` is a missing one.
+//! Keypoints of DeepLabCut, CSV: the header rows `scorer`, `individuals` (of several animals),
+//! `bodyparts` and `coords`, then a row for each image. A row is an item, and with several animals
+//! each of them; its names are the path of the image, the name of its file, and the animal after
+//! either. The body part is the name of a landmark; an empty cell or `NaN` is a missing one.
 //!
-//! Source: DeepLabCut's `CollectedData_*.csv` and the `.csv` of its analysis, which has `likelihood` too (not used). Positions are those
-//! of napari and matplotlib, pixel indices whose whole numbers are the centres of pixels: 1/2 is added.
+//! Source: DeepLabCut's `CollectedData_*.csv` and the `.csv` of its analysis, which has
+//! `likelihood` too (not used). Positions are those of napari and matplotlib, pixel indices whose
+//! whole numbers are the centres of pixels: 1/2 is added.
 
 use super::bad::Bad;
 use super::collect::Collector;
@@ -56,7 +58,8 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
             "expected the header row `bodyparts` before `coords`; it is missing",
         )
     })?;
-    // The columns of x of each landmark; y follows. Columns before the first are the path of the image.
+    // The columns of x of each landmark; y follows. Columns before the first are the path of the
+    // image.
     let columns: Vec<usize> = (1..width.saturating_sub(1))
         .filter(|k| text(&coords, *k) == "x" && text(&coords, k + 1) == "y")
         .collect();

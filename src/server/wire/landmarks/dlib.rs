@@ -1,7 +1,11 @@
-//! Landmarks of dlib's imglab, XML: `<dataset><images><image file='...'><box ...><part name='0' x='...' y='...'/></box></image></images>`.
-//! A box with parts is an item, named by the file of its image; the name of a part is the name of its landmark.
+//! Landmarks of dlib's imglab, XML:
+//! `<dataset><images><image file='...'><box ...><part name='0' x='...' y='...'/></box>
+//! </image></images>`.
+//! A box with parts is an item, named by the file of its image; the name of a part is the name of
+//! its landmark.
 //!
-//! Source: dlib, `dlib/data_io/image_dataset_metadata.cpp`. Parts are `dlib::point`, indices of pixels from 0: 1/2 is added.
+//! Source: dlib, `dlib/data_io/image_dataset_metadata.cpp`. Parts are `dlib::point`, indices of
+//! pixels from 0: 1/2 is added.
 
 use super::bad::Bad;
 use super::collect::Collector;

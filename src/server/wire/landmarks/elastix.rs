@@ -1,7 +1,8 @@
 //! Points of elastix and transformix: `index` or `point`, the number of points, and one in a line.
 //!
-//! Source: `itkTransformixInputPointFileReader.hxx` of elastix: `index` are image indices, and `point` world coordinates. The index of the
-//! first pixel is 0, 0: 1/2 is added. World coordinates depend on the origin and the spacing of the image, which the file does not have.
+//! Source: `itkTransformixInputPointFileReader.hxx` of elastix: `index` are image indices, and
+//! `point` world coordinates. The index of the first pixel is 0, 0: 1/2 is added. World coordinates
+//! depend on the origin and the spacing of the image, which the file does not have.
 
 use super::bad::Bad;
 use super::collect::Collector;
@@ -27,7 +28,8 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let head = lines.line("`index`")?;
     let mut words = head.words();
     if let Some(word) = words.next().filter(|word| word.text == "point") {
-        let detail = "expected `index`, positions in pixels; found `point`, world coordinates: subtract the origin of the image, divide by its \
+        let detail = "expected `index`, positions in pixels; found `point`, world coordinates: \
+            subtract the origin of the image, divide by its \
                       spacing, and write `index`";
         return Err(Bad::new(word.at, detail));
     }

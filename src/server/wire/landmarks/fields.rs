@@ -1,5 +1,5 @@
-//! The handles of landmark files as fields of the JSON beside them: `/fit`, `/points`, `/map`, `/report` and the requests of sessions read
-//! them as if the client had written them there.
+//! The handles of landmark files as fields of the JSON beside them: `/fit`, `/points`, `/map`,
+//! `/report` and the requests of sessions read them as if the client had written them there.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -20,13 +20,15 @@ use crate::wire::{AsJson, json};
 pub enum Target {
     /// Both sides of a request that has the size of its image as the field `extent`.
     Request,
-    /// The handles at rest of a session with an image of this size, and its pose if the files have one.
+    /// The handles at rest of a session with an image of this size, and its pose if the files have
+    /// one.
     Session(Extent),
     /// A pose of a session with an image of this size, in its units.
     Pose(Extent, Units),
 }
 
-/// What is written. Names say nothing more, and one of each side says that there are unmatched landmarks.
+/// What is written. Names say nothing more, and one of each side says that there are unmatched
+/// landmarks.
 #[derive(Serialize)]
 struct Fields<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -64,16 +66,19 @@ impl LandmarkFiles {
     fn read_pose(&self, max_columns: usize, work: &Work<'_>) -> Result<Landmarks, Problem> {
         let (None, None, Some(q)) = (&self.both, &self.p, &self.q) else {
             return Err(mismatched(
-                "the session has its handles at rest: send the file with the posed positions alone, as `landmarks_q`",
+                "the session has its handles at rest: send the file with the posed positions \
+                    alone, as `landmarks_q`",
             ));
         };
         if self.choice.matching.is_some() {
-            let detail = "`match` belongs to two files; the handles of a session have no names, and `landmarks_q` has their order";
+            let detail = "`match` belongs to two files; the handles of a session have no names, \
+                and `landmarks_q` has their order";
             return Err(Problem::new(Code::BadValue, detail));
         }
         let file = self.file(SIDES[1], q, max_columns, work)?;
         if file.q.is_some() {
-            let detail = "expected posed positions alone, because the session has those at rest; found both sides";
+            let detail = "expected posed positions alone, because the session has those at rest; \
+                found both sides";
             return Err(
                 Bad::new(file.at.first().copied().unwrap_or_default(), detail).problem(SIDES[1], q),
             );
@@ -83,8 +88,9 @@ impl LandmarkFiles {
 }
 
 impl Landmarks {
-    /// The text of a JSON object with the handles as fields, in place of those that chose what was read.
-    /// Errors: `bad_value` at a field that says the same; as [`Self::scale`]; without `q` where it is needed.
+    /// The text of a JSON object with the handles as fields, in place of those that chose what was
+    /// read. Errors: `bad_value` at a field that says the same; as [`Self::scale`]; without `q`
+    /// where it is needed.
     pub fn into_fields(self, json: &[u8], target: Target) -> Result<Vec<u8>, Problem> {
         let root = json::root(json)?;
         let [p, q, units] = root.find(&["p", "q", "units"])?;

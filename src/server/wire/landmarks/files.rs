@@ -114,7 +114,8 @@ impl Choice {
 
 /// The parts with one side each.
 pub(super) const SIDES: [&str; 2] = ["landmarks_p", "landmarks_q"];
-/// The longest side of an image that normalised coordinates belong to, px: the largest ones (4) stay within the range of coordinates.
+/// The longest side of an image that normalised coordinates belong to, px: the largest ones (4)
+/// stay within the range of coordinates.
 const LONGEST_SIDE: u32 = 250_000;
 
 /// Handles that were read, each side in the coordinates of its file.
@@ -172,8 +173,9 @@ impl LandmarkFiles {
         bytes.sum::<usize>() as u64
     }
 
-    /// Reads the files. `cancelled` is true when nobody wants the result any more.
-    /// Errors: `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or cancelled.
+    /// Reads the files. `cancelled` is true when nobody wants the result any more. Errors:
+    /// `bad_landmarks`, with line and column unless the files do not go together, `too_large`, or
+    /// cancelled.
     pub(in crate::wire) fn read(
         &self,
         max_columns: usize,
@@ -202,7 +204,8 @@ impl LandmarkFiles {
                 for (side, name) in files.iter().zip(SIDES) {
                     if side.q.is_some() {
                         let detail = format!(
-                            "{name}: expected positions of one side; found both sides: send this file alone, as `landmarks`"
+                            "{name}: expected positions of one side; found both sides: send this \
+                                file alone, as `landmarks`"
                         );
                         return Err(Bad::new(0, detail).problem(name, b""));
                     }
@@ -284,7 +287,8 @@ pub fn extent(name: &str, text: &str) -> Result<Extent, Problem> {
         .and_then(|(width, height)| Extent::new(width, height));
     let bad = || {
         let detail = format!(
-            "`{name}` must be the width and height of an image, such as 640,480, at most {LONGEST_SIDE} each; found {}",
+            "`{name}` must be the width and height of an image, such as 640,480, at most \
+                {LONGEST_SIDE} each; found {}",
             quote(text)
         );
         Problem::new(Code::BadValue, detail)
@@ -346,7 +350,8 @@ fn require_lines(file: &File) -> Result<(), Bad> {
     match Handles::new(file.p.clone(), None) {
         Err(DeformError::DegenerateLine { handle, segment }) => {
             let detail = format!(
-                "expected a line of positions that differ; its positions {segment} and {} are the same",
+                "expected a line of positions that differ; its positions {segment} and {} are the \
+                    same",
                 segment + 1
             );
             Err(Bad::new(file.at[handle], detail))
@@ -398,7 +403,8 @@ impl Landmarks {
 
     /// Errors: `bad_value` without posed positions.
     pub fn require_q(&self) -> Result<(), Problem> {
-        let detail = "the landmarks have no posed positions: send a file with both sides, or `landmarks_p` and `landmarks_q`";
+        let detail = "the landmarks have no posed positions: send a file with both sides, or \
+            `landmarks_p` and `landmarks_q`";
         if self.q.is_some() {
             Ok(())
         } else {
@@ -406,10 +412,12 @@ impl Landmarks {
         }
     }
 
-    /// Brings both sides to the coordinates of the contract. Normalised coordinates are multiplied by the extent of their side, by default
-    /// that of the other side or `image`. Pixels are multiplied by the size of `image` over the extent of their side, if that is given:
-    /// they were placed on a reduced copy. Without an `image` they become shares of that extent.
-    /// Errors: `bad_value` if one side stays normalised and the other does not, or the height of an image is not known.
+    /// Brings both sides to the coordinates of the contract. Normalised coordinates are multiplied
+    /// by the extent of their side, by default that of the other side or `image`. Pixels are
+    /// multiplied by the size of `image` over the extent of their side, if that is given: they were
+    /// placed on a reduced copy. Without an `image` they become shares of that extent. Errors:
+    /// `bad_value` if one side stays normalised and the other does not, or the height of an image
+    /// is not known.
     pub fn scale(mut self, image: Option<Extent>) -> Result<Placed, Problem> {
         let [own_p, own_q] = self.extents;
         let [frame_p, frame_q] = self.frames;
@@ -439,7 +447,8 @@ impl Landmarks {
                 missing[1]
             };
             let detail = format!(
-                "one side is normalised and the other is in px: give `{missing}`, the size of its image, such as 640,480"
+                "one side is normalised and the other is in px: give `{missing}`, the size of its \
+                    image, such as 640,480"
             );
             return Err(Problem::new(Code::BadValue, detail));
         }
@@ -462,8 +471,8 @@ impl Landmarks {
     }
 }
 
-/// Brings handles to the coordinates of the contract, and returns their units. `own`, `image`: see [`Landmarks::scale`]. What is done to
-/// pixels is added to `done`.
+/// Brings handles to the coordinates of the contract, and returns their units. `own`, `image`: see
+/// [`Landmarks::scale`]. What is done to pixels is added to `done`.
 fn place(
     handles: &mut [Handle],
     frame: Frame,
@@ -476,7 +485,8 @@ fn place(
     if frame == Frame::PxUp {
         let missing = || {
             let detail = format!(
-                "the file counts y from the lower edge of its image: give `{field}`, the size of the image, such as 640,480"
+                "the file counts y from the lower edge of its image: give `{field}`, the size of \
+                    the image, such as 640,480"
             );
             Problem::new(Code::BadValue, detail)
         };

@@ -1,9 +1,13 @@
-//! Georeference Annotations of IIIF, JSON: `{"type": "Annotation", "body": {"features": [{"properties": {"resourceCoords": [x, y]}, ...}]}}`,
-//! or several as the `items` of an `AnnotationPage`. The positions in the picture are read, as one side, as those of QGIS; longitude and
-//! latitude are not. An annotation is an item, named by its id and its label.
+//! Georeference Annotations of IIIF, JSON:
+//! `{"type": "Annotation", "body": {"features": [{"properties":
+//! {"resourceCoords": [x, y]}, ...}]}}`,
+//! or several as the `items` of an `AnnotationPage`. The positions in the picture are read, as one
+//! side, as those of QGIS; longitude and latitude are not. An annotation is an item, named by its
+//! id and its label.
 //!
-//! Source: IIIF, "Georeference Extension" ("pixelCoords" before it was published). Positions are pixels of the whole picture, whose upper left corner is
-//! 0, 0, as in the contract: nothing is added.
+//! Source: IIIF, "Georeference Extension" ("pixelCoords" before it was published). Positions are
+//! pixels of the whole picture, whose upper left corner is 0, 0, as in the contract: nothing is
+//! added.
 
 use super::bad::{Bad, BadJson};
 use super::collect::Collector;
@@ -64,9 +68,18 @@ fn annotation(
     features.items::<BadJson>(FEATURES, |_, feature| {
         let at = offset(text, &feature);
         let [properties] = feature.find(&["properties"])?;
-        let [new, old] =
-            properties.as_ref().map(|properties| properties.find(&["resourceCoords", "pixelCoords"])).transpose()?.unwrap_or_default();
-        let missing = || Bad::new(at, "expected `resourceCoords` in the properties of a control point, its pixel [x, y]; it is missing");
+        let [new, old] = properties
+            .as_ref()
+            .map(|properties| properties.find(&["resourceCoords", "pixelCoords"]))
+            .transpose()?
+            .unwrap_or_default();
+        let missing = || {
+            Bad::new(
+                at,
+                "expected `resourceCoords` in the properties of a control \
+            point, its pixel [x, y]; it is missing",
+            )
+        };
         let position = place(&new.or(old).ok_or_else(missing)?, PLACE)?;
         Ok(out.point(at, Some([position.x, position.y]), None)?)
     })

@@ -1,4 +1,5 @@
-//! The item of a file that is read, where a file may have several: specimens, images, persons, rows.
+//! The item of a file that is read, where a file may have several: specimens, images, persons,
+//! rows.
 
 use super::bad::Bad;
 use crate::problem::words::quote;
@@ -109,7 +110,8 @@ impl Items {
                 Err(Bad::new(
                     at,
                     format!(
-                        "expected one item named {name}; found a second: send `item` as an index, such as {index}"
+                        "expected one item named {name}; found a second: send `item` as an index, \
+                            such as {index}"
                     ),
                 ))
             }
@@ -184,8 +186,8 @@ pub(super) fn name_in(node: &Node<'_, '_>) -> Result<String, Problem> {
     }
 }
 
-/// What an item is called in a file of several images: by the file of its image, with its folders and without, and by that and what tells
-/// it from the others of the image.
+/// What an item is called in a file of several images: by the file of its image, with its folders
+/// and without, and by that and what tells it from the others of the image.
 #[derive(Debug)]
 pub(super) struct ItemNames([String; 3]);
 

@@ -60,7 +60,8 @@ impl<'t> Fields<'t> {
         Bad::new(
             at,
             format!(
-                "expected a landmark file ({}), such as an object with {expected}; found {what} {found}",
+                "expected a landmark file ({}), such as an object with {expected}; found {what} \
+                    {found}",
                 titles()
             ),
         )

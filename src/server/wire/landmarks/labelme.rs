@@ -1,8 +1,9 @@
-//! Annotations of labelme: `{"shapes": [{"label", "shape_type", "points"}], ...}`. `point` becomes a point; `line`, `linestrip` and
-//! `polygon` become lines, a polygon ends where it begins. The label is the name.
+//! Annotations of labelme: `{"shapes": [{"label", "shape_type", "points"}], ...}`. `point` becomes
+//! a point; `line`, `linestrip` and `polygon` become lines, a polygon ends where it begins. The
+//! label is the name.
 //!
-//! Source: `labelme/_label_file.py` and the canvas, whose positions are those of the pixmap: the corner of the image is 0, 0, as in the
-//! contract. Nothing is added.
+//! Source: `labelme/_label_file.py` and the canvas, whose positions are those of the pixmap: the
+//! corner of the image is 0, 0, as in the contract. Nothing is added.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;

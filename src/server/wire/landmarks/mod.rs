@@ -1,9 +1,10 @@
 //! Landmark files: points and lines that other programs have written, read as handles.
 //!
-//! The format is recognised by content. Each format has a file of its own, which states its convention and where that is described, and
-//! converts to the coordinates of the contract (`x` right, `y` down, the centre of the first pixel at 1/2, 1/2); [`FORMATS`] has a row for
-//! it. Every error has a line and a column. The work is linear in the length of the file, counted, and stops when it is cancelled; the
-//! number of handles is limited before memory is allocated for them.
+//! The format is recognised by content. Each format has a file of its own, which states its
+//! convention and where that is described, and converts to the coordinates of the contract (`x`
+//! right, `y` down, the centre of the first pixel at 1/2, 1/2); [`FORMATS`] has a row for it. Every
+//! error has a line and a column. The work is linear in the length of the file, counted, and stops
+//! when it is cancelled; the number of handles is limited before memory is allocated for them.
 
 mod bad;
 mod bigwarp;
@@ -64,7 +65,8 @@ struct Format {
     form: Form,
 }
 
-/// What a format is written in. The first function: whether a file is of this format, by its beginning. The second one reads it.
+/// What a format is written in. The first function: whether a file is of this format, by its
+/// beginning. The second one reads it.
 enum Form {
     /// A text, by its beginning.
     Head(

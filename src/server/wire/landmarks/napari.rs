@@ -1,8 +1,10 @@
-//! Points of a napari layer, CSV: `index, axis-0, axis-1` and the properties of the points. The last axis is x and the one before y.
-//! Further axes are those of a stack, and their values are the item: one slice, or one time. A property `name`, `label` or `id` is the name.
+//! Points of a napari layer, CSV: `index, axis-0, axis-1` and the properties of the points. The
+//! last axis is x and the one before y. Further axes are those of a stack, and their values are the
+//! item: one slice, or one time. A property `name`, `label` or `id` is the name.
 //!
-//! Source: `napari_builtins/io/_write.py` (`napari_write_points`). Positions are pixel indices, whose whole numbers are the centres of
-//! pixels (`napari/layers/shapes/shapes.py`: "Point coordinates land on pixel centers"): 1/2 is added.
+//! Source: `napari_builtins/io/_write.py` (`napari_write_points`). Positions are pixel indices,
+//! whose whole numbers are the centres of pixels (`napari/layers/shapes/shapes.py`: "Point
+//! coordinates land on pixel centers"): 1/2 is added.
 
 use super::bad::Bad;
 use super::collect::Collector;
@@ -37,7 +39,8 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     } = table;
     let names = header.as_header().unwrap_or_default();
     if let Some(shapes) = names.iter().position(|name| name == "shape-type") {
-        let detail = "expected a napari points layer; found a shapes layer: copy its vertices to a points layer and save that";
+        let detail = "expected a napari points layer; found a shapes layer: copy its vertices to \
+            a points layer and save that";
         return Err(Bad::new(header.fields[shapes].at, detail));
     }
     let axes = axes(&names);

@@ -1,10 +1,12 @@
-//! Lists of normalised landmarks in JSON, as programs write the results of MediaPipe and ARKit: objects with `x` and `y` (further fields
-//! such as `z` and `visibility` are ignored; `name` is the name), or arrays `[x, y]`, from 0 to 1, y down. Nothing is added: 0 and 1 are the
-//! edges of the image.
+//! Lists of normalised landmarks in JSON, as programs write the results of MediaPipe and ARKit:
+//! objects with `x` and `y` (further fields such as `z` and `visibility` are ignored; `name` is the
+//! name), or arrays `[x, y]`, from 0 to 1, y down. Nothing is added: 0 and 1 are the edges of the
+//! image.
 //!
-//! Sources: MediaPipe's `NormalizedLandmark` (`mediapipe/framework/formats/landmark.proto`) and the results of its tasks, "in normalized
-//! image coordinates" (`faceLandmarks`, a list for each face); ARKit's `ARSkeleton2D.jointLandmarks` ("where 0 is the upper left, and 1 is
-//! the bottom right"). Apple's Vision framework counts y from the bottom and has no file format: convert it before.
+//! Sources: MediaPipe's `NormalizedLandmark` (`mediapipe/framework/formats/landmark.proto`) and the
+//! results of its tasks, "in normalized image coordinates" (`faceLandmarks`, a list for each face);
+//! ARKit's `ARSkeleton2D.jointLandmarks` ("where 0 is the upper left, and 1 is the bottom right").
+//! Apple's Vision framework counts y from the bottom and has no file format: convert it before.
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Frame, Located};
@@ -85,7 +87,8 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
     }
 }
 
-/// Reads a list, or one of the lists of several faces, hands or bodies. `is_bare`: without a field that says what it is.
+/// Reads a list, or one of the lists of several faces, hands or bodies. `is_bare`: without a field
+/// that says what it is.
 fn read_lists(
     text: &str,
     list: &Node<'_, '_>,
@@ -120,7 +123,8 @@ fn read_list(
         out.require_below(at, count + 1)?;
         count += 1;
         if item.kind() == Kind::Array && is_bare {
-            let detail = "expected objects {\"x\", \"y\"}; found arrays, which may be px: send {\"p\": [[x, y], ...], \"units\": \"px\"} or \"normalized\"";
+            let detail = "expected objects {\"x\", \"y\"}; found arrays, which may be px: send \
+                {\"p\": [[x, y], ...], \"units\": \"px\"} or \"normalized\"";
             return Err(Bad::new(at, detail).into());
         }
         places.push((at, read_item(&item)?));

@@ -1,8 +1,10 @@
-//! Facial landmarks of OpenFace, CSV: `frame, face_id, timestamp, confidence, success`, then `x_0` to `x_67` and `y_0` to `y_67`, among
-//! many other columns. A row is an item, named by its frame (and its face, where a frame has several).
+//! Facial landmarks of OpenFace, CSV: `frame, face_id, timestamp, confidence, success`, then `x_0`
+//! to `x_67` and `y_0` to `y_67`, among many other columns. A row is an item, named by its frame
+//! (and its face, where a frame has several).
 //!
-//! Source: the page "Output Format" of OpenFace's wiki ("x_0, x_1, ... y_67: location of 2D landmarks in pixels"). They are the
-//! coordinates of OpenCV, whose whole numbers are the centres of pixels: 1/2 is added.
+//! Source: the page "Output Format" of OpenFace's wiki ("x_0, x_1, ... y_67: location of 2D
+//! landmarks in pixels"). They are the coordinates of OpenCV, whose whole numbers are the centres
+//! of pixels: 1/2 is added.
 
 use super::bad::Bad;
 use super::collect::Collector;
@@ -65,7 +67,8 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
                 .number()
                 .is_ok_and(|success| success < 0.5)
         }) {
-            let detail = "expected a row in which a face was found; found `success` 0: choose another `item`";
+            let detail = "expected a row in which a face was found; found `success` 0: choose \
+                another `item`";
             return Err(Bad::new(row.fields[success].at, detail));
         }
         for [x, y] in &landmarks {

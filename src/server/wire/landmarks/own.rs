@@ -1,4 +1,5 @@
-//! Our own JSON, which `POST /landmarks` writes too: `{"p", "q"?, "names"?, "units"?}`, in the coordinates of the contract.
+//! Our own JSON, which `POST /landmarks` writes too: `{"p", "q"?, "names"?, "units"?}`, in the
+//! coordinates of the contract.
 
 use mlswarp::deform::Handle;
 use mlswarp::warp::Units;

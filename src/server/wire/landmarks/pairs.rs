@@ -19,10 +19,11 @@ type Names = Vec<(usize, String)>;
 /// How to match by order, for errors.
 const BY_ORDER: &str = "to match them by order send match=order (`--match order`)";
 
-/// Pairs the landmarks as requested, or else by name if the names explain both files: not where they are the same in both, only say what
-/// kind of thing a landmark is, or are positions: then, and without names, by order.
-/// Errors: An error, and 0 for the first file or 1 for the second: a name that does not tell landmarks apart, names of which the fewest
-/// match, or another number or shape.
+/// Pairs the landmarks as requested, or else by name if the names explain both files: not where
+/// they are the same in both, only say what kind of thing a landmark is, or are positions: then,
+/// and without names, by order. Errors: An error, and 0 for the first file or 1 for the second: a
+/// name that does not tell landmarks apart, names of which the fewest match, or another number or
+/// shape.
 pub(super) fn pair(files: &[File; 2], matching: Option<Matching>) -> Result<Pairs, (usize, Bad)> {
     let [p, q] = files;
     let pairs = match (matching, &p.names, &q.names) {
@@ -88,8 +89,9 @@ fn shape(handle: &Handle) -> String {
     }
 }
 
-/// Whether every name is the position of its landmark, as ImageJ names what nobody has named: `0045-0030` is y 45, x 30, after the slice
-/// of a stack, and in its tables after the title of the image (`ij/plugin/frame/RoiManager.java`, `getLabel`).
+/// Whether every name is the position of its landmark, as ImageJ names what nobody has named:
+/// `0045-0030` is y 45, x 30, after the slice of a stack, and in its tables after the title of the
+/// image (`ij/plugin/frame/RoiManager.java`, `getLabel`).
 fn has_positions_as_names(file: &File) -> bool {
     /// Half a pixel of conventions, and rounding.
     const NEAR: f64 = 1.5;
@@ -125,7 +127,8 @@ fn pair_by_order(files: [&File; 2]) -> Result<Pairs, (usize, Bad)> {
         .find_map(|(side, file)| Some((side, *file.at.get(shorter)?)))
     {
         let detail = format!(
-            "expected {shorter} landmark{}, as the other file has; found {}: without names in both files they are matched by order",
+            "expected {shorter} landmark{}, as the other file has; found {}: without names in \
+                both files they are matched by order",
             if shorter == 1 { "" } else { "s" },
             count_p.max(count_q)
         );
@@ -159,7 +162,8 @@ fn keys(sides: [&Names; 2]) -> [Vec<String>; 2] {
     if is_clear { folded } else { exact }
 }
 
-/// `None` if the names have nothing in common and some are repeated, as those of classes. `is_wanted`: however few match.
+/// `None` if the names have nothing in common and some are repeated, as those of classes.
+/// `is_wanted`: however few match.
 fn pair_by_name(sides: [&Names; 2], is_wanted: bool) -> Result<Option<Pairs>, (usize, Bad)> {
     let keys = keys(sides);
     let firsts = keys.each_ref().map(|keys| {
@@ -196,7 +200,8 @@ fn pair_by_name(sides: [&Names; 2], is_wanted: bool) -> Result<Option<Pairs>, (u
             if earlier < index && other.contains_key(key) {
                 let name = quote(name);
                 let detail = format!(
-                    "expected each name once, to match two files by name; {name} is the name of landmark {earlier} already: {BY_ORDER}"
+                    "expected each name once, to match two files by name; {name} is the name of \
+                        landmark {earlier} already: {BY_ORDER}"
                 );
                 return Err((side, Bad::new(*at, detail)));
             }

@@ -1,7 +1,9 @@
-//! ibug and dlib landmarks, `.pts`: `version: 1`, `n_points: 68`, and the points between braces, one in a line.
+//! ibug and dlib landmarks, `.pts`: `version: 1`, `n_points: 68`, and the points between braces,
+//! one in a line.
 //!
-//! Source: the annotations of the 300-W challenge, and the reader of menpo (`menpo/io/input/landmark.py`, `PTSImporter`: "Here we make the
-//! assumption (as is common) that PTS landmarks are 1-based"). The centre of the first pixel is 1, 1: 1/2 is subtracted.
+//! Source: the annotations of the 300-W challenge, and the reader of menpo
+//! (`menpo/io/input/landmark.py`, `PTSImporter`: "Here we make the assumption (as is common) that
+//! PTS landmarks are 1-based"). The centre of the first pixel is 1, 1: 1/2 is subtracted.
 
 use super::bad::Bad;
 use super::collect::{Collector, Located};

@@ -1,8 +1,10 @@
-//! Control points of the QGIS Georeferencer (`.points`): a header with `mapX, mapY, sourceX, sourceY, enable` (`pixelX, pixelY` before
-//! QGIS 3.26), before which a line `#CRS: ...` may stand. Only the position in the raster is read, as one side.
+//! Control points of the QGIS Georeferencer (`.points`): a header with
+//! `mapX, mapY, sourceX, sourceY, enable` (`pixelX, pixelY` before QGIS 3.26), before which a line
+//! `#CRS: ...` may stand. Only the position in the raster is read, as one side.
 //!
-//! Source: `qgsgcplist.cpp` of QGIS (`saveGcps`) and `saveGCPs` of the older `qgsgeorefmainwindow.cpp`. A raster without georeference
-//! covers x from 0 to W and y from 0 down to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
+//! Source: `qgsgcplist.cpp` of QGIS (`saveGcps`) and `saveGCPs` of the older
+//! `qgsgeorefmainwindow.cpp`. A raster without georeference covers x from 0 to W and y from 0 down
+//! to -H: corners are whole numbers, y points up, so y changes its sign and nothing is added. Rows
 //! that are not enabled are checked and left out.
 
 use super::bad::Bad;
@@ -41,7 +43,8 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let (Some(x), Some(y)) = (find(&names, &X), find(&names, &Y)) else {
         return Err(Bad::new(
             header.at,
-            "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points file",
+            "expected the columns `sourceX`, `sourceY` (or `pixelX`, `pixelY`) of a QGIS .points \
+                file",
         ));
     };
     let enable = find(&names, &["enable"]);

@@ -1,8 +1,11 @@
-//! Markups of 3D Slicer: `.mrk.json`, `{"markups": [{"coordinateSystem", "controlPoints": [{"label", "position": [x, y, z]}]}]}`, and `.fcsv`,
-//! a table below comments, of which one says `# CoordinateSystem = LPS`. Both have world coordinates, in mm, which only the image can
-//! turn into pixels: they are refused with the conversion. Read are indices, which scripts write (`IJK`), as points of one slice.
+//! Markups of 3D Slicer: `.mrk.json`,
+//! `{"markups": [{"coordinateSystem", "controlPoints": [{"label", "position": [x, y, z]}]}]}`, and
+//! `.fcsv`, a table below comments, of which one says `# CoordinateSystem = LPS`. Both have world
+//! coordinates, in mm, which only the image can turn into pixels: they are refused with the
+//! conversion. Read are indices, which scripts write (`IJK`), as points of one slice.
 //!
-//! Source: 3D Slicer, "Markups" in its developer guide. The index of the first pixel is 0, 0, its centre: 1/2 is added.
+//! Source: 3D Slicer, "Markups" in its developer guide. The index of the first pixel is 0, 0, its
+//! centre: 1/2 is added.
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
@@ -32,8 +35,10 @@ const CENTRE: f64 = 0.5;
 const MARKUPS: &str = "an array of markups";
 const POINTS: &str = "an array of control points";
 const POSITION: &str = "a position, [x, y, z]";
-const CONVERSION: &str = "send CSV with x = (position - origin) / spacing + 0.5 and y likewise, with origin and spacing of the image in the \
-                          same coordinates (those of RAS are those of LPS with the other signs of x and y)";
+const CONVERSION: &str = "send CSV with x = (position - origin) / spacing + 0.5 and y likewise, \
+    with origin and spacing of the image in the \
+                          same coordinates (those of RAS are those of LPS with the other signs of \
+                          x and y)";
 
 fn is_markups(fields: &Fields<'_>) -> bool {
     !fields.is_list && fields.kind("markups") == Some(Kind::Array)
@@ -56,7 +61,8 @@ fn require_indices(at: usize, system: &str) -> Result<(), Bad> {
     Err(Bad::new(
         at,
         format!(
-            "expected positions in pixels; found world coordinates of 3D Slicer, {}, in mm: {CONVERSION}",
+            "expected positions in pixels; found world coordinates of 3D Slicer, {}, in mm: \
+                {CONVERSION}",
             quote(system)
         ),
     ))

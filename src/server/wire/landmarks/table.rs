@@ -1,5 +1,6 @@
-//! Separated values, row by row. Tabs, semicolons, commas and white space are recognised; quotes and line ends as in RFC 4180. With tabs and
-//! semicolons the comma may separate decimals, as in spreadsheets of many countries.
+//! Separated values, row by row. Tabs, semicolons, commas and white space are recognised; quotes
+//! and line ends as in RFC 4180. With tabs and semicolons the comma may separate decimals, as in
+//! spreadsheets of many countries.
 
 use csv_core::{ReadFieldResult, Reader, ReaderBuilder};
 
@@ -134,7 +135,8 @@ impl<'t> Rows<'t> {
     /// The next row.
     pub(super) fn next_row(&mut self) -> Result<Option<Row>, Bad> {
         let rest = &self.source.text.as_bytes()[self.at..];
-        // Only as far as the first byte of the next row: what follows it is looked at as it is read.
+        // Only as far as the first byte of the next row: what follows it is looked at as it is
+        // read.
         let blank = self
             .source
             .work
@@ -250,8 +252,8 @@ fn too_long(at: usize) -> Bad {
     )
 }
 
-/// What separates the fields: what every row has outside of quotes, a tab rather than a semicolon rather than a comma; else a comma or a
-/// semicolon, if there is one. `None`: white space.
+/// What separates the fields: what every row has outside of quotes, a tab rather than a semicolon
+/// rather than a comma; else a comma or a semicolon, if there is one. `None`: white space.
 fn separator(text: &[u8], work: &Work<'_>) -> Option<u8> {
     const SEPARATORS: [u8; 3] = *b"\t;,";
     let (mut rows, mut counts) = (0_usize, [0_usize; 3]);

@@ -1,10 +1,12 @@
-//! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of contours, and for each contour three
-//! lines: 1 if it is closed, the number of its points, their indices from 0. `#` begins a comment. What follows the contours is passed over,
-//! as webmorphR does: a number, notes in JSON, or a byte that is no text.
+//! Templates of WebMorph and Psychomorph, `.tem`: the number of points, the points, the number of
+//! contours, and for each contour three lines: 1 if it is closed, the number of its points, their
+//! indices from 0. `#` begins a comment. What follows the contours is passed over, as webmorphR
+//! does: a number, notes in JSON, or a byte that is no text.
 //!
-//! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are pixel indices from 0): 1/2 is added.
-//! Contours become polylines, a closed one ends where it begins. An index that follows itself counts once, and a contour of one index only, as
-//! that of a pupil, says nothing: points on no other contour become points. Points come first, then contours.
+//! Source: webmorphR (`R/read_stim.R`; `R/mirror.R` mirrors about (W - 1) / 2, so positions are
+//! pixel indices from 0): 1/2 is added. Contours become polylines, a closed one ends where it
+//! begins. An index that follows itself counts once, and a contour of one index only, as that of a
+//! pupil, says nothing: points on no other contour become points. Points come first, then contours.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;

@@ -1,10 +1,12 @@
-//! Landmarks of tpsDig, `.tps`: for each specimen `LM=` with the number of landmarks and one in a line, then `CURVES=` with `POINTS=` for
-//! each curve, and `IMAGE=`, `ID=` and `SCALE=` in any order. A specimen is an item, named by its image and its id. Curves become
-//! polylines, after the landmarks. Two negative coordinates are a landmark that is missing.
+//! Landmarks of tpsDig, `.tps`: for each specimen `LM=` with the number of landmarks and one in a
+//! line, then `CURVES=` with `POINTS=` for each curve, and `IMAGE=`, `ID=` and `SCALE=` in any
+//! order. A specimen is an item, named by its image and its id. Curves become polylines, after the
+//! landmarks. Two negative coordinates are a landmark that is missing.
 //!
-//! Source: geomorph (`scanTPS` in `R/geomorph.support.code.r`; `readland.tps`: "software packages that record missing values as negative
-//! coordinates (e.g. tpsDig)") and ml-morph (`utils.py`, which turns y over as H - y). The origin is the lower left corner of the image
-//! and y points up, so the height of the image is needed. Positions are pixels; `SCALE` is not applied.
+//! Source: geomorph (`scanTPS` in `R/geomorph.support.code.r`; `readland.tps`: "software packages
+//! that record missing values as negative coordinates (e.g. tpsDig)") and ml-morph (`utils.py`,
+//! which turns y over as H - y). The origin is the lower left corner of the image and y points up,
+//! so the height of the image is needed. Positions are pixels; `SCALE` is not applied.
 
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
@@ -68,7 +70,8 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
         if name == "LM3" {
             return Err(Bad::new(
                 line.at,
-                "expected landmarks in 2 dimensions, `LM=`; found 3: project them onto the image first",
+                "expected landmarks in 2 dimensions, `LM=`; found 3: project them onto the image \
+                    first",
             ));
         }
         if name == "LM" {

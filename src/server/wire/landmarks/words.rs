@@ -28,7 +28,8 @@ pub(super) fn line_at<'t>(source: Source<'t>, at: usize) -> Result<(&'t str, usi
     Ok((&source.text[at..at + length], length + end))
 }
 
-/// The lines of a text that are not empty; those that begin with `#` are comments if the format has them.
+/// The lines of a text that are not empty; those that begin with `#` are comments if the format has
+/// them.
 pub(super) struct Lines<'t> {
     source: Source<'t>,
     at: usize,

@@ -1,6 +1,7 @@
-//! XML, as far as annotation files need it: elements, nested as they should be, and their attributes. Text, comments and processing
-//! instructions are passed over. There are no entities but the five of XML and numbers: a declaration of others is refused. One pass over
-//! the file, and one more over the attributes that are asked for.
+//! XML, as far as annotation files need it: elements, nested as they should be, and their
+//! attributes. Text, comments and processing instructions are passed over. There are no entities
+//! but the five of XML and numbers: a declaration of others is refused. One pass over the file, and
+//! one more over the attributes that are asked for.
 
 use std::borrow::Cow;
 
@@ -108,7 +109,8 @@ impl<'t> Tags<'t> {
                 None if rest.starts_with("<!") => {
                     return Err(Bad::new(
                         at,
-                        "expected elements; found a declaration, `<!`, which annotation files do not have",
+                        "expected elements; found a declaration, `<!`, which annotation files do \
+                            not have",
                     ));
                 }
                 None => return self.tag().map(Some),

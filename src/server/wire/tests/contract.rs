@@ -1,5 +1,5 @@
-//! The OpenAPI document against itself (every `$ref` resolves, every example is valid) and against the parsers: what they accept and
-//! refuse, the words, the codes.
+//! The OpenAPI document against itself (every `$ref` resolves, every example is valid) and against
+//! the parsers: what they accept and refuse, the words, the codes.
 
 use jsonschema::{Draft, Validator};
 use mlswarp::codec::{Compression, Format};
@@ -130,7 +130,8 @@ fn every_operation_has_a_name_and_one_tag() {
             names.insert(operation["operationId"].as_str().expect(&route)),
             "{route}: its name is not its own"
         );
-        // Generators take the first one: JSON, beside which a form may have its handles in landmark files.
+        // Generators take the first one: JSON, beside which a form may have its handles in landmark
+        // files.
         let types: Vec<&String> = operation["requestBody"]["content"]
             .as_object()
             .into_iter()
@@ -327,8 +328,9 @@ fn enums_list_what_this_version_has() {
     words::<Easing>("/Easing");
 }
 
-/// `null` as the value of a known field is absence, which the document says in words: a schema with `null` everywhere makes clumsy clients.
-/// `known`: the properties of the schema; in the object of a field, the table has `null` for known ones only.
+/// `null` as the value of a known field is absence, which the document says in words: a schema with
+/// `null` everywhere makes clumsy clients. `known`: the properties of the schema; in the object of
+/// a field, the table has `null` for known ones only.
 fn without_nulls(value: Value, known: Option<&Value>) -> Value {
     match value {
         Value::Object(fields) => {
@@ -498,8 +500,10 @@ fn schemas_and_parsers_agree_on_a_table() {
         "boxes: [[1, 2, 3]]",
         "geojson: {}",
         "geojson: {\"type\": \"FeatureCollection\", \"features\": []}",
-        "geojson: {\"type\": \"FeatureCollection\", \"features\": [{\"type\": \"Feature\", \"geometry\": null}]}",
-        "geojson: {\"type\": \"FeatureCollection\", \"features\": [{\"type\": \"Feature\", \"geometry\": {\"type\": \"Sphere\"}}]}",
+        "geojson: {\"type\": \"FeatureCollection\", \
+         \"features\": [{\"type\": \"Feature\", \"geometry\": null}]}",
+        "geojson: {\"type\": \"FeatureCollection\", \
+         \"features\": [{\"type\": \"Feature\", \"geometry\": {\"type\": \"Sphere\"}}]}",
         "inverse: true",
         "inverse: 0",
         "refine: false",

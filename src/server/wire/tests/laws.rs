@@ -216,9 +216,11 @@ pub(crate) fn written(warp: &WarpObject) -> Value {
         ..
     } = rest;
     let mut object = json!({
-        "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights, "method": AsJson(*method), "alpha": alpha,
+        "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights,
+            "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
-        "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid), "folds": AsJson(*folds), "output": AsJson(output)
+        "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid),
+            "folds": AsJson(*folds), "output": AsJson(output)
     });
     object
         .as_object_mut()
@@ -246,7 +248,8 @@ proptest! {
     }
 
     #[test]
-    fn any_braced_text_gives_a_value_or_a_problem(text in "\\{\"[pq]\": [\\[\\]{}\",:0-9eE+.\\-a-z\\\\ ]{0,40}\\}") {
+    fn any_braced_text_gives_a_value_or_a_problem(
+        text in "\\{\"[pq]\": [\\[\\]{}\",:0-9eE+.\\-a-z\\\\ ]{0,40}\\}") {
         every_parser_answers(text.as_bytes())?;
     }
 

@@ -78,7 +78,10 @@ fn auto_is_a_method_to_be_chosen_and_drops_parameters() {
 
 #[test]
 fn fit_reads_its_fields() {
-    let fit = FitObject::parse(br#"{"p": [[1, 2]], "q": [[3, 4]], "extent": [9, 8], "candidates": [{"method": "tps", "smoothing": 0.5}]}"#);
+    let fit = FitObject::parse(
+        br#"{"p": [[1, 2]], "q": [[3, 4]], "extent": [9, 8], "candidates": [{"method": "tps",
+          "smoothing": 0.5}]}"#,
+    );
     let fit = fit.unwrap();
     assert_eq!(
         fit.candidates,

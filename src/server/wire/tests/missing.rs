@@ -55,7 +55,8 @@ fn a_handle_that_is_null_on_either_side_is_left_out_on_both() {
 
 #[test]
 fn what_post_landmarks_answers_is_a_warp_object() {
-    let answer = r#"{"p": [[1, 2], null], "q": [[1, 3], [4, 5]], "names": ["a", "b"], "units": "px", "format": "pts+csv"}"#;
+    let answer = r#"{"p": [[1, 2], null], "q": [[1, 3], [4, 5]], "names": ["a", "b"],
+      "units": "px", "format": "pts+csv"}"#;
     let plain = r#"{"p": [[1, 2], null], "q": [[1, 3], [4, 5]]}"#;
     assert_eq!(
         WarpObject::parse(answer.as_bytes()),

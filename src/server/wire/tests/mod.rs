@@ -1,4 +1,5 @@
-//! What is refused and how (tables), what is read, and laws: no text panics, what is written reads back.
+//! What is refused and how (tables), what is read, and laws: no text panics, what is written reads
+//! back.
 
 mod contract;
 mod drag;

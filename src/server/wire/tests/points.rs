@@ -84,7 +84,8 @@ fn maps_have_the_canvas_of_the_output_unless_they_have_their_own() {
 
 #[test]
 fn points_read_their_fields() {
-    let text = b"{\"p\": [[1, 2]], \"q\": [[3, 4]], \"units\": \"normalized\", \"extent\": [640, 480], \"points\": [[0.5, 0.5], [1, 0]],
+    let text = b"{\"p\": [[1, 2]], \"q\": [[3, 4]], \"units\": \"normalized\", \
+        \"extent\": [640, 480], \"points\": [[0.5, 0.5], [1, 0]],
                   \"inverse\": false}";
     let read = points(text).unwrap();
     let rest = RestSpec {

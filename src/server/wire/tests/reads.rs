@@ -7,10 +7,12 @@ fn warp_reads_the_example_of_the_contract() {
     let text = br##"{
       "p": [[120, 80], [[40, 200], [300, 210]]],
       "q": [[130, 60], [[40, 220], [300, 190]]],
-      "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12, "smoothing": 0.5, "units": "normalized", "align": "affine",
+      "weights": [1, 2.5], "method": "similarity", "alpha": 1.0, "point_mass": 12,
+        "smoothing": 0.5, "units": "normalized", "align": "affine",
       "coincident": {"policy": "reject", "within": 0.5},
       "grid": {"columns": 100, "rows": 50}, "folds": "reject", "metric": "euclidean",
-      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest", "outside": "#0180fF40",
+      "output": {"format": "png", "compression": "best", "width": 800, "filter": "nearest",
+        "outside": "#0180fF40",
         "canvas": "same", "holes": "transparent"}
     }"##;
     let expected = WarpObject {
@@ -58,9 +60,10 @@ fn warp_reads_the_example_of_the_contract() {
 #[test]
 fn warp_has_defaults_for_everything() {
     assert_eq!(WarpObject::parse(b" {} "), Ok(WarpObject::default()));
-    let defaults =
-        br#"{"p": [], "method": "rigid", "units": "px", "align": "none", "grid": "auto", "folds": "report", "metric": "euclidean",
-        "output": {"format": "png", "quality": 85, "compression": "fast", "filter": "bilinear", "outside": "transparent",
+    let defaults = br#"{"p": [], "method": "rigid", "units": "px", "align": "none", "grid": "auto",
+          "folds": "report", "metric": "euclidean",
+        "output": {"format": "png", "quality": 85, "compression": "fast", "filter": "bilinear",
+          "outside": "transparent",
             "canvas": "same"}}"#;
     assert_eq!(WarpObject::parse(defaults), Ok(WarpObject::default()));
     assert_eq!(

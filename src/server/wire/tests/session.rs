@@ -61,12 +61,14 @@ fn session_object_is_written_in_wire_form() {
             "id": "0f8fad5b-d9cb-469f-a165-70867728950e",
             "image": {"width": 640, "height": 480, "digest": format!("sha256:{}", "ab".repeat(32))},
             "p": [[1.0, 2.0], [[0.5, 1.0], [2.0, 3.0]]],
-            "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "coincident": [{"handles": [0, 4]}], "units": "px",
+            "method": "rigid", "alpha": 2.0, "point_mass": 2.5, "coincident": [{"handles": [0, 4]}],
+                "units": "px",
             "grid": {"columns": 129, "rows": 97, "cell": [5.0, 5.0], "requested": "auto"},
             "rest_revision": "0123456789abcdef0123456789abcdef",
             "folds": "report",
             "output": {
-                "format": "png", "quality": 85, "compression": "fast", "width": 9, "filter": "bilinear", "outside": "#010203ff",
+                "format": "png", "quality": 85, "compression": "fast", "width": 9,
+                    "filter": "bilinear", "outside": "#010203ff",
                 "canvas": "same", "holes": "keep"
             },
             "layers": {"depth": {"kind": "labels"}},

@@ -150,7 +150,8 @@ fn null_is_absence_for_fields_a_missing_handle_and_else_a_wrong_value_in_arrays(
             .as_deref(),
         Some("/q")
     );
-    let absent = b"{\"q\": [], \"points\": null, \"polygons\": null, \"boxes\": null, \"inverse\": null, \"refine\": null}";
+    let absent = b"{\"q\": [], \"points\": null, \"polygons\": null, \
+        \"boxes\": null, \"inverse\": null, \"refine\": null}";
     assert_eq!(posed_points(absent), posed_points(b"{\"q\": []}"));
     assert_eq!(
         DragObject::parse_posed(b"{\"q\": [], \"seq\": null}", usize::MAX),

@@ -89,7 +89,8 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     check(WarpObject::parse, table);
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
-        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, `tps`, `global_affine`, `auto`"
+        "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, \
+            `tps`, `global_affine`, `auto`"
     );
 }
 

@@ -1,5 +1,5 @@
-//! Huffman coding of quantised blocks: bits are joined in a word and stored eight bytes at a time; a zero follows each byte 255 when a
-//! piece is complete.
+//! Huffman coding of quantised blocks: bits are joined in a word and stored eight bytes at a time;
+//! a zero follows each byte 255 when a piece is complete.
 
 use super::tables::{AC, BLOCK, DC};
 
@@ -11,16 +11,18 @@ pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
 pub(super) const GROUP: usize = 12;
 /// Bits of a length in an entry of a table.
 const LENGTH: u32 = 6;
-/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros. Kernels find them in bytes: when 64 is added, the
-/// sign bit of all others is 1.
+/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros. Kernels find
+/// them in bytes: when 64 is added, the sign bit of all others is 1.
 pub(super) const NEAR: i32 = 64;
 const VALUES: usize = 2 * NEAR as usize;
 
-/// Rows of a table: one for each run of 0 to 15 zeros, then one ([`FIRST`]) for the differences of first coefficients.
+/// Rows of a table: one for each run of 0 to 15 zeros, then one ([`FIRST`]) for the differences of
+/// first coefficients.
 const RUNS: usize = FIRST + 1;
 const FIRST: usize = 16;
 
-/// A quantised block in zigzag order, and which of its coefficients are not zero, the first in the lowest bit.
+/// A quantised block in zigzag order, and which of its coefficients are not zero, the first in the
+/// lowest bit.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub(super) struct Block {
@@ -78,7 +80,8 @@ impl std::fmt::Debug for Codes {
     }
 }
 
-/// Joins a code and the bits of a value (T.81, F.1.2.1): those of `value`, or of `value - 1` if it is negative.
+/// Joins a code and the bits of a value (T.81, F.1.2.1): those of `value`, or of `value - 1` if it
+/// is negative.
 #[inline(always)]
 fn with_value(code: u32, value: i32, size: u32) -> u32 {
     #[expect(clippy::cast_sign_loss, reason = "the lower bits")]
@@ -118,7 +121,8 @@ impl Codes {
         })
     }
 
-    /// The code of `run` zeros and a value that follows them; of a difference if `run` is [`FIRST`]. `NEAR_ALL`: the value has an entry.
+    /// The code of `run` zeros and a value that follows them; of a difference if `run` is
+    /// [`FIRST`]. `NEAR_ALL`: the value has an entry.
     #[inline(always)]
     fn of<const NEAR_ALL: bool>(&self, run: usize, value: i32) -> u32 {
         if NEAR_ALL || (-NEAR..NEAR).contains(&value) {
@@ -154,7 +158,8 @@ const SIZE: usize = 16 << 10;
 /// Above, the bytes must be taken before the next group.
 const FULL: usize = SIZE - GROUP * BLOCK_BYTES - 16;
 
-/// The state of a [`BitWriter`] without its bytes, so that it stays in registers while a block is coded.
+/// The state of a [`BitWriter`] without its bytes, so that it stays in registers while a block is
+/// coded.
 #[derive(Clone, Copy)]
 struct Bits {
     /// Length of the bytes.
@@ -172,8 +177,8 @@ impl Bits {
         self.waiting += code % (1 << LENGTH);
     }
 
-    /// Codes a block. `difference`: of its first coefficient and that of the component's previous block; `NEAR_ALL`: all values
-    /// have entries.
+    /// Codes a block. `difference`: of its first coefficient and that of the component's previous
+    /// block; `NEAR_ALL`: all values have entries.
     #[inline(always)]
     fn block<const NEAR_ALL: bool>(
         &mut self,
@@ -265,7 +270,8 @@ impl BitWriter {
         }
     }
 
-    /// Codes the blocks of a group in an order; `last`: T.81's predictors of DC, the first coefficient of each component's previous block.
+    /// Codes the blocks of a group in an order; `last`: T.81's predictors of DC, the first
+    /// coefficient of each component's previous block.
     #[inline(always)]
     pub(super) fn put_group(
         &mut self,
@@ -382,7 +388,8 @@ mod tests {
         bits.chunks(8).map(byte).flat_map(stuffed).collect()
     }
 
-    /// Sparse and full blocks of small and of large values, so that every run meets every size, after each number of waiting bits.
+    /// Sparse and full blocks of small and of large values, so that every run meets every size,
+    /// after each number of waiting bits.
     #[test]
     fn bits_are_those_of_the_standard() {
         let codes = Codes::of_both();

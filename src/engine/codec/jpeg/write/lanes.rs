@@ -5,8 +5,9 @@ use super::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
 /// Most lanes of a level.
 pub(super) const MOST_LANES: usize = 32;
 
-/// 16-bit integers side by side: 16 of them or a multiple, signed unless stated otherwise. Sums and differences wrap; `strip` states the
-/// ranges, within which they do not. Eight lanes are a row of a block, or a column after `transpose`.
+/// 16-bit integers side by side: 16 of them or a multiple, signed unless stated otherwise. Sums and
+/// differences wrap; `strip` states the ranges, within which they do not. Eight lanes are a row of
+/// a block, or a column after `transpose`.
 pub(super) trait Lanes: Copy {
     const COUNT: usize;
 
@@ -41,7 +42,8 @@ pub(super) trait Lanes: Copy {
     /// The same of pixels of four bytes.
     fn pixels_4(pixels: &[u8]) -> [Self; 4];
 
-    /// Sums of neighbours: those of `self` in the lower half of the lanes, those of `other` in the upper half.
+    /// Sums of neighbours: those of `self` in the lower half of the lanes, those of `other` in the
+    /// upper half.
     fn sums_of_pairs(self, other: Self) -> Self;
     /// Transposes the blocks, `rows[y]` at lane x to `[x]` at lane y.
     fn transpose(rows: [Self; 8]) -> [Self; 8];

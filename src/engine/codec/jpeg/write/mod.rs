@@ -1,7 +1,9 @@
-//! The JPEG writer: baseline, with the Huffman tables of the standard, encoded as a head, independent strips and a tail (ITU-T T.81, JFIF).
+//! The JPEG writer: baseline, with the Huffman tables of the standard, encoded as a head,
+//! independent strips and a tail (ITU-T T.81, JFIF).
 //!
-//! A strip is a restart interval of whole rows of macroblocks, so strips can be encoded in any order and on any thread, and are sent in
-//! order. The bytes depend on the samples, the shape and the encoding alone. Shapes: samples `[rows][width][1 to 4]`, 8 bit.
+//! A strip is a restart interval of whole rows of macroblocks, so strips can be encoded in any
+//! order and on any thread, and are sent in order. The bytes depend on the samples, the shape and
+//! the encoding alone. Shapes: samples `[rows][width][1 to 4]`, 8 bit.
 
 #[forbid(unsafe_code)]
 mod coder;
@@ -26,7 +28,8 @@ use self::tables::BLOCK;
 use crate::codec::{Carried, PngShape};
 use crate::level::Level;
 
-/// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share a picture of 500 x 500 unevenly.
+/// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share
+/// a picture of 500 x 500 unevenly.
 const STRIP: u64 = 512 << 10;
 /// Pictures with fewer bytes are one strip.
 const WHOLE: u64 = 96 << 10;
@@ -55,7 +58,8 @@ pub struct JpegWriter {
 }
 
 impl JpegWriter {
-    /// A writer for one picture of 8 bit and of a valid size for JPEG. `quality`: 1 to 100. A grey picture becomes a file of one component.
+    /// A writer for one picture of 8 bit and of a valid size for JPEG. `quality`: 1 to 100. A grey
+    /// picture becomes a file of one component.
     ///
     /// # Panics
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
@@ -128,7 +132,8 @@ impl JpegWriter {
         start..height.min(start.saturating_add(self.strip_rows))
     }
 
-    /// Upper bound of the whole file, bytes, whatever the samples. Each byte of a block may need a zero after it.
+    /// Upper bound of the whole file, bytes, whatever the samples. Each byte of a block may need a
+    /// zero after it.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
         let blocks = self.components.blocks() as u64;
@@ -139,9 +144,9 @@ impl JpegWriter {
             + markers::END.len() as u64
     }
 
-    /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a block's coefficients sum to
-    /// 64 x 128^2 at
-    /// most, so a coefficient takes no more than 18 bits on average (128 after no zeros); zeros after bytes 255 add less than 6.
+    /// Upper bound of the memory for writing, bytes: the file and a copy in 8 bit. The squares of a
+    /// block's coefficients sum to 64 x 128^2 at most, so a coefficient takes no more than 18 bits
+    /// on average (128 after no zeros); zeros after bytes 255 add less than 6.
     #[must_use]
     pub fn work_bytes(&self) -> u64 {
         const COEFFICIENT: u64 = 3;
@@ -166,7 +171,8 @@ impl JpegWriter {
         &self.head
     }
 
-    /// Encodes a strip and appends it. `wanted` is called between rows of macroblocks; when it returns false, the strip is incomplete.
+    /// Encodes a strip and appends it. `wanted` is called between rows of macroblocks; when it
+    /// returns false, the strip is incomplete.
     ///
     /// # Panics
     /// If the samples are not the strip's rows.

@@ -1,4 +1,5 @@
-//! One strip: pixels to colour, cosine transform, quantisation and coding, a group of macroblocks at a time.
+//! One strip: pixels to colour, cosine transform, quantisation and coding, a group of macroblocks
+//! at a time.
 //!
 //! All arithmetic is on 16-bit integers (`Lanes`), whose range is -32,768 to 32,767. In order:
 //!
@@ -40,8 +41,8 @@ impl Components {
         }
     }
 
-    /// The quantiser of each plane of blocks that a group of pixels has: luminance, or the three components, or luminance above and below
-    /// and both kinds of chrominance.
+    /// The quantiser of each plane of blocks that a group of pixels has: luminance, or the three
+    /// components, or luminance above and below and both kinds of chrominance.
     const fn quantisers(self) -> &'static [usize] {
         match self {
             Self::Grey => &[0],
@@ -82,8 +83,9 @@ impl Components {
     }
 }
 
-/// Divides coefficients by their steps: for each column of a block, two factors of [`Lanes::times`] in units of 2^-15. The reciprocal of a
-/// large step alone would have too few bits, so it is a factor of 1/2 to 1 and a power of two.
+/// Divides coefficients by their steps: for each column of a block, two factors of [`Lanes::times`]
+/// in units of 2^-15. The reciprocal of a large step alone would have too few bits, so it is a
+/// factor of 1/2 to 1 and a power of two.
 #[derive(Debug)]
 pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
 
@@ -289,7 +291,8 @@ fn full<T: Lanes, const CHANNELS: usize>(
     }
 }
 
-/// Luminance of the upper and of the lower eight rows; then Cb in the lower half of the lanes and Cr in the upper half, means of 2 x 2 px.
+/// Luminance of the upper and of the lower eight rows; then Cb in the lower half of the lanes and
+/// Cr in the upper half, means of 2 x 2 px.
 #[inline(always)]
 fn half<T: Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
@@ -344,8 +347,9 @@ fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
         .shift_right::<8>()
 }
 
-/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. The weights, 0.299, 0.587 and 0.114 in units of 2^-16, are
-/// multiplied by 256 / 257, because colours are 257 times their samples.
+/// Luminance less 128 (JFIF, that of ITU-R BT.601), with 4 bits of fraction. The weights, 0.299,
+/// 0.587 and 0.114 in units of 2^-16, are multiplied by 256 / 257, because colours are 257 times
+/// their samples.
 #[inline(always)]
 fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
     // 38,320 as a signed integer.
@@ -362,8 +366,8 @@ fn fraction<T: Lanes>(value: T) -> T {
     value.minus(T::all(i16::MIN)).shift_rounded::<4>()
 }
 
-/// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313, 0.4187 and 0.0813 in units of 2^-15, are
-/// multiplied by 256 / 257.
+/// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313,
+/// 0.4187 and 0.0813 in units of 2^-15, are multiplied by 256 / 257.
 #[inline(always)]
 fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
     let half = T::all(16_320);
@@ -390,7 +394,8 @@ fn coefficients<T: Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [B
     T::store(columns, blocks);
 }
 
-/// The cosine transform of eight values, times the square root of 8 (Loeffler, Ligtenberg, Moschytz, ICASSP 1989).
+/// The cosine transform of eight values, times the square root of 8 (Loeffler, Ligtenberg,
+/// Moschytz, ICASSP 1989).
 #[inline(always)]
 fn cosines<T: Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
     let (s0, s1, s2, s3) = (x0.plus(x7), x1.plus(x6), x2.plus(x5), x3.plus(x4));

@@ -1,11 +1,13 @@
-//! The tables of ITU-T T.81, Annex K: quantisation scaled by quality as the Independent JPEG Group does, and Huffman codes.
+//! The tables of ITU-T T.81, Annex K: quantisation scaled by quality as the Independent JPEG Group
+//! does, and Huffman codes.
 
 /// Side of a block, px.
 pub(super) const SIDE: usize = 8;
 /// Coefficients of a block.
 pub(super) const BLOCK: usize = SIDE * SIDE;
 
-/// The zigzag order, that of a file: the position `8 v + u` of each coefficient in rows (T.81, figure A.6).
+/// The zigzag order, that of a file: the position `8 v + u` of each coefficient in rows (T.81,
+/// figure A.6).
 pub(super) const ZIGZAG: [u8; BLOCK] = zigzag();
 
 /// Table K.1, in rows.
@@ -82,7 +84,8 @@ pub(super) static AC: [Huffman; 2] = [
 ];
 
 impl Huffman {
-    /// `(code, length)` of every symbol (T.81, Annex C); a symbol that the table lacks has length 0.
+    /// `(code, length)` of every symbol (T.81, Annex C); a symbol that the table lacks has length
+    /// 0.
     pub(super) fn codes(&self) -> [(u16, u8); 256] {
         let mut codes = [(0, 0); 256];
         let (mut code, mut symbols) = (0, self.symbols.iter());

@@ -304,7 +304,8 @@ fn cosine(block: &[f64; BLOCK], v: usize, u: usize) -> f64 {
         .sum()
 }
 
-/// Every coefficient is the exact one, divided by its step and rounded; the error before rounding is less than 0.3 times a step of 1.
+/// Every coefficient is the exact one, divided by its step and rounded; the error before rounding
+/// is less than 0.3 times a step of 1.
 #[test]
 fn coefficients_are_the_exact_ones_rounded() {
     let mut worst: f64 = 0.0;

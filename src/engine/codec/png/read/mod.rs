@@ -1,7 +1,9 @@
-//! Reads PNG (W3C, third edition): walks the chunks for the header, then takes rows from the `png` crate one at a time, so memory is
-//! touched only as data arrives. Grey becomes RGB, palettes and 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit stays 16 bit.
-//! The checksums of chunks that pixels need must match, and so must that of the pixels. Other chunks with a wrong checksum are left out,
-//! and what is missing behind the pixels is added ([`Repairs`]). Shapes: samples `[height][width][channels]`, rows as stored.
+//! Reads PNG (W3C, third edition): walks the chunks for the header, then takes rows from the `png`
+//! crate one at a time, so memory is touched only as data arrives. Grey becomes RGB, palettes and
+//! 1, 2, 4 bit are expanded, a tRNS chunk becomes alpha, 16 bit stays 16 bit. The checksums of
+//! chunks that pixels need must match, and so must that of the pixels. Other chunks with a wrong
+//! checksum are left out, and what is missing behind the pixels is added ([`Repairs`]). Shapes:
+//! samples `[height][width][channels]`, rows as stored.
 
 mod walk;
 
@@ -21,19 +23,23 @@ const SIGNATURE: usize = 8;
 /// Largest expansion by deflate: matches of 258 bytes at two bits each.
 const MAX_INFLATION: u64 = 1032;
 
-/// Largest size of the data per byte of filtered rows. Deflate without any gain takes 9/8 (fixed codes); the rest is for encoders that
-/// write stored blocks of a few bytes.
+/// Largest size of the data per byte of filtered rows. Deflate without any gain takes 9/8 (fixed
+/// codes); the rest is for encoders that write stored blocks of a few bytes.
 const DATA_PER_BYTE: u64 = 2;
-/// Additional data per row: an encoder may flush each row, which takes 5 bytes, or some blocks of its own.
+/// Additional data per row: an encoder may flush each row, which takes 5 bytes, or some blocks of
+/// its own.
 const DATA_PER_ROW: u64 = 16;
 /// Additional data for a picture of any size.
 const FREE_DATA: u64 = 64 << 10;
-/// Bytes per data chunk, beside one chunk for each row: encoders have buffers of some KiB, the smallest known half a KiB.
+/// Bytes per data chunk, beside one chunk for each row: encoders have buffers of some KiB, the
+/// smallest known half a KiB.
 const BYTES_PER_CHUNK: u64 = 512;
-/// Additional data chunks for a picture of any size: test suites have small pictures with a chunk for each byte.
+/// Additional data chunks for a picture of any size: test suites have small pictures with a chunk
+/// for each byte.
 const FREE_CHUNKS: u64 = 4096;
 
-/// Bytes of deflated profiles and texts beyond their inflated size: the same reserve as for the data of a picture.
+/// Bytes of deflated profiles and texts beyond their inflated size: the same reserve as for the
+/// data of a picture.
 const FREE_DEFLATED: usize = 64 << 10;
 /// The largest XMP packet that is inflated.
 const MOST_XMP: usize = 1 << 17;
@@ -181,7 +187,8 @@ impl<'a> PngFile<'a> {
         }
     }
 
-    /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the decoder keeps, a copy without frames.
+    /// Memory beside the picture: the inflater's window and a few rows, the EXIF block that the
+    /// decoder keeps, a copy without frames.
     pub(in crate::codec) fn decoder_bytes(&self) -> u64 {
         let rows = 48 * u64::from(self.extent.width());
         let exif = 4 * self.found.exif.map_or(0, |exif| exif.len() as u64);
@@ -226,8 +233,8 @@ impl<'a> PngFile<'a> {
         })
     }
 
-    /// Checks that the data can hold the picture and little else, so that the inflater's work for empty blocks, empty chunks and data
-    /// beyond the last row is proportional to the picture.
+    /// Checks that the data can hold the picture and little else, so that the inflater's work for
+    /// empty blocks, empty chunks and data beyond the last row is proportional to the picture.
     fn weigh_data(&self) -> Result<(), CodecError> {
         let (rows, raw) = self.filtered();
         if self.idat_bytes.saturating_mul(MAX_INFLATION) < raw {
@@ -256,8 +263,8 @@ impl<'a> PngFile<'a> {
         Ok(())
     }
 
-    /// The file with its end, and without chunks that must not reach the decoder: those of a one-frame animation, whose frame size is
-    /// another, and those with a wrong checksum.
+    /// The file with its end, and without chunks that must not reach the decoder: those of a
+    /// one-frame animation, whose frame size is another, and those with a wrong checksum.
     fn still(&self, work: &StepCounter<'_>) -> Result<Cow<'a, [u8]>, CodecError> {
         let whole = &self.bytes[..self.end];
         if !self.is_copied {
@@ -500,7 +507,8 @@ trait Sample: Copy + Default {
     fn from_be(bytes: &[u8]) -> Self;
     fn append(row: &[u8], out: &mut Vec<Self>);
 
-    /// Appends a row of grey, grey and alpha, RGB or RGBA (`stored` samples per pixel) as `channels`.
+    /// Appends a row of grey, grey and alpha, RGB or RGBA (`stored` samples per pixel) as
+    /// `channels`.
     fn expand(row: &[u8], stored: usize, channels: Channels, out: &mut Vec<Self>) {
         if stored == channels.count() {
             return Self::append(row, out);

@@ -1,4 +1,5 @@
-//! Walks the chunks of a PNG: which of them its pixels need, what the others say, and what is wrong.
+//! Walks the chunks of a PNG: which of them its pixels need, what the others say, and what is
+//! wrong.
 
 use std::borrow::Cow;
 
@@ -125,7 +126,8 @@ impl<'a> PngFile<'a> {
         }
     }
 
-    /// Whether pixels may need a damaged chunk: the damage may be in its type or in the length of the one before.
+    /// Whether pixels may need a damaged chunk: the damage may be in its type or in the length of
+    /// the one before.
     fn may_be_needed(&self, kind: [u8; 4]) -> bool {
         let is_like =
             |needed: &[u8; 4]| kind.iter().zip(needed).filter(|(a, b)| a == b).count() >= 3;
@@ -167,7 +169,8 @@ impl<'a> PngFile<'a> {
             ),
             b"sCAL" | b"pCAL" => found.dropped.add(Kind::Calibration),
             b"caBX" => found.dropped.add(Kind::Credentials),
-            // They describe the stored file: its time, background, colours, data, virtual page, signature.
+            // They describe the stored file: its time, background, colours, data, virtual page,
+            // signature.
             b"tIME" | b"bKGD" | b"hIST" | b"sPLT" | b"iDOT" | b"CgBI" | b"vpAg" | b"orNT"
             | b"gIFg" | b"gIFx" | b"dSIG" | b"tRNS" | b"PLTE" | b"iCCP" | b"eXIf" | b"pHYs" => {}
             _ => match png_colour::length_of(kind) {

@@ -1,5 +1,6 @@
-//! Adler-32 of joined pieces from the checksums of the pieces (RFC 1950). Modulo 65521, `a = 1 + sum d_i` and `b = sum over prefixes of
-//! a`; so for x followed by y: `a = a_x + a_y - 1` and `b = b_x + b_y + |y| (a_x - 1)`. Cost: a few operations, whatever the lengths.
+//! Adler-32 of joined pieces from the checksums of the pieces (RFC 1950). Modulo 65521,
+//! `a = 1 + sum d_i` and `b = sum over prefixes of a`; so for x followed by y: `a = a_x + a_y - 1`
+//! and `b = b_x + b_y + |y| (a_x - 1)`. Cost: a few operations, whatever the lengths.
 
 const MODULUS: u64 = 65_521;
 

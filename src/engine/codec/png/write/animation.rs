@@ -1,5 +1,6 @@
-//! Animated PNG (PNG 3rd edition, section 11.3.4): PNG files of one shape, as this writer encodes them, become the frames of one file. The
-//! chunks IDAT of all frames but the first become fdAT, which begin with a sequence number.
+//! Animated PNG (PNG 3rd edition, section 11.3.4): PNG files of one shape, as this writer encodes
+//! them, become the frames of one file. The chunks IDAT of all frames but the first become fdAT,
+//! which begin with a sequence number.
 
 use super::chunk::{self, FRAME, SIGNATURE};
 use crate::codec::CodecError;
@@ -19,7 +20,8 @@ pub struct Animation {
 }
 
 impl Animation {
-    /// An animation of this number of frames, each shown for `delay` ms. `plays`: how often viewers play it; 0 is without end.
+    /// An animation of this number of frames, each shown for `delay` ms. `plays`: how often viewers
+    /// play it; 0 is without end.
     #[must_use]
     pub const fn new(frames: u32, delay: u16, plays: u16) -> Self {
         Self {

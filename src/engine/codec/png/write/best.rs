@@ -1,8 +1,9 @@
-//! `Compression::Best`: every row uses the filter with the least sum of absolute residuals (PNG 3rd edition, 12.7), and the strip is coded
-//! twice: by flate2 at its highest level, and without matches in blocks of 64 KiB with a code each. The smaller result is kept. For
-//! photographs it is the second (short distant matches cost more than the literals that they replace, and flate2 has no `Z_FILTERED` to
-//! forbid them), for drawings the first, by far. Scratch: five rows, a block, one coded strip, and the library's state. Cost: about 0.2 us
-//! per byte.
+//! `Compression::Best`: every row uses the filter with the least sum of absolute residuals (PNG 3rd
+//! edition, 12.7), and the strip is coded twice: by flate2 at its highest level, and without
+//! matches in blocks of 64 KiB with a code each. The smaller result is kept. For photographs it is
+//! the second (short distant matches cost more than the literals that they replace, and flate2 has
+//! no `Z_FILTERED` to forbid them), for drawings the first, by far. Scratch: five rows, a block,
+//! one coded strip, and the library's state. Cost: about 0.2 us per byte.
 
 use flate2::{Compress, Compression, FlushCompress};
 
@@ -16,7 +17,8 @@ const LEVEL: u32 = 9;
 /// Filtered bytes of a block without matches, exceeded by at most a row.
 const BLOCK: usize = 64 << 10;
 
-/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows.
+/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered
+/// rows.
 pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
@@ -86,7 +88,8 @@ fn for_each_filtered(rows: Rows<'_>, mut take: impl FnMut(&[u8])) {
     }
 }
 
-/// Filters one row with every allowed filter and returns the result with the smallest residuals, as signed bytes.
+/// Filters one row with every allowed filter and returns the result with the smallest residuals, as
+/// signed bytes.
 fn choose<'a>(rows: Rows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) -> &'a [u8] {
     let (row, bpp) = (rows.row(index), rows.bpp());
     candidates[0][1..].copy_from_slice(row);

@@ -1,5 +1,6 @@
-//! A little-endian bit stream (RFC 1951, 3.1.1). Up to 7 bits wait between calls, so a `put` of at most 56 bits always fits. This writer
-//! is for headers and ends; the coding loop keeps the same two words in registers.
+//! A little-endian bit stream (RFC 1951, 3.1.1). Up to 7 bits wait between calls, so a `put` of at
+//! most 56 bits always fits. This writer is for headers and ends; the coding loop keeps the same
+//! two words in registers.
 
 /// Bits that do not fill a byte yet.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,5 +1,6 @@
-//! PNG chunks: length, type, payload, CRC-32 of type and payload (PNG 3rd edition, section 5.3), and the chunks of the head. A chunk is
-//! opened in its output buffer, so payloads are never moved. CRC: one pass, about 0.02 ms per megabyte.
+//! PNG chunks: length, type, payload, CRC-32 of type and payload (PNG 3rd edition, section 5.3),
+//! and the chunks of the head. A chunk is opened in its output buffer, so payloads are never moved.
+//! CRC: one pass, about 0.02 ms per megabyte.
 
 use std::io::Write;
 
@@ -52,7 +53,8 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
     chunk.close(out);
 }
 
-/// Signature, IHDR, the chunks of colour, PLTE and tRNS when there is a palette, and the other metadata.
+/// Signature, IHDR, the chunks of colour, PLTE and tRNS when there is a palette, and the other
+/// metadata.
 pub(super) fn head(
     shape: PngShape,
     metadata: Option<&Carried>,

@@ -1,13 +1,15 @@
-//! Codes filtered bytes as a deflate block. Bytes are split into groups of eight that are not all zero, runs of at least eight zeros (a
-//! literal and matches of distance 1), and fewer than eight at the end; `walk` does this both to count symbols and to write codes. Codes
-//! are looked up for two bytes at a time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB) or, in strips too short
-//! for such a table, for one; four go to a store. A level may code many groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with
-//! pairs, 0.6 without.
+//! Codes filtered bytes as a deflate block. Bytes are split into groups of eight that are not all
+//! zero, runs of at least eight zeros (a literal and matches of distance 1), and fewer than eight
+//! at the end; `walk` does this both to count symbols and to write codes. Codes are looked up for
+//! two bytes at a time (`PairTable`: 65536 codes of at most 24 bits with their lengths, 256 KiB)
+//! or, in strips too short for such a table, for one; four go to a store. A level may code many
+//! groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with pairs, 0.6 without.
 
 use super::bits::BitWriter;
 use super::huffman::{Codes, END, LITERALS};
 
-/// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store together with 7 waiting bits.
+/// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store
+/// together with 7 waiting bits.
 pub(super) const LIMIT: usize = 12;
 
 /// Filtered bytes that are coded at once; a multiple of 8.
@@ -59,9 +61,11 @@ pub(super) fn code_piece<L: Lookup>(
     out.extend_from_slice(&stage[..at]);
 }
 
-/// Receives the parts of filtered bytes: groups of eight that are not all zero, runs of zeros, and single bytes at the end.
+/// Receives the parts of filtered bytes: groups of eight that are not all zero, runs of zeros, and
+/// single bytes at the end.
 pub(super) trait Sink {
-    /// Takes any number of whole groups from the front, up to the first that is all zero; returns their number of bytes.
+    /// Takes any number of whole groups from the front, up to the first that is all zero; returns
+    /// their number of bytes.
     #[inline(always)]
     fn many(&mut self, _bytes: &[u8]) -> usize {
         0
@@ -103,7 +107,8 @@ pub(super) fn walk<S: Sink>(bytes: &[u8], sink: &mut S) {
     }
 }
 
-/// Splits a run of zeros into a literal (length 1), matches of the greatest length, and the rest as a match or, if too short, as literals.
+/// Splits a run of zeros into a literal (length 1), matches of the greatest length, and the rest as
+/// a match or, if too short, as literals.
 #[inline(always)]
 fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
     let mut length = 1;
@@ -188,10 +193,12 @@ impl Sink for Counts {
     }
 }
 
-/// Bits of an entry below its code. Six, although a length needs five, because two entries may be added including their lengths.
+/// Bits of an entry below its code. Six, although a length needs five, because two entries may be
+/// added including their lengths.
 const LENGTH_BITS: u32 = 6;
 
-/// `code << 6 | length`: shifts of 64-bit words use six bits of their count, so shifting by an entry shifts by its length.
+/// `code << 6 | length`: shifts of 64-bit words use six bits of their count, so shifting by an
+/// entry shifts by its length.
 const fn entry(code: u32, length: u32) -> u32 {
     code << LENGTH_BITS | length
 }
@@ -218,8 +225,8 @@ pub(super) trait Lookup {
     }
 }
 
-/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a match with its extra bits and the
-/// distance's one bit.
+/// One entry for each byte, and one for each length of a run of zeros: below 3 a literal, else a
+/// match with its extra bits and the distance's one bit.
 #[derive(Debug)]
 pub(super) struct Single {
     bytes: [u32; 256],
@@ -326,7 +333,8 @@ impl Staged<'_> {
     /// `length <= 56`.
     #[inline(always)]
     pub(super) fn put(&mut self, code: u64, length: u32) {
-        // Never changes the value (STAGE holds the longest coded piece); it replaces a bounds check.
+        // Never changes the value (STAGE holds the longest coded piece); it replaces a bounds
+        // check.
         self.at &= STAGE - 1;
         self.put_next(code, length);
     }

@@ -1,7 +1,9 @@
-//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at most 12 bits for them, and runs of
-//! zeros as matches of distance 1. No match search. The code is made from a sample of the strip's rows; every byte and every length has a
-//! code, so all other rows can be written too. Rows are filtered in pieces of 4 KiB that are coded while they are in the first-level
-//! cache. Cost: about 0.4 ns per byte, and scratch of 256 KiB per thread. Rejected variants: `notes.md`.
+//! `Compression::Fast`: Paeth residuals (the strip's first row: Sub), an order-0 Huffman code of at
+//! most 12 bits for them, and runs of zeros as matches of distance 1. No match search. The code is
+//! made from a sample of the strip's rows; every byte and every length has a code, so all other
+//! rows can be written too. Rows are filtered in pieces of 4 KiB that are coded while they are in
+//! the first-level cache. Cost: about 0.4 ns per byte, and scratch of 256 KiB per thread. Rejected
+//! variants: `notes.md`.
 
 use std::cell::Cell;
 
@@ -24,8 +26,8 @@ const PAIRS_FROM: usize = 48 << 10;
 
 /// The parts of `body` that differ between levels. The defaults are the portable code.
 pub(super) trait Kernel: Sized {
-    /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a closure, so that it is compiled for the
-    /// level of its caller.
+    /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a
+    /// closure, so that it is compiled for the level of its caller.
     #[inline(always)]
     fn code(single: &Single, coder: RowCoder<'_>) -> Option<u32> {
         if coder.rows.filtered_len() < PAIRS_FROM {
@@ -40,8 +42,9 @@ pub(super) trait Kernel: Sized {
         adler
     }
 
-    /// Calls `code_piece` as a function of its own. Inlined into the loop over rows, some variables of its inner loop are kept in memory
-    /// (56 to 58 instructions for eight bytes, not 54), depending on how the crate is divided for compilation.
+    /// Calls `code_piece` as a function of its own. Inlined into the loop over rows, some variables
+    /// of its inner loop are kept in memory (56 to 58 instructions for eight bytes, not 54),
+    /// depending on how the crate is divided for compilation.
     #[inline(never)]
     fn piece<L: Lookup>(
         piece: &[u8],
@@ -133,7 +136,8 @@ thread_local! {
 fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
     let mut counts = Counts::default();
     let step = (rows.filtered_len() / SAMPLE).clamp(1, rows.count());
-    // The middle of every group of `step` rows; never the first row alone, which has another filter.
+    // The middle of every group of `step` rows; never the first row alone, which has another
+    // filter.
     let mut index = step / 2;
     while index < rows.count() {
         let mut from = 0;

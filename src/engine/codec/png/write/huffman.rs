@@ -1,6 +1,7 @@
-//! Length-limited prefix codes and the header of a deflate block that uses them (RFC 1951, 3.2.2 and 3.2.7). Lengths come from Huffman's
-//! algorithm with two queues over sorted weights, then the Kraft sum is corrected at the limit; codes are canonical and stored
-//! bit-reversed, as deflate sends them. Cost: one sort of at most 286 weights, about 10 us.
+//! Length-limited prefix codes and the header of a deflate block that uses them (RFC 1951, 3.2.2
+//! and 3.2.7). Lengths come from Huffman's algorithm with two queues over sorted weights, then the
+//! Kraft sum is corrected at the limit; codes are canonical and stored bit-reversed, as deflate
+//! sends them. Cost: one sort of at most 286 weights, about 10 us.
 
 use super::bits::BitWriter;
 
@@ -28,7 +29,8 @@ pub(super) struct Codes<const N: usize> {
 }
 
 impl<const N: usize> Codes<N> {
-    /// The code of least expected length under `limit`, except for the cost of correcting the Kraft sum.
+    /// The code of least expected length under `limit`, except for the cost of correcting the Kraft
+    /// sum.
     pub(super) fn new(weights: &[u32; N], limit: usize) -> Self {
         let length = lengths(weights, limit);
         Self {
@@ -64,11 +66,12 @@ fn lengths<const N: usize>(weights: &[u32; N], limit: usize) -> [u8; N] {
     lengths
 }
 
-/// Number of leaves at every depth of the Huffman tree. `leaves` are in ascending order, at least two.
+/// Number of leaves at every depth of the Huffman tree. `leaves` are in ascending order, at least
+/// two.
 fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
     let n = leaves.len();
-    // Nodes 0..n are the leaves and n..2n-1 the merged nodes, which are created in ascending order of weight, so they are the second
-    // queue.
+    // Nodes 0..n are the leaves and n..2n-1 the merged nodes, which are created in ascending order
+    // of weight, so they are the second queue.
     let mut weight: Vec<u64> = leaves.iter().map(|leaf| u64::from(leaf.0)).collect();
     let mut parent = vec![0; 2 * n - 1];
     let (mut leaf, mut merged) = (0, n);
@@ -97,7 +100,8 @@ fn depths(leaves: &[(u32, usize)]) -> Vec<usize> {
     counts
 }
 
-/// Moves leaves deeper than `limit` up to it and lengthens the deepest others until the Kraft sum is one again.
+/// Moves leaves deeper than `limit` up to it and lengthens the deepest others until the Kraft sum
+/// is one again.
 fn limit_depths(counts: &mut Vec<usize>, limit: usize) {
     let deeper: usize = counts.drain(limit + 1..).sum();
     counts[limit] += deeper;
@@ -137,7 +141,8 @@ fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
     })
 }
 
-/// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one distance code for distance 1, one bit long.
+/// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one
+/// distance code for distance 1, one bit long.
 pub(super) fn block_header(
     codes: &Codes<LITERALS>,
     last: bool,
@@ -181,7 +186,8 @@ struct Run {
     extra_bits: u8,
 }
 
-/// Lengths with repetitions: 16 repeats the last 3 to 6 times, 17 and 18 stand for 3 to 10 and 11 to 138 zeros.
+/// Lengths with repetitions: 16 repeats the last 3 to 6 times, 17 and 18 stand for 3 to 10 and 11
+/// to 138 zeros.
 fn run_lengths(lengths: &[u8]) -> Vec<Run> {
     let mut runs = Vec::with_capacity(lengths.len());
     for same in lengths.chunk_by(|a, b| a == b) {

@@ -1,9 +1,10 @@
 //! The PNG writer: encodes a picture as a head, independent strips and a tail (PNG 3rd edition).
 //!
-//! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered without the row above, so strips can
-//! be encoded in any order and on any thread, and are sent in order. The first strip begins with the zlib header; the tail ends the stream
-//! with the Adler-32 of all rows, combined from those of the strips. The bytes depend on the samples, the shape and the compression alone.
-//! Shapes: samples `[rows][width][1 to 4]`, 16-bit ones big-endian.
+//! A strip is one IDAT chunk of whole deflate blocks that ends on a byte; its first row is filtered
+//! without the row above, so strips can be encoded in any order and on any thread, and are sent in
+//! order. The first strip begins with the zlib header; the tail ends the stream with the Adler-32
+//! of all rows, combined from those of the strips. The bytes depend on the samples, the shape and
+//! the compression alone. Shapes: samples `[rows][width][1 to 4]`, 16-bit ones big-endian.
 
 #[forbid(unsafe_code)]
 mod adler;
@@ -127,7 +128,8 @@ impl Profile {
 /// Input of [`PngWriter::tail`]: the Adler-32 and the length of a strip's filtered rows.
 pub type StripChecksum = (u32, u64);
 
-/// Writes one PNG in independent strips: `head`, every strip in order, `tail`. Cheap to create and to clone.
+/// Writes one PNG in independent strips: `head`, every strip in order, `tail`. Cheap to create and
+/// to clone.
 #[derive(Debug, Clone)]
 pub struct PngWriter {
     compression: Compression,
@@ -217,7 +219,8 @@ impl PngWriter {
         self.head.to_vec()
     }
 
-    /// Encodes one strip. `samples: [rows][width][PngShape::samples]`, PNG order (16-bit big-endian).
+    /// Encodes one strip. `samples: [rows][width][PngShape::samples]`, PNG order (16-bit
+    /// big-endian).
     ///
     /// # Panics
     /// If there is no such strip or the samples are not its rows.
@@ -257,7 +260,8 @@ impl PngWriter {
         (adler, rows.filtered_len() as u64)
     }
 
-    /// The bytes after the last strip: the checksum of all strips (`(adler, filtered_len)` of each in order) and IEND.
+    /// The bytes after the last strip: the checksum of all strips (`(adler, filtered_len)` of each
+    /// in order) and IEND.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
         let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| {

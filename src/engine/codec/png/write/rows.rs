@@ -1,8 +1,9 @@
-//! The rows of one strip and the PNG filters over them (PNG 3rd edition, section 9). Shapes: samples `[rows][row_bytes]`, bytes in PNG
-//! order; `bpp` bytes per pixel. A filter writes `x - prediction` modulo 256 for a part of a row, so that callers can work in pieces that
-//! stay in the first-level cache. The encoder knows every neighbour, so the loops have no carried dependencies and are vectorised. Strips
-//! are independent, so the first row of a strip has no row above it here, although the decoder has one: it may only be filtered by `None`
-//! or `Sub`.
+//! The rows of one strip and the PNG filters over them (PNG 3rd edition, section 9). Shapes:
+//! samples `[rows][row_bytes]`, bytes in PNG order; `bpp` bytes per pixel. A filter writes
+//! `x - prediction` modulo 256 for a part of a row, so that callers can work in pieces that stay in
+//! the first-level cache. The encoder knows every neighbour, so the loops have no carried
+//! dependencies and are vectorised. Strips are independent, so the first row of a strip has no row
+//! above it here, although the decoder has one: it may only be filtered by `None` or `Sub`.
 
 /// Samples of one strip.
 #[derive(Clone, Copy, Debug)]
@@ -125,9 +126,10 @@ pub(super) fn average(row: &[u8], above: &[u8], bpp: usize, out: &mut [u8]) {
     }
 }
 
-/// The Paeth predictor in eight bits. With `p = a + b - c`, the distances to a, b and c are `|b - c|`, `|a - c|` and `|(a - c) + (b - c)|`:
-/// when c lies strictly between a and b the two terms of the last have opposite signs and it is the difference of the first two;
-/// otherwise it is their sum, which never wins.
+/// The Paeth predictor in eight bits. With `p = a + b - c`, the distances to a, b and c are
+/// `|b - c|`, `|a - c|` and `|(a - c) + (b - c)|`: when c lies strictly between a and b the two
+/// terms of the last have opposite signs and it is the difference of the first two; otherwise it is
+/// their sum, which never wins.
 #[inline(always)]
 fn predict_paeth(a: u8, b: u8, c: u8) -> u8 {
     let (to_a, to_b) = (distance(b, c), distance(a, c));

@@ -1,5 +1,6 @@
-//! Stored deflate blocks (RFC 1951, 3.2.4) of unfiltered rows: used by `Compression::None`, and as the fallback if coding would make a
-//! strip longer. One copy, one Adler-32 pass over bytes still in the cache. Shapes: samples `[rows][row_bytes]`.
+//! Stored deflate blocks (RFC 1951, 3.2.4) of unfiltered rows: used by `Compression::None`, and as
+//! the fallback if coding would make a strip longer. One copy, one Adler-32 pass over bytes still
+//! in the cache. Shapes: samples `[rows][row_bytes]`.
 
 use super::rows::Rows;
 

@@ -1,4 +1,5 @@
-//! Every shape, compression and level is decoded by two decoders that share no code, walked chunk by chunk, and inflated by a third.
+//! Every shape, compression and level is decoded by two decoders that share no code, walked chunk
+//! by chunk, and inflated by a third.
 
 use std::io::Read;
 
@@ -138,7 +139,8 @@ fn by_zune(bytes: &[u8], depth: Depth) -> Vec<u8> {
     }
 }
 
-/// Chunks in file order after checking signature, lengths, checksums, and that nothing follows IEND.
+/// Chunks in file order after checking signature, lengths, checksums, and that nothing follows
+/// IEND.
 fn chunks(bytes: &[u8]) -> Vec<([u8; 4], &[u8])> {
     let mut rest = bytes.strip_prefix(&chunk::SIGNATURE).expect("a signature");
     let mut chunks = Vec::new();
@@ -252,7 +254,8 @@ fn wide_rows_and_strip_boundaries_decode_to_their_samples() {
 
 #[test]
 fn runs_of_every_length_survive() {
-    // Rows that are flat after a first pixel, of every width around the longest match and the piece.
+    // Rows that are flat after a first pixel, of every width around the longest match and the
+    // piece.
     for width in (1..40).chain(80..100).chain(1020..1040) {
         let shape = shape(width, 9, KINDS[1]);
         let mut samples = vec![7; row_bytes(shape) * 9];
@@ -265,7 +268,8 @@ fn runs_of_every_length_survive() {
 
 #[test]
 fn rows_unlike_the_sampled_ones_can_be_written() {
-    // One row in thirteen is noise and the others are flat: most bytes are never sampled, some rows always are.
+    // One row in thirteen is noise and the others are flat: most bytes are never sampled, some rows
+    // always are.
     for period in [2, 7, 13, 100] {
         let shape = shape(400, 300, KINDS[0]);
         let mut samples = picture(shape, Content::Noise);
@@ -364,14 +368,17 @@ fn samples_of_another_height_are_refused() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None,
+        ..ProptestConfig::default() })]
 
     #[test]
     fn random_pictures_decode_to_their_samples(
-        width in 1u32..90, height in 1u32..120, kind in 0usize..4, seed: u32, quiet in 0u32..9, holes in 0u32..60, compression in 0usize..3,
+        width in 1u32..90, height in 1u32..120, kind in 0usize..4, seed: u32, quiet in 0u32..9,
+            holes in 0u32..60, compression in 0usize..3,
     ) {
         let shape = shape(width, height, KINDS[kind]);
-        let mut samples: Vec<u8> = (0..row_bytes(shape) as u32 * height).map(|k| (noise(seed ^ k) >> (24 + quiet.min(7))) as u8).collect();
+        let mut samples: Vec<u8> = (0..row_bytes(shape) as u32 * height).map(
+            |k| (noise(seed ^ k) >> (24 + quiet.min(7))) as u8).collect();
         for (k, piece) in samples.chunks_mut(1 + holes as usize * 7).enumerate() {
             if noise(seed.wrapping_add(k as u32)).is_multiple_of(3) {
                 piece.fill(seed as u8);

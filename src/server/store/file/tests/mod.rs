@@ -274,7 +274,8 @@ async fn what_another_version_has_stored_is_kept() {
     .await;
 }
 
-/// What is not read takes its place all the same: a store that did not count it would grow with every rollback.
+/// What is not read takes its place all the same: a store that did not count it would grow with
+/// every rollback.
 #[tokio::test]
 async fn what_another_version_has_stored_counts() {
     let place = Place::new();
@@ -333,7 +334,8 @@ async fn what_another_version_has_stored_counts() {
     );
 }
 
-/// A picture that cannot be read any more is not kept from being sent again by a session that is not read.
+/// A picture that cannot be read any more is not kept from being sent again by a session that is
+/// not read.
 #[tokio::test]
 async fn a_damaged_picture_of_another_versions_session_may_be_sent_again() {
     let place = Place::new();
@@ -456,7 +458,8 @@ async fn a_picture_that_goes_and_is_sent_again_while_it_is_read_is_not_damaged()
     );
 }
 
-/// Wherever a byte of the file changes, the program starts with what is whole, or says that it cannot.
+/// Wherever a byte of the file changes, the program starts with what is whole, or says that it
+/// cannot.
 #[tokio::test]
 async fn a_flipped_byte_anywhere_is_survived() {
     let place = Place::new();
@@ -497,7 +500,8 @@ async fn a_flipped_byte_anywhere_is_survived() {
         }
     }
     println!(
-        "a flipped byte: {whole} times all sessions were there, {fewer} times some, {refused} times the file was refused"
+        "a flipped byte: {whole} times all sessions were there, {fewer} times some, {refused} \
+            times the file was refused"
     );
     assert!(fewer > 0);
 }
@@ -550,7 +554,8 @@ async fn space_is_given_back_when_the_file_is_opened() {
     store.put(suite::record(1), files(1)).await.unwrap();
 }
 
-/// The process that makes the file may be killed at any moment: what is there is whole or not there.
+/// The process that makes the file may be killed at any moment: what is there is whole or not
+/// there.
 #[test]
 fn a_half_made_file_is_never_in_the_place() {
     let place = Place::new();

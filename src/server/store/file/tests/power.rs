@@ -1,4 +1,5 @@
-//! The power goes at some moment: of what was written since the disk last said that all is there, some sectors are there and some are not.
+//! The power goes at some moment: of what was written since the disk last said that all is there,
+//! some sectors are there and some are not.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -197,7 +198,8 @@ async fn what_was_answered_is_there_after_a_power_cut_at_any_moment() {
         cuts += 1;
     }
     println!(
-        "{cuts} power cuts in {} changes: nothing lost; {in_between} found a change that was not answered yet",
+        "{cuts} power cuts in {} changes: nothing lost; {in_between} found a change that was not \
+            answered yet",
         answered.len() - 1
     );
     assert!(cuts > 100 && layers > 10, "{cuts} {layers}");

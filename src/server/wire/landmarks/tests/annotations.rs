@@ -1,4 +1,5 @@
-//! Files of annotation tools: COCO, dlib, CVAT, IIIF, 3D Slicer. Several persons, boxes or images are items.
+//! Files of annotation tools: COCO, dlib, CVAT, IIIF, 3D Slicer. Several persons, boxes or images
+//! are items.
 
 use serde_json::{Value, json};
 
@@ -6,19 +7,28 @@ use super::{MAX_COLUMNS, both, convert, place, read};
 use crate::problem::Problem;
 use crate::wire::landmarks::{Item, LandmarkFiles};
 
-const COCO: &str = r#"{"info": {}, "images": [{"id": 7, "file_name": "val/a.jpg", "width": 9}, {"id": "8", "file_name": "b.jpg"}], "annotations": [
+const COCO: &str = r#"{"info": {}, "images": [{"id": 7, "file_name": "val/a.jpg", "width": 9},
+  {"id": "8", "file_name": "b.jpg"}], "annotations": [
     {"id": 1, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3, 4]},
     {"id": 2, "image_id": 7, "category_id": 1, "keypoints": [0, 0, 0, 0, 0, 0], "num_keypoints": 0},
-    {"id": 3, "image_id": 7, "category_id": 1, "keypoints": [10, 20, 2, 0, 0, 0], "num_keypoints": 1},
+    {"id": 3, "image_id": 7, "category_id": 1, "keypoints": [10, 20, 2, 0, 0, 0],
+      "num_keypoints": 1},
     {"id": 4, "image_id": 7, "category_id": 1, "keypoints": [30, 40.25, 1, 50, 60, 2]},
     {"id": 5, "image_id": "8", "category_id": 2, "keypoints": [1, 2, 2]}],
-    "categories": [{"id": 1, "name": "person", "keypoints": ["nose", "left_eye"], "skeleton": [[1, 2]]}, {"id": 2, "keypoints": ["tip"]}]}"#;
-const DLIB: &str = "<?xml version='1.0' encoding='ISO-8859-1'?>\n<?xml-stylesheet type='text/xsl' href='image_metadata_stylesheet.xsl'?>\n<dataset>\n\
-    <name>faces &lt;1&gt;</name>\n<comment>a > b</comment>\n<!-- <image file='none'> -->\n<images>\n  <image file='faces/a &amp; b.jpg' width='9' height='8'>\n\
-    <box top='1' left='2' width='3' height='4'/>\n    <box top='74' left='85' width='8' height='8' ignore='1'>\n      <label>one</label>\n\
-    <part name='00' x='10' y='20'/>\n      <part name='01' x='30' y='-4'/>\n    </box>\n  </image>\n\
-    <image file='c.jpg'><box top='1' left='1' width='2' height='2'><part name=\"00\" y=\"6\" x=\"5\"></part></box>\
-    <box top='1' left='1' width='2' height='2'><part name='00' x='7' y='8'/></box></image>\n</images>\n</dataset>";
+    "categories": [{"id": 1, "name": "person", "keypoints": ["nose", "left_eye"], "skeleton": [[1,
+      2]]}, {"id": 2, "keypoints": ["tip"]}]}"#;
+const DLIB: &str = "<?xml version='1.0' encoding='ISO-8859-1'?>\n<?xml-stylesheet type='text/xsl' \
+    href='image_metadata_stylesheet.xsl'?>\n<dataset>\n\
+    <name>faces &lt;1&gt;</name>\n<comment>a > b</comment>\n<!-- <image file='none'> \
+    -->\n<images>\n  <image file='faces/a &amp; b.jpg' width='9' height='8'>\n\
+    <box top='1' left='2' width='3' height='4'/>\n    <box top='74' left='85' width='8' \
+    height='8' ignore='1'>\n      <label>one</label>\n\
+    <part name='00' x='10' y='20'/>\n      <part name='01' x='30' \
+    y='-4'/>\n    </box>\n  </image>\n\
+    <image file='c.jpg'><box top='1' left='1' width='2' height='2'><part name=\"00\" y=\"6\" \
+    x=\"5\"></part></box>\
+    <box top='1' left='1' width='2' height='2'><part name='00' x='7' \
+    y='8'/></box></image>\n</images>\n</dataset>";
 const CVAT: &str = r#"<?xml version="1.0" encoding="utf-8"?>
 <annotations>
   <version>1.1</version><meta><task><name>t</name><labels><label><name>nose</name><svg>&lt;line x1="1"/&gt;</svg></label></labels></task></meta>
@@ -35,12 +45,17 @@ const SKELETONS: &str = r#"<annotations><image id="0" name="a.png" width="9" hei
   <skeleton label="face" source="manual" z_order="0"><points label="nose" outside="0" occluded="0" points="10,20"/><points label="eye" outside="1" points="0,0"/></skeleton>
   <skeleton label="face"><points label="nose" outside="0" points="30,40"/><points label="eye" outside="0" points="50,60"/></skeleton>
 </image></annotations>"#;
-const IIIF: &str = r#"{"type": "AnnotationPage", "@context": ["http://iiif.io/api/extension/georef/1/context.json"], "items": [
-    {"id": "one", "type": "Annotation", "motivation": "georeferencing", "target": {"type": "SpecificResource", "source": {"width": 9, "height": 9}},
+const IIIF: &str = r#"{"type": "AnnotationPage",
+  "@context": ["http://iiif.io/api/extension/georef/1/context.json"], "items": [
+    {"id": "one", "type": "Annotation", "motivation": "georeferencing",
+      "target": {"type": "SpecificResource", "source": {"width": 9, "height": 9}},
      "body": {"type": "FeatureCollection", "transformation": {"type": "polynomial"}, "features": [
-        {"type": "Feature", "properties": {"resourceCoords": [578, 3779.5]}, "geometry": {"type": "Point", "coordinates": [97.18, 3.25]}},
-        {"type": "Feature", "properties": {"pixelCoords": [349, 3855]}, "geometry": {"type": "Point", "coordinates": [95.75, 2.83]}}]}},
-    {"id": "two", "type": "Annotation", "label": "inset", "target": "x", "body": {"type": "FeatureCollection", "features": [
+        {"type": "Feature", "properties": {"resourceCoords": [578, 3779.5]},
+          "geometry": {"type": "Point", "coordinates": [97.18, 3.25]}},
+        {"type": "Feature", "properties": {"pixelCoords": [349, 3855]},
+          "geometry": {"type": "Point", "coordinates": [95.75, 2.83]}}]}},
+    {"id": "two", "type": "Annotation", "label": "inset", "target": "x",
+      "body": {"type": "FeatureCollection", "features": [
         {"type": "Feature", "properties": {"resourceCoords": [1, 2]}, "geometry": null}]}}]}"#;
 
 /// What is read of one item.
@@ -155,12 +170,14 @@ fn files_of_annotation_tools_are_read() {
     // Only one item is there.
     assert_eq!(read(CVAT).unwrap(), item(CVAT, "0").unwrap());
     let slicer = r#"{"markups": [{"type": "Fiducial", "coordinateSystem": "IJK", "controlPoints": [
-        {"label": "F-1", "position": [3, 4, 0]}, {"label": "F-2", "position": [0, 0, 0], "positionStatus": "undefined"}]}]}"#;
+        {"label": "F-1", "position": [3, 4, 0]}, {"label": "F-2", "position": [0, 0, 0],
+          "positionStatus": "undefined"}]}]}"#;
     assert_eq!(
         read(slicer).unwrap(),
         named("slicer", json!([[3.5, 4.5], null]), json!(["F-1", "F-2"]))
     );
-    let fcsv = "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n\
+    let fcsv = "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = \
+        id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n\
                 0,3,4,0,0,0,0,1,1,1,0,F-1,,\n1,5,6,0,0,0,0,1,1,1,0,\"F,2\",,\n";
     assert_eq!(
         read(fcsv).unwrap(),
@@ -177,11 +194,13 @@ fn files_with_several_objects_list_them() {
     for (file, listed) in [
         (
             COCO,
-            "3 annotations: 0 `val/a.jpg` `a.jpg` `a.jpg/3`, 1 `val/a.jpg` `a.jpg` `a.jpg/4`, 2 `b.jpg` `b.jpg/5`",
+            "3 annotations: 0 `val/a.jpg` `a.jpg` `a.jpg/3`, 1 `val/a.jpg` `a.jpg` `a.jpg/4`, 2 \
+                `b.jpg` `b.jpg/5`",
         ),
         (
             DLIB,
-            "3 boxes: 0 `faces/a & b.jpg` `a & b.jpg` `a & b.jpg/1`, 1 `c.jpg` `c.jpg/0`, 2 `c.jpg` `c.jpg/1`",
+            "3 boxes: 0 `faces/a & b.jpg` `a & b.jpg` `a & b.jpg/1`, 1 `c.jpg` `c.jpg/0`, 2 \
+                `c.jpg` `c.jpg/1`",
         ),
         (
             SKELETONS,
@@ -263,7 +282,8 @@ const BAD: &[(&str, u64, u64, &str)] = &[
         "an array of annotations",
     ),
     (
-        r#"{"annotations": [{"keypoints": [1, 2, 2], "category_id": 1}], "categories": [{"id": 1, "keypoints": ["a", "b"]}]}"#,
+        r#"{"annotations": [{"keypoints": [1, 2, 2], "category_id": 1}], "categories": [{"id": 1,
+          "keypoints": ["a", "b"]}]}"#,
         1,
         107,
         "1 names",
@@ -374,7 +394,8 @@ const BAD: &[(&str, u64, u64, &str)] = &[
         "`resourceCoords`",
     ),
     (
-        r#"{"type": "Annotation", "body": {"features": [{"properties": {"resourceCoords": [1, 2, 3]}}]}}"#,
+        r#"{"type": "Annotation", "body": {"features": [{"properties": {"resourceCoords": [1, 2,
+          3]}}]}}"#,
         1,
         80,
         "more than 2",
@@ -410,7 +431,8 @@ const BAD: &[(&str, u64, u64, &str)] = &[
         "3D Slicer, `RAS`",
     ),
     (
-        "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = id,x,z\n0,1,2\n",
+        "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = \
+            id,x,z\n0,1,2\n",
         2,
         1,
         "`x` and `y`",
@@ -500,11 +522,13 @@ fn names_that_are_too_long_are_refused_in_each_format() {
             r#"{{"images": [], "annotations": [{{"image_id": "{long}", "keypoints": [1, 2, 2]}}]}}"#
         ),
         format!(
-            r#"{{"images": [{{"id": 1, "file_name": "{long}"}}], "annotations": [{{"image_id": 1, "keypoints": [1, 2, 2]}}]}}"#
+            r#"{{"images": [{{"id": 1, "file_name": "{long}"}}], "annotations": [{{"image_id": 1,
+              "keypoints": [1, 2, 2]}}]}}"#
         ),
         format!(r#"{{"type": "a", "id": "{long}", "body": {{"features": []}}}}"#),
         format!(
-            r#"{{"markups": [{{"type": "{long}", "coordinateSystem": "IJK", "controlPoints": []}}]}}"#
+            r#"{{"markups": [{{"type": "{long}", "coordinateSystem": "IJK",
+              "controlPoints": []}}]}}"#
         ),
     ] {
         let (_, _, detail) = place(&read(&file).unwrap_err());

@@ -2,7 +2,8 @@ use serde_json::{Value, json};
 
 use super::read;
 
-/// The centre of the first pixel, and the centre of the pixel (9, 4), as each format writes them. (Normalised: of an image of 16 x 8 px.)
+/// The centre of the first pixel, and the centre of the pixel (9, 4), as each format writes them.
+/// (Normalised: of an image of 16 x 8 px.)
 const CENTRES: &[(&str, &str)] = &[
     ("json", r#"{"p": [[0.5, 0.5], [9.5, 4.5]]}"#),
     (
@@ -13,7 +14,8 @@ const CENTRES: &[(&str, &str)] = &[
     ("csv", "0,5;0,5\n9,5;4,5\n"),
     (
         "bigwarp",
-        "\"Pt-0\",\"true\",\"0.0\",\"0.0\",\"3.0\",\"3.0\"\n\"Pt-1\",\"true\",\"9.0\",\"4.0\",\"5.0\",\"5.0\"\n",
+        "\"Pt-0\",\"true\",\"0.0\",\"0.0\",\"3.0\",\"3.0\"\n\
+         \"Pt-1\",\"true\",\"9.0\",\"4.0\",\"5.0\",\"5.0\"\n",
     ),
     (
         "pts",
@@ -33,12 +35,15 @@ const CENTRES: &[(&str, &str)] = &[
     (
         "labelme",
         r#"{"version": "5.5.0", "flags": {}, "shapes": [
-            {"label": "a", "points": [[0.5, 0.5]], "group_id": null, "shape_type": "point", "flags": {}},
-            {"label": "b", "points": [[9.5, 4.5]], "shape_type": "point"}], "imagePath": "face.jpg", "imageData": null, "imageHeight": 8}"#,
+            {"label": "a", "points": [[0.5, 0.5]], "group_id": null, "shape_type": "point",
+              "flags": {}},
+            {"label": "b", "points": [[9.5, 4.5]], "shape_type": "point"}],
+              "imagePath": "face.jpg", "imageData": null, "imageHeight": 8}"#,
     ),
     (
         "qgis",
-        "#CRS: EPSG:3857\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n1e6,2e6,0.5,-0.5,1,0,0,0\n1e6,2e6,9.5,-4.5,1,0,0,0\n",
+        "#CRS: EPSG:3857\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n\
+         1e6,2e6,0.5,-0.5,1,0,0,0\n1e6,2e6,9.5,-4.5,1,0,0,0\n",
     ),
     (
         "tps",
@@ -48,11 +53,13 @@ const CENTRES: &[(&str, &str)] = &[
     ("napari", "index,axis-0,axis-1\n0.0,0.0,0.0\n1.0,4.0,9.0\n"),
     (
         "openface",
-        "frame, face_id, timestamp, confidence, success, x_0, x_1, y_0, y_1\n1, 0, 0.0, 0.98, 1, 0, 9, 0, 4\n",
+        "frame, face_id, timestamp, confidence, success, x_0, x_1, y_0, y_1\n1, 0, 0.0, 0.98, 1, \
+            0, 9, 0, 4\n",
     ),
     (
         "bigwarp",
-        r#"{"Transform": {"landmarks": {"type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": [[0, 0], [9, 4]],
+        r#"{"Transform": {"landmarks": {"type": "BigWarpLandmarks", "numDimensions": 2,
+          "movingPoints": [[0, 0], [9, 4]],
         "fixedPoints": [[3, 3], [5, 5]], "active": [true, true], "names": ["a", "b"]}}}"#,
     ),
     (
@@ -65,20 +72,24 @@ const CENTRES: &[(&str, &str)] = &[
     ),
     (
         "dlib",
-        "<dataset><images><image file='a'><box><part name='0' x='0' y='0'/><part name='1' x='9' y='4'/></box></image></images></dataset>",
+        "<dataset><images><image file='a'><box><part name='0' x='0' y='0'/><part name='1' x='9' \
+            y='4'/></box></image></images></dataset>",
     ),
     (
         "cvat",
-        "<annotations><image name='a'><points label='a' points='0.5,0.5;9.5,4.5'/></image></annotations>",
+        "<annotations><image name='a'><points label='a' \
+            points='0.5,0.5;9.5,4.5'/></image></annotations>",
     ),
     (
         "iiif",
         r#"{"type": "Annotation", "target": "x", "body": {"features": [
-            {"properties": {"resourceCoords": [0.5, 0.5]}}, {"properties": {"resourceCoords": [9.5, 4.5]}}]}}"#,
+            {"properties": {"resourceCoords": [0.5, 0.5]}},
+              {"properties": {"resourceCoords": [9.5, 4.5]}}]}}"#,
     ),
     (
         "slicer",
-        "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = id,x,y,z\n0,0,0,0\n1,9,4,0\n",
+        "# Markups fiducial file version = 4.13\n# CoordinateSystem = IJK\n# columns = \
+            id,x,y,z\n0,0,0,0\n1,9,4,0\n",
     ),
     (
         "qgis",
@@ -177,39 +188,46 @@ fn files() -> Vec<(&'static str, Value)> {
             csv(json!(["left", "right"])),
         ),
         (
-            "\"Pt-0\",\"true\",\"10.5\",\"20.0\",\"11.0\",\"21.0\"\n\"Pt-1\",\"false\",\"1\",\"1\",\"Infinity\",\"Infinity\"\n\
+            "\"Pt-0\",\"true\",\"10.5\",\"20.0\",\"11.0\",\"21.0\"\n\
+             \"Pt-1\",\"false\",\"1\",\"1\",\"Infinity\",\"Infinity\"\n\
              \"Pt-2\",\"true\",\"1\",\"1\",\"-Infinity\",\"Infinity\"\n",
-            json!({"p": [[11.0, 20.5]], "q": [[11.5, 21.5]], "names": ["Pt-0"], "units": "px", "format": "bigwarp",
+            json!({"p": [[11.0, 20.5]], "q": [[11.5, 21.5]], "names": ["Pt-0"], "units": "px",
+                "format": "bigwarp",
                    "unmatched": {"p": ["Pt-2"], "q": []}}),
         ),
         (
             "Pt-0,true,7,1.5,2.5,3.5,4.5\n",
             json!({
-            "p": [[2.0, 3.0]], "q": [[4.0, 5.0]], "names": ["Pt-0"], "units": "px", "format": "bigwarp"}),
+            "p": [[2.0, 3.0]], "q": [[4.0, 5.0]], "names": ["Pt-0"], "units": "px",
+                "format": "bigwarp"}),
         ),
         (
             "version: 1\r\nn_points: 3\r\n{\r\n10 20\r\n30.5\t40\r\n  50 60.25\r\n}\r\n",
             json!({
             "p": [[9.5, 19.5], [30.0, 39.5], [49.5, 59.75]], "units": "px", "format": "pts"}),
         ),
-        // A contour of the points 0, 1, 2, closed; another one of 1 and 3, open; the point 4 is on none.
+        // A contour of the points 0, 1, 2, closed; another one of 1 and 3, open; the point 4 is on
+        // none.
         (
             "5\n0 0\n10 0\n10 10\n20 5\n30 5\n2\n1\n3\n0 1 2\n0\n2\n1 3\n",
             json!({
-            "p": [[30.5, 5.5], [[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]], [[10.5, 0.5], [20.5, 5.5]]],
+            "p": [[30.5, 5.5], [[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]],
+                [[10.5, 0.5], [20.5, 5.5]]],
             "units": "px", "format": "tem"}),
         ),
         (
             "3\n0\t0\n10\t0\n10\t10\n1\n1\n4\n0 1 2 0\n",
             json!({
-            "p": [[[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]]], "units": "px", "format": "tem"}),
+            "p": [[[0.5, 0.5], [10.5, 0.5], [10.5, 10.5], [0.5, 0.5]]], "units": "px",
+                "format": "tem"}),
         ),
         // What WebMorph appends.
         (
             "2\n0 0\n10 0\n1\n0\n2\n0 1\n43\n\n{\n    \"image\": \"/a.jpg\"\n}\n",
             json!({"p": [[[0.5, 0.5], [10.5, 0.5]]], "units": "px", "format": "tem"}),
         ),
-        // The pupils of WebMorph's templates are contours of one point. An index that follows itself counts once.
+        // The pupils of WebMorph's templates are contours of one point. An index that follows
+        // itself counts once.
         (
             "3\n0 0\n10 0\n10 10\n3\n0\n2\n0 0\n1\n2\n0 0\n0\n4\n1 1 2 2\n",
             json!({"p": [[0.5, 0.5], [[10.5, 0.5], [10.5, 10.5]]], "units": "px", "format": "tem"}),
@@ -227,7 +245,8 @@ fn files() -> Vec<(&'static str, Value)> {
             mediapipe(json!([[0.25, 0.5], [1.01, -0.01]])),
         ),
         (
-            r#"{"faceLandmarks": [[{"x": 0.25, "y": 0.5}]], "faceBlendshapes": [{"categories": []}]}"#,
+            r#"{"faceLandmarks": [[{"x": 0.25, "y": 0.5}]],
+              "faceBlendshapes": [{"categories": []}]}"#,
             mediapipe(json!([[0.25, 0.5]])),
         ),
         (
@@ -242,25 +261,31 @@ fn files() -> Vec<(&'static str, Value)> {
         (
             r#"{"jointNames": ["root", "head"], "jointLandmarks": [[0.5, 0.5], [0.5, 0.25]]}"#,
             json!({
-            "p": [[0.5, 0.5], [0.5, 0.25]], "names": ["root", "head"], "units": "normalized", "format": "arkit"}),
+            "p": [[0.5, 0.5], [0.5, 0.25]], "names": ["root", "head"], "units": "normalized",
+                "format": "arkit"}),
         ),
         (
             r#"{"shapes": [{"label": "eye", "points": [[1, 2]], "shape_type": "point"},
                 {"label": "jaw", "points": [[1, 2], [3, 4]], "shape_type": "line"},
                 {"label": "lip", "points": [[1, 2], [3, 4], [5, 6]], "shape_type": "linestrip"},
-                {"label": "face", "points": [[1, 2], [3, 4], [5, 7]]}], "imageData": "iVBORw0KGgo="}"#,
+                {"label": "face", "points": [[1, 2], [3, 4], [5, 7]]}],
+                  "imageData": "iVBORw0KGgo="}"#,
             json!({"p": [[1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]], [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]],
                          [[1.0, 2.0], [3.0, 4.0], [5.0, 7.0], [1.0, 2.0]]],
                    "names": ["eye", "jaw", "lip", "face"], "units": "px", "format": "labelme"}),
         ),
         (
-            "#CRS: PROJCRS[\"a, b\",ID[\"EPSG\",3035]]\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n4e6,3e6,3899,-1161,1,0,0,0\n4e6,3e6,1,-1,0,0,0,0\n",
+            "#CRS: PROJCRS[\"a, \
+                b\",ID[\"EPSG\",3035]]\nmapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n\
+                4e6,3e6,3899,-1161,1,0,0,0\n4e6,3e6,1,-1,0,0,0,0\n",
             json!({"p": [[3899.0, 1161.0]], "units": "px", "format": "qgis"}),
         ),
         (
-            r#"{"p": [[1, 2], [[3, 4], [5, 6]]], "q": [[2, 2], [[3, 5], [5, 7]]], "names": ["a", "é\n"]}"#,
+            r#"{"p": [[1, 2], [[3, 4], [5, 6]]], "q": [[2, 2], [[3, 5], [5, 7]]], "names": ["a",
+              "é\n"]}"#,
             json!({
-            "p": [[1.0, 2.0], [[3.0, 4.0], [5.0, 6.0]]], "q": [[2.0, 2.0], [[3.0, 5.0], [5.0, 7.0]]], "names": ["a", "é"],
+            "p": [[1.0, 2.0], [[3.0, 4.0], [5.0, 6.0]]], "q": [[2.0, 2.0],
+                [[3.0, 5.0], [5.0, 7.0]]], "names": ["a", "é"],
             "units": "px", "format": "json"}),
         ),
         (

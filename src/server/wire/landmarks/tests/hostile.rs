@@ -380,7 +380,8 @@ fn too_many_handles_are_refused_in_each_format() {
     }
 }
 
-/// Ten megabytes of one thing. The work is linear: each takes a fraction of a second, and none overflows the stack.
+/// Ten megabytes of one thing. The work is linear: each takes a fraction of a second, and none
+/// overflows the stack.
 #[test]
 fn enormous_files_are_refused_with_a_place() {
     const SIZE: usize = 10 << 20;
@@ -447,7 +448,8 @@ fn truncated_files_are_read_or_refused_with_a_place() {
         "#CRS: x\nmapX,mapY,sourceX,sourceY,enable\n1,2,3,-4,1\n",
         r#"{"p": [[1, 2], [[3, 4], [5, 6]]], "names": ["é", "b"], "units": "px"}"#,
         r#"{"faceLandmarks": [[{"x": 0.5, "y": 0.25, "name": "n"}]]}"#,
-        r#"{"shapes": [{"label": "a", "points": [[1, 2], [3, 5]], "shape_type": "line"}], "imageData": "AAAA"}"#,
+        r#"{"shapes": [{"label": "a", "points": [[1, 2], [3, 5]], "shape_type": "line"}],
+          "imageData": "AAAA"}"#,
     ];
     for file in files {
         assert!(read(file).is_ok(), "{file}");

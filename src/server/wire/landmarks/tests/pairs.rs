@@ -13,7 +13,8 @@ fn two_files_are_matched_by_name_and_what_one_side_lacks_is_reported() {
     .unwrap();
     assert_eq!(
         read,
-        json!({"p": [[1.0, 2.0], [5.0, 6.0]], "q": [[10.0, 20.0], [50.0, 60.0]], "names": ["a", "c"], "units": "px", "format": "csv",
+        json!({"p": [[1.0, 2.0], [5.0, 6.0]], "q": [[10.0, 20.0], [50.0, 60.0]],
+            "names": ["a", "c"], "units": "px", "format": "csv",
                "unmatched": {"p": ["b"], "q": ["d"]}})
     );
     let (line, column, detail) = place(&read_two("a,1,2\n", "\nb,1,2\n").unwrap_err());
@@ -32,7 +33,8 @@ fn two_files_without_names_are_matched_by_order() {
     let read = read_two(pts, "name,x,y\na,10,20\nb,30,40\n").unwrap();
     assert_eq!(
         read,
-        json!({"p": [[0.5, 0.5], [2.5, 2.5]], "q": [[10.0, 20.0], [30.0, 40.0]], "names": ["a", "b"], "units": "px", "format": "pts+csv"})
+        json!({"p": [[0.5, 0.5], [2.5, 2.5]], "q": [[10.0, 20.0], [30.0, 40.0]],
+            "names": ["a", "b"], "units": "px", "format": "pts+csv"})
     );
     let problem = read_two("1,2\n3,4\n5,6\n", "1,2\n").unwrap_err();
     let (line, column, detail) = place(&problem);
@@ -54,7 +56,8 @@ fn two_files_without_names_are_matched_by_order() {
 #[test]
 fn repeated_names_are_refused_only_where_they_leave_a_choice() {
     for (p, q, names) in [
-        // The same names in the same order; names of classes; a name that the other side does not have.
+        // The same names in the same order; names of classes; a name that the other side does not
+        // have.
         (
             "eye,1,2\neye,3,4\n",
             "eye,5,6\neye,7,8\n",
@@ -498,7 +501,8 @@ fn pixels_of_a_copy_of_another_size_are_scaled_to_the_image() {
         ..super::both("0.1,0.7,1e-9,299.9999\n")
     };
     assert_eq!(place_in(same), json!([[[0.1, 0.7]], [[1e-9, 299.9999]]]));
-    // Without an image they become shares, which say the same of an image of any size; the response says what was done.
+    // Without an image they become shares, which say the same of an image of any size; the response
+    // says what was done.
     let read = convert(&both).unwrap();
     assert_eq!(
         (&read["p"], &read["units"]),
@@ -506,7 +510,8 @@ fn pixels_of_a_copy_of_another_size_are_scaled_to_the_image() {
     );
     assert_eq!(
         read["format"],
-        "csv (p from 200 x 150 px to shares of the image; q from 200 x 150 px to shares of the image)"
+        "csv (p from 200 x 150 px to shares of the image; q from 200 x 150 px to shares of the \
+            image)"
     );
     assert!(crate::wire::landmarks::is_format(
         read["format"].as_str().unwrap()

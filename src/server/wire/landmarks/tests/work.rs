@@ -1,4 +1,5 @@
-//! The work of each reader: linear in the file, counted, and stopped soon after nobody wants the result.
+//! The work of each reader: linear in the file, counted, and stopped soon after nobody wants the
+//! result.
 
 use std::cell::Cell;
 

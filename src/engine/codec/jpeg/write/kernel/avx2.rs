@@ -53,7 +53,8 @@ impl Avx2 {
         }
     }
 
-    /// Samples of pixels of four bytes: `first` has the pixels 0 to 3 and 8 to 11, `second` the others.
+    /// Samples of pixels of four bytes: `first` has the pixels 0 to 3 and 8 to 11, `second` the
+    /// others.
     #[inline(always)]
     unsafe fn channel<const SHIFT: i32>(first: __m256i, second: __m256i) -> Self {
         // SAFETY: as for `Lanes`.
@@ -103,7 +104,8 @@ unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
     }
 }
 
-/// For every eight coefficients in the order of a file, by column of the block: the bytes of the column that go there.
+/// For every eight coefficients in the order of a file, by column of the block: the bytes of the
+/// column that go there.
 static SHUFFLES: [[[u8; 2 * SIDE]; SIDE]; SIDE] = shuffles();
 
 const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
@@ -168,12 +170,14 @@ impl Avx2 {
 lanes! {
     Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16,
     sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
-    mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16, right: _mm256_srl_epi16,
+    mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16,
+        right: _mm256_srl_epi16,
     unpack: [_mm256_unpacklo_epi16, _mm256_unpackhi_epi16, _mm256_unpacklo_epi32,
     _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2],
+            last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 
@@ -186,16 +190,19 @@ lanes! {
         fn pixels_2(pixels: &[u8]) -> [Self; 2] {
             unsafe {
                 let pixels = two(pixels, 0, 16);
-                [Self(_mm256_and_si256(pixels, _mm256_set1_epi16(255))), Self(_mm256_srli_epi16::<8>(pixels))]
+                [Self(_mm256_and_si256(pixels, _mm256_set1_epi16(255))),
+                    Self(_mm256_srli_epi16::<8>(pixels))]
             }
         }
 
         #[inline(always)]
         fn pixels_3(pixels: &[u8]) -> [Self; 3] {
             unsafe {
-                // Pixels 0 to 7 and 8 to 15: their first 16 bytes, and their last, of which the first 8 are the same.
+                // Pixels 0 to 7 and 8 to 15: their first 16 bytes, and their last, of which the
+                // first 8 are the same.
                 let (first, last) = (two(pixels, 0, 24), two(pixels, 8, 32));
-                [Self::third::<0>(first, last), Self::third::<1>(first, last), Self::third::<2>(first, last)]
+                [Self::third::<0>(first, last), Self::third::<1>(first, last),
+                    Self::third::<2>(first, last)]
             }
         }
 
@@ -214,7 +221,8 @@ lanes! {
 
         #[inline(always)]
         fn sums_of_pairs(self, other: Self) -> Self {
-            unsafe { Self(_mm256_permute4x64_epi64::<0b11_01_10_00>(_mm256_hadd_epi16(self.0, other.0))) }
+            unsafe { Self(_mm256_permute4x64_epi64::<0b11_01_10_00>(
+                _mm256_hadd_epi16(self.0, other.0))) }
         }
 
         #[inline(always)]
@@ -227,16 +235,20 @@ lanes! {
                 let mut far = 0;
                 for half in (0..8).step_by(2) {
                     let packed = _mm256_packs_epi16(eights[half], eights[half + 1]);
-                    let bits = !_mm256_movemask_epi8(_mm256_cmpeq_epi8(packed, _mm256_setzero_si256())).cast_unsigned();
+                    let bits = !_mm256_movemask_epi8(_mm256_cmpeq_epi8(packed,
+                        _mm256_setzero_si256())).cast_unsigned();
                     first.nonzero |= u64::from(bits & 0xffff) << (8 * half);
                     second.nonzero |= u64::from(bits >> 16) << (8 * half);
-                    far |= _mm256_movemask_epi8(_mm256_add_epi8(packed, _mm256_set1_epi8(64))) & if half == 0 { !0x1_0001 } else { !0 };
+                    far |= _mm256_movemask_epi8(_mm256_add_epi8(packed,
+                        _mm256_set1_epi8(64))) & if half == 0 { !0x1_0001 } else { !0 };
                 }
                 let far = far.cast_unsigned();
                 (first.is_near, second.is_near) = (far & 0xffff == 0, far >> 16 == 0);
                 for (k, eight) in eights.into_iter().enumerate() {
-                    _mm_storeu_si128(first.eight(k).as_mut_ptr().cast(), _mm256_castsi256_si128(eight));
-                    _mm_storeu_si128(second.eight(k).as_mut_ptr().cast(), _mm256_extracti128_si256::<1>(eight));
+                    _mm_storeu_si128(first.eight(k).as_mut_ptr().cast(),
+                        _mm256_castsi256_si128(eight));
+                    _mm_storeu_si128(second.eight(k).as_mut_ptr().cast(),
+                        _mm256_extracti128_si256::<1>(eight));
                 }
             }
         }

@@ -121,12 +121,14 @@ fn by_block([a, b, c, d]: [Avx512; 4]) -> [__m512i; 4] {
 lanes! {
     Avx512(__m512i), 32, set: _mm512_set1_epi16, load: _mm512_loadu_si512, add: _mm512_add_epi16,
     sub: _mm512_sub_epi16, times: _mm512_mulhrs_epi16, high: _mm512_mulhi_epu16,
-    mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16, right: _mm512_srl_epi16,
+    mean: _mm512_avg_epu16, low: _mm512_mullo_epi16, left: _mm512_sll_epi16,
+        right: _mm512_srl_epi16,
     unpack: [_mm512_unpacklo_epi16, _mm512_unpackhi_epi16, _mm512_unpacklo_epi32,
     _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2], last: &mut Predictors, out: &mut Vec<u8>) {
+        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2],
+            last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
 
@@ -139,16 +141,19 @@ lanes! {
         fn pixels_2(pixels: &[u8]) -> [Self; 2] {
             unsafe {
                 let pixels = sixty_four(pixels, 0);
-                [Self(_mm512_and_si512(pixels, _mm512_set1_epi16(255))), Self(_mm512_srli_epi16::<8>(pixels))]
+                [Self(_mm512_and_si512(pixels, _mm512_set1_epi16(255))),
+                    Self(_mm512_srli_epi16::<8>(pixels))]
             }
         }
 
         #[inline(always)]
         fn pixels_3(pixels: &[u8]) -> [Self; 3] {
             unsafe {
-                let (first, second) = (sixty_four(pixels, 0), _mm512_castsi256_si512(thirty_two(pixels, 64)));
+                let (first, second) = (sixty_four(pixels, 0),
+                    _mm512_castsi256_si512(thirty_two(pixels, 64)));
                 let [r, g, b] = &PLACES_3;
-                [Self::channel::<{ !0 }>(first, second, r), Self::channel::<{ !0 }>(first, second, g), Self::channel::<{ !0 }>(first, second, b)]
+                [Self::channel::<{ !0 }>(first, second, r), Self::channel::<{ !0 }>(first, second,
+                    g), Self::channel::<{ !0 }>(first, second, b)]
             }
         }
 
@@ -170,7 +175,8 @@ lanes! {
         fn sums_of_pairs(self, other: Self) -> Self {
             unsafe {
                 let ones = _mm512_set1_epi16(1);
-                let sums = _mm512_packs_epi32(_mm512_madd_epi16(self.0, ones), _mm512_madd_epi16(other.0, ones));
+                let sums = _mm512_packs_epi32(_mm512_madd_epi16(self.0, ones),
+                    _mm512_madd_epi16(other.0, ones));
                 Self(_mm512_permutexvar_epi64(_mm512_setr_epi64(0, 2, 4, 6, 1, 3, 5, 7), sums))
             }
         }
@@ -182,13 +188,16 @@ lanes! {
             for ((left, right), block) in left.into_iter().zip(right).zip(blocks) {
                 unsafe {
                     let [first, second] = ORDER.each_ref().map(|places| {
-                        _mm512_permutex2var_epi16(left, _mm512_loadu_si512(places.as_ptr().cast()), right)
+                        _mm512_permutex2var_epi16(left, _mm512_loadu_si512(places.as_ptr().cast()),
+                            right)
                     });
-                    let (low, high) = (_mm512_test_epi16_mask(first, first), _mm512_test_epi16_mask(second, second));
+                    let (low, high) = (_mm512_test_epi16_mask(first, first),
+                        _mm512_test_epi16_mask(second, second));
                     block.nonzero = u64::from(high) << 32 | u64::from(low);
                     // The first coefficient may have any value.
                     let packed = _mm512_packs_epi16(first, second);
-                    block.is_near = _mm512_movepi8_mask(_mm512_add_epi8(packed, _mm512_set1_epi8(64))) & !1 == 0;
+                    block.is_near = _mm512_movepi8_mask(_mm512_add_epi8(packed,
+                        _mm512_set1_epi8(64))) & !1 == 0;
                     let (halves, _) = block.coefficients.as_chunks_mut::<32>();
                     _mm512_storeu_si512(halves[0].as_mut_ptr().cast(), first);
                     _mm512_storeu_si512(halves[1].as_mut_ptr().cast(), second);

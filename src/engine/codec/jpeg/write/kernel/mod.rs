@@ -1,5 +1,6 @@
-//! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over [`Lanes`](super::lanes::Lanes) of 16-bit
-//! integers; every level has the same operations on more or fewer lanes, so all of them give the same bytes.
+//! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over
+//! [`Lanes`](super::lanes::Lanes) of 16-bit integers; every level has the same operations on more
+//! or fewer lanes, so all of them give the same bytes.
 
 use super::strip::{self, Job};
 use crate::level::Level;
@@ -24,8 +25,8 @@ mod x86;
 
 pub(super) use scalar::Scalar;
 
-/// Appends the entropy-coded data of a strip, ended on a byte. `wanted` is called between rows of blocks; when it returns false, the work
-/// ends. A level that the machine lacks is scalar.
+/// Appends the entropy-coded data of a strip, ended on a byte. `wanted` is called between rows of
+/// blocks; when it returns false, the work ends. A level that the machine lacks is scalar.
 pub(super) fn encode(level: Level, job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     match level {
         #[cfg(target_arch = "x86_64")]

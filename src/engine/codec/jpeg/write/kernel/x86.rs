@@ -1,15 +1,20 @@
-//! What AVX2 and AVX-512 have in common: every operation that stays within 128 bits, which are a row or a column of a block.
+//! What AVX2 and AVX-512 have in common: every operation that stays within 128 bits, which are a
+//! row or a column of a block.
 
-/// Implements `Lanes` for a type of `count` lanes by the instructions that are named; `own`: the methods in which the levels differ.
+/// Implements `Lanes` for a type of `count` lanes by the instructions that are named; `own`: the
+/// methods in which the levels differ.
 macro_rules! lanes {
     (
         $name:ident($register:ty), $count:expr, set: $set:ident, load: $load:ident,
         add: $add:ident, sub: $sub:ident,
-        times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident, left: $left:ident, right: $right:ident,
-        unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident, $high64:ident],
+        times: $times:ident, high: $high:ident, mean: $mean:ident, low: $low:ident,
+            left: $left:ident, right: $right:ident,
+        unpack: [$low16:ident, $high16:ident, $low32:ident, $high32:ident, $low64:ident,
+            $high64:ident],
         own: { $($own:item)* }
     ) => {
-        // SAFETY of every block here: `encode` alone uses this type, where the processor has the level; pointers are those of references.
+        // SAFETY of every block here: `encode` alone uses this type, where the processor has the
+        // level; pointers are those of references.
         impl Lanes for $name {
             const COUNT: usize = $count;
 
@@ -66,14 +71,19 @@ macro_rules! lanes {
             #[inline(always)]
             fn transpose([a, b, c, d, e, f, g, h]: [Self; 8]) -> [Self; 8] {
                 unsafe {
-                    let (ae, be) = ([$low16(a.0, b.0), $high16(a.0, b.0)], [$low16(c.0, d.0), $high16(c.0, d.0)]);
-                    let (ce, de) = ([$low16(e.0, f.0), $high16(e.0, f.0)], [$low16(g.0, h.0), $high16(g.0, h.0)]);
+                    let (ae, be) = ([$low16(a.0, b.0), $high16(a.0, b.0)],
+                        [$low16(c.0, d.0), $high16(c.0, d.0)]);
+                    let (ce, de) = ([$low16(e.0, f.0), $high16(e.0, f.0)],
+                        [$low16(g.0, h.0), $high16(g.0, h.0)]);
                     let mut columns = [a; 8];
                     for half in 0..2 {
-                        let (top, bottom) = ([$low32(ae[half], be[half]), $high32(ae[half], be[half])], [$low32(ce[half], de[half]), $high32(ce[half], de[half])]);
+                        let (top, bottom) = ([$low32(ae[half], be[half]),
+                            $high32(ae[half], be[half])], [$low32(ce[half], de[half]),
+                                $high32(ce[half], de[half])]);
                         for pair in 0..2 {
                             columns[4 * half + 2 * pair] = Self($low64(top[pair], bottom[pair]));
-                            columns[4 * half + 2 * pair + 1] = Self($high64(top[pair], bottom[pair]));
+                            columns[4 * half + 2 * pair + 1] = Self($high64(top[pair],
+                                bottom[pair]));
                         }
                     }
                     columns

@@ -1,4 +1,5 @@
-//! The fast strip compiled for AVX2 and BMI2. No intrinsics: the compiler makes vectors of the filters and `shlx`, `shrx` of the shifts.
+//! The fast strip compiled for AVX2 and BMI2. No intrinsics: the compiler makes vectors of the
+//! filters and `shlx`, `shrx` of the shifts.
 
 use super::super::bits::BitWriter;
 use super::super::coder::{Lookup, Stage, Tables, code_piece};
@@ -7,7 +8,8 @@ use super::super::rows::Rows;
 
 /// Must be called where [`crate::level::Level::Avx2`] is here.
 pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
-    // SAFETY: the one caller asks `Level::is_here` first, which covers every feature of `fast_avx2`.
+    // SAFETY: the one caller asks `Level::is_here` first, which covers every feature of
+    // `fast_avx2`.
     unsafe { fast_avx2(rows, last, most, out) }
 }
 

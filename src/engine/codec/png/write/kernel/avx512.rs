@@ -1,5 +1,6 @@
-//! The fast strip for AVX-512 with VBMI: looks up 64 residuals at once in registers (`vpermi2b`), and joins their codes in lanes that grow
-//! from 16 to 64 bits, so that usually eight codes go to one store. The same bits as the portable coder.
+//! The fast strip for AVX-512 with VBMI: looks up 64 residuals at once in registers (`vpermi2b`),
+//! and joins their codes in lanes that grow from 16 to 64 bits, so that usually eight codes go to
+//! one store. The same bits as the portable coder.
 
 use std::arch::x86_64::*;
 
@@ -45,7 +46,8 @@ const CODE_BITS: u32 = 12;
 /// Most bits of eight codes that go to one store.
 const MOST: i64 = 56;
 
-/// The codes of all bytes, `length << 12 | code`, split into low and high halves. Made by `fast_avx512` only.
+/// The codes of all bytes, `length << 12 | code`, split into low and high halves. Made by
+/// `fast_avx512` only.
 struct Wide<'a> {
     single: &'a Single,
     low: [u8; 256],
@@ -82,7 +84,8 @@ impl Lookup for Wide<'_> {
     }
 }
 
-/// Codes groups of eight bytes, 64 bytes at a time, up to the first that is all zero or the end; returns the number of bytes.
+/// Codes groups of eight bytes, 64 bytes at a time, up to the first that is all zero or the end;
+/// returns the number of bytes.
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
 fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize {
     let load = |bytes: &[u8; 64]| {

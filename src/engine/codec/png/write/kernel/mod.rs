@@ -1,6 +1,7 @@
-//! Chooses the instruction set of the fast strip. Its code is portable Rust (`fast::body`), compiled again with more instructions: AVX2
-//! doubles the width of the filters, and BMI2 makes the shifts of the coding loop, whose counts are data, single instructions. AVX-512
-//! looks residuals up in its own way. All levels give the same bytes.
+//! Chooses the instruction set of the fast strip. Its code is portable Rust (`fast::body`),
+//! compiled again with more instructions: AVX2 doubles the width of the filters, and BMI2 makes the
+//! shifts of the coding loop, whose counts are data, single instructions. AVX-512 looks residuals
+//! up in its own way. All levels give the same bytes.
 
 use super::fast;
 use super::rows::Rows;
@@ -17,8 +18,8 @@ mod avx2;
 #[expect(unsafe_code, reason = "AVX-512 intrinsics behind run-time detection")]
 mod avx512;
 
-/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered rows. A level that the machine lacks is
-/// scalar.
+/// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered
+/// rows. A level that the machine lacks is scalar.
 pub(super) fn encode_fast(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
