@@ -38,7 +38,7 @@
 //!     });
 //!     Ok(png)
 //! }
-//! # let file = include_bytes!("../../tests/images/chelsea.png");
+//! # let file = include_bytes!("test_files/images/chelsea.png");
 //! # assert!(longer_nose(file)?.starts_with(b"\x89PNG"));
 //! # Ok::<(), WarpError>(())
 //! ```

@@ -211,7 +211,7 @@ mod tests {
     /// png 0.18.1 panics on a palette whose length is no multiple of three; found by fuzzing.
     #[test]
     fn a_palette_of_no_whole_colours_is_a_damaged_file() {
-        let file = include_bytes!("../../../tests/fuzz/found/image/png-palette-not-of-threes");
+        let file = include_bytes!("../test_files/found/png-palette-not-of-threes");
         assert!(matches!(
             decode(file, &Limits::default(), &|| false),
             Err(CodecError::Bad { format: "PNG", .. })

@@ -1,12 +1,12 @@
 //! Tests of reading files: properties of all formats here, and one file per format. Files are built
-//! in `made`, so that every chunk is known; photographs come from `tests/images`.
+//! in `made`, so that every chunk is known; photographs and seeds come from `test_files`, links that
+//! `cargo package` follows.
 
 #![expect(
     clippy::cast_possible_truncation,
     reason = "patterns are cut to their low byte, and sizes are written here"
 )]
 
-#[path = "../../../../tests/it/support/bombs.rs"]
 pub(super) mod bombs;
 mod carriers;
 mod few_formats;
@@ -35,7 +35,7 @@ fn probe(bytes: &[u8]) -> Result<Header, CodecError> {
 
 fn photograph(name: &str) -> Vec<u8> {
     std::fs::read(format!(
-        "{}/../../tests/images/{name}",
+        "{}/test_files/images/{name}",
         env!("CARGO_MANIFEST_DIR")
     ))
     .unwrap()

@@ -10,10 +10,7 @@ use super::bombs;
 use super::*;
 
 fn folder(name: &str) -> Vec<(String, Vec<u8>)> {
-    let folder = format!(
-        "{}/../../tests/fuzz/{name}/image",
-        env!("CARGO_MANIFEST_DIR")
-    );
+    let folder = format!("{}/test_files/{name}", env!("CARGO_MANIFEST_DIR"));
     let files = std::fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path());

@@ -462,7 +462,7 @@ mod tests {
             "lossless-regions",
         ] {
             let file = std::fs::read(format!(
-                "{}/../../tests/fuzz/seeds/image/webp-{name}",
+                "{}/test_files/seeds/webp-{name}",
                 env!("CARGO_MANIFEST_DIR")
             ))
             .unwrap();

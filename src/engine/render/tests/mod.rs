@@ -173,7 +173,7 @@ fn banded(renderer: &Renderer, rows: u32) -> Vec<u8> {
 fn astronaut() -> Pixmap {
     let picture = image::open(concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/../../tests/images/astronaut.png"
+        "/test_files/images/astronaut.png"
     ))
     .unwrap();
     let image::DynamicImage::ImageRgb8(rgb) = picture else {

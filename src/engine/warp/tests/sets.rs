@@ -181,7 +181,7 @@ fn point(v: &Value, size: f64) -> Point {
 /// Sets of the independent reference on 500 x 500 px, smaller.
 pub(super) fn oracle() -> Vec<Case> {
     const SIZE: f64 = 0.4;
-    let file: Value = serde_json::from_str(include_str!("../../../../tests/oracle.json")).unwrap();
+    let file: Value = serde_json::from_str(include_str!("../../test_files/oracle.json")).unwrap();
     let case = |case: &Value| {
         let names = [
             (METHODS[0], "affine"),
@@ -250,27 +250,27 @@ pub(super) fn examples(size: f64) -> Vec<Case> {
     let files = [
         (
             "stretched cat",
-            include_str!("../../../../api/examples/stretched-cat.json"),
+            include_str!("../../test_files/examples/stretched-cat.json"),
             [451.0, 300.0],
         ),
         (
             "leaning rocket",
-            include_str!("../../../../api/examples/leaning-rocket.json"),
+            include_str!("../../test_files/examples/leaning-rocket.json"),
             [640.0, 427.0],
         ),
         (
             "giraffe",
-            include_str!("../../../../api/examples/giraffe.json"),
+            include_str!("../../test_files/examples/giraffe.json"),
             [800.0, 656.0],
         ),
         (
             "thinner face",
-            include_str!("../../../../api/examples/thinner-face.json"),
+            include_str!("../../test_files/examples/thinner-face.json"),
             [512.0, 512.0],
         ),
         (
             "fold",
-            include_str!("../../../../api/examples/fold.json"),
+            include_str!("../../test_files/examples/fold.json"),
             [600.0, 400.0],
         ),
     ];

@@ -343,10 +343,9 @@ fn profile_travels_in_the_head_and_nothing_else_does() {
 
 #[test]
 fn best_is_smaller_than_fast_and_fast_than_none() {
-    let photo =
-        image::load_from_memory(include_bytes!("../../../../../tests/images/astronaut.png"))
-            .unwrap()
-            .to_rgba8();
+    let photo = image::load_from_memory(include_bytes!("../../../test_files/images/astronaut.png"))
+        .unwrap()
+        .to_rgba8();
     let shape = shape(photo.width(), photo.height(), KINDS[1]);
     for (samples, factor) in [(photo.into_raw(), 1), (picture(shape, Content::Drawing), 3)] {
         let [none, fast, best] = ALL.map(|compression| check(shape, &samples, compression));
