@@ -28,6 +28,7 @@ fn texts(endings: &[&str]) -> Vec<(PathBuf, String)> {
         "CHANGELOG.md",
         "ARCHITECTURE.md",
         "CONTRIBUTING.md",
+        "RELEASING.md",
         "SECURITY.md",
     ] {
         let path = Path::new(ROOT).join(name);
@@ -168,5 +169,26 @@ fn nothing_cites_a_line_of_a_file_or_an_unknown_document() {
                 path.display()
             );
         }
+    }
+}
+
+/// What a release is made from: `deploy/release` refuses a version without a dated heading.
+#[test]
+fn changelog_has_the_version_of_the_crates() {
+    let log = std::fs::read_to_string(Path::new(ROOT).join("CHANGELOG.md")).unwrap();
+    let heading = format!("## [{}] - 2", env!("CARGO_PKG_VERSION"));
+    assert!(
+        log.lines().any(|line| line.starts_with(&heading)),
+        "CHANGELOG.md: {heading}..."
+    );
+    for (version, text) in log
+        .split("\n## ")
+        .skip(1)
+        .filter_map(|section| section.split_once('\n'))
+    {
+        assert!(
+            text.lines().count() <= 60,
+            "{version} has more than 60 lines: what a user gets, no history of its making"
+        );
     }
 }
