@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 /// An instruction set that kernels are compiled for, lowest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Level {
+pub enum SimdLevel {
     /// The reference: what every processor of the target has.
     Scalar,
     /// x86-64 with AVX2, FMA, BMI1, BMI2 and LZCNT (x86-64-v3).
@@ -16,11 +16,11 @@ pub enum Level {
     Avx512,
 }
 
-impl Level {
+impl SimdLevel {
     /// The best level of this processor, or the lower one that `MLSWARP_LEVEL` asks for.
     #[must_use]
     pub fn detect() -> Self {
-        static LEVEL: OnceLock<Level> = OnceLock::new();
+        static LEVEL: OnceLock<SimdLevel> = OnceLock::new();
         *LEVEL.get_or_init(|| {
             let best = Self::best();
             match std::env::var("MLSWARP_LEVEL").as_deref() {
@@ -55,7 +55,7 @@ impl Level {
     /// Whether this processor has the level. The standard library keeps what it found, so asking is
     /// cheap; every kernel asks before it enters code that was compiled for the level.
     #[must_use]
-    pub fn is_here(self) -> bool {
+    pub fn is_supported(self) -> bool {
         match self {
             Self::Scalar => true,
             #[cfg(target_arch = "x86_64")]
@@ -68,7 +68,7 @@ impl Level {
             }
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
-                Self::Avx2.is_here()
+                Self::Avx2.is_supported()
                     && is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512bw")
                     && is_x86_feature_detected!("avx512cd")
@@ -84,7 +84,7 @@ impl Level {
     fn best() -> Self {
         [Self::Avx512, Self::Avx2]
             .into_iter()
-            .find(|level| level.is_here())
+            .find(|level| level.is_supported())
             .unwrap_or(Self::Scalar)
     }
 }

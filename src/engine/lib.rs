@@ -2,7 +2,7 @@
 //!
 //! *Handles* (points, segments, polylines) are placed on an image at rest positions `p` and moved
 //! to posed positions `q`; the image follows them smoothly. The part that depends on `p` alone is
-//! computed once (a [`deform::Plan`]); each new pose `q` then costs milliseconds.
+//! computed once (a [`deform::CoefficientTable`]); each new pose `q` then costs milliseconds.
 //!
 //! One warp, from the bytes of an image file to the bytes of a PNG:
 //!
@@ -10,8 +10,8 @@
 //! use std::{ops::ControlFlow, sync::Arc};
 //! use mlswarp::deform::Handle;
 //! use mlswarp::geometry::Point;
-//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, Posed, RestSpec};
-//! use mlswarp::warp::{Setup, Subject, Warp, WarpError};
+//! use mlswarp::warp::{Folds, Image, Limits, OutputSpec, PosedMesh, RestSpec};
+//! use mlswarp::warp::{ResolvedRest, RasterSource, RenderJob, WarpError};
 //!
 //! /// Moves the third handle 30 px down; the other two keep their places.
 //! fn longer_nose(file: &[u8]) -> Result<Vec<u8>, WarpError> {
@@ -22,17 +22,18 @@
 //!     let point = |(x, y)| Handle::Point(Point::new(x, y));
 //!     let p = [(168.0, 112.0), (316.0, 136.0), (262.0, 240.0)].map(point);
 //!     let rest = RestSpec { p: p.to_vec(), ..RestSpec::default() };
-//!     let setup = Setup::new(&rest, image.extent(), &limits)?;
-//!     let plan = setup.plan();
+//!     let resolved = ResolvedRest::new(&rest, image.extent(), &limits)?;
+//!     let compiled = resolved.plan();
 //!
 //!     // Once for each pose.
 //!     let q = [(168.0, 112.0), (316.0, 136.0), (262.0, 270.0)].map(point);
-//!     let pose = setup.pose(&q)?;
-//!     let posed = Posed::new(&setup, &plan, &pose, Folds::Report, &|| false)?;
-//!     let warp = Warp::new(Subject::Image(&image), &posed, &OutputSpec::default(), &limits)?;
+//!     let pose = resolved.pose(&q)?;
+//!     let posed = PosedMesh::new(&resolved, &compiled, &pose, Folds::Report, &|| false)?;
+//!     let source = RasterSource::Image(&image);
+//!     let job = RenderJob::new(source, &posed, &OutputSpec::default(), &limits)?;
 //!
 //!     let mut png = Vec::new();
-//!     let _ = warp.write(0, &(), &mut |bytes| {
+//!     let _ = job.write(0, &(), &mut |bytes| {
 //!         png.extend(bytes);
 //!         ControlFlow::Continue(())
 //!     });

@@ -1,6 +1,6 @@
 """Images for the generated requests: the small files of tests/fuzz/seeds, two of them damaged, and
 bytes that are not an image. Requests in which the value of a field is `null` are left out: the
-schemas call them invalid, and the server takes them (tests/it/nulls.rs)."""
+schemas call them invalid, and the server takes them (tests/it/json_null.rs)."""
 
 from pathlib import Path
 

@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 use image::ImageEncoder as _;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
-use mlswarp::codec::{self, Limits};
+use mlswarp::codec::{self, ImageLimits};
 
 use bombs::EmptyBlock;
 
@@ -158,7 +158,7 @@ fn main() {
         };
         let began = Instant::now();
         last.set(began);
-        let result = codec::decode(&file, &Limits::default(), &asked);
+        let result = codec::decode(&file, &ImageLimits::default(), &asked);
         asked();
         let took = began.elapsed().as_secs_f64() * 1e3;
         let end = result.map_or_else(|error| error.to_string(), |_| String::new());

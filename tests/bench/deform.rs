@@ -19,10 +19,10 @@ mod sets;
 use std::hint::black_box;
 
 use harness::{Report, contender, pool};
-use mlswarp::deform::{Handle, Method, Plan, pose_without_table};
+use mlswarp::deform::{CoefficientTable, Handle, Method, pose_without_table};
 use mlswarp::geometry::{Grid, Point};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, Limits, Posed, RestSpec, Setup};
+use mlswarp::warp::{Folds, Limits, PosedMesh, ResolvedRest, RestSpec};
 
 /// Reads a table once: the sum of its numbers, in as many chains as keep the loads busy.
 fn read(table: &[[f32; 64]]) -> f32 {
@@ -52,7 +52,7 @@ fn tables() {
     let grid = Grid::with_counts(sets::SIDE, sets::SIDE, 100, 100);
     for n in [7, 11, 100] {
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = Plan::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid);
         let table = vec![[1.0f32; 64]; usize::try_from(plan.bytes()).expect("fits") / 256];
         let (p, q) = sets::points(n);
         let single = |list: &[Point]| {
@@ -138,7 +138,7 @@ fn annotations(report: &mut Report) {
     };
     let side = sets::SIDE as u32;
     let extent = Extent::new(side, side).expect("a size");
-    let setup = Setup::new(&rest, extent, &Limits::default()).expect("seven points");
+    let setup = ResolvedRest::new(&rest, extent, &Limits::default()).expect("seven points");
     let pose = setup
         .pose(
             &sets::points(7)
@@ -149,7 +149,7 @@ fn annotations(report: &mut Report) {
         )
         .expect("seven points");
     let posed =
-        Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
+        PosedMesh::coarse(&setup, &setup.plan(), &pose, Folds::Report, &|| false).expect("a mesh");
     let place = |k: u32| {
         Point::new(
             f64::from(k * 7919 % 99_991) * sets::SIDE / 99_991.0,
@@ -191,7 +191,7 @@ fn growth(report: &mut Report) {
     let time = |side: u32, n: usize| {
         let grid = Grid::with_counts(sets::SIDE, sets::SIDE, side, side);
         let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-        let plan = Plan::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid);
         let median = harness::medians(
             31,
             &mut [contender("", || {
@@ -223,7 +223,7 @@ fn levels(report: &mut Report) {
     report
         .line("## Levels, 10,000 vertices\n\n| level | 7 handles | 100 handles |\n|---|---:|---:|");
     let program = std::env::current_exe().expect("a program knows where it is");
-    for level in mlswarp::level::Level::available() {
+    for level in mlswarp::level::SimdLevel::available() {
         let child = std::process::Command::new(&program)
             .arg(ONE_LEVEL)
             .env("MLSWARP_LEVEL", level.name())
@@ -244,7 +244,7 @@ fn one_level() {
         .into_iter()
         .map(|n| {
             let (field, pose) = sets::point_field(n, Method::Rigid, 1.0);
-            let plan = Plan::of_grid(&field, &grid);
+            let plan = CoefficientTable::of_grid(&field, &grid);
             let work = contender("", || {
                 black_box(plan.displace(black_box(&pose)));
             });

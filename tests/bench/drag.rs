@@ -162,7 +162,7 @@ impl Scene {
 }
 
 /// What is told of some runs side by side.
-struct Figures {
+struct DragFigures {
     /// Frames a second of each client, all frames of the same pose counted once.
     rates: Vec<f64>,
     frames: Vec<usize>,
@@ -171,7 +171,7 @@ struct Figures {
     bytes: usize,
 }
 
-impl Figures {
+impl DragFigures {
     fn new(runs: &[Run]) -> Self {
         let (mut rates, mut frames, mut ages, mut widths, mut sizes) =
             (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -249,7 +249,7 @@ fn main() {
         for ((_, sides, query, least), name) in cases {
             let scene = Scene::new(*sides);
             let service = Service::start();
-            let runs = (0..RUNS).map(|_| Figures::new(&scene.run(&service, clients, query)));
+            let runs = (0..RUNS).map(|_| DragFigures::new(&scene.run(&service, clients, query)));
             let best = runs
                 .min_by(|a, b| a.p99().total_cmp(&b.p99()))
                 .expect("three runs");

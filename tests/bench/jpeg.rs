@@ -26,7 +26,7 @@ use std::path::Path;
 use harness::pictures::{FULL_HD, SMALL, bytes, extent, photograph, size, warped};
 use harness::{Contender, Goal, Report, contender, inside, paired, pool};
 use mlswarp::codec::{JpegWriter, PngShape, Subsampling};
-use mlswarp::level::Level;
+use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap};
 use rayon::prelude::*;
 
@@ -152,7 +152,7 @@ fn table(report: &mut Report, picture: &Picture) {
         add("rusty_jpeg 4:2:0", &crate_rusty_jpeg);
     }
     let first = contenders.len();
-    for level in Level::available().iter().rev() {
+    for level in SimdLevel::available().iter().rev() {
         for (name, subsampling) in [("4:2:0", Subsampling::Half), ("4:4:4", Subsampling::Full)] {
             let writer = picture.writer(QUALITY, subsampling).with_level(*level);
             let mut out = Vec::new();
@@ -174,7 +174,7 @@ fn table(report: &mut Report, picture: &Picture) {
     }));
     let small = picture.extent.width() < 1000;
     report.table(&picture.name, if small { 61 } else { 21 }, &mut contenders);
-    let levels = Level::available().len();
+    let levels = SimdLevel::available().len();
     if picture.channels == Channels::Rgb {
         let scalar = report.ratio(first + 2 * (levels - 1), 0);
         report.goal(
@@ -262,7 +262,7 @@ fn answer(folder: &Path) {
         let (case, (width, height)) = (&picture.name, picture.sides());
         let file = format!("{case}.rgb");
         paired::write(folder, &file, &picture.samples);
-        let levels: Vec<_> = Level::available()
+        let levels: Vec<_> = SimdLevel::available()
             .iter()
             .map(|level| level.name())
             .collect();
@@ -277,7 +277,7 @@ fn answer(folder: &Path) {
                 paired::write(folder, &format!("{case}.{quality}.{name}.jpg"), &out);
             }
         }
-        for level in Level::available() {
+        for level in SimdLevel::available() {
             let (mut out, writer) = (
                 Vec::new(),
                 picture

@@ -18,7 +18,7 @@ mod sets;
 use std::hint::black_box;
 
 use harness::{Report, contender, pool};
-use mlswarp::deform::{Method, Plan};
+use mlswarp::deform::{CoefficientTable, Method};
 use mlswarp::geometry::Grid;
 
 fn main() {
@@ -64,7 +64,7 @@ fn main() {
             contenders.push(contender(
                 format!("{name}, {threads} thread(s)"),
                 move || {
-                    pool.install(|| black_box(Plan::of_grid(black_box(field), &grid)));
+                    pool.install(|| black_box(CoefficientTable::of_grid(black_box(field), &grid)));
                 },
             ));
         }

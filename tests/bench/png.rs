@@ -25,7 +25,7 @@ use std::path::Path;
 use harness::pictures::{FULL_HD, SMALL, bytes, encode, extent, photograph, size, tiles, warped};
 use harness::{Contender, Goal, Report, contender, inside, paired, pool};
 use mlswarp::codec::{Compression, PngShape, PngWriter};
-use mlswarp::level::Level;
+use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap};
 use rayon::prelude::*;
 
@@ -125,7 +125,7 @@ fn table(report: &mut Report, picture: &Picture) {
     contenders.add("png Fastest", move |out| {
         crate_png(picture, png::Compression::Fastest, None, out)
     });
-    for &level in Level::available().iter().rev() {
+    for &level in SimdLevel::available().iter().rev() {
         contenders.add(&format!("strips fast, {}", level.name()), move |out| {
             strips(picture, Compression::Fast, level, out)
         });
@@ -134,11 +134,11 @@ fn table(report: &mut Report, picture: &Picture) {
         parallel(picture, Compression::Fast, out)
     });
     contenders.add("strips none", move |out| {
-        strips(picture, Compression::None, Level::detect(), out)
+        strips(picture, Compression::None, SimdLevel::detect(), out)
     });
     if small {
         contenders.add("strips best", move |out| {
-            strips(picture, Compression::Best, Level::detect(), out)
+            strips(picture, Compression::Best, SimdLevel::detect(), out)
         });
         contenders.add("png High", move |out| {
             crate_png(picture, png::Compression::High, None, out)
@@ -174,7 +174,7 @@ fn table(report: &mut Report, picture: &Picture) {
         contenders[0].bytes().unwrap(),
         contenders[1].bytes().unwrap(),
     );
-    let two = report.ratio(1 + Level::available().len(), 1);
+    let two = report.ratio(1 + SimdLevel::available().len(), 1);
     let one = report.ratio(1, 0);
     report.goal(
         &format!("{}: 1 thread / png Fastest", picture.name),
@@ -201,7 +201,7 @@ fn growth(report: &mut Report) {
     let mut contenders = Contenders(Vec::new());
     for picture in &pictures {
         contenders.add(&picture.name, move |out| {
-            strips(picture, Compression::Fast, Level::detect(), out)
+            strips(picture, Compression::Fast, SimdLevel::detect(), out)
         });
     }
     let medians = report.table("growth, RGBA, strips fast, 1 thread", 41, &mut contenders.0);
@@ -242,12 +242,12 @@ fn answer(folder: &Path) {
         let file = format!("{case}.warped.rgba");
         paired::write(folder, &file, &picture.samples);
         contenders.add(case, move |out| {
-            strips(picture, Compression::Fast, Level::detect(), out)
+            strips(picture, Compression::Fast, SimdLevel::detect(), out)
         });
         index.push(serde_json::json!({
             "case": case, "width": picture.width, "height": picture.height, "picture": file,
             "bytes": contenders.0.last().and_then(Contender::bytes),
-                "level": Level::detect().name(),
+                "level": SimdLevel::detect().name(),
         }));
     }
     paired::write(
@@ -278,7 +278,7 @@ fn strip_samples<'a>(picture: &'a Picture, writer: &PngWriter, strip: usize) -> 
     &picture.samples[rows.start as usize * row..rows.end as usize * row]
 }
 
-fn strips(picture: &Picture, compression: Compression, level: Level, out: &mut Vec<u8>) {
+fn strips(picture: &Picture, compression: Compression, level: SimdLevel, out: &mut Vec<u8>) {
     let writer = writer(picture, compression).with_level(level);
     out.extend_from_slice(&writer.head());
     let checksums: Vec<_> = (0..writer.strips())

@@ -28,7 +28,7 @@ use harness::pictures::{
 };
 use harness::{Contender, Goal, Report, dense, inside, paired, pool};
 use mlswarp::geometry::{Grid, Mesh};
-use mlswarp::level::Level;
+use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Extent};
 use mlswarp::render::{Outside, RenderOptions, Renderer, Source};
 use rayon::prelude::*;
@@ -85,7 +85,7 @@ fn table(report: &mut Report, title: &str, extent: Extent, channels: Channels, f
         100.0 * mesh.folded_cells().count() as f64 / f64::from((VERTICES - 1) * (VERTICES - 1));
     let (one, two) = (pool(1), pool(2));
     let mut contenders = Vec::new();
-    for &level in Level::available().iter().rev() {
+    for &level in SimdLevel::available().iter().rev() {
         for (threads, pool, bands) in [(1, &one, 1), (2, &two, BANDS)] {
             let mut drawing = Drawing::new(&source, &mesh, extent, level, bands);
             contenders.push(inside(
@@ -139,7 +139,7 @@ fn edge(report: &mut Report, title: &str, chaotic: bool) {
         };
         Drawing {
             options,
-            ..Drawing::new(&source, &mesh, extent, Level::detect(), 1)
+            ..Drawing::new(&source, &mesh, extent, SimdLevel::detect(), 1)
         }
     });
     let bare = drawings[0].bare();
@@ -163,7 +163,7 @@ struct Drawing<'a> {
     mesh: &'a Mesh,
     extent: Extent,
     options: RenderOptions,
-    level: Level,
+    level: SimdLevel,
     bands: u32,
     out: Vec<u8>,
 }
@@ -173,7 +173,7 @@ impl<'a> Drawing<'a> {
         source: &'a Arc<Source>,
         mesh: &'a Mesh,
         extent: Extent,
-        level: Level,
+        level: SimdLevel,
         bands: u32,
     ) -> Self {
         Self {
@@ -222,7 +222,7 @@ fn growth(report: &mut Report) {
     let drawn = extents.map(|e| (Arc::new(Source::new(tiles(e))), mesh(e, Folded::Nowhere)));
     let one = pool(1);
     let drawings = extents.iter().zip(&drawn).map(|(&e, (source, mesh))| {
-        let mut drawing = Drawing::new(source, mesh, e, Level::detect(), 1);
+        let mut drawing = Drawing::new(source, mesh, e, SimdLevel::detect(), 1);
         inside(&one, size(e), move || drawing.draw())
     });
     let mut contenders: Vec<Contender<'_>> = drawings.collect();
@@ -280,7 +280,7 @@ fn answer(folder: &Path) {
             .flatten()
             .flat_map(|x| x.to_le_bytes())
             .collect();
-        let mut drawing = Drawing::new(source, mesh, *extent, Level::detect(), 1);
+        let mut drawing = Drawing::new(source, mesh, *extent, SimdLevel::detect(), 1);
         drawing.draw();
         let files = [
             ("source.rgba", bytes(source.pixmap())),
@@ -295,7 +295,7 @@ fn answer(folder: &Path) {
         index.push(serde_json::json!({
             "case": name, "what": format!("{}, {}", size(*extent), folded.name()),
                 "width": extent.width(), "height": extent.height(),
-            "source": source, "map": map, "ours": ours, "level": Level::detect().name(),
+            "source": source, "map": map, "ours": ours, "level": SimdLevel::detect().name(),
         }));
         contenders.push(inside(&one, *name, move || drawing.draw()));
     }

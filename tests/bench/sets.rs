@@ -3,7 +3,7 @@
 
 #![allow(dead_code, reason = "each benchmark uses a part of the sets")]
 
-use mlswarp::deform::{Falloff, Field, Handle, Handles, Method, Pose};
+use mlswarp::deform::{Falloff, Handle, Handles, Method, Pose, RestDeformation};
 use mlswarp::geometry::Point;
 
 pub const SIDE: f64 = 500.0;
@@ -50,14 +50,14 @@ pub fn points(n: usize) -> (Vec<Point>, Vec<Point>) {
     (p, q)
 }
 
-pub fn point_field(n: usize, method: Method, alpha: f64) -> (Field, Pose) {
+pub fn point_field(n: usize, method: Method, alpha: f64) -> (RestDeformation, Pose) {
     let (p, q) = points(n);
     let handles = |list: Vec<Point>| list.into_iter().map(Handle::Point).collect::<Vec<_>>();
     field(handles(p), handles(q), method, alpha)
 }
 
 /// `n` segments side by side, none crossing another.
-pub fn line_field(n: usize, method: Method, alpha: f64) -> (Field, Pose) {
+pub fn line_field(n: usize, method: Method, alpha: f64) -> (RestDeformation, Pose) {
     let mut random = Fractions::new(11);
     let (mut p, mut q) = (vec![], vec![]);
     for k in 0..n {
@@ -75,10 +75,10 @@ pub fn line_field(n: usize, method: Method, alpha: f64) -> (Field, Pose) {
     field(p, q, method, alpha)
 }
 
-fn field(p: Vec<Handle>, q: Vec<Handle>, method: Method, alpha: f64) -> (Field, Pose) {
+fn field(p: Vec<Handle>, q: Vec<Handle>, method: Method, alpha: f64) -> (RestDeformation, Pose) {
     let rest = Handles::new(p, None).expect("well-formed handles");
     let falloff = Falloff::new(alpha, rest.has_lines()).expect("alpha in range");
-    let field = Field::new(rest, method, falloff, 1.0).expect("a regular set");
+    let field = RestDeformation::new(rest, method, falloff, 1.0).expect("a regular set");
     let pose = field.pose(&q).expect("targets that agree");
     (field, pose)
 }

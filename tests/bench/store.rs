@@ -25,11 +25,11 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Digest, Folds, OutputSpec, RestSpec};
 use mlswarp_server::client::Owner;
 use mlswarp_server::session::{Revision, SessionId};
-use mlswarp_server::store::{Bounds, NamedFile, Record, Store, StoreUrl, open};
+use mlswarp_server::store::{NamedFile, Record, Store, StoreLimits, StoreUrl, open};
 
 const SESSIONS: usize = 1000;
 const FILE: usize = 300 << 10;
-const BOUNDS: Bounds = Bounds {
+const BOUNDS: StoreLimits = StoreLimits {
     idle: Duration::from_secs(900),
     sessions: 10_000,
     bytes: 8 << 30,

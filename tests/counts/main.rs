@@ -31,10 +31,10 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, Limits, PngShape, PngWriter, StepCounter};
-use mlswarp::deform::{Method, Plan};
+use mlswarp::codec::{self, Compression, ImageLimits, PngShape, PngWriter, StepCounter};
+use mlswarp::deform::{CoefficientTable, Method};
 use mlswarp::geometry::{Grid, Mesh};
-use mlswarp::level::Level;
+use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use mlswarp::render::{Filter, Outside, RenderOptions, Renderer, Source};
 
@@ -54,7 +54,7 @@ fn main() {
         .filter(|argument| !argument.starts_with('-'));
     let (wanted, folder) = (arguments.next(), arguments.next());
     let Some(wanted) = wanted else {
-        println!("level {}", Level::detect().name());
+        println!("level {}", SimdLevel::detect().name());
         STAGES.iter().for_each(|(name, _)| println!("{name}"));
         return;
     };
@@ -101,7 +101,7 @@ fn files(folder: &Path) {
     for (name, bytes, _) in bombs::all(&tables) {
         std::fs::write(folder.join(format!("bomb: {name}")), bytes).expect("a file");
     }
-    let limits = Limits::default();
+    let limits = ImageLimits::default();
     for path in listed(folder) {
         let bytes = std::fs::read(&path).expect("a file");
         let header = codec::probe(&bytes, &StepCounter::new(&|| false))
@@ -127,7 +127,7 @@ fn decode(folder: &Path) {
         counted_stage(&mut || {
             drop(black_box(codec::decode(
                 black_box(&bytes),
-                &Limits::default(),
+                &ImageLimits::default(),
                 &|| false,
             )))
         });
@@ -154,7 +154,7 @@ fn grid() -> Grid {
 /// 10,000 vertices posed by 7 points.
 fn deform() {
     let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
-    let plan = Plan::of_grid(&field, &grid);
+    let plan = CoefficientTable::of_grid(&field, &grid);
     measure(|| {
         black_box(plan.pose(&grid, black_box(&pose)));
     });
@@ -164,7 +164,7 @@ fn deform() {
 fn plan() {
     let (grid, (field, _)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
     measure(|| {
-        black_box(Plan::of_grid(black_box(&field), &grid));
+        black_box(CoefficientTable::of_grid(black_box(&field), &grid));
     });
 }
 
@@ -172,7 +172,7 @@ fn plan() {
 fn plan_lines() {
     let (grid, (field, _)) = (grid(), sets::line_field(7, Method::Rigid, 2.0));
     measure(|| {
-        black_box(Plan::of_grid(black_box(&field), &grid));
+        black_box(CoefficientTable::of_grid(black_box(&field), &grid));
     });
 }
 
@@ -221,7 +221,7 @@ fn extent() -> Extent {
 /// The astronaut, cropped, as RGBA.
 fn source() -> Arc<Source> {
     let file = include_bytes!("../images/astronaut.png");
-    let photograph = codec::decode(file, &Limits::default(), &|| false)
+    let photograph = codec::decode(file, &ImageLimits::default(), &|| false)
         .expect("a whole file")
         .pixmap;
     let Samples::Eight(samples) = photograph.samples() else {
@@ -246,7 +246,9 @@ fn source() -> Arc<Source> {
 
 fn mesh() -> Mesh {
     let (grid, (field, pose)) = (grid(), sets::point_field(7, Method::Rigid, 1.0));
-    Plan::of_grid(&field, &grid).pose(&grid, &pose).0
+    CoefficientTable::of_grid(&field, &grid)
+        .pose(&grid, &pose)
+        .0
 }
 
 /// All rows in bands of 64.

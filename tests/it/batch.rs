@@ -3,7 +3,7 @@
 
 use std::io::{Cursor, Read as _};
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use mlswarp_server::pool::{Load, WorkClass};
 use reqwest::Response;
 use serde_json::{Value, json};
@@ -702,7 +702,7 @@ async fn too_many_frames_are_refused_by_their_number() {
     assert_eq!(files.len(), 10_001);
     assert!(files["0000.png"] == files["9999.png"]);
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
 }
@@ -832,10 +832,10 @@ async fn a_reader_that_stalls_holds_a_few_frames_and_no_worker_and_is_ended() {
     // One is being sent, one waits in hyper, four are made ahead.
     let made = begun(&server).await;
     assert!((2..=7).contains(&made), "{made}");
-    assert!(server.app.budget().taken_for(Purpose::Frame) < 16 << 20);
+    assert!(server.app.budget().taken_for(MemoryClass::Frame) < 16 << 20);
     png(server.drag(&id, &json!({"q": [[23, 20]]})).await).await;
     eventually("it is ended by the deadline for writing", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
     assert_eq!(server.app.counters().pictures_begun, made + 1);
@@ -852,7 +852,7 @@ async fn the_work_stops_when_the_client_leaves_and_memory_is_flat_until_then() {
     // A hundred frames.
     while taken < 100 * LARGE.0 as usize * LARGE.1 as usize * 4 {
         taken += stream.read(&mut piece).await.unwrap();
-        most = most.max(server.app.budget().taken_for(Purpose::Frame));
+        most = most.max(server.app.budget().taken_for(MemoryClass::Frame));
     }
     drop(stream);
     let made = begun(&server).await;
@@ -860,7 +860,7 @@ async fn the_work_stops_when_the_client_leaves_and_memory_is_flat_until_then() {
     // A frame that is being posed reserves what halving all of its cells would take.
     assert!(most < 32 << 20, "{most} bytes for frames");
     eventually("all memory is given back", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
     let counters = server.app.counters();
@@ -936,7 +936,7 @@ async fn a_frame_that_fails_ends_the_file_without_its_directory() {
         assert_eq!(response.status(), 200);
         let mut bytes = response.chunk().await.unwrap().unwrap().to_vec();
         let all = budget
-            .take(Purpose::Frame, budget.total() - budget.taken())
+            .take(MemoryClass::Frame, budget.total() - budget.taken())
             .unwrap();
         let mut held = Vec::new();
         if is_given_back {
@@ -955,7 +955,7 @@ async fn a_frame_that_fails_ends_the_file_without_its_directory() {
             }
             // What frames that have left gave back.
             if !is_given_back
-                && let Ok(more) = budget.take(Purpose::Frame, budget.total() - budget.taken())
+                && let Ok(more) = budget.take(MemoryClass::Frame, budget.total() - budget.taken())
             {
                 held.push(more);
             }
@@ -968,7 +968,7 @@ async fn a_frame_that_fails_ends_the_file_without_its_directory() {
         drop(held);
     }
     eventually("all memory is given back", || {
-        budget.taken_for(Purpose::Frame) == 0
+        budget.taken_for(MemoryClass::Frame) == 0
     })
     .await;
     server.is_well().await;

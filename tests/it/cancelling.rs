@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::layers::sources;
+use crate::module_dependencies::sources;
 
 /// Work that is bounded so that it ends by itself within about 10 ms: closures that ignore their
 /// `Cancel` contain one of these.

@@ -2,7 +2,8 @@
 //! contradictory is reported.
 
 use mlswarp::deform::{
-    Coincident, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Warning,
+    CoefficientTable, Coincident, DeformError, Falloff, Handle, Handles, Method, RestDeformation,
+    Warning,
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
 use proptest::prelude::*;
@@ -26,14 +27,14 @@ fn field(
     within: f64,
     method: Method,
     alpha: f64,
-) -> Result<Field, DeformError> {
+) -> Result<RestDeformation, DeformError> {
     let handles = Handles::new(p, weights)?;
     let falloff = Falloff::new(alpha, handles.has_lines())?;
     let coincident = Coincident {
         within,
         ..Coincident::default()
     };
-    Field::new_unless(handles, coincident, method, falloff, 30.0, &|| false)
+    RestDeformation::new_unless(handles, coincident, method, falloff, 30.0, &|| false)
 }
 
 fn near(found: Point, expected: Point, tolerance: f64) {
@@ -176,7 +177,7 @@ fn the_position_that_lines_share_moves_by_the_weighted_mean() {
         assert_eq!(groups, [(vec![0, 1], 32.0), (vec![0, 2], 48.0)]);
         // The table has the same rows.
         let grid = Grid::with_counts(64.0, 64.0, 5, 5);
-        let (mesh, _) = Plan::of_grid(&field, &grid).pose(&grid, &pose);
+        let (mesh, _) = CoefficientTable::of_grid(&field, &grid).pose(&grid, &pose);
         near(mesh.posed(2, 2), Point::new(38.0, 32.0), 1e-5);
         assert!((0..25).all(|k| mesh.posed(k % 5, k / 5).is_finite()));
     }

@@ -1,7 +1,7 @@
 //! Compact meshes on the drag socket: every n-th line of the full mesh, within the error that the
 //! server states.
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use serde_json::{Value, json};
 
 use crate::support::drag_client::Received;
@@ -304,7 +304,7 @@ async fn compact_meshes_are_as_near_to_the_full_ones_as_stated() {
         "{hello}"
     );
     eventually("nothing is left of the meshes", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
 }

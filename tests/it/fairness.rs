@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use mlswarp_server::client::{Client as Who, Owner};
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use mlswarp_server::pool::{QueueKey, WorkClass};
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
@@ -628,7 +628,7 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
         held.push(stream);
         assert!(server.app.request_quota(one.who()).held() <= limit);
     }
-    let taken = server.app.budget().taken_for(Purpose::Upload);
+    let taken = server.app.budget().taken_for(MemoryClass::Upload);
     eprintln!(
         "{} uploads are held, {refused} were refused; {taken} bytes are taken, \
          {limit} is the limit",

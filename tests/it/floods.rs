@@ -224,7 +224,7 @@ async fn pings_settings_and_windows_are_answered_one_by_one() {
 /// deadline.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn who_floods_and_reads_nothing_is_cut() {
-    const MOST: u32 = 10_000;
+    const MAX_REQUESTS: u32 = 10_000;
     for (name, one) in [
         ("PING, unread", frame(PING, 0, 0, &[7; 8])),
         ("SETTINGS, unread", frame(SETTINGS, 0, 0, &[])),
@@ -238,7 +238,7 @@ async fn who_floods_and_reads_nothing_is_cut() {
             let mut sent = 0;
             // The last write waits until the server closes, as the server reads nothing more.
             let writing = async {
-                while sent < MOST && frames.write.write_all(&batch).await.is_ok() {
+                while sent < MAX_REQUESTS && frames.write.write_all(&batch).await.is_ok() {
                     sent += 1;
                 }
             };
@@ -249,6 +249,9 @@ async fn who_floods_and_reads_nothing_is_cut() {
         })
         .await;
         eprintln!("{name}: cut after at most {} frames", sent * BATCH);
-        assert!(sent < MOST, "{name}: all of {MOST} batches were read");
+        assert!(
+            sent < MAX_REQUESTS,
+            "{name}: all of {MAX_REQUESTS} batches were read"
+        );
     }
 }

@@ -6,9 +6,11 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Limits as ImageLimits};
+use mlswarp::codec::{self, ImageLimits};
 use mlswarp::pixmap::{Pixmap, Samples};
-use mlswarp::warp::{Image, Limits, Method, OutputSpec, Posed, Setup, Subject, Warp};
+use mlswarp::warp::{
+    Image, Limits, Method, OutputSpec, PosedMesh, RasterSource, RenderJob, ResolvedRest,
+};
 use mlswarp_server::wire::{Reserved, WarpObject};
 
 use crate::support::picture::decoded;
@@ -46,10 +48,16 @@ pub(crate) fn draw(photograph: &Path, object: &WarpObject) -> Vec<u8> {
     let image = Arc::new(
         Image::decode(&std::fs::read(photograph).unwrap(), &ImageLimits::default()).unwrap(),
     );
-    let setup = Setup::new(&object.rest, image.extent(), &limits()).unwrap();
+    let setup = ResolvedRest::new(&object.rest, image.extent(), &limits()).unwrap();
     let pose = setup.pose(object.q.as_deref().unwrap()).unwrap();
-    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
-    let warp = Warp::new(Subject::Image(&image), &posed, &object.output, &limits()).unwrap();
+    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, object.folds, &|| false).unwrap();
+    let warp = RenderJob::new(
+        RasterSource::Image(&image),
+        &posed,
+        &object.output,
+        &limits(),
+    )
+    .unwrap();
     let mut bytes = Vec::new();
     let written = warp.write(1, &(), &mut |strip| {
         bytes.extend(strip);

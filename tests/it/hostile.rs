@@ -20,7 +20,7 @@ const CLIENTS: usize = 4;
 const CODES: [&str; 3] = ["bad_image", "too_large", "unsupported_format"];
 /// What the options below let pictures take: two caches, and in each of two workers a picture of 2
 /// MP with all that decoding it takes (16 bytes a pixel and the tables of prefix codes).
-const MOST: u64 = (32 + 8 + 2 * (32 + 128)) << 20;
+const MAX_BYTES: u64 = (32 + 8 + 2 * (32 + 128)) << 20;
 const OPTIONS: [&str; 10] = [
     "--workers",
     "2",
@@ -178,7 +178,7 @@ async fn damaged_pictures_are_answered_and_leave_the_server_well() {
         peak >> 20,
         before >> 20
     );
-    assert!(peak < before + MOST, "{peak} bytes, {before} before");
+    assert!(peak < before + MAX_BYTES, "{peak} bytes, {before} before");
     for kind in ["png", "jpeg", "webp"] {
         let of = |statuses: &[u16]| {
             answers

@@ -4,12 +4,13 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, Limits as ImageLimits, PngShape, PngWriter};
+use mlswarp::codec::{self, Compression, ImageLimits, PngShape, PngWriter};
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::{Channels, Depth, Extent};
 use mlswarp::warp::{
-    Folds, GridSpec, Image, Method, OutputSpec, Posed, RestSpec, Setup, Subject, Warp,
+    Folds, GridSpec, Image, Method, OutputSpec, PosedMesh, RasterSource, RenderJob, ResolvedRest,
+    RestSpec,
 };
 
 use crate::golden::limits;
@@ -86,14 +87,15 @@ fn identity_returns_the_decoded_pixels() {
                             grid,
                             ..RestSpec::default()
                         };
-                        let setup = Setup::new(&rest, extent, &limits()).unwrap();
+                        let setup = ResolvedRest::new(&rest, extent, &limits()).unwrap();
                         let pose = setup.pose(&rest.p).unwrap();
                         let output = OutputSpec::default();
                         let posed =
-                            Posed::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false)
+                            PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Reject, &|| false)
                                 .unwrap();
                         let warp =
-                            Warp::new(Subject::Image(&image), &posed, &output, &limits()).unwrap();
+                            RenderJob::new(RasterSource::Image(&image), &posed, &output, &limits())
+                                .unwrap();
                         let mut png = Vec::new();
                         let _ = warp.write(0, &(), &mut |bytes| {
                             png.extend(bytes);

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use data_encoding::BASE64URL_NOPAD;
 use futures_util::{SinkExt as _, StreamExt as _};
 use mlswarp_server::http::{Access, paths};
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 use tokio::net::TcpStream;
@@ -625,8 +625,8 @@ async fn caches_tell_one_owner_nothing_of_another() {
     let budget = server.app.budget();
     let memory = || {
         (
-            budget.taken_for(Purpose::Image),
-            budget.taken_for(Purpose::Plan),
+            budget.taken_for(MemoryClass::Image),
+            budget.taken_for(MemoryClass::Plan),
         )
     };
     let (built, etag) = ask(ANN).await;

@@ -7,7 +7,8 @@ use std::ops::ControlFlow;
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::warp::{
-    Folds, LabelImage, Limits, Method, OutputSpec, Posed, RestSpec, Setup, Subject, Warp,
+    Folds, LabelImage, Limits, Method, OutputSpec, PosedMesh, RasterSource, RenderJob,
+    ResolvedRest, RestSpec,
 };
 
 use crate::support::picture::png_of;
@@ -98,12 +99,12 @@ fn labels_follow_the_inverse_of_the_pixel_centre() {
     let (mut compared, mut near_borders, mut usable) = (0, 0, 0);
     for seed in 0..200 {
         let (rest, q) = warp(seed);
-        let setup = Setup::new(&rest, image.extent(), &limits).unwrap();
+        let setup = ResolvedRest::new(&rest, image.extent(), &limits).unwrap();
         let pose = setup.pose(&q).unwrap();
-        let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+        let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
         let mut out = Vec::new();
-        let _ = Warp::new(
-            Subject::Labels(&image),
+        let _ = RenderJob::new(
+            RasterSource::Labels(&image),
             &posed,
             &OutputSpec::default(),
             &limits,

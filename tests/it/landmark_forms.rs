@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::multipart::Form;
 use reqwest::{Method, Response};
 use serde_json::{Value, json};
@@ -464,7 +464,7 @@ async fn forms_that_say_too_much_or_too_little_are_refused() {
         204
     );
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Upload) == 0
+        server.app.budget().taken_for(MemoryClass::Upload) == 0
     })
     .await;
 }

@@ -1,6 +1,6 @@
 //! Landmark files: `POST /landmarks`, and uploads whose handles are in files.
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::Response;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
@@ -95,7 +95,7 @@ async fn a_picture_with_landmark_files_is_that_with_their_handles() {
     let (_, drawn) = picture(&server, &[("landmarks_p", PTS), ("landmarks_q", CSV)]).await;
     assert!(drawn == expected);
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Upload) == 0
+        server.app.budget().taken_for(MemoryClass::Upload) == 0
     })
     .await;
 }
@@ -338,7 +338,7 @@ async fn uploads_that_say_too_much_or_too_little_are_refused() {
     );
     server.is_well().await;
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Upload) == 0
+        server.app.budget().taken_for(MemoryClass::Upload) == 0
     })
     .await;
 }
@@ -462,7 +462,7 @@ async fn files_are_converted_without_an_image() {
         "`extent_p` is given twice: in the query and as a part"
     );
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Upload) == 0
+        server.app.budget().taken_for(MemoryClass::Upload) == 0
     })
     .await;
 }

@@ -2,7 +2,7 @@
 //! reproduction, equivariance, and that the plan says what the definition says. Handles lie in
 //! separate cells of a 4 x 4 board, so that no two lines cross.
 
-use mlswarp::deform::{Falloff, Field, Handle, Handles, Method, Plan, Pose};
+use mlswarp::deform::{CoefficientTable, Falloff, Handle, Handles, Method, Pose, RestDeformation};
 use mlswarp::geometry::{Grid, Point, Vec2};
 use proptest::prelude::*;
 
@@ -20,14 +20,14 @@ struct Set {
 }
 
 impl Set {
-    fn field(&self, method: Method) -> Field {
+    fn field(&self, method: Method) -> RestDeformation {
         self.field_of(&self.p, method)
     }
 
-    fn field_of(&self, p: &[Handle], method: Method) -> Field {
+    fn field_of(&self, p: &[Handle], method: Method) -> RestDeformation {
         let rest = Handles::new(p.to_vec(), Some(self.weights.clone())).unwrap();
         let falloff = Falloff::new(self.alpha, rest.has_lines()).unwrap();
-        Field::new(rest, method, falloff, self.point_mass).unwrap()
+        RestDeformation::new(rest, method, falloff, self.point_mass).unwrap()
     }
 
     /// Largest displacement of a handle, px.
@@ -182,7 +182,8 @@ proptest! {
             for v in &at {
                 prop_assert_eq!(field.map(&pose, *v), *v);
             }
-            let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
+            let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
+            let (displacement, _) = table.displace(&pose);
             prop_assert!(displacement.iter().all(|d| *d == [0.0, 0.0]));
         }
     }
@@ -224,7 +225,8 @@ proptest! {
         for method in METHODS {
             let field = set.field(method);
             let pose = field.pose(&set.q).unwrap();
-            let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
+            let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
+            let (displacement, _) = table.displace(&pose);
             for (v, d) in at.iter().zip(displacement) {
                 let exact = field.map(&pose, *v) - *v;
                 let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
@@ -322,7 +324,7 @@ proptest! {
             let field = set.field_of(&p, method);
             let Ok(pose) = field.pose(&q) else { continue };
             let grid = Grid::with_counts(SIDE * far, SIDE * far, 9, 9);
-            let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
+            let mesh = CoefficientTable::of_grid(&field, &grid).pose(&grid, &pose).0;
             prop_assert!(mesh.displacement().iter().flatten().all(|c| c.is_finite()), "{method:?} \
                 alpha {}", set.alpha);
         }
@@ -346,7 +348,7 @@ fn weights_a_doubled_weight_is_a_doubled_point() {
             at(80.0, 310.0),
             at(390.0, 400.0),
         ];
-        let weighted = Field::new(
+        let weighted = RestDeformation::new(
             Handles::new(p.clone(), Some(vec![1.0, 1.0, 2.0, 1.0])).unwrap(),
             method,
             falloff,
@@ -354,7 +356,7 @@ fn weights_a_doubled_weight_is_a_doubled_point() {
         )
         .unwrap();
         let doubled = |list: &[Handle]| [list, &list[2..3]].concat();
-        let twice = Field::new(
+        let twice = RestDeformation::new(
             Handles::new(doubled(&p), None).unwrap(),
             method,
             falloff,
@@ -398,7 +400,9 @@ fn segments_are_the_limit_of_dense_points() {
                 None,
             )
             .unwrap();
-            let field = Field::new(lines, method, Falloff::new(alpha, true).unwrap(), 1.0).unwrap();
+            let field =
+                RestDeformation::new(lines, method, Falloff::new(alpha, true).unwrap(), 1.0)
+                    .unwrap();
             let pose = field
                 .pose(&[Handle::Polyline(vec![c, d]), Handle::Polyline(vec![g, h])])
                 .unwrap();
@@ -413,7 +417,7 @@ fn segments_are_the_limit_of_dense_points() {
                     }
                 }
                 let falloff = Falloff::new(alpha, false).unwrap();
-                let field = Field::new(
+                let field = RestDeformation::new(
                     Handles::new(p, Some(weights)).unwrap(),
                     method,
                     falloff,

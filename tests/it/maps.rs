@@ -1,7 +1,7 @@
 //! Coordinate maps: what they hold, their files, their limits, and clients that leave or do not
 //! read.
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::Response;
 use serde_json::{Value, json};
 
@@ -285,7 +285,7 @@ async fn maps_over_the_limits_are_refused_before_anything_is_allocated() {
     assert_eq!(answer.status(), 422);
     assert_eq!(server.app.counters().pictures_begun, 0);
     eventually("nothing is held", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
 }
@@ -299,7 +299,7 @@ async fn a_map_is_computed_as_it_is_read_and_no_longer_than_that() {
         &object(r#""extent": [7000, 7000], "grid": {"cell": 70}"#),
     )
     .await;
-    let held = || server.app.budget().taken_for(Purpose::Frame);
+    let held = || server.app.budget().taken_for(MemoryClass::Frame);
     let mut read = 0;
     while read < 40 << 20 {
         read += response.chunk().await.unwrap().expect("more").len();

@@ -76,7 +76,7 @@ async fn what_happens_is_counted_and_nothing_of_a_client_is_told() {
         server
             .app
             .budget()
-            .taken_for(mlswarp_server::limits::memory::Purpose::Frame)
+            .taken_for(mlswarp_server::limits::memory::MemoryClass::Frame)
             == 0
     })
     .await;

@@ -3,8 +3,8 @@
 //! `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
 use mlswarp::deform::{
-    Coincident, CoincidentPolicy, DeformError, Falloff, Field, Handle, Handles, Method, Plan, Pose,
-    Warning,
+    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Falloff, Handle, Handles, Method,
+    Pose, RestDeformation, Warning,
 };
 use mlswarp::geometry::{Grid, Point};
 use serde_json::Value;
@@ -91,7 +91,7 @@ fn handles(case: &Value, end: &str) -> Vec<Handle> {
     points.chain(lines).collect()
 }
 
-fn field(case: &Value, method: Chosen) -> Result<(Field, Pose), DeformError> {
+fn field(case: &Value, method: Chosen) -> Result<(RestDeformation, Pose), DeformError> {
     let rest = Handles::new(handles(case, "p"), None)?;
     let coincident = Coincident {
         policy: CoincidentPolicy::Reject,
@@ -101,16 +101,16 @@ fn field(case: &Value, method: Chosen) -> Result<(Field, Pose), DeformError> {
         Some(method) => {
             let falloff = Falloff::new(case["alpha"].as_f64().unwrap(), rest.has_lines())?;
             let mass = case["point_mass"].as_f64().unwrap_or(1.0);
-            Field::new_unless(rest, coincident, method, falloff, mass, &|| false)?
+            RestDeformation::new_unless(rest, coincident, method, falloff, mass, &|| false)?
         }
-        None => Field::spline_unless(rest, coincident, 0.0, &|| false)?,
+        None => RestDeformation::spline_unless(rest, coincident, 0.0, &|| false)?,
     };
     let pose = field.pose(&handles(case, "q"))?;
     Ok((field, pose))
 }
 
 /// Worst distance from the expected places: of exact evaluation, and of the f32 plan.
-fn worst(case: &Value, field: &Field, pose: &Pose) -> (f64, f64) {
+fn worst(case: &Value, field: &RestDeformation, pose: &Pose) -> (f64, f64) {
     let vertices: Vec<Point> = case["vertices"]
         .as_array()
         .unwrap()
@@ -124,7 +124,7 @@ fn worst(case: &Value, field: &Field, pose: &Pose) -> (f64, f64) {
         .map(point)
         .collect();
     let (displacement, _) =
-        Plan::of_vertices(field, vertices.len(), |k| vertices[k]).displace(pose);
+        CoefficientTable::of_vertices(field, vertices.len(), |k| vertices[k]).displace(pose);
     let mut worst = (0.0f64, 0.0f64);
     for ((v, e), d) in vertices.iter().zip(&expected).zip(displacement) {
         let exact = field.map(pose, *v).distance(*e);
@@ -199,7 +199,7 @@ fn oracle_degenerate_sets_have_their_named_results() {
             "rotation undefined -> identity rotation: f = v - p* + q*" => {
                 let grid = Grid::with_counts(500.0, 500.0, 11, 11);
                 assert!(
-                    Plan::of_grid(&field, &grid)
+                    CoefficientTable::of_grid(&field, &grid)
                         .pose(&grid, &pose)
                         .1
                         .least_rotation
@@ -256,7 +256,9 @@ fn oracle_folded_cells_are_the_same_cells() {
             u32::try_from(nx).unwrap(),
             u32::try_from(ny).unwrap(),
         );
-        let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
+        let mesh = CoefficientTable::of_grid(&field, &grid)
+            .pose(&grid, &pose)
+            .0;
         let mut folded: Vec<[u64; 2]> = mesh
             .folded_cells()
             .map(|(i, j)| [i.into(), j.into()])

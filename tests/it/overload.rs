@@ -5,7 +5,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use mlswarp_server::client::Client;
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use mlswarp_server::pool::{QueueKey, Ticket, WorkClass};
 use reqwest::Response;
 use serde_json::json;
@@ -279,15 +279,15 @@ async fn memory_is_refused_before_it_is_taken_and_what_is_idle_gives_way() {
         png(server.upload("/warp", &photo(width, 800), &warp).await).await;
         assert!(budget.taken() <= budget.total());
     }
-    assert!(budget.taken_for(Purpose::Image) > 12 << 20);
+    assert!(budget.taken_for(MemoryClass::Image) > 12 << 20);
     // All that is left is taken by others; what is idle still gives way, and then nothing does.
     let all = budget
-        .take(Purpose::Frame, budget.total() - budget.taken())
+        .take(MemoryClass::Frame, budget.total() - budget.taken())
         .unwrap();
     png(server.upload("/warp", &photo(800, 600), &warp).await).await;
     server.app.clear_caches();
     let rest = budget
-        .take(Purpose::Frame, budget.total() - budget.taken())
+        .take(MemoryClass::Frame, budget.total() - budget.taken())
         .unwrap();
     self::refused(server.upload("/warp", &photo(800, 600), &warp).await).await;
     problem(
@@ -299,7 +299,7 @@ async fn memory_is_refused_before_it_is_taken_and_what_is_idle_gives_way() {
     drop((all, rest));
     server.is_well().await;
     eventually("answers have left", || {
-        budget.taken_for(Purpose::Frame) + budget.taken_for(Purpose::Upload) == 0
+        budget.taken_for(MemoryClass::Frame) + budget.taken_for(MemoryClass::Upload) == 0
     })
     .await;
 }

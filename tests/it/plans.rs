@@ -3,7 +3,7 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use serde_json::{Value, json};
 
 use crate::support::server::{header, problem};
@@ -493,7 +493,7 @@ async fn wrong_lattices_are_refused_before_memory_is_taken() {
         );
     }
     eventually("nothing is kept", || {
-        server.app.budget().taken_for(Purpose::Frame) == 0
+        server.app.budget().taken_for(MemoryClass::Frame) == 0
     })
     .await;
     // A coefficient of nearly collinear handles that half precision cannot hold.

@@ -2,7 +2,7 @@
 //! whose colours are its own coordinates shows which position of the source is drawn at each pixel.
 
 use mlswarp::geometry::Point;
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use serde_json::{Value, json};
 
 use crate::support::picture::{decoded, png_of};
@@ -277,7 +277,7 @@ async fn memory_for_reading_is_reserved() {
             {{"type": "Feature", "geometry": {{"type": "MultiLineString", "coordinates": {lists}}}, "properties": null}}]}}}}"#
     );
     let id = server.session(&photo(16, 12), &json!({})).await;
-    let before = server.app.budget().taken_for(Purpose::Upload);
+    let before = server.app.budget().taken_for(MemoryClass::Upload);
     for path in ["/points", &format!("/sessions/{id}/points")] {
         let body = if path == "/points" {
             body.clone()
@@ -295,7 +295,7 @@ async fn memory_for_reading_is_reserved() {
         assert!(refused["actual"].as_u64() > Some(140 << 20), "{refused}");
     }
     eventually("the memory is given back", || {
-        server.app.budget().taken_for(Purpose::Upload) == before
+        server.app.budget().taken_for(MemoryClass::Upload) == before
     })
     .await;
     server.is_well().await;

@@ -9,14 +9,14 @@ use crate::support::is_full;
 use crate::support::largest::{Material, Request, Sizes};
 
 /// The most processor time of a poll of a task.
-const MOST: Duration = Duration::from_micros(200);
+const MAX_POLL_TIME: Duration = Duration::from_micros(200);
 /// What the dev profile needs in place of that, beside other tests: it leaves out most
 /// optimisation.
 const DEBUG: u32 = if cfg!(debug_assertions) { 10 } else { 1 };
 /// Times that each request is sent, of which the median counts, and in the dev profile the least:
 /// other tests that run at the same time only add to it. Fewer if that takes long.
 const TIMES: usize = 20;
-const LONG: Duration = Duration::from_millis(500);
+const LONG_TIME: Duration = Duration::from_millis(500);
 const FEWEST: usize = 3;
 /// Bodies that are much larger than what one poll may move.
 const SIZES: Sizes = Sizes {
@@ -29,7 +29,9 @@ const SIZES: Sizes = Sizes {
 fn longest_polls(server: &ClockedServer, material: &Material, request: &Request) -> Vec<Duration> {
     let began = Instant::now();
     let mut longest = Vec::new();
-    while longest.len() < TIMES && (is_full() || longest.len() < FEWEST || began.elapsed() < LONG) {
+    while longest.len() < TIMES
+        && (is_full() || longest.len() < FEWEST || began.elapsed() < LONG_TIME)
+    {
         let own = request
             .needs_session()
             .then(|| request.of(&material.session(server.address)));
@@ -52,10 +54,10 @@ fn longest_polls(server: &ClockedServer, material: &Material, request: &Request)
 #[test]
 fn a_poll_that_computes_is_measured() {
     let server = ClockedServer::start(&[]);
-    let (longest, ()) = server.longest(|| server.compute(20 * MOST));
-    assert!(longest >= 20 * MOST, "{longest:?}");
+    let (longest, ()) = server.longest(|| server.compute(20 * MAX_POLL_TIME));
+    assert!(longest >= 20 * MAX_POLL_TIME, "{longest:?}");
     let (longest, ()) = server.longest(|| ());
-    assert!(longest < 20 * MOST, "{longest:?}");
+    assert!(longest < 20 * MAX_POLL_TIME, "{longest:?}");
 }
 
 #[test]
@@ -85,13 +87,13 @@ fn no_poll_takes_longer_than_moving_a_few_pieces_whatever_is_sent() {
             began.elapsed(),
             request.what
         );
-        if counted > DEBUG * MOST {
+        if counted > DEBUG * MAX_POLL_TIME {
             slow.push(format!("{}: {counted:?}", request.what));
         }
     }
     assert!(
         slow.is_empty(),
         "the runtime's thread computes for longer than {:?}: {slow:#?}",
-        DEBUG * MOST
+        DEBUG * MAX_POLL_TIME
     );
 }

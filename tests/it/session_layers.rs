@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use image::{DynamicImage, GrayImage, RgbImage};
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::{Response, StatusCode};
 use serde_json::{Value, json};
 
@@ -652,7 +652,7 @@ async fn a_layer_that_is_not_there_is_not_drawn() {
 #[tokio::test]
 async fn memory_of_layers_is_counted_and_given_back() {
     let server = Server::start(&[]).await;
-    let taken = || server.app.budget().taken_for(Purpose::Image);
+    let taken = || server.app.budget().taken_for(MemoryClass::Image);
     let id = server.session(&photo(160, 120), &rest()).await;
     let before = taken();
     assert_eq!(
@@ -729,7 +729,7 @@ async fn a_client_that_leaves_leaves_no_half_of_a_layer() {
         204
     );
     let began = std::time::Instant::now();
-    while server.app.budget().taken_for(Purpose::Upload) > 0 {
+    while server.app.budget().taken_for(MemoryClass::Upload) > 0 {
         assert!(
             began.elapsed() < Duration::from_secs(60),
             "its memory is given back"
@@ -889,7 +889,7 @@ async fn a_mask_that_is_sent_once_does_not_evict_a_session() {
     let one = {
         let server = Server::start(&[]).await;
         server.session(&photo(163, 120), &rest()).await;
-        server.app.budget().taken_for(Purpose::Image)
+        server.app.budget().taken_for(MemoryClass::Image)
     };
     let server = Server::start(&["--image-cache-bytes", &(3 * one + one / 2).to_string()]).await;
     let id = server.session(&photo(160, 120), &rest()).await;

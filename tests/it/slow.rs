@@ -552,7 +552,7 @@ async fn who_sips_holds_his_share_and_no_more() {
         let held = server
             .app
             .budget()
-            .taken_for(mlswarp_server::limits::memory::Purpose::Frame);
+            .taken_for(mlswarp_server::limits::memory::MemoryClass::Frame);
         assert!(held <= share + (1 << 20), "{held} of {share}");
     }
     assert!(
@@ -581,7 +581,7 @@ async fn who_sips_holds_his_share_and_no_more() {
         server
             .app
             .budget()
-            .taken_for(mlswarp_server::limits::memory::Purpose::Frame)
+            .taken_for(mlswarp_server::limits::memory::MemoryClass::Frame)
             == 0
     })
     .await;
@@ -604,7 +604,7 @@ async fn mapped_places_that_nobody_reads_are_in_the_account() {
         server
             .app
             .budget()
-            .taken_for(mlswarp_server::limits::memory::Purpose::Frame)
+            .taken_for(mlswarp_server::limits::memory::MemoryClass::Frame)
     };
     let (share, mut answers, mut refused) = (server.app.budget().total() / 4, Vec::new(), 0);
     // An answer is mapped and sent in parts, so that each holds a small share of the memory.
@@ -649,7 +649,7 @@ async fn session_objects_that_nobody_reads_are_in_the_account() {
         server
             .app
             .budget()
-            .taken_for(mlswarp_server::limits::memory::Purpose::Frame)
+            .taken_for(mlswarp_server::limits::memory::MemoryClass::Frame)
     };
     eventually("what was read is given back", || held() == 0).await;
     let mut frames = Frames::open(server.address, 0).await;

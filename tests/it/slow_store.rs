@@ -144,7 +144,7 @@ async fn cold_drags_of_one_session_share_its_file() {
 /// Memory for a file is taken before the file is asked for, and given back with it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_file_is_in_the_account_while_it_is_fetched() {
-    use mlswarp_server::limits::memory::Purpose;
+    use mlswarp_server::limits::memory::MemoryClass;
     let redis = Redis::start(&[]);
     let relay = Relay::start(&redis).await;
     let server = start(&relay, "2").await;
@@ -153,24 +153,24 @@ async fn a_file_is_in_the_account_while_it_is_fetched() {
     server.app.clear_caches();
     let budget = server.app.budget();
     eventually("no picture is held", || {
-        budget.taken_for(Purpose::Image) == 0
+        budget.taken_for(MemoryClass::Image) == 0
     })
     .await;
     relay.hold(Some("GET"));
     let cold = drag(&server, &id);
     eventually("the file is asked for", || relay.held() == 1).await;
-    assert!(budget.taken_for(Purpose::Image) >= file.len() as u64);
+    assert!(budget.taken_for(MemoryClass::Image) >= file.len() as u64);
     relay.hold(None);
     png(cold.await.unwrap().unwrap()).await;
     server.app.clear_caches();
     eventually("nothing is left of it", || {
-        budget.taken_for(Purpose::Image) == 0
+        budget.taken_for(MemoryClass::Image) == 0
     })
     .await;
     // Where there is no room for it, it is not asked for.
     let rest = budget
         .take(
-            Purpose::Frame,
+            MemoryClass::Frame,
             budget.total() / 8 * 7 - budget.taken() - file.len() as u64,
         )
         .unwrap();

@@ -92,7 +92,7 @@ async fn a_flood_closes_its_socket_alone() {
 /// them.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn empty_fragments_close_their_socket_alone() {
-    const MOST: usize = 100_000;
+    const MAX_MESSAGES: usize = 100_000;
     let server = Server::start(&[]).await;
     let id = server.session(&photo(128, 96), &rest()).await;
     let well = tokio::spawn(healthy(server.address, id.clone(), 100));
@@ -109,7 +109,8 @@ async fn empty_fragments_close_their_socket_alone() {
         });
         let mut sent = 0;
         let mut next = fragment(1, false);
-        while sent < MOST && !reading.is_finished() && write.write_all(&next).await.is_ok() {
+        while sent < MAX_MESSAGES && !reading.is_finished() && write.write_all(&next).await.is_ok()
+        {
             sent += 1;
             next = if sent % ping_each == 0 {
                 fragment(9, true)
@@ -122,7 +123,7 @@ async fn empty_fragments_close_their_socket_alone() {
             }
         }
         println!("one ping in {ping_each} frames: closed after at most {sent} frames of 6 bytes");
-        assert!(sent < MOST, "all of {sent} fragments were taken");
+        assert!(sent < MAX_MESSAGES, "all of {sent} fragments were taken");
         let said = reading.await.unwrap();
         assert!(
             said.windows(4)

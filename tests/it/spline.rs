@@ -5,12 +5,12 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mlswarp::deform::{
-    Coincident, CoincidentPolicy, DeformError, Field, Handle, Handles, Plan, Pose, Warning,
-    pose_without_table,
+    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, Pose,
+    RestDeformation, Warning, pose_without_table,
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Folds, GridSpec, Method, Posed, RestSpec, Setup, WarpError};
+use mlswarp::warp::{Folds, GridSpec, Method, PosedMesh, ResolvedRest, RestSpec, WarpError};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -31,15 +31,15 @@ struct Set {
 }
 
 impl Set {
-    fn field(&self, smoothing: f64) -> Field {
-        Field::spline(
+    fn field(&self, smoothing: f64) -> RestDeformation {
+        RestDeformation::spline(
             Handles::new(handles(&self.p), Some(self.weights.clone())).unwrap(),
             smoothing,
         )
         .unwrap()
     }
 
-    fn posed(&self, smoothing: f64) -> (Field, Pose) {
+    fn posed(&self, smoothing: f64) -> (RestDeformation, Pose) {
         let field = self.field(smoothing);
         let pose = field.pose(&handles(&self.q)).unwrap();
         (field, pose)
@@ -193,7 +193,7 @@ proptest! {
                     {q:?}", field.map(&pose, v));
             }
         }
-        prop_assert!(field.approximated(&pose, &|| false) == Some(None));
+        prop_assert!(field.achieved_displacements(&pose, &|| false) == Some(None));
     }
 
     #[test]
@@ -203,7 +203,8 @@ proptest! {
         for v in &at {
             prop_assert_eq!(field.map(&pose, *v), *v);
         }
-        let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
+        let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
+        let (displacement, _) = table.displace(&pose);
         prop_assert!(displacement.iter().all(|d| *d == [0.0, 0.0]));
     }
 
@@ -246,7 +247,8 @@ proptest! {
         smoothing in smoothing(), line in any::<bool>()) {
         let set = if line { on_a_line(&set) } else { set };
         let (field, pose) = set.posed(smoothing);
-        let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
+        let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
+        let (displacement, _) = table.displace(&pose);
         for (v, d) in at.iter().zip(displacement) {
             let off = (field.map(&pose, *v) - *v - Vec2::new(d[0].into(), d[1].into())).norm();
             // Of two near points the coefficients are large.
@@ -332,12 +334,13 @@ proptest! {
         }
         let weights = p.iter().zip(weights).map(|(_, exponent)| 10f64.powf(exponent).clamp(1e-9,
             1e9)).collect();
-        let field = Field::spline(Handles::new(handles(&p), Some(weights)).unwrap(),
+        let field = RestDeformation::spline(Handles::new(handles(&p), Some(weights)).unwrap(),
             smoothing).unwrap();
         let Ok(pose) = field.pose(&handles(&q)) else { return Ok(()) };
         let mut at = vec![Point::new(0.0, 0.0), Point::new(1e6, -1e6), Point::new(250.0, 250.0)];
         at.extend(p.iter().flat_map(|p| [*p, *p + Vec2::new(1e-9, 0.0)]));
-        let (displacement, _) = Plan::of_vertices(&field, at.len(), |k| at[k]).displace(&pose);
+        let table = CoefficientTable::of_vertices(&field, at.len(), |k| at[k]);
+        let (displacement, _) = table.displace(&pose);
         for (v, d) in at.iter().zip(displacement) {
             prop_assert!(field.map(&pose, *v).is_finite(), "{v:?}: {:?}", field.map(&pose, *v));
             prop_assert!(d.iter().all(|c| c.is_finite()), "{v:?}: {d:?}");
@@ -360,7 +363,7 @@ fn a_spline_of_points_a_hair_apart_is_finite() {
             Point::new(480.0, 200.0),
             Point::new(1e6, -1e6),
         ];
-        let field = Field::spline(Handles::new(handles(&p), None).unwrap(), 0.0).unwrap();
+        let field = RestDeformation::spline(Handles::new(handles(&p), None).unwrap(), 0.0).unwrap();
         let pose = field.pose(&handles(&q)).unwrap();
         for v in [Point::new(0.0, 0.0), Point::new(1e6, -1e6), a, b] {
             assert!(
@@ -426,12 +429,12 @@ fn spline_refuses_what_it_does_not_take() {
     };
     for value in [-1e-9, 1.1e9, f64::INFINITY] {
         assert_eq!(
-            Field::spline(points(), value).unwrap_err(),
+            RestDeformation::spline(points(), value).unwrap_err(),
             DeformError::BadSmoothing { value }
         );
     }
     assert!(matches!(
-        Field::spline(points(), f64::NAN),
+        RestDeformation::spline(points(), f64::NAN),
         Err(DeformError::BadSmoothing { .. })
     ));
     let line = Handle::Polyline(vec![Point::new(1.0, 2.0), Point::new(3.0, 4.0)]);
@@ -441,7 +444,7 @@ fn spline_refuses_what_it_does_not_take() {
     )
     .unwrap();
     assert_eq!(
-        Field::spline(mixed, 0.0).unwrap_err(),
+        RestDeformation::spline(mixed, 0.0).unwrap_err(),
         DeformError::LineInSpline { handle: 1 }
     );
 }
@@ -465,7 +468,7 @@ fn spline_moves_coincident_points_by_their_mean() {
     ];
     let field = |policy, within, p: &[Point]| {
         let rest = Handles::new(handles(p), None).unwrap();
-        Field::spline_unless(rest, Coincident { policy, within }, 0.0, &|| false).unwrap()
+        RestDeformation::spline_unless(rest, Coincident { policy, within }, 0.0, &|| false).unwrap()
     };
     let mean = field(CoincidentPolicy::Mean, 0.0, &p);
     let pose = mean.pose(&handles(&q)).unwrap();
@@ -527,7 +530,7 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     let rest = Handles::new(handles(&scattered(120)), None).unwrap();
     let asked = AtomicUsize::new(0);
     assert!(
-        Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked
+        RestDeformation::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| asked
             .fetch_add(1, Ordering::Relaxed)
             == usize::MAX)
         .is_ok()
@@ -537,9 +540,10 @@ fn spline_that_nobody_waits_for_is_given_up_at_the_next_look() {
     assert!(looks >= 120 + 120 + 120 / 8, "{looks}");
     for after in [0, 1, looks / 2, looks - 1] {
         let asked = AtomicUsize::new(0);
-        let given_up = Field::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| {
-            asked.fetch_add(1, Ordering::Relaxed) >= after
-        });
+        let given_up =
+            RestDeformation::spline_unless(rest.clone(), Coincident::default(), 0.0, &|| {
+                asked.fetch_add(1, Ordering::Relaxed) >= after
+            });
         assert_eq!(
             (given_up.unwrap_err(), asked.into_inner()),
             (DeformError::Cancelled, after + 1)
@@ -558,7 +562,7 @@ fn spline_of_many_points_is_posed_without_a_table() {
             grid: GridSpec::Cell(20.0),
             ..RestSpec::default()
         };
-        Setup::new(&rest, extent, &limits())
+        ResolvedRest::new(&rest, extent, &limits())
     };
     for (count, has_table) in [(64, true), (65, false)] {
         assert_eq!(
@@ -603,7 +607,9 @@ fn spline_of_many_points_is_posed_without_a_table() {
     let (field, pose) = set.posed(0.0);
     let grid = Grid::with_counts(400.0, 300.0, 20, 15);
     let (table, without) = (
-        Plan::of_grid(&field, &grid).pose(&grid, &pose).0,
+        CoefficientTable::of_grid(&field, &grid)
+            .pose(&grid, &pose)
+            .0,
         pose_without_table(&field, &grid, &pose, &|| false)
             .unwrap()
             .0,
@@ -633,7 +639,7 @@ fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
             grid: GridSpec::Cell(2.0),
             ..RestSpec::default()
         };
-        let setup = Setup::new(&rest, extent, &limits()).unwrap();
+        let setup = ResolvedRest::new(&rest, extent, &limits()).unwrap();
         assert_eq!(
             (setup.alpha(), setup.point_mass(), setup.smoothing()),
             (None, None, Some(smoothing.unwrap_or(0.0)))
@@ -647,7 +653,7 @@ fn spline_setups_differ_by_their_smoothing_and_report_what_is_drawn() {
             .map(|(f, q)| f.distance(*q))
             .fold(0.0, f64::max);
         (
-            Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false)
+            PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false)
                 .unwrap()
                 .report()
                 .residual,

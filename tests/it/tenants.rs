@@ -2,7 +2,7 @@
 //! Ann has stored the file that he sends, and one where she has stored another file of the same
 //! length: statuses, headers, problems, sessions and metrics.
 
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use reqwest::{Client, RequestBuilder, Response};
 use serde_json::{Value, json};
 
@@ -70,7 +70,7 @@ impl<'a> Name<'a> {
     async fn scrape(&mut self, what: &str) {
         let budget = self.server.app.budget();
         eventually("answers have left", || {
-            budget.taken_for(Purpose::Frame) == 0
+            budget.taken_for(MemoryClass::Frame) == 0
         })
         .await;
         let request = self.server.get("/metrics").bearer_auth(self.key);

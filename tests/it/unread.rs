@@ -11,7 +11,7 @@ use crate::support::program::Program;
 
 /// The budget, MiB, and what the process takes at most beside it, as deploy/README.md says.
 const BUDGET: u64 = 128;
-const BESIDE: u64 = 96;
+const BESIDE_MIB: u64 = 96;
 /// Requests at a time.
 const COUNT: usize = 16;
 /// Time for which answers are left unread, once each has begun.
@@ -81,14 +81,14 @@ fn stays_near_the_budget(addresses: usize) {
             "{}: {statuses:?}",
             request.what
         );
-        if peak > BUDGET + BESIDE {
+        if peak > BUDGET + BESIDE_MIB {
             above.push(format!("{}: {peak} MiB", request.what));
         }
     }
     assert!(
         above.is_empty(),
         "more than {} MiB: {above:#?}",
-        BUDGET + BESIDE
+        BUDGET + BESIDE_MIB
     );
 }
 

@@ -1,7 +1,8 @@
 //! The relay of `relay.rs` as a program, for tests in other languages:
 //!
 //! ```text
-//! link 127.0.0.1:8080 MBIT MS     prints its own port; Mbit/s and the delay in ms, the same in both
+//! link 127.0.0.1:8080 MBIT MS     prints its own port; Mbit/s and the delay in ms, the same in
+//! both
 //!                                 directions
 //! ```
 //!

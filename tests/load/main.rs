@@ -27,7 +27,7 @@ use serde_json::{Value, json};
 const SESSIONS: usize = 24;
 /// The program's account, bytes, and what it takes beside.
 const ACCOUNT: u64 = 256 << 20;
-const BESIDE: u64 = 96 << 20;
+const BESIDE_BYTES: u64 = 96 << 20;
 /// What a client may wait for a frame that is made; asserted ten times over.
 const DRAG_P99: Duration = Duration::from_millis(300);
 /// How soon all is well again; asserted ten times over.
@@ -402,5 +402,5 @@ async fn four_times_what_the_machine_holds() {
         recovered.as_secs_f64() * 1e3
     );
     assert!(drags.p(99) < 10 * DRAG_P99);
-    assert!(most < ACCOUNT + BESIDE, "{most} bytes are resident");
+    assert!(most < ACCOUNT + BESIDE_BYTES, "{most} bytes are resident");
 }

@@ -7,7 +7,7 @@ use image::codecs::bmp::BmpDecoder;
 use image::{ColorType, ImageDecoder as _, ImageError};
 
 use super::alloc::{room, sample_count, zeros};
-use super::metadata::{Found, Resolution, Unit};
+use super::metadata::{Found, Resolution, ResolutionUnit};
 use super::profile::{MAX_ICC, keep_profile};
 use super::work::{Pieces, StepCounter};
 use super::{CodecError, Palette, SourceFormat};
@@ -82,7 +82,7 @@ impl<'a> BmpFile<'a> {
     }
 
     pub(super) fn found(&self) -> Found<'a> {
-        let resolution = Resolution::whole(self.long(38), self.long(42), Unit::Metre)
+        let resolution = Resolution::whole(self.long(38), self.long(42), ResolutionUnit::Metre)
             .filter(|_| self.long(14) >= 40);
         let colour_dropped = match self.colour_space().as_ref() {
             // Calibrated, if the end points or the gammas are stated.

@@ -7,7 +7,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::probe::Parsed;
-use super::{CodecError, Header, Limits, Metadata, Repairs, SourceFormat, StepCounter};
+use super::{CodecError, Header, ImageLimits, Metadata, Repairs, SourceFormat, StepCounter};
 use crate::pixmap::{Channels, Pixmap, Samples};
 
 /// An upright picture, and what its file says about it.
@@ -36,7 +36,7 @@ pub struct Opened<'a> {
 /// Those of [`super::probe`]; [`CodecError::TooLarge`] by `limits`; [`CodecError::Cancelled`].
 pub fn open<'a>(
     bytes: &'a [u8],
-    limits: &Limits,
+    limits: &ImageLimits,
     work: &'a StepCounter<'a>,
 ) -> Result<Opened<'a>, CodecError> {
     let opened = open_any(bytes, limits, work)?;
@@ -47,7 +47,7 @@ pub fn open<'a>(
 /// Like [`open`], also for files that can only be read as labels.
 pub(super) fn open_any<'a>(
     bytes: &'a [u8],
-    limits: &Limits,
+    limits: &ImageLimits,
     work: &'a StepCounter<'a>,
 ) -> Result<Opened<'a>, CodecError> {
     let mut parsed = Parsed::new(bytes, work)?;
@@ -69,7 +69,7 @@ pub(super) fn open_any<'a>(
 /// Those of [`open`] and [`Opened::decode`].
 pub fn decode(
     bytes: &[u8],
-    limits: &Limits,
+    limits: &ImageLimits,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<Decoded, CodecError> {
     open(bytes, limits, &StepCounter::new(cancelled))?.decode()
@@ -213,7 +213,7 @@ mod tests {
     fn a_palette_of_no_whole_colours_is_a_damaged_file() {
         let file = include_bytes!("../test_files/found/png-palette-not-of-threes");
         assert!(matches!(
-            decode(file, &Limits::default(), &|| false),
+            decode(file, &ImageLimits::default(), &|| false),
             Err(CodecError::Bad { format: "PNG", .. })
         ));
     }

@@ -11,7 +11,7 @@ use super::metadata::METADATA_BYTES;
 use super::png::write::PngShape;
 use super::probe::Parsed;
 use super::profile::PROFILE_BYTES;
-use super::{CodecError, Limits, Metadata, Repairs, StepCounter};
+use super::{CodecError, ImageLimits, Metadata, Repairs, StepCounter};
 use crate::pixmap::{Depth, Samples};
 
 /// The colours of the labels of a file.
@@ -52,7 +52,7 @@ impl Labels {
 /// Those of [`super::open`].
 pub fn open_labels<'a>(
     bytes: &'a [u8],
-    limits: &Limits,
+    limits: &ImageLimits,
     work: &'a StepCounter<'a>,
 ) -> Result<Opened<'a>, CodecError> {
     let mut opened = open_any(bytes, limits, work)?;

@@ -5,14 +5,14 @@ use crate::pixmap::Extent;
 
 /// The largest picture that is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
+pub struct ImageLimits {
     /// Number of pixels.
     pub max_pixels: u64,
     /// Pixels along either side.
     pub max_side: u32,
 }
 
-impl Default for Limits {
+impl Default for ImageLimits {
     fn default() -> Self {
         Self {
             max_pixels: 50_000_000,
@@ -21,7 +21,7 @@ impl Default for Limits {
     }
 }
 
-impl Limits {
+impl ImageLimits {
     /// Checks the side first, because a client can correct it most easily.
     ///
     /// # Errors
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn limits_hold_their_own_value_and_refuse_the_next() {
-        let limits = Limits {
+        let limits = ImageLimits {
             max_pixels: 100,
             max_side: 50,
         };
@@ -84,7 +84,7 @@ mod tests {
             })
         );
         assert!(
-            Limits {
+            ImageLimits {
                 max_pixels: u64::MAX,
                 max_side: u32::MAX
             }

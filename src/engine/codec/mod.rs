@@ -50,9 +50,9 @@ pub use format::{Format, SourceFormat};
 pub use gif::write::GifAnimation;
 pub use jpeg::write::{JpegWriter, Subsampling};
 pub use labels::{Labels, Palette, open_labels};
-pub use limits::Limits;
+pub use limits::ImageLimits;
 pub use metadata::{
-    Carried, Dropped, Kind as DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, Unit,
+    Carried, Dropped, DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, ResolutionUnit,
 };
 pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};

@@ -10,13 +10,13 @@ const ORIENTATION_TAG: u16 = 0x0112;
 const TYPE_SHORT: u16 = 3;
 
 /// Side of the squares in which a picture is transposed: 64 rows of 64 RGBA16 pixels are 32 KiB.
-const TILE: usize = 64;
+const TILE_SIDE: usize = 64;
 /// Pixels that are mirrored at once.
-const RUN: usize = 1 << 10;
+const MIRRORED_PIXELS: usize = 1 << 10;
 
 /// The transformation that makes the stored rows upright, numbered as in EXIF.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Orientation {
+pub(super) enum ExifOrientation {
     #[default]
     Upright = 1,
     MirrorHorizontal = 2,
@@ -28,7 +28,7 @@ pub(super) enum Orientation {
     Rotate270 = 8,
 }
 
-impl Orientation {
+impl ExifOrientation {
     /// Reads an EXIF block: a TIFF header, with or without the prefix `Exif\0\0` of JPEG.
     pub(super) fn from_exif(exif: &[u8]) -> Self {
         Self::parse(exif.strip_prefix(b"Exif\0\0").unwrap_or(exif)).unwrap_or_default()
@@ -130,12 +130,12 @@ impl Orientation {
         let height = from.len() / width;
         let from_right = matches!(self, Self::Transverse | Self::Rotate270);
         let from_below = matches!(self, Self::Transverse | Self::Rotate90);
-        for top in (0..width).step_by(TILE) {
-            for left in (0..height).step_by(TILE) {
+        for top in (0..width).step_by(TILE_SIDE) {
+            for left in (0..height).step_by(TILE_SIDE) {
                 work.check()?;
-                for y in top..(top + TILE).min(width) {
+                for y in top..(top + TILE_SIDE).min(width) {
                     let column = if from_right { width - 1 - y } else { y };
-                    for x in left..(left + TILE).min(height) {
+                    for x in left..(left + TILE_SIDE).min(height) {
                         let row = if from_below { height - 1 - x } else { x };
                         into[y * height + x] = from[row * width + column];
                     }
@@ -151,7 +151,10 @@ fn rotate<P>(pixels: &mut [P], work: &StepCounter<'_>) -> Result<(), CodecError>
     let half = pixels.len() / 2;
     let (front, back) = pixels.split_at_mut(half);
     let odd = back.len() - half;
-    for (first, last) in front.chunks_mut(RUN).zip(back[odd..].rchunks_mut(RUN)) {
+    for (first, last) in front
+        .chunks_mut(MIRRORED_PIXELS)
+        .zip(back[odd..].rchunks_mut(MIRRORED_PIXELS))
+    {
         work.check()?;
         first.swap_with_slice(last);
         first.reverse();
@@ -227,9 +230,12 @@ pub(super) mod tests {
     fn orientation_is_read_in_both_byte_orders() {
         for number in 1..=8 {
             for little in [true, false] {
-                assert_eq!(Orientation::from_exif(&exif(number, little)) as u16, number);
+                assert_eq!(
+                    ExifOrientation::from_exif(&exif(number, little)) as u16,
+                    number
+                );
                 let prefixed = [b"Exif\0\0".as_slice(), &exif(number, little)].concat();
-                assert_eq!(Orientation::from_exif(&prefixed) as u16, number);
+                assert_eq!(ExifOrientation::from_exif(&prefixed) as u16, number);
             }
         }
     }
@@ -238,40 +244,43 @@ pub(super) mod tests {
     fn orientation_of_malformed_exif_is_upright() {
         for number in [0, 9, 255, u16::MAX] {
             assert_eq!(
-                Orientation::from_exif(&exif(number, true)),
-                Orientation::Upright
+                ExifOrientation::from_exif(&exif(number, true)),
+                ExifOrientation::Upright
             );
         }
         let whole = exif(6, true);
         let needed = 8 + 2 + 12 + 10;
         for length in 0..whole.len() {
             let expected = if length < needed {
-                Orientation::Upright
+                ExifOrientation::Upright
             } else {
-                Orientation::Rotate90
+                ExifOrientation::Rotate90
             };
             assert_eq!(
-                Orientation::from_exif(&whole[..length]),
+                ExifOrientation::from_exif(&whole[..length]),
                 expected,
                 "{length} bytes"
             );
         }
         let mut far = whole.clone();
         far[4..8].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert_eq!(Orientation::from_exif(&far), Orientation::Upright);
+        assert_eq!(ExifOrientation::from_exif(&far), ExifOrientation::Upright);
         let mut many = exif(9, true);
         many[8..10].copy_from_slice(&u16::MAX.to_le_bytes());
-        assert_eq!(Orientation::from_exif(&many), Orientation::Upright);
+        assert_eq!(ExifOrientation::from_exif(&many), ExifOrientation::Upright);
         let mut long_type = whole;
         long_type[8 + 2 + 12 + 2] = 4;
-        assert_eq!(Orientation::from_exif(&long_type), Orientation::Upright);
+        assert_eq!(
+            ExifOrientation::from_exif(&long_type),
+            ExifOrientation::Upright
+        );
     }
 
     #[test]
     fn orientation_turns_letters() {
         let work = StepCounter::new(&|| false);
         for (number, _, expected) in UPRIGHT {
-            let orientation = Orientation::from_number(number).unwrap();
+            let orientation = ExifOrientation::from_number(number).unwrap();
             assert_eq!(
                 orientation
                     .apply::<_, 1>(b"abcdef".to_vec(), 3, &work)
@@ -291,8 +300,8 @@ pub(super) mod tests {
             let stored: Vec<u16> = (0..).take(3 * width * height).collect();
             for (there, back) in [(2, 2), (3, 3), (4, 4), (5, 5), (6, 8), (7, 7), (8, 6)] {
                 let (there, back) = (
-                    Orientation::from_number(there).unwrap(),
-                    Orientation::from_number(back).unwrap(),
+                    ExifOrientation::from_number(there).unwrap(),
+                    ExifOrientation::from_number(back).unwrap(),
                 );
                 let turned = there.apply::<_, 3>(stored.clone(), width, &work).unwrap();
                 let turned_width = if there.swaps_sides() { height } else { width };

@@ -3,7 +3,7 @@
 //! in u64. Callers reserve `Header::decode_bytes` before decoding.
 
 use super::metadata::Found;
-use super::orientation::Orientation;
+use super::orientation::ExifOrientation;
 use super::{CodecError, Format, SourceFormat, StepCounter, bmp, gif, jpeg, png, tiff, webp};
 use crate::pixmap::{Channels, Depth, Extent, sample_bytes};
 
@@ -64,7 +64,7 @@ impl<'a> Parsed<'a> {
     }
 
     /// Width and height of the stored rows, and how they are turned upright.
-    pub(super) fn stored(&self) -> (Extent, Orientation) {
+    pub(super) fn stored(&self) -> (Extent, ExifOrientation) {
         let (extent, exif) = match self {
             Self::Png(file) => (file.extent, file.found.exif),
             Self::Jpeg(file) => (file.extent, file.found.exif),
@@ -75,7 +75,7 @@ impl<'a> Parsed<'a> {
         };
         (
             extent,
-            exif.map_or_else(Orientation::default, Orientation::from_exif),
+            exif.map_or_else(ExifOrientation::default, ExifOrientation::from_exif),
         )
     }
 
@@ -176,7 +176,7 @@ impl<'a> Parsed<'a> {
 /// # Errors
 /// [`CodecError::Unsupported`] for an unsupported format or variant, [`CodecError::TooLarge`] for
 /// an animation, [`CodecError::Bad`] for a damaged header. The caller checks the size: see
-/// [`super::Limits::check`].
+/// [`super::ImageLimits::check`].
 pub fn probe(bytes: &[u8], work: &StepCounter<'_>) -> Result<Header, CodecError> {
     Parsed::new(bytes, work).map(|parsed| parsed.header())
 }

@@ -1,6 +1,6 @@
 //! Counts the steps of reading one file, and cancels it. Third-party decoders are stopped through
 //! their input: the readers here fail once the work is cancelled. Cost: one counter; `cancelled` is
-//! called once in [`STEPS`] steps.
+//! called once in [`STEPS_PER_CHECK`] steps.
 
 use std::cell::Cell;
 use std::fmt;
@@ -11,13 +11,13 @@ use zune_jpeg::zune_core::bytestream::{ZByteIoError, ZByteReaderTrait, ZCursor, 
 use super::CodecError;
 
 /// Steps between two calls of `cancelled`; a step takes some nanoseconds.
-const STEPS: u64 = 1 << 16;
+const STEPS_PER_CHECK: u64 = 1 << 16;
 /// Bytes that a decoder gets at once. Deflate expands them to at most 33 MB, which takes 10 to 30
 /// ms.
-const PIECE: usize = 1 << 15;
+const INPUT_PIECE_BYTES: usize = 1 << 15;
 /// Requests for input between two calls of `cancelled`: where symbols take no bits, a decoder
 /// requests input at every symbol and uses none.
-const REQUESTS: u32 = 1 << 10;
+const REQUESTS_PER_CHECK: u32 = 1 << 10;
 
 /// The steps of reading one file, on one thread.
 pub struct StepCounter<'a> {
@@ -56,7 +56,7 @@ impl<'a> StepCounter<'a> {
     pub(super) fn step(&self, count: u64) -> Result<(), CodecError> {
         let steps = self.steps.get() + count;
         self.steps.set(steps);
-        if steps < self.asked.get() + STEPS {
+        if steps < self.asked.get() + STEPS_PER_CHECK {
             return Ok(());
         }
         self.asked.set(steps);
@@ -108,11 +108,11 @@ impl<B: AsRef<[u8]>> BufRead for Pieces<'_, B> {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
         self.requests += 1;
         let bytes = self.bytes.as_ref();
-        if self.at >= self.end || self.requests >= REQUESTS {
+        if self.at >= self.end || self.requests >= REQUESTS_PER_CHECK {
             if self.work.requests(std::mem::take(&mut self.requests)) {
                 return Err(io::Error::other("the picture is no longer wanted"));
             }
-            self.end = self.at.saturating_add(PIECE).min(bytes.len());
+            self.end = self.at.saturating_add(INPUT_PIECE_BYTES).min(bytes.len());
         }
         Ok(bytes.get(self.at..self.end).unwrap_or_default())
     }
@@ -201,7 +201,7 @@ impl ZByteReaderTrait for Bytes<'_> {
     #[inline(always)]
     fn is_eof(&mut self) -> Result<bool, ZByteIoError> {
         self.requests += 1;
-        if self.requests >= REQUESTS || self.stopped {
+        if self.requests >= REQUESTS_PER_CHECK || self.stopped {
             self.ask()?;
         }
         self.cursor.is_eof()

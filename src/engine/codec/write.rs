@@ -65,22 +65,22 @@ pub struct Writer {
     shape: PngShape,
     /// The samples have three equal colours, of which the file has one.
     is_grey_in_colour: bool,
-    kind: Kind,
+    kind: WriterKind,
 }
 
 #[derive(Clone, Debug)]
-enum Kind {
+enum WriterKind {
     Png(PngWriter),
     Jpeg(JpegWriter),
     Whole {
-        coding: Coding,
+        coding: WholeFileFormat,
         metadata: Option<Carried>,
         palette: Option<Palette>,
     },
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Coding {
+enum WholeFileFormat {
     WebP,
     Tiff(Compression),
     Gif,
@@ -96,27 +96,29 @@ impl Writer {
     pub fn new(shape: PngShape, encoding: Encoding, metadata: Option<&Carried>) -> Self {
         let grey = shape.grey && encoding.is_grey();
         let shape = PngShape { grey, ..shape };
-        let whole = |coding| Kind::Whole {
+        let whole = |coding| WriterKind::Whole {
             coding,
             metadata: metadata.cloned(),
             palette: None,
         };
         let kind = match encoding {
-            Encoding::Png(compression) => Kind::Png(PngWriter::new(shape, compression, metadata)),
+            Encoding::Png(compression) => {
+                WriterKind::Png(PngWriter::new(shape, compression, metadata))
+            }
             Encoding::Jpeg {
                 quality,
                 subsampling,
                 ground,
-            } => Kind::Jpeg(JpegWriter::new(
+            } => WriterKind::Jpeg(JpegWriter::new(
                 shape,
                 quality,
                 subsampling,
                 ground,
                 metadata,
             )),
-            Encoding::WebP => whole(Coding::WebP),
-            Encoding::Tiff(compression) => whole(Coding::Tiff(compression)),
-            Encoding::Gif => whole(Coding::Gif),
+            Encoding::WebP => whole(WholeFileFormat::WebP),
+            Encoding::Tiff(compression) => whole(WholeFileFormat::Tiff(compression)),
+            Encoding::Gif => whole(WholeFileFormat::Gif),
         };
         Self {
             shape,
@@ -139,10 +141,10 @@ impl Writer {
     ) -> Option<Self> {
         let kind = match encoding {
             Encoding::Png(compression) => {
-                Kind::Png(PngWriter::of_labels(shape, compression, palette, metadata))
+                WriterKind::Png(PngWriter::of_labels(shape, compression, palette, metadata))
             }
-            Encoding::Tiff(compression) => Kind::Whole {
-                coding: Coding::Tiff(compression),
+            Encoding::Tiff(compression) => WriterKind::Whole {
+                coding: WholeFileFormat::Tiff(compression),
                 metadata: metadata.cloned(),
                 palette: palette.cloned(),
             },
@@ -159,9 +161,9 @@ impl Writer {
     #[must_use]
     pub fn strips(&self) -> usize {
         match &self.kind {
-            Kind::Png(png) => png.strips(),
-            Kind::Jpeg(jpeg) => jpeg.strips(),
-            Kind::Whole { .. } => 1,
+            WriterKind::Png(png) => png.strips(),
+            WriterKind::Jpeg(jpeg) => jpeg.strips(),
+            WriterKind::Whole { .. } => 1,
         }
     }
 
@@ -172,9 +174,9 @@ impl Writer {
     #[must_use]
     pub fn rows(&self, strip: usize) -> Range<u32> {
         match &self.kind {
-            Kind::Png(png) => png.rows(strip),
-            Kind::Jpeg(jpeg) => jpeg.rows(strip),
-            Kind::Whole { .. } => 0..self.shape.extent.height(),
+            WriterKind::Png(png) => png.rows(strip),
+            WriterKind::Jpeg(jpeg) => jpeg.rows(strip),
+            WriterKind::Whole { .. } => 0..self.shape.extent.height(),
         }
     }
 
@@ -186,9 +188,9 @@ impl Writer {
         /// A sample of WebP takes less.
         const SAMPLE: u64 = 8;
         match &self.kind {
-            Kind::Png(png) => png.max_bytes(),
-            Kind::Jpeg(jpeg) => jpeg.max_bytes(),
-            Kind::Whole { metadata, .. } => {
+            WriterKind::Png(png) => png.max_bytes(),
+            WriterKind::Jpeg(jpeg) => jpeg.max_bytes(),
+            WriterKind::Whole { metadata, .. } => {
                 let shape = self.shape;
                 let samples = shape.extent.pixels() * shape.channels.count() as u64;
                 samples * SAMPLE + metadata.as_ref().map_or(0, Carried::most_bytes) + FRAME
@@ -205,14 +207,14 @@ impl Writer {
         /// buffers, the file.
         const COPIES: u64 = 4;
         match &self.kind {
-            Kind::Png(png) => png.max_bytes(),
-            Kind::Jpeg(jpeg) => jpeg.work_bytes(),
-            Kind::Whole {
+            WriterKind::Png(png) => png.max_bytes(),
+            WriterKind::Jpeg(jpeg) => jpeg.work_bytes(),
+            WriterKind::Whole {
                 coding, metadata, ..
             } => {
                 let shape = self.shape;
                 let samples = sample_bytes(shape.extent, shape.channels, shape.depth);
-                let tables = if matches!(coding, Coding::Gif) {
+                let tables = if matches!(coding, WholeFileFormat::Gif) {
                     gif::write::work_bytes(shape.extent)
                 } else {
                     0
@@ -226,9 +228,9 @@ impl Writer {
     #[must_use]
     pub fn head(&self) -> Vec<u8> {
         match &self.kind {
-            Kind::Png(png) => png.head(),
-            Kind::Jpeg(jpeg) => jpeg.head().to_vec(),
-            Kind::Whole { .. } => Vec::new(),
+            WriterKind::Png(png) => png.head(),
+            WriterKind::Jpeg(jpeg) => jpeg.head().to_vec(),
+            WriterKind::Whole { .. } => Vec::new(),
         }
     }
 
@@ -251,19 +253,19 @@ impl Writer {
             samples
         };
         match &self.kind {
-            Kind::Png(png) => png.strip_into(index, samples, out),
-            Kind::Jpeg(jpeg) => {
+            WriterKind::Png(png) => png.strip_into(index, samples, out),
+            WriterKind::Jpeg(jpeg) => {
                 jpeg.strip_into(index, &in_eight(samples, self.shape.depth), out, wanted);
                 StripChecksum::default()
             }
-            Kind::Whole {
+            WriterKind::Whole {
                 coding,
                 metadata,
                 palette,
             } => {
                 let (shape, metadata) = (self.shape, metadata.as_ref());
                 match *coding {
-                    Coding::Tiff(compression) => tiff::write::write(
+                    WholeFileFormat::Tiff(compression) => tiff::write::write(
                         shape,
                         compression,
                         samples,
@@ -271,14 +273,14 @@ impl Writer {
                         out,
                         wanted,
                     ),
-                    Coding::WebP => webp::write::write(
+                    WholeFileFormat::WebP => webp::write::write(
                         shape.extent,
                         shape.channels,
                         &in_eight(samples, shape.depth),
                         metadata,
                         out,
                     ),
-                    Coding::Gif => gif::write::write(
+                    WholeFileFormat::Gif => gif::write::write(
                         shape.extent,
                         shape.channels,
                         &in_eight(samples, shape.depth),
@@ -295,9 +297,9 @@ impl Writer {
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
         match &self.kind {
-            Kind::Png(png) => png.tail(checksums),
-            Kind::Jpeg(_) => JpegWriter::tail().to_vec(),
-            Kind::Whole { .. } => Vec::new(),
+            WriterKind::Png(png) => png.tail(checksums),
+            WriterKind::Jpeg(_) => JpegWriter::tail().to_vec(),
+            WriterKind::Whole { .. } => Vec::new(),
         }
     }
 }
@@ -340,7 +342,7 @@ fn in_eight(samples: &[u8], depth: Depth) -> Cow<'_, [u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::{Decoded, Limits, SourceFormat, decode};
+    use crate::codec::{Decoded, ImageLimits, SourceFormat, decode};
     use crate::pixmap::Extent;
     use crate::pixmap::Samples;
 
@@ -373,7 +375,7 @@ mod tests {
             SourceFormat::Written(encoding.format())
         );
         assert!(file.len() as u64 <= writer.max_bytes());
-        decode(&file, &Limits::default(), &|| false).unwrap()
+        decode(&file, &ImageLimits::default(), &|| false).unwrap()
     }
 
     #[test]

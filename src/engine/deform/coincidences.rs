@@ -11,34 +11,34 @@
 use std::collections::{HashMap, HashSet};
 
 use super::DeformError;
-use super::columns::{Element, ONE_PLACE, Segment};
-use super::contradictions::{Contradictions, Member};
+use super::columns::{Element, ONE_PLACE, RestSegment};
+use super::conflicts::{Conflicts, Member};
 use super::groups::coincidence_distance;
 use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
 const CONTRADICTION_SHARE: f64 = 1e-6;
 /// Distance below which points are examined for a warning, px.
-const NEAR: f64 = 1.0;
+const NEAR_POINT_PX: f64 = 1.0;
 /// The ratio of the targets' distance to the rest distance from which a warning is given.
 const NEAR_FACTOR: f64 = 10.0;
 /// The largest number of coincidences in a set.
-const MOST: usize = 200_000;
+const MAX_COINCIDENCES: usize = 200_000;
 /// The number of points of a cell that other points are compared with, in the client's order. A
 /// warning needs some close pairs, not all. For points within [`COINCIDENT_SHARE`] the first one
 /// represents all others of its cell.
-const CROWD: usize = 8;
+const POINTS_PER_BUCKET: usize = 8;
 /// The side of a cell whose points all coincide, as a share of the distance of coincidence: its
 /// diagonal is shorter.
 const SAME_CELL: f64 = 0.7;
 /// Limit of the work to search coincidences of segments: a pair that overlaps along the direction
-/// of the sweep costs 1, and [`COMPARISON`] more if neither lies on one side of the other's line
-/// and the two must be compared.
+/// of the sweep costs 1, and [`COMPARISON_WORK`] more if neither lies on one side of the other's
+/// line and the two must be compared.
 const MOST_WORK: u64 = 16 << 20;
 /// See [`MOST_WORK`].
-const COMPARISON: u64 = 16;
+const COMPARISON_WORK: u64 = 16;
 /// Number of sweep directions, evenly spaced over half a turn.
-const DIRECTIONS: u32 = 8;
+const SWEEP_DIRECTIONS: u32 = 8;
 /// A sweep along x that leaves at most this number of pairs per element is used without trying
 /// others.
 const FEW_PAIRS: u64 = 8;
@@ -66,7 +66,7 @@ impl Coincidences {
         extent: f64,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<Self, DeformError> {
-        let mut search = Search::new(elements, extent, cancelled);
+        let mut search = CoincidenceSearch::new(elements, extent, cancelled);
         search.run()?;
         Ok(search.found)
     }
@@ -108,7 +108,7 @@ impl Coincidences {
     /// element, with the displacement that is given for a group.
     pub(super) fn add_contradictions<M: IntoIterator<Item = Member>>(
         &self,
-        found: &mut Contradictions,
+        found: &mut Conflicts,
         elements: &[Element],
         displacements: &[Vec2],
         members: impl Fn(usize, Vec2) -> M,
@@ -159,7 +159,7 @@ impl Coincidences {
 }
 
 /// The search for the coincidences of one set.
-struct Search<'a> {
+struct CoincidenceSearch<'a> {
     elements: &'a [Element],
     coincident: f64,
     cancelled: &'a dyn Fn() -> bool,
@@ -170,7 +170,7 @@ struct Search<'a> {
     work: u64,
 }
 
-impl<'a> Search<'a> {
+impl<'a> CoincidenceSearch<'a> {
     fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
         let coincident = coincidence_distance(extent);
         let found = Coincidences {
@@ -216,8 +216,8 @@ impl<'a> Search<'a> {
             Point::new(o.x.min(p.x), o.y.min(p.y))
         });
         let (mut close, mut same) = (
-            Cells::new(origin, NEAR),
-            Cells::new(origin, SAME_CELL * self.coincident),
+            PointBuckets::new(origin, NEAR_POINT_PX),
+            PointBuckets::new(origin, SAME_CELL * self.coincident),
         );
         let (mut touching, mut near, mut compared) = (Vec::new(), Vec::new(), 0);
         for (j, p) in points() {
@@ -226,7 +226,8 @@ impl<'a> Search<'a> {
             close.around(p, 1, |i, other| {
                 compared += 1;
                 let apart = p.distance(other);
-                if apart > self.coincident && apart < NEAR && near.len() < MOST {
+                if apart > self.coincident && apart < NEAR_POINT_PX && near.len() < MAX_COINCIDENCES
+                {
                     near.push((i, j, apart));
                 }
             });
@@ -256,14 +257,14 @@ impl<'a> Search<'a> {
         let reach = self.coincident.max(ONE_PLACE);
         let few = FEW_PAIRS * self.elements.len() as u64;
         let mut best: Option<Sweep> = None;
-        for turn in 0..DIRECTIONS {
+        for turn in 0..SWEEP_DIRECTIONS {
             self.check_cancelled()?;
             if best.as_ref().is_some_and(|best| best.pairs <= few) {
                 break;
             }
             let sweep = Sweep::new(
                 self.elements,
-                std::f64::consts::PI * f64::from(turn) / f64::from(DIRECTIONS),
+                std::f64::consts::PI * f64::from(turn) / f64::from(SWEEP_DIRECTIONS),
                 reach,
             );
             if best.as_ref().is_none_or(|best| sweep.pairs < best.pairs) {
@@ -303,17 +304,19 @@ impl<'a> Search<'a> {
                 let beside =
                     |i: usize, j: usize| is_beside(&self.elements[i], &self.elements[j], reach);
                 if !apart(0) && !apart(1) && !beside(i, j) && !beside(j, i) {
-                    self.work += COMPARISON;
+                    self.work += COMPARISON_WORK;
                     self.found
                         .meet(self.elements, i.min(j), i.max(j), self.coincident);
                 }
                 if self.work > MOST_WORK {
                     return Err(DeformError::TooManyNeighbours {
-                        limit: MOST_WORK / COMPARISON,
+                        limit: MOST_WORK / COMPARISON_WORK,
                     });
                 }
-                if self.found.touching.len() > MOST {
-                    return Err(DeformError::TooManyMeetings { limit: MOST });
+                if self.found.touching.len() > MAX_COINCIDENCES {
+                    return Err(DeformError::TooManyMeetings {
+                        limit: MAX_COINCIDENCES,
+                    });
                 }
             }
         }
@@ -321,14 +324,14 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Grid cells, each with the first [`CROWD`] of the points inserted.
-struct Cells {
+/// Grid cells, each with the first [`POINTS_PER_BUCKET`] of the points inserted.
+struct PointBuckets {
     origin: Point,
     side: f64,
     cells: HashMap<(i64, i64), Vec<(usize, Point)>>,
 }
 
-impl Cells {
+impl PointBuckets {
     fn new(origin: Point, side: f64) -> Self {
         Self {
             origin,
@@ -350,7 +353,7 @@ impl Cells {
 
     fn insert(&mut self, index: usize, p: Point) {
         let crowd = self.cells.entry(self.cell(p)).or_default();
-        if crowd.len() < CROWD {
+        if crowd.len() < POINTS_PER_BUCKET {
             crowd.push((index, p));
         }
     }
@@ -460,14 +463,14 @@ fn bounds(element: &Element) -> [f64; 4] {
 }
 
 /// The parameter at which `p` lies on the segment.
-fn on(s: &Segment, p: Point, within: f64) -> Option<f64> {
+fn on(s: &RestSegment, p: Point, within: f64) -> Option<f64> {
     let (t, d2) = s.nearest(p);
     (d2 <= within * within).then_some(t)
 }
 
 /// The parameters at which two segments cross in their interiors; parallel segments coincide at
 /// their ends or not at all.
-fn crossing(s: &Segment, other: &Segment) -> Option<(f64, f64)> {
+fn crossing(s: &RestSegment, other: &RestSegment) -> Option<(f64, f64)> {
     let sin = s.tau.cross(other.tau);
     if sin.abs() < 1e-12 {
         return None;
@@ -524,7 +527,7 @@ mod tests {
 
     /// Every pair, compared.
     fn by_brute_force(elements: &[Element], extent: f64) -> Coincidences {
-        let mut search = Search::new(elements, extent, NEVER);
+        let mut search = CoincidenceSearch::new(elements, extent, NEVER);
         for j in 0..elements.len() {
             let mut first = None;
             for i in 0..j {
@@ -532,7 +535,7 @@ mod tests {
                     let apart = p.distance(other);
                     if apart <= search.coincident {
                         first = first.or(Some(i));
-                    } else if apart < NEAR {
+                    } else if apart < NEAR_POINT_PX {
                         search.found.near.push((i, j, apart));
                     }
                 }
@@ -718,7 +721,7 @@ mod tests {
         for (name, handles) in sets {
             let (elements, extent) = elements_of(handles);
             let began = std::time::Instant::now();
-            let mut search = Search::new(&elements, extent, NEVER);
+            let mut search = CoincidenceSearch::new(&elements, extent, NEVER);
             let outcome = search.run().map_err(|e| e.to_string());
             let (n, found) = (elements.len() as u64, &search.found);
             eprintln!(
@@ -733,12 +736,12 @@ mod tests {
                 outcome
             );
             assert!(
-                search.compared <= n * (9 + 25) * CROWD as u64,
+                search.compared <= n * (9 + 25) * POINTS_PER_BUCKET as u64,
                 "{name}: {}",
                 search.compared
             );
             assert!(
-                search.work <= MOST_WORK + 2 * COMPARISON,
+                search.work <= MOST_WORK + 2 * COMPARISON_WORK,
                 "{name}: {}",
                 search.work
             );
@@ -762,7 +765,7 @@ mod tests {
             coincidences.touching.len()
         );
         let displacements: Vec<Vec2> = (0..601).map(|k| Vec2::new(f64::from(k % 7), 0.0)).collect();
-        let (mut found, listed) = (Contradictions::new(coincidences.tolerance()), Cell::new(0));
+        let (mut found, listed) = (Conflicts::new(coincidences.tolerance()), Cell::new(0));
         coincidences.add_contradictions(
             &mut found,
             &elements,

@@ -15,21 +15,21 @@ pub(super) enum Element {
     Point { p: Point, mass: f64, column: usize },
     /// A segment with a density of `weight` per px: two columns, `column` for `a` and the next for
     /// `b`.
-    Segment(Segment),
+    Segment(RestSegment),
 }
 
 impl Element {
     /// The first column.
     pub(super) const fn column(&self) -> usize {
         match self {
-            Self::Point { column, .. } | Self::Segment(Segment { column, .. }) => *column,
+            Self::Point { column, .. } | Self::Segment(RestSegment { column, .. }) => *column,
         }
     }
 }
 
 /// A segment at rest.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Segment {
+pub(super) struct RestSegment {
     pub(super) a: Point,
     pub(super) b: Point,
     /// |b - a|, px, positive.
@@ -50,12 +50,12 @@ pub(super) struct PointSource {
 
 /// The elements by kind, each with its columns, over which a row is summed.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Sources {
+pub(super) struct HandleElements {
     pub(super) points: Vec<PointSource>,
-    pub(super) segments: Vec<Segment>,
+    pub(super) segments: Vec<RestSegment>,
 }
 
-impl Sources {
+impl HandleElements {
     pub(super) fn of(elements: &[Element]) -> Self {
         let mut sources = Self::default();
         for element in elements {
@@ -104,7 +104,7 @@ pub(super) fn elements(handles: &Handles, point_mass: f64) -> (Vec<Element>, Vec
                     let (a, b) = (ab[0], ab[1]);
                     let length = a.distance(b);
                     let tau = (b - a) * (1.0 / length);
-                    elements.push(Element::Segment(Segment {
+                    elements.push(Element::Segment(RestSegment {
                         a,
                         b,
                         length,
@@ -164,7 +164,7 @@ pub(super) fn rank(handles: &Handles) -> Rank {
     }
 }
 
-impl Segment {
+impl RestSegment {
     /// Parameter in [0, 1] of the point of the segment nearest to `p`, and the squared distance to
     /// it.
     pub(super) fn nearest(&self, p: Point) -> (f64, f64) {

@@ -5,7 +5,7 @@ use crate::geometry::Mesh;
 
 /// A last row or column of cells narrower than this share of a cell takes the differences of the
 /// previous one.
-const NARROW: f64 = 0.25;
+const NARROW_CELL_SHARE: f64 = 0.25;
 
 /// Indices of the cells (row by row) whose error may exceed `limit`, px, in order. The error of a
 /// patch is at most an eighth of the second differences of both axes together; of each vertex. A
@@ -18,7 +18,7 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
         |i: usize, j: usize| u32::try_from(j * cells + i).expect("fewer cells than vertices");
     if columns < 4 || rows < 4 {
         let is_tall = rows >= columns;
-        let bent = bent_along(mesh, if is_tall { Axis::Y } else { Axis::X }, limit);
+        let bent = bent_along(mesh, if is_tall { GridAxis::Y } else { GridAxis::X }, limit);
         let all = (0..rows - 1).flat_map(|j| (0..cells).map(move |i| (i, j)));
         return all
             .filter(|&(i, j)| bent[if is_tall { j } else { i }])
@@ -93,7 +93,7 @@ pub(super) fn bent_cells(mesh: &Mesh, limit: f64) -> Vec<u32> {
 }
 
 #[derive(Clone, Copy)]
-enum Axis {
+enum GridAxis {
     X,
     Y,
 }
@@ -101,11 +101,11 @@ enum Axis {
 /// Whether the cells between two lines of a long axis may be bent, for each pair of lines. f is
 /// assumed to bend as much across a narrow grid as along it; a picture of a few rows is also
 /// compared with this share of the limit, because f may bend across it alone.
-fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
+fn bent_along(mesh: &Mesh, axis: GridAxis, limit: f64) -> Vec<bool> {
     const NARROW_LIMIT: f64 = 0.25;
     let grid = mesh.grid();
     let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
-    let (lines, across) = if matches!(axis, Axis::Y) {
+    let (lines, across) = if matches!(axis, GridAxis::Y) {
         (rows, columns)
     } else {
         (columns, rows)
@@ -114,7 +114,7 @@ fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
         return vec![true; lines - 1];
     }
     let at = |line: usize, k: usize| {
-        let [x, y] = mesh.displacement()[if matches!(axis, Axis::Y) {
+        let [x, y] = mesh.displacement()[if matches!(axis, GridAxis::Y) {
             line * columns + k
         } else {
             k * columns + line
@@ -125,7 +125,7 @@ fn bent_along(mesh: &Mesh, axis: Axis, limit: f64) -> Vec<bool> {
         grid.cell().0.min(grid.width()),
         grid.cell().1.min(grid.height()),
     );
-    let aspect = if matches!(axis, Axis::Y) {
+    let aspect = if matches!(axis, GridAxis::Y) {
         width / height
     } else {
         height / width
@@ -159,7 +159,7 @@ impl Last {
     /// The line whose differences stand for those of `line`, the second but last, and how to
     /// compute them.
     fn line(self, line: usize) -> (usize, Option<Self>) {
-        if self.share < NARROW {
+        if self.share < NARROW_CELL_SHARE {
             (line - 1, None)
         } else if self.share < 1.0 {
             (line, Some(self))

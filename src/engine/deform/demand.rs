@@ -4,19 +4,19 @@
 
 use std::ops::RangeInclusive;
 
-use super::overall::{Residuals, Sums, segment_pairs};
-use super::{Field, Handle, Pose};
+use super::overall::{PairSums, Residuals, segment_pairs};
+use super::{Handle, Pose, RestDeformation};
 use crate::geometry::{Point, Vec2};
 
 /// Scales that a map without scale can follow, if not well.
-const SCALES: RangeInclusive<f64> = 0.5 - 1e-9..=2.0 + 1e-9;
+const FOLLOWED_SCALES: RangeInclusive<f64> = 0.5 - 1e-9..=2.0 + 1e-9;
 /// A map explains a pose if it leaves at most this share of what is left without it.
-const EXPLAINS: f64 = 0.25;
+const EXPLAINED_SHARE: f64 = 0.25;
 /// Fewer controls than this fit many maps by chance: then what is left must be this small a share
 /// of the spread, or, with more controls than an affine map needs, of what is left without it.
-const FEW: usize = 8;
+const FEW_CONTROLS: usize = 8;
 const LEFT_OF_FEW: f64 = 0.05;
-const EXACT: f64 = 0.01;
+const EXACT_SHARE: f64 = 0.01;
 const LEAST_FOR_EXACT: usize = 4;
 /// A pose is not mirrored if a rotation with a scale leaves less than this share of its spread:
 /// handles nearly on a line look the same in a mirror.
@@ -40,7 +40,7 @@ pub enum Demand {
     },
 }
 
-impl Field {
+impl RestDeformation {
     /// What a pose asks for beyond rotations of about the same size; nothing of handles at one
     /// position or on one line. O(columns).
     #[must_use]
@@ -48,7 +48,7 @@ impl Field {
         if pose.is_identity() {
             return None;
         }
-        let sums = Sums::of(&|pair| self.pairs(pose, pair))?;
+        let sums = PairSums::of(&|pair| self.pairs(pose, pair))?;
         demand(&sums, self.handles.columns())
     }
 
@@ -71,7 +71,7 @@ impl Field {
     }
 }
 
-fn demand(sums: &Sums, controls: usize) -> Option<Demand> {
+fn demand(sums: &PairSums, controls: usize) -> Option<Demand> {
     let Residuals {
         rigid,
         similarity,
@@ -79,22 +79,23 @@ fn demand(sums: &Sums, controls: usize) -> Option<Demand> {
         affine,
     } = sums.residuals();
     let (affine, [x, y]) = (affine?, sums.affine_axes()?);
-    let (determinant, is_few) = (x.cross(y), controls < FEW);
+    let (determinant, is_few) = (x.cross(y), controls < FEW_CONTROLS);
     if determinant < 0.0 {
         let is_flat = -2.0 * determinant < LEAST_AREA * (x.norm2() + y.norm2());
         let is_thin = similarity < LEAST_LEFT * sums.to_spread;
-        let is_exact = controls >= LEAST_FOR_EXACT && affine <= EXACT * similarity;
+        let is_exact = controls >= LEAST_FOR_EXACT && affine <= EXACT_SHARE * similarity;
         let is_alike = mirrored <= LEFT_OF_FEW * sums.to_spread;
         let is_explained = if is_few {
             is_exact || is_alike
         } else {
-            affine <= EXPLAINS * similarity
+            affine <= EXPLAINED_SHARE * similarity
         };
         return (!is_flat && !is_thin && is_explained).then_some(Demand::Mirrored { determinant });
     }
     let scale = determinant.sqrt();
     let is_alike = !is_few || similarity <= LEFT_OF_FEW * sums.to_spread;
-    let is_scaled = !SCALES.contains(&scale) && similarity <= EXPLAINS * rigid && is_alike;
+    let is_scaled =
+        !FOLLOWED_SCALES.contains(&scale) && similarity <= EXPLAINED_SHARE * rigid && is_alike;
     is_scaled.then_some(Demand::Scaled { scale })
 }
 
@@ -114,7 +115,7 @@ mod tests {
     fn demand_of(p: &[Handle], q: &[Handle]) -> Option<Demand> {
         let handles = Handles::new(p.to_vec(), None).unwrap();
         let falloff = Falloff::new(1.0, handles.has_lines()).unwrap();
-        let field = Field::new(handles, Method::Rigid, falloff, 1.0).unwrap();
+        let field = RestDeformation::new(handles, Method::Rigid, falloff, 1.0).unwrap();
         field.demand(&field.pose(q).unwrap())
     }
 
@@ -161,7 +162,9 @@ mod tests {
             let [p, q] = mapped(seed, count, noise, &map);
             match of_points(&p, &q) {
                 Some(Demand::Mirrored { determinant }) => mirrored += u32::from(determinant < 0.0),
-                Some(Demand::Scaled { scale }) => scaled += u32::from(!SCALES.contains(&scale)),
+                Some(Demand::Scaled { scale }) => {
+                    scaled += u32::from(!FOLLOWED_SCALES.contains(&scale))
+                }
                 None => {}
             }
         }

@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::contradictions::Contradiction;
-use crate::geometry::Compact;
+use super::conflicts::Conflict;
+use crate::geometry::DisplayNumber;
 
 /// Why a set of handles, or a pose of it, has no deformation.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +84,7 @@ pub enum DeformError {
     /// Handles that coincide at rest have different targets.
     Contradictory {
         /// The first groups that were found, at least 1 and at most 100.
-        listed: Vec<Contradiction>,
+        listed: Vec<Conflict>,
         /// The number of all groups.
         total: usize,
     },
@@ -136,7 +136,7 @@ impl fmt::Display for DeformError {
                     f,
                     "handle {handle} has a coordinate of {} px; coordinates must lie between \
                         -{limit} and {limit} px",
-                    Compact(*value)
+                    DisplayNumber(*value)
                 )
             }
             Self::TooFewPlaces { handle, places } => {
@@ -173,20 +173,20 @@ impl fmt::Display for DeformError {
                 write!(
                     f,
                     "the weight of handle {handle} is {}; weights must lie between 1e-9 and 1e9",
-                    Compact(*value)
+                    DisplayNumber(*value)
                 )
             }
             Self::BadPointMass { value } => {
                 write!(
                     f,
                     "`point_mass` is {}; it must lie between 1e-9 and 1e9 px",
-                    Compact(*value)
+                    DisplayNumber(*value)
                 )
             }
             Self::BadWithin { value } => write!(
                 f,
                 "`within` is {}; it must lie between 0 and 1000000 px",
-                Compact(*value)
+                DisplayNumber(*value)
             ),
             Self::DegenerateLine { handle, segment } => {
                 write!(
@@ -225,7 +225,7 @@ impl fmt::Display for DeformError {
             Self::BadSmoothing { value } => write!(
                 f,
                 "`smoothing` is {}; it must lie between 0 and 1e9",
-                Compact(*value)
+                DisplayNumber(*value)
             ),
             Self::AlphaOutOfRange { alpha, lines } => {
                 let range = if *lines {
@@ -233,7 +233,11 @@ impl fmt::Display for DeformError {
                 } else {
                     "above 0 and at most 8"
                 };
-                write!(f, "`alpha` is {}; it must be {range}", Compact(*alpha))
+                write!(
+                    f,
+                    "`alpha` is {}; it must be {range}",
+                    DisplayNumber(*alpha)
+                )
             }
         }
     }

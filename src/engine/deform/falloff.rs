@@ -23,7 +23,7 @@ pub(super) enum Power {
 }
 
 /// Largest exponent.
-const MOST: f64 = 8.0;
+const MAX_EXPONENT: f64 = 8.0;
 /// Powers of smaller squared distances may exceed the numbers, px^2.
 const NO_DISTANCE: f64 = 1e-30;
 /// Below this exponent a line is not interpolated (mathematics section 3.4).
@@ -35,7 +35,7 @@ impl Falloff {
     /// # Errors
     /// [`DeformError::AlphaOutOfRange`], also for NaN.
     pub fn new(alpha: f64, lines: bool) -> Result<Self, DeformError> {
-        if !(alpha > 0.0 && alpha <= MOST) || lines && alpha < LEAST_WITH_LINES {
+        if !(alpha > 0.0 && alpha <= MAX_EXPONENT) || lines && alpha < LEAST_WITH_LINES {
             return Err(DeformError::AlphaOutOfRange { alpha, lines });
         }
         let power = match alpha {
@@ -68,7 +68,7 @@ impl Falloff {
     /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no
     /// distance.
     #[inline(always)]
-    pub(super) fn of_squares(self, squares: &mut [f64]) {
+    pub(super) fn apply_to_squared(self, squares: &mut [f64]) {
         match self.power {
             Power::Half => {
                 for r2 in squares {

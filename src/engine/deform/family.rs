@@ -3,16 +3,16 @@
 //! bit for bit.
 
 use super::Method;
-use super::lanes::Rows;
+use super::lanes::Coefficients;
 use crate::geometry::Vec2;
 
 /// Below this |m| the rotation is undefined (f64).
-const UNDEFINED: f64 = 1e-9;
+const UNDEFINED_ROTATION: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
 pub(super) fn displacement<const N: usize>(
     family: Method,
-    rows: &Rows<N>,
+    rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> Vec2 {
@@ -35,7 +35,7 @@ pub(super) fn displacement<const N: usize>(
 }
 
 /// `sum H_j d_j` (rigid: u) or `sum C_j d_j` (similarity).
-fn pull<const N: usize>(rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
+fn pull<const N: usize>(rows: &Coefficients<N>, k: usize, d: &[Vec2]) -> Vec2 {
     rows.h.iter().zip(d).fold(Vec2::ZERO, |sum, (h, d)| {
         sum + Vec2::new(h[0][k], h[1][k]).complex_mul(*d)
     })
@@ -48,7 +48,7 @@ fn pull<const N: usize>(rows: &Rows<N>, k: usize, d: &[Vec2]) -> Vec2 {
 )]
 pub(super) fn rotation<const N: usize>(
     family: Method,
-    rows: &Rows<N>,
+    rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> f32 {
@@ -65,7 +65,7 @@ pub(super) fn rotation<const N: usize>(
 /// and all rotations fit equally.
 pub(super) fn rho(u: Vec2) -> Vec2 {
     let n = (1.0 + u.x).hypot(u.y);
-    if n < UNDEFINED {
+    if n < UNDEFINED_ROTATION {
         return Vec2::ZERO;
     }
     let re = if 1.0 + u.x > 0.0 {

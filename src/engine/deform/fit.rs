@@ -3,20 +3,20 @@
 //! direction; sums need only its moments, so it adds a few terms to those of a point.
 
 use super::Method;
-use super::columns::{PointSource, Segment, Sources};
-use super::lanes::{PointMass, Rows};
-use super::span::{Scratch, Span};
+use super::columns::{HandleElements, PointSource, RestSegment};
+use super::lanes::{Coefficients, PointMass};
+use super::segment_moments::{CoefficientScratch, SegmentMoments};
 
 /// `tau`: direction of the frame, `at_v`: v in it. Leaves positions relative to p* and masses that
 /// add up to 1.
 #[inline(always)]
 pub(super) fn fit<const N: usize>(
     method: Method,
-    sources: &Sources,
+    sources: &HandleElements,
     tau: &[[f64; N]; 2],
     at_v: &[[f64; N]; 2],
-    scratch: &mut Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &mut CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
     let (e, per_mu) = centre(at_v, scratch);
     if method == Method::Affine {
@@ -37,8 +37,8 @@ pub(super) fn fit<const N: usize>(
         }
         turn.put(&gx, &gy, w, &mut rows.h[*column], &mut rows.wn[*column]);
     }
-    for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span {
+    for (RestSegment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
+        let SegmentMoments {
             place: PointMass { x, y, .. },
             x: tx,
             y: ty,
@@ -99,7 +99,7 @@ impl<const N: usize> Rotation<'_, N> {
 #[inline(always)]
 fn centre<const N: usize>(
     at_v: &[[f64; N]; 2],
-    scratch: &mut Scratch<N>,
+    scratch: &mut CoefficientScratch<N>,
 ) -> ([[f64; N]; 2], [f64; N]) {
     let (mut total, mut px, mut py, mut mu) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
     for PointMass { x, y, w } in places(scratch) {
@@ -109,7 +109,7 @@ fn centre<const N: usize>(
             py[k] += y[k] * w[k];
         }
     }
-    for Span { first, x, y, .. } in &scratch.spans {
+    for SegmentMoments { first, x, y, .. } in &scratch.spans {
         for k in 0..N {
             px[k] += x[k] * first[k];
             py[k] += y[k] * first[k];
@@ -134,7 +134,7 @@ fn centre<const N: usize>(
             mu[k] += w[k] * (x[k] * x[k] + y[k] * y[k]);
         }
     }
-    for Span {
+    for SegmentMoments {
         place,
         first,
         second,
@@ -158,7 +158,7 @@ fn centre<const N: usize>(
 
 /// The masses of points and segments.
 #[inline(always)]
-fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMass<N>> {
+fn places<const N: usize>(scratch: &CoefficientScratch<N>) -> impl Iterator<Item = &PointMass<N>> {
     scratch
         .places
         .iter()
@@ -169,11 +169,11 @@ fn places<const N: usize>(scratch: &Scratch<N>) -> impl Iterator<Item = &PointMa
 /// a condition of h^(3 - 2 alpha).
 #[inline(always)]
 fn affine<const N: usize>(
-    sources: &Sources,
+    sources: &HandleElements,
     e: &[[f64; N]; 2],
     per_mu: &[f64; N],
-    scratch: &Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
     let (mut a, mut b, mut c) = ([0.0; N], [0.0; N], [0.0; N]);
     for PointMass { x, y, w } in places(scratch) {
@@ -183,7 +183,7 @@ fn affine<const N: usize>(
             b[k] += g * x[k] * y[k];
         }
     }
-    for Span {
+    for SegmentMoments {
         place: PointMass { x, y, .. },
         first,
         second,
@@ -208,7 +208,7 @@ fn affine<const N: usize>(
             c[k] += w[k] * per_mu[k] * y * y;
         }
     }
-    for Span {
+    for SegmentMoments {
         place: PointMass { x, y, .. },
         first,
         second,
@@ -235,8 +235,8 @@ fn affine<const N: usize>(
             h[k] = w[k] + w[k] * (ex[k] * x[k] + ey[k] * (y[k] - r[k] * x[k]));
         }
     }
-    for (Segment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
-        let Span {
+    for (RestSegment { column, .. }, span) in sources.segments.iter().zip(&scratch.spans) {
+        let SegmentMoments {
             place: PointMass { x, y, .. },
             x: tx,
             y: ty,

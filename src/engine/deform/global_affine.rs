@@ -2,8 +2,8 @@
 //! It does not interpolate the handles. Handles on a line determine a similarity only. A segment
 //! counts with the integral over its length. O(columns) for a position.
 
-use super::columns::{PointSource, Segment, Sources};
-use super::lanes::{Rows, Vertices};
+use super::columns::{HandleElements, PointSource, RestSegment};
+use super::lanes::{Coefficients, Vertices};
 use crate::geometry::{Point, Vec2};
 
 /// The coefficients of all columns: affine functions of the position.
@@ -54,7 +54,7 @@ impl Piece {
 
 impl GlobalAffine {
     /// At least two positions. `line`: all lie on one.
-    pub(super) fn new(sources: &Sources, line: bool) -> Self {
+    pub(super) fn new(sources: &HandleElements, line: bool) -> Self {
         let first = sources
             .points
             .first()
@@ -64,7 +64,7 @@ impl GlobalAffine {
             a: source.p - first,
             b: source.p - first,
         };
-        let segment = |s: &Segment| Piece {
+        let segment = |s: &RestSegment| Piece {
             mass: s.weight * s.length,
             a: s.a - first,
             b: s.b - first,
@@ -134,7 +134,7 @@ impl GlobalAffine {
     }
 
     /// The coefficients of N vertices.
-    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, rows: &mut Rows<N>) {
+    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, rows: &mut Coefficients<N>) {
         let (mut ex, mut ey) = ([0.0; N], [0.0; N]);
         for k in 0..N {
             let e = turned(Point::new(v.x[k], v.y[k]) - self.centre, self.tau);
@@ -161,7 +161,7 @@ impl GlobalAffine {
 
 /// The columns of all sources; `pieces` in their order. The first moment of an end is the integral
 /// of the position times the end's share.
-fn masses<'a>(sources: &'a Sources, pieces: &'a [Piece]) -> impl Iterator<Item = Mass> + 'a {
+fn masses<'a>(sources: &'a HandleElements, pieces: &'a [Piece]) -> impl Iterator<Item = Mass> + 'a {
     let (points, segments) = pieces.split_at(sources.points.len());
     let points = sources
         .points

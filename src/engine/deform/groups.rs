@@ -5,16 +5,16 @@
 use std::collections::HashMap;
 
 use super::columns::ONE_PLACE;
-use super::contradictions::{Contradictions, Member};
+use super::conflicts::{Conflicts, Member};
 use super::handles::COINCIDENT_SHARE;
 use super::{DeformError, Handle, Handles};
 use crate::geometry::{Point, Vec2};
 
 /// The side of a cell whose points all coincide, as a share of the distance of coincidence: its
 /// diagonal is shorter than that distance.
-const CELL: f64 = 0.7;
+const CELL_SIDE_SHARE: f64 = 0.7;
 /// Points of two cells may coincide if their columns and rows differ by at most this.
-const REACH: i64 = 2;
+const REACH_CELLS: i64 = 2;
 
 /// What happens to coincident handles whose displacements differ.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -197,7 +197,7 @@ impl Groups {
     /// `tolerance`.
     pub(super) fn add_contradictions(
         &self,
-        found: &mut Contradictions,
+        found: &mut Conflicts,
         grouped: &Handles,
         given: &[Vec2],
         mean: &[Vec2],
@@ -274,7 +274,9 @@ fn firsts(
             Point::new(o.x.min(p.x), o.y.min(p.y))
         });
     for (index, p) in points.iter().enumerate() {
-        let cell = cells.entry(cell(*p - origin, CELL * distance)).or_default();
+        let cell = cells
+            .entry(cell(*p - origin, CELL_SIDE_SHARE * distance))
+            .or_default();
         if let Some(first) = cell.first() {
             join(&mut sets, *first, index);
         }
@@ -282,8 +284,8 @@ fn firsts(
     }
     for (at, own) in &cells {
         // Each pair of cells once.
-        let later = (0..=REACH)
-            .flat_map(|dx| (-REACH..=REACH).map(move |dy| [dx, dy]))
+        let later = (0..=REACH_CELLS)
+            .flat_map(|dx| (-REACH_CELLS..=REACH_CELLS).map(move |dy| [dx, dy]))
             .filter(|step| *step > [0, 0]);
         for other in later.filter_map(|[dx, dy]| cells.get(&[at[0] + dx, at[1] + dy])) {
             join_cells(&mut sets, points, own, other, distance, cancelled)?;
@@ -348,7 +350,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::deform::Contradictory;
+    use crate::deform::ConflictingHandles;
 
     const NEVER: &dyn Fn() -> bool = &|| false;
 
@@ -405,9 +407,9 @@ mod tests {
             mean.iter().map(|d| (d.x, d.y)).collect::<Vec<_>>(),
             [(3.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]
         );
-        let mut found = Contradictions::new(1e-6);
+        let mut found = Conflicts::new(1e-6);
         groups.add_contradictions(&mut found, &grouped, &d, &mean, 1e-6);
-        let Contradictory { listed, total, .. } = found.finish();
+        let ConflictingHandles { listed, total, .. } = found.finish();
         assert_eq!(
             (total, listed[0].handles.as_slice(), listed[0].spread),
             (1, &[0, 3][..], 3.0)

@@ -1,13 +1,13 @@
 //! Handles at rest and posed: points, segments, polylines, mixed. Shapes: a handle is one position
 //! (a point) or two and more (a polyline of segments).
 
-use super::{Contradictory, DeformError};
+use super::{ConflictingHandles, DeformError};
 use crate::geometry::{Point, Vec2};
 
 /// Largest coordinate either way, px.
 pub const MAX_COORDINATE: f64 = 1e6;
 /// Weights outside of this range would overflow or underflow the ratios in f64.
-const WEIGHTS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
+const WEIGHT_RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 /// The shortest segment, px.
 const SHORTEST_SEGMENT: f64 = 1e-6;
 /// The shortest segment as a share of the set's extent.
@@ -82,7 +82,7 @@ impl Handles {
         if let Some((handle, &value)) = weights
             .iter()
             .enumerate()
-            .find(|(_, w)| !WEIGHTS.contains(w))
+            .find(|(_, w)| !WEIGHT_RANGE.contains(w))
         {
             return Err(DeformError::BadWeight { handle, value });
         }
@@ -175,7 +175,7 @@ impl Handles {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pose {
     displacements: Vec<Vec2>,
-    contradictions: Contradictory,
+    contradictions: ConflictingHandles,
 }
 
 impl Pose {
@@ -217,7 +217,7 @@ impl Pose {
         }
         Ok(Self {
             displacements,
-            contradictions: Contradictory::default(),
+            contradictions: ConflictingHandles::default(),
         })
     }
 
@@ -226,14 +226,14 @@ impl Pose {
     pub fn identity(rest: &Handles) -> Self {
         Self {
             displacements: vec![Vec2::ZERO; rest.columns()],
-            contradictions: Contradictory::default(),
+            contradictions: ConflictingHandles::default(),
         }
     }
 
     /// The pose with these displacements and contradictions.
     pub(super) const fn of_columns(
         displacements: Vec<Vec2>,
-        contradictions: Contradictory,
+        contradictions: ConflictingHandles,
     ) -> Self {
         Self {
             displacements,
@@ -243,7 +243,7 @@ impl Pose {
 
     /// The groups of handles that coincide at rest and move differently.
     #[must_use]
-    pub const fn contradictions(&self) -> &Contradictory {
+    pub const fn contradictions(&self) -> &ConflictingHandles {
         &self.contradictions
     }
 

@@ -14,9 +14,9 @@ use super::lane_math::pow;
 
 /// Coefficients of a polynomial: the functions are singular at 1, so those of Chebyshev polynomials
 /// on [0, 1/2] fall by 5.8 each.
-const TERMS: usize = 18;
+const CHEBYSHEV_TERMS: usize = 18;
 /// The positive Chebyshev nodes, `cos((2 k + 1) pi / 36)`.
-const NODES: [f64; TERMS / 2] = [
+const CHEBYSHEV_NODES: [f64; CHEBYSHEV_TERMS / 2] = [
     0.996_194_698_091_745_5,
     0.965_925_826_289_068_3,
     0.906_307_787_036_649_9,
@@ -36,14 +36,14 @@ const FROM_LOGARITHM: f64 = 1e-3;
 pub(super) struct IncompleteBeta {
     alpha: f64,
     /// Polynomials in `4 y - 1`.
-    from_foot: [f64; TERMS],
-    from_infinity: [f64; TERMS],
+    from_foot: [f64; CHEBYSHEV_TERMS],
+    from_infinity: [f64; CHEBYSHEV_TERMS],
     /// The integral from the foot to infinity, for h = 1.
     total: f64,
 }
 
 /// Segments relative to N vertices.
-pub(super) struct Along<'a, const N: usize> {
+pub(super) struct RelativeSegments<'a, const N: usize> {
     /// The foot coordinates of the ends and of the position nearest to v, lengths.
     pub(super) ends: [[f64; N]; 2],
     pub(super) nearest: &'a [f64; N],
@@ -82,10 +82,10 @@ impl IncompleteBeta {
     #[inline(always)]
     pub(super) fn moments<const N: usize>(
         &self,
-        along: &Along<'_, N>,
+        along: &RelativeSegments<'_, N>,
         falloff: Falloff,
     ) -> [[f64; N]; 3] {
-        let Along {
+        let RelativeSegments {
             ends: [a, b],
             nearest,
             h,
@@ -133,10 +133,10 @@ impl IncompleteBeta {
         &self,
         u: &[f64; N],
         common: &[f64; N],
-        along: &Along<'_, N>,
+        along: &RelativeSegments<'_, N>,
         falloff: Falloff,
     ) -> [[f64; N]; 3] {
-        let Along { h, ratio, .. } = along;
+        let RelativeSegments { h, ratio, .. } = along;
         let (mut d, mut w, mut integral) = ([0.0; N], [0.0; N], [0.0; N]);
         for k in 0..N {
             d[k] = u[k] * u[k] + h[k] * h[k];
@@ -165,9 +165,9 @@ impl IncompleteBeta {
 }
 
 #[inline(always)]
-fn polynomial(coefficients: &[f64; TERMS], x: f64) -> f64 {
-    let mut sum = coefficients[TERMS - 1];
-    for k in (0..TERMS - 1).rev() {
+fn polynomial(coefficients: &[f64; CHEBYSHEV_TERMS], x: f64) -> f64 {
+    let mut sum = coefficients[CHEBYSHEV_TERMS - 1];
+    for k in (0..CHEBYSHEV_TERMS - 1).rev() {
         sum = sum * x + coefficients[k];
     }
     sum
@@ -185,25 +185,25 @@ fn hypergeometric(a: f64, b: f64, c: f64, y: f64) -> f64 {
 }
 
 /// The polynomial in `x = 4 y - 1` that equals a function of y at the Chebyshev nodes of [0, 1/2].
-fn fitted(function: impl Fn(f64) -> f64) -> [f64; TERMS] {
-    let nodes: [f64; TERMS] = std::array::from_fn(|k| {
-        if k < TERMS / 2 {
-            NODES[k]
+fn fitted(function: impl Fn(f64) -> f64) -> [f64; CHEBYSHEV_TERMS] {
+    let nodes: [f64; CHEBYSHEV_TERMS] = std::array::from_fn(|k| {
+        if k < CHEBYSHEV_TERMS / 2 {
+            CHEBYSHEV_NODES[k]
         } else {
-            -NODES[TERMS - 1 - k]
+            -CHEBYSHEV_NODES[CHEBYSHEV_TERMS - 1 - k]
         }
     });
     let values = nodes.map(|x| function(0.25 * (1.0 + x)));
-    let mut sum = [0.0; TERMS];
+    let mut sum = [0.0; CHEBYSHEV_TERMS];
     // T_n at the nodes, and its coefficients; T_(-1) is T_1.
-    let mut unit = [0.0; TERMS];
+    let mut unit = [0.0; CHEBYSHEV_TERMS];
     unit[0] = 1.0;
-    let (mut at, mut before) = ([1.0; TERMS], nodes);
-    let (mut t, mut t_before) = (unit, [0.0; TERMS]);
+    let (mut at, mut before) = ([1.0; CHEBYSHEV_TERMS], nodes);
+    let (mut t, mut t_before) = (unit, [0.0; CHEBYSHEV_TERMS]);
     t_before[1] = 1.0;
-    for n in 0..TERMS {
+    for n in 0..CHEBYSHEV_TERMS {
         let product: f64 = values.iter().zip(&at).map(|(value, t)| value * t).sum();
-        let share = product / TERMS as f64 * if n == 0 { 1.0 } else { 2.0 };
+        let share = product / CHEBYSHEV_TERMS as f64 * if n == 0 { 1.0 } else { 2.0 };
         for (sum, t) in sum.iter_mut().zip(&t) {
             *sum += share * t;
         }

@@ -6,36 +6,40 @@
 use crate::geometry::{Grid, Mesh};
 
 /// Vertices of a quintic.
-const NODES: usize = 6;
+const QUINTIC_NODES: usize = 6;
 /// Vertices used along each axis: two sixth differences.
-const STENCIL: usize = 8;
+const STENCIL_VERTICES: usize = 8;
 /// Positions of a cell among the nodes of a quintic; the third is the middle.
-const POSITIONS: usize = NODES - 1;
-const MIDDLE: usize = 2;
+const CELL_POSITIONS: usize = QUINTIC_NODES - 1;
+const MIDDLE_POSITION: usize = 2;
 /// The weights of the nodes for the quarters of a cell.
-const WEIGHTS: [[[f32; NODES]; 3]; POSITIONS] = weights();
+const NODE_WEIGHTS: [[[f32; QUINTIC_NODES]; 3]; CELL_POSITIONS] = weights();
 /// The error of a quintic in a cell is at most about this share of the sixth differences, and that
 /// of a cubic of the fourth.
-const OF_SIXTH: [f32; POSITIONS] = shares();
+const OF_SIXTH: [f32; CELL_POSITIONS] = shares();
 const OF_FOURTH: f32 = 3.0 / 128.0;
 /// The next order adds to the error where differences fall slowly; where they hardly fall, the grid
 /// does not resolve f.
 const NEXT_ORDER: f32 = 2.0;
-const SLOWEST: f32 = 0.6;
+const SLOWEST_DECAY: f32 = 0.6;
 
 /// Lagrange's polynomials at the quarters of each cell.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "weights of f32 displacements"
 )]
-const fn weights() -> [[[f32; NODES]; 3]; POSITIONS] {
-    let mut weights = [[[0.0; NODES]; 3]; POSITIONS];
+const fn weights() -> [[[f32; QUINTIC_NODES]; 3]; CELL_POSITIONS] {
+    let mut weights = [[[0.0; QUINTIC_NODES]; 3]; CELL_POSITIONS];
     let mut at = 0;
-    while at < POSITIONS * 3 * NODES {
-        let (position, quarter, node) = (at / NODES / 3, at / NODES % 3, at % NODES);
+    while at < CELL_POSITIONS * 3 * QUINTIC_NODES {
+        let (position, quarter, node) = (
+            at / QUINTIC_NODES / 3,
+            at / QUINTIC_NODES % 3,
+            at % QUINTIC_NODES,
+        );
         let x = position as f64 + 0.25 * (quarter + 1) as f64;
         let (mut weight, mut other) = (1.0, 0);
-        while other < NODES {
+        while other < QUINTIC_NODES {
             if other != node {
                 weight *= (x - other as f64) / (node as f64 - other as f64);
             }
@@ -50,18 +54,18 @@ const fn weights() -> [[[f32; NODES]; 3]; POSITIONS] {
 /// The largest error of a quintic at the quarters of each cell, per sixth difference, and by how
 /// much more than in the middle it increases the errors of the values that it interpolates.
 #[expect(clippy::cast_possible_truncation, reason = "an estimate")]
-const fn shares() -> [f32; POSITIONS] {
+const fn shares() -> [f32; CELL_POSITIONS] {
     /// 6!
     const FACTORIAL: f64 = 720.0;
-    let mut shares = [0.0; POSITIONS];
+    let mut shares = [0.0; CELL_POSITIONS];
     let mut at = 0;
-    while at < POSITIONS * 3 {
+    while at < CELL_POSITIONS * 3 {
         let x = (at / 3) as f64 + 0.25 * (at % 3 + 1) as f64;
         let (mut product, mut sum, mut of_middle, mut node) = (1.0 / FACTORIAL, 0.0, 0.0, 0);
-        while node < NODES {
+        while node < QUINTIC_NODES {
             product *= (x - node as f64).abs();
-            sum += WEIGHTS[at / 3][at % 3][node].abs();
-            of_middle += WEIGHTS[MIDDLE][at % 3][node].abs();
+            sum += NODE_WEIGHTS[at / 3][at % 3][node].abs();
+            of_middle += NODE_WEIGHTS[MIDDLE_POSITION][at % 3][node].abs();
             node += 1;
         }
         let share = product as f32 * sum / of_middle;
@@ -75,7 +79,7 @@ const fn shares() -> [f32; POSITIONS] {
 
 /// A place along one axis of the grid: the vertices used for a cell.
 #[derive(Clone, Copy, Debug)]
-struct Axis {
+struct AxisStencil {
     /// The first of the vertices.
     first: usize,
     /// The first node among them.
@@ -84,14 +88,18 @@ struct Axis {
     position: usize,
 }
 
-impl Axis {
+impl AxisStencil {
     /// `lines`: grid lines at equal distances, from the first. `None` if there are too few for this
     /// cell.
     fn new(cell: usize, lines: usize) -> Option<Self> {
-        let first = cell.saturating_sub(3).min(lines.checked_sub(STENCIL)?);
+        let first = cell
+            .saturating_sub(3)
+            .min(lines.checked_sub(STENCIL_VERTICES)?);
         let cell = cell - first;
-        let nodes = cell.saturating_sub(MIDDLE).min(STENCIL - NODES);
-        (cell + 1 < STENCIL).then_some(Self {
+        let nodes = cell
+            .saturating_sub(MIDDLE_POSITION)
+            .min(STENCIL_VERTICES - QUINTIC_NODES);
+        (cell + 1 < STENCIL_VERTICES).then_some(Self {
             first,
             nodes,
             position: cell - nodes,
@@ -110,9 +118,10 @@ pub(super) struct EvenLines {
 impl EvenLines {
     pub(super) fn of(grid: &Grid) -> Self {
         /// Distances that differ by a smaller share of a cell are equal.
-        const EQUAL: f64 = 1e-6;
+        const EQUAL_DISTANCE_CELLS: f64 = 1e-6;
         let even = |count: u32, at: &dyn Fn(u32) -> f64, cell: f64| {
-            let is_even = count > 1 && (at(count - 1) - at(count - 2) - cell).abs() < EQUAL * cell;
+            let is_even = count > 1
+                && (at(count - 1) - at(count - 2) - cell).abs() < EQUAL_DISTANCE_CELLS * cell;
             count as usize - usize::from(!is_even)
         };
         Self {
@@ -125,17 +134,17 @@ impl EvenLines {
 /// A cell whose vertices are interpolated.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Interpolated<'a> {
-    lines: [&'a [[f32; 2]; STENCIL]; STENCIL],
-    x: Axis,
-    y: Axis,
+    lines: [&'a [[f32; 2]; STENCIL_VERTICES]; STENCIL_VERTICES],
+    x: AxisStencil,
+    y: AxisStencil,
 }
 
 impl<'a> Interpolated<'a> {
     /// The cell at a column and row; `None` if too few lines are at equal distances.
     pub(super) fn new(mesh: &'a Mesh, even: EvenLines, i: u32, j: u32) -> Option<Self> {
         let (x, y) = (
-            Axis::new(i as usize, even.columns)?,
-            Axis::new(j as usize, even.rows)?,
+            AxisStencil::new(i as usize, even.columns)?,
+            AxisStencil::new(j as usize, even.rows)?,
         );
         let (d, columns) = (mesh.displacement(), mesh.grid().columns() as usize);
         let line = |k: usize| {
@@ -151,7 +160,7 @@ impl<'a> Interpolated<'a> {
     }
 
     /// The vertices that the first halving adds, in the order of
-    /// [`group`](super::exact_rows::group), px.
+    /// [`group`](super::subdivision_cache::group), px.
     pub(super) fn halves(&self) -> [[f32; 2]; 5] {
         let [above, middle, below] = [0, 2, 4].map(|quarter| self.line(quarter));
         [
@@ -166,25 +175,25 @@ impl<'a> Interpolated<'a> {
     /// The vertices that the second halving adds, in the same order.
     pub(super) fn quarters(&self) -> [[f32; 2]; 16] {
         let lines: [_; 5] = std::array::from_fn(|quarter| self.line(quarter));
-        let mut added =
-            super::exact_rows::group(2).map(|(a, b)| self.at(a as usize, &lines[b as usize]));
+        let mut added = super::subdivision_cache::group(2)
+            .map(|(a, b)| self.at(a as usize, &lines[b as usize]));
         std::array::from_fn(|_| added.next().expect("sixteen"))
     }
 
     /// The nodes of all columns at a quarter of the cell's height.
-    fn line(&self, quarter: usize) -> [[f32; 2]; NODES] {
-        let Axis {
+    fn line(&self, quarter: usize) -> [[f32; 2]; QUINTIC_NODES] {
+        let AxisStencil {
             nodes, position, ..
         } = self.y;
-        let columns = |line: &'a [[f32; 2]; STENCIL]| -> &'a [[f32; 2]; NODES] {
+        let columns = |line: &'a [[f32; 2]; STENCIL_VERTICES]| -> &'a [[f32; 2]; QUINTIC_NODES] {
             line[self.x.nodes..].first_chunk().expect("the nodes")
         };
         match quarter {
             0 => *columns(self.lines[nodes + position]),
             4 => *columns(self.lines[nodes + position + 1]),
             _ => {
-                let mut sum = [[0.0; 2]; NODES];
-                for (weight, line) in WEIGHTS[position][quarter - 1]
+                let mut sum = [[0.0; 2]; QUINTIC_NODES];
+                for (weight, line) in NODE_WEIGHTS[position][quarter - 1]
                     .iter()
                     .zip(&self.lines[nodes..])
                 {
@@ -202,13 +211,13 @@ impl<'a> Interpolated<'a> {
     }
 
     /// The displacement at a quarter of the cell's width.
-    fn at(&self, quarter: usize, line: &[[f32; 2]; NODES]) -> [f32; 2] {
-        let Axis { position, .. } = self.x;
+    fn at(&self, quarter: usize, line: &[[f32; 2]; QUINTIC_NODES]) -> [f32; 2] {
+        let AxisStencil { position, .. } = self.x;
         match quarter {
             0 => line[position],
             4 => line[position + 1],
             _ => {
-                let weights = &WEIGHTS[position][quarter - 1];
+                let weights = &NODE_WEIGHTS[position][quarter - 1];
                 weights
                     .iter()
                     .zip(line)
@@ -240,9 +249,9 @@ impl<'a> Interpolated<'a> {
         let (fourth_y, sixth_y) = (largest(&columns.0[4..12]), largest(&columns.1[..8]));
         let (cubic, quintic) = (
             OF_FOURTH * (fourth_x + fourth_y),
-            OF_SIXTH[MIDDLE] * (sixth_x + sixth_y),
+            OF_SIXTH[MIDDLE_POSITION] * (sixth_x + sixth_y),
         );
-        if quintic > SLOWEST * cubic {
+        if quintic > SLOWEST_DECAY * cubic {
             return f32::INFINITY;
         }
         let off = OF_SIXTH[self.x.position] * sixth_x + OF_SIXTH[self.y.position] * sixth_y;
@@ -276,10 +285,13 @@ fn differences<const COMPONENTS: usize, const N: usize>(values: &[f32]) -> ([f32
         out
     };
     let fourth = second(
-        &second(values.try_into().expect("eight values"), STENCIL - 2),
-        STENCIL - 4,
+        &second(
+            values.try_into().expect("eight values"),
+            STENCIL_VERTICES - 2,
+        ),
+        STENCIL_VERTICES - 4,
     );
-    let sixth = second(&fourth, STENCIL - 6);
+    let sixth = second(&fourth, STENCIL_VERTICES - 6);
     (fourth, sixth)
 }
 
@@ -295,7 +307,7 @@ fn largest<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::deform::exact_rows::group;
+    use crate::deform::subdivision_cache::group;
 
     fn mesh(f: impl Fn(f32, f32) -> [f32; 2]) -> (Mesh, EvenLines) {
         let grid = Grid::with_counts(120.0, 100.0, 13, 11);

@@ -7,42 +7,42 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::deformation::Deformation;
 use super::kernel::LANES;
-use super::span::Workspace;
-use super::{Field, IsCancelled, Pose};
+use super::posed_map::PosedMap;
+use super::segment_moments::Workspace;
+use super::{IsCancelled, Pose, RestDeformation};
 use crate::geometry::{CellTree, Mesh, Point, Vec2};
 
 /// The largest distance of f from the position that was asked for, px.
-const SOLVED: f64 = 1e-7;
+const SOLVED_DISTANCE_PX: f64 = 1e-7;
 /// The steps of Broyden's method and of Newton's.
-const STEPS: usize = 12;
+const MAX_STEPS: usize = 12;
 const NEWTON_STEPS: usize = 30;
 /// The distance of Newton's differences, px, and the most halvings of a step.
-const DIFFERENCE: f64 = 1e-4;
-const HALVINGS: usize = 10;
+const DIFFERENCE_PX: f64 = 1e-4;
+const MAX_HALVINGS: usize = 10;
 /// A solution lies at most this far outside the cell from which it was sought, and a step is at
 /// most this long, in cells.
-const BESIDE: f64 = 1.0;
+const MAX_OUTSIDE_CELLS: f64 = 1.0;
 const LONGEST_STEP: f64 = 4.0;
 /// The mesh is not f: cells this near to a position are tried, px.
-const MARGIN: f64 = 1.0;
+const CELL_MARGIN_PX: f64 = 1.0;
 /// Cells that are tried for a position: more overlap only where nothing can be seen.
 const MOST_CELLS: usize = 32;
 /// Rounding errors at the border of the picture, px.
-const BORDER: f64 = 1e-6;
+const BORDER_ERROR_PX: f64 = 1e-6;
 
 /// The inverse of one pose.
 #[derive(Debug)]
 pub struct Inverse<'a> {
-    f: Deformation<'a>,
+    f: PosedMap<'a>,
     mesh: &'a Mesh,
     tree: CellTree,
     steps: AtomicU64,
 }
 
 /// What a thread that searches needs.
-struct Search<'a> {
+struct InverseSearch<'a> {
     workspace: Workspace<LANES>,
     cancelled: IsCancelled<'a>,
 }
@@ -99,9 +99,9 @@ impl Matrix {
 impl<'a> Inverse<'a> {
     /// `mesh`: of the same pose; cells that it draws over others come later in its rows. Its cells
     /// have 4 to 8 px: positions are not found where larger ones differ from f by more than
-    /// `MARGIN`, or where more than `MOST_CELLS` smaller ones overlap.
+    /// `CELL_MARGIN_PX`, or where more than `MOST_CELLS` smaller ones overlap.
     #[must_use]
-    pub fn new(field: &'a Field, pose: &'a Pose, mesh: &'a Mesh) -> Self {
+    pub fn new(field: &'a RestDeformation, pose: &'a Pose, mesh: &'a Mesh) -> Self {
         Self {
             f: field.deformation(pose),
             mesh,
@@ -116,7 +116,7 @@ impl<'a> Inverse<'a> {
     /// have many.
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
-        let mut search = Search {
+        let mut search = InverseSearch {
             workspace: Workspace::new(self.f.columns()),
             cancelled,
         };
@@ -134,17 +134,17 @@ impl<'a> Inverse<'a> {
     }
 
     /// f at up to [`LANES`] positions; `None` when cancelled.
-    fn f(&self, x: &[Point], search: &mut Search<'_>) -> Option<Vec<Point>> {
+    fn f(&self, x: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Point>> {
         self.steps.fetch_add(1, Ordering::Relaxed);
         (!(search.cancelled)()).then(|| self.f.map_block(x, &mut search.workspace))
     }
 
-    fn block(&self, posed: &[Point], search: &mut Search<'_>) -> Option<Vec<Option<Point>>> {
+    fn block(&self, posed: &[Point], search: &mut InverseSearch<'_>) -> Option<Vec<Option<Point>>> {
         let mut cells = Vec::new();
         let starts: Vec<Vec<Start>> = posed
             .iter()
             .map(|y| {
-                self.tree.find(*y, MARGIN, &mut cells);
+                self.tree.find(*y, CELL_MARGIN_PX, &mut cells);
                 cells.truncate(MOST_CELLS);
                 let mut starts: Vec<Start> =
                     cells.iter().map(|cell| self.start(*cell, *y)).collect();
@@ -212,13 +212,13 @@ impl<'a> Inverse<'a> {
         &self,
         posed: &[Point],
         starts: &[(usize, Start)],
-        search: &mut Search<'_>,
+        search: &mut InverseSearch<'_>,
     ) -> Option<Vec<Option<Point>>> {
         let (width, height) = self.mesh.grid().cell();
         let longest = LONGEST_STEP * width.max(height);
         let mut x: Vec<Point> = starts.iter().map(|(_, start)| start.x).collect();
         let mut inverses: Vec<Matrix> = starts.iter().map(|(_, start)| start.inverse).collect();
-        let off = |x: &[Point], search: &mut Search<'_>| -> Option<Vec<Vec2>> {
+        let off = |x: &[Point], search: &mut InverseSearch<'_>| -> Option<Vec<Vec2>> {
             let f = self.f(x, search)?;
             Some(
                 starts
@@ -229,13 +229,13 @@ impl<'a> Inverse<'a> {
             )
         };
         let mut offs = off(&x, search)?;
-        for _ in 0..STEPS {
-            if offs.iter().all(|off| off.norm() <= SOLVED) {
+        for _ in 0..MAX_STEPS {
+            if offs.iter().all(|off| off.norm() <= SOLVED_DISTANCE_PX) {
                 break;
             }
             let mut steps = vec![Vec2::ZERO; x.len()];
             for (k, step) in steps.iter_mut().enumerate() {
-                if offs[k].norm() > SOLVED {
+                if offs[k].norm() > SOLVED_DISTANCE_PX {
                     let whole = inverses[k].times(offs[k]);
                     let length = whole.norm();
                     *step = if length > longest {
@@ -257,30 +257,37 @@ impl<'a> Inverse<'a> {
         // One more step costs nothing.
         let last = x.into_iter().zip(inverses).zip(offs);
         Some(
-            last.map(|((x, inverse), off)| (off.norm() <= SOLVED).then(|| x + inverse.times(off)))
-                .collect(),
+            last.map(|((x, inverse), off)| {
+                (off.norm() <= SOLVED_DISTANCE_PX).then(|| x + inverse.times(off))
+            })
+            .collect(),
         )
     }
 
     /// Newton's method with shorter steps where whole ones lead away. The outer `None`: cancelled.
-    fn newton(&self, y: Point, start: &Start, search: &mut Search<'_>) -> Option<Option<Point>> {
+    fn newton(
+        &self,
+        y: Point,
+        start: &Start,
+        search: &mut InverseSearch<'_>,
+    ) -> Option<Option<Point>> {
         let mut x = start.x;
         for _ in 0..NEWTON_STEPS {
-            let (across, down) = (Vec2::new(DIFFERENCE, 0.0), Vec2::new(0.0, DIFFERENCE));
+            let (across, down) = (Vec2::new(DIFFERENCE_PX, 0.0), Vec2::new(0.0, DIFFERENCE_PX));
             let around = [x, x + across, x - across, x + down, x - down];
             let [f, right, left, below, above] =
                 <[Point; 5]>::try_from(self.f(&around, search)?).expect("five");
             let off = y - f;
-            if off.norm() <= SOLVED {
+            if off.norm() <= SOLVED_DISTANCE_PX {
                 return Some(Some(x));
             }
-            let per = 0.5 / DIFFERENCE;
+            let per = 0.5 / DIFFERENCE_PX;
             let Some(inverse) = Matrix::inverse_of((right - left) * per, (below - above) * per)
             else {
                 return Some(None);
             };
             let step = inverse.times(off);
-            let shorter: Vec<Point> = (0..HALVINGS)
+            let shorter: Vec<Point> = (0..MAX_HALVINGS)
                 .map(|k| x + step * 0.5_f64.powi(i32::try_from(k).expect("a few")))
                 .collect();
             let tried = self.f(&shorter, search)?;
@@ -300,7 +307,7 @@ impl<'a> Inverse<'a> {
     fn within(&self, x: Point, cell: usize) -> Option<Point> {
         let grid = self.mesh.grid();
         let inside = |value: f64, side: f64| {
-            (-BORDER..=side + BORDER)
+            (-BORDER_ERROR_PX..=side + BORDER_ERROR_PX)
                 .contains(&value)
                 .then_some(value.clamp(0.0, side))
         };
@@ -312,7 +319,8 @@ impl<'a> Inverse<'a> {
             (cell / (grid.columns() as usize - 1)) as f64,
         );
         let beside = |value: f64, first: f64, side: f64| {
-            (-BESIDE..=1.0 + BESIDE).contains(&((value - first * side) / side))
+            (-MAX_OUTSIDE_CELLS..=1.0 + MAX_OUTSIDE_CELLS)
+                .contains(&((value - first * side) / side))
         };
         (beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
     }
@@ -323,12 +331,18 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::deform::{Falloff, Handle, Handles, Method, Plan};
+    use crate::deform::{CoefficientTable, Falloff, Handle, Handles, Method};
     use crate::geometry::Grid;
 
     const NEVER: IsCancelled<'static> = &|| false;
 
-    fn set(method: Method, alpha: f64, count: u32, seed: u32, reach: f64) -> (Field, Pose) {
+    fn set(
+        method: Method,
+        alpha: f64,
+        count: u32,
+        seed: u32,
+        reach: f64,
+    ) -> (RestDeformation, Pose) {
         let noise = |k: u32, n: u32| {
             f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8)
                 / f64::from(1_u32 << 24)
@@ -339,20 +353,21 @@ mod tests {
         };
         let rest =
             Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
-        let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
+        let field =
+            RestDeformation::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
         let pose = field
             .pose(&(0..count).map(moved).collect::<Vec<_>>())
             .unwrap();
         (field, pose)
     }
 
-    fn mesh(field: &Field, pose: &Pose, cell: f64) -> Mesh {
+    fn mesh(field: &RestDeformation, pose: &Pose, cell: f64) -> Mesh {
         let grid = Grid::with_cell(300.0, 200.0, cell);
-        Plan::of_grid(field, &grid).pose(&grid, pose).0
+        CoefficientTable::of_grid(field, &grid).pose(&grid, pose).0
     }
 
     /// f folds in cells of half a pixel.
-    fn folds_finely(field: &Field, pose: &Pose) -> bool {
+    fn folds_finely(field: &RestDeformation, pose: &Pose) -> bool {
         mesh(field, pose, 0.5).folded_cells().next().is_some()
     }
 
@@ -475,7 +490,9 @@ mod tests {
                 let posed: Vec<Point> = rest.iter().map(|p| field.map(&pose, *p)).collect();
                 for cell in [4.0, 5.0, 8.0] {
                     let grid = Grid::with_cell(300.0, 200.0, cell);
-                    let mesh = Plan::of_grid(&field, &grid).pose(&grid, &pose).0;
+                    let mesh = CoefficientTable::of_grid(&field, &grid)
+                        .pose(&grid, &pose)
+                        .0;
                     let found = Inverse::new(&field, &pose, &mesh)
                         .map(&posed, NEVER)
                         .unwrap();

@@ -3,17 +3,17 @@
 //! 1993: `e_pow.c`, `s_atan.c`), the source of the constants.
 
 /// The upper 21 bits of a mantissa: products of two such numbers are exact.
-const UPPER: u64 = 0xFFFF_FFFF_0000_0000;
-const MANTISSA: u64 = 0x000F_FFFF_FFFF_FFFF;
-const ONE: u64 = 0x3FF0_0000_0000_0000;
+const UPPER_BITS: u64 = 0xFFFF_FFFF_0000_0000;
+const MANTISSA_BITS: u64 = 0x000F_FFFF_FFFF_FFFF;
+const BITS_OF_ONE: u64 = 0x3FF0_0000_0000_0000;
 /// 2^52 and 1.5 * 2^52: the lowest bits of `2^52 + n` are the integer n, and adding the second
 /// rounds to an integer.
 const TWO_52: f64 = 4_503_599_627_370_496.0;
-const ROUND: f64 = 1.5 * TWO_52;
+const ROUNDING_SUMMAND: f64 = 1.5 * TWO_52;
 
 #[inline(always)]
 fn upper(x: f64) -> f64 {
-    f64::from_bits(x.to_bits() & UPPER)
+    f64::from_bits(x.to_bits() & UPPER_BITS)
 }
 
 /// `x^y` to 1 ulp for 0 <= x <= 2 and 0 < y <= 8; 0 if x or the power is below the normal numbers.
@@ -61,7 +61,7 @@ fn log2(x: f64) -> (f64, f64) {
     const LOG_REST: f64 = 1.350_039_202_129_749e-8;
 
     let bits = x.to_bits();
-    let mantissa = f64::from_bits(bits & MANTISSA | ONE);
+    let mantissa = f64::from_bits(bits & MANTISSA_BITS | BITS_OF_ONE);
     let exponent = f64::from_bits(bits >> 52 | TWO_52.to_bits()) - (TWO_52 + 1023.0);
     // x = 2^n a, where a differs from 1 or 1.5 by a factor of less than sqrt(1.5).
     let high = mantissa >= 1.732_050_807_568_877_2;
@@ -114,8 +114,8 @@ fn exp2(p: f64, rest: f64) -> f64 {
     const LN2_UPPER: f64 = 0.693_147_182_464_599_6;
     const LN2_REST: f64 = -1.904_654_299_957_768e-9;
 
-    let shifted = (p + rest) + ROUND;
-    let p = p - (shifted - ROUND);
+    let shifted = (p + rest) + ROUNDING_SUMMAND;
+    let p = p - (shifted - ROUNDING_SUMMAND);
     let t = upper(p + rest);
     let u = t * LN2_UPPER;
     let v = (rest - (t - p)) * LN2 + t * LN2_REST;
@@ -187,7 +187,7 @@ mod tests {
             state = state
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
-            let x = f64::from_bits((state >> 12) | ONE) - 1.0;
+            let x = f64::from_bits((state >> 12) | BITS_OF_ONE) - 1.0;
             let x = if state & 1 == 0 {
                 x
             } else {

@@ -12,7 +12,7 @@ pub(super) struct Vertices<const N: usize> {
 
 /// The coefficients of N vertices. Shapes: `[columns]`.
 #[derive(Clone, Debug)]
-pub(super) struct Rows<const N: usize> {
+pub(super) struct Coefficients<const N: usize> {
     /// Real and imaginary parts. Affine: C (its real part). Similarity: C. Rigid: H, 1/px.
     pub(super) h: Vec<[[f64; N]; 2]>,
     /// Rigid: the normalised weights.
@@ -40,7 +40,7 @@ impl<const N: usize> Vertices<N> {
     }
 }
 
-impl<const N: usize> Rows<N> {
+impl<const N: usize> Coefficients<N> {
     pub(super) fn zeroed(columns: usize) -> Self {
         Self {
             h: vec![[[0.0; N]; 2]; columns],

@@ -8,26 +8,26 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
-use super::columns::{PointSource, Rank, Sources, rank};
+use super::columns::{HandleElements, PointSource, Rank, rank};
 use super::family::displacement;
-use super::field::{Field, Model};
 use super::global_affine::GlobalAffine;
 use super::groups::coincidence_distance;
 use super::kernel;
 use super::lanes::Vertices;
+use super::rest_deformation::{Model, RestDeformation};
 use super::row::RowInputs;
-use super::span::Workspace;
+use super::segment_moments::Workspace;
 use super::spline::Sites;
 use super::{Handle, Handles, IsCancelled, Method, Pose};
 use crate::geometry::{Point, Vec2};
 
 /// The points of a set without one.
 struct Rest {
-    sources: Sources,
+    sources: HandleElements,
     rank: Rank,
 }
 
-impl Field {
+impl RestDeformation {
     /// The column of the grouped set to which each of the client's points belongs.
     #[must_use]
     pub fn grouped_columns(&self) -> Vec<usize> {
@@ -91,7 +91,7 @@ impl Field {
             .collect();
         let rank = rank(&Handles::of_valid(handles, vec![1.0; points.len()]));
         Rest {
-            sources: Sources {
+            sources: HandleElements {
                 points,
                 segments: Vec::new(),
             },

@@ -2,14 +2,14 @@
 
 use std::borrow::Cow;
 
-use super::exact_rows::group;
+use super::subdivision_cache::group;
 
 /// Most times that a cell is halved, which is enough for the cells of `grid: auto`.
-pub(super) const LEVELS: usize = 4;
+pub(super) const MAX_SUBDIVISION_DEPTH: usize = 4;
 
 /// What is known of some cells.
 #[derive(Debug)]
-pub(super) struct Cells {
+pub(super) struct MeasuredCells {
     /// One more than the index of each cell of the grid, or 0.
     index: Vec<u32>,
     pub(super) known: Vec<(u32, Measured)>,
@@ -22,14 +22,14 @@ pub(super) struct Measured {
     pub(super) vertices: Vec<[f32; 2]>,
     pub(super) depth: u8,
     /// The largest error of the cell halved k times, for each k below `depth`.
-    pub(super) errors: [f32; LEVELS],
+    pub(super) errors: [f32; MAX_SUBDIVISION_DEPTH],
     /// Halved at least this many times, because a neighbour is.
     pub(super) least: u8,
     /// The vertices are not interpolated.
     pub(super) is_exact: bool,
 }
 
-impl Cells {
+impl MeasuredCells {
     /// Nothing is known yet; `cells`: at least their number.
     pub(super) fn new(cells: usize) -> Self {
         Self {
@@ -75,7 +75,7 @@ impl Measured {
         Self {
             vertices: corners.to_vec(),
             depth: 0,
-            errors: [0.0; LEVELS],
+            errors: [0.0; MAX_SUBDIVISION_DEPTH],
             least: 0,
             is_exact: false,
         }

@@ -1,6 +1,6 @@
 //! The handles behind the columns of a table, for those who pose it themselves.
 
-use super::{Field, Handle};
+use super::{Handle, RestDeformation};
 
 /// A position of a client's handle that a column belongs to. The column's position, at rest and
 /// posed, is the sum of its members' positions, each times its share.
@@ -16,12 +16,12 @@ pub struct ColumnMember {
     pub share: f64,
 }
 
-impl Field {
+impl RestDeformation {
     /// The members of all columns, in the order of the client's handles. A point has one, a segment
     /// one for each end.
     #[must_use]
     pub fn column_members(&self) -> Vec<ColumnMember> {
-        let given = self.given();
+        let given = self.client_handles();
         let grouped = self.grouped.as_ref().map(|grouped| grouped.1.columns());
         let mut members = Vec::with_capacity(given.columns());
         let mut add = |handle, place, share| {
@@ -74,7 +74,7 @@ mod tests {
             Some(vec![1.0, 2.0, 1.0, 3.0]),
         )
         .unwrap();
-        let field = Field::new(
+        let field = RestDeformation::new(
             handles,
             Method::Rigid,
             Falloff::new(2.0, true).unwrap(),

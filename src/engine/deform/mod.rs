@@ -3,27 +3,23 @@
 //! extension of segments; and the thin-plate spline, which has no such local fit.
 
 #[forbid(unsafe_code)]
+mod coefficient_table;
+#[forbid(unsafe_code)]
 mod coincidences;
 #[forbid(unsafe_code)]
 mod columns;
 #[forbid(unsafe_code)]
-mod contradictions;
+mod conflicts;
 #[forbid(unsafe_code)]
 mod curvature;
-#[forbid(unsafe_code)]
-mod deformation;
 #[forbid(unsafe_code)]
 mod demand;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
-mod exact_rows;
-#[forbid(unsafe_code)]
 mod falloff;
 #[forbid(unsafe_code)]
 mod family;
-#[forbid(unsafe_code)]
-mod field;
 #[forbid(unsafe_code)]
 mod fit;
 #[forbid(unsafe_code)]
@@ -54,40 +50,44 @@ mod moments;
 #[forbid(unsafe_code)]
 mod overall;
 #[forbid(unsafe_code)]
-mod plan;
-#[forbid(unsafe_code)]
 mod posed_cells;
+#[forbid(unsafe_code)]
+mod posed_map;
 #[forbid(unsafe_code)]
 mod quadrature;
 #[forbid(unsafe_code)]
-mod refine;
+mod rest_deformation;
 #[forbid(unsafe_code)]
 mod row;
 #[forbid(unsafe_code)]
-mod saddle;
-#[forbid(unsafe_code)]
 mod samples;
+#[forbid(unsafe_code)]
+mod segment_moments;
 #[forbid(unsafe_code)]
 mod segments;
 #[forbid(unsafe_code)]
-mod span;
-#[forbid(unsafe_code)]
 mod spline;
+#[forbid(unsafe_code)]
+mod subdivide;
+#[forbid(unsafe_code)]
+mod subdivision_cache;
+#[forbid(unsafe_code)]
+mod tps_system;
 
-pub use contradictions::{Contradiction, Contradictory};
-pub use deformation::Deformation;
+pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality, pose_without_table};
+pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, Warning};
-pub use exact_rows::ExactRows;
 pub use falloff::Falloff;
-pub use field::Field;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;
 pub use members::ColumnMember;
 pub use overall::{Class, Fitted, PlaneMap, fitted};
-pub use plan::{IsCancelled, Plan, PoseQuality, pose_without_table};
-pub use refine::{Refined, Refiner};
+pub use posed_map::PosedMap;
+pub use rest_deformation::RestDeformation;
+pub use subdivide::{SubdividedMesh, Subdivider};
+pub use subdivision_cache::SubdivisionCache;
 
 /// The class of maps that is fitted at every position.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]

@@ -16,18 +16,18 @@ use super::lanes::Vertices;
 use crate::geometry::{Point, Vec2};
 
 /// Vertices that are anchored at once.
-const ANCHORED: usize = 8;
+const ANCHORED_VERTICES: usize = 8;
 /// Points whose weights are computed at once: a loop long enough that powers are vectorised.
 const AT_ONCE: usize = 32;
 /// Sums over the points: of w, w p, w d, and the second moments that similarities and affine maps
 /// need.
-const SIMILAR: usize = 8;
-const AFFINE: usize = 12;
+const SIMILARITY_SUMS: usize = 8;
+const AFFINE_SUMS: usize = 12;
 /// Affine: the least determinant of the second moments, as a share of the product of both.
-const SINGULAR: f64 = 1e-14;
+const SINGULAR_DETERMINANT_SHARE: f64 = 1e-14;
 /// Squared distances are at least this, px^2: the heaviest point at no distance has the ratio 1 and
 /// not 0/0.
-const TINY: f64 = f64::MIN_POSITIVE;
+const MIN_SQUARED_DISTANCE: f64 = f64::MIN_POSITIVE;
 /// The largest ratio of the moment about the origin to that about p*, and the largest product of it
 /// and |v - p*|, px, at which the sums about the origin are used: they are precise to about 1e-15.
 const MOST_CANCELLED: f64 = 1e12;
@@ -51,9 +51,9 @@ pub(super) struct MomentInputs<'a> {
 #[derive(Clone, Debug)]
 enum Terms {
     /// 1, p, d, |p|^2, conj(p) d.
-    Similar(Vec<Term<SIMILAR>>),
+    Similar(Vec<Term<SIMILARITY_SUMS>>),
     /// 1, p, d, x x, x y, y y, x d, y d.
-    Affine(Vec<Term<AFFINE>>),
+    Affine(Vec<Term<AFFINE_SUMS>>),
 }
 
 #[derive(Clone, Debug)]
@@ -63,11 +63,11 @@ struct Term<const SUMS: usize> {
 }
 
 /// What the heaviest point of each vertex is the origin of.
-struct Anchor {
-    r2: [f64; ANCHORED],
-    mass: [f64; ANCHORED],
-    p: [Point; ANCHORED],
-    d: [Vec2; ANCHORED],
+struct MomentOrigin {
+    r2: [f64; ANCHORED_VERTICES],
+    mass: [f64; ANCHORED_VERTICES],
+    p: [Point; ANCHORED_VERTICES],
+    d: [Vec2; ANCHORED_VERTICES],
 }
 
 /// The means of one vertex, by weight, from some origin.
@@ -162,7 +162,7 @@ impl<'a> MomentInputs<'a> {
                 }
             }
         }
-        for again in again[..count].chunks(ANCHORED) {
+        for again in again[..count].chunks(ANCHORED_VERTICES) {
             let at = |of: &[f64; N]| std::array::from_fn(|k| of[again[k.min(again.len() - 1)]]);
             let (x, y) = (at(&v.x), at(&v.y));
             let anchor = self.anchor(&x, &y);
@@ -190,7 +190,7 @@ impl<'a> MomentInputs<'a> {
             for (w, term) in weights.iter_mut().zip(terms) {
                 *w = squared_distances(term.p, x, y);
             }
-            self.falloff.of_squares(weights.as_flattened_mut());
+            self.falloff.apply_to_squared(weights.as_flattened_mut());
             for (w, term) in weights.iter().zip(terms) {
                 for (sum, factor) in sums.iter_mut().zip(&term.factors) {
                     for k in 0..LANES {
@@ -207,7 +207,7 @@ impl<'a> MomentInputs<'a> {
     fn similar<const LANES: usize>(
         &self,
         v: Vec2,
-        sums: &[[f64; LANES]; SIMILAR],
+        sums: &[[f64; LANES]; SIMILARITY_SUMS],
         k: usize,
     ) -> Option<(Vec2, f64)> {
         let per_weight = 1.0 / sums[0][k];
@@ -227,12 +227,12 @@ impl<'a> MomentInputs<'a> {
     }
 
     #[inline(always)]
-    fn anchor(&self, x: &[f64; ANCHORED], y: &[f64; ANCHORED]) -> Anchor {
-        let (mut most, mut index) = ([-1.0; ANCHORED], [0; ANCHORED]);
+    fn anchor(&self, x: &[f64; ANCHORED_VERTICES], y: &[f64; ANCHORED_VERTICES]) -> MomentOrigin {
+        let (mut most, mut index) = ([-1.0; ANCHORED_VERTICES], [0; ANCHORED_VERTICES]);
         for (PointSource { p, mass, .. }, n) in self.points.iter().zip(0_u64..) {
             let mut w = squared_distances(*p, x, y);
-            self.falloff.of_squares(&mut w);
-            for k in 0..ANCHORED {
+            self.falloff.apply_to_squared(&mut w);
+            for k in 0..ANCHORED_VERTICES {
                 let w = w[k] * mass;
                 index[k] = if w > most[k] { n } else { index[k] };
                 most[k] = if w > most[k] { w } else { most[k] };
@@ -244,7 +244,7 @@ impl<'a> MomentInputs<'a> {
             index.map(|n| self.d[n as usize]),
         );
         let r2 = std::array::from_fn(|k| squared_distances(points[k].p, &[x[k]], &[y[k]])[0]);
-        Anchor {
+        MomentOrigin {
             r2,
             mass: points.map(|point| point.mass),
             p: points.map(|point| point.p),
@@ -256,24 +256,24 @@ impl<'a> MomentInputs<'a> {
     #[inline(always)]
     fn anchored_sums(
         &self,
-        x: &[f64; ANCHORED],
-        y: &[f64; ANCHORED],
-        anchor: &Anchor,
-    ) -> [[f64; ANCHORED]; AFFINE] {
+        x: &[f64; ANCHORED_VERTICES],
+        y: &[f64; ANCHORED_VERTICES],
+        anchor: &MomentOrigin,
+    ) -> [[f64; ANCHORED_VERTICES]; AFFINE_SUMS] {
         let (x0, y0, dx0, dy0) = (
             anchor.p.map(|p| p.x),
             anchor.p.map(|p| p.y),
             anchor.d.map(|d| d.x),
             anchor.d.map(|d| d.y),
         );
-        let mut sums = [[0.0; ANCHORED]; AFFINE];
+        let mut sums = [[0.0; ANCHORED_VERTICES]; AFFINE_SUMS];
         for (PointSource { p, mass, .. }, d) in self.points.iter().zip(self.d) {
             let mut w = squared_distances(*p, x, y);
             for (w, r2) in w.iter_mut().zip(&anchor.r2) {
                 *w = r2 / *w;
             }
             self.falloff.of_lanes(&mut w);
-            for k in 0..ANCHORED {
+            for k in 0..ANCHORED_VERTICES {
                 let w = w[k] * (mass / anchor.mass[k]);
                 let (px, py, dx, dy) = (p.x - x0[k], p.y - y0[k], d.x - dx0[k], d.y - dy0[k]);
                 let (wx, wy) = (w * px, w * py);
@@ -298,7 +298,8 @@ impl<'a> MomentInputs<'a> {
     fn anchored(&self, v: Vec2, means: &Means) -> (Vec2, f64) {
         let (e, spread) = (v - means.p, means.xx + means.yy);
         if self.method == Method::Affine {
-            let is_singular = means.determinant() <= SINGULAR * means.xx * means.yy;
+            let is_singular =
+                means.determinant() <= SINGULAR_DETERMINANT_SHARE * means.xx * means.yy;
             return (
                 if is_singular {
                     means.d
@@ -319,7 +320,7 @@ impl<'a> MomentInputs<'a> {
 
 impl Means {
     #[inline(always)]
-    fn of<const LANES: usize>(sums: &[[f64; LANES]; AFFINE], k: usize) -> Self {
+    fn of<const LANES: usize>(sums: &[[f64; LANES]; AFFINE_SUMS], k: usize) -> Self {
         let per_weight = 1.0 / sums[0][k];
         let mean = |n: usize| sums[n][k] * per_weight;
         let (p, d) = (Vec2::new(mean(1), mean(2)), Vec2::new(mean(3), mean(4)));
@@ -358,7 +359,7 @@ impl Means {
 #[inline(always)]
 fn affine<const LANES: usize>(
     v: Vec2,
-    sums: &[[f64; LANES]; AFFINE],
+    sums: &[[f64; LANES]; AFFINE_SUMS],
     k: usize,
 ) -> Option<(Vec2, f64)> {
     let means = Means::of(sums, k);
@@ -396,7 +397,7 @@ fn squared_distances<const LANES: usize>(
     let mut r2 = [0.0; LANES];
     for k in 0..LANES {
         let (to_x, to_y) = (p.x - x[k], p.y - y[k]);
-        r2[k] = (to_x * to_x + to_y * to_y).max(TINY);
+        r2[k] = (to_x * to_x + to_y * to_y).max(MIN_SQUARED_DISTANCE);
     }
     r2
 }
@@ -406,13 +407,13 @@ mod tests {
     use proptest::prelude::*;
 
     use super::super::kernel::moments_at;
-    use super::super::{Field, Handle, Handles, Pose};
+    use super::super::{Handle, Handles, Pose, RestDeformation};
     use super::*;
-    use crate::level::Level;
+    use crate::level::SimdLevel;
 
     const METHODS: [Method; 3] = [Method::Affine, Method::Similarity, Method::Rigid];
 
-    fn set(method: Method, alpha: f64, count: u32, seed: u32) -> (Field, Pose) {
+    fn set(method: Method, alpha: f64, count: u32, seed: u32) -> (RestDeformation, Pose) {
         let noise = |k: u32, n: u32| {
             f64::from((k * 4 + n + 977 * seed).wrapping_mul(2_654_435_761) >> 8)
                 / f64::from(1_u32 << 24)
@@ -430,7 +431,8 @@ mod tests {
             weights,
         )
         .unwrap();
-        let field = Field::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
+        let field =
+            RestDeformation::new(rest, method, Falloff::new(alpha, false).unwrap(), 1.0).unwrap();
         let pose = field
             .pose(&(0..count).map(moved).collect::<Vec<_>>())
             .unwrap();
@@ -438,10 +440,10 @@ mod tests {
     }
 
     fn by_moments(
-        field: &Field,
+        field: &RestDeformation,
         pose: &Pose,
         places: &[Point; 16],
-        level: Level,
+        level: SimdLevel,
     ) -> ([[f64; 16]; 2], [f64; 16]) {
         let mut v = Vertices::all(places[0]);
         for (k, place) in places.iter().enumerate() {
@@ -469,7 +471,7 @@ mod tests {
                 *place = near(10f64.powi(exponent));
             }
             (places[12], places[13]) = (p, Point::new(x.round(), y));
-            for level in Level::available() {
+            for level in SimdLevel::available() {
                 let ([dx, dy], _) = by_moments(&field, &pose, &places, *level);
                 for (k, place) in places.iter().enumerate() {
                     let want = field.map(&pose, *place) - *place;
@@ -496,7 +498,7 @@ mod tests {
             let (field, pose) = set(method, alpha, 30, 5);
             let places: [Point; 16] =
                 std::array::from_fn(|k| field.handles().handles()[k].places()[0]);
-            let reference = by_moments(&field, &pose, &places, Level::Scalar);
+            let reference = by_moments(&field, &pose, &places, SimdLevel::Scalar);
             for (k, d) in pose.displacements()[..16].iter().enumerate() {
                 assert_eq!(
                     (reference.0[0][k], reference.0[1][k]),
@@ -505,8 +507,8 @@ mod tests {
                 );
             }
             let beside = places.map(|p| p + Vec2::new(3.1, -0.7));
-            let reference = by_moments(&field, &pose, &beside, Level::Scalar);
-            for level in Level::available() {
+            let reference = by_moments(&field, &pose, &beside, SimdLevel::Scalar);
+            for level in SimdLevel::available() {
                 assert_eq!(
                     by_moments(&field, &pose, &beside, *level),
                     reference,

@@ -71,7 +71,7 @@ pub fn fitted(
     to: &[Handle],
     weights: Option<&[f64]>,
 ) -> Option<Fitted> {
-    let sums = Sums::of(&|pair| {
+    let sums = PairSums::of(&|pair| {
         for (k, (from, to)) in from.iter().zip(to).enumerate() {
             pairs_of(
                 from,
@@ -92,7 +92,7 @@ pub fn fitted(
 }
 
 /// Calls a function with positions that belong together, `from` and `to`, and their weight.
-pub(super) type Pairs<'a> = &'a dyn Fn(&mut dyn FnMut(Point, Point, f64));
+pub(super) type ForEachPair<'a> = &'a dyn Fn(&mut dyn FnMut(Point, Point, f64));
 
 /// The pairs of one handle of weight `weight`; none if the two have different shapes.
 fn pairs_of(from: &Handle, to: &Handle, weight: f64, pair: &mut dyn FnMut(Point, Point, f64)) {
@@ -122,7 +122,7 @@ pub(super) fn segment_pairs(
 
 /// Sums over pairs, about their means.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sums {
+pub(super) struct PairSums {
     from: Point,
     to: Point,
     /// Of the squared distances from the mean.
@@ -146,9 +146,9 @@ struct Affine {
     residual: f64,
 }
 
-impl Sums {
+impl PairSums {
     /// `None` without pairs. O(pairs), in four passes, without memory.
-    pub(super) fn of(pairs: Pairs<'_>) -> Option<Self> {
+    pub(super) fn of(pairs: ForEachPair<'_>) -> Option<Self> {
         let (mut first, mut total, mut from, mut to) = (None, 0.0, Vec2::ZERO, Vec2::ZERO);
         pairs(&mut |a, b, w| {
             let (a0, b0) = *first.get_or_insert((a, b));
@@ -185,7 +185,7 @@ impl Sums {
     }
 
     /// The affine fit; `None` if either side lies on one line.
-    fn affine_of(&self, pairs: Pairs<'_>, axes: [Vec2; 2]) -> Option<Affine> {
+    fn affine_of(&self, pairs: ForEachPair<'_>, axes: [Vec2; 2]) -> Option<Affine> {
         let [tau, to_tau] = axes.map(|axis| {
             let (sin, cos) = (0.5 * f64::atan2(axis.y, axis.x)).sin_cos();
             Vec2::new(cos, sin)
@@ -282,7 +282,7 @@ impl Sums {
     }
 }
 
-/// See [`Sums::residuals`].
+/// See [`PairSums::residuals`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Residuals {
     pub(super) rigid: f64,

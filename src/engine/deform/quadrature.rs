@@ -4,7 +4,7 @@
 use super::falloff::Falloff;
 
 /// Nodes that are evaluated together.
-const BATCH: usize = 8;
+const NODES_PER_BATCH: usize = 8;
 
 /// Nodes in [0, 1] and weights of a panel of length 1. A panel is no longer than its distance from
 /// v, so n nodes leave an error of about 4.6^(-2n): 8 suffice for a plan, whose coefficients are
@@ -33,21 +33,21 @@ static GAUSS_16: [Batch; 2] = [
 ];
 
 struct Batch {
-    at: [f64; BATCH],
-    weight: [f64; BATCH],
+    at: [f64; NODES_PER_BATCH],
+    weight: [f64; NODES_PER_BATCH],
 }
 
 /// Mirrors positive nodes on [-1, 1] and moves them to [0, 1].
-const fn batch(half: [(f64, f64); BATCH / 2]) -> Batch {
+const fn batch(half: [(f64, f64); NODES_PER_BATCH / 2]) -> Batch {
     let mut b = Batch {
-        at: [0.0; BATCH],
-        weight: [0.0; BATCH],
+        at: [0.0; NODES_PER_BATCH],
+        weight: [0.0; NODES_PER_BATCH],
     };
     let mut k = 0;
-    while k < BATCH / 2 {
+    while k < NODES_PER_BATCH / 2 {
         let (x, omega) = half[k];
-        (b.at[k], b.at[BATCH - 1 - k]) = (0.5 * (1.0 - x), 0.5 * (1.0 + x));
-        (b.weight[k], b.weight[BATCH - 1 - k]) = (0.5 * omega, 0.5 * omega);
+        (b.at[k], b.at[NODES_PER_BATCH - 1 - k]) = (0.5 * (1.0 - x), 0.5 * (1.0 + x));
+        (b.weight[k], b.weight[NODES_PER_BATCH - 1 - k]) = (0.5 * omega, 0.5 * omega);
         k += 1;
     }
     b
@@ -71,7 +71,7 @@ impl Sight {
     /// distance from v.
     #[inline(always)]
     pub(super) fn side(&self, end: f64) -> [f64; 3] {
-        let mut sums = [[0.0; BATCH]; 3];
+        let mut sums = [[0.0; NODES_PER_BATCH]; 3];
         if end > 0.0 {
             let nearest = self.beyond * self.beyond + self.h2;
             let mut first = end;
@@ -95,19 +95,19 @@ impl Sight {
     }
 
     #[inline(always)]
-    fn panel(&self, from: f64, length: f64, sums: &mut [[f64; BATCH]; 3]) {
+    fn panel(&self, from: f64, length: f64, sums: &mut [[f64; NODES_PER_BATCH]; 3]) {
         let [s0, s1, s2] = sums;
         let rule: &[Batch] = if self.many { &GAUSS_16 } else { &GAUSS_8 };
         for Batch { at, weight } in rule {
-            let mut z = [0.0; BATCH];
-            let mut w = [0.0; BATCH];
-            for k in 0..BATCH {
+            let mut z = [0.0; NODES_PER_BATCH];
+            let mut w = [0.0; NODES_PER_BATCH];
+            for k in 0..NODES_PER_BATCH {
                 z[k] = from + length * at[k];
                 let u = self.beyond + z[k];
                 w[k] = self.ratio / (u * u + self.h2);
             }
             self.falloff.of_lanes(&mut w);
-            for k in 0..BATCH {
+            for k in 0..NODES_PER_BATCH {
                 let w = length * weight[k] * w[k];
                 s0[k] += w;
                 s1[k] += w * z[k];

@@ -14,24 +14,24 @@
 )]
 
 use super::Method;
-use super::columns::{PointSource, Segment, Sources};
+use super::columns::{HandleElements, PointSource, RestSegment};
 use super::falloff::Falloff;
 use super::fit::fit;
 use super::incomplete_beta::IncompleteBeta;
-use super::lanes::{PointMass, Rows, Vertices};
+use super::lanes::{Coefficients, PointMass, Vertices};
+use super::segment_moments::{CoefficientScratch, SegmentMoments};
 use super::segments::{Moments, View};
-use super::span::{Scratch, Span};
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the set's extent v lies on a handle.
 const SNAP_SHARE: f64 = 1e-12;
 /// No source; sources are numbered points first.
-const NONE: u64 = u64::MAX;
+const NO_SOURCE: u64 = u64::MAX;
 
 /// The input of a row that depends on the set.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowInputs<'a> {
-    pub(super) sources: &'a Sources,
+    pub(super) sources: &'a HandleElements,
     pub(super) extent: f64,
     pub(super) falloff: Falloff,
     /// The closed form of segments, if alpha has one.
@@ -67,15 +67,15 @@ impl RowInputs<'_> {
     pub(super) fn rows<const N: usize>(
         &self,
         v: &Vertices<N>,
-        scratch: &mut Scratch<N>,
-        rows: &mut Rows<N>,
+        scratch: &mut CoefficientScratch<N>,
+        rows: &mut Coefficients<N>,
     ) {
         scratch
             .places
             .resize(self.sources.points.len(), PointMass::ZERO);
         scratch
             .spans
-            .resize(self.sources.segments.len(), Span::ZERO);
+            .resize(self.sources.segments.len(), SegmentMoments::ZERO);
         let r2min = self.nearest(v, scratch);
         let mut anchor = self.weights(v, &r2min, scratch);
         self.choose_frame(&mut anchor, scratch);
@@ -91,7 +91,11 @@ impl RowInputs<'_> {
 
     /// Squared distance of the nearest source; stores each point's own in its mass.
     #[inline(always)]
-    fn nearest<const N: usize>(&self, v: &Vertices<N>, scratch: &mut Scratch<N>) -> [f64; N] {
+    fn nearest<const N: usize>(
+        &self,
+        v: &Vertices<N>,
+        scratch: &mut CoefficientScratch<N>,
+    ) -> [f64; N] {
         let mut nearest = [f64::INFINITY; N];
         for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
             for k in 0..N {
@@ -114,15 +118,15 @@ impl RowInputs<'_> {
         &self,
         v: &Vertices<N>,
         r2min: &[f64; N],
-        scratch: &mut Scratch<N>,
+        scratch: &mut CoefficientScratch<N>,
     ) -> Anchor<N> {
         let mut anchor = Anchor {
             weight: [-1.0; N],
-            source: [NONE; N],
+            source: [NO_SOURCE; N],
             o: *v,
             tau: [[0.0; N]; 2],
             shift: [[0.0; N]; 2],
-            defining: [NONE; N],
+            defining: [NO_SOURCE; N],
             reach: [0.0; N],
         };
         let mut index = 0;
@@ -141,7 +145,7 @@ impl RowInputs<'_> {
         }
         for (
             s,
-            Span {
+            SegmentMoments {
                 view,
                 place,
                 first,
@@ -161,12 +165,16 @@ impl RowInputs<'_> {
     /// If a point is the anchor, the frame points from it to the position with the largest mass *
     /// distance^2.
     #[inline(always)]
-    fn choose_frame<const N: usize>(&self, anchor: &mut Anchor<N>, scratch: &Scratch<N>) {
-        let mut axis = Axis {
+    fn choose_frame<const N: usize>(
+        &self,
+        anchor: &mut Anchor<N>,
+        scratch: &CoefficientScratch<N>,
+    ) {
+        let mut axis = DirectionSearch {
             moment: [0.0; N],
             x: [1.0; N],
             y: [0.0; N],
-            defining: [NONE; N],
+            defining: [NO_SOURCE; N],
         };
         for ((PointSource { p, .. }, place), index) in
             self.sources.points.iter().zip(&scratch.places).zip(0..)
@@ -174,8 +182,8 @@ impl RowInputs<'_> {
             axis.consider(*p, &anchor.o, &place.w, index);
         }
         for (s, span) in self.sources.segments.iter().zip(&scratch.spans) {
-            axis.consider(s.a, &anchor.o, &span.place.w, NONE);
-            axis.consider(s.b, &anchor.o, &span.place.w, NONE);
+            axis.consider(s.a, &anchor.o, &span.place.w, NO_SOURCE);
+            axis.consider(s.b, &anchor.o, &span.place.w, NO_SOURCE);
         }
         for k in 0..N {
             let reach = (axis.x[k] * axis.x[k] + axis.y[k] * axis.y[k]).sqrt();
@@ -190,7 +198,11 @@ impl RowInputs<'_> {
             } else {
                 anchor.tau[1][k]
             };
-            anchor.defining[k] = if is_point { axis.defining[k] } else { NONE };
+            anchor.defining[k] = if is_point {
+                axis.defining[k]
+            } else {
+                NO_SOURCE
+            };
             anchor.reach[k] = reach;
         }
     }
@@ -202,7 +214,7 @@ impl RowInputs<'_> {
         &self,
         v: &Vertices<N>,
         anchor: &Anchor<N>,
-        scratch: &mut Scratch<N>,
+        scratch: &mut CoefficientScratch<N>,
     ) -> [[f64; N]; 2] {
         let ([tx, ty], [sx, sy], o) = (&anchor.tau, &anchor.shift, &anchor.o);
         let mut index = 0;
@@ -217,7 +229,7 @@ impl RowInputs<'_> {
         }
         for (
             s,
-            Span {
+            SegmentMoments {
                 view,
                 place,
                 x: along_x,
@@ -253,7 +265,7 @@ impl RowInputs<'_> {
 
     /// The row of a vertex on handles: the mean of theirs, weighted like the handles.
     #[cold]
-    fn unit<const N: usize>(&self, k: usize, v: &Vertices<N>, rows: &mut Rows<N>) {
+    fn unit<const N: usize>(&self, k: usize, v: &Vertices<N>, rows: &mut Coefficients<N>) {
         let v = Point::new(v.x[k], v.y[k]);
         let snap = SNAP_SHARE * self.extent;
         for (h, wn) in rows.h.iter_mut().zip(&mut rows.wn) {
@@ -268,7 +280,7 @@ impl RowInputs<'_> {
         let mut hits: Vec<_> = points
             .map(|mark| (mark.mass / self.point_mass, mark.column, [1.0, 0.0]))
             .collect();
-        let mut before: Option<&Segment> = None;
+        let mut before: Option<&RestSegment> = None;
         for s in &self.sources.segments {
             let view = View::new(s, &Vertices::<1>::all(v));
             if view.r2[0] <= snap * snap {
@@ -343,14 +355,14 @@ impl<const N: usize> Anchor<N> {
 
 /// The search for the direction of a frame: the position with the largest moment so far, from the
 /// anchor.
-struct Axis<const N: usize> {
+struct DirectionSearch<const N: usize> {
     moment: [f64; N],
     x: [f64; N],
     y: [f64; N],
     defining: [u64; N],
 }
 
-impl<const N: usize> Axis<N> {
+impl<const N: usize> DirectionSearch<N> {
     #[inline(always)]
     fn consider(&mut self, place: Point, o: &Vertices<N>, w: &[f64; N], index: u64) {
         for k in 0..N {

@@ -8,9 +8,9 @@
     reason = "loops over lanes are written alike, whatever they index"
 )]
 
-use super::columns::Segment;
+use super::columns::RestSegment;
 use super::falloff::{Falloff, Power};
-use super::incomplete_beta::{Along, IncompleteBeta};
+use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
 use super::lane_math::angle;
 use super::lanes::Vertices;
 use super::quadrature::Sight;
@@ -54,7 +54,7 @@ impl<const N: usize> View<N> {
     };
 
     #[inline(always)]
-    pub(super) fn new(s: &Segment, v: &Vertices<N>) -> Self {
+    pub(super) fn new(s: &RestSegment, v: &Vertices<N>) -> Self {
         let mut view = Self::ZERO;
         let per_length = 1.0 / s.length;
         for k in 0..N {
@@ -104,7 +104,7 @@ impl<const N: usize> View<N> {
 
     /// v from the position nearest to it, px, in the frame of `tau`.
     #[inline(always)]
-    pub(super) fn off_nearest(&self, s: &Segment) -> [[f64; N]; 2] {
+    pub(super) fn off_nearest(&self, s: &RestSegment) -> [[f64; N]; 2] {
         let mut along = self.beyond;
         for u in &mut along {
             *u *= -s.length;
@@ -116,7 +116,7 @@ impl<const N: usize> View<N> {
     #[inline(always)]
     pub(super) fn moments(
         &self,
-        s: &Segment,
+        s: &RestSegment,
         v: &Vertices<N>,
         (falloff, beta): (Falloff, Option<&IncompleteBeta>),
         r2min: &[f64; N],
@@ -150,7 +150,7 @@ impl<const N: usize> View<N> {
     #[inline(always)]
     fn moments_by_beta(
         &self,
-        s: &Segment,
+        s: &RestSegment,
         falloff: Falloff,
         beta: &IncompleteBeta,
         r2min: &[f64; N],
@@ -163,7 +163,7 @@ impl<const N: usize> View<N> {
             ratio[k] = r2min[k] / (s.length * s.length);
         }
         let mut m = beta.moments(
-            &Along {
+            &RelativeSegments {
                 ends: [a, b],
                 nearest: &self.beyond,
                 h,
@@ -181,7 +181,7 @@ impl<const N: usize> View<N> {
     fn by_nodes(
         &self,
         k: usize,
-        s: &Segment,
+        s: &RestSegment,
         falloff: Falloff,
         r2min: f64,
         many: bool,
@@ -206,7 +206,7 @@ impl<const N: usize> View<N> {
     /// From `d00, d01, d11` of section 3.1 for alpha = 2, times `r2min^2`: exact everywhere, no
     /// branch on the extension (mathematics 3.2).
     #[inline(always)]
-    fn moments_alpha_two(&self, s: &Segment, v: &Vertices<N>, r2min: &[f64; N]) -> Moments<N> {
+    fn moments_alpha_two(&self, s: &RestSegment, v: &Vertices<N>, r2min: &[f64; N]) -> Moments<N> {
         let half = 0.5 * s.weight * s.length;
         let mut m = Moments([[0.0; N]; 3]);
         for k in 0..N {
@@ -287,9 +287,9 @@ mod tests {
     use super::*;
     use crate::geometry::{Point, Vec2};
 
-    fn segment(a: Point, b: Point) -> Segment {
+    fn segment(a: Point, b: Point) -> RestSegment {
         let length = a.distance(b);
-        Segment {
+        RestSegment {
             a,
             b,
             length,
@@ -300,7 +300,7 @@ mod tests {
     }
 
     /// Moments about the nearest place, and r2min = the segment's own.
-    fn moments(s: &Segment, v: Point, alpha: f64, exact: bool) -> (View<1>, [f64; 3]) {
+    fn moments(s: &RestSegment, v: Point, alpha: f64, exact: bool) -> (View<1>, [f64; 3]) {
         let v = Vertices::all(v);
         let view = View::new(s, &v);
         let (falloff, beta) = (
@@ -313,7 +313,7 @@ mod tests {
     }
 
     /// `d00, d01, d11` of the mathematics: the moments seen from the ends.
-    fn shares(s: &Segment, v: Point, alpha: f64, exact: bool) -> [f64; 3] {
+    fn shares(s: &RestSegment, v: Point, alpha: f64, exact: bool) -> [f64; 3] {
         let (view, [m0, m1, m2]) = moments(s, v, alpha, exact);
         let (a, b) = (view.share_a[0], view.share_b[0]);
         [
@@ -325,7 +325,7 @@ mod tests {
 
     /// Vertices beside the foot, beyond the ends, on the extension and far away, at distances 1e-3
     /// .. 1e5 px.
-    fn views(s: &Segment) -> Vec<Point> {
+    fn views(s: &RestSegment) -> Vec<Point> {
         let normal = Vec2::new(-s.tau.y, s.tau.x);
         let mut all = Vec::new();
         for off in [-1e5, -700.0, -3.0, -1e-3, 0.0, 1e-3, 0.1, 10.0, 200.0, 1e4] {

@@ -17,22 +17,22 @@ use rayon::prelude::*;
 use super::IsCancelled;
 use super::columns::PointSource;
 use super::lane_math::ln;
-use super::lanes::{Rows, Vertices};
-use super::saddle::{MOST, Saddle};
+use super::lanes::{Coefficients, Vertices};
+use super::tps_system::{MAX_POLYNOMIALS, TpsSystem};
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the sites' unit v lies on a handle.
-const SNAP: f64 = 1e-12;
+const SNAP_SHARE: f64 = 1e-12;
 
 /// A spline without its pose.
 #[derive(Debug)]
 pub(super) struct Spline {
-    frame: Frame,
+    frame: SplineFrame,
     sites: Sites,
     /// Sites in the frame.
     x: Vec<f64>,
     y: Vec<f64>,
-    saddle: Saddle,
+    saddle: TpsSystem,
     /// Sites on a line bend in x only; the polynomials are complex-linear, so that similarities are
     /// reproduced.
     is_complex: bool,
@@ -52,7 +52,7 @@ pub(super) struct Sites {
 
 /// `((v - origin) conj(tau)) / unit`.
 #[derive(Clone, Copy, Debug)]
-struct Frame {
+struct SplineFrame {
     origin: Point,
     tau: Vec2,
     unit: f64,
@@ -67,7 +67,7 @@ pub(super) struct PosedSpline<'a> {
     /// w.
     weights: Vec<[f64; 2]>,
     /// A: of 1, x, y.
-    polynomials: [[f64; 2]; MOST],
+    polynomials: [[f64; 2]; MAX_POLYNOMIALS],
 }
 
 impl Sites {
@@ -108,7 +108,7 @@ impl Sites {
     }
 }
 
-impl Frame {
+impl SplineFrame {
     /// `line`: the sites lie on one, which becomes the x axis.
     #[expect(
         clippy::cast_precision_loss,
@@ -151,7 +151,7 @@ impl Frame {
 impl Spline {
     /// Bytes of a spline of n sites, and what is needed to compute it.
     pub(super) const fn bytes(n: u64) -> u64 {
-        Saddle::bytes(n)
+        TpsSystem::bytes(n)
     }
 
     /// At least two sites. `line`: they lie on one. O(n^3); `None` when cancelled.
@@ -161,7 +161,7 @@ impl Spline {
         smoothing: f64,
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
-        let frame = Frame::of(&sites.positions, line);
+        let frame = SplineFrame::of(&sites.positions, line);
         Self::in_frame(frame, sites, line, smoothing, cancelled)
     }
 
@@ -173,15 +173,15 @@ impl Spline {
         smoothing: f64,
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
-        let frame = Frame {
+        let frame = SplineFrame {
             unit: self.frame.unit,
-            ..Frame::of(&sites.positions, line)
+            ..SplineFrame::of(&sites.positions, line)
         };
         Self::in_frame(frame, sites, line, smoothing, cancelled)
     }
 
     fn in_frame(
-        frame: Frame,
+        frame: SplineFrame,
         sites: Sites,
         line: bool,
         smoothing: f64,
@@ -207,7 +207,7 @@ impl Spline {
             .iter()
             .map(|weight| smoothing / weight)
             .collect();
-        let saddle = Saddle::new(kernel, &noise, polynomials, cancelled)?;
+        let saddle = TpsSystem::new(kernel, &noise, polynomials, cancelled)?;
         Some(Self {
             frame,
             sites,
@@ -269,7 +269,7 @@ impl Spline {
         for site in 0..if self.interpolates { self.len() } else { 0 } {
             let r2 = self.r2(site, at);
             for k in 0..N {
-                if r2[k] <= SNAP * SNAP {
+                if r2[k] <= SNAP_SHARE * SNAP_SHARE {
                     hits[k] = Some(site);
                 }
             }
@@ -282,7 +282,7 @@ impl Spline {
         &self,
         v: &Vertices<N>,
         scratch: &mut Vec<[f64; N]>,
-        rows: &mut Rows<N>,
+        rows: &mut Coefficients<N>,
     ) {
         let (n, at) = (self.len(), self.frame.take(v));
         scratch.clear();

@@ -9,7 +9,7 @@ use super::{Mesh, Point};
 /// Left, top, right, bottom, px; rounded outwards.
 type Bounds = [f32; 4];
 
-const NOTHING: Bounds = [
+const EMPTY_BOX: Bounds = [
     f32::INFINITY,
     f32::INFINITY,
     f32::NEG_INFINITY,
@@ -20,11 +20,11 @@ const NOTHING: Bounds = [
 #[derive(Debug)]
 pub struct CellTree {
     /// The cells first, one box last.
-    levels: Vec<Level>,
+    levels: Vec<TreeLevel>,
 }
 
 #[derive(Debug)]
-struct Level {
+struct TreeLevel {
     columns: usize,
     boxes: Vec<Bounds>,
 }
@@ -35,7 +35,7 @@ impl CellTree {
     pub fn new(mesh: &Mesh) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize - 1, grid.rows() as usize - 1);
-        let mut boxes = vec![NOTHING; columns * rows];
+        let mut boxes = vec![EMPTY_BOX; columns * rows];
         for (j, row) in (0..).zip(boxes.chunks_exact_mut(columns)) {
             for (i, cell) in (0..).zip(row) {
                 for (i, j) in [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)] {
@@ -49,11 +49,11 @@ impl CellTree {
                 .posed(grid, cell)
                 .for_each(|p| include(bounds, p));
         }
-        let mut levels = vec![Level { columns, boxes }];
+        let mut levels = vec![TreeLevel { columns, boxes }];
         while let Some(below) = levels.last().filter(|level| level.boxes.len() > 1) {
             let columns = below.columns.div_ceil(2);
             let mut boxes =
-                vec![NOTHING; columns * (below.boxes.len() / below.columns).div_ceil(2)];
+                vec![EMPTY_BOX; columns * (below.boxes.len() / below.columns).div_ceil(2)];
             for (k, child) in below.boxes.iter().enumerate() {
                 let parent = &mut boxes[k / below.columns / 2 * columns + k % below.columns / 2];
                 *parent = [
@@ -63,7 +63,7 @@ impl CellTree {
                     parent[3].max(child[3]),
                 ];
             }
-            levels.push(Level { columns, boxes });
+            levels.push(TreeLevel { columns, boxes });
         }
         Self { levels }
     }
@@ -100,7 +100,7 @@ impl CellTree {
         edges: [f64; 4],
         cell: &mut impl FnMut(usize) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
-        let Level { columns, boxes } = &self.levels[level];
+        let TreeLevel { columns, boxes } = &self.levels[level];
         let index = j * columns + i;
         let [left, top, right, bottom] = boxes[index].map(f64::from);
         if edges[2] < left || edges[0] > right || edges[3] < top || edges[1] > bottom {

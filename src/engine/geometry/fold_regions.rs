@@ -29,7 +29,7 @@ struct Component {
 }
 
 /// Adjacent folded cells of a row, and their component.
-type Run = (Range<u32>, usize);
+type FoldedRun = (Range<u32>, usize);
 
 #[derive(Default)]
 struct UnionFind(Vec<Component>);
@@ -78,7 +78,7 @@ impl Mesh {
     ) -> Option<FoldRegions> {
         let grid = self.grid();
         let mut components = UnionFind::default();
-        let (mut above, mut runs): (Vec<Run>, Vec<Run>) = (Vec::new(), Vec::new());
+        let (mut above, mut runs): (Vec<FoldedRun>, Vec<FoldedRun>) = (Vec::new(), Vec::new());
         let (mut cells, mut area) = (0, 0.0);
         for j in 0..grid.rows() - 1 {
             if cancelled() {

@@ -1,9 +1,9 @@
 //! The posed grid: the result of the mathematics and the input of the renderer.
 
-use super::{Grid, Point, Refinement, Vec2};
+use super::{Grid, Point, Subdivision, Vec2};
 
 /// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch,
-/// or as those of the smaller cells of its [`Refinement`].
+/// or as those of the smaller cells of its [`Subdivision`].
 ///
 /// Displacements are f32: a displacement is small relative to a position, so the posed position
 /// `rest + displacement`, added in f64, keeps its precision on images of any size (absolute f32
@@ -12,7 +12,7 @@ use super::{Grid, Point, Refinement, Vec2};
 pub struct Mesh {
     grid: Grid,
     displacement: Vec<[f32; 2]>,
-    refinement: Refinement,
+    refinement: Subdivision,
 }
 
 impl Mesh {
@@ -30,7 +30,7 @@ impl Mesh {
         Self {
             grid,
             displacement,
-            refinement: Refinement::NONE,
+            refinement: Subdivision::NONE,
         }
     }
 
@@ -40,19 +40,19 @@ impl Mesh {
         Self {
             grid,
             displacement: vec![[0.0; 2]; grid.len()],
-            refinement: Refinement::NONE,
+            refinement: Subdivision::NONE,
         }
     }
 
     /// The same mesh, with some of its cells drawn as smaller ones.
     #[must_use]
-    pub fn refined(self, refinement: Refinement) -> Self {
+    pub fn refined(self, refinement: Subdivision) -> Self {
         Self { refinement, ..self }
     }
 
     /// The cells that are drawn as smaller ones.
     #[must_use]
-    pub const fn refinement(&self) -> &Refinement {
+    pub const fn refinement(&self) -> &Subdivision {
         &self.refinement
     }
 

@@ -7,23 +7,23 @@
 //! placed) or *posed* (where they were moved to); images are *source* or *target*.
 
 mod cell_tree;
-mod compact;
+mod display_number;
 mod distortion;
 mod fold_regions;
 mod folding;
 mod grid;
 mod mesh;
-mod refinement;
+mod subdivision;
 mod vec;
 
 pub use cell_tree::CellTree;
-pub use compact::Compact;
+pub use display_number::DisplayNumber;
 pub use distortion::{Distortion, Summary};
 pub use fold_regions::FoldRegions;
 pub use folding::{Folding, Orientation};
 pub use grid::Grid;
 pub use mesh::Mesh;
-pub use refinement::{RefinedCell, Refinement};
+pub use subdivision::{SubdividedCell, Subdivision};
 pub use vec::{Point, Vec2};
 
 /// Offset of a pixel's centre from its corner, px.

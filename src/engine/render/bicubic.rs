@@ -11,16 +11,16 @@
 )]
 
 use super::kernel::fixed;
-use super::source::{FLIP, Packed};
+use super::source::{Packed, STORED_ZERO};
 
 /// Positions between two pixel centres.
-const STEPS: usize = 128;
+const POSITIONS_PER_PIXEL: usize = 128;
 
 /// The weights of four neighbours in units of `2^-BITS`, by position.
-const fn table<const BITS: u32>() -> [[i32; 4]; STEPS] {
-    let mut table = [[0; 4]; STEPS];
+const fn table<const BITS: u32>() -> [[i32; 4]; POSITIONS_PER_PIXEL] {
+    let mut table = [[0; 4]; POSITIONS_PER_PIXEL];
     let mut k = 0;
-    while k < STEPS {
+    while k < POSITIONS_PER_PIXEL {
         #[expect(clippy::cast_possible_wrap, reason = "less than 128")]
         let t = k as i64;
         // w0 = (-t + 2 t^2 - t^3) / 2 and w3 = (t^3 - t^2) / 2, in units of 2^-22.
@@ -38,17 +38,17 @@ const fn table<const BITS: u32>() -> [[i32; 4]; STEPS] {
 }
 
 /// The sums of 16 weighted 8-bit samples fit 31 bits.
-const NARROW: u32 = 11;
+const NARROW_FRACTION_BITS: u32 = 11;
 /// The sums of 16 weighted products of two 16-bit samples fit 63 bits.
-const WIDE: u32 = 14;
-static WEIGHTS: [[i32; 4]; STEPS] = table::<NARROW>();
-static FINE_WEIGHTS: [[i32; 4]; STEPS] = table::<WIDE>();
+const WIDE_FRACTION_BITS: u32 = 14;
+static WEIGHTS: [[i32; 4]; POSITIONS_PER_PIXEL] = table::<NARROW_FRACTION_BITS>();
+static FINE_WEIGHTS: [[i32; 4]; POSITIONS_PER_PIXEL] = table::<WIDE_FRACTION_BITS>();
 
 /// The four neighbours along an axis, clamped to the picture, and the position between the middle
 /// two.
 fn neighbours(coordinate: f32, side: usize) -> ([usize; 4], usize) {
-    let at = fixed(coordinate, ((side - 1) * STEPS) as f32);
-    let (middle, share) = (at / STEPS, at % STEPS);
+    let at = fixed(coordinate, ((side - 1) * POSITIONS_PER_PIXEL) as f32);
+    let (middle, share) = (at / POSITIONS_PER_PIXEL, at % POSITIONS_PER_PIXEL);
     let last = side - 1;
     (
         [
@@ -64,7 +64,8 @@ fn neighbours(coordinate: f32, side: usize) -> ([usize; 4], usize) {
 /// The 8-bit sample at a position, straight RGBA.
 pub(super) fn narrow(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
     let ((xs, fx), (ys, fy)) = (neighbours(u, packed.width), neighbours(v, packed.height));
-    let texel = |x: usize, y: usize| (packed.texels[y * packed.stride() + x] ^ FLIP).to_le_bytes();
+    let texel =
+        |x: usize, y: usize| (packed.texels[y * packed.stride() + x] ^ STORED_ZERO).to_le_bytes();
     if fx == 0 && fy == 0 {
         return texel(xs[1], ys[1]);
     }
@@ -82,12 +83,14 @@ pub(super) fn narrow(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
                 *sum += line * weight;
             }
         }
-        let [r, g, b] =
-            sums.map(|sum| ((sum + (1 << (2 * NARROW - 1))) >> (2 * NARROW)).clamp(0, 255) as u8);
+        let [r, g, b] = sums.map(|sum| {
+            ((sum + (1 << (2 * NARROW_FRACTION_BITS - 1))) >> (2 * NARROW_FRACTION_BITS))
+                .clamp(0, 255) as u8
+        });
         return [r, g, b, u8::MAX];
     }
     let wide = rows.map(|row| row.map(|texel| texel.map(u16::from)));
-    weighted(&wide, across, down, NARROW, u8::MAX.into()).map(|sample| sample as u8)
+    weighted(&wide, across, down, NARROW_FRACTION_BITS, u8::MAX.into()).map(|sample| sample as u8)
 }
 
 /// The 16-bit sample at a position, straight RGBA.
@@ -105,7 +108,7 @@ pub(super) fn wide(
         &ys.map(|y| xs.map(|x| texel(x, y))),
         &FINE_WEIGHTS[fx],
         &FINE_WEIGHTS[fy],
-        WIDE,
+        WIDE_FRACTION_BITS,
         u16::MAX,
     )
 }
@@ -144,7 +147,10 @@ mod tests {
 
     #[test]
     fn weights_add_up_to_one_reproduce_ramps_and_are_those_of_catmull_and_rom() {
-        for (table, bits) in [(&WEIGHTS, NARROW), (&FINE_WEIGHTS, WIDE)] {
+        for (table, bits) in [
+            (&WEIGHTS, NARROW_FRACTION_BITS),
+            (&FINE_WEIGHTS, WIDE_FRACTION_BITS),
+        ] {
             let one = f64::from(1 << bits);
             for (k, w) in table.iter().enumerate() {
                 assert_eq!(w.iter().sum::<i32>(), 1 << bits, "{k}");

@@ -7,26 +7,26 @@
 //! tree of boxes over consecutive segments; smaller squares filter the list of the square around
 //! them. A border that crosses the picture back and forth, with boxes that overlap everywhere, is
 //! therefore searched once per square and not once per pixel. The work is bounded for every border,
-//! because list lengths are ([`SQUARES`]).
+//! because list lengths are ([`SQUARE_SIZES`]).
 
 use std::ops::Range;
 
 use super::kernel::UNCOVERED;
-use super::lattice::{Corner, HALF, Lattice, ONE, column_centre, row_centre};
 use super::mirror::Mirror;
+use super::snapped_grid::{Corner, HALF_PX, STEPS_PER_PX, SnappedGrid, column_centre, row_centre};
 use crate::geometry::Point;
 
 /// Segments in a leaf of the tree.
-const LEAF: usize = 4;
+const LEAF_SEGMENTS: usize = 4;
 /// Squares of pixels: side, px, and the largest number of candidates of one. If more segments are
 /// as near, those nearest to the centre are kept; the result may then be farther away than the
 /// nearest position, by at most the square's diagonal. Squares depend on target positions alone, so
 /// every division into bands gives the same bytes.
-const SQUARES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
+const SQUARE_SIZES: [(usize, usize); 3] = [(32, 8192), (8, 512), (2, 128)];
 /// Lists up to this length are searched for each pixel without smaller squares.
-const SHORT: usize = 12;
+const SHORT_LIST: usize = 12;
 /// Upper bound of rounding errors in distances, lattice steps.
-const MARGIN: f64 = 1.0;
+const ROUNDING_MARGIN_STEPS: f64 = 1.0;
 
 /// The border polygon, and its tree of boxes.
 #[derive(Debug)]
@@ -42,7 +42,7 @@ pub(super) struct Border {
 
 impl Border {
     /// Clockwise (y down) at rest: top row, right column, bottom row, left column.
-    pub(super) fn new(lattice: &Lattice) -> Self {
+    pub(super) fn new(lattice: &SnappedGrid) -> Self {
         let vertices = edges(lattice)
             .flat_map(|((i, j), cell, edge)| {
                 std::iter::once(lattice.corner(i, j)).chain(lattice.fine.edge(cell.0, cell.1, edge))
@@ -57,7 +57,7 @@ impl Border {
     }
 
     /// Prepares `Outside::Reflect`.
-    pub(super) fn mirror(&mut self, lattice: &Lattice) {
+    pub(super) fn mirror(&mut self, lattice: &SnappedGrid) {
         let counts: Vec<_> = edges(lattice)
             .map(|(_, cell, edge)| 1 + lattice.fine.edge(cell.0, cell.1, edge).count())
             .collect();
@@ -72,7 +72,7 @@ impl Border {
     /// the rectangle of the centres, and the polygon winds around it. The picture's map then has
     /// the same non-zero degree on the whole rectangle, so every centre is covered.
     pub(super) fn surrounds(&self, columns: &Range<usize>, rows: &Range<u32>) -> bool {
-        let centre = |pixel: i64| pixel * i64::from(ONE) + i64::from(HALF);
+        let centre = |pixel: i64| pixel * i64::from(STEPS_PER_PX) + i64::from(HALF_PX);
         #[expect(clippy::cast_possible_wrap, reason = "a window has few columns")]
         let (left, right) = (centre(columns.start as i64), centre(columns.end as i64 - 1));
         let (top, bottom) = (centre(rows.start.into()), centre(i64::from(rows.end) - 1));
@@ -100,9 +100,11 @@ impl Border {
         winding != 0
     }
 
-    /// Builds the tree for a [`Search`].
+    /// Builds the tree for a [`BorderSearch`].
     pub(super) fn index(&mut self) {
-        let leaves = (self.vertices.len() - 1).div_ceil(LEAF).next_power_of_two();
+        let leaves = (self.vertices.len() - 1)
+            .div_ceil(LEAF_SEGMENTS)
+            .next_power_of_two();
         let mut boxes = vec![
             [
                 f64::INFINITY,
@@ -113,7 +115,12 @@ impl Border {
             2 * leaves - 1
         ];
         for (leaf, cell) in boxes[leaves - 1..].iter_mut().enumerate() {
-            for vertex in self.vertices.iter().skip(leaf * LEAF).take(LEAF + 1) {
+            for vertex in self
+                .vertices
+                .iter()
+                .skip(leaf * LEAF_SEGMENTS)
+                .take(LEAF_SEGMENTS + 1)
+            {
                 let (x, y) = (f64::from(vertex.x), f64::from(vertex.y));
                 *cell = [
                     cell[0].min(x),
@@ -143,7 +150,7 @@ impl Border {
     /// Whether a search down the tree finds `segment` before `other` at equal distance: nearer
     /// boxes come first, then the left one.
     fn comes_first(&self, segment: usize, other: usize, place: Point) -> bool {
-        let node = |segment: usize| segment / LEAF + self.leaves() - 1;
+        let node = |segment: usize| segment / LEAF_SEGMENTS + self.leaves() - 1;
         let (mut a, mut b) = (node(segment.min(other)), node(segment.max(other)));
         if a == b {
             return segment < other;
@@ -159,7 +166,7 @@ impl Border {
 
 /// The outer edges of the grid, clockwise (y down) at rest from the top left corner: the first
 /// vertex, the cell, and its edge.
-fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usize), usize)> {
+fn edges(lattice: &SnappedGrid) -> impl Iterator<Item = ((usize, usize), (usize, usize), usize)> {
     let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
     let top_row = (0..right).map(|i| ((i, 0), (i, 0), 0));
     let right_column = (0..bottom).map(move |j| ((right, j), (right - 1, j), 1));
@@ -176,7 +183,7 @@ fn edges(lattice: &Lattice) -> impl Iterator<Item = ((usize, usize), (usize, usi
 /// Rows of coordinates with uncovered pixels: `[rows][pitch]`, of which those from `left` to
 /// `width` are filled.
 #[derive(Debug)]
-pub(super) struct Rows<'a> {
+pub(super) struct UncoveredRows<'a> {
     pub(super) first: u32,
     pub(super) left: usize,
     pub(super) width: usize,
@@ -185,7 +192,7 @@ pub(super) struct Rows<'a> {
     pub(super) v: &'a mut [f32],
 }
 
-impl Rows<'_> {
+impl UncoveredRows<'_> {
     fn end(&self) -> usize {
         self.first as usize + self.u.len().div_ceil(self.pitch)
     }
@@ -197,18 +204,18 @@ impl Rows<'_> {
 }
 
 /// A candidate for the nearest segment, with its distance from the centre of the square.
-type Candidate = (f64, u32);
+type NearSegment = (f64, u32);
 
 /// The search for the nearest border positions.
 #[derive(Debug)]
-pub(super) struct Search<'a> {
+pub(super) struct BorderSearch<'a> {
     border: &'a Border,
-    lists: [Vec<Candidate>; SQUARES.len()],
+    lists: [Vec<NearSegment>; SQUARE_SIZES.len()],
     /// Boxes, segments and pixels examined.
     work: u64,
 }
 
-impl<'a> Search<'a> {
+impl<'a> BorderSearch<'a> {
     /// Requires an indexed border.
     pub(super) fn new(border: &'a Border) -> Self {
         Self {
@@ -220,8 +227,8 @@ impl<'a> Search<'a> {
 
     /// Gives every uncovered pixel the sampler's coordinates of the nearest border position; among
     /// equals, of the first segment.
-    pub(super) fn fill(&mut self, rows: &mut Rows<'_>) {
-        let (side, _) = SQUARES[0];
+    pub(super) fn fill(&mut self, rows: &mut UncoveredRows<'_>) {
+        let (side, _) = SQUARE_SIZES[0];
         let before = self.work;
         for y in (rows.first as usize / side * side..rows.end()).step_by(side) {
             for x in (rows.left / side * side..rows.width).step_by(side) {
@@ -238,21 +245,21 @@ impl<'a> Search<'a> {
 
     /// Upper bound of the work for these rows: each square its parent's whole list (first the
     /// tree), each pixel the longest list of the last size.
-    fn most_work(&self, rows: &Rows<'_>) -> u64 {
+    fn most_work(&self, rows: &UncoveredRows<'_>) -> u64 {
         let tree = self.border.boxes.len() + self.border.vertices.len();
-        let above = [tree, SQUARES[0].1, SQUARES[1].1];
-        let lists = SQUARES.iter().zip(above).map(|((side, _), above)| {
+        let above = [tree, SQUARE_SIZES[0].1, SQUARE_SIZES[1].1];
+        let lists = SQUARE_SIZES.iter().zip(above).map(|((side, _), above)| {
             let squares = rows.width.div_ceil(*side)
                 * (rows.u.len().div_ceil(rows.pitch).div_ceil(*side) + 1);
             squares * (above + side * side)
         });
-        let pixels = rows.u.len() * SQUARES[2].1.max(SHORT);
+        let pixels = rows.u.len() * SQUARE_SIZES[2].1.max(SHORT_LIST);
         (lists.sum::<usize>() + pixels) as u64
     }
 
     /// Fills the uncovered pixels of a square, as far as it lies in the rows.
-    fn square(&mut self, level: usize, x0: usize, y0: usize, rows: &mut Rows<'_>) {
-        let (side, most) = SQUARES[level];
+    fn square(&mut self, level: usize, x0: usize, y0: usize, rows: &mut UncoveredRows<'_>) {
+        let (side, most) = SQUARE_SIZES[level];
         let (xs, ys) = (
             x0..(x0 + side).min(rows.width),
             y0.max(rows.first as usize)..(y0 + side).min(rows.end()),
@@ -264,10 +271,12 @@ impl<'a> Search<'a> {
         {
             return;
         }
-        let half =
-            |corner: usize| column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(ONE);
+        let half = |corner: usize| {
+            column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(STEPS_PER_PX)
+        };
         let centre = Point::new(half(x0), half(y0));
-        let diagonal = side as f64 * f64::from(ONE) * std::f64::consts::SQRT_2 + MARGIN;
+        let diagonal = side as f64 * f64::from(STEPS_PER_PX) * std::f64::consts::SQRT_2
+            + ROUNDING_MARGIN_STEPS;
         let (above, below) = self.lists.split_at_mut(level);
         let list = &mut below[0];
         list.clear();
@@ -287,8 +296,8 @@ impl<'a> Search<'a> {
             list.select_nth_unstable_by(most - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             list.truncate(most);
         }
-        if level + 1 < SQUARES.len() && list.len() > SHORT {
-            let (side, _) = SQUARES[level + 1];
+        if level + 1 < SQUARE_SIZES.len() && list.len() > SHORT_LIST {
+            let (side, _) = SQUARE_SIZES[level + 1];
             for y in (y0..ys.end).step_by(side).filter(|y| y + side > ys.start) {
                 for x in xs.clone().step_by(side) {
                     self.square(level + 1, x, y, rows);
@@ -324,7 +333,13 @@ impl Border {
 
     /// Appends all segments no farther from `place` than the nearest one plus `beyond`, and
     /// possibly more; returns the distance of the nearest one.
-    fn gather(&self, place: Point, beyond: f64, list: &mut Vec<Candidate>, work: &mut u64) -> f64 {
+    fn gather(
+        &self,
+        place: Point,
+        beyond: f64,
+        list: &mut Vec<NearSegment>,
+        work: &mut u64,
+    ) -> f64 {
         let leaves = self.leaves();
         let mut nearest = f64::INFINITY;
         // Depth first, nearer child first: at most two entries per level.
@@ -338,8 +353,8 @@ impl Border {
                 continue;
             }
             if node + 1 >= leaves {
-                let first = (node + 1 - leaves) * LEAF;
-                for index in first..(first + LEAF).min(self.vertices.len() - 1) {
+                let first = (node + 1 - leaves) * LEAF_SEGMENTS;
+                for index in first..(first + LEAF_SEGMENTS).min(self.vertices.len() - 1) {
                     *work += 1;
                     let distance = self.distance(index, place);
                     nearest = nearest.min(distance);
@@ -364,7 +379,7 @@ impl Border {
 
     /// The sampler's coordinates of the position nearest to `place` on the listed segments, or
     /// mirrored beyond it.
-    fn nearest_of(&self, list: &[Candidate], place: Point) -> (f32, f32) {
+    fn nearest_of(&self, list: &[NearSegment], place: Point) -> (f32, f32) {
         let mut best = (
             f64::INFINITY,
             (self.vertices[0].u, self.vertices[0].v),
@@ -451,8 +466,8 @@ mod tests {
         let closed = vertices.iter().chain(vertices.first());
         let vertices = closed
             .map(|&(x, y)| Corner {
-                x: x * ONE,
-                y: y * ONE,
+                x: x * STEPS_PER_PX,
+                y: y * STEPS_PER_PX,
                 u: x as f32,
                 v: y as f32,
             })
@@ -493,8 +508,8 @@ mod tests {
     /// among equals.
     fn by_the_tree(border: &Border, node: usize, place: Point, best: &mut (f64, (f32, f32))) {
         if node + 1 >= border.leaves() {
-            let first = (node + 1 - border.leaves()) * LEAF;
-            for index in first..(first + LEAF).min(border.vertices.len() - 1) {
+            let first = (node + 1 - border.leaves()) * LEAF_SEGMENTS;
+            for index in first..(first + LEAF_SEGMENTS).min(border.vertices.len() - 1) {
                 let (a, b) = border.segment(index);
                 let (distance, coordinates) = nearest_on(a, b, place);
                 if distance < best.0 {
@@ -527,8 +542,8 @@ mod tests {
                 vec![UNCOVERED; rows.len() * pitch],
                 vec![0.0; rows.len() * pitch],
             );
-            let mut search = Search::new(border);
-            search.fill(&mut Rows {
+            let mut search = BorderSearch::new(border);
+            search.fill(&mut UncoveredRows {
                 first: rows.start as u32,
                 left: 0,
                 width,

@@ -66,12 +66,12 @@ impl Canvas {
 }
 
 /// Side of a window, px of the target.
-const SIDE: i64 = 1 << 14;
+const WINDOW_SIDE_PX: i64 = 1 << 14;
 /// The windows left of and above the origin are divided here, because most canvases that begin
 /// there begin near it.
-const NEAR: i64 = 1 << 10;
+const NEAR_ORIGIN_PX: i64 = 1 << 10;
 /// Differences from a whole number of pixels below this are rounding errors.
-const WHOLE: f64 = 1e-6;
+const WHOLE_PIXEL_ERROR: f64 = 1e-6;
 
 /// A range of pixels of the target along one axis that lies in one window.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -87,10 +87,12 @@ fn stretches(first: i64, length: u32) -> Vec<Stretch> {
     let (mut at, end) = (first, first + i64::from(length));
     let mut stretches = Vec::new();
     while at < end {
-        let (origin, side) = match at.div_euclid(SIDE) * SIDE {
-            start if start == -SIDE && at >= -NEAR => (-NEAR, NEAR),
-            start if start == -SIDE => (start, SIDE - NEAR),
-            start => (start, SIDE),
+        let (origin, side) = match at.div_euclid(WINDOW_SIDE_PX) * WINDOW_SIDE_PX {
+            start if start == -WINDOW_SIDE_PX && at >= -NEAR_ORIGIN_PX => {
+                (-NEAR_ORIGIN_PX, NEAR_ORIGIN_PX)
+            }
+            start if start == -WINDOW_SIDE_PX => (start, WINDOW_SIDE_PX - NEAR_ORIGIN_PX),
+            start => (start, WINDOW_SIDE_PX),
         };
         let stop = end.min(origin + side);
         let within = |at: i64| u32::try_from(at - origin).expect("a window has few pixels");
@@ -162,7 +164,7 @@ impl Placement {
         .map(|(place, length, scale)| {
             let exact = f64::from(place) * scale;
             // A product of whole numbers and a ratio of whole numbers.
-            let exact = if (exact - exact.round()).abs() < WHOLE {
+            let exact = if (exact - exact.round()).abs() < WHOLE_PIXEL_ERROR {
                 exact.round()
             } else {
                 exact
@@ -207,7 +209,14 @@ mod tests {
 
     #[test]
     fn stretches_cover_a_range_once_and_have_fixed_borders() {
-        let borders = [-2 * SIDE, -SIDE, -NEAR, 0, SIDE, 2 * SIDE];
+        let borders = [
+            -2 * WINDOW_SIDE_PX,
+            -WINDOW_SIDE_PX,
+            -NEAR_ORIGIN_PX,
+            0,
+            WINDOW_SIDE_PX,
+            2 * WINDOW_SIDE_PX,
+        ];
         for (first, length) in [
             (0, 500),
             (-20, 540),
@@ -227,7 +236,7 @@ mod tests {
                 );
                 assert!(!stretch.pixels.is_empty());
                 assert!(
-                    borders.contains(&stretch.origin) || stretch.origin % SIDE == 0,
+                    borders.contains(&stretch.origin) || stretch.origin % WINDOW_SIDE_PX == 0,
                     "{stretch:?}"
                 );
                 at = stretch.origin + i64::from(stretch.pixels.end);

@@ -8,10 +8,12 @@ use std::cmp::Ordering;
 use std::ops::Range;
 
 use super::edge::{self, Crossing};
-use super::fine::FineCell;
 use super::kernel::{CellBlock, Kernel, Piece, Raster, UNCOVERED};
-use super::lattice::{BLOCK, Corner, Lattice, column_centre, first_row, row_centre};
-use super::patch::{Patch, Shape, TOLERANCE, shape, turn};
+use super::patch::{PATCH_TOLERANCE_PX, Patch, Shape, shape, turn};
+use super::snapped_grid::{
+    BLOCK_COLUMNS, Corner, SnappedGrid, column_centre, first_row, row_centre,
+};
+use super::subdivided_cells::SnappedSubdividedCell;
 use crate::geometry::Point;
 
 /// Blocks of cells after which the uncovered pixels are counted again.
@@ -21,7 +23,7 @@ const BLOCKS_PER_LOOK: usize = 16;
 /// are set, and of these the rows of their column.
 pub(super) fn draw_row(
     kernel: Kernel,
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     j: usize,
     blocks: impl Fn(usize) -> u8,
     column: impl Fn(usize) -> u32,
@@ -41,7 +43,7 @@ pub(super) fn draw_row(
         while cells != 0 {
             let k = cells.ilog2() as usize;
             cells &= !(1 << k);
-            let i = b * BLOCK + k;
+            let i = b * BLOCK_COLUMNS + k;
             if let Some(cell) = lattice.fine.find(i, j) {
                 draw_fine(kernel, lattice, cell, column(i), raster);
                 continue;
@@ -68,8 +70,8 @@ pub(super) fn draw_row(
 /// Draws a refined cell as smaller ones, in the rows whose bits are set.
 fn draw_fine(
     kernel: Kernel,
-    lattice: &Lattice,
-    cell: &FineCell,
+    lattice: &SnappedGrid,
+    cell: &SnappedSubdividedCell,
     rows: u32,
     raster: &mut Raster<'_>,
 ) {
@@ -111,7 +113,7 @@ fn draw_fine(
 fn draw(
     kernel: Kernel,
     corners: &[Corner; 4],
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     rows: u32,
     raster: &mut Raster<'_>,
 ) {
@@ -135,7 +137,7 @@ fn draw(
 fn draw_triangle(
     kernel: Kernel,
     triangle: &[Corner; 4],
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     rows: u32,
     raster: &mut Raster<'_>,
 ) {
@@ -204,7 +206,7 @@ fn large(
     let patch = patch.filter(|patch| {
         patch
             .linear_error(unit)
-            .partial_cmp(&TOLERANCE)
+            .partial_cmp(&PATCH_TOLERANCE_PX)
             .is_none_or(Ordering::is_gt)
     });
     let range =
@@ -225,21 +227,21 @@ fn large(
                 patch.inverse(Point::new(column_centre(pixel), y))
             });
         } else {
-            let along = Along::new(&left, &right);
+            let along = RowLine::new(&left, &right);
             paint(raster, row, first..end, |pixel| along.at(pixel));
         }
     });
 }
 
 /// The line between two positions of a row.
-struct Along {
+struct RowLine {
     x: f64,
     per_step: f64,
     u: [f64; 2],
     v: [f64; 2],
 }
 
-impl Along {
+impl RowLine {
     fn new(left: &Crossing, right: &Crossing) -> Self {
         let breadth = right.x - left.x;
         // Crossings that only integers can distinguish: one position.

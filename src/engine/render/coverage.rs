@@ -8,16 +8,16 @@ use std::ops::{ControlFlow, Range};
 
 use super::canvas::Canvas;
 use super::inverse_map::InverseMap;
-use crate::geometry::{CellTree, Mesh, Orientation, Point, RefinedCell};
+use crate::geometry::{CellTree, Mesh, Orientation, Point, SubdividedCell};
 use crate::pixmap::Extent;
 
 /// Pixels nearer than this to an outline are measured, px: the renderer snaps vertices, which may
 /// move an outline past a pixel's centre.
-const NEAR: f64 = 1.0 / 64.0;
+const NEAR_OUTLINE_PX: f64 = 1.0 / 64.0;
 /// Up to this number of triangles that do not overlap in a pixel, their area is exact.
 const MAX_EXACT: usize = 64;
 /// The slices of a pixel with more triangles, or with triangles that overlap.
-const SLICES: u32 = 16;
+const PIXEL_SLICES: u32 = 16;
 /// A pixel with more triangles is covered if its centre is. This bounds the work where a large part
 /// of the picture shrinks into one pixel.
 const MAX_TRIANGLES: usize = 4096;
@@ -64,8 +64,8 @@ impl Coverage {
     pub fn bytes(mesh: &Mesh) -> u64 {
         /// A displacement, a box and a third of one; of folded cells also six lines of two
         /// positions.
-        const VERTEX: u64 = 32 + 6 * 32;
-        mesh.vertices() * VERTEX
+        const VERTEX_BYTES: u64 = 32 + 6 * 32;
+        mesh.vertices() * VERTEX_BYTES
     }
 
     /// Size of the target.
@@ -188,7 +188,7 @@ impl Coverage {
         }
     }
 
-    fn vertices(&self, cell: &RefinedCell) -> Vec<Point> {
+    fn vertices(&self, cell: &SubdividedCell) -> Vec<Point> {
         self.mesh
             .refinement()
             .posed(self.mesh.grid(), cell)
@@ -250,8 +250,8 @@ impl Coverage {
     }
 }
 
-/// Calls `pixel` for every pixel of the rows that is at most [`NEAR`] from a line segment, and
-/// perhaps for some neighbours.
+/// Calls `pixel` for every pixel of the rows that is at most [`NEAR_OUTLINE_PX`] from a line
+/// segment, and perhaps for some neighbours.
 fn pixels_near(
     [a, b]: &[Point; 2],
     rows: &Range<u32>,
@@ -265,7 +265,10 @@ fn pixels_near(
     )]
     let before = |at: f64, most: u32| (at.floor().max(-1.0) + 1.0).min(f64::from(most)) as u32;
     let first = |at: f64, most: u32| before(at - 1.0, most);
-    let (top, bottom) = (a.y.min(b.y) - NEAR, a.y.max(b.y) + NEAR);
+    let (top, bottom) = (
+        a.y.min(b.y) - NEAR_OUTLINE_PX,
+        a.y.max(b.y) + NEAR_OUTLINE_PX,
+    );
     for y in first(top, rows.end).max(rows.start)..before(bottom, rows.end) {
         // The part of the line in the row.
         let at = |y: f64| {
@@ -278,10 +281,14 @@ fn pixels_near(
         let (s, t) = if a.y == b.y {
             (0.0, 1.0)
         } else {
-            (at(f64::from(y) - NEAR), at(f64::from(y) + 1.0 + NEAR))
+            (
+                at(f64::from(y) - NEAR_OUTLINE_PX),
+                at(f64::from(y) + 1.0 + NEAR_OUTLINE_PX),
+            )
         };
         let (s, t) = (a.x + (b.x - a.x) * s, a.x + (b.x - a.x) * t);
-        for x in first(s.min(t) - NEAR, width)..before(s.max(t) + NEAR, width) {
+        for x in first(s.min(t) - NEAR_OUTLINE_PX, width)..before(s.max(t) + NEAR_OUTLINE_PX, width)
+        {
             pixel(x, y);
         }
     }
@@ -366,7 +373,7 @@ fn area_of_union(triangles: &[[Point; 3]]) -> f64 {
             clippy::cast_sign_loss,
             reason = "at most the slices of a pixel"
         )]
-        let slices = ((to - from) * f64::from(SLICES)).ceil() as u32;
+        let slices = ((to - from) * f64::from(PIXEL_SLICES)).ceil() as u32;
         let height = (to - from) / f64::from(slices.max(1));
         (0..slices)
             .map(|k| length(from + (f64::from(k) + 0.5) * height) * height)

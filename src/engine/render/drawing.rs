@@ -5,28 +5,28 @@
 
 use std::ops::Range;
 
-use super::border::{Border, Rows, Search};
+use super::border::{Border, BorderSearch, UncoveredRows};
 use super::canvas::Window;
 use super::cell;
 use super::edge::Edge;
-use super::footprint::{AveragedSamples, Footprints, Sampled};
+use super::footprint::{AveragedSamples, FootprintSource, Footprints};
 use super::kernel::{Kernel, LANES, NOTES, Raster, Spans, UNCOVERED};
-use super::lattice::{BLOCK, Lattice, row_centre};
-use super::row_split::{DOUBT, RowSplit};
+use super::row_split::{CROSSING_ERROR_PX, RowSplit};
 use super::row_strategy::{RowStrategies, RowStrategy};
 use super::sampler;
+use super::snapped_grid::{BLOCK_COLUMNS, SnappedGrid, row_centre};
 use super::source::Source;
 use super::{Filter, Outside, RenderOptions};
 use crate::pixmap::{Channels, Extent};
 
 /// Rows whose coordinates are computed together.
-pub(crate) const STRIP: u32 = 32;
+pub(crate) const STRIP_ROWS: u32 = 32;
 /// Pixels behind the end of a row that kernels may write.
-const SLACK: usize = LANES;
+const SLACK_PIXELS: usize = LANES;
 /// A prepared mesh.
 #[derive(Debug)]
 pub(super) struct Drawing {
-    pub(super) lattice: Lattice,
+    pub(super) lattice: SnappedGrid,
     footprints: Option<Footprints>,
     border: Border,
     filter: Filter,
@@ -42,12 +42,12 @@ pub(super) struct Drawing {
 
 /// Coordinates of a strip and the buffers to compute them; one per band.
 #[derive(Debug, Default)]
-struct Scratch {
+struct StripScratch {
     u: Vec<f32>,
     v: Vec<f32>,
     x_crossings: Vec<f32>,
     v_crossings: Vec<f32>,
-    notes: Vec<[f32; BLOCK]>,
+    notes: Vec<[f32; BLOCK_COLUMNS]>,
     first: Vec<u32>,
     runs: Vec<Range<usize>>,
     /// The row of cells in which each column last crossed a row.
@@ -62,7 +62,7 @@ struct Scratch {
 impl Drawing {
     /// `source` is the size of the whole source at the scale of the target.
     pub(super) fn new(
-        (lattice, footprints): (Lattice, Option<Footprints>),
+        (lattice, footprints): (SnappedGrid, Option<Footprints>),
         window: Window,
         source: Extent,
         options: RenderOptions,
@@ -103,7 +103,7 @@ impl Drawing {
     ) {
         let pixel = channels.count() * source.pixmap().depth().bytes();
         let pitch = out.len() / rows.len() / pixel;
-        let sampled = Sampled {
+        let sampled = FootprintSource {
             kernel: self.kernel,
             source,
             level: self.level,
@@ -148,7 +148,11 @@ impl Drawing {
     /// Computes the coordinates of the target rows that lie in the window: the index of each among
     /// `rows`, the row of the window, and where it begins in the scratch.
     #[inline(always)]
-    fn each_line(&self, rows: &Range<u32>, mut draw: impl FnMut(usize, (u32, usize), &Scratch)) {
+    fn each_line(
+        &self,
+        rows: &Range<u32>,
+        mut draw: impl FnMut(usize, (u32, usize), &StripScratch),
+    ) {
         let Window {
             rows: drawn,
             first: (_, top),
@@ -165,8 +169,8 @@ impl Drawing {
         let mut at = (start - rows.start) as usize;
         let mut scratch = self.scratch();
         let within = drawn.start + (start - top)..drawn.start + (end - top);
-        for first in within.clone().step_by(STRIP as usize) {
-            let strip = first..within.end.min(first.saturating_add(STRIP));
+        for first in within.clone().step_by(STRIP_ROWS as usize) {
+            let strip = first..within.end.min(first.saturating_add(STRIP_ROWS));
             self.prepare(&strip, &mut scratch);
             if self.is_extended() {
                 self.extend(&strip, &mut scratch);
@@ -194,9 +198,9 @@ impl Drawing {
     }
 
     /// Computes the coordinates of all pixels of a strip.
-    fn extend(&self, strip: &Range<u32>, scratch: &mut Scratch) {
+    fn extend(&self, strip: &Range<u32>, scratch: &mut StripScratch) {
         let width = self.width();
-        let pitch = width + SLACK;
+        let pitch = width + SLACK_PIXELS;
         for row in strip.clone() {
             let start = self.coordinates(row, strip, scratch);
             for gap in gaps(&scratch.runs, width) {
@@ -205,7 +209,7 @@ impl Drawing {
         }
         let rows = pitch..(1 + strip.len()) * pitch;
         let (u, v) = (&mut scratch.u[rows.clone()], &mut scratch.v[rows]);
-        Search::new(&self.border).fill(&mut Rows {
+        BorderSearch::new(&self.border).fill(&mut UncoveredRows {
             first: strip.start,
             left: self.window.columns.start,
             width,
@@ -216,34 +220,34 @@ impl Drawing {
     }
 
     /// Start of a row of an extended strip in the scratch: one run, as wide as the target.
-    fn extended(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
+    fn extended(&self, row: u32, strip: &Range<u32>, scratch: &mut StripScratch) -> usize {
         let width = self.width();
         scratch.runs.clear();
         scratch.runs.push(0..width);
-        (1 + (row - strip.start) as usize) * (width + SLACK)
+        (1 + (row - strip.start) as usize) * (width + SLACK_PIXELS)
     }
 
-    fn scratch(&self) -> Scratch {
-        let blocks = self.lattice.pitch / BLOCK;
-        let crossings = STRIP as usize * (self.lattice.pitch + BLOCK);
-        Scratch {
+    fn scratch(&self) -> StripScratch {
+        let blocks = self.lattice.pitch / BLOCK_COLUMNS;
+        let crossings = STRIP_ROWS as usize * (self.lattice.pitch + BLOCK_COLUMNS);
+        StripScratch {
             x_crossings: vec![0.0; crossings],
             v_crossings: vec![0.0; crossings],
-            notes: vec![[0.0; BLOCK]; blocks * NOTES],
-            first: vec![0; (blocks + 1) * BLOCK],
+            notes: vec![[0.0; BLOCK_COLUMNS]; blocks * NOTES],
+            first: vec![0; (blocks + 1) * BLOCK_COLUMNS],
             cells: vec![0; self.lattice.columns],
-            ..Scratch::default()
+            ..StripScratch::default()
         }
     }
 
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell
     /// by cell.
-    fn prepare(&self, strip: &Range<u32>, scratch: &mut Scratch) {
+    fn prepare(&self, strip: &Range<u32>, scratch: &mut StripScratch) {
         let width = self.width();
         let all_plain = strip
             .clone()
             .all(|row| self.strategies.of(row) == RowStrategy::Scanline);
-        let pitch = width + SLACK;
+        let pitch = width + SLACK_PIXELS;
         // Rows drawn by crossings alone are computed and used one by one, in the first slot, unless
         // they are extended; the others follow it.
         let size = if all_plain && !self.is_extended() {
@@ -325,8 +329,8 @@ impl Drawing {
             per_cell, blocks, ..
         } = &scratch.split;
         let ordered = |b: usize| {
-            (0..BLOCK).fold(0, |cells, k| {
-                cells | u8::from(drawn & !per_cell[b * BLOCK + k] != 0) << k
+            (0..BLOCK_COLUMNS).fold(0, |cells, k| {
+                cells | u8::from(drawn & !per_cell[b * BLOCK_COLUMNS + k] != 0) << k
             })
         };
         let ordered: Vec<u8> = (0..blocks.len()).map(ordered).collect();
@@ -364,14 +368,14 @@ impl Drawing {
 
     /// Computes a row's coordinates and its covered runs; returns where the row begins in the
     /// scratch.
-    fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut Scratch) -> usize {
+    fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut StripScratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.width();
         let strategy = self.strategies.of(row);
         let start = if strategy == RowStrategy::Scanline && !self.is_extended() {
             0
         } else {
-            (index + 1) * (width + SLACK)
+            (index + 1) * (width + SLACK_PIXELS)
         };
         scratch.runs.clear();
         match strategy {
@@ -391,9 +395,15 @@ impl Drawing {
 
     /// Coordinates of a split row between the columns drawn by cells, from `start` on in the
     /// scratch, the rest uncovered; returns the covered range.
-    fn divided(&self, row: u32, index: usize, start: usize, scratch: &mut Scratch) -> Range<usize> {
+    fn divided(
+        &self,
+        row: u32,
+        index: usize,
+        start: usize,
+        scratch: &mut StripScratch,
+    ) -> Range<usize> {
         let width = self.width();
-        let stride = self.lattice.pitch + BLOCK;
+        let stride = self.lattice.pitch + BLOCK_COLUMNS;
         scratch
             .split
             .split(index, &scratch.x_crossings[index * stride..]);
@@ -422,7 +432,7 @@ impl Drawing {
             column = per_cell.end;
         }
         clear(end..width, &mut scratch.u);
-        scratch.u[start + width..][..SLACK].fill(0.0);
+        scratch.u[start + width..][..SLACK_PIXELS].fill(0.0);
         scratch.split.parts = parts;
         uncovered
     }
@@ -435,10 +445,10 @@ impl Drawing {
         index: usize,
         columns: Range<usize>,
         start: usize,
-        scratch: &mut Scratch,
+        scratch: &mut StripScratch,
     ) {
         let width = self.width();
-        let stride = self.lattice.pitch + BLOCK;
+        let stride = self.lattice.pitch + BLOCK_COLUMNS;
         let x = &scratch.x_crossings[index * stride..];
         let mut pixel = |column: usize| {
             // Where single precision is certain.
@@ -450,7 +460,11 @@ impl Drawing {
                 clippy::cast_precision_loss,
                 reason = "between 0 and the width"
             )]
-            if place > 0.0 && place < width as f32 && beyond > DOUBT && beyond < 1.0 - DOUBT {
+            if place > 0.0
+                && place < width as f32
+                && beyond > CROSSING_ERROR_PX
+                && beyond < 1.0 - CROSSING_ERROR_PX
+            {
                 return place.ceil() as usize;
             }
             let crossing = self.crossing(column, row, &mut scratch.cells[column]);
@@ -471,7 +485,7 @@ impl Drawing {
             notes: &mut scratch.notes,
             first: &mut scratch.first,
         };
-        let row = start..start + width + SLACK;
+        let row = start..start + width + SLACK_PIXELS;
         self.kernel
             .spans(&mut spans, &mut scratch.u[row.clone()], &mut scratch.v[row]);
         scratch.runs.push(covered);
@@ -509,13 +523,13 @@ impl Drawing {
     /// first pixel in `out`.
     fn paint(
         &self,
-        sampled: Sampled<'_>,
+        sampled: FootprintSource<'_>,
         (row, start): (u32, usize),
-        scratch: &Scratch,
+        scratch: &StripScratch,
         mut samples: Option<&mut AveragedSamples>,
         (first, out): (usize, &mut [u8]),
     ) {
-        let Sampled {
+        let FootprintSource {
             kernel,
             source,
             level,

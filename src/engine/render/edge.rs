@@ -11,7 +11,7 @@
 
 use std::ops::Range;
 
-use super::lattice::{Corner, HALF, ONE, first_row, row_centre};
+use super::snapped_grid::{Corner, HALF_PX, STEPS_PER_PX, first_row, row_centre};
 
 /// Crossings closer than this to a pixel's centre, px, are decided in integers. The f64 result is
 /// off by at most 2^-28 px.
@@ -70,7 +70,7 @@ impl Edge {
     pub(super) fn at(&self, y: i64) -> Crossing {
         let t = (y - i64::from(self.top.y)) as f64;
         let x = f64::from(self.top.x) + t * self.slope;
-        let pixel = (x - f64::from(HALF)) / f64::from(ONE);
+        let pixel = (x - f64::from(HALF_PX)) / f64::from(STEPS_PER_PX);
         let nearest = (pixel + 0.5 + f64::from(1 << 24)) as i64 - (1 << 24);
         let pixel = if (pixel - nearest as f64).abs() > CLOSE_CALL {
             nearest + i64::from(pixel > nearest as f64)
@@ -90,8 +90,8 @@ impl Edge {
         let (ax, ay) = (i64::from(self.top.x), i64::from(self.top.y));
         let (dx, dy) = (i64::from(self.bottom.x) - ax, i64::from(self.bottom.y) - ay);
         // x = ax + (y - ay) dx / dy, and pixel = ceil((x - HALF) / ONE).
-        let numerator = (ax - i64::from(HALF)) * dy + (y - ay) * dx;
-        let denominator = i64::from(ONE) * dy;
+        let numerator = (ax - i64::from(HALF_PX)) * dy + (y - ay) * dx;
+        let denominator = i64::from(STEPS_PER_PX) * dy;
         -(-numerator).div_euclid(denominator)
     }
 }
@@ -155,7 +155,7 @@ impl<'a> Chain<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::lattice::LIMIT;
+    use super::super::snapped_grid::MAX_STEPS;
     use super::*;
     use proptest::prelude::*;
 
@@ -175,7 +175,7 @@ mod tests {
                 -9000..9000_i32),
             row in -30..30_i64,
         ) {
-            let y = row * i64::from(ONE) + i64::from(HALF);
+            let y = row * i64::from(STEPS_PER_PX) + i64::from(HALF_PX);
             if let Some(edge) = Edge::new(corner(ax, ay), corner(bx, by))
                 && let Some(crossing) = edge.crossing(y)
             {
@@ -189,9 +189,11 @@ mod tests {
         fn crossing_through_centres_takes_the_pixel(column in -40..40_i32, slant in -40..40_i32,
             height in 1..40_i32, row in 0..40_i32) {
             // Both ends on pixel centres: whole slopes meet centres exactly.
-            let (top, bottom) = (corner(column * ONE + HALF, HALF),
-                corner((column + slant * height) * ONE + HALF, height * ONE + HALF));
-            let crossing = Edge::new(bottom, top).unwrap().crossing(i64::from(row * ONE + HALF));
+            let (top, bottom) = (corner(column * STEPS_PER_PX + HALF_PX, HALF_PX),
+                corner((column + slant * height) * STEPS_PER_PX + HALF_PX,
+                    height * STEPS_PER_PX + HALF_PX));
+            let centre = i64::from(row * STEPS_PER_PX + HALF_PX);
+            let crossing = Edge::new(bottom, top).unwrap().crossing(centre);
             prop_assert_eq!(crossing.map(|c| c.pixel),
                 (row < height).then(|| i64::from(column + slant * row)));
         }
@@ -199,10 +201,10 @@ mod tests {
         #[test]
         fn crossing_never_overflows(
             (ax, ay) in (any::<bool>(), any::<bool>()),
-            (bx, by) in (-LIMIT..LIMIT, -LIMIT..LIMIT),
+            (bx, by) in (-MAX_STEPS..MAX_STEPS, -MAX_STEPS..MAX_STEPS),
             row in 0..100_000_u32,
         ) {
-            let far = |negative| if negative { -LIMIT } else { LIMIT };
+            let far = |negative| if negative { -MAX_STEPS } else { MAX_STEPS };
             if let Some(edge) = Edge::new(corner(far(ax), far(ay)), corner(bx, by))
                 && let Some(crossing) = edge.crossing(row_centre(row))
             {

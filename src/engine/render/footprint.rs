@@ -13,16 +13,16 @@ use super::kernel::{
     Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, Kernel, MOST, TOGETHER, jacobian,
     one_sample_up_to,
 };
-use super::lattice::{Lattice, ONE, YRange};
 use super::sampler;
+use super::snapped_grid::{STEPS_PER_PX, SnappedGrid, YRange};
 use super::source::Source;
 use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Depth};
 
 /// Vertices shrink the source by less than this share of the shrinking between them.
-const MARGIN: f32 = 0.967;
+const SHRINKING_MARGIN: f32 = 0.967;
 /// Rows of a target up to which the columns of a cell are kept for each.
-const HIGH: usize = 16;
+const HIGH_CELL_ROWS: usize = 16;
 
 /// The footprints of a mesh that shrinks the source somewhere.
 #[derive(Debug)]
@@ -34,7 +34,7 @@ pub(super) struct Footprints {
 
 /// What is sampled, at a reduction by 2 to the power of `level`, and how.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sampled<'a> {
+pub(super) struct FootprintSource<'a> {
     pub(super) kernel: Kernel,
     pub(super) source: &'a Source,
     pub(super) level: u32,
@@ -72,7 +72,8 @@ pub(super) fn shrinking_cells(
     )]
     let (per, limit) = (
         [(1.0 / width) as f32, (1.0 / height) as f32],
-        MARGIN * one_sample_up_to((sampled[0].max(sampled[1]) / scale[0].min(scale[1])) as f32),
+        SHRINKING_MARGIN
+            * one_sample_up_to((sampled[0].max(sampled[1]) / scale[0].min(scale[1])) as f32),
     );
     let mut found = vec![0; (grid.rows() as usize - 1) * (columns - 1)];
     let lines = mesh.displacement().chunks_exact(columns);
@@ -96,7 +97,7 @@ impl Footprints {
     pub(super) fn new(
         mesh: &Mesh,
         shrinking: &[u8],
-        lattice: &Lattice,
+        lattice: &SnappedGrid,
         scale: [f64; 2],
         (width, height): (usize, u32),
     ) -> Self {
@@ -194,13 +195,13 @@ impl Footprints {
     /// need several samples are complete after [`AveragedSamples::finish`].
     pub(super) fn sample(
         &self,
-        sampled: Sampled<'_>,
+        sampled: FootprintSource<'_>,
         (row, column): (u32, usize),
         (u, v): (&[f32], &[f32]),
         samples: &mut AveragedSamples,
         (first, out): (usize, &mut [u8]),
     ) {
-        let Sampled {
+        let FootprintSource {
             kernel,
             source,
             level,
@@ -238,13 +239,13 @@ impl Footprints {
 
 impl AveragedSamples {
     /// Averages the samples of all pixels that are waiting.
-    pub(super) fn finish(&mut self, sampled: Sampled<'_>, out: &mut [u8]) {
+    pub(super) fn finish(&mut self, sampled: FootprintSource<'_>, out: &mut [u8]) {
         self.average(1, sampled, out);
     }
 
     /// Averages the samples of pixels into those of `out`, wherever at least `least` of a kind are
     /// waiting.
-    fn average(&mut self, least: usize, sampled: Sampled<'_>, out: &mut [u8]) {
+    fn average(&mut self, least: usize, sampled: FootprintSource<'_>, out: &mut [u8]) {
         let depth = sampled.source.pixmap().depth();
         for (kind, log) in (0..2 * KINDS).zip((1..=MOST.ilog2()).cycle()) {
             while self.batch.alike[kind].len >= least {
@@ -264,8 +265,8 @@ impl AveragedSamples {
     }
 
     /// Reads the samples of all pixels of a kind: the first of each, then the second ones.
-    fn read(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, channels: Channels) {
-        let Sampled {
+    fn read(&mut self, kind: usize, log: u32, sampled: FootprintSource<'_>, channels: Channels) {
+        let FootprintSource {
             kernel,
             source,
             level,
@@ -294,7 +295,13 @@ impl AveragedSamples {
     }
 
     /// Averages the samples of pixels of a kind, 8 bit.
-    fn average_bytes(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, out: &mut [u8]) {
+    fn average_bytes(
+        &mut self,
+        kind: usize,
+        log: u32,
+        sampled: FootprintSource<'_>,
+        out: &mut [u8],
+    ) {
         // Four bytes are averaged faster than three.
         self.read(kind, log, sampled, Channels::Rgba);
         let (alike, pixel) = (&self.batch.alike[kind], sampled.channels.count());
@@ -329,7 +336,13 @@ impl AveragedSamples {
     }
 
     /// Averages the samples of pixels of a kind, 16 bit.
-    fn average_samples(&mut self, kind: usize, log: u32, sampled: Sampled<'_>, out: &mut [u8]) {
+    fn average_samples(
+        &mut self,
+        kind: usize,
+        log: u32,
+        sampled: FootprintSource<'_>,
+        out: &mut [u8],
+    ) {
         self.read(kind, log, sampled, sampled.channels);
         let (alike, pixel) = (&self.batch.alike[kind], 2 * sampled.channels.count());
         for (k, index) in alike.pixels[..alike.len].iter().enumerate() {
@@ -382,7 +395,7 @@ struct DrawnColumns {
     /// Columns of a block.
     block: usize,
     lines: Vec<u64>,
-    /// The rows of cells that are higher than [`HIGH`], and their blocks.
+    /// The rows of cells that are higher than [`HIGH_CELL_ROWS`], and their blocks.
     high: (Range<usize>, u64),
 }
 
@@ -407,7 +420,7 @@ impl DrawnColumns {
 
     /// Adds a cell, and a pixel more on every side.
     fn add(&mut self, (left, right): (i32, i32), range: YRange) {
-        let pixel = |at: i32| usize::try_from(at.div_euclid(ONE)).unwrap_or(0);
+        let pixel = |at: i32| usize::try_from(at.div_euclid(STEPS_PER_PX)).unwrap_or(0);
         let lines =
             pixel(range.top).saturating_sub(1)..(pixel(range.bottom) + 2).min(self.lines.len());
         let first = pixel(left).saturating_sub(1) / self.block;
@@ -416,7 +429,7 @@ impl DrawnColumns {
             return;
         }
         let blocks = u64::MAX >> (63 - (last - first)) << first;
-        if lines.len() > HIGH {
+        if lines.len() > HIGH_CELL_ROWS {
             let (rows, high) = &self.high;
             self.high = (
                 rows.start.min(lines.start)..rows.end.max(lines.end),

@@ -6,10 +6,10 @@ use std::ops::Range;
 use super::canvas::{Canvas, Placement, Window};
 use super::drawing::Drawing;
 use super::kernel::Kernel;
-use super::lattice::Lattice;
+use super::snapped_grid::SnappedGrid;
 use super::{Filter, Outside, RenderOptions};
 use crate::geometry::{Mesh, PIXEL_CENTER};
-use crate::level::Level;
+use crate::level::SimdLevel;
 use crate::pixmap::Extent;
 
 /// The positions that a target shows, in bands of rows; every division into bands gives the same
@@ -18,11 +18,11 @@ use crate::pixmap::Extent;
 pub struct InverseMap {
     target: Extent,
     source: [f64; 2],
-    work: Work,
+    work: MapWork,
 }
 
 #[derive(Debug)]
-enum Work {
+enum MapWork {
     /// The identity. Where the canvas begins, px of the source.
     Identity { x: i32, y: i32 },
     /// One drawing per window.
@@ -33,16 +33,21 @@ impl InverseMap {
     /// Prepares the map of a target that shows `canvas`, or the box of the source.
     #[must_use]
     pub fn new(mesh: &Mesh, target: Extent, canvas: Option<Canvas>) -> Self {
-        Self::with_level(mesh, target, canvas, Level::detect())
+        Self::with_level(mesh, target, canvas, SimdLevel::detect())
     }
 
-    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All
-    /// levels give the same numbers.
+    /// Like [`Self::new`], for one instruction set; [`SimdLevel::Scalar`] if the machine lacks it.
+    /// All levels give the same numbers.
     ///
     /// # Panics
     /// If a side of the mesh's grid is less than a pixel.
     #[must_use]
-    pub fn with_level(mesh: &Mesh, target: Extent, canvas: Option<Canvas>, level: Level) -> Self {
+    pub fn with_level(
+        mesh: &Mesh,
+        target: Extent,
+        canvas: Option<Canvas>,
+        level: SimdLevel,
+    ) -> Self {
         let grid = mesh.grid();
         #[expect(
             clippy::cast_possible_truncation,
@@ -53,7 +58,7 @@ impl InverseMap {
             Extent::new(grid.width() as u32, grid.height() as u32).expect("a source has pixels");
         let canvas = canvas.unwrap_or(Canvas::of(extent));
         let work = if target == canvas.extent && mesh.is_identity() {
-            Work::Identity {
+            MapWork::Identity {
                 x: canvas.x,
                 y: canvas.y,
             }
@@ -67,7 +72,7 @@ impl InverseMap {
                 force_alpha: false,
             };
             let draw = |window: Window| {
-                let lattice = Lattice::new(
+                let lattice = SnappedGrid::new(
                     mesh,
                     extent,
                     0,
@@ -84,7 +89,7 @@ impl InverseMap {
                     kernel,
                 )
             };
-            Work::Draw(placement.windows().into_iter().map(draw).collect())
+            MapWork::Draw(placement.windows().into_iter().map(draw).collect())
         };
         Self {
             target,
@@ -104,8 +109,8 @@ impl InverseMap {
     #[must_use]
     pub fn computed_width(&self) -> u32 {
         match &self.work {
-            Work::Identity { .. } => self.target.width(),
-            Work::Draw(drawings) => super::computed_width(drawings),
+            MapWork::Identity { .. } => self.target.width(),
+            MapWork::Draw(drawings) => super::computed_width(drawings),
         }
     }
 
@@ -122,7 +127,7 @@ impl InverseMap {
             "one position for each pixel"
         );
         match &self.work {
-            Work::Identity { x, y } => {
+            MapWork::Identity { x, y } => {
                 let [width, height] = self.source;
                 for (row, out) in rows.zip(out.chunks_exact_mut(self.target.width() as usize)) {
                     let down = f64::from(*y) + f64::from(row) + PIXEL_CENTER;
@@ -139,7 +144,7 @@ impl InverseMap {
                     }
                 }
             }
-            Work::Draw(drawings) => {
+            MapWork::Draw(drawings) => {
                 #[expect(
                     clippy::cast_possible_truncation,
                     reason = "a side is a whole number of px"

@@ -6,15 +6,15 @@
 //! a corner of the picture, the distances beyond its two sides are those along the normals of these
 //! sides. The result is continuous across the border and along it.
 
-use super::lattice::{Corner, Lattice};
+use super::snapped_grid::{Corner, SnappedGrid};
 use crate::geometry::{Point, Vec2};
 
 /// The sides of the picture, clockwise from the top: the axis that leads outwards, and its sign.
-const OUTWARDS: [(usize, f64); 4] = [(1, -1.0), (0, 1.0), (1, 1.0), (0, -1.0)];
+const OUTWARD_AXES: [(usize, f64); 4] = [(1, -1.0), (0, 1.0), (1, 1.0), (0, -1.0)];
 
 /// A segment of the border.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Segment {
+pub(super) struct BorderSegment {
     /// The side of the picture, clockwise from the top.
     pub(super) side: usize,
     /// The sampler's coordinate per lattice step outwards, at both ends.
@@ -24,7 +24,7 @@ pub(super) struct Segment {
 /// What is necessary to mirror beyond the border.
 #[derive(Debug)]
 pub(super) struct Mirror {
-    segments: Vec<Segment>,
+    segments: Vec<BorderSegment>,
     /// The sampler's coordinates of the borders: first and last, across and down.
     ends: [[f64; 2]; 2],
 }
@@ -32,7 +32,7 @@ pub(super) struct Mirror {
 impl Mirror {
     /// `counts`: how many segments belong to each outer edge of a cell, clockwise from the top left
     /// corner.
-    pub(super) fn new(lattice: &Lattice, counts: &[usize]) -> Self {
+    pub(super) fn new(lattice: &SnappedGrid, counts: &[usize]) -> Self {
         let (right, bottom) = (lattice.columns - 1, lattice.rows - 1);
         // A vertex of the border and the next one inwards.
         let depth = |outer: (usize, usize), inner: (usize, usize)| {
@@ -54,7 +54,7 @@ impl Mirror {
         let mut segments = Vec::new();
         for ((side, [from, to]), &count) in top.chain(east).chain(low).chain(west).zip(counts) {
             let at = |k: usize| from + (to - from) * (k as f64 / count as f64);
-            segments.extend((0..count).map(|k| Segment {
+            segments.extend((0..count).map(|k| BorderSegment {
                 side,
                 depth: [at(k), at(k + 1)],
             }));
@@ -119,7 +119,7 @@ fn place(corner: Corner) -> Point {
 }
 
 fn beyond(side: usize, distance: f64) -> [f64; 2] {
-    let (axis, sign) = OUTWARDS[side];
+    let (axis, sign) = OUTWARD_AXES[side];
     let mut vector = [0.0; 2];
     vector[axis] = sign * distance;
     vector

@@ -8,7 +8,7 @@
 use std::{ops::Range, sync::Arc};
 
 use crate::geometry::Mesh;
-use crate::level::Level;
+use crate::level::SimdLevel;
 use crate::pixmap::{Channels, Depth, Extent};
 
 #[forbid(unsafe_code)]
@@ -28,14 +28,12 @@ mod drawing;
 #[forbid(unsafe_code)]
 mod edge;
 #[forbid(unsafe_code)]
-mod fine;
+mod fixed_point;
 #[forbid(unsafe_code)]
 mod footprint;
 #[forbid(unsafe_code)]
 mod inverse_map;
 mod kernel;
-#[forbid(unsafe_code)]
-mod lattice;
 #[forbid(unsafe_code)]
 mod mirror;
 #[forbid(unsafe_code)]
@@ -49,11 +47,13 @@ mod sampler;
 #[forbid(unsafe_code)]
 mod snap;
 #[forbid(unsafe_code)]
-mod snap_fine;
+mod snap_subdivided;
+#[forbid(unsafe_code)]
+mod snapped_grid;
 #[forbid(unsafe_code)]
 mod source;
 #[forbid(unsafe_code)]
-mod steps;
+mod subdivided_cells;
 #[cfg(test)]
 #[forbid(unsafe_code)]
 mod tests;
@@ -62,7 +62,7 @@ pub use blend::{FULL_WEIGHT, blend};
 pub use canvas::{Canvas, window_count};
 pub use coverage::Coverage;
 #[cfg(feature = "codec")]
-pub(crate) use drawing::STRIP;
+pub(crate) use drawing::STRIP_ROWS;
 pub use inverse_map::InverseMap;
 pub use source::Source;
 
@@ -70,7 +70,7 @@ use canvas::{Placement, Window};
 use drawing::Drawing;
 use footprint::Footprints;
 use kernel::Kernel;
-use lattice::Lattice;
+use snapped_grid::SnappedGrid;
 
 /// How the source is sampled between its pixel centres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -180,7 +180,7 @@ pub struct Renderer {
     source: Arc<Source>,
     options: RenderOptions,
     channels: Channels,
-    level: Level,
+    level: SimdLevel,
     work: Work,
 }
 
@@ -197,17 +197,17 @@ impl Renderer {
     /// Prepares the drawing (lattice, coordinate scale, reduced source); draws nothing.
     #[must_use]
     pub fn new(source: Arc<Source>, mesh: &Mesh, options: RenderOptions) -> Self {
-        Self::with_level(source, mesh, options, Level::detect())
+        Self::with_level(source, mesh, options, SimdLevel::detect())
     }
 
-    /// Like [`Self::new`], for one instruction set; [`Level::Scalar`] if the machine lacks it. All
-    /// levels give the same bytes.
+    /// Like [`Self::new`], for one instruction set; [`SimdLevel::Scalar`] if the machine lacks it.
+    /// All levels give the same bytes.
     #[must_use]
     pub fn with_level(
         source: Arc<Source>,
         mesh: &Mesh,
         options: RenderOptions,
-        level: Level,
+        level: SimdLevel,
     ) -> Self {
         let kernel = Kernel::new(level);
         let pixmap = source.pixmap();
@@ -240,7 +240,7 @@ impl Renderer {
                 footprint::shrinking_cells(mesh, sampled, placement.scale, kernel)
             };
             let draw = |window: Window| {
-                let lattice = Lattice::new(
+                let lattice = SnappedGrid::new(
                     mesh,
                     pixmap.extent(),
                     k,
@@ -328,7 +328,7 @@ impl Renderer {
 
     /// The instruction set in use.
     #[must_use]
-    pub const fn level(&self) -> Level {
+    pub const fn level(&self) -> SimdLevel {
         self.level
     }
 
@@ -375,10 +375,12 @@ impl Renderer {
 }
 
 /// The rows of a band in which about `pixels` source positions are computed, `width` per row: a
-/// multiple of [`STRIP`], which is drawn at once.
+/// multiple of [`STRIP_ROWS`], which is drawn at once.
 #[cfg(feature = "codec")]
 pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
-    (pixels / width.max(1)).next_multiple_of(STRIP).max(STRIP)
+    (pixels / width.max(1))
+        .next_multiple_of(STRIP_ROWS)
+        .max(STRIP_ROWS)
 }
 
 /// Upper bound of the pixels whose source positions are computed to draw a row.

@@ -4,12 +4,12 @@
 //! derivative, the Jacobian, has the sign of the four corner cross products. Lattice steps in,
 //! sampler coordinates out.
 
-use super::lattice::Corner;
+use super::snapped_grid::Corner;
 use crate::geometry::{Point, Vec2};
 
 /// Largest error of drawn coordinates relative to the patch, px of the sampled picture: half of the
 /// contract's tolerance.
-pub(super) const TOLERANCE: f64 = 1.0 / 32.0;
+pub(super) const PATCH_TOLERANCE_PX: f64 = 1.0 / 32.0;
 
 /// The shape of a cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

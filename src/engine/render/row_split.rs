@@ -6,12 +6,12 @@
 
 use std::ops::Range;
 
-use super::lattice::STEP;
-use super::lattice::{BLOCK, Lattice, YRange};
 use super::row_strategy::RowStrategies;
+use super::snapped_grid::PX_PER_STEP;
+use super::snapped_grid::{BLOCK_COLUMNS, SnappedGrid, YRange};
 
 /// The largest error of crossings in f32, px.
-pub(super) const DOUBT: f32 = 1.0 / 32.0;
+pub(super) const CROSSING_ERROR_PX: f32 = 1.0 / 32.0;
 
 /// The identity of a union of ranges.
 const EMPTY: Range<i32> = Range {
@@ -52,7 +52,7 @@ impl RowSplit {
     /// Prepares the split rows of a strip.
     pub(super) fn prepare(
         &mut self,
-        lattice: &Lattice,
+        lattice: &SnappedGrid,
         strategies: &RowStrategies,
         strip: &Range<u32>,
         mixed: u32,
@@ -78,8 +78,8 @@ impl RowSplit {
         self.unsplit = unsplit;
         if unsplit != 0 {
             self.per_cell[..cells].fill(unsplit);
-            for (i, known) in (0..cells).step_by(BLOCK).zip(&mut self.blocks) {
-                *known = u8::MAX >> (BLOCK - BLOCK.min(cells - i));
+            for (i, known) in (0..cells).step_by(BLOCK_COLUMNS).zip(&mut self.blocks) {
+                *known = u8::MAX >> (BLOCK_COLUMNS - BLOCK_COLUMNS.min(cells - i));
             }
         }
         let mixed = mixed & !unsplit;
@@ -95,7 +95,7 @@ impl RowSplit {
             for (b, &folded) in strategies.folded(j).iter().enumerate() {
                 let mut left = folded;
                 while left != 0 {
-                    let i = b * BLOCK + left.trailing_zeros() as usize;
+                    let i = b * BLOCK_COLUMNS + left.trailing_zeros() as usize;
                     left &= left - 1;
                     self.folded[i] |= rows_of(lattice.cell_range(i, j));
                 }
@@ -117,7 +117,7 @@ impl RowSplit {
         self.across.resize(self.columns.len(), [EMPTY; 32]);
         for j in lattice.rows_touching(strip) {
             for (&i, across) in self.columns.iter().zip(&mut self.across) {
-                if !lattice.block_touches(j, i / BLOCK, strip) {
+                if !lattice.block_touches(j, i / BLOCK_COLUMNS, strip) {
                     continue;
                 }
                 let mut rows = rows_of(lattice.cell_range(i, j)) & self.folded[i];
@@ -145,7 +145,7 @@ impl RowSplit {
             });
             return;
         }
-        let px = |place: i32| place as f32 * STEP;
+        let px = |place: i32| place as f32 * PX_PER_STEP;
         let folded = |n: &usize| self.folded[self.columns[*n]] & bit != 0;
         let mut next = (0..self.columns.len()).find(folded);
         while let Some(n) = next {
@@ -159,9 +159,9 @@ impl RowSplit {
                 // The column at the left end lies left of all folded cells, and the cell left of it
                 // is upright.
                 let before = self.parts.last().map_or(0, |part| part.cells.end);
-                let end = (before + 1..=part.cells.start)
-                    .rev()
-                    .find(|c| x[*c] + DOUBT <= px(part.across.start) && self.bent[*c] & bit == 0);
+                let end = (before + 1..=part.cells.start).rev().find(|c| {
+                    x[*c] + CROSSING_ERROR_PX <= px(part.across.start) && self.bent[*c] & bit == 0
+                });
                 match (end, self.parts.pop()) {
                     (Some(end), last) => {
                         part.cells.start = end;
@@ -180,14 +180,15 @@ impl RowSplit {
                 }
             }
             let last = next.map_or(cells, |next| self.columns[next]);
-            let end = (part.cells.end..last)
-                .find(|c| x[*c] - DOUBT >= px(part.across.end) && self.bent[*c] & bit == 0);
+            let end = (part.cells.end..last).find(|c| {
+                x[*c] - CROSSING_ERROR_PX >= px(part.across.end) && self.bent[*c] & bit == 0
+            });
             part.cells.end = end.unwrap_or(last);
             self.parts.push(part);
         }
         for i in self.parts.iter().flat_map(|part| part.cells.clone()) {
             self.per_cell[i] |= bit;
-            self.blocks[i / BLOCK] |= 1 << (i % BLOCK);
+            self.blocks[i / BLOCK_COLUMNS] |= 1 << (i % BLOCK_COLUMNS);
         }
     }
 }

@@ -8,19 +8,19 @@
 use std::ops::Range;
 
 use super::kernel::{CellRow, Edges, Kernel, Neighbours, SOUND, STEEP, UPRIGHT};
-use super::lattice::{BLOCK, Lattice, ONE, YRange};
+use super::snapped_grid::{BLOCK_COLUMNS, STEPS_PER_PX, SnappedGrid, YRange};
 
 /// Rows are split only if at most one in this number of cells is folded; with more, finding the
 /// splits costs more than it saves.
-const FOLDED: usize = 24;
+const CELLS_PER_FOLD: usize = 24;
 /// Rows are split only if, on average, a block of cells meets at most this multiple of its share of
 /// rows.
-const SHARES: u64 = 16;
+const MAX_ROW_SHARES: u64 = 16;
 /// Rows of cells lower than this at rest, px of the sampled picture, and their neighbours are not
 /// classified: their columns have no direction.
 const LEAST_HEIGHT: f32 = 1.0 / 64.0;
 /// The farthest pixel at which single precision still resolves 1/256 px.
-const FARTHEST: u32 = 1 << 15;
+const FARTHEST_PX: u32 = 1 << 15;
 
 /// How a row is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -50,7 +50,7 @@ pub(super) struct RowStrategies {
 
 impl RowStrategies {
     /// For this many rows; `source` is the height of the whole source at this scale.
-    pub(super) fn new(lattice: &Lattice, height: u32, source: u32, kernel: Kernel) -> Self {
+    pub(super) fn new(lattice: &SnappedGrid, height: u32, source: u32, kernel: Kernel) -> Self {
         let blocks = lattice.blocks();
         let none = vec![0; (lattice.rows - 1) * blocks];
         let mut strategies = Self {
@@ -72,10 +72,10 @@ impl RowStrategies {
         let met: u64 = lattice
             .block_ranges
             .iter()
-            .map(|range| u64::from(range.bottom.abs_diff(range.top) / ONE.unsigned_abs()))
+            .map(|range| u64::from(range.bottom.abs_diff(range.top) / STEPS_PER_PX.unsigned_abs()))
             .sum();
-        let are_few = folded as usize * FOLDED <= strategies.folded.len() * BLOCK;
-        if are_few && met <= SHARES * u64::from(source) * blocks as u64 {
+        let are_few = folded as usize * CELLS_PER_FOLD <= strategies.folded.len() * BLOCK_COLUMNS;
+        if are_few && met <= MAX_ROW_SHARES * u64::from(source) * blocks as u64 {
             strategies.splittable = crossing;
         }
         strategies
@@ -103,7 +103,7 @@ impl RowStrategies {
     }
 
     /// Classifies all cells.
-    fn classify(&mut self, lattice: &Lattice, kernel: Kernel) {
+    fn classify(&mut self, lattice: &SnappedGrid, kernel: Kernel) {
         let target = 0..u32::try_from(self.rows.len()).unwrap_or(u32::MAX);
         let mut classifier = CellClassifier::new(lattice, kernel);
         // The number of cells of a kind that begin at a row, minus those that end there.
@@ -112,7 +112,7 @@ impl RowStrategies {
             vec![0_i32; self.rows.len() + 1],
         );
         for j in 0..lattice.rows - 1 {
-            for (b, soundness) in classifier.at(j).chunks(BLOCK).enumerate() {
+            for (b, soundness) in classifier.at(j).chunks(BLOCK_COLUMNS).enumerate() {
                 let not = |kind: u8| {
                     soundness.iter().enumerate().fold(0_u8, |cells, (k, seen)| {
                         cells | u8::from(seen & kind == 0) << k
@@ -128,7 +128,10 @@ impl RowStrategies {
                 while left != 0 {
                     let k = left.trailing_zeros() as usize;
                     left &= left - 1;
-                    let (i, range) = (b * BLOCK + k, lattice.cell_range(b * BLOCK + k, j));
+                    let (i, range) = (
+                        b * BLOCK_COLUMNS + k,
+                        lattice.cell_range(b * BLOCK_COLUMNS + k, j),
+                    );
                     let (rows, known) = (
                         range.rows(&target),
                         if folded >> k & 1 == 1 {
@@ -146,7 +149,10 @@ impl RowStrategies {
             }
         }
         for cell in lattice.fine.cells() {
-            let (at, bit) = (cell.j * self.blocks + cell.i / BLOCK, 1 << (cell.i % BLOCK));
+            let (at, bit) = (
+                cell.j * self.blocks + cell.i / BLOCK_COLUMNS,
+                1 << (cell.i % BLOCK_COLUMNS),
+            );
             self.inaccurate[at] |= bit;
             // Where the border is not straight, crossings would paint beyond it.
             self.folded[at] |= if cell.is_ragged { bit } else { 0 };
@@ -175,7 +181,7 @@ impl RowStrategies {
     }
 
     /// The chord of a row between two columns affects all cells that the row meets between them.
-    fn mark_inaccurate(&mut self, lattice: &Lattice, i: usize, j: usize, range: YRange) {
+    fn mark_inaccurate(&mut self, lattice: &SnappedGrid, i: usize, j: usize, range: YRange) {
         let shares = |k: &usize| {
             let other = lattice.cell_range(i, *k);
             other.top < range.bottom && range.top < other.bottom
@@ -185,14 +191,14 @@ impl RowStrategies {
             .take_while(shares)
             .chain((j + 1..lattice.rows - 1).take_while(shares))
         {
-            self.inaccurate[k * self.blocks + i / BLOCK] |= 1 << (i % BLOCK);
+            self.inaccurate[k * self.blocks + i / BLOCK_COLUMNS] |= 1 << (i % BLOCK_COLUMNS);
         }
     }
 }
 
 /// Classifies the cells, one row of cells after the other.
 struct CellClassifier<'a> {
-    lattice: &'a Lattice,
+    lattice: &'a SnappedGrid,
     kernel: Kernel,
     /// Lines above and below the previous row, this row, and the next row.
     lines: [Edges; 4],
@@ -202,7 +208,7 @@ struct CellClassifier<'a> {
 }
 
 impl<'a> CellClassifier<'a> {
-    fn new(lattice: &'a Lattice, kernel: Kernel) -> Self {
+    fn new(lattice: &'a SnappedGrid, kernel: Kernel) -> Self {
         let edges = || Edges {
             x: vec![0.0; lattice.columns],
             y: vec![0.0; lattice.columns],
@@ -294,7 +300,7 @@ impl<'a> CellClassifier<'a> {
                 .into_iter()
                 .flatten()
                 .fold(0, |far, place| far.max(place.unsigned_abs()))
-                >= FARTHEST * ONE.unsigned_abs()
+                >= FARTHEST_PX * STEPS_PER_PX.unsigned_abs()
         };
         if height < LEAST_HEIGHT || is_far(self.vertices(j)) || is_far(self.vertices(j + 1)) {
             self.soundness.fill(0);
@@ -342,7 +348,7 @@ impl<'a> CellClassifier<'a> {
 }
 
 /// The target rows that cross every column.
-fn rows_that_cross(lattice: &Lattice, height: u32) -> Range<u32> {
+fn rows_that_cross(lattice: &SnappedGrid, height: u32) -> Range<u32> {
     let line = |j: usize| &lattice.y[j * lattice.pitch..][..lattice.columns];
     let top = line(0).iter().fold(i32::MIN, |top, &y| top.max(y));
     let bottom = line(lattice.rows - 1)

@@ -7,26 +7,26 @@
 )]
 
 use super::Filter;
-use super::fine::FineCells;
 use super::kernel::Kernel;
-use super::lattice::{BLOCK, LONGEST_SIDE, Lattice, ONE, YRange};
-use super::snap_fine::Sampled;
+use super::snap_subdivided::SamplerCoordinates;
+use super::snapped_grid::{BLOCK_COLUMNS, LONGEST_SIDE_STEPS, STEPS_PER_PX, SnappedGrid, YRange};
+use super::subdivided_cells::SnappedSubdividedCells;
 use crate::geometry::{Mesh, PIXEL_CENTER};
 use crate::pixmap::Extent;
 
 /// The largest extent of a cell that is drawn in f32, px of the sampled picture along either axis.
-const WIDEST: f32 = 1024.0;
+const WIDEST_CELL_PX: f32 = 1024.0;
 
 /// The share of the renderer's tolerance that column crossings may use; the rest is for snapping.
 const CROSSING_SHARE: f32 = 7.0 / 8.0;
 
 /// Converts a rest position to the sampler's coordinate: `scale * x + offset`.
-struct Axis {
+struct SamplerAxis {
     scale: f64,
     offset: f64,
 }
 
-impl Axis {
+impl SamplerAxis {
     fn new(filter: Filter, source: u32, grid: f64, k: u32) -> Self {
         let pixels = f64::from(source) / grid / f64::from(k).exp2();
         match filter {
@@ -49,11 +49,11 @@ impl Axis {
 
 /// Both axes.
 struct Axes {
-    across: Axis,
-    down: Axis,
+    across: SamplerAxis,
+    down: SamplerAxis,
 }
 
-impl Sampled for Axes {
+impl SamplerCoordinates for Axes {
     fn u(&self, x: f64) -> f32 {
         self.across.at(x)
     }
@@ -63,7 +63,7 @@ impl Sampled for Axes {
     }
 }
 
-impl Lattice {
+impl SnappedGrid {
     /// Poses and snaps `mesh`; `source` is the full source picture, sampled at a reduction by
     /// `2^k`. `scale`: px of the target per px of the source; `origin`: the position of the window
     /// that is drawn, px of the source.
@@ -77,17 +77,20 @@ impl Lattice {
     ) -> Self {
         let grid = mesh.grid();
         let (columns, rows) = (grid.columns() as usize, grid.rows() as usize);
-        let pitch = columns.next_multiple_of(BLOCK);
+        let pitch = columns.next_multiple_of(BLOCK_COLUMNS);
         let axes = Axes {
-            across: Axis::new(filter, source.width(), grid.width(), k),
-            down: Axis::new(filter, source.height(), grid.height(), k),
+            across: SamplerAxis::new(filter, source.width(), grid.width(), k),
+            down: SamplerAxis::new(filter, source.height(), grid.height(), k),
         };
-        let scale = scale.map(|s| s * f64::from(ONE));
+        let scale = scale.map(|s| s * f64::from(STEPS_PER_PX));
         let mut u: Vec<f32> = (0..grid.columns()).map(|i| axes.u(grid.x(i))).collect();
         let rest_x: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i) - origin[0]).collect();
-        u.resize(pitch + BLOCK, axes.u(grid.width()));
+        u.resize(pitch + BLOCK_COLUMNS, axes.u(grid.width()));
         let v: Vec<f32> = (0..grid.rows()).map(|j| axes.v(grid.y(j))).collect();
-        let (mut x, mut y) = (vec![0; rows * pitch + BLOCK], vec![0; rows * pitch + BLOCK]);
+        let (mut x, mut y) = (
+            vec![0; rows * pitch + BLOCK_COLUMNS],
+            vec![0; rows * pitch + BLOCK_COLUMNS],
+        );
         for ((j, displacement), (x, y)) in (0..)
             .zip(mesh.displacement().chunks_exact(columns))
             .zip(x.chunks_exact_mut(pitch).zip(y.chunks_exact_mut(pitch)))
@@ -116,13 +119,13 @@ impl Lattice {
             .chain(v.windows(2))
             .map(|ab| (ab[1] - ab[0]).abs())
             .fold(0.0, f32::max);
-        let longest_side = if widest <= WIDEST * unit {
-            LONGEST_SIDE
+        let longest_side = if widest <= WIDEST_CELL_PX * unit {
+            LONGEST_SIDE_STEPS
         } else {
             0
         };
         let crossing_error = CROSSING_SHARE * mesh.refinement().drawn_within();
-        let fine = FineCells::new(mesh, (scale, origin), &axes, kernel);
+        let fine = SnappedSubdividedCells::new(mesh, (scale, origin), &axes, kernel);
         let mut lattice = Self {
             columns,
             rows,
@@ -145,7 +148,7 @@ impl Lattice {
 
 /// Ranges of y of the rows of cells and of their blocks.
 fn y_ranges(y: &[i32], pitch: usize, kernel: Kernel) -> (Vec<YRange>, Vec<YRange>) {
-    let blocks = pitch / BLOCK;
+    let blocks = pitch / BLOCK_COLUMNS;
     let mut lines = vec![YRange::NOWHERE; y.len() / pitch * blocks];
     for (y, y_ranges) in y.chunks_exact(pitch).zip(lines.chunks_exact_mut(blocks)) {
         kernel.y_ranges(y, y_ranges);

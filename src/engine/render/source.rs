@@ -8,7 +8,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples, sample_bytes};
 
 /// A sample of 0 as it is stored in [`Packed`].
-pub(super) const FLIP: u32 = 0x8080_8080;
+pub(super) const STORED_ZERO: u32 = 0x8080_8080;
 
 /// A source picture and the copies that the samplers read (packed, reduced), each made on first
 /// use.
@@ -190,11 +190,11 @@ impl Packed {
             match pixmap.channels() {
                 Channels::Rgb => texels.extend(
                     row.chunks_exact(3)
-                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ FLIP),
+                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], u8::MAX]) ^ STORED_ZERO),
                 ),
                 Channels::Rgba => texels.extend(
                     row.chunks_exact(4)
-                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ FLIP),
+                        .map(|p| u32::from_le_bytes([p[0], p[1], p[2], p[3]]) ^ STORED_ZERO),
                 ),
             }
             texels.extend(texels.last().copied());

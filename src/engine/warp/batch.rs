@@ -3,7 +3,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore as _, SeedableRng as _};
 
-use super::{Setup, Units};
+use super::{ResolvedRest, Units};
 use crate::deform::Handle;
 use crate::geometry::Point;
 use crate::pixmap::Extent;
@@ -35,7 +35,7 @@ impl Easing {
 }
 
 /// Handles along each side of [`jitter_grid`].
-const GRID: u32 = 5;
+const HANDLES_PER_SIDE: u32 = 5;
 
 /// The handles by which a picture without handles is jittered: 5 x 5 points from corner to corner,
 /// row by row.
@@ -45,17 +45,18 @@ pub fn jitter_grid(units: Units, extent: Extent) -> Vec<Handle> {
         Units::Px => (f64::from(extent.width()), f64::from(extent.height())),
         Units::Normalized => (1.0, 1.0),
     };
-    let share = |k: u32| f64::from(k) / f64::from(GRID - 1);
+    let share = |k: u32| f64::from(k) / f64::from(HANDLES_PER_SIDE - 1);
     let row = |y: u32| {
-        (0..GRID).map(move |x| Handle::Point(Point::new(width * share(x), height * share(y))))
+        (0..HANDLES_PER_SIDE)
+            .map(move |x| Handle::Point(Point::new(width * share(x), height * share(y))))
     };
-    (0..GRID).flat_map(row).collect()
+    (0..HANDLES_PER_SIDE).flat_map(row).collect()
 }
 
 /// Plane waves of a frame.
-const WAVES: usize = 64;
+const PLANE_WAVES: usize = 64;
 /// The longest wavelength, in shortest ones.
-const LONGEST: f64 = 4.0;
+const LONGEST_WAVELENGTH: f64 = 4.0;
 
 /// Random displacements that vary smoothly over the plane: a sum of 64 plane waves of random
 /// direction, wavelength, phase and polarisation. The shortest wavelength is the mean (root mean
@@ -88,7 +89,7 @@ impl Jitter {
 
     /// `q` displaced as far as possible, to the left top and to the right bottom.
     #[must_use]
-    pub fn extremes(&self, setup: &Setup, q: &[Handle]) -> [Vec<Handle>; 2] {
+    pub fn extremes(&self, setup: &ResolvedRest, q: &[Handle]) -> [Vec<Handle>; 2] {
         let unit = setup.unit();
         let farthest = self.sigma * Self::MOST_SIGMAS;
         [-farthest, farthest].map(|d| {
@@ -106,7 +107,13 @@ impl Jitter {
     /// position at rest, `p`, so that handles which coincide at rest move together. Both are in the
     /// client's units; positions of `q` without one of `p` stay.
     #[must_use]
-    pub fn displace(&self, setup: &Setup, p: &[Handle], q: &[Handle], frame: u32) -> Vec<Handle> {
+    pub fn displace(
+        &self,
+        setup: &ResolvedRest,
+        p: &[Handle],
+        q: &[Handle],
+        frame: u32,
+    ) -> Vec<Handle> {
         let unit = setup.unit();
         let waves = self.waves(frame);
         let per_px = 1.0 / mean_distance(p, unit).unwrap_or(1.0);
@@ -133,15 +140,15 @@ impl Jitter {
     }
 
     /// Each frame has a stream of its own of the generator that the seed chooses.
-    fn waves(&self, frame: u32) -> [Wave; WAVES] {
+    fn waves(&self, frame: u32) -> [Wave; PLANE_WAVES] {
         let mut seed = [0; 32];
         seed[..8].copy_from_slice(&self.seed.to_le_bytes());
         let mut random = ChaCha8Rng::from_seed(seed);
         random.set_stream(frame.into());
         std::array::from_fn(|_| {
-            let periods = in_ring(&mut random, 1.0 / LONGEST);
+            let periods = in_ring(&mut random, 1.0 / LONGEST_WAVELENGTH);
             let phase = uniform(&mut random);
-            let (x, y) = in_ring(&mut random, 1.0 / LONGEST);
+            let (x, y) = in_ring(&mut random, 1.0 / LONGEST_WAVELENGTH);
             let length = (x * x + y * y).sqrt();
             Wave {
                 periods,
@@ -152,7 +159,7 @@ impl Jitter {
     }
 
     /// The displacement at a position in shortest wavelengths, px.
-    fn displacement(&self, waves: &[Wave; WAVES], x: f64, y: f64) -> (f64, f64) {
+    fn displacement(&self, waves: &[Wave; PLANE_WAVES], x: f64, y: f64) -> (f64, f64) {
         let (mut dx, mut dy) = (0.0, 0.0);
         for Wave {
             periods,
@@ -165,7 +172,7 @@ impl Jitter {
             dy += polarisation.1 * height;
         }
         // The mean squares of a sine and of a coordinate of a random direction are 1/2.
-        let scale = self.sigma * Self::MOST_SIGMAS / WAVES as f64;
+        let scale = self.sigma * Self::MOST_SIGMAS / PLANE_WAVES as f64;
         (dx * scale, dy * scale)
     }
 }
@@ -189,8 +196,8 @@ fn mean_distance(handles: &[Handle], unit: (f64, f64)) -> Option<f64> {
 
 /// Uniform in 0 to 1.
 fn uniform(random: &mut ChaCha8Rng) -> f64 {
-    const STEP: f64 = 1.0 / (1_u64 << 53) as f64;
-    (random.next_u64() >> 11) as f64 * STEP
+    const UNIT_STEP: f64 = 1.0 / (1_u64 << 53) as f64;
+    (random.next_u64() >> 11) as f64 * UNIT_STEP
 }
 
 /// Uniform in the ring between `inner` and 1.
@@ -228,13 +235,13 @@ mod tests {
     use super::super::{Limits, RestSpec};
     use super::*;
 
-    fn setup(p: &[Handle], units: Units) -> Setup {
+    fn setup(p: &[Handle], units: Units) -> ResolvedRest {
         let rest = RestSpec {
             p: p.to_vec(),
             units,
             ..RestSpec::default()
         };
-        Setup::new(&rest, Extent::new(200, 100).unwrap(), &Limits::default()).unwrap()
+        ResolvedRest::new(&rest, Extent::new(200, 100).unwrap(), &Limits::default()).unwrap()
     }
 
     fn point(x: f64, y: f64) -> Handle {

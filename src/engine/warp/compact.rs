@@ -2,8 +2,8 @@
 //! depend on the rest handles, the other settings of the warp, the image's size and the tolerance,
 //! not on the pose: a client learns them once.
 
-use super::posed::Posed;
-use super::{Plan, Setup, WarpError};
+use super::posed_mesh::PosedMesh;
+use super::{CompiledRest, ResolvedRest, WarpError};
 use crate::deform::{Handle, IsCancelled, Pose};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
@@ -11,17 +11,17 @@ use crate::geometry::{Grid, Mesh, Point, Vec2};
 /// bytes.
 const MOST_VERTICES: usize = 4997;
 /// The largest 16-bit displacement.
-const LARGEST: f32 = 32_767.0;
+const LARGEST_DISPLACEMENT: f32 = 32_767.0;
 /// How far the handles of a reference pose move along an axis, as a share of the picture's shorter
 /// side.
-const MOVED: f64 = 0.1;
+const REFERENCE_MOVE_SHARE: f64 = 0.1;
 /// Most reference poses.
 const MOST_POSES: usize = 16;
 /// Most work of the choice, in products of a vertex with a column or with a candidate; at least two
 /// poses.
-const WORK: usize = 1 << 26;
+const MAX_PRODUCTS: usize = 1 << 26;
 /// Candidates, about: those of a grid of 100 lines.
-const CANDIDATES: usize = 12;
+const CANDIDATE_COUNT: usize = 12;
 /// On a grid of more vertices, the finest lattice is taken, whatever its error.
 const COMPARED_VERTICES: usize = 1 << 20;
 
@@ -48,15 +48,16 @@ impl CompactLattice {
     /// # Errors
     /// Cancelled.
     pub fn new(
-        setup: &Setup,
-        plan: &Plan,
+        setup: &ResolvedRest,
+        plan: &CompiledRest,
         tolerance: f64,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let grid = setup.lines();
+        let grid = setup.grid();
         let mut steps = steps(grid);
         let mut errors = vec![0.0_f64; steps.len()];
-        let (mut is_measured, has_handles) = (false, !setup.field().given().handles().is_empty());
+        let (mut is_measured, has_handles) =
+            (false, !setup.field().client_handles().handles().is_empty());
         for pose in reference_poses(setup) {
             let (mesh, _) = setup.mesh(plan, &pose, cancelled)?;
             let mut k = 0;
@@ -89,7 +90,7 @@ impl CompactLattice {
 
     /// The lines at rest.
     #[must_use]
-    pub fn lines(&self) -> Grid {
+    pub fn grid(&self) -> Grid {
         self.grid.thinned(self.step)
     }
 
@@ -112,9 +113,9 @@ impl CompactLattice {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn numbers(
+    pub fn to_le_bytes(
         &self,
-        posed: &Posed,
+        posed: &PosedMesh,
         cancelled: IsCancelled<'_>,
     ) -> Result<(Vec<u8>, f64), WarpError> {
         let quantized = Quantized::new(posed.mesh(), self.step);
@@ -146,9 +147,9 @@ fn steps(grid: &Grid) -> Vec<usize> {
 }
 
 /// See [`CompactLattice::new`].
-fn reference_poses(setup: &Setup) -> impl Iterator<Item = Pose> + '_ {
-    let (grid, field) = (setup.lines(), setup.field());
-    let handles = field.given().handles();
+fn reference_poses(setup: &ResolvedRest) -> impl Iterator<Item = Pose> + '_ {
+    let (grid, field) = (setup.grid(), setup.field());
+    let handles = field.client_handles().handles();
     let mut leader: Vec<usize> = (0..handles.len()).collect();
     for group in field.groups() {
         for &handle in &group {
@@ -156,11 +157,11 @@ fn reference_poses(setup: &Setup) -> impl Iterator<Item = Pose> + '_ {
         }
     }
     let columns: usize = handles.iter().map(|handle| handle.places().len()).sum();
-    let sets = (WORK / grid.len().saturating_mul(columns + CANDIDATES) / 2)
+    let sets = (MAX_PRODUCTS / grid.len().saturating_mul(columns + CANDIDATE_COUNT) / 2)
         .clamp(1, MOST_POSES / 2)
         .min(handles.len());
     let middle = Point::new(grid.width() / 2.0, grid.height() / 2.0);
-    let far = MOVED * grid.width().min(grid.height());
+    let far = REFERENCE_MOVE_SHARE * grid.width().min(grid.height());
     let towards = move |from: f64, to: f64| if from > to { -far } else { far };
     (0..2 * sets).filter_map(move |pose| {
         let posed = handles.iter().zip(&leader).map(|(handle, &leader)| {
@@ -203,7 +204,7 @@ impl Quantized {
             .fold(0.0_f32, |largest, d| largest.max(d.abs()));
         Self {
             displacement,
-            scale: largest.min(f32::MAX) / LARGEST,
+            scale: largest.min(f32::MAX) / LARGEST_DISPLACEMENT,
         }
     }
 
@@ -216,7 +217,14 @@ impl Quantized {
         #[expect(clippy::cast_possible_truncation, reason = "clamped; 0 / 0 is 0")]
         let units = displacement
             .iter()
-            .map(|d| d.map(|d| (d / scale).round().clamp(-LARGEST, LARGEST) as i16))
+            .map(|d| {
+                d.map(|d| {
+                    (d / scale)
+                        .round()
+                        .clamp(-LARGEST_DISPLACEMENT, LARGEST_DISPLACEMENT)
+                        as i16
+                })
+            })
             .collect::<Vec<_>>();
         let read = units
             .iter()

@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use super::digest::Collector;
 use super::spec::at_most;
-use super::{CanvasSpec, Digest, Limits, OutputSpec, Posed, Target, WarpError};
+use super::{CanvasSpec, Digest, Limits, OutputSpec, PosedMesh, Target, WarpError};
 use crate::codec::FloatTiff;
 use crate::deform::IsCancelled;
 use crate::geometry::{Mesh, PIXEL_CENTER, Point};
@@ -14,11 +14,11 @@ use crate::pixmap::Extent;
 use crate::render::{Canvas, InverseMap, band_rows};
 
 /// Positions that are computed for a band.
-const BAND: u32 = 1 << 16;
+const BAND_POSITIONS: u32 = 1 << 16;
 /// Bytes of a position: two f32.
-const POSITION: u64 = 8;
+const POSITION_BYTES: u64 = 8;
 /// Samples of a pixel: x and y.
-const SAMPLES: u16 = 2;
+const SAMPLES_PER_PIXEL: u16 = 2;
 
 /// Which positions a map has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -84,7 +84,7 @@ impl MapSpec {
     /// Over the limits of pictures; nothing to show on the canvas `fit`; cancelled.
     pub fn target(
         &self,
-        posed: &Posed,
+        posed: &PosedMesh,
         source: Extent,
         limits: &Limits,
         cancelled: IsCancelled<'_>,
@@ -114,7 +114,7 @@ impl MapSpec {
 /// A map that is ready to be written.
 #[derive(Debug)]
 pub struct CoordinateMap {
-    positions: Positions,
+    positions: PositionSource,
     target: Target,
     format: MapFormat,
     tiff: Option<FloatTiff>,
@@ -123,7 +123,7 @@ pub struct CoordinateMap {
 }
 
 #[derive(Debug)]
-enum Positions {
+enum PositionSource {
     Inverse(InverseMap),
     Forward { mesh: Mesh, canvas: Option<Canvas> },
 }
@@ -133,32 +133,32 @@ impl CoordinateMap {
     ///
     /// # Errors
     /// Too large for the format.
-    pub fn new(spec: &MapSpec, posed: &Posed, target: Target) -> Result<Self, WarpError> {
+    pub fn new(spec: &MapSpec, posed: &PosedMesh, target: Target) -> Result<Self, WarpError> {
         let (positions, computed) = match spec.direction {
             MapDirection::Inverse => {
                 let inverse = InverseMap::new(posed.mesh(), target.extent, target.canvas);
                 let computed = inverse.computed_width();
-                (Positions::Inverse(inverse), computed)
+                (PositionSource::Inverse(inverse), computed)
             }
             MapDirection::Forward => (
-                Positions::Forward {
+                PositionSource::Forward {
                     mesh: posed.mesh().clone(),
                     canvas: target.canvas,
                 },
                 target.extent.width(),
             ),
         };
-        let band_rows = band_rows(BAND, computed);
+        let band_rows = band_rows(BAND_POSITIONS, computed);
         let tiff = match spec.format {
             MapFormat::Npy => None,
             MapFormat::Tiff => {
-                let limit = u64::from(u32::MAX) / (POSITION + 1);
+                let limit = u64::from(u32::MAX) / (POSITION_BYTES + 1);
                 let too_large = WarpError::TooLarge {
                     what: "map_pixels",
                     limit,
                     actual: target.extent.pixels(),
                 };
-                Some(FloatTiff::new(target.extent, SAMPLES, band_rows).ok_or(too_large)?)
+                Some(FloatTiff::new(target.extent, SAMPLES_PER_PIXEL, band_rows).ok_or(too_large)?)
             }
         };
         Ok(Self {
@@ -193,13 +193,13 @@ impl CoordinateMap {
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
         let tail = self.tiff.as_ref().map_or(0, |tiff| tiff.tail().len());
-        self.target.extent.pixels() * POSITION + (self.head().len() + tail) as u64
+        self.target.extent.pixels() * POSITION_BYTES + (self.head().len() + tail) as u64
     }
 
     /// Memory for the computation of one band, the band included, bytes.
     #[must_use]
     pub const fn band_bytes(&self) -> u64 {
-        2 * self.band_rows as u64 * self.target.extent.width() as u64 * POSITION
+        2 * self.band_rows as u64 * self.target.extent.width() as u64 * POSITION_BYTES
     }
 
     /// Number of bands.
@@ -224,8 +224,8 @@ impl CoordinateMap {
         assert!(!rows.is_empty(), "band {band} of {}", self.bands());
         let mut positions = vec![[0.0; 2]; rows.len() * self.target.extent.width() as usize];
         match &self.positions {
-            Positions::Inverse(inverse) => inverse.rows(rows, &mut positions),
-            Positions::Forward { mesh, canvas } => {
+            PositionSource::Inverse(inverse) => inverse.rows(rows, &mut positions),
+            PositionSource::Forward { mesh, canvas } => {
                 forward(mesh, *canvas, self.target.extent, rows, &mut positions)
             }
         }
@@ -257,7 +257,7 @@ impl CoordinateMap {
     }
 }
 
-fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent, .. }: Target) -> Digest {
+fn etag(spec: &MapSpec, posed: &PosedMesh, Target { canvas, extent, .. }: Target) -> Digest {
     let kind = [
         spec.direction == MapDirection::Forward,
         spec.format == MapFormat::Tiff,
@@ -288,10 +288,14 @@ fn etag(spec: &MapSpec, posed: &Posed, Target { canvas, extent, .. }: Target) ->
 
 /// The head of an array of f32 in NumPy's format, version 1: its length is a multiple of 64.
 fn npy_head(extent: Extent) -> Vec<u8> {
-    const PREFIX: usize = 10;
-    let shape = format!("({}, {}, {SAMPLES})", extent.height(), extent.width());
+    const PREFIX_BYTES: usize = 10;
+    let shape = format!(
+        "({}, {}, {SAMPLES_PER_PIXEL})",
+        extent.height(),
+        extent.width()
+    );
     let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
-    let padded = (PREFIX + header.len() + 1).next_multiple_of(64) - PREFIX;
+    let padded = (PREFIX_BYTES + header.len() + 1).next_multiple_of(64) - PREFIX_BYTES;
     header.extend(std::iter::repeat_n(' ', padded - header.len() - 1));
     header.push('\n');
     let length = u16::try_from(header.len()).expect("a short text");

@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::codec::{CodecError, Dropped, Format, Repairs};
 use crate::deform::{self, DeformError};
-use crate::geometry::Compact;
+use crate::geometry::DisplayNumber;
 
 /// Why an image was not warped.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -22,7 +22,7 @@ pub enum WarpError {
     Posed(DeformError),
     /// A position to be mapped is invalid.
     #[error("a position has a coordinate of {} px; coordinates must lie between -{limit} and \
-        {limit} px", Compact(*value))]
+        {limit} px", DisplayNumber(*value))]
     BadPlace {
         /// Index of the position.
         index: usize,
@@ -81,7 +81,7 @@ pub enum WarpError {
     /// A thin-plate spline of too many points.
     #[error(
         "a thin-plate spline of more than {} points is evaluated without a table of coefficients",
-        deform::Plan::MOST_SITES
+        deform::CoefficientTable::MOST_SITES
     )]
     NoTable,
     /// An invalid grid.

@@ -1,27 +1,27 @@
 //! Which method fits a set of points: each candidate predicts every point from all others
 //! (`deform`'s leave one out; mathematics 10.4).
 
-use super::setup::{check_parameters, field, to_px};
+use super::resolved_rest::{check_parameters, field, to_px};
 use super::spec::at_most;
 use super::{Limits, Method, RestSpec, Task, WarpError, work};
-use crate::deform::{DeformError, Field, Handle, Handles, IsCancelled};
+use crate::deform::{DeformError, Handle, Handles, IsCancelled, RestDeformation};
 use crate::geometry::Vec2;
 use crate::pixmap::Extent;
 
 /// The fewest distinct points: without one of them there are still three, which determine an affine
 /// map.
-const LEAST: usize = 4;
+const MIN_DISTINCT_POINTS: usize = 4;
 /// Median absolute deviation of a normal distribution to its standard deviation.
-const NORMAL: f64 = 1.4826;
+const NORMAL_DEVIATIONS: f64 = 1.4826;
 /// A residual is an outlier beyond the median by this many standard deviations, and by at least
 /// this length, px.
-const FAR: f64 = 3.5;
+const OUTLIER_DEVIATIONS: f64 = 3.5;
 const LEAST_FAR: f64 = 1e-3;
 /// The fall-off of a candidate that gives none.
-const ALPHA: f64 = 1.0;
+const DEFAULT_ALPHA: f64 = 1.0;
 /// Default candidates.
-const ALPHAS: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
-const SMOOTHINGS: [f64; 4] = [0.0, 0.001, 0.01, 0.1];
+const DEFAULT_ALPHAS: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
+const DEFAULT_SMOOTHINGS: [f64; 4] = [0.0, 0.001, 0.01, 0.1];
 
 /// A method with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +40,7 @@ impl Candidate {
     pub fn defaults() -> Vec<Self> {
         let families = [Method::Affine, Method::Similarity, Method::Rigid];
         let families = families.into_iter().flat_map(|method| {
-            ALPHAS.map(|alpha| Self {
+            DEFAULT_ALPHAS.map(|alpha| Self {
                 method,
                 alpha: Some(alpha),
                 smoothing: None,
@@ -57,7 +57,7 @@ impl Candidate {
             smoothing: None,
         };
         families
-            .chain(SMOOTHINGS.map(spline))
+            .chain(DEFAULT_SMOOTHINGS.map(spline))
             .chain([affine])
             .collect()
     }
@@ -65,7 +65,9 @@ impl Candidate {
     /// With the defaults of its parameters.
     fn resolved(self) -> Self {
         Self {
-            alpha: self.alpha.or_else(|| self.method.family().map(|_| ALPHA)),
+            alpha: self
+                .alpha
+                .or_else(|| self.method.family().map(|_| DEFAULT_ALPHA)),
             smoothing: self
                 .smoothing
                 .or((self.method == Method::ThinPlateSpline).then_some(0.0)),
@@ -153,9 +155,9 @@ impl Fit {
         let field = fit.field(&fit.rest, cancelled)?;
         field.pose(&fit.q).map_err(WarpError::Posed)?;
         let distinct = field.handles().columns();
-        if distinct < LEAST {
+        if distinct < MIN_DISTINCT_POINTS {
             return Err(WarpError::TooFewPoints {
-                least: LEAST,
+                least: MIN_DISTINCT_POINTS,
                 actual: distinct,
             });
         }
@@ -171,7 +173,11 @@ impl Fit {
         Ok(fit)
     }
 
-    fn field(&self, rest: &RestSpec, cancelled: IsCancelled<'_>) -> Result<Field, WarpError> {
+    fn field(
+        &self,
+        rest: &RestSpec,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<RestDeformation, WarpError> {
         field(self.handles.clone(), rest, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
@@ -228,7 +234,7 @@ fn outlier_length(lengths: &[f64]) -> f64 {
             .map(|length| (length - middle).abs())
             .collect(),
     );
-    middle + (FAR * NORMAL * deviation).max(LEAST_FAR)
+    middle + (OUTLIER_DEVIATIONS * NORMAL_DEVIATIONS * deviation).max(LEAST_FAR)
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -300,7 +306,10 @@ mod tests {
     #[test]
     fn outliers_exceed_the_median_by_the_deviation_and_by_a_length() {
         assert!(
-            (outlier_length(&[1.0, 2.0, 3.0, 4.0, 100.0]) - (3.0 + FAR * NORMAL)).abs() < 1e-12
+            (outlier_length(&[1.0, 2.0, 3.0, 4.0, 100.0])
+                - (3.0 + OUTLIER_DEVIATIONS * NORMAL_DEVIATIONS))
+                .abs()
+                < 1e-12
         );
         assert!(
             (outlier_length(&[2.0; 6]) - 2.001).abs() < 1e-12,

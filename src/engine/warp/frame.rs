@@ -1,21 +1,21 @@
 //! Frames of images. The source and the picture that is drawn of it lie in one plane, in px of the
 //! source; a frame says where in it the positions of one of the two images lie.
 
-use super::{OutputSpec, Setup, Target, Units};
+use super::{OutputSpec, ResolvedRest, Target, Units};
 use crate::geometry::Point;
 use crate::pixmap::Extent;
 use crate::render::Canvas;
 
 /// The positions of an image, in the client's units, and the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame {
+pub struct CoordinateFrame {
     canvas: Canvas,
     /// The size of the image, px.
     image: Extent,
     units: Units,
 }
 
-impl Frame {
+impl CoordinateFrame {
     /// The frame of the source.
     #[must_use]
     pub const fn of_source(source: Extent, units: Units) -> Self {
@@ -133,17 +133,17 @@ impl Frame {
     }
 }
 
-impl Setup {
+impl ResolvedRest {
     /// The frame of the source.
     #[must_use]
-    pub fn source_frame(&self) -> Frame {
-        Frame::of_source(self.source(), self.units())
+    pub fn source_frame(&self) -> CoordinateFrame {
+        CoordinateFrame::of_source(self.source(), self.units())
     }
 
     /// The frame of a picture.
     #[must_use]
-    pub fn frame_of(&self, target: Target) -> Frame {
-        Frame::of_target(target, self.source(), self.units())
+    pub fn frame_of(&self, target: Target) -> CoordinateFrame {
+        CoordinateFrame::of_target(target, self.source(), self.units())
     }
 }
 
@@ -151,8 +151,8 @@ impl Setup {
 mod tests {
     use super::*;
 
-    fn frame(canvas: Canvas, image: (u32, u32), units: Units) -> Frame {
-        Frame {
+    fn frame(canvas: Canvas, image: (u32, u32), units: Units) -> CoordinateFrame {
+        CoordinateFrame {
             canvas,
             image: Extent::new(image.0, image.1).unwrap(),
             units,
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn positions_of_the_source_are_the_plane_bit_for_bit() {
-        let source = Frame::of_source(Extent::new(301, 97).unwrap(), Units::Px);
+        let source = CoordinateFrame::of_source(Extent::new(301, 97).unwrap(), Units::Px);
         for place in [Point::new(0.1 + 0.2, -1e-300), Point::new(1e6, 77.7)] {
             assert_eq!(
                 (source.to_plane(place), source.from_plane(place)),

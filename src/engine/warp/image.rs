@@ -4,7 +4,7 @@ use std::sync::{Arc, OnceLock};
 
 use super::region::occupied_words;
 use super::{Digest, Target, WarpError};
-use crate::codec::{self, Carried, Limits, Metadata, Opened, Repairs, StepCounter};
+use crate::codec::{self, Carried, ImageLimits, Metadata, Opened, Repairs, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::Source;
 
@@ -45,7 +45,7 @@ impl Image {
     ///
     /// # Errors
     /// See [`codec::CodecError`].
-    pub fn decode(file: &[u8], limits: &Limits) -> Result<Self, WarpError> {
+    pub fn decode(file: &[u8], limits: &ImageLimits) -> Result<Self, WarpError> {
         Self::decode_as(
             Self::digest_of(file),
             &codec::open(file, limits, &StepCounter::new(&|| false))?,

@@ -1,7 +1,7 @@
 //! Warnings about handles and annotations that are valid and probably not meant: other units than
 //! the client thinks, or positions far from the picture.
 
-use super::{Frame, Units, Warning};
+use super::{CoordinateFrame, Units, Warning};
 use crate::deform::{Handle, Handles, Pose};
 use crate::geometry::{Grid, Point};
 use crate::render::Canvas;
@@ -17,7 +17,7 @@ const LEAST_SIZE: f64 = 0.25;
 /// handle are probably not meant.
 const FAR_AT_REST: f64 = 1.0;
 /// Handles that are just outside the picture may hold its border; in larger sides of the picture.
-const MARGIN: f64 = 0.02;
+const BORDER_MARGIN_SIDES: f64 = 0.02;
 const FAR_POSED: f64 = 10.0;
 /// The same from the canvas, in sizes of the canvas.
 const FAR_FROM_CANVAS: f64 = 1.0;
@@ -42,7 +42,7 @@ pub(super) fn of_rest(handles: &Handles, grid: &Grid, units: Units) -> Vec<Warni
 /// Whether handles lie outside the picture, and all would lie inside if x and y were exchanged.
 fn looks_swapped(handles: &Handles, grid: &Grid) -> bool {
     let places = || handles.handles().iter().flat_map(Handle::places);
-    let margin = MARGIN * grid.width().max(grid.height());
+    let margin = BORDER_MARGIN_SIDES * grid.width().max(grid.height());
     let is_inside = |x: f64, y: f64| {
         (-margin..=grid.width() + margin).contains(&x)
             && (-margin..=grid.height() + margin).contains(&y)
@@ -145,7 +145,7 @@ impl Seen {
     }
 
     /// Adds what annotations of their `image` cause to the sorted warnings of the handles.
-    pub fn add_warnings(&self, image: &Frame, warnings: &mut Vec<Warning>) {
+    pub fn add_warnings(&self, image: &CoordinateFrame, warnings: &mut Vec<Warning>) {
         let Some(bounds) = self.bounds else { return };
         let size = image.size();
         let is_outside = is_beyond(bounds, size, FAR_AT_REST);

@@ -2,9 +2,9 @@
 //! positions, where it folds, how much it distorts, what it covers, and the error of the round trip
 //! through the inverse. Distances are in px. Cost: O(cells), and a bounded number of positions.
 
-use super::setup::to_px;
-use super::{Posed, Setup, Target, WarpError};
-use crate::deform::{Contradiction, Handle, IsCancelled, MAX_COORDINATE, Pose};
+use super::resolved_rest::to_px;
+use super::{PosedMesh, ResolvedRest, Target, WarpError};
+use crate::deform::{Conflict, Handle, IsCancelled, MAX_COORDINATE, Pose};
 use crate::geometry::{Distortion, FoldRegions, Mesh, Orientation, Point, Summary};
 use crate::pixmap::Extent;
 use crate::render::{Canvas, InverseMap};
@@ -15,13 +15,13 @@ const SEGMENT_SAMPLES: u32 = 5;
 const MOST_REGIONS: usize = 100;
 /// The round trip is measured at the centres of this number of equal parts of each side, or of
 /// pixels if there are fewer.
-const LATTICE: u32 = 32;
+const ROUND_TRIP_PARTS: u32 = 32;
 /// f is the same at two positions if its values are nearer than this, px.
-const SAME: f64 = 1e-6;
+const SAME_VALUE_PX: f64 = 1e-6;
 /// Positions with the same f that are farther apart than this are on two sides of a fold, px.
-const APART: f64 = 1.0 / 16.0;
+const FOLD_DISTANCE_PX: f64 = 1.0 / 16.0;
 /// Rows that are counted together.
-const STRIP: u32 = 32;
+const STRIP_ROWS: u32 = 32;
 /// The covered share is counted on at most this many pixels of a side.
 const COUNTED_SIDE: u32 = 1024;
 
@@ -45,7 +45,7 @@ pub struct Quality {
     /// The tolerance of the grid, if it has one, and the cells that exceed it.
     pub tolerance: Option<ToleranceQuality>,
     /// The first groups of handles that coincide at rest and move differently, at most 100.
-    pub coincident: Vec<Contradiction>,
+    pub coincident: Vec<Conflict>,
     /// The round trip of the inverse.
     pub round_trip: RoundTrip,
 }
@@ -77,24 +77,24 @@ pub struct RoundTrip {
 impl Quality {
     /// Memory for measuring a pose beside that of its grid, bytes.
     #[must_use]
-    pub fn bytes(posed: &Posed, canvas: Option<Canvas>) -> u64 {
+    pub fn bytes(posed: &PosedMesh, canvas: Option<Canvas>) -> u64 {
         canvas.map_or(0, |canvas| {
             Target::of(Some(canvas), counted(canvas)).window_bytes(posed)
         })
     }
 
     /// Measures a pose. `q` and `pose`: the same handles. `to_invert`: the same pose on the grid of
-    /// [`Setup::to_invert`], in which the inverse of the round trip is sought. CPU work, in
+    /// [`ResolvedRest::to_invert`], in which the inverse of the round trip is sought. CPU work, in
     /// parallel on the current rayon pool; stops when `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.
     pub fn of(
-        setup: &Setup,
+        setup: &ResolvedRest,
         q: &[Handle],
         pose: &Pose,
-        posed: &Posed,
-        to_invert: &Posed,
+        posed: &PosedMesh,
+        to_invert: &PosedMesh,
         canvas: Option<Canvas>,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
@@ -121,7 +121,7 @@ impl Quality {
 }
 
 fn residuals(
-    setup: &Setup,
+    setup: &ResolvedRest,
     q: &[Handle],
     mesh: &Mesh,
     cancelled: IsCancelled<'_>,
@@ -141,7 +141,7 @@ fn residuals(
         }
     };
     let q = to_px(q, setup.unit());
-    let each = setup.field().given().handles().iter().zip(&q);
+    let each = setup.field().client_handles().handles().iter().zip(&q);
     each.map(|handles| {
         if cancelled() {
             Err(WarpError::Cancelled)
@@ -165,13 +165,13 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
     let (width, height) = (target.width(), target.height());
     let map = InverseMap::new(mesh, target, Some(canvas));
     // Rows of one strip share what is found of the cells.
-    let mut places = vec![[0.0; 2]; width as usize * STRIP as usize];
+    let mut places = vec![[0.0; 2]; width as usize * STRIP_ROWS as usize];
     let mut covered = 0_u32;
-    for y in (0..height).step_by(STRIP as usize) {
+    for y in (0..height).step_by(STRIP_ROWS as usize) {
         if cancelled() {
             return Err(WarpError::Cancelled);
         }
-        let rows = y..height.min(y + STRIP);
+        let rows = y..height.min(y + STRIP_ROWS);
         let places = &mut places[..width as usize * rows.len()];
         map.rows(rows, places);
         covered += places
@@ -183,9 +183,9 @@ fn covered(mesh: &Mesh, canvas: Canvas, cancelled: IsCancelled<'_>) -> Result<f6
 }
 
 fn round_trip(
-    setup: &Setup,
+    setup: &ResolvedRest,
     pose: &Pose,
-    posed: &Posed,
+    posed: &PosedMesh,
     cancelled: IsCancelled<'_>,
 ) -> Result<RoundTrip, WarpError> {
     let (mesh, grid, orientation) = (
@@ -199,7 +199,7 @@ fn round_trip(
             clippy::cast_sign_loss,
             reason = "a number of pixels"
         )]
-        let parts = LATTICE.min(side as u32).max(1);
+        let parts = ROUND_TRIP_PARTS.min(side as u32).max(1);
         (0..parts).map(move |k| (f64::from(k) + 0.5) * side / f64::from(parts))
     };
     let lattice =
@@ -247,7 +247,8 @@ fn round_trip(
             None => trip.missing += 1,
             // Another part of the picture is drawn there; beside handles, f may fold within a cell.
             Some(distance)
-                if distance > APART && again.is_some_and(|again| again.distance(there) < SAME) =>
+                if distance > FOLD_DISTANCE_PX
+                    && again.is_some_and(|again| again.distance(there) < SAME_VALUE_PX) =>
             {
                 trip.in_folds += 1
             }

@@ -43,7 +43,7 @@ use crate::render::{FULL_WEIGHT, Outside, RenderOptions, Renderer, Source};
 const FILTER_REACH: f64 = 2.0;
 
 /// Bits of a word.
-const WORD: usize = u64::BITS as usize;
+const WORD_BITS: usize = u64::BITS as usize;
 
 /// The part of a picture that moves: a mask of the picture's size, feathered or not. Cheap to
 /// clone.
@@ -125,7 +125,7 @@ impl Region {
         );
         let mut bounds = [0.0, 0.0, grid.width(), grid.height()];
         // The columns of the mask that have some of it in the rows of the cells.
-        let mut columns = vec![0_u64; width.div_ceil(WORD)];
+        let mut columns = vec![0_u64; width.div_ceil(WORD_BITS)];
         for j in 0..grid.rows() - 1 {
             if cancelled() {
                 return None;
@@ -205,7 +205,7 @@ impl Region {
                     .rev()
                     .fold(0, |word, pixel| word << 1 | u64::from(has_some(pixel)))
             };
-            occupied.extend(row.chunks(WORD * count).map(word));
+            occupied.extend(row.chunks(WORD_BITS * count).map(word));
         }
         Some(occupied)
     }
@@ -242,15 +242,15 @@ fn pixels(from: f64, to: f64, side: usize) -> Range<usize> {
 
 /// Words of the bits of a picture.
 pub(super) fn occupied_words(extent: Extent) -> usize {
-    (extent.width() as usize).div_ceil(WORD) * extent.height() as usize
+    (extent.width() as usize).div_ceil(WORD_BITS) * extent.height() as usize
 }
 
 /// Whether a bit of this range is set.
 fn has_bit(words: &[u64], bits: Range<usize>) -> bool {
-    let (first, last) = (bits.start / WORD, (bits.end - 1) / WORD);
+    let (first, last) = (bits.start / WORD_BITS, (bits.end - 1) / WORD_BITS);
     let (from, to) = (
-        u64::MAX << (bits.start % WORD),
-        u64::MAX >> (WORD - 1 - (bits.end - 1) % WORD),
+        u64::MAX << (bits.start % WORD_BITS),
+        u64::MAX >> (WORD_BITS - 1 - (bits.end - 1) % WORD_BITS),
     );
     if first == last {
         return words[first] & from & to != 0;

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::{CanvasSpec, Warning, WarpError};
-use crate::codec::{Compression, Encoding, Format, Limits as ImageLimits, Subsampling};
+use crate::codec::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::deform::{self, Coincident, Handle};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
@@ -84,7 +84,9 @@ impl Method {
     #[must_use]
     pub fn field_bytes(self, handles: u64) -> u64 {
         match self {
-            Self::ThinPlateSpline => deform::Field::spline_bytes(handles.min(MOST_SPLINE_HANDLES)),
+            Self::ThinPlateSpline => {
+                deform::RestDeformation::spline_bytes(handles.min(MOST_SPLINE_HANDLES))
+            }
             Self::Rigid | Self::Similarity | Self::Affine | Self::GlobalAffine => 0,
         }
     }
@@ -147,15 +149,15 @@ pub enum GridSpec {
 
 impl GridSpec {
     /// The tolerance of [`GridSpec::Auto`], px.
-    pub const TOLERANCE: f64 = 0.25;
+    pub const DEFAULT_TOLERANCE_PX: f64 = 0.25;
     /// The tolerances that can be requested, px.
-    pub const TOLERANCES: RangeInclusive<f64> = 0.05..=4.0;
+    pub const TOLERANCE_RANGE_PX: RangeInclusive<f64> = 0.05..=4.0;
 
     /// The tolerance of the drawn picture, px; `None` if cells are drawn as they are.
     #[must_use]
     pub const fn tolerance(self) -> Option<f64> {
         match self {
-            Self::Auto => Some(Self::TOLERANCE),
+            Self::Auto => Some(Self::DEFAULT_TOLERANCE_PX),
             Self::Tolerance(tolerance) => Some(tolerance),
             Self::Cell(_) | Self::Counts { .. } | Self::Pixel => None,
         }
@@ -228,8 +230,8 @@ impl RestSpec {
             .chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
     }
 
-    /// Memory of the deformation that [`Setup::new`](super::Setup::new) computes, bytes, beyond
-    /// that of the handles; known before anything is allocated.
+    /// Memory of the deformation that [`ResolvedRest::new`](super::ResolvedRest::new) computes,
+    /// bytes, beyond that of the handles; known before anything is allocated.
     #[must_use]
     pub fn field_bytes(&self) -> u64 {
         self.method.field_bytes(self.p.len() as u64)
@@ -270,7 +272,7 @@ pub struct OutputSpec {
 }
 
 /// JPEG quality if none is requested.
-const QUALITY: u8 = 85;
+const DEFAULT_JPEG_QUALITY: u8 = 85;
 /// From this quality on, the colours of a JPEG have full resolution if nothing else is requested.
 const FULL_COLOURS: u8 = 90;
 
@@ -279,7 +281,7 @@ impl Default for OutputSpec {
     fn default() -> Self {
         Self {
             format: Format::default(),
-            quality: QUALITY,
+            quality: DEFAULT_JPEG_QUALITY,
             subsampling: None,
             compression: Compression::default(),
             canvas: CanvasSpec::default(),

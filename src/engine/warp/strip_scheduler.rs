@@ -7,16 +7,16 @@ use std::ops::{ControlFlow, Deref};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use super::Warp;
+use super::RenderJob;
 use crate::codec::{StripChecksum, Writer};
 use crate::render::band_rows;
 
 /// Largest buffer of samples that a thread keeps for the next strip, bytes; ordinary strips take
 /// half of it.
-const KEPT: usize = 2 << 20;
+const MAX_KEPT_BYTES: usize = 2 << 20;
 
 /// Pixels that are computed between two checks of `is_wanted`; a strip of PNG has fewer.
-const BAND: u32 = 1 << 18;
+const PIXELS_PER_CHECK: u32 = 1 << 18;
 
 /// A step of writing that an observer can measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +68,9 @@ struct Queue<S> {
     sink: S,
 }
 
-impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripScheduler<W, S> {
+impl<W: Deref<Target = RenderJob>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>>
+    StripScheduler<W, S>
+{
     /// Creates a scheduler; nothing is drawn yet.
     pub fn new(warp: W, sink: S) -> Self {
         let strips = warp.writer.strips();
@@ -93,9 +95,9 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
     /// Takes strips until none is left, the output is no longer needed, or the observer stops this
     /// thread. Returns true for the one call that passed on the last piece.
     pub fn work(&self, watch: &dyn WriteObserver) -> bool {
-        let Warp { drawer, writer, .. } = &*self.warp;
+        let RenderJob { drawer, writer, .. } = &*self.warp;
         let row = drawer.target().width() as usize * drawer.pixel_bytes();
-        let mut samples = SAMPLES.take();
+        let mut samples = SAMPLE_BUFFER.take();
         let mut ended = false;
         while !self.cancelled.load(Ordering::Relaxed) && watch.goes_on() {
             let index = self.next.fetch_add(1, Ordering::Relaxed);
@@ -104,7 +106,7 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
             }
             let rows = writer.rows(index);
             samples.resize(rows.len() * row, 0);
-            let step = band_rows(BAND, drawer.computed_width());
+            let step = band_rows(PIXELS_PER_CHECK, drawer.computed_width());
             let bands = (rows.start..rows.end)
                 .step_by(step as usize)
                 .zip(samples.chunks_mut(step as usize * row));
@@ -139,8 +141,8 @@ impl<W: Deref<Target = Warp>, S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> StripS
                 ControlFlow::Break(()) => self.cancelled.store(true, Ordering::Relaxed),
             }
         }
-        if samples.capacity() <= KEPT {
-            SAMPLES.set(samples);
+        if samples.capacity() <= MAX_KEPT_BYTES {
+            SAMPLE_BUFFER.set(samples);
         }
         ended
     }
@@ -170,5 +172,5 @@ impl<S: FnMut(Vec<u8>, bool) -> ControlFlow<()>> Queue<S> {
 
 thread_local! {
     /// Kept between strips, which saves the page faults of half a megabyte.
-    static SAMPLES: Cell<Vec<u8>> = const { Cell::new(Vec::new()) };
+    static SAMPLE_BUFFER: Cell<Vec<u8>> = const { Cell::new(Vec::new()) };
 }

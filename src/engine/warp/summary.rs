@@ -1,50 +1,50 @@
 //! What a client is told about handles at rest.
 
-use super::{Digest, Limits, RestSpec, Setup, Warning, WarpError};
+use super::{Digest, Limits, ResolvedRest, RestSpec, Warning, WarpError};
 use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
 
 /// The effective values of rest handles and their parameters on a picture. They cost little beside
-/// a [`Setup`]: the system of a spline is not computed.
+/// a [`ResolvedRest`]: the system of a spline is not computed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RestSummary {
-    /// See [`Setup::grid`].
+    /// See [`ResolvedRest::dimensions`].
     pub grid: (u32, u32),
-    /// See [`Setup::cell`].
+    /// See [`ResolvedRest::cell`].
     pub cell: (f64, f64),
-    /// See [`Setup::alpha`].
+    /// See [`ResolvedRest::alpha`].
     pub alpha: Option<f64>,
-    /// See [`Setup::point_mass`].
+    /// See [`ResolvedRest::point_mass`].
     pub point_mass: Option<f64>,
-    /// See [`Setup::smoothing`].
+    /// See [`ResolvedRest::smoothing`].
     pub smoothing: Option<f64>,
-    /// See [`Setup::groups`].
+    /// See [`ResolvedRest::groups`].
     pub groups: Vec<Vec<usize>>,
-    /// See [`Setup::rest_digest`].
+    /// See [`ResolvedRest::rest_digest`].
     pub rest_digest: Digest,
-    /// See [`Setup::rest_warnings`].
+    /// See [`ResolvedRest::rest_warnings`].
     pub warnings: Vec<Warning>,
 }
 
 impl RestSummary {
-    /// Resolves and validates as [`Setup::new`]; stops when `cancelled` returns true.
+    /// Resolves and validates as [`ResolvedRest::new`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`Setup::new`]; cancelled.
+    /// Those of [`ResolvedRest::new`]; cancelled.
     pub fn new_unless(
         rest: &RestSpec,
         extent: Extent,
         limits: &Limits,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        Setup::resolve(rest, extent, limits, false, cancelled).map(|setup| Self::of(&setup))
+        ResolvedRest::resolve(rest, extent, limits, false, cancelled).map(|setup| Self::of(&setup))
     }
 
     /// The summary of a setup.
     #[must_use]
-    pub fn of(setup: &Setup) -> Self {
+    pub fn of(setup: &ResolvedRest) -> Self {
         Self {
-            grid: setup.grid(),
+            grid: setup.dimensions(),
             cell: setup.cell(),
             alpha: setup.alpha(),
             point_mass: setup.point_mass(),
@@ -86,7 +86,7 @@ mod tests {
                     method,
                     ..RestSpec::default()
                 };
-                let setup = Setup::new(&rest, extent, &limits).unwrap();
+                let setup = ResolvedRest::new(&rest, extent, &limits).unwrap();
                 let summary = RestSummary::new_unless(&rest, extent, &limits, &|| false).unwrap();
                 assert_eq!(
                     summary,

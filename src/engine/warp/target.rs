@@ -3,16 +3,16 @@
 use std::sync::Arc;
 
 use super::spec::at_most;
-use super::{Limits, OutputSpec, Posed, WarpError};
+use super::{Limits, OutputSpec, PosedMesh, WarpError};
 use crate::codec::{Carried, Metadata};
 use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
 use crate::render::{Canvas, RenderOptions, window_count};
 
 /// Positions are drawn to 1/256 px; what is nearer to a whole px is on it.
-const STEPS: f64 = 256.0;
+const STEPS_PER_PX: f64 = 256.0;
 /// The farthest edge of a canvas from the origin, px, as of handles.
-pub const FARTHEST: i32 = 1_000_000;
+pub const FARTHEST_EDGE_PX: i32 = 1_000_000;
 /// The longest side of the whole source at the scale of a target, px: the rasteriser holds
 /// positions up to twice as far from a window.
 const LONGEST_SCALED_SOURCE: u64 = 1 << 20;
@@ -49,7 +49,7 @@ impl CanvasSpec {
     pub fn of(
         self,
         source: Extent,
-        posed: &Posed,
+        posed: &PosedMesh,
         cancelled: IsCancelled<'_>,
     ) -> Result<Option<Canvas>, WarpError> {
         match self
@@ -62,11 +62,11 @@ impl CanvasSpec {
     }
 }
 
-/// Errors: A result without area, or one that extends beyond [`FARTHEST`]; cancelled.
-fn fit(posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpError> {
+/// Errors: A result without area, or one that extends beyond [`FARTHEST_EDGE_PX`]; cancelled.
+fn fit(posed: &PosedMesh, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpError> {
     let [left, top, right, bottom] = posed
         .bounds(cancelled)?
-        .map(|edge| (edge * STEPS).round() / STEPS);
+        .map(|edge| (edge * STEPS_PER_PX).round() / STEPS_PER_PX);
     let farthest = [left, top, right, bottom]
         .into_iter()
         .fold(0.0, |far: f64, edge| far.max(edge.abs()));
@@ -75,10 +75,10 @@ fn fit(posed: &Posed, cancelled: IsCancelled<'_>) -> Result<Canvas, WarpError> {
         clippy::cast_sign_loss,
         reason = "float to integer saturates"
     )]
-    if farthest > f64::from(FARTHEST) {
+    if farthest > f64::from(FARTHEST_EDGE_PX) {
         return Err(WarpError::TooLarge {
             what: "canvas_edge",
-            limit: FARTHEST.unsigned_abs().into(),
+            limit: FARTHEST_EDGE_PX.unsigned_abs().into(),
             actual: farthest.ceil() as u64,
         });
     }
@@ -145,7 +145,7 @@ impl Target {
     /// canvas is drawn in several windows, and with a region, picture and mask are drawn posed and
     /// at rest.
     #[must_use]
-    pub fn window_bytes(&self, posed: &Posed) -> u64 {
+    pub fn window_bytes(&self, posed: &PosedMesh) -> u64 {
         let windows = self
             .canvas
             .map_or(1, |canvas| window_count(canvas, self.extent));
@@ -201,7 +201,7 @@ impl OutputSpec {
     pub fn target(
         &self,
         source: Extent,
-        posed: &Posed,
+        posed: &PosedMesh,
         limits: &Limits,
         cancelled: IsCancelled<'_>,
     ) -> Result<Target, WarpError> {

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use rayon::prelude::*;
 
-use super::{Frame, Setup, Task, Units, WarpError, work};
-use crate::deform::{Deformation, Inverse, IsCancelled, MAX_COORDINATE, Pose};
+use super::{CoordinateFrame, ResolvedRest, Task, Units, WarpError, work};
+use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};
 use crate::geometry::{Mesh, Point};
 
 /// Positions at which the search of an inverse computes f at once.
@@ -16,12 +16,12 @@ const LANES: usize = 16;
 const PLACES_PER_TASK: usize = 64;
 const EDGES_PER_TASK: usize = 16;
 /// An edge is first examined at positions this far apart, px, but at no more than this many.
-const SPACING: f64 = 8.0;
+const EDGE_SPACING_PX: f64 = 8.0;
 const MOST_PARTS: usize = 1024;
 /// A part of an edge is halved at most this often.
-const HALVINGS: usize = 6;
+const MAX_EDGE_HALVINGS: usize = 6;
 /// Positions at which the edges that a [`Transform`] maps are examined, beyond one for each edge.
-pub const SAMPLES: usize = 1 << 21;
+pub const MAX_EDGE_SAMPLES: usize = 1 << 21;
 
 /// The vertices that are inserted into an edge: the share of the edge at each, and its mapped
 /// position.
@@ -31,10 +31,10 @@ type Bend = Vec<(f64, Point)>;
 /// positions at which nothing of the picture is posed have none.
 #[derive(Debug)]
 pub struct Transform<'a> {
-    map: Map<'a>,
+    map: PositionMap<'a>,
     /// Those of the source and of the picture.
-    rest: Frame,
-    posed: Frame,
+    rest: CoordinateFrame,
+    posed: CoordinateFrame,
     samples: AtomicUsize,
     /// Operations of f at a position, and the most of all.
     per_position: u64,
@@ -42,8 +42,8 @@ pub struct Transform<'a> {
 }
 
 #[derive(Debug)]
-enum Map<'a> {
-    Forward(Deformation<'a>),
+enum PositionMap<'a> {
+    Forward(PosedMap<'a>),
     Inverse(Inverse<'a>),
 }
 
@@ -96,23 +96,26 @@ impl Outline<'_> {
     }
 }
 
-impl Setup {
+impl ResolvedRest {
     /// f of a pose.
     #[must_use]
     pub fn transform<'a>(&'a self, pose: &'a Pose) -> Transform<'a> {
-        Transform::new(Map::Forward(self.field().deformation(pose)), self)
+        Transform::new(PositionMap::Forward(self.field().deformation(pose)), self)
     }
 
-    /// The inverse of f. `mesh`: of the same pose and of [`Setup::to_invert`]; it decides where
-    /// several rest positions have the same posed one.
+    /// The inverse of f. `mesh`: of the same pose and of [`ResolvedRest::to_invert`]; it decides
+    /// where several rest positions have the same posed one.
     #[must_use]
     pub fn inverse<'a>(&'a self, pose: &'a Pose, mesh: &'a Mesh) -> Transform<'a> {
-        Transform::new(Map::Inverse(Inverse::new(self.field(), pose, mesh)), self)
+        Transform::new(
+            PositionMap::Inverse(Inverse::new(self.field(), pose, mesh)),
+            self,
+        )
     }
 }
 
 impl<'a> Transform<'a> {
-    fn new(map: Map<'a>, setup: &Setup) -> Self {
+    fn new(map: PositionMap<'a>, setup: &ResolvedRest) -> Self {
         let (per_position, max_work) = (work::of_position(setup.field()), setup.max_work());
         let source = setup.source_frame();
         Self {
@@ -135,8 +138,8 @@ impl<'a> Transform<'a> {
 
     /// Errors: More positions than may be mapped.
     fn check_work(&self, task: Task, positions: usize) -> Result<(), WarpError> {
-        let times = if matches!(self.map, Map::Inverse(_)) {
-            work::INVERSE
+        let times = if matches!(self.map, PositionMap::Inverse(_)) {
+            work::EVALUATIONS_PER_INVERSE
         } else {
             1
         };
@@ -152,7 +155,7 @@ impl<'a> Transform<'a> {
     /// The same map, where posed positions are those of a picture; without this, they are those of
     /// the plane.
     #[must_use]
-    pub fn onto(self, picture: Frame) -> Self {
+    pub fn onto(self, picture: CoordinateFrame) -> Self {
         Self {
             posed: picture,
             ..self
@@ -161,7 +164,7 @@ impl<'a> Transform<'a> {
 
     /// The same map between positions in px of the plane.
     pub(super) fn in_px(self) -> Self {
-        let plane = Frame::of_source(self.rest.image(), Units::Px);
+        let plane = CoordinateFrame::of_source(self.rest.image(), Units::Px);
         Self {
             rest: plane,
             posed: plane,
@@ -169,10 +172,10 @@ impl<'a> Transform<'a> {
         }
     }
 
-    const fn frames(&self) -> (&Frame, &Frame) {
+    const fn frames(&self) -> (&CoordinateFrame, &CoordinateFrame) {
         match self.map {
-            Map::Forward(_) => (&self.rest, &self.posed),
-            Map::Inverse(_) => (&self.posed, &self.rest),
+            PositionMap::Forward(_) => (&self.rest, &self.posed),
+            PositionMap::Inverse(_) => (&self.posed, &self.rest),
         }
     }
 
@@ -202,7 +205,7 @@ impl<'a> Transform<'a> {
     ///
     /// # Errors
     /// Those of [`Transform::map`], with the index of the position in all outlines; more than
-    /// [`SAMPLES`] positions have to be examined.
+    /// [`MAX_EDGE_SAMPLES`] positions have to be examined.
     pub fn map_outlines(
         &self,
         outlines: &[Outline<'_>],
@@ -312,7 +315,7 @@ impl<'a> Transform<'a> {
         let mut triples: Vec<[(f64, Point); 3]> = (0..pairs)
             .map(|k| [samples[2 * k], samples[2 * k + 1], samples[2 * k + 2]])
             .collect();
-        for _ in 0..HALVINGS {
+        for _ in 0..MAX_EDGE_HALVINGS {
             triples.retain(|triple| is_bent(*triple));
             if triples.is_empty() {
                 break;
@@ -351,11 +354,11 @@ impl<'a> Transform<'a> {
             return Err(WarpError::Cancelled);
         }
         let samples = self.samples.fetch_add(count, Ordering::Relaxed) + count;
-        if samples > SAMPLES {
+        if samples > MAX_EDGE_SAMPLES {
             return Err(WarpError::TooLarge {
                 what: "outline_samples",
-                limit: SAMPLES as u64,
-                actual: SAMPLES as u64 + 1,
+                limit: MAX_EDGE_SAMPLES as u64,
+                actual: MAX_EDGE_SAMPLES as u64 + 1,
             });
         }
         self.check_work(Task::Outlines, samples)?;
@@ -374,10 +377,10 @@ impl<'a> Transform<'a> {
         cancelled: IsCancelled<'_>,
     ) -> Result<Vec<Option<Point>>, WarpError> {
         let mapped = match &self.map {
-            Map::Forward(f) => f
+            PositionMap::Forward(f) => f
                 .map_all(places, cancelled)
                 .map(|mapped| mapped.into_iter().map(Some).collect()),
-            Map::Inverse(inverse) => {
+            PositionMap::Inverse(inverse) => {
                 // Beside folds, a search may take a hundred times as long as elsewhere.
                 let taken = inverse
                     .steps()
@@ -435,7 +438,7 @@ pub fn samples_of(a: Point, b: Point) -> usize {
     reason = "a bounded number, at least 1"
 )]
 fn pairs(a: Point, b: Point) -> usize {
-    (a.distance(b) / (2.0 * SPACING))
+    (a.distance(b) / (2.0 * EDGE_SPACING_PX))
         .ceil()
         .clamp(1.0, MOST_PARTS as f64 / 2.0) as usize
 }
@@ -492,7 +495,7 @@ mod tests {
     use super::*;
     use crate::deform::Handle;
     use crate::pixmap::Extent;
-    use crate::warp::{Folds, GridSpec, Limits, Posed, RestSpec};
+    use crate::warp::{Folds, GridSpec, Limits, PosedMesh, RestSpec};
 
     const NEVER: IsCancelled<'static> = &|| false;
 
@@ -516,7 +519,7 @@ mod tests {
     ];
 
     /// Seven handles, each moved by its displacement times `strength`.
-    fn set(strength: f64) -> (Setup, Vec<Handle>) {
+    fn set(strength: f64) -> (ResolvedRest, Vec<Handle>) {
         let rest = RestSpec {
             p: P.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec(),
             ..RestSpec::default()
@@ -525,7 +528,7 @@ mod tests {
             Handle::Point(Point::new(x + strength * dx, y + strength * dy))
         });
         (
-            Setup::new(&rest, Extent::new(300, 200).unwrap(), &Limits::default()).unwrap(),
+            ResolvedRest::new(&rest, Extent::new(300, 200).unwrap(), &Limits::default()).unwrap(),
             q.collect(),
         )
     }
@@ -621,7 +624,7 @@ mod tests {
     fn the_inverse_of_a_mapped_outline_is_the_outline() {
         let (setup, q) = set(1.0);
         let pose = setup.pose(&q).unwrap();
-        let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
+        let posed = PosedMesh::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
         let (f, back) = (setup.transform(&pose), setup.inverse(&pose, posed.mesh()));
         let places = square(30.0, 170.0);
         let there = f
@@ -696,14 +699,15 @@ mod tests {
             GridSpec::Pixel,
             GridSpec::Cell(6.0),
         ] {
-            let client = Setup::new(&rest(grid), extent, &limits).unwrap();
+            let client = ResolvedRest::new(&rest(grid), extent, &limits).unwrap();
             let setup = client.to_invert(&limits).unwrap();
             assert_eq!(
                 setup.plan_key() == client.plan_key(),
                 grid == GridSpec::Cell(6.0)
             );
             let pose = setup.pose(&set(1.0).1).unwrap();
-            let posed = Posed::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
+            let posed =
+                PosedMesh::coarse(&setup, &setup.plan(), &pose, Folds::Report, NEVER).unwrap();
             let there: Vec<Point> = client
                 .transform(&pose)
                 .map(&places, NEVER)

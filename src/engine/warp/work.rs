@@ -5,19 +5,19 @@
 
 use super::error::{Task, WarpError};
 use super::{Candidate, Method};
-use crate::deform::{Field, Handle, Plan};
+use crate::deform::{CoefficientTable, Handle, RestDeformation};
 
 /// Operations for weighing a point or a segment at a position.
-const POINT: u64 = 2;
-const SEGMENT: u64 = 64;
+const POINT_OPERATIONS: u64 = 2;
+const SEGMENT_OPERATIONS: u64 = 64;
 /// Coefficients of a table, and multiplications of a linear system, that an operation poses or
 /// takes.
-const COEFFICIENTS: u64 = 16;
-const MULTIPLICATIONS: u64 = 16;
+const COEFFICIENTS_PER_OPERATION: u64 = 16;
+const MULTIPLICATIONS_PER_OPERATION: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.
-pub(super) const INVERSE: u64 = 8;
+pub(super) const EVALUATIONS_PER_INVERSE: u64 = 8;
 /// Operations for measuring a cell of a posed grid.
-pub(super) const CELL: u64 = 40;
+pub(super) const CELL_OPERATIONS: u64 = 40;
 
 /// Errors: More operations than the limit.
 pub(super) const fn at_most(task: Task, limit: u64, actual: u64) -> Result<(), WarpError> {
@@ -33,21 +33,21 @@ pub(super) const fn at_most(task: Task, limit: u64, actual: u64) -> Result<(), W
 }
 
 /// Operations of f at a position.
-pub(super) fn of_position(field: &Field) -> u64 {
+pub(super) fn of_position(field: &RestDeformation) -> u64 {
     let of = |handle: &Handle| match handle {
-        Handle::Point(_) => POINT,
-        Handle::Polyline(places) => SEGMENT * (places.len() as u64 - 1),
+        Handle::Point(_) => POINT_OPERATIONS,
+        Handle::Polyline(places) => SEGMENT_OPERATIONS * (places.len() as u64 - 1),
         Handle::Missing => 0,
     };
     1 + field.handles().handles().iter().map(of).sum::<u64>()
 }
 
 /// Operations of the coefficients of a vertex, or, of a grid without a table, of posing one.
-pub(super) fn of_vertex(field: &Field) -> u64 {
+pub(super) fn of_vertex(field: &RestDeformation) -> u64 {
     let columns = field.handles().columns() as u64;
     // The rows of a spline take the square of its sites.
-    let solved = if field.smoothing().is_some() && Plan::pays(field) {
-        columns * columns / MULTIPLICATIONS
+    let solved = if field.smoothing().is_some() && CoefficientTable::is_worthwhile(field) {
+        columns * columns / MULTIPLICATIONS_PER_OPERATION
     } else {
         0
     };
@@ -55,13 +55,13 @@ pub(super) fn of_vertex(field: &Field) -> u64 {
 }
 
 /// Operations of posing a vertex by a table.
-pub(super) fn of_table(field: &Field) -> u64 {
-    1 + field.handles().columns() as u64 / COEFFICIENTS
+pub(super) fn of_table(field: &RestDeformation) -> u64 {
+    1 + field.handles().columns() as u64 / COEFFICIENTS_PER_OPERATION
 }
 
 /// Operations of the system of a spline.
 pub(super) const fn of_spline(points: u64) -> u64 {
-    points.saturating_mul(points).saturating_mul(points) / (6 * MULTIPLICATIONS)
+    points.saturating_mul(points).saturating_mul(points) / (6 * MULTIPLICATIONS_PER_OPERATION)
 }
 
 /// Operations of leaving out each point in turn, for each candidate.
@@ -69,7 +69,9 @@ pub(super) fn of_comparison(points: u64, candidates: &[Candidate]) -> u64 {
     let of = |candidate: &Candidate| match candidate.method {
         // A factorisation, and a substitution for each point.
         Method::ThinPlateSpline => of_spline(points).saturating_mul(4),
-        _ => points.saturating_mul(points).saturating_mul(POINT),
+        _ => points
+            .saturating_mul(points)
+            .saturating_mul(POINT_OPERATIONS),
     };
     candidates.iter().map(of).fold(0, u64::saturating_add)
 }

@@ -17,10 +17,10 @@ use crate::client::Tenant;
 use crate::limits::client_limit::ClientLimit;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
-use crate::store::{Bounds, NamedFile, Record, record_bytes};
+use crate::store::{NamedFile, Record, StoreLimits, record_bytes};
 
 /// Seconds after which a rejected client may retry.
-const RETRY: u32 = 30;
+const RETRY_SECONDS: u32 = 30;
 
 /// The sessions of all clients. Clones share them.
 #[derive(Clone, Debug)]
@@ -139,7 +139,7 @@ impl Counted {
 
 impl ClientSessions {
     /// The sessions in a store with these bounds; `of_client` gives one client's share of a total.
-    pub fn new(bounds: Bounds, of_client: impl Fn(u64) -> ClientLimit) -> Self {
+    pub fn new(bounds: StoreLimits, of_client: impl Fn(u64) -> ClientLimit) -> Self {
         let (max_sessions, max_bytes) =
             (of_client(bounds.sessions as u64), of_client(bounds.bytes));
         Self(Arc::new(Shared {
@@ -272,7 +272,7 @@ impl ClientSessions {
         );
         Err(Problem::new(Code::RateLimited, detail)
             .limit(what, limit, actual)
-            .retry_after(RETRY))
+            .retry_after(RETRY_SECONDS))
     }
 
     /// The claimed session is stored.
@@ -397,7 +397,7 @@ mod tests {
 
     fn client_sessions(idle: Duration, sessions: usize, bytes: u64) -> ClientSessions {
         ClientSessions::new(
-            Bounds {
+            StoreLimits {
                 idle,
                 sessions,
                 bytes,
@@ -437,7 +437,11 @@ mod tests {
             .unwrap_err();
         assert_eq!(
             (refused.code, refused.what, refused.retry_after),
-            (Code::RateLimited, Some("client_sessions"), Some(RETRY))
+            (
+                Code::RateLimited,
+                Some("client_sessions"),
+                Some(RETRY_SECONDS)
+            )
         );
         held.claim(tenant(2), &records[3], &file(&records[3], FILE))
             .unwrap();

@@ -13,18 +13,18 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::warp::{
-    Digest, Folds, Limits, OutputSpec, Plan, Posed, Report, Setup, Stage, StripScheduler, Target,
-    Warp, WarpError, WriteObserver,
+    CompiledRest, Digest, Folds, Limits, OutputSpec, PosedMesh, RenderJob, Report, ResolvedRest,
+    Stage, StripScheduler, Target, WarpError, WriteObserver,
 };
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tokio::sync::oneshot;
 
 use super::App;
-use super::drawable::Content;
+use super::drawable::DrawnContent;
 use super::reading::Held;
 use crate::cache::CacheEntry;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::Scope;
 use crate::observe::scope::stage;
 use crate::observe::stages::{Cost, Timing};
@@ -59,13 +59,13 @@ pub struct Piece {
 }
 
 /// A setup and its memory, as it is cached.
-pub(crate) type HeldSetup = Arc<CacheEntry<Setup>>;
+pub(crate) type HeldSetup = Arc<CacheEntry<ResolvedRest>>;
 
 /// A plan, and its cost so far.
 #[derive(Debug)]
 pub(crate) struct Planned {
     pub(crate) setup: HeldSetup,
-    pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) plan: Arc<CacheEntry<CompiledRest>>,
     pub(crate) timing: Timing,
     /// Whether the plan was built for this request.
     pub(crate) is_built: bool,
@@ -74,7 +74,7 @@ pub(crate) struct Planned {
 /// Everything that an image is drawn from.
 #[derive(Debug)]
 pub(crate) struct DrawJob {
-    pub(crate) content: Content,
+    pub(crate) content: DrawnContent,
     pub(crate) planned: Planned,
     pub(crate) q: Arc<Held<Vec<Handle>>>,
     pub(crate) folds: Folds,
@@ -93,7 +93,7 @@ impl DrawJob {
         &self,
         limits: &Limits,
         is_cancelled: IsCancelled<'_>,
-    ) -> Result<(Posed, Target), WarpError> {
+    ) -> Result<(PosedMesh, Target), WarpError> {
         let Self {
             content,
             planned: Planned { setup, plan, .. },
@@ -107,9 +107,9 @@ impl DrawJob {
         content.subject().check(output)?;
         output.check(extent, limits)?;
         let pose_as = if preview.is_some() {
-            Posed::coarse
+            PosedMesh::coarse
         } else {
-            Posed::new
+            PosedMesh::new
         };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
         let posed = match content.region() {
@@ -165,8 +165,8 @@ pub(crate) struct DrawnFile {
 }
 
 /// A warp that is ready to be drawn.
-pub(super) struct Prepared {
-    pub(super) warp: Warp,
+pub(super) struct ReservedWarp {
+    pub(super) warp: RenderJob,
     pub(super) report: Report,
     /// The memory that drawing needs.
     pub(super) reservation: Reservation,
@@ -298,15 +298,15 @@ impl WriteObserver for Observer<'_> {
     }
 }
 
-type Sink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
+type StripSink = Box<dyn FnMut(Vec<u8>, bool) -> ControlFlow<()> + Send>;
 
 /// An image that several threads draw.
 struct SharedDrawing {
-    strips: StripScheduler<Box<Warp>, Sink>,
+    strips: StripScheduler<Box<RenderJob>, StripSink>,
     /// Closed when nobody reads the image.
     pieces: UnboundedSender<Piece>,
     /// Its memory stays reserved while strips are drawn from it.
-    _content: Content,
+    _content: DrawnContent,
     meter: Arc<Meter>,
 }
 
@@ -365,7 +365,7 @@ impl App {
         job: &DrawJob,
         is_cancelled: IsCancelled<'_>,
     ) -> Result<DrawnFile, Problem> {
-        let Prepared {
+        let ReservedWarp {
             warp,
             report,
             reservation,
@@ -385,16 +385,16 @@ impl App {
     /// client that reads slowly cannot hold them.
     pub(super) fn reserve_and_pose<T: Send>(
         &self,
-        setup: &Setup,
+        setup: &ResolvedRest,
         quota: &ClientQuota,
         most_halved: u64,
         pose: impl FnOnce() -> Result<T, WarpError> + Send,
     ) -> Result<(T, Reservation), Problem> {
-        let reservation = self.reserve_for(Purpose::Frame, quota, setup.posed_bytes())?;
+        let reservation = self.reserve_for(MemoryClass::Frame, quota, setup.posed_bytes())?;
         let _halved = (most_halved > 0)
-            .then(|| self.reserve(Purpose::Frame, most_halved))
+            .then(|| self.reserve(MemoryClass::Frame, most_halved))
             .transpose()?;
-        let posed = if setup.is_wide() {
+        let posed = if setup.uses_thread_pool() {
             self.0.pool.run_parallel(pose)
         } else {
             pose()
@@ -407,7 +407,7 @@ impl App {
         &self,
         job: &DrawJob,
         is_cancelled: IsCancelled<'_>,
-    ) -> Result<Prepared, Problem> {
+    ) -> Result<ReservedWarp, Problem> {
         let (began, mut timing) = (Instant::now(), job.planned.timing);
         let (setup, limits) = (&job.planned.setup, self.config().limits());
         let most_halved = if job.preview.is_some() {
@@ -428,12 +428,12 @@ impl App {
             timing.reduce = began.elapsed();
             stage("reduce", began);
         }
-        let warp = Warp::onto(target, subject, &posed, &job.output);
+        let warp = RenderJob::onto(target, subject, &posed, &job.output);
         let report = posed.into_report_on(subject, (&target, &job.output), is_cancelled)?;
         self.reserve_more(&mut reservation, warp.work_bytes())?;
         timing.deform = began.elapsed().saturating_sub(timing.reduce);
         stage("deform", began);
-        Ok(Prepared {
+        Ok(ReservedWarp {
             warp,
             report,
             reservation,
@@ -444,7 +444,7 @@ impl App {
     /// Draws a whole file on this thread.
     fn write_whole(
         &self,
-        warp: &Warp,
+        warp: &RenderJob,
         mut reservation: Reservation,
         is_cancelled: IsCancelled<'_>,
     ) -> Result<(Bytes, Cost), Problem> {
@@ -480,7 +480,7 @@ impl App {
 
 impl DrawTask {
     fn draw(mut self, job: &DrawJob) {
-        let Prepared {
+        let ReservedWarp {
             warp,
             report,
             reservation,
@@ -504,7 +504,7 @@ impl DrawTask {
         }
     }
 
-    fn draw_whole(self, warp: &Warp, report: Report, reservation: Reservation) {
+    fn draw_whole(self, warp: &RenderJob, report: Report, reservation: Reservation) {
         let Self {
             app,
             ticket,
@@ -530,10 +530,10 @@ impl DrawTask {
 
     fn draw_strips(
         self,
-        warp: Warp,
+        warp: RenderJob,
         report: Report,
         mut reservation: Reservation,
-        content: Content,
+        content: DrawnContent,
     ) {
         let Self {
             app,
@@ -554,7 +554,7 @@ impl DrawTask {
             picture: Picture::Strips(strips),
         };
         let (meter, mut first) = (Arc::new(Meter::new(app.clone())), Some((answer, drawn)));
-        let sink: Sink = Box::new({
+        let sink: StripSink = Box::new({
             let (meter, pieces) = (Arc::clone(&meter), pieces.clone());
             move |bytes, is_last| {
                 if is_last && !pieces.is_closed() {

@@ -12,21 +12,21 @@ use mlswarp::codec::{self, CodecError, Format, StepCounter};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::Outside;
 use mlswarp::warp::{
-    CanvasSpec, Digest, Image, LabelImage, OutputSpec, Region, Subject, WarpError,
+    CanvasSpec, Digest, Image, LabelImage, OutputSpec, RasterSource, Region, WarpError,
 };
 
 use super::{App, MIN_WEIGHT, build_aborted};
-use crate::cache::{CacheEntry, Fetched, Key};
+use crate::cache::{CacheEntry, CacheKey, Fetched};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, LayerRef};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::in_stage;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
 use crate::problem::words::{list, quote};
 use crate::problem::{Code, Problem};
 use crate::store::{Record, StoredLayer};
 
-/// A [`Subject`] that owns what it is drawn from.
+/// A [`RasterSource`] that owns what it is drawn from.
 #[derive(Clone, Debug)]
 pub(crate) enum Drawable {
     Image(Arc<CacheEntry<Image>>),
@@ -44,19 +44,19 @@ pub(crate) struct Mask {
 
 /// What a request draws, and the region whose content moves if it is not the whole picture.
 #[derive(Clone, Debug)]
-pub(crate) struct Content {
+pub(crate) struct DrawnContent {
     drawable: Drawable,
     mask: Option<Mask>,
 }
 
 impl Drawable {
     /// What the engine draws.
-    pub(crate) fn subject(&self) -> Subject<'_> {
+    pub(crate) fn subject(&self) -> RasterSource<'_> {
         match self {
-            Self::Image(image) => Subject::Image(image),
-            Self::Labels(labels) => Subject::Labels(labels),
-            Self::Coverage(extent) => Subject::Coverage(*extent),
-            Self::Holes(mask) => Subject::Holes(&mask.region),
+            Self::Image(image) => RasterSource::Image(image),
+            Self::Labels(labels) => RasterSource::Labels(labels),
+            Self::Coverage(extent) => RasterSource::Coverage(*extent),
+            Self::Holes(mask) => RasterSource::Holes(&mask.region),
         }
     }
 }
@@ -70,7 +70,7 @@ impl Mask {
     }
 }
 
-impl Content {
+impl DrawnContent {
     /// A picture, and the mask of what moves.
     pub(super) fn image(
         image: &Arc<CacheEntry<Image>>,
@@ -83,7 +83,7 @@ impl Content {
     }
 
     /// What the engine draws.
-    pub(crate) fn subject(&self) -> Subject<'_> {
+    pub(crate) fn subject(&self) -> RasterSource<'_> {
         self.drawable.subject()
     }
 
@@ -131,7 +131,7 @@ enum DrawableSource {
     },
 }
 
-/// The sources of a [`Content`].
+/// The sources of a [`DrawnContent`].
 pub(crate) struct ContentSources {
     /// `None`: the holes of the region.
     drawn: Option<DrawableSource>,
@@ -207,7 +207,7 @@ impl App {
         client: Client,
         record: &Record,
         canvas: CanvasSpec,
-    ) -> Result<Option<Content>, Problem> {
+    ) -> Result<Option<DrawnContent>, Problem> {
         if canvas != CanvasSpec::Fit || !record.layers.contains_key(&LayerName::region()) {
             return Ok(None);
         }
@@ -232,7 +232,7 @@ impl App {
         kind: LayerKind,
         digest: Digest,
     ) -> Result<DrawableSource, Problem> {
-        let key = Key::new(record.id.owner(), digest);
+        let key = CacheKey::new(record.id.owner(), digest);
         let cached = match kind {
             LayerKind::Image => self.0.images.peek(key).map(Drawable::Image),
             LayerKind::Labels => self.0.labels.peek(key).map(Drawable::Labels),
@@ -264,13 +264,13 @@ impl App {
             let bytes = in_stage("store", app.0.store.file_bytes(id, digest)).await?;
             let bytes = bytes.max(MIN_WEIGHT);
             let mut reservation = app
-                .reserve_aside(|budget| budget.take(Purpose::Image, bytes))
+                .reserve_aside(|budget| budget.take(MemoryClass::Image, bytes))
                 .await?;
             let file = in_stage("store", app.0.store.file(id, digest)).await?;
             reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));
             Ok(CacheEntry::new(file, reservation))
         };
-        let key = Key::new(
+        let key = CacheKey::new(
             id.owner(),
             Digest::of(&[&id.to_bytes()[..], &digest.0].concat()),
         );
@@ -288,7 +288,7 @@ impl App {
         client: Client,
         ticket: &Ticket,
         sources: ContentSources,
-    ) -> Result<Content, Problem> {
+    ) -> Result<DrawnContent, Problem> {
         let mask = match sources.region {
             Some(source) => match self.decode_source(client, ticket, source).await? {
                 Drawable::Image(image) => Some(Mask::new(image)),
@@ -301,7 +301,7 @@ impl App {
             (None, Some(mask)) => Drawable::Holes(mask.clone()),
             (None, None) => return Err(Problem::new(Code::Internal, "holes without a region")),
         };
-        Ok(Content { drawable, mask })
+        Ok(DrawnContent { drawable, mask })
     }
 
     async fn decode_source(
@@ -359,13 +359,13 @@ impl App {
                     let opened = codec::open_labels(file.as_ref(), &limits, &steps)
                         .map_err(WarpError::from)?;
                     let mut reservation =
-                        app.reserve(Purpose::Image, LabelImage::peak_bytes(&opened))?;
+                        app.reserve(MemoryClass::Image, LabelImage::peak_bytes(&opened))?;
                     let labels = LabelImage::decode_as(digest, &opened)?;
                     reservation.shrink_to(labels.bytes());
                     Ok(CacheEntry::new(labels, reservation))
                 };
                 let build = self.decoding(ticket, decode);
-                let key = Key::new(client.owner, digest);
+                let key = CacheKey::new(client.owner, digest);
                 Ok(Drawable::Labels(
                     self.0
                         .labels
@@ -390,13 +390,13 @@ impl App {
             let is_cancelled = || cancel.is_cancelled();
             let steps = StepCounter::new(&is_cancelled);
             let opened = codec::open(file.as_ref(), &limits, &steps).map_err(WarpError::from)?;
-            let mut reservation = app.reserve(Purpose::Image, Image::peak_bytes(&opened))?;
+            let mut reservation = app.reserve(MemoryClass::Image, Image::peak_bytes(&opened))?;
             let image = Image::decode_as(digest, &opened)?;
             reservation.shrink_to(image.bytes());
             Ok(CacheEntry::new(image, reservation))
         };
         let (key, build) = (
-            Key::new(client.owner, digest),
+            CacheKey::new(client.owner, digest),
             self.decoding(ticket, decode),
         );
         self.0

@@ -16,7 +16,7 @@ use super::json_text::json_unless;
 use super::reading::{Held, part};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
@@ -76,7 +76,7 @@ impl App {
             .pool
             .admit(WorkClass::Upload, QueueKey::client(client))
             .await?;
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let mut object = self
             .0
             .pool
@@ -111,7 +111,7 @@ impl App {
             .pool
             .admit(WorkClass::Upload, QueueKey::session(client, id))
             .await?;
-        let reserve = self.reserving_pose(Purpose::Upload, client, &record);
+        let reserve = self.reserving_pose(MemoryClass::Upload, client, &record);
         let object = self
             .0
             .pool
@@ -146,7 +146,7 @@ impl App {
                 * (CANDIDATE_TEXT
                     + (RESIDUAL_TEXT + OUTLIER_TEXT)
                         * rest.p.len().min(app.0.config.max_fit_handles));
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, text as u64)?;
+            let mut reservation = app.reserve_for(MemoryClass::Frame, &quota, text as u64)?;
             let predictions = app.predict(rest, &q, extent, candidates, cancel)?;
             let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
             // The client may read it slowly.
@@ -192,7 +192,7 @@ impl App {
             .max()
             .unwrap_or_default();
         self.reserve(
-            Purpose::Plan,
+            MemoryClass::Plan,
             system + candidates.len() as u64 * count * size_of::<Vec2>() as u64,
         )
     }

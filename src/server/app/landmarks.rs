@@ -7,7 +7,7 @@ use super::App;
 use super::json_text::json_unless;
 use super::reading::Held;
 use crate::client::Client;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::wire::Reserved;
@@ -33,7 +33,7 @@ impl App {
             .admit(WorkClass::Upload, QueueKey::client(client))
             .await?;
         let columns = self.0.config.limits().columns;
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let read = move |cancel: &Cancel| {
             files.choice.add(Choice::of_warp(&warp)?)?;
             Reserved::of_files(&files, columns, &|| cancel.is_cancelled(), reserve)
@@ -60,7 +60,7 @@ impl App {
             self.request_quota(client),
             self.0.config.limits().columns,
         );
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let write = move |cancel: &Cancel| {
             files.choice.add(Choice::of_warp(&json)?)?;
             let landmarks = Reserved::of_files_for(
@@ -75,7 +75,7 @@ impl App {
                 + EMPTY_TEXT
                 + 4 * NUMBER_TEXT * landmarks.numbers()
                 + landmarks.names_length();
-            let mut reservation = app.reserve_for(Purpose::Upload, &quota, length as u64)?;
+            let mut reservation = app.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
             let (landmarks, _held) = landmarks.into_parts();
             let mut body = landmarks.into_fields(&json, target)?;
             body.shrink_to_fit();
@@ -105,7 +105,7 @@ impl App {
             let length =
                 EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
             let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, length as u64)?;
+            let mut reservation = app.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
             let mut body = json_unless(cancel, &*landmarks, length)?;
             body.shrink_to_fit();
             reservation.shrink_to(body.len() as u64);

@@ -8,11 +8,11 @@ use mlswarp::warp::Digest;
 
 use super::drawable::{check_extent, find_layer};
 use super::session_object::ShownSession;
-use super::warp::ATTEMPTS;
+use super::warp::SESSION_ATTEMPTS;
 use super::{App, MIN_WEIGHT};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::in_stage;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::words::quote;
@@ -41,7 +41,7 @@ impl App {
         kind: LayerKind,
         file: Bytes,
     ) -> Result<LayerPut, Problem> {
-        for _ in 0..ATTEMPTS {
+        for _ in 0..SESSION_ATTEMPTS {
             let session = self.touch(id, None).await?;
             let old = Arc::clone(&session.record);
             check_count(&old, name)?;
@@ -86,7 +86,7 @@ impl App {
         id: SessionId,
         name: &str,
     ) -> Result<(), Problem> {
-        for _ in 0..ATTEMPTS {
+        for _ in 0..SESSION_ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let (name, _) = find_layer(&old, name)?;
             let mut layers = old.layers.clone();
@@ -111,7 +111,7 @@ impl App {
         name: &str,
     ) -> Result<Bytes, Problem> {
         let mut record = self.peek_session(id).await?.record;
-        for _ in 0..ATTEMPTS {
+        for _ in 0..SESSION_ATTEMPTS {
             let (_, layer) = find_layer(&record, name)?;
             match self.read_layer(client, id, layer.digest).await {
                 Ok(file) => return Ok(file),
@@ -135,7 +135,7 @@ impl App {
         let bytes = in_stage("store", self.0.store.file_bytes(id, digest)).await?;
         let (quota, bytes) = (self.response_quota(client), bytes.max(MIN_WEIGHT));
         let mut reservation = self
-            .reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes))
+            .reserve_aside(|budget| budget.take_for(MemoryClass::Frame, &quota, bytes))
             .await?;
         let file = in_stage("store", self.0.store.file(id, digest)).await?;
         reservation.shrink_to((file.len() as u64).max(MIN_WEIGHT));

@@ -7,7 +7,7 @@ use super::App;
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry: by then a proxy uses another replica.
-const RETRY: u32 = 1;
+const RETRY_SECONDS: u32 = 1;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 enum Phase {
@@ -98,5 +98,5 @@ impl App {
 }
 
 fn stopping() -> Problem {
-    Problem::new(Code::Overloaded, "the server is stopping").retry_after(RETRY)
+    Problem::new(Code::Overloaded, "the server is stopping").retry_after(RETRY_SECONDS)
 }

@@ -9,7 +9,9 @@ use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CoordinateMap, Digest, Folds, MapFormat, MapSpec, OutputSpec, Posed, Report};
+use mlswarp::warp::{
+    CoordinateMap, Digest, Folds, MapFormat, MapSpec, OutputSpec, PosedMesh, Report,
+};
 
 use super::App;
 use super::draw::Planned;
@@ -17,7 +19,7 @@ use super::reading::{Held, part};
 use super::warp::Resolved;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
@@ -26,8 +28,8 @@ use crate::session::SessionId;
 use crate::wire::{MapObject, Pose, Reserved, in_map, method_text};
 
 /// Attempts to admit a band of a map that has begun, and the pause between them.
-const ATTEMPTS: usize = 100;
-const PAUSE: Duration = Duration::from_millis(50);
+const ADMISSION_ATTEMPTS: usize = 100;
+const ADMISSION_PAUSE: Duration = Duration::from_millis(50);
 
 /// A map whose first band has been computed.
 #[derive(Debug)]
@@ -79,9 +81,9 @@ impl MapBands {
         let mut attempts = 0;
         let ticket = loop {
             match self.app.0.pool.admit(WorkClass::Upload, self.key).await {
-                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ATTEMPTS => {
+                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
                     attempts += 1;
-                    tokio::time::sleep(PAUSE).await;
+                    tokio::time::sleep(ADMISSION_PAUSE).await;
                 }
                 admitted => break admitted?,
             }
@@ -118,7 +120,7 @@ impl App {
     ) -> Result<(MapFile, Option<String>), Problem> {
         let key = QueueKey::client(client);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let mut object = self
             .0
             .pool
@@ -177,7 +179,7 @@ impl App {
         let key = QueueKey::session(client, id);
         let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
         let (reserve, of_session) = (
-            self.reserving_pose(Purpose::Upload, client, &record),
+            self.reserving_pose(MemoryClass::Upload, client, &record),
             Arc::clone(&record),
         );
         let parse = move |_: &_| {
@@ -239,7 +241,7 @@ impl App {
                 || cancel.is_cancelled(),
                 app.0.config.limits(),
             );
-            let pose = || Posed::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
+            let pose = || PosedMesh::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
             let (posed, mut held) =
                 app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
             let target = spec
@@ -290,7 +292,7 @@ impl App {
         band: u32,
         quota: &ClientQuota,
     ) -> Result<Bytes, Problem> {
-        let mut reservation = self.reserve_for(Purpose::Frame, quota, map.band_bytes())?;
+        let mut reservation = self.reserve_for(MemoryClass::Frame, quota, map.band_bytes())?;
         let bytes = map.band(band);
         reservation.shrink_to(bytes.len() as u64);
         Ok(reservation.attach(bytes))

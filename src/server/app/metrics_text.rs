@@ -12,11 +12,11 @@ use prometheus_client::registry::{Registry, Unit};
 use crate::app::App;
 use crate::cache::CacheStats;
 use crate::config::available_memory::kib_field;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::metrics::PREFIX;
 use crate::pool::{Load, WorkClass};
 
-type Labels<const N: usize> = [(&'static str, &'static str); N];
+type FixedLabels<const N: usize> = [(&'static str, &'static str); N];
 
 impl App {
     /// All metrics as OpenMetrics text.
@@ -130,8 +130,8 @@ impl App {
             Unit::Bytes,
             ConstGauge::new(budget.total()),
         );
-        let reserved =
-            Purpose::ALL.map(|purpose| ([("purpose", purpose.name())], budget.taken_for(purpose)));
+        let reserved = MemoryClass::ALL
+            .map(|purpose| ([("purpose", purpose.name())], budget.taken_for(purpose)));
         registry.register_with_unit(
             "memory_reserved",
             "Memory that is reserved, by purpose",
@@ -227,8 +227,8 @@ impl App {
 }
 
 fn gauges<const N: usize>(
-    samples: impl IntoIterator<Item = (Labels<N>, u64)>,
-) -> Family<Labels<N>, Gauge<u64, AtomicU64>> {
+    samples: impl IntoIterator<Item = (FixedLabels<N>, u64)>,
+) -> Family<FixedLabels<N>, Gauge<u64, AtomicU64>> {
     let family = Family::<_, Gauge<_, _>>::default();
     for (labels, value) in samples {
         family.get_or_create(&labels).set(value);
@@ -237,8 +237,8 @@ fn gauges<const N: usize>(
 }
 
 fn counters<const N: usize>(
-    samples: impl IntoIterator<Item = (Labels<N>, u64)>,
-) -> Family<Labels<N>, Counter> {
+    samples: impl IntoIterator<Item = (FixedLabels<N>, u64)>,
+) -> Family<FixedLabels<N>, Counter> {
     let family = Family::<_, Counter>::default();
     for (labels, value) in samples {
         family.get_or_create(&labels).inc_by(value);

@@ -27,7 +27,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use mlswarp::warp::{Image, LabelImage, Plan, Setup};
+use mlswarp::warp::{CompiledRest, Image, LabelImage, ResolvedRest};
 use thiserror::Error;
 
 use crate::app::sequence::Sequencer;
@@ -38,11 +38,11 @@ use crate::config::{Config, WorkConfig};
 use crate::limits::client_limit::ClientLimit;
 use crate::limits::client_quota::{ClientQuota, ClientQuotas, QuotaKind};
 use crate::limits::connections::ConnectionLimiter;
-use crate::limits::memory::{Budget, BudgetExceeded, Purpose, Reservation};
+use crate::limits::memory::{Budget, BudgetExceeded, MemoryClass, Reservation};
 use crate::limits::sockets::SocketSlots;
 use crate::observe::metrics::Metrics;
 use crate::observe::tracer::Tracer;
-use crate::pool::{Pool, PoolError, QueueKey, Shape, WorkClass, aside};
+use crate::pool::{Pool, PoolConfig, PoolError, QueueKey, WorkClass, aside};
 use crate::problem::{Code, Problem};
 use crate::store::{NotOpened, Store};
 use client_sessions::ClientSessions;
@@ -62,7 +62,7 @@ const UNREAD_DIVISOR: u64 = 4;
 /// The smallest weight of a cached value, bytes.
 const MIN_WEIGHT: u64 = 1024;
 /// Seconds after which a rejected request may be repeated.
-const RETRY: u32 = 1;
+const RETRY_SECONDS: u32 = 1;
 
 /// The application. Clones share its state.
 #[derive(Clone, Debug)]
@@ -79,8 +79,8 @@ pub(crate) struct AppState {
     pub(crate) pool: Pool,
     pub(crate) images: Cache<Image>,
     pub(crate) labels: Cache<LabelImage>,
-    pub(crate) plans: Cache<Plan>,
-    pub(crate) setups: Cache<Setup>,
+    pub(crate) plans: Cache<CompiledRest>,
+    pub(crate) setups: Cache<ResolvedRest>,
     pub(crate) texts: Cache<RevisionText>,
     /// Caches nothing; simultaneous requests for one session's file share one read of the store.
     pub(crate) files: Cache<Bytes>,
@@ -94,7 +94,7 @@ pub(crate) struct AppState {
 
 /// What a ready service can do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ready {
+pub enum Readiness {
     /// Everything.
     Whole,
     /// Known sessions, and images without a session: the store is unavailable.
@@ -142,7 +142,7 @@ impl App {
             ..
         } = work;
         let queue = work.queue();
-        let shape = Shape {
+        let shape = PoolConfig {
             workers,
             queue,
             drag_wait,
@@ -156,7 +156,7 @@ impl App {
             ),
             request_quotas: ClientQuotas::new(
                 QuotaKind::Requests,
-                of_client(Purpose::Upload.share(work.memory_bytes)),
+                of_client(MemoryClass::Upload.share(work.memory_bytes)),
             ),
             client_sessions: ClientSessions::new(config.store.bounds(), of_client),
             pool: Pool::new(shape)?,
@@ -204,7 +204,7 @@ impl App {
 
     /// Reserves memory before it is allocated; idle cache entries are evicted for it.
     /// Errors: [`Code::TooLarge`] if it can never fit, [`Code::Overloaded`] if it does not fit now.
-    pub fn reserve(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, Problem> {
+    pub fn reserve(&self, purpose: MemoryClass, bytes: u64) -> Result<Reservation, Problem> {
         self.evicting_idle(|| self.0.budget.take(purpose, bytes))
     }
 
@@ -213,7 +213,7 @@ impl App {
     /// [`Code::RateLimited`] for one whose requests use too much.
     pub fn reserve_for(
         &self,
-        purpose: Purpose,
+        purpose: MemoryClass,
         quota: &ClientQuota,
         bytes: u64,
     ) -> Result<Reservation, Problem> {
@@ -327,7 +327,7 @@ impl App {
     /// about a second. A service that loses its store stays ready: a store is unavailable to all
     /// replicas at the same time, and a proxy that removed them all would also end the sessions
     /// that continue without it. Errors: [`Code::Overloaded`], with the reason.
-    pub async fn ready(&self) -> Result<Ready, Problem> {
+    pub async fn ready(&self) -> Result<Readiness, Problem> {
         self.require_serving()?;
         if [WorkClass::Drag, WorkClass::Upload]
             .into_iter()
@@ -335,10 +335,10 @@ impl App {
         {
             return Err(PoolError::Full.into());
         }
-        if self.0.budget.has(Purpose::Upload, MIN_FREE) || self.has_idle_entry() {
+        if self.0.budget.has(MemoryClass::Upload, MIN_FREE) || self.has_idle_entry() {
             return match self.0.store.ready().await {
-                Ok(()) => Ok(Ready::Whole),
-                Err(_) if !self.0.store.figures().is_unknown => Ok(Ready::WithoutStore),
+                Ok(()) => Ok(Readiness::Whole),
+                Err(_) if !self.0.store.figures().is_unknown => Ok(Readiness::WithoutStore),
                 Err(error) => Err(error.into()),
             };
         }
@@ -346,7 +346,7 @@ impl App {
             Code::Overloaded,
             "the server has no memory for another image",
         )
-        .retry_after(RETRY))
+        .retry_after(RETRY_SECONDS))
     }
 
     /// Rejects an upload before its body is read, if the queue would reject it.
@@ -395,7 +395,7 @@ impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {
             PoolError::Full | PoolError::Late { .. } => {
-                Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY)
+                Self::new(Code::Overloaded, error.to_string()).retry_after(RETRY_SECONDS)
             }
             PoolError::Panicked => Self::new(Code::Internal, "internal error"),
         }

@@ -4,11 +4,11 @@
 use std::time::Instant;
 
 use bytes::Bytes;
-use mlswarp::warp::{Digest, Table, WarpError};
+use mlswarp::warp::{CoefficientRequest, Digest, WarpError};
 
 use super::App;
 use crate::client::Client;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, WorkClass};
@@ -84,8 +84,8 @@ impl App {
         let (app, quota, extent) = (self.clone(), self.response_quota(client), record.extent);
         let fill = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-            let table =
-                Table::new(&setup, columns, rows, &app.0.config.limits()).map_err(in_query)?;
+            let table = CoefficientRequest::new(&setup, columns, rows, &app.0.config.limits())
+                .map_err(in_query)?;
             let bytes = plan_file_bytes(&table, precision);
             if bytes > MAX_FILE_BYTES {
                 return Err(too_large(bytes));
@@ -93,7 +93,8 @@ impl App {
             if !with_content {
                 return Ok(PlanContent::Length(bytes));
             }
-            let mut reservation = app.reserve_for(Purpose::Frame, &quota, bytes + table.bytes())?;
+            let mut reservation =
+                app.reserve_for(MemoryClass::Frame, &quota, bytes + table.bytes())?;
             let plan = app
                 .0
                 .pool

@@ -9,17 +9,17 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use mlswarp::deform::{self, Handle};
 use mlswarp::render::Canvas;
-use mlswarp::warp::{CanvasSpec, Folds, Frame, GridSpec, Posed, Target, Warning};
+use mlswarp::warp::{CanvasSpec, CoordinateFrame, Folds, GridSpec, PosedMesh, Target, Warning};
 
 use super::App;
 use super::draw::{HeldSetup, Planned};
-use super::drawable::Content;
+use super::drawable::DrawnContent;
 use super::reading::{Held, part};
 use super::warp::Resolved;
 use crate::cache::CacheEntry;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
@@ -30,8 +30,8 @@ use crate::wire::{Annotations, Cursor, PointsObject, Pose, Reserved, method_text
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
 /// Attempts to admit a part of an answer that has begun, and the pause between them.
-const ATTEMPTS: usize = 100;
-const PAUSE: Duration = Duration::from_millis(50);
+const ADMISSION_ATTEMPTS: usize = 100;
+const ADMISSION_PAUSE: Duration = Duration::from_millis(50);
 
 /// Annotations of which the first part has been mapped.
 #[derive(Debug)]
@@ -72,9 +72,9 @@ impl MappedParts {
         let mut attempts = 0;
         let ticket = loop {
             match self.app.0.pool.admit(WorkClass::Upload, self.job.key).await {
-                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ATTEMPTS => {
+                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
                     attempts += 1;
-                    tokio::time::sleep(PAUSE).await;
+                    tokio::time::sleep(ADMISSION_PAUSE).await;
                 }
                 admitted => break admitted?,
             }
@@ -94,8 +94,8 @@ struct MappingJob {
     setup: HeldSetup,
     pose: deform::Pose,
     /// The posed grid, which shows where to look for the inverse, and its memory.
-    posed: Option<(Posed, Reservation)>,
-    picture: Frame,
+    posed: Option<(PosedMesh, Reservation)>,
+    picture: CoordinateFrame,
     /// Text of the body.
     annotations: Annotations,
     is_long: bool,
@@ -112,7 +112,7 @@ impl MappingJob {
         cancel: &Cancel,
     ) -> Result<(Bytes, Option<Cursor>), Problem> {
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-        let mut reservation = app.reserve_for(Purpose::Frame, &self.quota, 0)?;
+        let mut reservation = app.reserve_for(MemoryClass::Frame, &self.quota, 0)?;
         let mut reserve = |bytes| app.reserve_more(&mut reservation, bytes);
         let mut map = || {
             let transform = match &self.posed {
@@ -150,7 +150,7 @@ struct PointsJob {
     object: Held<PointsObject>,
     folds: Folds,
     /// Has the region that moves, if the canvas depends on it.
-    region: Option<Content>,
+    region: Option<DrawnContent>,
     cursor: Cursor,
     is_long: bool,
     key: QueueKey,
@@ -179,7 +179,7 @@ impl App {
             json.len() > MAX_SEQUENTIAL,
             self.0.config.max_warp_json_bytes,
         );
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
         let mut object = self.0.pool.run(&ticket, parse).await??;
         let warp = part(&mut object, |object| object.warp.take());
@@ -240,7 +240,7 @@ impl App {
         );
         let (of_session, reserve) = (
             Arc::clone(&record),
-            self.reserving_pose(Purpose::Upload, client, &record),
+            self.reserving_pose(MemoryClass::Upload, client, &record),
         );
         let parse = move |_: &_| {
             let (rest, size) = (&of_session.rest, of_session.extent);
@@ -288,7 +288,7 @@ impl App {
         let (app, setup) = (self.clone(), Arc::clone(setup));
         let resolve = move |_: &_| {
             // It shares most of its memory with the other one, and may outlive it.
-            let held = app.reserve(Purpose::Plan, setup.bytes())?;
+            let held = app.reserve(MemoryClass::Plan, setup.bytes())?;
             Ok(Arc::new(CacheEntry::new(
                 setup.to_invert(&app.0.config.limits())?,
                 held,
@@ -335,11 +335,11 @@ impl App {
             let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
             let target = match drawn {
                 Some(drawn) => {
-                    let pose = || Posed::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
+                    let pose = || PosedMesh::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
                     let (posed, _held) =
                         app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
-                    let region = region.as_ref().and_then(Content::region).cloned();
-                    let posed = region.into_iter().fold(posed, Posed::within);
+                    let region = region.as_ref().and_then(DrawnContent::region).cloned();
+                    let posed = region.into_iter().fold(posed, PosedMesh::within);
                     output.target(
                         setup.source(),
                         &posed,
@@ -363,7 +363,8 @@ impl App {
                 &mut warnings,
             );
             let posed = to_invert.map(|Planned { setup, plan, .. }| {
-                let coarse = || Posed::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+                let coarse =
+                    || PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
                 app.reserve_and_pose(&setup, &quota, 0, coarse)
             });
             let posed = posed.transpose()?;

@@ -2,7 +2,7 @@
 
 use super::App;
 use crate::client::Client;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::problem::Problem;
 use crate::store::{Record, record_bytes};
 use crate::wire::Reserved;
@@ -14,7 +14,7 @@ impl App {
     /// Takes the memory of what is read from a request, which counts for the client.
     pub(crate) fn reserving(
         &self,
-        purpose: Purpose,
+        purpose: MemoryClass,
         client: Client,
     ) -> impl FnOnce(u64) -> Result<Reservation, Problem> + Send + use<> {
         let (app, quota) = (self.clone(), self.request_quota(client));
@@ -25,7 +25,7 @@ impl App {
     /// another one.
     pub(crate) fn reserving_pose(
         &self,
-        purpose: Purpose,
+        purpose: MemoryClass,
         client: Client,
         record: &Record,
     ) -> impl FnOnce(u64) -> Result<Reservation, Problem> + Send + use<> {

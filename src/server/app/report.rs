@@ -5,18 +5,20 @@ use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
-use mlswarp::warp::{Alignment, Folds, Frame, OutputSpec, Posed, Quality, Report, Target, Units};
+use mlswarp::warp::{
+    Alignment, CoordinateFrame, Folds, OutputSpec, PosedMesh, Quality, Report, Target, Units,
+};
 
 use super::App;
 use super::draw::{HeldSetup, Planned};
-use super::drawable::Content;
+use super::drawable::DrawnContent;
 use super::json_text::json_unless;
 use super::reading::Held;
 use super::session_warp::AdmittedPlan;
 use super::warp::Resolved;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -47,9 +49,9 @@ struct ReportJob {
     alignment: Option<Alignment>,
     output: OutputSpec,
     /// Has the region that moves, if the canvas depends on it.
-    region: Option<Content>,
+    region: Option<DrawnContent>,
     /// What would be drawn, if the request is about a picture.
-    drawn: Option<Content>,
+    drawn: Option<DrawnContent>,
     quota: ClientQuota,
 }
 
@@ -66,7 +68,7 @@ impl App {
             .pool
             .admit(WorkClass::Upload, QueueKey::client(client))
             .await?;
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let object = self
             .0
             .pool
@@ -121,7 +123,7 @@ impl App {
             .await?;
         let limits = self.0.config.limits();
         let (of_session, quota) = (Arc::clone(&record), self.response_quota(client));
-        let reserve = self.reserving_pose(Purpose::Upload, client, &record);
+        let reserve = self.reserving_pose(MemoryClass::Upload, client, &record);
         let parse = move |_: &_| {
             let mut drag = Reserved::<DragObject, _>::parse_for_report(
                 &json,
@@ -193,11 +195,11 @@ impl App {
         let measure = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
             let pose = setup.pose(&q)?;
-            let posed = || Posed::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+            let posed = || PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled);
             let (posed, mut reservation) =
                 app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), posed)?;
-            let region = region.as_ref().and_then(Content::region).cloned();
-            let posed = region.into_iter().fold(posed, Posed::within);
+            let region = region.as_ref().and_then(DrawnContent::region).cloned();
+            let posed = region.into_iter().fold(posed, PosedMesh::within);
             let canvas = output.canvas.of(setup.source(), &posed, &is_cancelled)?;
             let inverse_bytes = to_invert
                 .as_ref()
@@ -208,7 +210,7 @@ impl App {
             )?;
             let quality = app.0.pool.run_parallel(|| {
                 let coarse = |planned: &Planned| {
-                    Posed::coarse(
+                    PosedMesh::coarse(
                         &planned.setup,
                         &planned.plan,
                         &pose,
@@ -241,7 +243,8 @@ impl App {
             app.metrics().prepared(&timing);
             let warnings: Vec<WarningEntry> =
                 report.warnings.iter().map(WarningEntry::from).collect();
-            let picture = canvas.map(|canvas| Frame::on_canvas(canvas, &output, Units::Px));
+            let picture =
+                canvas.map(|canvas| CoordinateFrame::on_canvas(canvas, &output, Units::Px));
             let answer = ReportAnswer {
                 quality: &quality,
                 alignment,

@@ -3,15 +3,15 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::warp::{Digest, RestSummary, Subject};
+use mlswarp::warp::{Digest, RasterSource, RestSummary};
 
 use super::App;
 use super::draw::HeldSetup;
-use super::session_object::{Shown, ShownSession};
-use super::warp::{ATTEMPTS, NewSession, PreparedWarp, Resolved, Upload, revision_key};
-use crate::cache::Key;
+use super::session_object::{SessionText, ShownSession};
+use super::warp::{NewSession, PreparedWarp, Resolved, SESSION_ATTEMPTS, Upload, revision_key};
+use crate::cache::CacheKey;
 use crate::client::{Client, Owner};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::in_stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, WorkClass};
@@ -59,7 +59,7 @@ impl App {
     ) -> Result<SessionId, Problem> {
         // Undoes the demotion of an image that is warped once.
         for digest in prepared.files() {
-            let _ = self.0.images.touch(Key::new(client.owner, digest));
+            let _ = self.0.images.touch(CacheKey::new(client.owner, digest));
         }
         let new = prepared.into_session(SessionId::random(client.owner));
         let id = new.record.id;
@@ -108,7 +108,7 @@ impl App {
         &self,
         client: Client,
         record: &Record,
-        shown: Shown,
+        shown: SessionText,
         session: Session,
     ) -> ShownSession {
         self.0
@@ -160,14 +160,14 @@ impl App {
         id: SessionId,
         json: Bytes,
     ) -> Result<Resulting, Problem> {
-        for _ in 0..ATTEMPTS {
+        for _ in 0..SESSION_ATTEMPTS {
             let old = self.touch(id, None).await?.record;
             let ticket = self
                 .0
                 .pool
                 .admit(WorkClass::Upload, QueueKey::session(client, id))
                 .await?;
-            let reserve = self.reserving_pose(Purpose::Upload, client, &old);
+            let reserve = self.reserving_pose(MemoryClass::Upload, client, &old);
             let (app, json, before) = (self.clone(), json.clone(), Arc::clone(&old));
             let resolve = move |cancel: &Cancel| {
                 let patch = Reserved::<WarpPatch, _>::parse(&json, reserve)?
@@ -198,8 +198,8 @@ impl App {
                 ..
             } = self.0.pool.run(&ticket, resolve).await??;
             // A picture that is not in memory is looked at when it is drawn.
-            if let Some(image) = self.0.images.peek(Key::new(id.owner(), old.image)) {
-                Subject::Image(&image).check(&object.output)?;
+            if let Some(image) = self.0.images.peek(CacheKey::new(id.owner(), old.image)) {
+                RasterSource::Image(&image).check(&object.output)?;
             }
             self.plan(client, &ticket, &setup, Timing::default())
                 .await?;
@@ -292,7 +292,9 @@ impl App {
         if self.evict_file(owner, record.image)
             && let Some(setup) = setup
         {
-            self.0.plans.drop_value(Key::new(owner, setup.plan_key()));
+            self.0
+                .plans
+                .drop_value(CacheKey::new(owner, setup.plan_key()));
         }
         for layer in record.layers.values() {
             self.evict_file(owner, layer.digest);
@@ -303,8 +305,8 @@ impl App {
     pub(super) fn evict_file(&self, owner: Owner, digest: Digest) -> bool {
         let is_unused = !self.0.store.names(owner, digest);
         if is_unused {
-            self.0.images.drop_value(Key::new(owner, digest));
-            self.0.labels.drop_value(Key::new(owner, digest));
+            self.0.images.drop_value(CacheKey::new(owner, digest));
+            self.0.labels.drop_value(CacheKey::new(owner, digest));
         }
         is_unused
     }
@@ -339,14 +341,14 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::problem::Code;
-    use crate::store::{Answer, Figures, NamedFile, Store};
+    use crate::store::{NamedFile, Store, StoreFuture, StoreStats};
 
     /// A store on which somebody else is always faster.
     #[derive(Debug)]
     struct Contended(Arc<dyn Store>, AtomicUsize);
 
     impl Store for Contended {
-        fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+        fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put> {
             self.0.put(record, files)
         }
         fn revise(
@@ -354,35 +356,35 @@ mod tests {
             _: Revision,
             _: Arc<Record>,
             _: Option<NamedFile>,
-        ) -> Answer<'_, Option<Session>> {
+        ) -> StoreFuture<'_, Option<Session>> {
             self.1.fetch_add(1, Ordering::Relaxed);
             Box::pin(std::future::ready(Ok(None)))
         }
-        fn peek(&self, id: SessionId) -> Answer<'_, Session> {
+        fn peek(&self, id: SessionId) -> StoreFuture<'_, Session> {
             self.0.peek(id)
         }
-        fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
+        fn touch(&self, id: SessionId, seq: Option<u64>) -> StoreFuture<'_, Session> {
             self.0.touch(id, seq)
         }
-        fn delete(&self, id: SessionId) -> Answer<'_, ()> {
+        fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
             self.0.delete(id)
         }
-        fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+        fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
             self.0.file_bytes(id, digest)
         }
-        fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+        fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes> {
             self.0.file(id, digest)
         }
         fn names(&self, owner: Owner, digest: Digest) -> bool {
             self.0.names(owner, digest)
         }
-        fn sweep(&self) -> Answer<'_, usize> {
+        fn sweep(&self) -> StoreFuture<'_, usize> {
             self.0.sweep()
         }
-        fn ready(&self) -> Answer<'_, ()> {
+        fn ready(&self) -> StoreFuture<'_, ()> {
             self.0.ready()
         }
-        fn figures(&self) -> Figures {
+        fn figures(&self) -> StoreStats {
             self.0.figures()
         }
     }
@@ -417,7 +419,7 @@ mod tests {
             (refused.code, refused.retry_after),
             (Code::Overloaded, Some(1))
         );
-        assert_eq!(contended.1.load(Ordering::Relaxed), ATTEMPTS);
+        assert_eq!(contended.1.load(Ordering::Relaxed), SESSION_ATTEMPTS);
         // The last computation gives its turn back by itself.
         while app.pool().load(WorkClass::Upload).running > 0 {
             tokio::task::yield_now().await;
@@ -446,13 +448,15 @@ mod tests {
         let _used = (
             app.0
                 .images
-                .peek(Key::new(client.owner, record.image))
+                .peek(CacheKey::new(client.owner, record.image))
                 .unwrap(),
-            app.0.plans.peek(Key::new(client.owner, setup.plan_key())),
+            app.0
+                .plans
+                .peek(CacheKey::new(client.owner, setup.plan_key())),
         );
         let budget = app.budget();
         let mut rest = budget
-            .take(Purpose::Frame, budget.total() - budget.taken())
+            .take(MemoryClass::Frame, budget.total() - budget.taken())
             .unwrap();
         while app.evict_idle() {}
         rest.grow(budget.total() - budget.taken()).unwrap();
@@ -498,13 +502,13 @@ mod tests {
         let _used = app
             .0
             .images
-            .peek(Key::new(client.owner, shown.session.record.image))
+            .peek(CacheKey::new(client.owner, shown.session.record.image))
             .unwrap();
         let budget = app.budget();
-        let mut taken = budget.take(Purpose::Frame, budget.total() / 2).unwrap();
+        let mut taken = budget.take(MemoryClass::Frame, budget.total() / 2).unwrap();
         // An upload has room, and a plan 8 MiB more: 1,500 points have a system of 9 MB, 100 one of
         // 40 kB.
-        while app.reserve(Purpose::Upload, 1_000_000).is_ok() {
+        while app.reserve(MemoryClass::Upload, 1_000_000).is_ok() {
             taken.grow(100_000).unwrap();
         }
         open(100).await.unwrap();

@@ -16,7 +16,7 @@ use super::{App, build_aborted};
 use crate::cache::CacheEntry;
 use crate::client::Client;
 use crate::layer::MAX_LAYERS;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::Problem;
 use crate::store::{Record, Session};
@@ -26,12 +26,12 @@ use crate::wire::{
 };
 
 /// Maximum length of a number and its comma in JSON, and of what precedes the numbers of a handle.
-const NUMBER: u64 = 25;
-const BRACKETS: u64 = 4;
+const NUMBER_BYTES: u64 = 25;
+const BRACKET_BYTES: u64 = 4;
 /// Maximum length of the text without its lists: names, ids, dates, single numbers and layers.
 const FIXED_PART: u64 = 2048 + 128 * MAX_LAYERS as u64;
 /// Maximum length of the members that change.
-const TAIL: u64 = 256;
+const CHANGING_BYTES: u64 = 256;
 
 /// What stays the same within a revision.
 #[derive(Debug)]
@@ -47,7 +47,7 @@ pub(crate) struct RevisionText {
 impl RevisionText {
     /// Bytes of a response.
     const fn response_bytes(&self) -> u64 {
-        self.text.len() as u64 + TAIL
+        self.text.len() as u64 + CHANGING_BYTES
     }
 }
 
@@ -56,20 +56,20 @@ impl RevisionText {
 pub struct ShownSession {
     /// The session.
     pub session: Session,
-    shown: Shown,
+    shown: SessionText,
 }
 
 /// The text of a session's object, and the memory of a response with it.
 #[derive(Debug)]
-pub(super) struct Shown {
+pub(super) struct SessionText {
     text: Arc<CacheEntry<RevisionText>>,
     held: Reservation,
 }
 
 /// The kept text as bytes of a response.
-struct Kept(Arc<CacheEntry<RevisionText>>);
+struct SharedText(Arc<CacheEntry<RevisionText>>);
 
-impl AsRef<[u8]> for Kept {
+impl AsRef<[u8]> for SharedText {
     fn as_ref(&self) -> &[u8] {
         &self.0.text
     }
@@ -85,15 +85,15 @@ impl ShownSession {
     pub(crate) fn into_json(self) -> [Bytes; 2] {
         let Self {
             session,
-            shown: Shown { text, mut held },
+            shown: SessionText { text, mut held },
         } = self;
         let tail = session_tail(&rfc3339(session.expires), session.seq);
         held.shrink_to((text.text.len() + tail.len()) as u64);
-        [held.attach(Kept(text)), tail.into()]
+        [held.attach(SharedText(text)), tail.into()]
     }
 }
 
-impl Shown {
+impl SessionText {
     /// The object of a session whose record the text is of.
     pub(super) const fn of(self, session: Session) -> ShownSession {
         ShownSession {
@@ -119,9 +119,9 @@ impl App {
         let text = self.revision_text(client, &session.record).await?;
         let (quota, bytes) = (self.response_quota(client), text.response_bytes());
         let held = self
-            .reserve_aside(|budget| budget.take_for(Purpose::Frame, &quota, bytes))
+            .reserve_aside(|budget| budget.take_for(MemoryClass::Frame, &quota, bytes))
             .await?;
-        Ok(Shown { text, held }.of(session))
+        Ok(SessionText { text, held }.of(session))
     }
 
     /// What a session's object says of its revision, from the cache or written now.
@@ -156,13 +156,13 @@ impl App {
         &self,
         client: Client,
         text: Arc<CacheEntry<RevisionText>>,
-    ) -> Result<Shown, Problem> {
+    ) -> Result<SessionText, Problem> {
         let held = self.reserve_for(
-            Purpose::Frame,
+            MemoryClass::Frame,
             &self.response_quota(client),
             text.response_bytes(),
         )?;
-        Ok(Shown { text, held })
+        Ok(SessionText { text, held })
     }
 
     /// Writes the text of a revision into memory that is reserved before. `summary`: that of its
@@ -175,7 +175,7 @@ impl App {
     ) -> Result<CacheEntry<RevisionText>, Problem> {
         let length = longest_text(record);
         // The handles in px, and a few copies of their positions.
-        let mut held = self.reserve(Purpose::Plan, length + 256 * columns(record))?;
+        let mut held = self.reserve(MemoryClass::Plan, length + 256 * columns(record))?;
         let new = || {
             let limits = self.0.config.limits();
             RestSummary::new_unless(&record.rest, record.extent, &limits, &|| {
@@ -212,7 +212,9 @@ fn longest_text(record: &Record) -> u64 {
         .chain(posed)
         .map(|handle| 1 + handle.places().len())
         .sum();
-    FIXED_PART + (2 * NUMBER + BRACKETS) * places as u64 + 2 * NUMBER * record.rest.p.len() as u64
+    FIXED_PART
+        + (2 * NUMBER_BYTES + BRACKET_BYTES) * places as u64
+        + 2 * NUMBER_BYTES * record.rest.p.len() as u64
 }
 
 fn text(

@@ -9,20 +9,22 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Align, CompactLattice, OutputSpec, Posed, Report, Setup, WarpError};
+use mlswarp::warp::{
+    Align, CompactLattice, OutputSpec, PosedMesh, Report, ResolvedRest, WarpError,
+};
 
 use super::App;
 use super::draw::{DrawJob, Drawn, Planned};
-use super::drawable::Content;
+use super::drawable::DrawnContent;
 use super::json_text::json_unless;
 use super::reading::Held;
 use super::sequence::SequencePosition;
-use super::warp::{ATTEMPTS, columns};
-use crate::cache::Key;
+use super::warp::{SESSION_ATTEMPTS, columns};
+use crate::cache::CacheKey;
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -98,7 +100,7 @@ impl MeshForm {
     /// The mesh, and the error of a compact one.
     fn write(
         &self,
-        posed: &Posed,
+        posed: &PosedMesh,
         shape: MeshShape,
         cancel: &Cancel,
     ) -> Result<(Vec<u8>, Option<f64>), WarpError> {
@@ -115,9 +117,9 @@ impl MeshForm {
                 )?,
                 None,
             )),
-            Self::F32 => Ok((posed.numbers(&cancelled)?, None)),
+            Self::F32 => Ok((posed.to_le_bytes(&cancelled)?, None)),
             Self::Compact(lattice) => lattice
-                .numbers(posed, &cancelled)
+                .to_le_bytes(posed, &cancelled)
                 .map(|(bytes, error)| (bytes, Some(error))),
         }
     }
@@ -125,7 +127,7 @@ impl MeshForm {
 
 /// An encoded posed grid.
 #[derive(Debug)]
-pub struct PosedMesh {
+pub struct SessionMesh {
     /// Warnings and measures for the head of the response.
     pub report: Report,
     /// Cost.
@@ -151,7 +153,7 @@ impl App {
     ) -> Result<Held<DragObject>, Problem> {
         let (at_rest, reserve) = (
             record.rest.p.len(),
-            self.reserving_pose(Purpose::Frame, client, record),
+            self.reserving_pose(MemoryClass::Frame, client, record),
         );
         let is_short = json.len() <= MAX_INLINE;
         let parse = move || match route {
@@ -214,7 +216,7 @@ impl App {
         id: SessionId,
         drag: Held<DragObject>,
         form: MeshForm,
-    ) -> Result<PosedMesh, Problem> {
+    ) -> Result<SessionMesh, Problem> {
         let request = self.sequence(id, drag.seq).await?;
         let plan = self
             .unless_superseded(&request, self.admit_mesh(client, &request.record, &form))
@@ -258,8 +260,8 @@ impl App {
         client: Client,
         mut record: Arc<Record>,
         layer: Option<&LayerRef>,
-    ) -> Result<(Arc<Record>, Content, AdmittedPlan), Problem> {
-        for _ in 0..ATTEMPTS {
+    ) -> Result<(Arc<Record>, DrawnContent, AdmittedPlan), Problem> {
+        for _ in 0..SESSION_ATTEMPTS {
             match self.admit_drawing(client, &record, layer).await {
                 Ok((content, plan)) => return Ok((record, content, plan)),
                 Err(problem) => record = self.newer_record(&record, problem).await?,
@@ -293,7 +295,7 @@ impl App {
         client: Client,
         record: &Arc<Record>,
         layer: Option<&LayerRef>,
-    ) -> Result<(Content, AdmittedPlan), Problem> {
+    ) -> Result<(DrawnContent, AdmittedPlan), Problem> {
         let setup = self.session_setup(client, record).await?;
         let sources = self.fetch_sources(client, record, layer).await?;
         let ticket = self
@@ -319,7 +321,7 @@ impl App {
         form: &MeshForm,
     ) -> Result<AdmittedPlan, Problem> {
         let setup = self.session_setup(client, record).await?;
-        form.check_size(setup.grid())?;
+        form.check_size(setup.dimensions())?;
         let ticket = self.admit_step(client, record, &setup, true).await?;
         let timing = Timing {
             queue: ticket.waited(),
@@ -335,14 +337,14 @@ impl App {
         &self,
         client: Client,
         record: &Record,
-        setup: &Setup,
+        setup: &ResolvedRest,
         has_image: bool,
     ) -> Result<Ticket, Problem> {
         let is_cached = has_image
             && self
                 .0
                 .plans
-                .touch(Key::new(record.id.owner(), setup.plan_key()))
+                .touch(CacheKey::new(record.id.owner(), setup.plan_key()))
             && setup.plan_bytes().is_some();
         let class = if is_cached {
             WorkClass::Drag
@@ -364,7 +366,7 @@ impl App {
         record: &Record,
         form: MeshForm,
         quota: ClientQuota,
-    ) -> Result<PosedMesh, Problem> {
+    ) -> Result<SessionMesh, Problem> {
         let AdmittedPlan {
             ticket,
             planned:
@@ -384,7 +386,7 @@ impl App {
         let pose = move |cancel: &Cancel| {
             let began = Instant::now();
             let is_cancelled = || cancel.is_cancelled();
-            let pose = || Posed::coarse(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
+            let pose = || PosedMesh::coarse(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
             let (posed, mut reservation) = app.reserve_and_pose(&setup, &quota, 0, pose)?;
             timing.deform = began.elapsed();
             stage("deform", began);
@@ -394,7 +396,7 @@ impl App {
             let body = reservation.attach(body);
             let canvas = canvas.of(extent, &posed, &is_cancelled)?;
             let report = posed.into_report(canvas, &is_cancelled)?;
-            Ok::<_, Problem>(PosedMesh {
+            Ok::<_, Problem>(SessionMesh {
                 report,
                 timing,
                 plan_built: is_built,

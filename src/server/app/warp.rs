@@ -9,16 +9,16 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, RestSpec, Setup, Subject};
+use mlswarp::warp::{Alignment, Digest, Image, OutputSpec, RasterSource, ResolvedRest, RestSpec};
 
 use super::draw::{DrawJob, Drawn, HeldSetup, Planned};
-use super::drawable::{Content, check_extent};
+use super::drawable::{DrawnContent, check_extent};
 use super::reading::{Held, part};
 use super::{App, MIN_WEIGHT, build_aborted};
-use crate::cache::{CacheEntry, Fetched, Key};
+use crate::cache::{CacheEntry, CacheKey, Fetched};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
 use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
@@ -30,7 +30,7 @@ use crate::wire::landmarks::Landmarks;
 use crate::wire::{Pose, Reserved, WarpObject, WarpPatch, method_text};
 
 /// Attempts of a request at a session that other requests change at the same time.
-pub(crate) const ATTEMPTS: usize = 8;
+pub(crate) const SESSION_ATTEMPTS: usize = 8;
 
 /// What a client has uploaded.
 #[derive(Debug)]
@@ -180,9 +180,9 @@ impl App {
         rest: &RestSpec,
         extent: Extent,
         cancel: &Cancel,
-    ) -> Result<CacheEntry<Setup>, Problem> {
-        let held = self.reserve(Purpose::Plan, setup_weight(rest))?;
-        let setup = Setup::new_unless(rest, extent, &self.0.config.limits(), &|| {
+    ) -> Result<CacheEntry<ResolvedRest>, Problem> {
+        let held = self.reserve(MemoryClass::Plan, setup_weight(rest))?;
+        let setup = ResolvedRest::new_unless(rest, extent, &self.0.config.limits(), &|| {
             cancel.is_cancelled()
         })?;
         Ok(CacheEntry::new(setup, held))
@@ -211,7 +211,7 @@ impl App {
             },
         );
         let job = DrawJob {
-            content: Content::image(
+            content: DrawnContent::image(
                 &prepared.image,
                 prepared.region.as_ref().map(|(_, mask)| mask),
             ),
@@ -277,7 +277,7 @@ impl App {
             ..Timing::default()
         };
         let began = Instant::now();
-        let (hashed_file, reserve) = (file.clone(), self.reserving(Purpose::Upload, client));
+        let (hashed_file, reserve) = (file.clone(), self.reserving(MemoryClass::Upload, client));
         let parse = move |_: &_| {
             let mut patch =
                 Reserved::<WarpPatch, _>::parse(&json, reserve).map_err(in_part_warp)?;
@@ -306,7 +306,7 @@ impl App {
             .await?;
         if formats.is_some() && built {
             // An image that is warped once, and its mask, are evicted before those of sessions.
-            self.0.images.demote(Key::new(client.owner, digest));
+            self.0.images.demote(CacheKey::new(client.owner, digest));
         }
         let region = match region {
             Some(bytes) => {
@@ -320,7 +320,7 @@ impl App {
                     .map_err(in_part_region)?;
                 check_extent(mask.extent(), image.extent()).map_err(in_part_region)?;
                 if formats.is_some() && built {
-                    self.0.images.demote(Key::new(client.owner, digest));
+                    self.0.images.demote(CacheKey::new(client.owner, digest));
                 }
                 Some((NamedFile { digest, bytes }, mask))
             }
@@ -328,7 +328,7 @@ impl App {
         };
         timing.decode = began.elapsed();
         stage("decode", began);
-        Subject::Image(&image).check(&object.output)?;
+        RasterSource::Image(&image).check(&object.output)?;
         let (app, extent) = (self.clone(), image.extent());
         let resolve = move |cancel: &Cancel| {
             let mut object = object;
@@ -375,7 +375,7 @@ impl App {
         let build = async move {
             let bytes = build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT);
             let reservation = app
-                .reserve_aside(|budget| budget.take(Purpose::Plan, bytes))
+                .reserve_aside(|budget| budget.take(MemoryClass::Plan, bytes))
                 .await?;
             let threads = app.0.pool.clone();
             let fill = move |cancel: &Cancel| {
@@ -385,7 +385,7 @@ impl App {
             tracing::debug!("a plan was built");
             Ok(CacheEntry::new(plan, reservation))
         };
-        let key = Key::new(client.owner, setup.plan_key());
+        let key = CacheKey::new(client.owner, setup.plan_key());
         let Fetched { value: plan, built } = self
             .0
             .plans
@@ -440,8 +440,8 @@ pub(crate) struct Resolved {
 }
 
 /// The cache key of what belongs to one revision of a session: its setup. Records never change.
-pub(crate) fn revision_key(record: &Record) -> Key {
-    Key::new(
+pub(crate) fn revision_key(record: &Record) -> CacheKey {
+    CacheKey::new(
         record.id.owner(),
         Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()),
     )

@@ -16,7 +16,7 @@ const MAX_NAME: usize = 64;
 
 /// The key that a request was admitted by, or none where no keys are configured.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Credential(Option<Key>);
+pub struct Credential(Option<ApiKey>);
 
 impl Credential {
     pub(crate) const ANYBODY: Self = Self(None);
@@ -38,10 +38,10 @@ impl fmt::Debug for Credential {
 
 /// The configured keys.
 #[derive(Clone, Default, PartialEq, Eq)]
-pub struct Keys(Vec<Key>);
+pub struct Keys(Vec<ApiKey>);
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-struct Key {
+struct ApiKey {
     digest: [u8; 32],
     owner: Owner,
 }
@@ -75,7 +75,7 @@ impl Keys {
 
     /// These keys and others; a key that is in both keeps its owner here.
     pub(crate) fn and(mut self, others: &Self) -> Self {
-        let new: Vec<Key> = others
+        let new: Vec<ApiKey> = others
             .0
             .iter()
             .filter(|key| !self.has(key))
@@ -85,7 +85,7 @@ impl Keys {
         self
     }
 
-    fn has(&self, key: &Key) -> bool {
+    fn has(&self, key: &ApiKey) -> bool {
         self.0.iter().any(|known| known.digest == key.digest)
     }
 
@@ -108,7 +108,7 @@ impl Keys {
     pub(crate) fn look_up(&self, key: &str) -> Option<Credential> {
         let digest = Sha256::digest(key).into();
         let Search { found, owner, .. } = self.search(&digest);
-        let key = Key {
+        let key = ApiKey {
             digest,
             owner: Owner::from_bytes(owner),
         };
@@ -151,7 +151,7 @@ impl fmt::Debug for Keys {
     }
 }
 
-fn parse_key(pair: &str) -> Result<Key, String> {
+fn parse_key(pair: &str) -> Result<ApiKey, String> {
     let mut words = pair.split_whitespace();
     let (Some(name), Some(key), None) = (words.next(), words.next(), words.next()) else {
         return Err("a name and a key were expected, with a space between".to_owned());
@@ -178,7 +178,7 @@ fn parse_key(pair: &str) -> Result<Key, String> {
     {
         return Err("a key has A-Z a-z 0-9 and -._~+/= only".to_owned());
     }
-    Ok(Key {
+    Ok(ApiKey {
         digest: Sha256::digest(key).into(),
         owner: owner_of_name(name),
     })

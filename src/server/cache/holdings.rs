@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 
 use lru::LruCache;
 
-use super::Key;
+use super::CacheKey;
 use crate::client::Tenant;
 
 /// A value that has not been used for this long goes before all others, whoever holds it.
-const UNUSED: Duration = Duration::from_secs(60);
+const UNUSED_TIME: Duration = Duration::from_secs(60);
 
 /// A value, and who holds it.
 #[derive(Debug)]
@@ -29,13 +29,13 @@ struct Holding<T> {
 #[derive(Debug)]
 struct Share {
     bytes: u64,
-    keys: LruCache<Key, ()>,
+    keys: LruCache<CacheKey, ()>,
 }
 
 /// Values by key. The client that had a value built holds it.
 #[derive(Debug)]
 pub(super) struct Holdings<T> {
-    values: LruCache<Key, Holding<T>>,
+    values: LruCache<CacheKey, Holding<T>>,
     shares: HashMap<Tenant, Share>,
     /// The clients by what they hold.
     by_bytes: BTreeSet<(u64, Tenant)>,
@@ -64,7 +64,7 @@ impl<T> Holdings<T> {
     }
 
     /// The value, which counts as used.
-    pub(super) fn get(&mut self, key: Key, now: Instant) -> Option<&T> {
+    pub(super) fn get(&mut self, key: CacheKey, now: Instant) -> Option<&T> {
         let holding = self.values.get_mut(&key)?;
         holding.used = Some(now);
         if let Some(share) = self.shares.get_mut(&holding.holder) {
@@ -74,7 +74,7 @@ impl<T> Holdings<T> {
     }
 
     /// Makes the value the next to go.
-    pub(super) fn demote(&mut self, key: Key) {
+    pub(super) fn demote(&mut self, key: CacheKey) {
         let Some(holding) = self.values.peek_mut(&key) else {
             return;
         };
@@ -88,7 +88,7 @@ impl<T> Holdings<T> {
     /// Inserts a value that takes the place of an old one.
     pub(super) fn insert(
         &mut self,
-        key: Key,
+        key: CacheKey,
         holder: Tenant,
         (value, bytes): (T, u64),
         now: Instant,
@@ -116,7 +116,7 @@ impl<T> Holdings<T> {
         old
     }
 
-    pub(super) fn remove(&mut self, key: Key) -> Option<T> {
+    pub(super) fn remove(&mut self, key: CacheKey) -> Option<T> {
         let Holding {
             value,
             bytes,
@@ -151,11 +151,15 @@ impl<T> Holdings<T> {
     }
 
     /// The value that makes room, of those that `may_go`.
-    pub(super) fn next_to_go(&self, now: Instant, may_go: impl Fn(Key, &T) -> bool) -> Option<Key> {
+    pub(super) fn next_to_go(
+        &self,
+        now: Instant,
+        may_go: impl Fn(CacheKey, &T) -> bool,
+    ) -> Option<CacheKey> {
         let is_unused = |holding: &Holding<T>| {
             holding
                 .used
-                .is_none_or(|used| now.saturating_duration_since(used) >= UNUSED)
+                .is_none_or(|used| now.saturating_duration_since(used) >= UNUSED_TIME)
         };
         let unused = self
             .values
@@ -192,8 +196,8 @@ mod tests {
     use super::*;
     use crate::client::Owner;
 
-    fn key(n: u8) -> Key {
-        Key::new(Owner::ANYBODY, Digest([n; 32]))
+    fn key(n: u8) -> CacheKey {
+        CacheKey::new(Owner::ANYBODY, Digest([n; 32]))
     }
 
     fn client(n: u8) -> Tenant {
@@ -280,7 +284,7 @@ mod tests {
         let mut full = Full::new();
         full.put(1, 1, 10);
         full.put(2, 2, 80);
-        full.now += UNUSED;
+        full.now += UNUSED_TIME;
         full.holdings.get(key(2), full.now);
         assert_eq!(
             full.put(3, 2, 15),
@@ -308,7 +312,7 @@ mod tests {
         );
         assert_eq!(
             full.holdings
-                .next_to_go(full.now + UNUSED, |_, value| *value == 2),
+                .next_to_go(full.now + UNUSED_TIME, |_, value| *value == 2),
             Some(key(2))
         );
         assert_eq!(full.holdings.next_to_go(full.now, |_, _| false), None);

@@ -28,12 +28,12 @@ use crate::problem::Problem;
 
 /// The key of a value. Owners share no values: a hit would tell one of them what another has sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Key {
+pub struct CacheKey {
     owner: Owner,
     digest: Digest,
 }
 
-impl Key {
+impl CacheKey {
     /// `digest` covers everything that the value depends on.
     pub const fn new(owner: Owner, digest: Digest) -> Self {
         Self { owner, digest }
@@ -139,7 +139,7 @@ struct CacheState<V> {
 #[derive(Debug)]
 struct Entries<V> {
     values: Holdings<Arc<CacheEntry<V>>>,
-    builds: HashMap<Key, Build<V>>,
+    builds: HashMap<CacheKey, Build<V>>,
     /// All but the number of values and their bytes.
     stats: CacheStats,
 }
@@ -155,7 +155,7 @@ struct Build<V> {
 /// The task of a build. Dropping it ends the build for those who wait, whatever the outcome.
 struct BuildTask<V> {
     cache: Cache<V>,
-    key: Key,
+    key: CacheKey,
     holder: Tenant,
     outcome: watch::Sender<Outcome<V>>,
     interest: Weak<oneshot::Sender<Infallible>>,
@@ -170,7 +170,7 @@ impl<V> Clone for Cache<V> {
 }
 
 impl<V> Entries<V> {
-    fn get(&mut self, key: Key) -> Option<Arc<CacheEntry<V>>> {
+    fn get(&mut self, key: CacheKey) -> Option<Arc<CacheEntry<V>>> {
         let value = self.values.get(key, Instant::now()).cloned();
         self.stats.hits += u64::from(value.is_some());
         value
@@ -179,7 +179,7 @@ impl<V> Entries<V> {
     /// Removes the value that makes room, of those that `may_go`.
     fn evict(
         &mut self,
-        may_go: impl Fn(Key, &Arc<CacheEntry<V>>) -> bool,
+        may_go: impl Fn(CacheKey, &Arc<CacheEntry<V>>) -> bool,
     ) -> Option<Arc<CacheEntry<V>>> {
         let evicted = self
             .values
@@ -223,22 +223,22 @@ impl<V> Cache<V> {
     }
 
     /// Whether the value is cached. It counts as used, not as found.
-    pub fn touch(&self, key: Key) -> bool {
+    pub fn touch(&self, key: CacheKey) -> bool {
         self.lock().values.get(key, Instant::now()).is_some()
     }
 
     /// Makes the value the next one to be evicted, unless it is used before.
-    pub fn demote(&self, key: Key) {
+    pub fn demote(&self, key: CacheKey) {
         self.lock().values.demote(key);
     }
 
     /// The value, if it is cached.
-    pub fn peek(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
+    pub fn peek(&self, key: CacheKey) -> Option<Arc<CacheEntry<V>>> {
         self.lock().get(key)
     }
 
     /// Removes the value.
-    pub fn remove(&self, key: Key) -> Option<Arc<CacheEntry<V>>> {
+    pub fn remove(&self, key: CacheKey) -> Option<Arc<CacheEntry<V>>> {
         self.lock().values.remove(key)
     }
 
@@ -269,12 +269,12 @@ impl<V: Send + Sync + 'static> Cache<V> {
     }
 
     /// Removes the value, and frees it when nobody uses it any more.
-    pub fn drop_value(&self, key: Key) {
+    pub fn drop_value(&self, key: CacheKey) {
         self.remove(key).into_iter().for_each(free_entry);
     }
 
     /// Caches a value for the client that holds it.
-    pub fn put(&self, key: Key, holder: Tenant, value: &Arc<CacheEntry<V>>) {
+    pub fn put(&self, key: CacheKey, holder: Tenant, value: &Arc<CacheEntry<V>>) {
         let bytes = value.memory.bytes();
         if bytes > self.0.capacity {
             return;
@@ -302,7 +302,7 @@ impl<V: Send + Sync + 'static> Cache<V> {
     /// not cached. `lost` makes the error of a build that was torn down.
     pub async fn get<B>(
         &self,
-        key: Key,
+        key: CacheKey,
         holder: Tenant,
         build: B,
         lost: impl FnOnce() -> Problem,

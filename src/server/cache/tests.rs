@@ -2,16 +2,16 @@
 
 use super::*;
 use crate::client::Client;
-use crate::limits::memory::{Budget, Purpose};
-use crate::pool::{Cancel, Pool, QueueKey, Shape, WorkClass};
+use crate::limits::memory::{Budget, MemoryClass};
+use crate::pool::{Cancel, Pool, PoolConfig, QueueKey, WorkClass};
 use crate::problem::Code;
 use futures_util::FutureExt as _;
 use tokio::sync::{Semaphore, mpsc};
 
-const KEY: Key = key(1);
+const KEY: CacheKey = key(1);
 
-const fn key(n: u8) -> Key {
-    Key::new(Owner::ANYBODY, Digest([n; 32]))
+const fn key(n: u8) -> CacheKey {
+    CacheKey::new(Owner::ANYBODY, Digest([n; 32]))
 }
 
 fn holder() -> Tenant {
@@ -25,7 +25,7 @@ fn budget() -> Budget {
 fn kept(budget: &Budget, bytes: u64) -> Result<CacheEntry<u64>, Problem> {
     Ok(CacheEntry::new(
         bytes,
-        budget.take(Purpose::Plan, bytes).unwrap(),
+        budget.take(MemoryClass::Plan, bytes).unwrap(),
     ))
 }
 
@@ -69,7 +69,7 @@ async fn many_requests_share_one_build() {
 #[tokio::test]
 async fn owners_share_neither_values_nor_builds() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
-    let owner = |n: u8| Key::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
+    let owner = |n: u8| CacheKey::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
     let requests = [owner(1), owner(2), owner(1), KEY].map(|key| {
         let built = kept(&budget, 7);
         cache.get(key, holder(), async { built }, lost)
@@ -245,7 +245,7 @@ async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
 async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
     let long = std::time::Duration::from_secs(600);
-    let pool = Pool::new(Shape {
+    let pool = Pool::new(PoolConfig {
         workers: 1,
         queue: 4,
         drag_wait: long,

@@ -21,10 +21,10 @@ use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-use crate::wire::{EnumName as _, Merged, Source, split_batch};
+use crate::wire::{EnumName as _, Merged, NamedObject, split_batch};
 
 /// Characters of the progress bar.
-const BAR: usize = 40;
+const BAR_CHARACTERS: usize = 40;
 
 /// What is written.
 #[derive(Clone, Copy, PartialEq)]
@@ -49,7 +49,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     let layers = args
         .layers
         .iter()
-        .map(|text| Layer::parse(text))
+        .map(|text| LayerOption::parse(text))
         .collect::<Result<Vec<_>, _>>()?;
     let of_layers = layers.iter().filter_map(|layer| layer.file.clone());
     let others = [Some(image), batch.as_ref(), region.as_ref()];
@@ -147,7 +147,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         }
     })?;
     let (frames, warnings) = (made.frames, [shown.warnings(), &made.warnings].concat());
-    let progress = Progress {
+    let progress = ProgressBar {
         frames,
         is_shown: !quiet && io::stderr().is_terminal(),
     };
@@ -169,7 +169,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
 
 /// The files and options with fields of the request.
 /// Errors: A file that cannot be read; no poses.
-fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
+fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<NamedObject>, Failure> {
     let BatchArgs {
         input: handles,
         batch,
@@ -183,7 +183,7 @@ fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<Source>, Failure> {
         .as_deref()
         .map(|path| input::source("batch", path, Limit::body(config)))
         .transpose()?;
-    let mut sources: Vec<Source> = handles.source(config)?.into_iter().chain(batch).collect();
+    let mut sources: Vec<NamedObject> = handles.source(config)?.into_iter().chain(batch).collect();
     sources.extend(frames.sources());
     sources.extend(pose.sources());
     sources.extend(frame.sources()?);
@@ -221,11 +221,11 @@ fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
 /// options, among which the JSON selects. Errors: A layer without a file; names that a folder does
 /// not tell apart.
 fn selected(
-    layers: Vec<Layer>,
+    layers: Vec<LayerOption>,
     merged: &Merged,
     has_region: bool,
     is_directory: bool,
-) -> Result<(Vec<Layer>, Option<String>), Failure> {
+) -> Result<(Vec<LayerOption>, Option<String>), Failure> {
     let has = |name: &str| layers.iter().any(|layer| layer.name == name);
     let named: Option<Vec<String>> = merged
         .value("layers")
@@ -264,7 +264,7 @@ fn selected(
         return Err(Failure::Local(detail));
     }
     let field = (named.is_none() && !drawn.is_empty()).then(|| json!(drawn).to_string());
-    let is_used = |layer: &Layer| layer.name == "region" || drawn.contains(&&*layer.name);
+    let is_used = |layer: &LayerOption| layer.name == "region" || drawn.contains(&&*layer.name);
     for layer in layers.iter().filter(|layer| !is_used(layer)) {
         eprintln!(
             "the layer {} is not drawn: `layers` in {} does not name it",
@@ -300,13 +300,13 @@ fn blame(failure: Failure, image: &Path, region: Option<&Path>) -> Failure {
 }
 
 /// `NAME=FILE`, `NAME=FILE:labels`, or the name of a built-in layer.
-struct Layer {
+struct LayerOption {
     name: String,
     kind: LayerKind,
     file: Option<PathBuf>,
 }
 
-impl Layer {
+impl LayerOption {
     fn parse(text: &str) -> Result<Self, Failure> {
         let Some((name, file)) = text.split_once('=') else {
             let name = text.to_owned();
@@ -336,7 +336,7 @@ impl Layer {
 fn each(
     service: &Service,
     made: Batch,
-    progress: &Progress,
+    progress: &ProgressBar,
     mut take: impl FnMut(Bytes) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let Batch {
@@ -391,29 +391,29 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
 }
 
 /// A bar on the terminal.
-struct Progress {
+struct ProgressBar {
     frames: u32,
     is_shown: bool,
 }
 
-impl Progress {
+impl ProgressBar {
     /// The last part of the file is not a frame.
     fn show(&self, done: u32) {
         let done = done.min(self.frames);
         if self.is_shown {
-            let full = BAR * done as usize / self.frames.max(1) as usize;
+            let full = BAR_CHARACTERS * done as usize / self.frames.max(1) as usize;
             let _ = write!(
                 io::stderr(),
                 "\r[{}{}] {done} of {} frames",
                 "=".repeat(full),
-                " ".repeat(BAR - full),
+                " ".repeat(BAR_CHARACTERS - full),
                 self.frames
             );
         }
     }
 }
 
-impl Drop for Progress {
+impl Drop for ProgressBar {
     fn drop(&mut self) {
         if self.is_shown {
             // Erases the line.

@@ -12,7 +12,7 @@ use crate::config::{Config, FitArgs};
 use crate::wire::of_fit;
 
 /// The columns of the table.
-const HEADS: [&str; 6] = [
+const TABLE_HEADS: [&str; 6] = [
     "method",
     "alpha",
     "smoothing",
@@ -74,7 +74,7 @@ fn table(answer: &[u8], names: &Value) -> String {
             .unwrap_or(f64::MAX)
             .total_cmp(&b["rms"].as_f64().unwrap_or(f64::MAX))
     });
-    let mut rows = vec![HEADS.map(str::to_owned)];
+    let mut rows = vec![TABLE_HEADS.map(str::to_owned)];
     rows.extend(
         candidates
             .into_iter()
@@ -86,8 +86,8 @@ fn table(answer: &[u8], names: &Value) -> String {
             .max()
             .unwrap_or(0)
     };
-    let widths: [usize; HEADS.len()] = std::array::from_fn(width);
-    let line = |row: &[String; HEADS.len()]| {
+    let widths: [usize; TABLE_HEADS.len()] = std::array::from_fn(width);
+    let line = |row: &[String; TABLE_HEADS.len()]| {
         let cells =
             row.iter()
                 .zip(widths)
@@ -103,7 +103,7 @@ fn table(answer: &[u8], names: &Value) -> String {
     rows.iter().map(line).collect()
 }
 
-fn row(candidate: &Value, names: &Value) -> [String; HEADS.len()] {
+fn row(candidate: &Value, names: &Value) -> [String; TABLE_HEADS.len()] {
     let number = |value: &Value| {
         value
             .as_f64()

@@ -15,7 +15,7 @@ use super::output::{by_extension, is_directory, require_directory, require_other
 /// Extensions of the files of a folder that are images.
 const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "gif", "bmp"];
 /// Bytes in which the beginning of JSON is sought.
-const HEAD: usize = 1024;
+const JSON_HEAD_BYTES: usize = 1024;
 
 /// A file of the command line.
 #[derive(Debug)]
@@ -46,10 +46,10 @@ impl InputFile {
         }
         let mut head = Vec::new();
         match &self.content {
-            Some(content) => head.extend(content.iter().take(HEAD)),
+            Some(content) => head.extend(content.iter().take(JSON_HEAD_BYTES)),
             None => drop(
                 File::open(&self.path)
-                    .and_then(|file| file.take(HEAD as u64).read_to_end(&mut head)),
+                    .and_then(|file| file.take(JSON_HEAD_BYTES as u64).read_to_end(&mut head)),
             ),
         }
         let head = head.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&head);

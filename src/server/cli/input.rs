@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use bytes::Bytes;
 use mlswarp::codec::{self, SourceFormat, StepCounter};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Setup, WarpError, choose};
+use mlswarp::warp::{ResolvedRest, WarpError, choose};
 use rayon::ThreadPool;
 use serde_json::json;
 
@@ -16,7 +16,7 @@ use super::failure::{Failure, name_of};
 use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target, extent};
-use crate::wire::{Merged, Reserved, Source, WarpObject, extent_in};
+use crate::wire::{Merged, NamedObject, Reserved, WarpObject, extent_in};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -76,7 +76,7 @@ fn is(what: &str) -> &'static str {
 
 /// A JSON file as a source of fields.
 /// Errors: As [`read`].
-pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Failure> {
+pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<NamedObject, Failure> {
     let (name, json) = (name_of(path), read(what, path, limit)?);
     if SourceFormat::of(&json).is_ok() {
         return Err(Failure::Local(format!(
@@ -84,7 +84,7 @@ pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Fa
             is(what)
         )));
     }
-    Ok(Source {
+    Ok(NamedObject {
         name,
         json,
         is_option: false,
@@ -93,7 +93,7 @@ pub(super) fn source(what: &str, path: &Path, limit: Limit) -> Result<Source, Fa
 
 /// The fields of all sources; says on standard error which of them do not count.
 /// Errors: A text that is not a JSON object.
-pub(super) fn merge(sources: &[Source]) -> Result<Merged, Failure> {
+pub(super) fn merge(sources: &[NamedObject]) -> Result<Merged, Failure> {
     let merged = Merged::of(sources)
         .map_err(|(index, problem)| Failure::from(problem).about(&*sources[index].name))?;
     merged
@@ -230,7 +230,7 @@ impl WarpInput {
 
     /// The warp object, if there is one.
     /// Errors: As [`read`].
-    pub(super) fn source(&self, config: &Config) -> Result<Option<Source>, Failure> {
+    pub(super) fn source(&self, config: &Config) -> Result<Option<NamedObject>, Failure> {
         self.warp
             .as_deref()
             .map(|path| source("warp object", path, Limit::json(config)))
@@ -278,10 +278,10 @@ impl Body {
         config: &Config,
         input: &WarpInput,
         size: &ExtentInput,
-        more: Vec<Source>,
+        more: Vec<NamedObject>,
     ) -> Result<Self, Failure> {
-        let mut sources: Vec<Source> = input.source(config)?.into_iter().chain(more).collect();
-        let of = |name: &str, json: String| Source {
+        let mut sources: Vec<NamedObject> = input.source(config)?.into_iter().chain(more).collect();
+        let of = |name: &str, json: String| NamedObject {
             name: name.to_owned(),
             json: json.into_bytes(),
             is_option: true,
@@ -319,7 +319,7 @@ pub(super) fn resolve(
     object: &mut WarpObject,
     landmarks: Option<Landmarks>,
     extent: Extent,
-) -> Result<Setup, Failure> {
+) -> Result<ResolvedRest, Failure> {
     if let Some(landmarks) = landmarks {
         landmarks.place_in(object, extent)?;
     }
@@ -335,7 +335,7 @@ pub(super) fn resolve(
         )?;
         object.choose(chosen);
     }
-    Ok(Setup::new(&object.rest, extent, &config.limits())?)
+    Ok(ResolvedRest::new(&object.rest, extent, &config.limits())?)
 }
 
 /// The compute threads.

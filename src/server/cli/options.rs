@@ -7,12 +7,12 @@ use serde_json::{Value, json};
 use super::failure::Failure;
 use crate::config::{FileOptions, FrameOptions, FramesOptions, PoseOptions};
 use crate::problem::{Code, Problem};
-use crate::wire::{AsJson, Source, canvas_from_text};
+use crate::wire::{AsJson, NamedObject, canvas_from_text};
 
 /// The object of an option that was given.
-pub(super) fn source(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
+pub(super) fn source(flag: &str, field: &str, value: Option<Value>) -> Option<NamedObject> {
     let json = json!({field: value?}).to_string().into_bytes();
-    Some(Source {
+    Some(NamedObject {
         name: flag.to_owned(),
         json,
         is_option: true,
@@ -20,7 +20,7 @@ pub(super) fn source(flag: &str, field: &str, value: Option<Value>) -> Option<So
 }
 
 /// The same for a field of `output`.
-fn of_output(flag: &str, field: &str, value: Option<Value>) -> Option<Source> {
+fn of_output(flag: &str, field: &str, value: Option<Value>) -> Option<NamedObject> {
     source(flag, "output", value.map(|value| json!({field: value})))
 }
 
@@ -52,12 +52,12 @@ pub(super) fn canvas(text: Option<&String>) -> Result<Option<Value>, Failure> {
         .map_err(|expected| Failure::Local(format!("--canvas: {expected}")))
 }
 
-pub(super) fn align(text: Option<&String>) -> Option<Source> {
+pub(super) fn align(text: Option<&String>) -> Option<NamedObject> {
     source("--align", "align", name(text))
 }
 
 impl PoseOptions {
-    pub(super) fn sources(&self) -> Vec<Source> {
+    pub(super) fn sources(&self) -> Vec<NamedObject> {
         let Self {
             method,
             alpha,
@@ -77,7 +77,7 @@ impl PoseOptions {
 impl FrameOptions {
     /// As fields of `output`.
     /// Errors: A canvas in another form.
-    pub(super) fn sources(&self) -> Result<Vec<Source>, Failure> {
+    pub(super) fn sources(&self) -> Result<Vec<NamedObject>, Failure> {
         let canvas = of_output("--canvas", "canvas", canvas(self.canvas.as_ref())?);
         Ok([
             canvas,
@@ -90,7 +90,7 @@ impl FrameOptions {
 
     /// As fields of a map.
     /// Errors: A canvas in another form.
-    pub(super) fn of_map(&self) -> Result<Vec<Source>, Failure> {
+    pub(super) fn of_map(&self) -> Result<Vec<NamedObject>, Failure> {
         let canvas = source("--canvas", "canvas", canvas(self.canvas.as_ref())?);
         Ok([
             canvas,
@@ -103,7 +103,7 @@ impl FrameOptions {
 }
 
 impl FileOptions {
-    pub(super) fn sources(&self) -> Vec<Source> {
+    pub(super) fn sources(&self) -> Vec<NamedObject> {
         let format = of_output("--format", "format", name(self.format.as_ref()));
         [
             format,
@@ -116,7 +116,7 @@ impl FileOptions {
 }
 
 impl FramesOptions {
-    pub(super) fn sources(&self) -> Vec<Source> {
+    pub(super) fn sources(&self) -> Vec<NamedObject> {
         let Self {
             steps,
             easing,
@@ -153,7 +153,7 @@ pub(super) fn require_quality_of_jpeg(
 
 /// `--canvas` of a report.
 /// Errors: A canvas in another form.
-pub(super) fn of_report(text: Option<&String>) -> Result<Vec<Source>, Failure> {
+pub(super) fn of_report(text: Option<&String>) -> Result<Vec<NamedObject>, Failure> {
     Ok(of_output("--canvas", "canvas", canvas(text)?)
         .into_iter()
         .collect())

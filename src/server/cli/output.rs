@@ -14,10 +14,10 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// The exit code of an interrupted program.
-const INTERRUPTED: i32 = 130;
+const INTERRUPTED_EXIT_CODE: i32 = 130;
 /// The file that is being written. It is created, renamed and removed by the thread that holds the
 /// lock.
-static PART: Mutex<Option<PathBuf>> = Mutex::new(None);
+static UNFINISHED_FILE: Mutex<Option<PathBuf>> = Mutex::new(None);
 
 /// Errors: The directory of the file does not exist.
 pub(super) fn require_directory(out: &Path) -> Result<(), Failure> {
@@ -97,12 +97,12 @@ pub(super) fn by_extension<T: Copy>(
 }
 
 /// A file or standard output that is being written.
-pub(super) struct Sink<'a> {
+pub(super) struct OutputFile<'a> {
     out: &'a Path,
     file: BufWriter<Box<dyn Write + Send>>,
 }
 
-impl Sink<'_> {
+impl OutputFile<'_> {
     /// Appends bytes.
     /// Errors: They cannot be written.
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Failure> {
@@ -143,7 +143,7 @@ pub(super) fn write_text(out: &Path, text: &[u8]) -> Result<(), Failure> {
 /// Errors: It cannot be written, or those of `content`.
 pub(super) fn write(
     out: &Path,
-    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+    content: impl FnOnce(&mut OutputFile<'_>) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     if is_stdio(out) {
         return fill(out, Box::new(io::stdout()), content);
@@ -167,9 +167,9 @@ pub(super) fn write(
 fn fill(
     out: &Path,
     file: Box<dyn Write + Send>,
-    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+    content: impl FnOnce(&mut OutputFile<'_>) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
-    let mut sink = Sink {
+    let mut sink = OutputFile {
         out,
         file: BufWriter::new(file),
     };
@@ -182,14 +182,18 @@ fn fill(
 /// written, or those of `content`.
 pub(super) fn replace(
     out: &Path,
-    content: impl FnOnce(&mut Sink<'_>) -> Result<(), Failure>,
+    content: impl FnOnce(&mut OutputFile<'_>) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     // A file beside it is renamed when it is complete.
     let mut name = out.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let path = out.with_file_name(name);
     watch_signals();
-    let part = || PART.lock().unwrap_or_else(PoisonError::into_inner);
+    let part = || {
+        UNFINISHED_FILE
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    };
     let created = {
         let mut part = part();
         *part = Some(path.clone());
@@ -226,7 +230,9 @@ fn watch_signals() {
         let Ok(mut signals) = signals else { return };
         std::thread::spawn(move || {
             runtime.block_on(signals.recv());
-            let part = PART.lock().unwrap_or_else(PoisonError::into_inner);
+            let part = UNFINISHED_FILE
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner);
             if let Some(path) = &*part {
                 let _ = fs::remove_file(path);
             }
@@ -234,7 +240,7 @@ fn watch_signals() {
                 clippy::exit,
                 reason = "this thread has no caller that could end the program"
             )]
-            std::process::exit(INTERRUPTED);
+            std::process::exit(INTERRUPTED_EXIT_CODE);
         });
     });
 }

@@ -12,7 +12,7 @@ use super::output;
 use super::service::{Service, summary};
 use crate::app::points::MappedFile;
 use crate::config::{Config, PointsArgs};
-use crate::wire::{Cursor, Source, is_geojson};
+use crate::wire::{Cursor, NamedObject, is_geojson};
 
 /// Maps annotations. The result: what a server sends in response headers, if there is any of it.
 /// Errors: See [`Failure`].
@@ -60,13 +60,13 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
         Cursor::default()
     };
     let annotations = annotations.map(|source| match is_geojson {
-        true => Source {
+        true => NamedObject {
             json: [b"{\"geojson\":", &source.json[..], b"}"].concat(),
             ..source
         },
         false => source,
     });
-    let mut more: Vec<Source> = annotations.into_iter().chain(pose.sources()).collect();
+    let mut more: Vec<NamedObject> = annotations.into_iter().chain(pose.sources()).collect();
     more.extend(frame.sources()?);
     more.extend(options::source(
         "--inverse",

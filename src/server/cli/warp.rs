@@ -6,7 +6,10 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Image, LabelImage, Plan, Posed, Region, Report, Setup, Subject, Warp};
+use mlswarp::warp::{
+    CompiledRest, Image, LabelImage, PosedMesh, RasterSource, Region, RenderJob, Report,
+    ResolvedRest,
+};
 
 use super::failure::{Failure, name_of};
 use super::images::{InputFile, Inputs, Outputs, companion};
@@ -16,7 +19,7 @@ use super::{input, output};
 use crate::app::drawable::check_extent;
 use crate::config::{Config, LandmarkInput, WarpArgs, WarpKind};
 use crate::wire::landmarks::Landmarks;
-use crate::wire::{Merged, Reserved, Source, WarpObject, WarpPatch};
+use crate::wire::{Merged, NamedObject, Reserved, WarpObject, WarpPatch};
 use crate::wire::{canvas_text, method_text};
 
 /// Warps images. The result: what a server sends in response headers; of several images their
@@ -64,7 +67,7 @@ pub fn run(config: &Config, args: &WarpArgs) -> Result<String, Failure> {
         .collect();
     let files = outputs.files(&inputs, &others)?;
     let (shared_landmarks, shared_region) = shared(config, args, &merged.json)?;
-    let mut job = Job {
+    let mut job = WarpJob {
         config,
         args,
         merged: &merged,
@@ -140,7 +143,7 @@ fn region(config: &Config, path: &Path) -> Result<Region, Failure> {
 }
 
 /// The warp object and the options.
-fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Source>, Failure> {
+fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<NamedObject>, Failure> {
     let WarpArgs {
         landmarks,
         pose,
@@ -152,7 +155,7 @@ fn sources(config: &Config, args: &WarpArgs, inputs: &Inputs) -> Result<Vec<Sour
     match &inputs.warp {
         Some(warp) => {
             let json = warp.read("warp object", Limit::json(config))?;
-            sources.push(Source {
+            sources.push(NamedObject {
                 name: name_of(&warp.path),
                 json,
                 is_option: false,
@@ -176,7 +179,7 @@ fn no_region() -> Failure {
 }
 
 /// What all images have in common.
-struct Job<'a> {
+struct WarpJob<'a> {
     config: &'a Config,
     args: &'a WarpArgs,
     merged: &'a Merged,
@@ -185,27 +188,27 @@ struct Job<'a> {
     shared_landmarks: Option<Landmarks>,
     shared_region: Option<Region>,
     /// The handles on the last image: images of one size share them.
-    prepared: Option<Prepared>,
+    prepared: Option<PreparedHandles>,
 }
 
 /// Handles on an image of one size.
-struct Prepared {
+struct PreparedHandles {
     extent: Extent,
     object: WarpObject,
-    setup: Setup,
-    plan: Plan,
+    setup: ResolvedRest,
+    plan: CompiledRest,
 }
 
 /// Writes a file by its content.
-type Content<'a> = &'a mut dyn FnMut(&mut output::Sink<'_>) -> Result<(), Failure>;
+type WriteContent<'a> = &'a mut dyn FnMut(&mut output::OutputFile<'_>) -> Result<(), Failure>;
 
-impl Job<'_> {
+impl WarpJob<'_> {
     /// Draws one image. `write`: to its output file. The result: what a server sends in response
     /// headers.
     fn draw(
         &mut self,
         image: &InputFile,
-        write: impl FnOnce(Content<'_>) -> Result<(), Failure>,
+        write: impl FnOnce(WriteContent<'_>) -> Result<(), Failure>,
     ) -> Result<String, Failure> {
         let (config, args) = (self.config, self.args);
         let about = |failure: Failure| failure.about(name_of(&image.path));
@@ -224,17 +227,17 @@ impl Job<'_> {
         let subject = match (args.kind, &region) {
             (WarpKind::Image, _) => {
                 picture = decode(&file).map_err(about)?;
-                Subject::Image(&picture)
+                RasterSource::Image(&picture)
             }
             (WarpKind::Labels, _) => {
                 labels = LabelImage::decode(&file, &config.limits())
                     .map_err(|error| about(error.into()))?;
-                Subject::Labels(&labels)
+                RasterSource::Labels(&labels)
             }
-            (WarpKind::Coverage, _) => Subject::Coverage(
+            (WarpKind::Coverage, _) => RasterSource::Coverage(
                 input::extent_of(config, &file).map_err(|error| about(error.into()))?,
             ),
-            (WarpKind::Holes, Some(region)) => Subject::Holes(region),
+            (WarpKind::Holes, Some(region)) => RasterSource::Holes(region),
             (WarpKind::Holes, None) => return Err(no_region()),
         };
         self.prepare(subject.extent(), landmarks)?;
@@ -289,7 +292,7 @@ impl Job<'_> {
         let setup = input::resolve(self.config, &mut object, landmarks, extent).map_err(located)?;
         object.posed().map_err(|problem| located(problem.into()))?;
         let plan = setup.plan();
-        self.prepared = Some(Prepared {
+        self.prepared = Some(PreparedHandles {
             extent,
             object,
             setup,
@@ -300,13 +303,13 @@ impl Job<'_> {
 
     fn render(
         &self,
-        subject: Subject<'_>,
+        subject: RasterSource<'_>,
         region: Option<&Region>,
-        write: impl FnOnce(Content<'_>) -> Result<(), Failure>,
+        write: impl FnOnce(WriteContent<'_>) -> Result<(), Failure>,
     ) -> Result<String, Failure> {
         let limits = self.config.limits();
         let located = |problem| input::located(self.merged, problem);
-        let Some(Prepared {
+        let Some(PreparedHandles {
             object,
             setup,
             plan,
@@ -325,12 +328,12 @@ impl Job<'_> {
             .output
             .check(subject.extent(), &limits)
             .map_err(|error| located(error.into()))?;
-        let posed = Posed::new(setup, plan, &pose, object.folds, &|| false)?;
+        let posed = PosedMesh::new(setup, plan, &pose, object.folds, &|| false)?;
         let posed = match region {
             Some(region) => posed.within(region.clone()),
             None => posed,
         };
-        let warp = Warp::new(subject, &posed, &object.output, &limits)?;
+        let warp = RenderJob::new(subject, &posed, &object.output, &limits)?;
         write(&mut |sink| {
             let mut written = Ok(());
             let _ = warp.write(

@@ -3,7 +3,7 @@
 use clap::Args;
 
 use super::option::{Checked, bytes, span, whole};
-use crate::store::{Bounds, StoreUrl};
+use crate::store::{StoreLimits, StoreUrl};
 
 /// Where sessions are stored, and how many.
 #[derive(Args, Clone, Debug, PartialEq)]
@@ -36,8 +36,8 @@ pub struct StoreConfig {
 
 impl StoreConfig {
     /// The limits of the store.
-    pub const fn bounds(&self) -> Bounds {
-        Bounds {
+    pub const fn bounds(&self) -> StoreLimits {
+        StoreLimits {
             idle: self.session_idle,
             sessions: self.max_sessions,
             bytes: self.store_bytes,

@@ -8,7 +8,7 @@ use super::option::variable;
 use crate::problem::words::nearest;
 
 /// Variables that are no options: the engine's level of instructions, and those of the tests.
-const OTHERS: [&str; 2] = ["MLSWARP_LEVEL", "MLSWARP_TESTS_FULL"];
+const OTHER_VARIABLES: [&str; 2] = ["MLSWARP_LEVEL", "MLSWARP_TESTS_FULL"];
 
 /// A sentence for each variable of this environment that begins like those of the program and is
 /// none of them. It has no effect: a misspelt limit would be no limit.
@@ -30,8 +30,9 @@ fn unknown_of(names: &[String], command: &Command) -> Vec<String> {
                 .iter()
                 .any(|link| name.starts_with(link))
     };
-    let is_known =
-        |name: &str| OTHERS.contains(&name) || flags.iter().any(|flag| variable(flag) == name);
+    let is_known = |name: &str| {
+        OTHER_VARIABLES.contains(&name) || flags.iter().any(|flag| variable(flag) == name)
+    };
     let unknown = names
         .iter()
         .filter_map(|name| Some((name, name.strip_prefix("MLSWARP_")?)));

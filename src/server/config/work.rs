@@ -11,7 +11,7 @@ use super::option::{Checked, Maybe, bytes, span, unless, whole};
 pub(super) const MIN_QUEUE: usize = 64;
 /// Tenths of the available memory that clients may use; the rest is for the program, its stacks,
 /// the allocator and the kernel's buffers.
-const TENTHS: u64 = 6;
+const MEMORY_TENTHS: u64 = 6;
 /// The service does not start with less memory.
 const MIN_MEMORY: u64 = 16 << 20;
 
@@ -66,7 +66,7 @@ fn workers(text: &str) -> Result<usize, String> {
 
 fn memory_bytes(text: &str) -> Result<u64, String> {
     if text == "auto" {
-        return Ok((available_memory::bytes() / 10 * TENTHS).max(MIN_MEMORY));
+        return Ok((available_memory::bytes() / 10 * MEMORY_TENTHS).max(MIN_MEMORY));
     }
     let bytes = bytes(text)?;
     if bytes < MIN_MEMORY {

@@ -6,9 +6,9 @@
 //!   connection, except by jitter, and reaches it when the connection is never idle. The estimate
 //!   is the maximum of the samples of the last [`RATE_MEMORY`].
 //! - **Time of a frame.** Without a queue a frame takes a constant latency and its bytes divided by
-//!   the rate. The estimate for a frame is the minimum over the frames of the last [`MEMORY`], each
-//!   of them corrected if it was smaller. Of each [`THIN`], the fastest frame is kept, of frames of
-//!   about equal size.
+//!   the rate. The estimate for a frame is the minimum over the frames of the last
+//!   [`SAMPLE_AGE`], each of them corrected if it was smaller. Of the frames of about equal size in
+//!   each [`SAMPLE_INTERVAL`], the fastest one is kept.
 //! - **Rate by size.** While the connection is idle at times, the rate above is too low. Then the
 //!   difference between the fastest frames of two sizes shows what a byte takes. It is kept until
 //!   there are such frames again.
@@ -20,21 +20,21 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 /// Age of the samples of the time of a frame.
-const MEMORY: Duration = Duration::from_secs(10);
+const SAMPLE_AGE: Duration = Duration::from_secs(10);
 /// Age of the samples of the rate: a rate that falls is noticed in this time.
 const RATE_MEMORY: Duration = Duration::from_secs(2);
 /// One sample of the time of a frame is kept in each interval of this length, of frames of about
 /// equal size.
-const THIN: Duration = Duration::from_millis(200);
+const SAMPLE_INTERVAL: Duration = Duration::from_millis(200);
 /// Maximum numbers of samples: of the rate, and of the time of a frame.
-const RATES: usize = 64;
-const TIMES: usize = 512;
+const MAX_RATE_SAMPLES: usize = 64;
+const MAX_TIME_SAMPLES: usize = 512;
 /// Frames of at most this part of the size of another one are compared with it, and those whose
 /// size differs by at most the second part count as equal.
-const SMALLER: f64 = 0.75;
-const EQUAL: f64 = 0.1;
+const SMALLER_SIZE_RATIO: f64 = 0.75;
+const EQUAL_SIZE_SHARE: f64 = 0.1;
 /// Weight of the newest frame in the mean difference.
-const NEWEST: f64 = 1.0 / 16.0;
+const NEWEST_WEIGHT: f64 = 1.0 / 16.0;
 
 /// The state of the connection when a frame was sent.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +121,7 @@ impl LinkEstimate {
         let sample =
             (self.delivered - newest.delivered).max(1) as f64 / seconds(newest.delivered_at);
         self.rates.push_back((now, sample));
-        while self.rates.len() > RATES
+        while self.rates.len() > MAX_RATE_SAMPLES
             || self
                 .rates
                 .front()
@@ -145,7 +145,7 @@ impl LinkEstimate {
             .iter()
             .fold(time.took, |least, kept| least.min(kept.of(size, rate)));
         let queue = time.took - base;
-        self.jitter += NEWEST * ((queue - self.queue).abs() - self.jitter);
+        self.jitter += NEWEST_WEIGHT * ((queue - self.queue).abs() - self.jitter);
         self.queue = queue;
         Measured {
             took: time.took,
@@ -161,9 +161,10 @@ impl LinkEstimate {
             .times
             .iter_mut()
             .rev()
-            .take_while(|kept| time.at.saturating_duration_since(kept.at) < THIN);
-        let mut equal =
-            recent.filter(|kept| kept.bytes.min(time.bytes) > SMALLER * kept.bytes.max(time.bytes));
+            .take_while(|kept| time.at.saturating_duration_since(kept.at) < SAMPLE_INTERVAL);
+        let mut equal = recent.filter(|kept| {
+            kept.bytes.min(time.bytes) > SMALLER_SIZE_RATIO * kept.bytes.max(time.bytes)
+        });
         match equal.next() {
             Some(kept) if time.took <= kept.of(time.bytes, rate) => {
                 *kept = FrameTime {
@@ -174,8 +175,8 @@ impl LinkEstimate {
             Some(_) => (),
             None => self.times.push_back(time),
         }
-        let is_old = |kept: &FrameTime| time.at.saturating_duration_since(kept.at) > MEMORY;
-        while self.times.len() > TIMES || self.times.front().is_some_and(is_old) {
+        let is_old = |kept: &FrameTime| time.at.saturating_duration_since(kept.at) > SAMPLE_AGE;
+        while self.times.len() > MAX_TIME_SAMPLES || self.times.front().is_some_and(is_old) {
             self.times.pop_front();
         }
     }
@@ -191,8 +192,11 @@ impl LinkEstimate {
             of_size.min_by(|a, b| a.took.total_cmp(&b.took))
         };
         let (small, same) = (
-            fastest(0.0, SMALLER * size)?,
-            fastest((1.0 - EQUAL) * size, (1.0 + EQUAL) * size)?,
+            fastest(0.0, SMALLER_SIZE_RATIO * size)?,
+            fastest(
+                (1.0 - EQUAL_SIZE_SHARE) * size,
+                (1.0 + EQUAL_SIZE_SHARE) * size,
+            )?,
         );
         Some((same.bytes - small.bytes) / (same.took - small.took).max(1e-9))
     }
@@ -237,14 +241,14 @@ mod tests {
                 let mark = link.sent(now, *bytes, true);
                 link.acknowledged(now + Duration::from_micros(500), mark, mark.bytes);
             }
-            assert_eq!(link.rates.len(), RATES);
+            assert_eq!(link.rates.len(), MAX_RATE_SAMPLES);
             link.times.len()
         };
         // One for each interval and size, whatever the number of frames.
-        let intervals = (MEMORY.as_millis() / THIN.as_millis()) as usize;
+        let intervals = (SAMPLE_AGE.as_millis() / SAMPLE_INTERVAL.as_millis()) as usize;
         assert!((intervals..=intervals + 1).contains(&after(&[1_000])));
         assert!((2 * intervals..=2 * intervals + 2).contains(&after(&[1_000, 100_000])));
         let sizes: Vec<u64> = (6..26).map(|power| 1 << power).collect();
-        assert_eq!(after(&sizes), TIMES);
+        assert_eq!(after(&sizes), MAX_TIME_SAMPLES);
     }
 }

@@ -6,7 +6,7 @@
 //! | otherwise | JPEG: the widest picture that fits in `budget` bytes at [`LEAST_QUALITY`], or the narrowest | details need pixels |
 //! | | of these, the best quality that fits; [`NARROWEST_QUALITY`] if none does | |
 //! | drawing takes longer than a sixtieth of a second | narrower | so do previews of a fixed format |
-//! | the window reports room, and is large enough for [`RATE`] | `budget` grows by a sixth | better pictures at the same rate |
+//! | the window reports room, and is large enough for [`TARGET_FRAME_RATE`] | `budget` grows by a sixth | better pictures at the same rate |
 //! | `budget` exceeds the narrowest picture of the best quality, and what passes in [`MAX_SEND`] | the larger of these | age before size |
 //! | the window reports a queue | `budget` shrinks by a seventh; by a third if it is long | fewer bytes before fewer frames |
 //! | the pointer rests | PNG of the full size if it passes in a second, otherwise JPEG of [`REST_QUALITY`] | it is looked at |
@@ -19,7 +19,7 @@ use std::time::Duration;
 use super::preview_controller::preview_widths;
 
 /// Frames per second for which pictures become smaller.
-pub const RATE: f64 = 32.0;
+pub const TARGET_FRAME_RATE: f64 = 32.0;
 /// Range of JPEG qualities of moving pictures. Only the narrowest width may go below the first,
 /// down to the third.
 const LEAST_QUALITY: u8 = 40;
@@ -31,8 +31,8 @@ const REST_QUALITY: u8 = 95;
 /// trip; if it is too large, seconds.
 const LEAST_BUDGET: f64 = 8e3;
 /// Factor of a step of the budget, and when a queue is long.
-const STEP: f64 = 7.0 / 6.0;
-const LONG: f64 = 0.67;
+const BUDGET_FACTOR: f64 = 7.0 / 6.0;
+const LONG_QUEUE_FACTOR: f64 = 0.67;
 /// A picture of a resting pointer is lossless if it passes in this time, seconds.
 const REST_SECONDS: f64 = 1.0;
 /// Frames per second that a connection has to carry as PNG.
@@ -45,7 +45,7 @@ const MAX_DRAW: f64 = 1.0 / 60.0;
 const FIRST_JPEG: f64 = 0.09;
 const FIRST_PNG: f64 = 2.0;
 /// Weight of the newest frame in averages.
-const NEWEST: f64 = 0.3;
+const NEWEST_WEIGHT: f64 = 0.3;
 
 /// The encoding of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -176,7 +176,7 @@ impl PictureLadder {
     pub fn drawn(&mut self, width: Option<u32>, encoding: Encoding, bytes: u64, time: Duration) {
         let width = width.unwrap_or(self.full);
         let pixels = self.pixels(width);
-        let share = if self.draw == 0.0 { 1.0 } else { NEWEST };
+        let share = if self.draw == 0.0 { 1.0 } else { NEWEST_WEIGHT };
         self.draw += share * (time.as_secs_f64() / pixels - self.draw);
         let correction = bytes as f64 / self.bytes(width, encoding);
         match encoding {
@@ -201,9 +201,9 @@ impl PictureLadder {
     pub fn follow(&mut self, advice: Advice) {
         self.budget = match advice {
             Advice::Same => self.budget,
-            Advice::Larger => self.budget * STEP,
-            Advice::Smaller => (self.budget / STEP).max(LEAST_BUDGET),
-            Advice::MuchSmaller => (self.budget * LONG).max(LEAST_BUDGET),
+            Advice::Larger => self.budget * BUDGET_FACTOR,
+            Advice::Smaller => (self.budget / BUDGET_FACTOR).max(LEAST_BUDGET),
+            Advice::MuchSmaller => (self.budget * LONG_QUEUE_FACTOR).max(LEAST_BUDGET),
         };
     }
 }

@@ -11,7 +11,7 @@
 use std::time::{Duration, Instant};
 
 /// Widths in eighths of the full one, widest first.
-const EIGHTHS: [u32; 6] = [8, 6, 4, 3, 2, 1];
+const WIDTH_EIGHTHS: [u32; 6] = [8, 6, 4, 3, 2, 1];
 /// Minimum width, px: narrower previews show too little.
 const MIN_WIDTH: u32 = 256;
 /// Pixels of the first preview: a few milliseconds of drawing on a small machine, a few megabits to
@@ -20,16 +20,16 @@ const FIRST_PIXELS: f64 = 1.2e6;
 /// Maximum period, seconds: sixty frames per second.
 const MAX_PERIOD: f64 = 1.0 / 60.0;
 /// A step is taken if the predicted period is at most this ratio of the maximum.
-const AIM: f64 = 0.75;
+const AIMED_PERIOD_RATIO: f64 = 0.75;
 /// A smaller ratio of two periods does not count as a difference.
-const HARDLY: f64 = 1.15;
+const EQUAL_PERIOD_RATIO: f64 = 1.15;
 /// Weight of the newest frame in the averages, after the first few.
-const NEWEST: f64 = 0.2;
+const NEWEST_WEIGHT: f64 = 0.2;
 /// A width is judged after this number of frames, or after this time.
-const JUDGED: u32 = 8;
+const JUDGED_FRAMES: u32 = 8;
 const JUDGED_SLOW: Duration = Duration::from_millis(250);
 /// Time after which a wider width is tried although the model predicts a longer period.
-const PROBE: Duration = Duration::from_secs(2);
+const PROBE_INTERVAL: Duration = Duration::from_secs(2);
 /// The pause after a failed trial doubles up to this time.
 const MAX_PAUSE: Duration = Duration::from_secs(60);
 
@@ -68,7 +68,7 @@ struct Pause {
 impl Pause {
     const NONE: Self = Self {
         until: None,
-        next: PROBE,
+        next: PROBE_INTERVAL,
     };
 
     fn is_over(self, now: Instant) -> bool {
@@ -83,7 +83,7 @@ impl Pause {
 
 /// The widths of previews of pictures of this width, widest first.
 pub fn preview_widths(width: u32) -> Vec<u32> {
-    let mut widths: Vec<u32> = EIGHTHS
+    let mut widths: Vec<u32> = WIDTH_EIGHTHS
         .iter()
         .map(|e| width.div_ceil(8).saturating_mul(*e).min(width))
         .collect();
@@ -161,12 +161,12 @@ impl PreviewController {
         let since = *self
             .since
             .get_or_insert_with(|| now.checked_sub(draw.max(ack)).unwrap_or(now));
-        let share = NEWEST.max(1.0 / f64::from(self.frames));
+        let share = NEWEST_WEIGHT.max(1.0 / f64::from(self.frames));
         self.draw += share * (draw.as_secs_f64() - self.draw);
         self.ack += share * (ack.as_secs_f64() - self.ack);
         self.gap += share * (ack.as_secs_f64() / f64::from(unacknowledged.max(1)) - self.gap);
         let passed = now.saturating_duration_since(since);
-        if self.frames >= JUDGED || passed >= JUDGED_SLOW {
+        if self.frames >= JUDGED_FRAMES || passed >= JUDGED_SLOW {
             self.judge(now, passed);
         }
     }
@@ -177,14 +177,14 @@ impl PreviewController {
             Some(Trial {
                 from,
                 period: before,
-            }) if from < self.at && period * HARDLY > before => {
+            }) if from < self.at && period * EQUAL_PERIOD_RATIO > before => {
                 self.narrower.begin(now);
                 return self.step(from, None);
             }
             Some(Trial {
                 from,
                 period: before,
-            }) if from > self.at && period > MAX_PERIOD && period > before * HARDLY => {
+            }) if from > self.at && period > MAX_PERIOD && period > before * EQUAL_PERIOD_RATIO => {
                 self.wider.begin(now);
                 return self.step(from, None);
             }
@@ -199,11 +199,12 @@ impl PreviewController {
             period,
         });
         if period > MAX_PERIOD && self.narrower.is_over(now) && self.at + 1 < self.widths.len() {
-            let fits = (self.at + 1..self.widths.len()).find(|to| after(*to) <= AIM * MAX_PERIOD);
+            let fits = (self.at + 1..self.widths.len())
+                .find(|to| after(*to) <= AIMED_PERIOD_RATIO * MAX_PERIOD);
             self.step(fits.unwrap_or(self.widths.len() - 1), trial);
         } else if self.at > 0
             && self.wider.is_over(now)
-            && (after(self.at - 1) <= AIM * MAX_PERIOD || passed >= PROBE)
+            && (after(self.at - 1) <= AIMED_PERIOD_RATIO * MAX_PERIOD || passed >= PROBE_INTERVAL)
         {
             self.step(self.at - 1, trial);
         }

@@ -5,12 +5,12 @@
 //! |---|---|---|
 //! | for a round trip, poses waited and the fastest frame had almost no queue | one more; at the start, twice as many | idle times |
 //! | the fastest frame of a round trip was in a queue for more than half a sending time | one less | a frame more only waits |
-//! | for more than a quarter, with `frames=auto` and more frames than [`picture_ladder::RATE`] needs | one less | age before rate |
+//! | for more than a quarter, with `frames=auto` and more frames than [`picture_ladder::TARGET_FRAME_RATE`] needs | one less | age before rate |
 //! | the step up was taken back | no step up for 2 s, then twice as long, up to 20 s | each trial makes a few frames older |
 //! | a frame was in a queue for more than two sending times | what fits at the newest rate, at once | the rate has fallen |
 //! | the period is that of sixty frames per second | no step up | more frames are not seen |
 //! | never alone for 10 s | half of the window for a round trip | the time of a frame without a queue is measured again |
-//! | frames can become smaller or larger, and there are about [`picture_ladder::RATE`] per second | they do, in place of a step | quality |
+//! | frames can become smaller or larger, and there are about [`picture_ladder::TARGET_FRAME_RATE`] per second | they do, in place of a step | quality |
 //!
 //! Jitter looks like a queue: each rule allows for a multiple of the mean difference between
 //! successive frames. Times are arguments.
@@ -23,22 +23,22 @@ use super::picture_ladder::{self, Advice, PossibleSteps};
 /// Maximum window.
 pub const MAX_WINDOW: usize = 8;
 /// Frames per second beyond which the window does not grow.
-const RATE: f64 = 60.0;
+const MAX_FRAME_RATE: f64 = 60.0;
 /// Part of a frame by which the window may fall short of that rate: a screen that shows sixty
 /// frames per second acknowledges late.
-const MARGIN: f64 = 0.25;
+const LATE_FRAME_SHARE: f64 = 0.25;
 /// Lengths of a queue: in sending times of a frame, plus in mean differences by jitter, plus in
 /// seconds.
 type Length = (f64, f64, f64);
 /// A step up is taken below this queue.
-const EMPTY: Length = (0.15, 1.1, 0.0);
+const EMPTY_QUEUE: Length = (0.15, 1.1, 0.0);
 /// Above this queue, frames become smaller; if they have enough frames per second, a step down is
 /// taken.
-const SMALL: Length = (0.25, 1.5, 0.002);
+const SMALL_QUEUE: Length = (0.25, 1.5, 0.002);
 /// A step down is taken above this queue.
-const STANDING: Length = (0.5, 1.5, 0.003);
+const STANDING_QUEUE: Length = (0.5, 1.5, 0.003);
 /// At this queue, the window is reduced at once.
-const LONG: Length = (2.0, 4.0, 0.03);
+const LONG_QUEUE: Length = (2.0, 4.0, 0.03);
 /// No step up is taken if a frame takes longer than this to send, seconds: the step may make a
 /// frame that much older.
 const MAX_TRIAL: f64 = 0.3;
@@ -46,12 +46,12 @@ const MAX_TRIAL: f64 = 0.3;
 const MAX_STEPS: f64 = 0.15;
 /// Part of a frame that may wait after a reduction by more than one step: a window of one less
 /// would leave the connection idle.
-const EXCESS: f64 = 0.25;
+const EXCESS_FRAME_SHARE: f64 = 0.25;
 /// Pause after a failed step up; it doubles up to the second value.
-const PAUSE: Duration = Duration::from_secs(2);
+const STEP_UP_PAUSE: Duration = Duration::from_secs(2);
 const MAX_PAUSE: Duration = Duration::from_secs(20);
 /// A queue that stands for this time is emptied.
-const DRAIN: Duration = Duration::from_secs(10);
+const DRAIN_TIME: Duration = Duration::from_secs(10);
 
 /// The window that a client asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,7 +126,7 @@ impl SendWindow {
             is_limit: false,
             is_trial: false,
             is_start: true,
-            pause: PAUSE,
+            pause: STEP_UP_PAUSE,
             not_before: None,
             alone: None,
             drained: None,
@@ -146,7 +146,7 @@ impl SendWindow {
     /// A frame was acknowledged. `number`: its number in the order of sending; `next`: that of the
     /// next frame; `is_alone`: no other frame was unacknowledged when it was sent. The result says
     /// what pictures should do. They become smaller before there are fewer than
-    /// [`picture_ladder::RATE`] per second.
+    /// [`picture_ladder::TARGET_FRAME_RATE`] per second.
     pub fn acknowledged(
         &mut self,
         now: Instant,
@@ -159,7 +159,7 @@ impl SendWindow {
         if is_alone || self.alone.is_none() {
             self.alone = Some(now);
         }
-        if link.queue > length(link, LONG) {
+        if link.queue > length(link, LONG_QUEUE) {
             // Frames that were sent before the last reduction say nothing of it.
             if number < self.reduced {
                 return Advice::Same;
@@ -197,7 +197,7 @@ impl SendWindow {
             .or_else(|| self.grow(&round));
         followed.unwrap_or_else(|| {
             if self.is_trial {
-                self.pause = PAUSE;
+                self.pause = STEP_UP_PAUSE;
             }
             self.step(self.frames, next);
             Advice::Same
@@ -206,10 +206,10 @@ impl SendWindow {
 
     /// After a round trip with a queue: smaller pictures, or a smaller window.
     fn shrink(&mut self, round: &RoundTrip) -> Option<Advice> {
-        let enough = round.frames_of(picture_ladder::RATE, 0.0);
+        let enough = round.frames_of(picture_ladder::TARGET_FRAME_RATE, 0.0);
         if round.possible.smaller
             && self.frames as f64 <= enough
-            && round.queue > length(round.link, SMALL)
+            && round.queue > length(round.link, SMALL_QUEUE)
         {
             self.is_start = false;
             self.step(self.frames, round.next);
@@ -217,9 +217,9 @@ impl SendWindow {
         }
         let adapts = round.possible.larger || round.possible.smaller;
         let most = if adapts && self.frames as f64 > enough {
-            SMALL
+            SMALL_QUEUE
         } else {
-            STANDING
+            STANDING_QUEUE
         };
         if self.frames == 1 || round.queue <= length(round.link, most) {
             return None;
@@ -243,7 +243,7 @@ impl SendWindow {
         if self.frames == 1
             || self
                 .alone
-                .is_none_or(|alone| round.now.saturating_duration_since(alone) <= DRAIN)
+                .is_none_or(|alone| round.now.saturating_duration_since(alone) <= DRAIN_TIME)
         {
             return None;
         }
@@ -256,15 +256,18 @@ impl SendWindow {
     /// After a round trip in which poses waited without a queue: larger pictures, or a larger
     /// window.
     fn grow(&mut self, round: &RoundTrip) -> Option<Advice> {
-        if !self.is_limit || round.queue >= length(round.link, EMPTY) {
+        if !self.is_limit || round.queue >= length(round.link, EMPTY_QUEUE) {
             return None;
         }
-        if round.possible.larger && self.frames as f64 >= round.frames_of(picture_ladder::RATE, 0.0)
+        if round.possible.larger
+            && self.frames as f64 >= round.frames_of(picture_ladder::TARGET_FRAME_RATE, 0.0)
         {
             self.step(self.frames, round.next);
             return Some(Advice::Larger);
         }
-        let most = round.frames_of(RATE, MARGIN).clamp(1.0, MAX_WINDOW as f64);
+        let most = round
+            .frames_of(MAX_FRAME_RATE, LATE_FRAME_SHARE)
+            .clamp(1.0, MAX_WINDOW as f64);
         let frame = round.link.frame;
         if self.frames as f64 >= most
             || frame >= MAX_TRIAL
@@ -287,7 +290,7 @@ impl SendWindow {
     fn fitting(&self, link: Measured) -> usize {
         (1..self.frames)
             .rev()
-            .find(|frames| *frames as f64 <= link.fits + EXCESS)
+            .find(|frames| *frames as f64 <= link.fits + EXCESS_FRAME_SHARE)
             .unwrap_or(1)
     }
 

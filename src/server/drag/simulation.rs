@@ -7,18 +7,18 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::frame_scheduler::{FrameRequest, FrameScheduler, Pose, Step};
+use super::frame_scheduler::{FrameRequest, FrameScheduler, QueuedPose, Step};
 use super::picture_ladder::{Encoding, PictureLadder};
 use super::preview_controller::PreviewController;
 use super::send_window::{MAX_WINDOW, Window};
 
 /// Steps per millisecond.
-const STEPS: u64 = 4;
+const STEPS_PER_MS: u64 = 4;
 /// The pointer moves for this time, and the frames of the first second are not counted, ms.
-const MOVES: u64 = 30_000;
+const MOVING_MS: u64 = 30_000;
 const WARM_UP: u64 = 1_000;
 /// Time between poses, ms.
-const PERIOD: u64 = 8;
+const POSE_PERIOD_MS: u64 = 8;
 /// Width of the pictures, px.
 const WIDTH: u32 = 512;
 
@@ -99,7 +99,7 @@ struct Parcel {
     sent: u64,
 }
 
-struct Shown {
+struct ShownFrame {
     seq: u64,
     /// Steps.
     at: u64,
@@ -107,7 +107,7 @@ struct Shown {
 
 /// What was observed.
 struct Observed {
-    shown: Vec<Shown>,
+    shown: Vec<ShownFrame>,
     /// The longest time that a frame waited behind others, ms, without outages.
     queue: u64,
     /// The most frames on the way.
@@ -119,24 +119,24 @@ struct Observed {
 }
 
 impl Observed {
-    fn moving(&self) -> impl Iterator<Item = &Shown> {
+    fn moving(&self) -> impl Iterator<Item = &ShownFrame> {
         self.shown
             .iter()
-            .filter(|shown| (WARM_UP * STEPS..MOVES * STEPS).contains(&shown.at))
+            .filter(|shown| (WARM_UP * STEPS_PER_MS..MOVING_MS * STEPS_PER_MS).contains(&shown.at))
     }
 
     fn rate(&self) -> f64 {
-        self.moving().count() as f64 * 1e3 / (MOVES - WARM_UP) as f64
+        self.moving().count() as f64 * 1e3 / (MOVING_MS - WARM_UP) as f64
     }
 
     /// A quantile of the ages, ms: from sending a pose to showing its frame.
     fn age(&self, share: f64) -> f64 {
         let mut ages: Vec<u64> = self
             .moving()
-            .map(|shown| shown.at - shown.seq * PERIOD * STEPS)
+            .map(|shown| shown.at - shown.seq * POSE_PERIOD_MS * STEPS_PER_MS)
             .collect();
         ages.sort_unstable();
-        ages[((ages.len() - 1) as f64 * share).round() as usize] as f64 / STEPS as f64
+        ages[((ages.len() - 1) as f64 * share).round() as usize] as f64 / STEPS_PER_MS as f64
     }
 }
 
@@ -170,10 +170,10 @@ impl<T> Path<T> {
     }
 
     fn send(&mut self, step: u64, item: T) {
-        let jitter = (self.noise.next() * (self.link.jitter * STEPS) as f64) as u64;
-        let mut at = step + self.link.delay * STEPS + jitter;
+        let jitter = (self.noise.next() * (self.link.jitter * STEPS_PER_MS) as f64) as u64;
+        let mut at = step + self.link.delay * STEPS_PER_MS + jitter;
         if self.link.is_out(step) {
-            at += self.link.outage.1 * STEPS - step;
+            at += self.link.outage.1 * STEPS_PER_MS - step;
         }
         let last = self.items.back().map_or(0, |(at, _)| *at);
         self.items.push_back((at.max(last), item));
@@ -189,12 +189,12 @@ impl<T> Path<T> {
 
 impl Link {
     fn is_out(&self, step: u64) -> bool {
-        (self.outage.0 * STEPS..self.outage.1 * STEPS).contains(&step)
+        (self.outage.0 * STEPS_PER_MS..self.outage.1 * STEPS_PER_MS).contains(&step)
     }
 
     /// Bytes per step.
     fn bytes(&self, step: u64) -> f64 {
-        let rate = if step < MOVES * STEPS / 2 {
+        let rate = if step < MOVING_MS * STEPS_PER_MS / 2 {
             self.rate
         } else {
             self.later_rate
@@ -202,14 +202,14 @@ impl Link {
         if self.is_out(step) {
             0.0
         } else {
-            rate * 1e6 / 8.0 / 1e3 / STEPS as f64
+            rate * 1e6 / 8.0 / 1e3 / STEPS_PER_MS as f64
         }
     }
 }
 
 /// The content of frames.
 #[derive(Clone, Copy)]
-enum Content {
+enum SimulatedFrame {
     /// This number of bytes.
     Fixed(u64),
     /// JPEG of one quality, of an adapted width.
@@ -236,12 +236,12 @@ fn picture_bytes(width: u32, encoding: Option<Encoding>, noise: &mut Noise) -> u
     (bytes * (0.9 + 0.2 * noise.next())) as u64
 }
 
-/// Drags for [`MOVES`], then rests for a while.
-fn drag(link: Link, window: Window, content: Content) -> Observed {
+/// Drags for [`MOVING_MS`], then rests for a while.
+fn drag(link: Link, window: Window, content: SimulatedFrame) -> Observed {
     let pictures =
-        matches!(content, Content::Auto).then(|| PictureLadder::new((WIDTH, WIDTH), None));
+        matches!(content, SimulatedFrame::Auto).then(|| PictureLadder::new((WIDTH, WIDTH), None));
     let previews = match content {
-        Content::Previews => PreviewController::adaptive((WIDTH, WIDTH)),
+        SimulatedFrame::Previews => PreviewController::adaptive((WIDTH, WIDTH)),
         _ => PreviewController::fixed(WIDTH),
     };
     let mut scheduler = FrameScheduler::new(previews, pictures, WIDTH, window);
@@ -260,13 +260,13 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
         last: None,
     };
     let mut under_way = 0;
-    for step in 0..(MOVES + 5_000) * STEPS {
-        let now = start + Duration::from_micros(step * 1000 / STEPS);
-        if step < MOVES * STEPS && step % (PERIOD * STEPS) == 0 {
-            up.send(step, step / (PERIOD * STEPS));
+    for step in 0..(MOVING_MS + 5_000) * STEPS_PER_MS {
+        let now = start + Duration::from_micros(step * 1000 / STEPS_PER_MS);
+        if step < MOVING_MS * STEPS_PER_MS && step % (POSE_PERIOD_MS * STEPS_PER_MS) == 0 {
+            up.send(step, step / (POSE_PERIOD_MS * STEPS_PER_MS));
         }
         while let Some(seq) = up.arrived(step) {
-            scheduler.pose(Pose {
+            scheduler.pose(QueuedPose {
                 seq,
                 q: Arc::default(),
                 at: now,
@@ -278,26 +278,26 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
         }
         if let Some((request, _)) = drawing.take_if(|(_, at)| *at <= step) {
             let bytes = match content {
-                Content::Fixed(bytes) => bytes,
-                Content::Previews => picture_bytes(
+                SimulatedFrame::Fixed(bytes) => bytes,
+                SimulatedFrame::Previews => picture_bytes(
                     request.width.unwrap_or(WIDTH),
                     Some(Encoding::Jpeg(85)),
                     &mut noise,
                 ),
-                Content::Auto => {
+                SimulatedFrame::Auto => {
                     picture_bytes(request.width.unwrap_or(WIDTH), request.encoding, &mut noise)
                 }
             };
             let seq = request.pose.seq;
             scheduler.drawn((request, bytes), bytes, now);
-            seen.drawn += usize::from(seq < MOVES / PERIOD);
+            seen.drawn += usize::from(seq < MOVING_MS / POSE_PERIOD_MS);
         }
         loop {
             match scheduler.next(now) {
-                Step::Draw(request) => drawing = Some((request, step + link.draw * STEPS)),
+                Step::Draw(request) => drawing = Some((request, step + link.draw * STEPS_PER_MS)),
                 Step::Cancel => drawing = None,
                 Step::Send((request, bytes)) => {
-                    if step < MOVES * STEPS {
+                    if step < MOVING_MS * STEPS_PER_MS {
                         seen.sizes.push(bytes);
                     }
                     seen.last = Some(request.clone());
@@ -320,9 +320,9 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
         while let Some((parcel, left)) = wire.front_mut() {
             if *left == parcel.bytes as f64
                 && budget > 0.0
-                && !(link.outage.1 > 0 && step > link.outage.0 * STEPS)
+                && !(link.outage.1 > 0 && step > link.outage.0 * STEPS_PER_MS)
             {
-                seen.queue = seen.queue.max((step - parcel.sent) / STEPS);
+                seen.queue = seen.queue.max((step - parcel.sent) / STEPS_PER_MS);
             }
             let part = left.min(budget);
             *left -= part;
@@ -334,9 +334,9 @@ fn drag(link: Link, window: Window, content: Content) -> Observed {
             wire.pop_front();
         }
         to_show.extend(std::iter::from_fn(|| down.arrived(step)));
-        if link.refresh == 0 || step % (link.refresh * STEPS) == 0 {
+        if link.refresh == 0 || step % (link.refresh * STEPS_PER_MS) == 0 {
             for seq in to_show.drain(..) {
-                seen.shown.push(Shown { seq, at: step });
+                seen.shown.push(ShownFrame { seq, at: step });
                 acks.send(step, seq);
             }
         }
@@ -366,7 +366,7 @@ const BOUNDS: [[(u64, f64, f64, f64); 2]; LINKS.len()] = [
 fn the_automatic_window_keeps_links_busy_without_a_queue() {
     for (link, bounds) in LINKS.iter().zip(BOUNDS) {
         for (bytes, rate, p50, p99) in bounds {
-            let seen = drag(*link, Window::Auto, Content::Fixed(bytes));
+            let seen = drag(*link, Window::Auto, SimulatedFrame::Fixed(bytes));
             let (found, name) = ((seen.rate(), seen.age(0.5), seen.age(0.99)), link.name);
             assert!(
                 found.0 >= rate && found.1 <= p50 && found.2 <= p99,
@@ -379,7 +379,7 @@ fn the_automatic_window_keeps_links_busy_without_a_queue() {
             );
             assert_eq!(
                 seen.shown.last().map(|shown| shown.seq),
-                Some(MOVES / PERIOD - 1),
+                Some(MOVING_MS / POSE_PERIOD_MS - 1),
                 "{name}: the last pose arrives"
             );
             assert!(
@@ -402,7 +402,7 @@ fn is_full() -> bool {
 fn on_loopback_one_frame_is_under_way() {
     for link in &LINKS[..3] {
         let [auto, one] = [Window::Auto, Window::Fixed(1)]
-            .map(|window| drag(*link, window, Content::Fixed(250_000)));
+            .map(|window| drag(*link, window, SimulatedFrame::Fixed(250_000)));
         assert_eq!((auto.under_way, one.under_way), (1, 1), "{}", link.name);
         assert_eq!(
             (auto.rate(), auto.age(0.5), auto.age(0.99)),
@@ -417,7 +417,12 @@ fn on_loopback_one_frame_is_under_way() {
 fn a_fixed_window_is_never_exceeded() {
     for frames in 1..=MAX_WINDOW {
         assert_eq!(
-            drag(LINKS[5], Window::Fixed(frames), Content::Fixed(20_000)).under_way,
+            drag(
+                LINKS[5],
+                Window::Fixed(frames),
+                SimulatedFrame::Fixed(20_000)
+            )
+            .under_way,
             frames
         );
     }
@@ -434,7 +439,7 @@ fn print_windows() {
                 Window::Fixed(8),
                 Window::Auto,
             ] {
-                let seen = drag(link, window, Content::Fixed(bytes));
+                let seen = drag(link, window, SimulatedFrame::Fixed(bytes));
                 line += &format!(
                     "| {:.0}, {:.0} / {:.0}, {} ",
                     seen.rate(),
@@ -452,7 +457,7 @@ fn print_windows() {
 fn print_pictures() {
     for link in LINKS {
         let mut line = format!("| {} ", link.name);
-        for content in [PNG, JPEG, Content::Previews, Content::Auto] {
+        for content in [PNG, JPEG, SimulatedFrame::Previews, SimulatedFrame::Auto] {
             let mut seen = drag(link, Window::Auto, content);
             seen.sizes.sort_unstable();
             let bytes = seen.sizes[seen.sizes.len() / 2] / 1000;
@@ -469,8 +474,8 @@ fn print_pictures() {
 }
 
 /// What `auto` is compared with: 512 x 512 as PNG, and as JPEG of quality 85.
-const PNG: Content = Content::Fixed(370_000);
-const JPEG: Content = Content::Fixed(51_000);
+const PNG: SimulatedFrame = SimulatedFrame::Fixed(370_000);
+const JPEG: SimulatedFrame = SimulatedFrame::Fixed(51_000);
 /// Frames per second of `auto` at least, by the order of [`LINKS`].
 const AUTO_RATES: [f64; LINKS.len()] = [
     120.0, 60.0, 48.0, 65.0, 40.0, 30.0, 12.0, 45.0, 24.0, 28.0, 27.0, 24.0, 35.0,
@@ -479,7 +484,7 @@ const AUTO_RATES: [f64; LINKS.len()] = [
 #[test]
 fn automatic_pictures_suit_the_link() {
     for (link, rate) in LINKS.iter().zip(AUTO_RATES) {
-        let [png, jpeg, narrow, auto] = [PNG, JPEG, Content::Previews, Content::Auto]
+        let [png, jpeg, narrow, auto] = [PNG, JPEG, SimulatedFrame::Previews, SimulatedFrame::Auto]
             .map(|content| drag(*link, Window::Auto, content));
         let (name, age, fixed) = (
             link.name,
@@ -510,7 +515,7 @@ fn automatic_pictures_suit_the_link() {
         let is_lossless = last.encoding == Some(Encoding::Png);
         assert_eq!(
             (last.pose.seq, last.width.is_none_or(|width| width == WIDTH)),
-            (MOVES / PERIOD - 1, true),
+            (MOVING_MS / POSE_PERIOD_MS - 1, true),
             "{name}"
         );
         assert_eq!(
@@ -532,11 +537,15 @@ fn automatic_pictures_suit_the_link() {
 #[test]
 fn twelve_frames_a_second_pass_a_slow_link_from_the_start() {
     for delay in [5, 25, 50, 75] {
-        let seen = drag(link("1 Mbit/s", 1.0, delay), Window::Auto, Content::Auto);
+        let seen = drag(
+            link("1 Mbit/s", 1.0, delay),
+            Window::Auto,
+            SimulatedFrame::Auto,
+        );
         let frames = seen
             .shown
             .iter()
-            .filter(|shown| shown.at < 3_000 * STEPS)
+            .filter(|shown| shown.at < 3_000 * STEPS_PER_MS)
             .count();
         assert!(frames >= 36, "{delay} ms: {frames} frames in three seconds");
     }

@@ -21,7 +21,7 @@ use super::middleware::authentication::Caller;
 use crate::app::App;
 use crate::client::Client;
 use crate::limits::free::free;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::pool::aside;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
@@ -54,12 +54,12 @@ pub(crate) fn read_problem(error: &(dyn std::error::Error + 'static), context: &
 
 /// The time for which the rest of a body is read and discarded that is too large, or may have no
 /// end.
-const LINGER: Duration = Duration::from_secs(2);
+const LINGER_TIME: Duration = Duration::from_secs(2);
 
 /// A body with a limit and a deadline. When it is dropped early, the rest is read and discarded, so
 /// that a client which sends its whole body before it reads finds the response instead of a reset
 /// connection: until the deadline if the rest has a length within the limit, and otherwise for
-/// [`LINGER`] at most, as the rest could be endless.
+/// [`LINGER_TIME`] at most, as the rest could be endless.
 #[derive(Debug)]
 pub(crate) struct LimitedBody {
     body: Option<Body>,
@@ -166,7 +166,7 @@ impl Drop for LimitedBody {
                 .size_hint()
                 .upper()
                 .is_some_and(|rest| rest <= self.left);
-            let until = tokio::time::Instant::now() + LINGER;
+            let until = tokio::time::Instant::now() + LINGER_TIME;
             let until = if ends {
                 self.deadline.deadline()
             } else {
@@ -195,7 +195,7 @@ impl<'a> BodyBuffer<'a> {
     pub(crate) async fn new(
         app: &'a App,
         client: Client,
-        purpose: Purpose,
+        purpose: MemoryClass,
     ) -> Result<Self, Problem> {
         let quota = app.request_quota(client);
         let held = app
@@ -278,7 +278,7 @@ pub(crate) fn sent(headers: &HeaderMap) -> String {
 pub(crate) async fn json(
     caller: &Caller,
     request: Request,
-    purpose: Purpose,
+    purpose: MemoryClass,
     what: &'static str,
     limit: u64,
 ) -> Result<Bytes, Problem> {
@@ -299,7 +299,7 @@ pub(crate) async fn json(
 pub(crate) async fn raw(
     caller: &Caller,
     request: Request,
-    purpose: Purpose,
+    purpose: MemoryClass,
     what: &'static str,
     limit: u64,
 ) -> Result<Bytes, Problem> {
@@ -312,7 +312,7 @@ pub(crate) async fn raw(
 pub(crate) async fn file(caller: &Caller, request: Request) -> Result<Bytes, Problem> {
     let limit = caller.app.config().max_body_bytes;
     Ok(
-        buffered(caller, request, Purpose::Upload, "body_bytes", limit)
+        buffered(caller, request, MemoryClass::Upload, "body_bytes", limit)
             .await?
             .finish_exact()
             .await,
@@ -322,7 +322,7 @@ pub(crate) async fn file(caller: &Caller, request: Request) -> Result<Bytes, Pro
 async fn buffered<'a>(
     caller: &'a Caller,
     request: Request,
-    purpose: Purpose,
+    purpose: MemoryClass,
     what: &'static str,
     limit: u64,
 ) -> Result<BodyBuffer<'a>, Problem> {

@@ -66,10 +66,14 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
                 .delete(routes::layers::delete)
                 .merge(uploads(put(routes::layers::put))),
         ),
-        ("/sessions/{id}/warp", Keyed, post(routes::warp::drag)),
+        (
+            "/sessions/{id}/warp",
+            Keyed,
+            post(routes::warp::session_warp),
+        ),
         ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
         ("/sessions/{id}/plan", Keyed, get(routes::plan::plan)),
-        ("/sessions/{id}/drag", Keyed, any(socket::drag)),
+        ("/sessions/{id}/drag", Keyed, any(socket::drag_socket)),
         (
             "/sessions/{id}/batch",
             Keyed,

@@ -16,7 +16,7 @@ use super::body::{self, BodyBuffer, read_problem, sent};
 use super::headers::media_type;
 use super::middleware::authentication::Caller;
 use crate::app::warp::Upload;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
@@ -153,7 +153,7 @@ pub(crate) async fn read_landmark_parts(
 pub(crate) async fn json_or_form(
     caller: &Caller,
     request: Request,
-    purpose: Purpose,
+    purpose: MemoryClass,
     (what, limit): (&'static str, u64),
     target: Target,
 ) -> Result<Bytes, Problem> {
@@ -191,7 +191,7 @@ pub(crate) async fn warp_json_or_form(
     json_or_form(
         caller,
         request,
-        Purpose::Upload,
+        MemoryClass::Upload,
         ("json_bytes", limit),
         target,
     )
@@ -208,7 +208,7 @@ pub(crate) async fn large_json_or_form(
     json_or_form(
         caller,
         request,
-        Purpose::Upload,
+        MemoryClass::Upload,
         ("body_bytes", limit),
         target,
     )
@@ -266,7 +266,7 @@ async fn read_parts(
     let Caller { app, client } = caller;
     let quota = app.request_quota(*client);
     let _parser = app
-        .reserve_aside(|budget| budget.take_for(Purpose::Upload, &quota, PARSER_BYTES))
+        .reserve_aside(|budget| budget.take_for(MemoryClass::Upload, &quota, PARSER_BYTES))
         .await?;
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
@@ -373,7 +373,7 @@ async fn read_part(
     limit: u64,
     buffered: &AtomicU64,
 ) -> Result<Bytes, Problem> {
-    let mut buffer = BodyBuffer::new(&caller.app, caller.client, Purpose::Upload).await?;
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, MemoryClass::Upload).await?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         buffer.push(&chunk, what, limit).await?;

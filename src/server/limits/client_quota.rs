@@ -9,7 +9,7 @@ use super::client_limit::ClientLimit;
 use crate::client::{Client, Tenant};
 
 /// Number of clients from which those that use nothing are removed from the map.
-const MANY: usize = 1024;
+const MANY_CLIENTS: usize = 1024;
 
 /// The kind of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl ClientQuotas {
 
     pub(crate) fn of(&self, client: Client) -> ClientQuota {
         let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);
-        if used.len() >= MANY && used.len().is_power_of_two() {
+        if used.len() >= MANY_CLIENTS && used.len().is_power_of_two() {
             // A client that uses memory, or is about to, holds another reference.
             used.retain(|_, used| Arc::strong_count(used) > 1);
         }
@@ -182,7 +182,7 @@ mod tests {
                 });
             }
         }
-        assert!(shares.used.lock().unwrap().len() <= MANY + 512);
+        assert!(shares.used.lock().unwrap().len() <= MANY_CLIENTS + 512);
         assert_eq!(shares.of(client(0, 1)).held(), 5);
     }
 }

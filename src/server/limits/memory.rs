@@ -17,11 +17,11 @@ use super::free::free;
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry.
-const RETRY: u32 = 2;
+const RETRY_SECONDS: u32 = 2;
 
 /// What memory is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Purpose {
+pub enum MemoryClass {
     /// Files and JSON of requests, and the files that sessions in memory keep.
     Upload,
     /// Decoded pictures, and the files of sessions that are decoded again.
@@ -34,7 +34,7 @@ pub enum Purpose {
     Socket,
 }
 
-impl Purpose {
+impl MemoryClass {
     /// Every purpose.
     pub const ALL: [Self; 5] = [
         Self::Upload,
@@ -73,7 +73,7 @@ pub struct BudgetExceeded {
     /// The quota of the client that is exceeded; `None`: the part of the budget that the purpose
     /// may use.
     pub(crate) quota: Option<QuotaKind>,
-    pub(crate) purpose: Purpose,
+    pub(crate) purpose: MemoryClass,
     /// Bytes of the whole reservation.
     pub(crate) asked: u64,
     pub(crate) limit: u64,
@@ -126,7 +126,7 @@ impl From<BudgetExceeded> for Problem {
                 ),
             )
         } else {
-            Self::new(code, error.to_string()).retry_after(RETRY)
+            Self::new(code, error.to_string()).retry_after(RETRY_SECONDS)
         };
         problem.limit(what, limit, actual)
     }
@@ -140,7 +140,7 @@ pub struct Budget(Arc<BudgetState>);
 struct BudgetState {
     total: u64,
     taken: AtomicU64,
-    by_purpose: [AtomicU64; Purpose::ALL.len()],
+    by_purpose: [AtomicU64; MemoryClass::ALL.len()],
     refused: AtomicU64,
 }
 
@@ -148,7 +148,7 @@ struct BudgetState {
 #[derive(Debug)]
 pub struct Reservation {
     budget: Budget,
-    purpose: Purpose,
+    purpose: MemoryClass,
     bytes: u64,
     quota: Option<ClientQuota>,
 }
@@ -176,7 +176,7 @@ impl Budget {
     }
 
     /// Bytes reserved for a purpose.
-    pub fn taken_for(&self, purpose: Purpose) -> u64 {
+    pub fn taken_for(&self, purpose: MemoryClass) -> u64 {
         self.0.by_purpose[purpose as usize].load(Ordering::Relaxed)
     }
 
@@ -189,19 +189,19 @@ impl Budget {
     }
 
     /// Whether a reservation would succeed now.
-    pub(crate) fn has(&self, purpose: Purpose, bytes: u64) -> bool {
+    pub(crate) fn has(&self, purpose: MemoryClass, bytes: u64) -> bool {
         self.taken().saturating_add(bytes) <= purpose.share(self.total())
     }
 
     /// Reserves memory.
-    pub fn take(&self, purpose: Purpose, bytes: u64) -> Result<Reservation, BudgetExceeded> {
+    pub fn take(&self, purpose: MemoryClass, bytes: u64) -> Result<Reservation, BudgetExceeded> {
         self.reserve(purpose, None, bytes)
     }
 
     /// Reserves memory that counts in the quota of a client until it is released.
     pub fn take_for(
         &self,
-        purpose: Purpose,
+        purpose: MemoryClass,
         quota: &ClientQuota,
         bytes: u64,
     ) -> Result<Reservation, BudgetExceeded> {
@@ -210,7 +210,7 @@ impl Budget {
 
     fn reserve(
         &self,
-        purpose: Purpose,
+        purpose: MemoryClass,
         quota: Option<ClientQuota>,
         bytes: u64,
     ) -> Result<Reservation, BudgetExceeded> {
@@ -318,13 +318,13 @@ mod tests {
     #[test]
     fn what_is_taken_is_given_back() {
         let budget = Budget::new(800);
-        let mut image = budget.take(Purpose::Image, 300).unwrap();
-        let mut frame = budget.take(Purpose::Frame, 400).unwrap();
+        let mut image = budget.take(MemoryClass::Image, 300).unwrap();
+        let mut frame = budget.take(MemoryClass::Frame, 400).unwrap();
         assert_eq!(
             (
                 budget.taken(),
-                budget.taken_for(Purpose::Image),
-                budget.taken_for(Purpose::Plan)
+                budget.taken_for(MemoryClass::Image),
+                budget.taken_for(MemoryClass::Plan)
             ),
             (700, 300, 0)
         );
@@ -333,11 +333,11 @@ mod tests {
         assert_eq!((image.bytes(), budget.taken()), (100, 500));
         let part = frame.split(150);
         drop(frame);
-        assert_eq!(budget.taken_for(Purpose::Frame), 150);
+        assert_eq!(budget.taken_for(MemoryClass::Frame), 150);
         drop((part, image));
         assert_eq!(budget.taken(), 0);
         assert!(
-            Purpose::ALL
+            MemoryClass::ALL
                 .iter()
                 .all(|purpose| budget.taken_for(*purpose) == 0)
         );
@@ -346,28 +346,33 @@ mod tests {
     #[test]
     fn newcomers_leave_room_for_drags() {
         let budget = Budget::new(800);
-        let upload = budget.take(Purpose::Upload, 600).unwrap();
-        let refused = budget.take(Purpose::Upload, 1).unwrap_err();
+        let upload = budget.take(MemoryClass::Upload, 600).unwrap();
+        let refused = budget.take(MemoryClass::Upload, 1).unwrap_err();
         assert_eq!(
             refused,
             BudgetExceeded {
                 quota: None,
-                purpose: Purpose::Upload,
+                purpose: MemoryClass::Upload,
                 asked: 1,
                 limit: 600,
                 taken: 600
             }
         );
-        assert!(!refused.is_forever() && !budget.has(Purpose::Socket, 1));
-        let image = budget.take(Purpose::Image, 100).unwrap();
-        assert!(budget.take(Purpose::Plan, 1).is_err());
-        let frame = budget.take(Purpose::Frame, 100).unwrap();
-        assert!(budget.take(Purpose::Frame, 1).is_err());
+        assert!(!refused.is_forever() && !budget.has(MemoryClass::Socket, 1));
+        let image = budget.take(MemoryClass::Image, 100).unwrap();
+        assert!(budget.take(MemoryClass::Plan, 1).is_err());
+        let frame = budget.take(MemoryClass::Frame, 100).unwrap();
+        assert!(budget.take(MemoryClass::Frame, 1).is_err());
         drop((upload, image, frame));
-        assert!(budget.take(Purpose::Upload, 601).unwrap_err().is_forever());
         assert!(
             budget
-                .take(Purpose::Frame, u64::MAX)
+                .take(MemoryClass::Upload, 601)
+                .unwrap_err()
+                .is_forever()
+        );
+        assert!(
+            budget
+                .take(MemoryClass::Frame, u64::MAX)
                 .unwrap_err()
                 .is_forever()
         );
@@ -376,7 +381,7 @@ mod tests {
     #[test]
     fn growing_takes_all_or_nothing() {
         let budget = Budget::new(800);
-        let mut upload = budget.take(Purpose::Upload, 500).unwrap();
+        let mut upload = budget.take(MemoryClass::Upload, 500).unwrap();
         let refused = upload.grow(200).unwrap_err();
         assert_eq!(
             (refused.asked, upload.bytes(), budget.taken()),
@@ -402,14 +407,14 @@ mod tests {
                 ..Client::default()
             }),
         );
-        let mut answer = budget.take_for(Purpose::Frame, &share, 100).unwrap();
+        let mut answer = budget.take_for(MemoryClass::Frame, &share, 100).unwrap();
         answer.grow(50).unwrap();
-        let refused = budget.take_for(Purpose::Frame, &share, 60).unwrap_err();
+        let refused = budget.take_for(MemoryClass::Frame, &share, 60).unwrap_err();
         assert_eq!(
             refused,
             BudgetExceeded {
                 quota: Some(QuotaKind::Responses),
-                purpose: Purpose::Frame,
+                purpose: MemoryClass::Frame,
                 asked: 60,
                 limit: 200,
                 taken: 150
@@ -417,7 +422,7 @@ mod tests {
         );
         assert!(
             !budget
-                .take_for(Purpose::Frame, &share, 700)
+                .take_for(MemoryClass::Frame, &share, 700)
                 .unwrap_err()
                 .is_forever()
         );
@@ -427,13 +432,13 @@ mod tests {
         // What the account refuses is nobody's.
         assert_eq!(
             budget
-                .take_for(Purpose::Frame, &other, 750)
+                .take_for(MemoryClass::Frame, &other, 750)
                 .unwrap_err()
                 .quota,
             None
         );
         assert_eq!((other.held(), budget.taken()), (0, 120));
-        let whole = budget.take_for(Purpose::Frame, &other, 600).unwrap();
+        let whole = budget.take_for(MemoryClass::Frame, &other, 600).unwrap();
         drop((strip, whole));
         assert_eq!((share.held(), other.held(), budget.taken()), (0, 0, 0));
     }
@@ -441,7 +446,10 @@ mod tests {
     #[test]
     fn bytes_hold_their_memory_as_long_as_anyone_holds_them() {
         let budget = Budget::new(800);
-        let bytes = budget.take(Purpose::Frame, 10).unwrap().attach(vec![7; 10]);
+        let bytes = budget
+            .take(MemoryClass::Frame, 10)
+            .unwrap()
+            .attach(vec![7; 10]);
         let part = bytes.slice(3..5);
         drop(bytes);
         assert_eq!((budget.taken(), &part[..]), (10, &[7, 7][..]));

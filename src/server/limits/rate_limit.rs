@@ -9,13 +9,13 @@ use std::time::Instant;
 use super::bucket::Bucket;
 
 /// Buckets in the table, about 6 MB.
-const PLACES: usize = 1 << 16;
+const BUCKET_COUNT: usize = 1 << 16;
 /// Buckets in a row. The hash of a key chooses the row.
-const ROW: usize = 8;
+const BUCKETS_PER_ROW: usize = 8;
 /// Burst, in seconds of the rate.
-const BURST: f64 = 2.0;
+const BURST_SECONDS: f64 = 2.0;
 
-type Row<K> = [Option<(K, Bucket)>; ROW];
+type BucketRow<K> = [Option<(K, Bucket)>; BUCKETS_PER_ROW];
 
 /// Token buckets by key.
 #[derive(Debug)]
@@ -23,13 +23,15 @@ pub struct RateLimit<K> {
     per_second: f64,
     // Randomly keyed, so that clients cannot choose their row.
     hasher: RandomState,
-    rows: Vec<Mutex<Row<K>>>,
+    rows: Vec<Mutex<BucketRow<K>>>,
 }
 
 impl<K: Copy + Eq + Hash> RateLimit<K> {
     /// At most `per_second` requests per second, and twice as many at once.
     pub fn new(per_second: u32) -> Self {
-        let rows = (0..PLACES / ROW).map(|_| Mutex::new([None; ROW])).collect();
+        let rows = (0..BUCKET_COUNT / BUCKETS_PER_ROW)
+            .map(|_| Mutex::new([None; BUCKETS_PER_ROW]))
+            .collect();
         Self {
             per_second: f64::from(per_second),
             hasher: RandomState::new(),
@@ -51,7 +53,7 @@ impl<K: Copy + Eq + Hash> RateLimit<K> {
             // An empty place is better than a full bucket.
             let tokens =
                 |index: usize| row[index].map_or(f64::INFINITY, |(_, bucket)| bucket.tokens(now));
-            (0..ROW)
+            (0..BUCKETS_PER_ROW)
                 .max_by(|a, b| tokens(*a).total_cmp(&tokens(*b)))
                 .unwrap_or(0)
         });
@@ -59,7 +61,7 @@ impl<K: Copy + Eq + Hash> RateLimit<K> {
         let (_, bucket) = row[index].insert(place.unwrap_or_else(|| {
             (
                 key,
-                Bucket::new(self.per_second, BURST * self.per_second, now),
+                Bucket::new(self.per_second, BURST_SECONDS * self.per_second, now),
             )
         }));
         if bucket.take(now) {
@@ -101,7 +103,7 @@ mod tests {
             let _ = rates.take(other, now);
             taken += usize::from(rates.take(u64::MAX, now).is_ok());
         }
-        assert_eq!(rates.rows.len() * ROW, PLACES);
+        assert_eq!(rates.rows.len() * BUCKETS_PER_ROW, BUCKET_COUNT);
         assert_eq!(taken, 2);
     }
 }

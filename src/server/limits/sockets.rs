@@ -14,7 +14,7 @@ use crate::session::SessionId;
 /// Maximum number of sockets of one session: the editor, and windows that watch it.
 const MAX_PER_SESSION: usize = 32;
 /// Seconds after which a refused client may retry.
-const RETRY: u32 = 5;
+const RETRY_SECONDS: u32 = 5;
 
 /// Admits drag sockets. Clones share the counts.
 #[derive(Clone, Debug)]
@@ -101,7 +101,7 @@ impl SocketSlots {
                     format!("{whose} has {open} open drag sockets; the limit is {max}{by}");
                 return Err(Problem::new(code, detail)
                     .limit(what, max, open + 1)
-                    .retry_after(RETRY));
+                    .retry_after(RETRY_SECONDS));
             }
         }
         counts.sessions.add(id);
@@ -168,13 +168,21 @@ mod tests {
         let refused = seats.acquire(tenant(1), one).unwrap_err();
         assert_eq!(
             (refused.code, refused.what, refused.retry_after),
-            (Code::Overloaded, Some("session_sockets"), Some(RETRY))
+            (
+                Code::Overloaded,
+                Some("session_sockets"),
+                Some(RETRY_SECONDS)
+            )
         );
         held.push(seats.acquire(tenant(1), session()).unwrap());
         let refused = seats.acquire(tenant(1), session()).unwrap_err();
         assert_eq!(
             (refused.code, refused.what, refused.retry_after),
-            (Code::RateLimited, Some("client_sockets"), Some(RETRY))
+            (
+                Code::RateLimited,
+                Some("client_sockets"),
+                Some(RETRY_SECONDS)
+            )
         );
         held.extend([2, 3].map(|n| seats.acquire(tenant(n), session()).unwrap()));
         assert_eq!(

@@ -13,15 +13,15 @@ use crate::problem::Problem;
 
 pub(crate) const PREFIX: &str = "mlswarp";
 
-type Labels<const N: usize> = [(&'static str, String); N];
+type MetricLabels<const N: usize> = [(&'static str, String); N];
 
 #[derive(Debug)]
 pub(crate) struct Metrics {
     /// The metrics of all other fields.
     pub(crate) registry: Registry,
-    responses: Family<Labels<3>, Counter>,
-    problems: Family<Labels<2>, Counter>,
-    durations: Family<Labels<1>, Histogram, fn() -> Histogram>,
+    responses: Family<MetricLabels<3>, Counter>,
+    problems: Family<MetricLabels<2>, Counter>,
+    durations: Family<MetricLabels<1>, Histogram, fn() -> Histogram>,
     /// `queue`, `decode`, `plan`, `reduce`, `deform`, `render`, `encode`.
     stages: [Histogram; 7],
     pub(crate) pictures_begun: Counter,
@@ -62,16 +62,17 @@ impl Default for Metrics {
         let durations = Family::new_with_constructor(histogram as fn() -> Histogram);
         let help = "Time from a request's head to its answer's head";
         registry.register_with_unit("request_duration", help, Unit::Seconds, durations.clone());
-        let by_stage =
-            Family::<Labels<1>, Histogram, _>::new_with_constructor(histogram as fn() -> Histogram);
+        let by_stage = Family::<MetricLabels<1>, Histogram, _>::new_with_constructor(
+            histogram as fn() -> Histogram,
+        );
         let help = "Time of the stages of a picture; render and encode: summed over all threads";
         registry.register_with_unit("stage_duration", help, Unit::Seconds, by_stage.clone());
         let stages = [
             "queue", "decode", "plan", "reduce", "deform", "render", "encode",
         ];
-        let pictures = Family::<Labels<1>, Counter>::default();
+        let pictures = Family::<MetricLabels<1>, Counter>::default();
         registry.register("pictures", "Pictures by state", pictures.clone());
-        let superseded = Family::<Labels<1>, Counter>::default();
+        let superseded = Family::<MetricLabels<1>, Counter>::default();
         registry.register(
             "superseded",
             "Poses that newer ones replaced",

@@ -16,7 +16,7 @@ use crate::client::Tenant;
 
 /// How long a job runs before it gives way to a client that has used less, and how long until it
 /// looks again if there is none.
-const TURN: Duration = Duration::from_millis(100);
+const TURN_TIME: Duration = Duration::from_millis(100);
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
 /// A job goes on without a permit after this time: permits may be held by requests that wait for
 /// what it builds.
@@ -258,7 +258,7 @@ impl AdmissionPermit {
             is_returned: false,
             queue,
         };
-        permit.begin_turn(TURN);
+        permit.begin_turn(TURN_TIME);
         permit
     }
 
@@ -317,7 +317,7 @@ impl AdmissionPermit {
             std::thread::park_timeout(PAUSED_LOOK);
         }
         self.queue.lock().resume(id, Instant::now());
-        self.begin_turn(TURN);
+        self.begin_turn(TURN_TIME);
         self.is_paused.store(false, Ordering::Relaxed);
     }
 }

@@ -69,7 +69,7 @@ pub enum WorkClass {
 
 /// The size of a pool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
+pub struct PoolConfig {
     /// Threads and permits of each class; each class has one more of both for a client without a
     /// permit.
     pub workers: usize,
@@ -154,8 +154,8 @@ impl Drop for CancelOnDrop {
 impl Pool {
     /// Starts the threads.
     /// Errors: The operating system refused to start threads.
-    pub fn new(shape: Shape) -> Result<Self, NoThreads> {
-        let Shape {
+    pub fn new(shape: PoolConfig) -> Result<Self, NoThreads> {
+        let PoolConfig {
             workers,
             queue,
             drag_wait,
@@ -169,7 +169,7 @@ impl Pool {
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
         let class = |name: &str, max_wait: Duration, niceness: i32, gives_way: bool| {
-            let threads = WorkerThreads::start(name, workers + queue::SPARE, niceness)
+            let threads = WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness)
                 .map_err(|e| NoThreads(e.to_string()))?;
             Ok(AdmissionQueue::new(
                 threads, workers, queue, max_wait, gives_way,
@@ -347,7 +347,7 @@ mod tests {
     use std::sync::mpsc;
 
     fn pool(queue: usize, wait: Duration) -> Pool {
-        Pool::new(Shape {
+        Pool::new(PoolConfig {
             workers: 1,
             queue,
             drag_wait: wait,
@@ -356,7 +356,7 @@ mod tests {
         .unwrap()
     }
 
-    const LONG: Duration = Duration::from_secs(600);
+    const LONG_WAIT: Duration = Duration::from_secs(600);
 
     /// A session of one client.
     fn key(n: u8) -> QueueKey {
@@ -369,7 +369,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_full_queue_refuses_at_once_and_a_freed_place_is_given_again() {
-        let pool = pool(1, LONG);
+        let pool = pool(1, LONG_WAIT);
         let first = drag(&pool, 1).await.unwrap();
         let waiting = tokio::spawn({
             let pool = pool.clone();
@@ -433,7 +433,7 @@ mod tests {
 
     #[tokio::test]
     async fn whoever_is_sent_away_for_another_is_told_at_once() {
-        let pool = pool(2, LONG);
+        let pool = pool(2, LONG_WAIT);
         let first = drag(&pool, 1).await.unwrap();
         let wait = |n: u8| {
             let pool = pool.clone();
@@ -455,7 +455,7 @@ mod tests {
 
     #[tokio::test]
     async fn another_client_does_not_wait_for_the_end_of_a_long_request() {
-        let pool = pool(0, LONG);
+        let pool = pool(0, LONG_WAIT);
         let (go, wait) = mpsc::channel::<()>();
         let long = drag(&pool, 1).await.unwrap();
         let (wait, began) = (
@@ -518,7 +518,7 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn jobs_that_never_end_give_way_to_another_client_and_go_on() {
-        let pool = pool(8, LONG);
+        let pool = pool(8, LONG_WAIT);
         let looks: [Arc<std::sync::atomic::AtomicUsize>; 4] = Default::default();
         let jobs: Vec<_> = (0_u8..)
             .zip(&looks)
@@ -551,14 +551,14 @@ mod tests {
         let (end, last) = (Instant::now(), seen());
         tokio::time::sleep(Duration::from_millis(50)).await;
         assert!(
-            seen() == last && end.elapsed() < LONG,
+            seen() == last && end.elapsed() < LONG_WAIT,
             "paused jobs end when they are cancelled"
         );
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn a_job_for_which_the_permits_wait_goes_on_without_one() {
-        let pool = pool(8, LONG);
+        let pool = pool(8, LONG_WAIT);
         let looks = Arc::default();
         let job = endless(&pool, 1, &looks);
         while looks.load(Ordering::Relaxed) == 0 {
@@ -584,7 +584,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_panic_ends_its_own_work_alone() {
-        let pool = pool(0, LONG);
+        let pool = pool(0, LONG_WAIT);
         let ticket = drag(&pool, 1).await.unwrap();
         assert_eq!(
             pool.run(&ticket, |_| panic!("on purpose"))
@@ -597,7 +597,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_dropped_request_cancels_its_work_and_keeps_its_turn_until_the_work_has_ended() {
-        let pool = pool(0, LONG);
+        let pool = pool(0, LONG_WAIT);
         let (seen, sees) = mpsc::channel();
         let (go, wait) = mpsc::channel::<()>();
         let task = tokio::spawn({

@@ -2,7 +2,7 @@
 //! compile until it has a code here.
 
 use mlswarp::codec::CodecError;
-use mlswarp::deform::{Contradiction, DeformError};
+use mlswarp::deform::{Conflict, DeformError};
 use mlswarp::warp::{Task, WarpError};
 use serde_json::{Value, json};
 
@@ -173,7 +173,7 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
 }
 
 /// A group of handles that contradict each other.
-fn coincident(group: &Contradiction) -> Value {
+fn coincident(group: &Conflict) -> Value {
     json!({"handles": group.handles, "position": [group.position.x, group.position.y],
         "spread": group.spread})
 }
@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn contradiction_names_both_handles() {
-        let contradiction = Contradiction {
+        let contradiction = Conflict {
             handles: vec![2, 9],
             total: 2,
             position: Point::new(1.0, 2.0),

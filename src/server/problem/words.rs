@@ -12,7 +12,7 @@ pub(crate) const LONGEST_QUOTE: usize = 60;
 /// Longest name that is compared with known names, bytes.
 const LONGEST_COMPARED: usize = 40;
 /// How similar two names must be (1: equal) to suppose that one is a misspelling of the other.
-const SIMILAR: f64 = 0.6;
+const MIN_SIMILARITY: f64 = 0.6;
 
 /// A name or value of the client in backticks, shortened.
 pub(crate) fn quote(text: &str) -> String {
@@ -70,7 +70,7 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
     let scored = known
         .into_iter()
         .map(|other| (similarity(name, other), other))
-        .filter(|(score, _)| *score >= SIMILAR);
+        .filter(|(score, _)| *score >= MIN_SIMILARITY);
     // Of equally similar names the first.
     scored
         .reduce(|best, next| if next.0 > best.0 { next } else { best })
@@ -87,7 +87,7 @@ pub(crate) fn similarity(name: &str, other: &str) -> f64 {
         return 0.0;
     }
     let score = normalized_damerau_levenshtein(&name.to_ascii_lowercase(), other);
-    if score >= SIMILAR { score } else { 0.0 }
+    if score >= MIN_SIMILARITY { score } else { 0.0 }
 }
 
 /// A question that names what was probably meant, to follow the description of what was sent.

@@ -17,19 +17,19 @@ use bytes::Bytes;
 use lru::LruCache;
 use mlswarp::warp::Digest;
 
-use super::{Bounds, NamedFile, Put, Record, Session, StoreError};
+use super::{NamedFile, Put, Record, Session, StoreError, StoreLimits};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
 
 /// The sessions of one process.
 #[derive(Debug)]
 pub(crate) struct Index {
-    bounds: Bounds,
+    bounds: StoreLimits,
     /// The files' contents are kept here. Otherwise only their sizes are.
     keeps_contents: bool,
     sessions: HashMap<SessionId, Entry>,
     /// The files of each owner.
-    files: HashMap<(Owner, Digest), File>,
+    files: HashMap<(Owner, Digest), IndexedFile>,
     /// How many owners have each file.
     owners: HashMap<Digest, usize>,
     bytes: u64,
@@ -49,7 +49,7 @@ struct Entry {
 }
 
 #[derive(Debug)]
-struct File {
+struct IndexedFile {
     bytes: u64,
     /// Empty unless contents are kept here.
     content: Bytes,
@@ -83,7 +83,7 @@ pub(crate) enum PutOutcome {
 }
 
 impl Index {
-    pub(crate) fn new(bounds: Bounds, keeps_contents: bool) -> Self {
+    pub(crate) fn new(bounds: StoreLimits, keeps_contents: bool) -> Self {
         let (sessions, files, owners) = Default::default();
         let tombstones = LruCache::unbounded();
         Self {
@@ -313,7 +313,7 @@ impl Index {
             } else {
                 Bytes::new()
             };
-            File {
+            IndexedFile {
                 bytes,
                 content,
                 names: 0,
@@ -554,7 +554,7 @@ mod tests {
     fn a_name_that_is_used_again_has_one_tombstone() {
         let idle = Duration::from_secs(60);
         let mut index = Index::new(
-            Bounds {
+            StoreLimits {
                 idle,
                 sessions: 1,
                 bytes: 1 << 20,
@@ -575,7 +575,7 @@ mod tests {
     #[test]
     fn no_more_deleted_sessions_are_remembered_than_there_may_be_sessions() {
         let mut index = Index::new(
-            Bounds {
+            StoreLimits {
                 sessions: 3,
                 ..suite::bounds()
             },

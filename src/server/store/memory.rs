@@ -6,7 +6,9 @@ use bytes::Bytes;
 use mlswarp::warp::Digest;
 
 use super::index::Index;
-use super::{Answer, Bounds, Figures, NamedFile, Put, Record, Session, Store, StoreError, known};
+use super::{
+    NamedFile, Put, Record, Session, Store, StoreError, StoreFuture, StoreLimits, StoreStats, ready,
+};
 use crate::client::Owner;
 use crate::session::{Revision, SessionId};
 
@@ -16,7 +18,7 @@ pub struct MemoryStore(Mutex<Index>);
 
 impl MemoryStore {
     /// An empty store.
-    pub fn new(bounds: Bounds) -> Self {
+    pub fn new(bounds: StoreLimits) -> Self {
         Self(Mutex::new(Index::new(bounds, true)))
     }
 
@@ -64,8 +66,8 @@ fn sweep(index: &mut Index) -> usize {
 }
 
 impl Store for MemoryStore {
-    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
-        known(put(&mut self.lock(), record, &files))
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put> {
+        ready(put(&mut self.lock(), record, &files))
     }
 
     fn revise(
@@ -73,29 +75,29 @@ impl Store for MemoryStore {
         old: Revision,
         new: Arc<Record>,
         layer: Option<NamedFile>,
-    ) -> Answer<'_, Option<Session>> {
-        known(revise(&mut self.lock(), old, new, layer.as_slice()))
+    ) -> StoreFuture<'_, Option<Session>> {
+        ready(revise(&mut self.lock(), old, new, layer.as_slice()))
     }
 
-    fn peek(&self, id: SessionId) -> Answer<'_, Session> {
-        known(self.lock().peek(id))
+    fn peek(&self, id: SessionId) -> StoreFuture<'_, Session> {
+        ready(self.lock().peek(id))
     }
 
-    fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
-        known(self.lock().touch(id, seq))
+    fn touch(&self, id: SessionId, seq: Option<u64>) -> StoreFuture<'_, Session> {
+        ready(self.lock().touch(id, seq))
     }
 
-    fn delete(&self, id: SessionId) -> Answer<'_, ()> {
-        known(delete(&mut self.lock(), id))
+    fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
+        ready(delete(&mut self.lock(), id))
     }
 
     /// None: the file is shared.
-    fn file_bytes(&self, _: SessionId, _: Digest) -> Answer<'_, u64> {
-        known(Ok(0))
+    fn file_bytes(&self, _: SessionId, _: Digest) -> StoreFuture<'_, u64> {
+        ready(Ok(0))
     }
 
-    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
-        known(
+    fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes> {
+        ready(
             self.lock()
                 .file(id.owner(), digest)
                 .ok_or(StoreError::NoSuchSession),
@@ -106,20 +108,20 @@ impl Store for MemoryStore {
         self.lock().names(owner, digest)
     }
 
-    fn sweep(&self) -> Answer<'_, usize> {
-        known(Ok(sweep(&mut self.lock())))
+    fn sweep(&self) -> StoreFuture<'_, usize> {
+        ready(Ok(sweep(&mut self.lock())))
     }
 
-    fn ready(&self) -> Answer<'_, ()> {
-        known(Ok(()))
+    fn ready(&self) -> StoreFuture<'_, ()> {
+        ready(Ok(()))
     }
 
-    fn figures(&self) -> Figures {
+    fn figures(&self) -> StoreStats {
         let index = self.lock();
-        Figures {
+        StoreStats {
             sessions: index.len() as u64,
             bytes: index.bytes(),
-            ..Figures::default()
+            ..StoreStats::default()
         }
     }
 }

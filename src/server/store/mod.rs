@@ -52,7 +52,7 @@ use thiserror::Error;
 
 pub use index::record_bytes;
 #[cfg(feature = "redis")]
-pub use redis::Address;
+pub use redis::RedisAddress;
 pub use url::StoreUrl;
 
 use crate::client::Owner;
@@ -63,10 +63,10 @@ use crate::session::{Revision, SessionId};
 use crate::wire::Pose;
 
 /// The answer of a store.
-pub type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
+pub type StoreFuture<'a, T> = Pin<Box<dyn Future<Output = Result<T, StoreError>> + Send + 'a>>;
 
 /// An answer that needs no waiting.
-fn known<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> Answer<'a, T> {
+fn ready<'a, T: Send + 'a>(answer: Result<T, StoreError>) -> StoreFuture<'a, T> {
     Box::pin(std::future::ready(answer))
 }
 
@@ -148,7 +148,7 @@ impl NamedFile {
 
 /// The limits of a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Bounds {
+pub struct StoreLimits {
     /// A session expires after this time without use.
     pub idle: Duration,
     /// Most sessions.
@@ -243,7 +243,7 @@ impl From<StoreError> for Problem {
 
 /// The figures of a store, for metrics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Figures {
+pub struct StoreStats {
     /// Sessions that this process knows of.
     pub sessions: u64,
     /// Bytes of their records, and of their files if this process keeps them.
@@ -264,7 +264,7 @@ pub struct Figures {
 pub trait Store: Send + Sync + fmt::Debug {
     /// Creates or replaces a session. Its numbers start again, and it lives for another idle
     /// period. `files`: the picture's, and those of the record's layers.
-    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put>;
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put>;
 
     /// Replaces the record of revision `old`, with the same picture; numbers go on. `layer`: the
     /// file of the layer that only the new record names, if there is one. Files of layers that only
@@ -274,42 +274,42 @@ pub trait Store: Send + Sync + fmt::Debug {
         old: Revision,
         new: Arc<Record>,
         layer: Option<NamedFile>,
-    ) -> Answer<'_, Option<Session>>;
+    ) -> StoreFuture<'_, Option<Session>>;
 
     /// Reads a session without prolonging it.
-    fn peek(&self, id: SessionId) -> Answer<'_, Session>;
+    fn peek(&self, id: SessionId) -> StoreFuture<'_, Session>;
 
     /// Prolongs a session by another idle period and stores `seq` if it is the highest. The answer
     /// has the highest.
-    fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session>;
+    fn touch(&self, id: SessionId, seq: Option<u64>) -> StoreFuture<'_, Session>;
 
     /// Deletes a session, and each of its files with the last session that names it. For one idle
     /// period another delete has the same answer.
-    fn delete(&self, id: SessionId) -> Answer<'_, ()>;
+    fn delete(&self, id: SessionId) -> StoreFuture<'_, ()>;
 
     /// The most memory that [`Store::file`] takes, beyond what the store holds, bytes.
-    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64>;
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64>;
 
     /// The file of that digest, of the session's picture or of one of its layers, if the session
     /// still names it.
-    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes>;
+    fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes>;
 
     /// Whether a session of that owner, known to this process, names that file.
     fn names(&self, owner: Owner, digest: Digest) -> bool;
 
     /// Removes expired sessions; returns how many.
-    fn sweep(&self) -> Answer<'_, usize>;
+    fn sweep(&self) -> StoreFuture<'_, usize>;
 
     /// Whether the store works. Answers within about a second.
-    fn ready(&self) -> Answer<'_, ()>;
+    fn ready(&self) -> StoreFuture<'_, ()>;
 
     /// The figures, as far as this process knows them, without waiting.
-    fn figures(&self) -> Figures;
+    fn figures(&self) -> StoreStats;
 }
 
 /// Opens a store. A server may be down at this moment. Errors: The file cannot be opened, is not a
 /// session file, is damaged beyond reading, or is open in another process.
-pub fn open(url: &StoreUrl, bounds: Bounds) -> Result<Arc<dyn Store>, NotOpened> {
+pub fn open(url: &StoreUrl, bounds: StoreLimits) -> Result<Arc<dyn Store>, NotOpened> {
     Ok(match url {
         StoreUrl::Memory => Arc::new(memory::MemoryStore::new(bounds)),
         #[cfg(feature = "file-store")]

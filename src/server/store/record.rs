@@ -40,9 +40,9 @@ use crate::session::{Revision, SessionId};
 use crate::wire::{AsJson, EnumName as _, Pose, Reserved, WarpObject, WarpPatch};
 
 /// The version of the form. It changes when older programs would misunderstand a record.
-const VERSION: u32 = 1;
+const RECORD_VERSION: u32 = 1;
 /// Bytes of the checksum: eight hexadecimal digits and a line break.
-const CHECKSUM: usize = 9;
+const CHECKSUM_BYTES: usize = 9;
 
 /// Why a record cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -238,7 +238,7 @@ struct Document<W> {
     created: u64,
     /// Later fields (rule 1).
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    layers: BTreeMap<String, Layer>,
+    layers: BTreeMap<String, LayerRecord>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     made_with_region: Option<String>,
     /// Whether the rest handles lack landmarks that one side has.
@@ -249,12 +249,12 @@ struct Document<W> {
 
 #[derive(Derived, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Layer {
+struct LayerRecord {
     kind: String,
     file: String,
 }
 
-impl Layer {
+impl LayerRecord {
     fn write((name, layer): (&LayerName, &StoredLayer)) -> (String, Self) {
         (
             name.to_string(),
@@ -286,14 +286,14 @@ pub fn write(record: &Record) -> Vec<u8> {
         .duration_since(SystemTime::UNIX_EPOCH)
         .unwrap_or_default();
     let document = Document {
-        version: VERSION,
+        version: RECORD_VERSION,
         id: HEXLOWER.encode(&record.id.to_bytes()),
         revision: HEXLOWER.encode(record.revision.as_bytes()),
         image: record.image.to_string(),
         width: record.extent.width(),
         height: record.extent.height(),
         created: u64::try_from(created.as_nanos()).unwrap_or(u64::MAX),
-        layers: record.layers.iter().map(Layer::write).collect(),
+        layers: record.layers.iter().map(LayerRecord::write).collect(),
         made_with_region: record.made_with_region.map(|digest| digest.to_string()),
         has_unmatched: record.rest.has_unmatched,
         warp: Warp(record, Defaults::LeftOut),
@@ -312,7 +312,7 @@ pub(crate) fn sealed(json: &[u8]) -> Vec<u8> {
 /// Errors: They are damaged, or another version of the program wrote them.
 pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     let (sum, json) = bytes
-        .split_at_checked(CHECKSUM)
+        .split_at_checked(CHECKSUM_BYTES)
         .ok_or(Unreadable::Damaged("it is too short"))?;
     if sum != format!("{:08x}\n", crc32fast::hash(json)).as_bytes() {
         return Err(Unreadable::Damaged("its checksum is another"));
@@ -320,9 +320,9 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     // The checksum is right: another version has written what cannot be read from here on.
     let other = |why: &str| Unreadable::OtherVersion(why.to_owned());
     let Version { version } = serde_json::from_slice(json).map_err(|e| other(&e.to_string()))?;
-    if version != VERSION {
+    if version != RECORD_VERSION {
         return Err(Unreadable::OtherVersion(format!(
-            "its form is version {version}; this program knows {VERSION}"
+            "its form is version {version}; this program knows {RECORD_VERSION}"
         )));
     }
     let read: Document<&RawValue> =
@@ -342,7 +342,7 @@ pub fn read(bytes: &[u8]) -> Result<Arc<Record>, Unreadable> {
     let layers = read
         .layers
         .into_iter()
-        .map(Layer::read)
+        .map(LayerRecord::read)
         .collect::<Option<BTreeMap<_, _>>>();
     let layers = layers
         .filter(|layers| layers.len() <= MAX_LAYERS)
@@ -506,7 +506,7 @@ mod tests {
     fn with_warp(record: &Record, warp: &str) -> Vec<u8> {
         let text = String::from_utf8(write(record)).unwrap();
         let (before, _) = text.split_once("\"warp\":").unwrap();
-        sealed(format!("{}\"warp\":{warp}}}", &before[CHECKSUM..]).as_bytes())
+        sealed(format!("{}\"warp\":{warp}}}", &before[CHECKSUM_BYTES..]).as_bytes())
     }
 
     #[test]
@@ -654,7 +654,7 @@ mod tests {
         };
         assert!(made(&without) == made(&none) && without.is_made_like(&none));
         assert!(made(&some) != made(&none) && !some.is_made_like(&none));
-        let other = text(&some)[CHECKSUM..].replace("\"image\",", "\"video\",");
+        let other = text(&some)[CHECKSUM_BYTES..].replace("\"image\",", "\"video\",");
         assert!(matches!(
             read(&sealed(other.as_bytes())),
             Err(Unreadable::OtherVersion(_))
@@ -664,7 +664,7 @@ mod tests {
     #[test]
     fn what_this_program_does_not_know_is_of_another_version_and_not_damaged() {
         let record = rich();
-        let text = String::from_utf8(write(&record)[CHECKSUM..].to_vec()).unwrap();
+        let text = String::from_utf8(write(&record)[CHECKSUM_BYTES..].to_vec()).unwrap();
         let changed = |old: &str, new: &str| {
             assert!(text.contains(old));
             sealed(text.replace(old, new).as_bytes())

@@ -13,7 +13,7 @@ pub enum StoreUrl {
     File(std::path::PathBuf),
     /// On a Redis or Valkey server.
     #[cfg(feature = "redis")]
-    Redis(super::Address),
+    Redis(super::RedisAddress),
 }
 
 impl FromStr for StoreUrl {
@@ -65,7 +65,7 @@ fn file(_: &str) -> Result<StoreUrl, String> {
 
 #[cfg(feature = "redis")]
 fn redis(text: &str) -> Result<StoreUrl, String> {
-    super::Address::parse(text).map(StoreUrl::Redis)
+    super::RedisAddress::parse(text).map(StoreUrl::Redis)
 }
 
 #[cfg(not(feature = "redis"))]

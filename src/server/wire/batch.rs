@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use bytes::Bytes;
 use mlswarp::render::Canvas;
-use mlswarp::warp::{Easing, Frame, Jitter};
+use mlswarp::warp::{CoordinateFrame, Easing, Jitter};
 use serde::Serialize;
 
 use super::annotations::Annotations;
@@ -29,7 +29,8 @@ const MOST_LAYERS: usize = MAX_LAYERS + LayerRef::BUILT_IN.len();
 /// What a number of frames is.
 const COUNT: &str = "a whole number of frames, at least 1";
 /// What the number of in-betweens is.
-const STEPS: &str = "a whole number of frames, at least 2: the first at rest, the last at `q`";
+const STEPS_EXPECTED: &str =
+    "a whole number of frames, at least 2: the first at rest, the last at `q`";
 /// What the frames are.
 const FRAMES: &str = "an array of frames, {\"q\": [...], \"strength\": t}";
 /// The largest standard deviation of a jitter, px.
@@ -124,7 +125,7 @@ pub(crate) fn in_frame(frame: u32, mut problem: Problem) -> Problem {
 impl BatchPoses {
     /// What the request gives of the pose of a frame.
     /// Errors: A frame with another form.
-    pub fn given<H>(
+    pub fn requested_frames<H>(
         &self,
         frame: u32,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
@@ -160,7 +161,7 @@ impl<H> Reserved<BatchObject, H> {
         body: &Bytes,
         most_bytes: u64,
         most_frame_bytes: u64,
-        source: Frame,
+        source: CoordinateFrame,
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
         let root = json::root(body)?;
@@ -186,7 +187,7 @@ impl BatchObject {
         root: &Node<'_, '_>,
         fields: BatchFields<'_, '_>,
         most_frame_bytes: u64,
-        source: Frame,
+        source: CoordinateFrame,
     ) -> Result<Self, Problem> {
         let [
             frames,
@@ -221,7 +222,7 @@ impl BatchObject {
             }
             (None, Some(steps), None) => BatchPoses::Steps {
                 pose: PosePatch::read([q, strength], usize::MAX)?,
-                steps: frame_count(&steps, 2, STEPS)?,
+                steps: frame_count(&steps, 2, STEPS_EXPECTED)?,
                 easing: optional(easing, enum_name)?.unwrap_or_default(),
             },
             (None, None, Some(jitter)) => {
@@ -472,7 +473,7 @@ mod tests {
     }
 
     fn parse(text: &str) -> Result<BatchObject, Problem> {
-        let source = Frame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
+        let source = CoordinateFrame::of_source(Extent::new(100, 80).unwrap(), Units::Px);
         let body = Bytes::copy_from_slice(text.as_bytes());
         Reserved::<BatchObject, _>::parse(&body, 1000, 100, source, free)
             .map(|read| read.into_parts().0)

@@ -13,7 +13,7 @@ use super::{AsJson, EXTENT, PosePatch, fields, json, size};
 use crate::problem::{Code, Problem};
 
 /// The most candidates of a request.
-const MOST: usize = 64;
+const MAX_CANDIDATES: usize = 64;
 const CANDIDATES: &str = "an array of 1 to 64 candidates";
 /// Bytes of text of an ordinary candidate.
 const CANDIDATE_TEXT: usize = 30;
@@ -97,8 +97,8 @@ fn read_candidates(node: Option<Node<'_, '_>>) -> Result<Vec<Candidate>, Problem
         return Ok(Candidate::defaults());
     };
     let candidates = node.list(CANDIDATES, CANDIDATE_TEXT, |index, item| {
-        if index >= MOST {
-            return Err(node.unexpected(CANDIDATES, format_args!("more than {MOST}")));
+        if index >= MAX_CANDIDATES {
+            return Err(node.unexpected(CANDIDATES, format_args!("more than {MAX_CANDIDATES}")));
         }
         let [method, alpha, smoothing] = item.fields(&fields::CANDIDATE)?;
         let method: Method =

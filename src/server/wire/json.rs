@@ -13,7 +13,7 @@ use std::ops::Range;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use super::work::{PIECE, Work};
+use super::work::{BYTES_PER_CHECK, Work};
 use super::{fields, shape, suggest, syntax};
 use crate::problem::words::{LONGEST_QUOTE, advice, is_unseen, list, quote};
 use crate::problem::{Code, Problem};
@@ -482,7 +482,7 @@ fn length(text: &[u8], work: Option<&Work<'_>>) -> usize {
         return value.end(text).unwrap_or(text.len());
     };
     let mut before = 0;
-    for piece in text.chunks(PIECE) {
+    for piece in text.chunks(BYTES_PER_CHECK) {
         let end = value.end(piece);
         before += end.unwrap_or(piece.len());
         if !work.add(end.unwrap_or(piece.len())) || end.is_some() {

@@ -10,7 +10,7 @@ use crate::problem::Problem;
 
 /// An object, and what messages call its place.
 #[derive(Clone, Debug)]
-pub(crate) struct Source {
+pub(crate) struct NamedObject {
     pub(crate) name: String,
     pub(crate) json: Vec<u8>,
     /// An option replaces fields of files without a word.
@@ -19,7 +19,7 @@ pub(crate) struct Source {
 
 /// One field of all objects; those of `output` one by one.
 #[derive(Debug)]
-struct Field<'a> {
+struct MergedField<'a> {
     is_output: bool,
     /// In its quotes.
     name: &'a str,
@@ -43,11 +43,12 @@ impl Merged {
     /// for each field of `output` apart; `null` is no field. A field that one object gives twice is
     /// kept twice, which its parser reports. Errors: A text that is not a JSON object, and its
     /// index.
-    pub(crate) fn of(sources: &[Source]) -> Result<Self, (usize, Problem)> {
-        let (mut merged, mut replaced): (Vec<Field<'_>>, Vec<String>) = (Vec::new(), Vec::new());
+    pub(crate) fn of(sources: &[NamedObject]) -> Result<Self, (usize, Problem)> {
+        let (mut merged, mut replaced): (Vec<MergedField<'_>>, Vec<String>) =
+            (Vec::new(), Vec::new());
         for (
             source,
-            Source {
+            NamedObject {
                 name: place,
                 json,
                 is_option,
@@ -56,7 +57,7 @@ impl Merged {
         {
             let root = json::root(json).map_err(|problem| (source, problem))?;
             for field in fields_of(&root, source) {
-                let is_same = |other: &&mut Field<'_>| {
+                let is_same = |other: &&mut MergedField<'_>| {
                     (other.is_output, other.name) == (field.is_output, field.name)
                 };
                 match merged.iter_mut().find(is_same) {
@@ -81,7 +82,7 @@ impl Merged {
         let text = |is_output: bool| {
             let fields = merged.iter().filter(|field| field.is_output == is_output);
             fields
-                .map(|Field { name, value, .. }| format!("{name}:{value}"))
+                .map(|MergedField { name, value, .. }| format!("{name}:{value}"))
                 .collect::<Vec<_>>()
                 .join(",")
         };
@@ -148,7 +149,7 @@ impl Merged {
     }
 }
 
-impl Field<'_> {
+impl MergedField<'_> {
     fn pointer(&self) -> String {
         let name = self.name.trim_matches('"');
         if self.is_output {
@@ -160,9 +161,9 @@ impl Field<'_> {
 }
 
 /// The fields of an object, and those of `output` in it.
-fn fields_of<'j>(root: &Node<'j, '_>, source: usize) -> Vec<Field<'j>> {
+fn fields_of<'j>(root: &Node<'j, '_>, source: usize) -> Vec<MergedField<'j>> {
     let field = |is_output| {
-        move |(name, value)| Field {
+        move |(name, value)| MergedField {
             is_output,
             name,
             value,
@@ -252,7 +253,7 @@ mod tests {
     fn merged(objects: &[&str]) -> Result<Merged, (usize, Problem)> {
         let source = |(k, text): (usize, &&str)| {
             let is_option = text.starts_with("{\"--");
-            Source {
+            NamedObject {
                 name: format!("{k}.json"),
                 json: text.replace("--", "").into_bytes(),
                 is_option,

@@ -3,7 +3,7 @@
 
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CompactLattice, Posed, Setup};
+use mlswarp::warp::{CompactLattice, PosedMesh, ResolvedRest};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -36,8 +36,8 @@ pub(crate) struct CompactShape {
 }
 
 impl MeshShape {
-    pub(crate) fn new(setup: &Setup, extent: Extent) -> Self {
-        Self::of(setup.lines(), extent)
+    pub(crate) fn new(setup: &ResolvedRest, extent: Extent) -> Self {
+        Self::of(setup.grid(), extent)
     }
 
     pub(crate) fn compact(lattice: &CompactLattice, extent: Extent) -> Self {
@@ -48,7 +48,7 @@ impl MeshShape {
         };
         Self {
             compact: Some(compact),
-            ..Self::of(&lattice.lines(), extent)
+            ..Self::of(&lattice.grid(), extent)
         }
     }
 
@@ -70,10 +70,10 @@ pub(crate) struct MeshObject<'a> {
     #[serde(flatten)]
     pub(crate) shape: MeshShape,
     /// Row by row, in the session's units.
-    pub(crate) vertices: AsJson<&'a Posed>,
+    pub(crate) vertices: AsJson<&'a PosedMesh>,
 }
 
-impl Serialize for AsJson<&Posed> {
+impl Serialize for AsJson<&PosedMesh> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         s.collect_seq(self.0.vertices())
     }

@@ -43,7 +43,7 @@ use crate::layer::LayerRef;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 pub(crate) use annotations::is_geojson;
-pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, Reserve};
+pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, ReserveMore};
 pub(crate) use batch::{BatchFrame, BatchIndex, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub(crate) use enum_name::EnumName;
@@ -53,11 +53,11 @@ pub(crate) use handles::handles_bytes;
 use json::{At, Node, optional};
 pub use map::MapObject;
 pub(crate) use map::in_map;
-pub(crate) use merge::{Merged, Source, extent_in, of_fit, split_batch};
+pub(crate) use merge::{Merged, NamedObject, extent_in, of_fit, split_batch};
 pub(crate) use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Candidate, Folds, Frame, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{Alignment, Candidate, CoordinateFrame, Folds, OutputSpec, RestSpec, Units};
 use number::{count, whole};
 pub(crate) use output::{OutputPatch, canvas_from_text, canvas_text};
 pub(crate) use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
@@ -328,12 +328,16 @@ impl PointsObject {
 }
 
 /// The image of annotations: the picture if they are mapped by the inverse, otherwise the source.
-fn image_of(output: &OutputSpec, source: Extent, units: Units) -> impl FnOnce(bool) -> Frame {
+fn image_of(
+    output: &OutputSpec,
+    source: Extent,
+    units: Units,
+) -> impl FnOnce(bool) -> CoordinateFrame {
     move |is_inverse| {
         if is_inverse {
-            Frame::requested(output, source, units)
+            CoordinateFrame::requested(output, source, units)
         } else {
-            Frame::of_source(source, units)
+            CoordinateFrame::of_source(source, units)
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use mlswarp::geometry::Compact;
+use mlswarp::geometry::DisplayNumber;
 
 use super::json::{Kind, Node};
 use crate::problem::words::quote;
@@ -41,7 +41,9 @@ pub(crate) fn positive(node: &Node<'_, '_>, expected: &str) -> Result<f64, Probl
     if value > 0.0 {
         Ok(value)
     } else {
-        Err(node.unexpected(expected, Compact(value)).actual(value))
+        Err(node
+            .unexpected(expected, DisplayNumber(value))
+            .actual(value))
     }
 }
 
@@ -55,7 +57,9 @@ pub(crate) fn number_in(
     if range.contains(&value) {
         Ok(value)
     } else {
-        Err(node.unexpected(expected, Compact(value)).actual(value))
+        Err(node
+            .unexpected(expected, DisplayNumber(value))
+            .actual(value))
     }
 }
 
@@ -88,7 +92,7 @@ pub(crate) fn integer(node: &Node<'_, '_>, most: i32, expected: &str) -> Result<
         return Err(node
             .unexpected(
                 &format!("{expected} between -{most} and {most}"),
-                Compact(value),
+                DisplayNumber(value),
             )
             .actual(value));
     }

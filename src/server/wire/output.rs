@@ -5,7 +5,7 @@ use data_encoding::HEXLOWER_PERMISSIVE;
 use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Filter, Outside};
-use mlswarp::warp::{CanvasSpec, FARTHEST_CANVAS as FARTHEST, Holes, OutputSpec};
+use mlswarp::warp::{CanvasSpec, FARTHEST_EDGE_PX, Holes, OutputSpec};
 
 use super::enum_name::{enum_name, unknown_name};
 use super::fields;
@@ -17,7 +17,7 @@ use crate::problem::{Code, Problem};
 
 const CANVAS: &str = "`same`, `fit`, {\"x\": px, \"y\": px, \"width\": px, \"height\": px}";
 /// The longest side of a canvas: from one farthest edge to the other.
-const LONGEST: u32 = 2 * FARTHEST.unsigned_abs();
+const LONGEST_CANVAS_PX: u32 = 2 * FARTHEST_EDGE_PX.unsigned_abs();
 const OUTSIDE: &str =
     "`transparent`, `edge`, `reflect`, `#rrggbb`, `#rrggbbaa`, {\"value\": number or [r, g, b]}";
 const VALUE: &str =
@@ -101,11 +101,12 @@ pub(super) fn canvas(node: &Node<'_, '_>) -> Result<CanvasSpec, Problem> {
                     format!("expected `x`, `y`, `width` and `height`; a canvas is one of {CANVAS}"),
                 ));
             };
-            let place = |node: &Node<'_, '_>| integer(node, FARTHEST, "a whole number of pixels");
+            let place =
+                |node: &Node<'_, '_>| integer(node, FARTHEST_EDGE_PX, "a whole number of pixels");
             let side = |node: &Node<'_, '_>| {
-                let expected = format!("a whole number of pixels, 1 to {LONGEST}");
+                let expected = format!("a whole number of pixels, 1 to {LONGEST_CANVAS_PX}");
                 let side = count(node, 1, &expected)?;
-                if side <= LONGEST {
+                if side <= LONGEST_CANVAS_PX {
                     Ok(side)
                 } else {
                     Err(node.unexpected(&expected, side).actual(side))
@@ -132,9 +133,13 @@ pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
     let place = |place: i64| {
         i32::try_from(place)
             .ok()
-            .filter(|place| place.abs() <= FARTHEST)
+            .filter(|place| place.abs() <= FARTHEST_EDGE_PX)
     };
-    let side = |side: i64| u32::try_from(side).ok().filter(|side| *side <= LONGEST);
+    let side = |side: i64| {
+        u32::try_from(side)
+            .ok()
+            .filter(|side| *side <= LONGEST_CANVAS_PX)
+    };
     match (text, numbers.as_deref()) {
         ("same", _) => Ok(CanvasSpec::Same),
         ("fit", _) => Ok(CanvasSpec::Fit),
@@ -148,8 +153,8 @@ pub(crate) fn canvas_from_text(text: &str) -> Result<CanvasSpec, String> {
                 .map(|((x, y), extent)| CanvasSpec::Box(Canvas { x, y, extent }));
             canvas.ok_or_else(|| {
                 format!(
-                    "x and y must lie between -{FARTHEST} and {FARTHEST}, \
-                width and height between 1 and {LONGEST}"
+                    "x and y must lie between -{FARTHEST_EDGE_PX} and {FARTHEST_EDGE_PX}, \
+                width and height between 1 and {LONGEST_CANVAS_PX}"
                 )
             })
         }

@@ -2,17 +2,17 @@
 //! coefficients, all little-endian. `/docs` has the layout and the code that poses it.
 
 use half::f16;
-use mlswarp::deform::{Method, Plan};
+use mlswarp::deform::{CoefficientTable, Method};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Table, WarpError};
+use mlswarp::warp::{CoefficientRequest, WarpError};
 
 /// The first bytes of the file: its form and version.
 const MAGIC: &[u8; 8] = b"MLSPLAN1";
 /// Bytes of the header and of a member.
-const HEADER: u64 = 64;
-const MEMBER: u64 = 16;
+const HEADER_BYTES: u64 = 64;
+const MEMBER_BYTES: u64 = 16;
 /// Bytes of the rest revision.
-pub(crate) const REVISION: usize = 16;
+pub(crate) const REVISION_BYTES: usize = 16;
 
 /// The numbers of the coefficients.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -58,14 +58,16 @@ pub(crate) struct PlanQuery {
 }
 
 /// The rest revision of a session, as its object has it.
-pub(crate) fn rest_revision(digest: mlswarp::warp::Digest) -> [u8; REVISION] {
+pub(crate) fn rest_revision(digest: mlswarp::warp::Digest) -> [u8; REVISION_BYTES] {
     *digest.0.first_chunk().expect("a digest has 32 bytes")
 }
 
 /// Length of the file.
-pub(crate) fn plan_file_bytes(table: &Table, precision: Precision) -> u64 {
+pub(crate) fn plan_file_bytes(table: &CoefficientRequest, precision: Precision) -> u64 {
     let numbers = table.grid().len() as u64 * table.planes() as u64;
-    HEADER + MEMBER * table.members_len() as u64 + u64::from(precision.bytes()) * numbers
+    HEADER_BYTES
+        + MEMBER_BYTES * table.members_len() as u64
+        + u64::from(precision.bytes()) * numbers
 }
 
 /// The file; `None` if a coefficient is too large for the precision.
@@ -76,8 +78,8 @@ pub(crate) fn plan_file_bytes(table: &Table, precision: Precision) -> u64 {
     reason = "counts of columns and handles are far below 2^32; a share is a f32"
 )]
 pub(crate) fn plan_file(
-    table: &Table,
-    plan: &Plan,
+    table: &CoefficientRequest,
+    plan: &CoefficientTable,
     precision: Precision,
     extent: Extent,
     cancelled: &dyn Fn() -> bool,
@@ -103,7 +105,7 @@ pub(crate) fn plan_file(
         out.extend(number.to_le_bytes());
     }
     out.extend(rest_revision(table.rest_digest()));
-    out.resize(HEADER as usize, 0);
+    out.resize(HEADER_BYTES as usize, 0);
     for member in members {
         for index in [member.column, member.handle, member.place] {
             out.extend((index as u32).to_le_bytes());

@@ -3,7 +3,7 @@
 use mlswarp::deform::Class;
 use mlswarp::geometry::{FoldRegions, Orientation, Point, Summary};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Frame, Quality, RoundTrip, ToleranceQuality};
+use mlswarp::warp::{Alignment, CoordinateFrame, Quality, RoundTrip, ToleranceQuality};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::{AsJson, EXTENT, WarningEntry, WarpObject, WarpPatch, fields, json, size};
@@ -46,7 +46,7 @@ pub struct ReportAnswer<'a> {
     pub warnings: &'a [WarningEntry],
     /// The picture that the output asks for, in px; `None` if `fit` has nothing to show. Boxes are
     /// in its frame.
-    pub picture: Option<Frame>,
+    pub picture: Option<CoordinateFrame>,
 }
 
 impl ReportAnswer<'_> {
@@ -101,7 +101,7 @@ impl Serialize for ReportAnswer<'_> {
 }
 
 /// Folds, with boxes in the frame of a picture.
-impl Serialize for AsJson<(&FoldRegions, Option<Frame>)> {
+impl Serialize for AsJson<(&FoldRegions, Option<CoordinateFrame>)> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         let (
             FoldRegions {

@@ -1,7 +1,7 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
 use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
-use mlswarp::geometry::Compact;
+use mlswarp::geometry::DisplayNumber;
 use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
@@ -111,7 +111,7 @@ impl WarpPatch {
 
     /// Errors: `bad_value` at a field that belongs to landmark files, of which there are none.
     pub(crate) fn without_files(self) -> Result<Self, Problem> {
-        match self.choice.given() {
+        match self.choice.given_item() {
             Some(name) => Err(without_files(name).pointer(format!("/{name}"))),
             None => Ok(self),
         }
@@ -257,7 +257,7 @@ fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
     let [policy, within] = node.fields(&fields::COINCIDENT)?;
     let distance = |node: &Node<'_, '_>| match number(node, WITHIN)? {
         value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),
-        value => Err(node.unexpected(WITHIN, Compact(value)).actual(value)),
+        value => Err(node.unexpected(WITHIN, DisplayNumber(value)).actual(value)),
     };
     Ok(Coincident {
         policy: optional(policy, enum_name)?.unwrap_or_default(),
@@ -276,11 +276,11 @@ fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
             let vertices = "a whole number of vertices, at least 2";
             match node.fields(&fields::GRID)? {
                 [None, None, None, Some(tolerance)] => {
-                    let (least, most) = GridSpec::TOLERANCES.into_inner();
+                    let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
                     let expected = format!("a number of pixels between {least} and {most}");
                     Ok(GridSpec::Tolerance(number_in(
                         &tolerance,
-                        GridSpec::TOLERANCES,
+                        GridSpec::TOLERANCE_RANGE_PX,
                         &expected,
                     )?))
                 }

@@ -2,7 +2,7 @@
 //! client; the report that precedes a frame.
 
 use bytes::Bytes;
-use mlswarp::deform::{Contradiction, Handle};
+use mlswarp::deform::{Conflict, Handle};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::Canvas;
@@ -302,7 +302,7 @@ pub(crate) struct FrameReport<'a> {
     pub(crate) exceeded: Option<u64>,
     /// The groups of handles that coincide at rest and move differently.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) coincident: Option<AsJson<&'a [Contradiction]>>,
+    pub(crate) coincident: Option<AsJson<&'a [Conflict]>>,
     pub(crate) timing: FrameTiming,
 }
 

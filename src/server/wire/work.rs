@@ -7,7 +7,7 @@ use std::io::{self, BufReader, Read};
 use serde::de::IgnoredAny;
 
 /// Bytes between two questions whether the result is wanted: a few microseconds.
-pub(crate) const PIECE: usize = 4096;
+pub(crate) const BYTES_PER_CHECK: usize = 4096;
 
 /// The work of one request on one thread. A reader adds the bytes that it looks at. Once the work
 /// is cancelled, every scan ends early, and whoever began it must not believe the result.
@@ -53,7 +53,7 @@ impl<'c> Work<'c> {
     pub(crate) fn add(&self, bytes: usize) -> bool {
         let total = self.bytes.get() + bytes;
         self.bytes.set(total);
-        if total >= self.asked.get() + PIECE {
+        if total >= self.asked.get() + BYTES_PER_CHECK {
             self.asked.set(total);
             self.is_stopped
                 .set(self.is_stopped.get() || (self.is_cancelled)());
@@ -64,8 +64,8 @@ impl<'c> Work<'c> {
     /// The text at the beginning of a file.
     pub(crate) fn text<'t>(&self, bytes: &'t [u8]) -> &'t str {
         let mut end = 0;
-        while end < bytes.len() && self.add(PIECE.min(bytes.len() - end)) {
-            let piece = &bytes[end..bytes.len().min(end + PIECE)];
+        while end < bytes.len() && self.add(BYTES_PER_CHECK.min(bytes.len() - end)) {
+            let piece = &bytes[end..bytes.len().min(end + BYTES_PER_CHECK)];
             match std::str::from_utf8(piece) {
                 Ok(_) => end += piece.len(),
                 // A character that goes on in the next piece.
@@ -84,13 +84,14 @@ impl<'c> Work<'c> {
     /// A text in pieces, each of which is counted when it is taken; the last one is where the work
     /// is cancelled.
     pub(crate) fn pieces<'t>(&self, text: &'t [u8]) -> impl Iterator<Item = &'t [u8]> {
-        text.chunks(PIECE).take_while(|piece| self.add(piece.len()))
+        text.chunks(BYTES_PER_CHECK)
+            .take_while(|piece| self.add(piece.len()))
     }
 
     /// The number of bytes before the first that `ends` a scan; all of them if none does.
     pub(crate) fn find(&self, text: &[u8], ends: impl Fn(u8) -> bool) -> usize {
         let mut before = 0;
-        for piece in text.chunks(PIECE) {
+        for piece in text.chunks(BYTES_PER_CHECK) {
             let found = piece.iter().position(|byte| ends(*byte));
             before += found.unwrap_or(piece.len());
             if !self.add(found.map_or(piece.len(), |found| found + 1)) || found.is_some() {
@@ -113,7 +114,7 @@ impl<'c> Work<'c> {
                 }
             }
         }
-        let pieces = BufReader::with_capacity(PIECE, Pieces(text.as_bytes(), self));
+        let pieces = BufReader::with_capacity(BYTES_PER_CHECK, Pieces(text.as_bytes(), self));
         serde_json::from_reader::<_, IgnoredAny>(pieces).map(drop)
     }
 }

@@ -2,7 +2,7 @@
 //! read back to the same bits. Defaults are written, so that a client sees them; an option without
 //! a default is left out.
 
-use mlswarp::deform::{Coincident, Contradiction, Handle};
+use mlswarp::deform::{Coincident, Conflict, Handle};
 use mlswarp::geometry::Point;
 use mlswarp::render::{Canvas, Outside};
 use mlswarp::warp::{CanvasSpec, GridSpec, OutputSpec};
@@ -55,9 +55,9 @@ impl Serialize for AsJson<Coincident> {
     }
 }
 
-impl Serialize for AsJson<&Contradiction> {
+impl Serialize for AsJson<&Conflict> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let Contradiction {
+        let Conflict {
             handles,
             position,
             spread,
@@ -71,7 +71,7 @@ impl Serialize for AsJson<&Contradiction> {
     }
 }
 
-impl Serialize for AsJson<&[Contradiction]> {
+impl Serialize for AsJson<&[Conflict]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         s.collect_seq(self.0.iter().map(AsJson))
     }

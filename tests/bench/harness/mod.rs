@@ -102,7 +102,7 @@ const SAMPLE: Duration = Duration::from_micros(300);
 /// A contender that has taken so long rests while the others go on, ...
 const ENOUGH: Duration = Duration::from_millis(1200);
 /// ... once it has so many samples.
-const LEAST: usize = 5;
+const MIN_SAMPLES: usize = 5;
 
 /// Samples of one contender, seconds of a call, rising.
 pub struct Times(Vec<f64>);
@@ -144,7 +144,7 @@ pub fn times(rounds: usize, contenders: &mut [Contender<'_>]) -> Vec<Times> {
             .zip(&mut samples)
             .zip(&mut spent)
         {
-            if round < LEAST || *spent < ENOUGH {
+            if round < MIN_SAMPLES || *spent < ENOUGH {
                 let start = Instant::now();
                 samples.push(c.sample(repeats));
                 *spent += start.elapsed();
@@ -196,7 +196,7 @@ impl Report {
         report.line(&format!(
             "Machine: {}; level {}.\n",
             machine(),
-            mlswarp::level::Level::detect().name()
+            mlswarp::level::SimdLevel::detect().name()
         ));
         report
     }

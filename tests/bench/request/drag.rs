@@ -3,11 +3,12 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use mlswarp::deform::{self, Falloff, Field, Handle, Handles, Method, Pose};
+use mlswarp::deform::{self, Falloff, Handle, Handles, Method, Pose, RestDeformation};
 use mlswarp::geometry::Grid;
 use mlswarp::pixmap::{Channels, Extent, Pixmap};
 use mlswarp::warp::{
-    Folds, GridSpec, Image, Limits, OutputSpec, Plan, Posed, RestSpec, Setup, Subject, Warp,
+    CompiledRest, Folds, GridSpec, Image, Limits, OutputSpec, PosedMesh, RasterSource, RenderJob,
+    ResolvedRest, RestSpec,
 };
 
 use crate::harness::pictures::{VERTICES, bytes, encode, handles};
@@ -22,8 +23,8 @@ const POSES: u32 = 8;
 
 pub struct Drag {
     image: Arc<Image>,
-    setup: Setup,
-    plan: Plan,
+    setup: ResolvedRest,
+    plan: CompiledRest,
     pub rest: Vec<Handle>,
     pub poses: Vec<Vec<Handle>>,
     pub output: OutputSpec,
@@ -59,7 +60,8 @@ impl Drag {
     pub fn of_handles(file: &[u8], spec: RestSpec, poses: Vec<Vec<Handle>>) -> Self {
         let limits = Limits::default();
         let image = Arc::new(Image::decode(file, &limits.image).expect("our own picture"));
-        let setup = Setup::new(&spec, image.extent(), &limits).expect("handles that can be warped");
+        let setup =
+            ResolvedRest::new(&spec, image.extent(), &limits).expect("handles that can be warped");
         let plan = setup.plan();
         Self {
             image,
@@ -87,9 +89,14 @@ impl Drag {
             .pose(&self.poses[self.turn])
             .expect("a pose of these handles");
         let limits = Limits::default();
-        let posed = Posed::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false)
+        let posed = PosedMesh::new(&self.setup, &self.plan, &pose, Folds::Report, &|| false)
             .expect("folds are drawn");
-        let warp = Warp::new(Subject::Image(&self.image), &posed, &self.output, &limits);
+        let warp = RenderJob::new(
+            RasterSource::Image(&self.image),
+            &posed,
+            &self.output,
+            &limits,
+        );
         self.strips.clear();
         let _ = warp
             .expect("nothing is too large")
@@ -112,11 +119,11 @@ impl Drag {
 }
 
 /// The plan and a pose of the same handles, for the deformation alone.
-pub fn deformation(extent: Extent, handle_count: usize) -> (deform::Plan, Pose) {
+pub fn deformation(extent: Extent, handle_count: usize) -> (deform::CoefficientTable, Pose) {
     let (p, q) = handles(handle_count, extent, 1.0);
     let rest = Handles::new(p, None).expect("well-formed handles");
     let falloff = Falloff::new(1.0, rest.has_lines()).expect("alpha in range");
-    let field = Field::new(rest, Method::Rigid, falloff, 1.0).expect("a regular set");
+    let field = RestDeformation::new(rest, Method::Rigid, falloff, 1.0).expect("a regular set");
     let pose = field.pose(&q).expect("targets that agree");
     let grid = Grid::with_counts(
         f64::from(extent.width()),
@@ -124,7 +131,7 @@ pub fn deformation(extent: Extent, handle_count: usize) -> (deform::Plan, Pose) 
         VERTICES,
         VERTICES,
     );
-    (deform::Plan::of_grid(&field, &grid), pose)
+    (deform::CoefficientTable::of_grid(&field, &grid), pose)
 }
 
 /// A picture as a file, RGBA if it is.

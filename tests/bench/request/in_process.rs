@@ -8,7 +8,7 @@ use std::time::Instant;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
-use mlswarp::level::Level;
+use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Extent};
 
 use mlswarp::warp::{GridSpec, Method, OutputSpec, RestSpec};
@@ -259,7 +259,7 @@ fn places(handles: &[Handle]) -> Vec<(f32, f32)> {
 
 /// Each level in a process of its own: the level is found once a process.
 fn levels(report: &mut Report, title: &str) {
-    let mut others: Vec<_> = Level::available()
+    let mut others: Vec<_> = SimdLevel::available()
         .iter()
         .rev()
         .map(|level| {
@@ -280,8 +280,12 @@ fn levels(report: &mut Report, title: &str) {
         }
     }
     report.table(title, 101, &mut contenders);
-    for (k, level) in Level::available().iter().rev().enumerate().skip(1) {
-        let limit = if *level == Level::Scalar { 5.0 } else { 1.5 };
+    for (k, level) in SimdLevel::available().iter().rev().enumerate().skip(1) {
+        let limit = if *level == SimdLevel::Scalar {
+            5.0
+        } else {
+            1.5
+        };
         report.goal(
             &format!("500 x 500, level {} / the best, 1 thread", level.name()),
             report.ratio(k, 0),
@@ -299,7 +303,7 @@ pub fn answer(folder: Option<&Path>) {
         let (width, height) = SMALL;
         let index = serde_json::json!({
             "width": width, "height": height, "source": "source.rgba", "vertices": VERTICES, "p": p,
-                "q": q, "level": Level::detect().name(),
+                "q": q, "level": SimdLevel::detect().name(),
         });
         paired::write(folder, "source.rgba", bytes(&photo));
         paired::write(folder, "index.json", index.to_string().as_bytes());

@@ -2,15 +2,15 @@
 //! neither takes more memory or work than follows from the file's bytes and the pixels that it
 //! claims within the limits.
 
-use mlswarp::codec::{self, Limits, StepCounter, probe};
+use mlswarp::codec::{self, ImageLimits, StepCounter, probe};
 
-const LIMITS: Limits = Limits {
+const LIMITS: ImageLimits = ImageLimits {
     max_pixels: 1 << 20,
     max_side: 1 << 12,
 };
 /// Most bytes that decoding a picture within the limits may be predicted to take beside five times
 /// the file: 16 a pixel, its tables, 2 MiB.
-const MOST: u64 = (16 << 20) + (128 << 20) + (2 << 20);
+const MAX_BYTES: u64 = (16 << 20) + (128 << 20) + (2 << 20);
 
 /// The steps of `read` are at most `most`.
 fn within<T>(most: u64, read: impl FnOnce(&StepCounter<'_>) -> T) -> T {
@@ -59,7 +59,7 @@ pub(super) fn decode(bytes: &[u8]) {
     );
     assert!(header.decode_bytes > pixmap.bytes() as u64);
     assert!(
-        header.decode_bytes <= MOST + 5 * length,
+        header.decode_bytes <= MAX_BYTES + 5 * length,
         "{} bytes",
         header.decode_bytes
     );

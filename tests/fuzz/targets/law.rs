@@ -3,7 +3,7 @@
 //! row and cross far more often than numbers by chance would, and now and then a hair beside it.
 //! Two laws: everything is finite, and the plan says what the exact function says.
 
-use mlswarp::deform::{Falloff, Field, Handle, Handles, Method, Plan, Pose};
+use mlswarp::deform::{CoefficientTable, Falloff, Handle, Handles, Method, Pose, RestDeformation};
 use mlswarp::geometry::{Point, Vec2};
 
 /// Bytes as choices; zeros when there are no more.
@@ -77,7 +77,7 @@ pub(super) fn hold(bytes: &[u8]) {
     let Ok(falloff) = Falloff::new(alpha, rest.has_lines()) else {
         return;
     };
-    let Ok(field) = Field::new(rest, method, falloff, point_mass) else {
+    let Ok(field) = RestDeformation::new(rest, method, falloff, point_mass) else {
         return;
     };
     let Ok(pose) = field.pose(&q) else { return };
@@ -105,7 +105,7 @@ pub(super) fn hold(bytes: &[u8]) {
     ]);
 
     let (displacement, quality) =
-        Plan::of_vertices(&field, vertices.len(), |k| vertices[k]).displace(&pose);
+        CoefficientTable::of_vertices(&field, vertices.len(), |k| vertices[k]).displace(&pose);
     let farthest = pose
         .displacements()
         .iter()
@@ -143,13 +143,13 @@ pub(super) fn hold(bytes: &[u8]) {
 /// steps whose directions are drawn by chance, the same for handles that rest at one place. The
 /// promise of the plan is 2e-6 of the longest step times a tenth of that sum.
 struct Probes {
-    field: Field,
+    field: RestDeformation,
     poses: Vec<Pose>,
     columns: f64,
 }
 
 impl Probes {
-    fn new(field: &Field, falloff: &Falloff, point_mass: f64) -> Self {
+    fn new(field: &RestDeformation, falloff: &Falloff, point_mass: f64) -> Self {
         // A rotation is the direction of the similarity that fits.
         let family = if field.family() == Method::Rigid {
             Method::Similarity
@@ -175,7 +175,8 @@ impl Probes {
             .map(|seed| stepped(seed * 0x1234_5678_9ABC_DEF1_u64))
             .collect();
         let columns = rest.columns() as f64;
-        let field = Field::new(rest, family, *falloff, point_mass).expect("the handles of a field");
+        let field = RestDeformation::new(rest, family, *falloff, point_mass)
+            .expect("the handles of a field");
         let poses = poses
             .iter()
             .filter_map(|q| field.pose(q).ok())

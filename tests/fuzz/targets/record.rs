@@ -2,7 +2,7 @@
 //! that the form behind it is met. What is read is written and read again to the same, and its
 //! handles are what a request could have asked for.
 
-use mlswarp::warp::{Limits, Setup};
+use mlswarp::warp::{Limits, ResolvedRest};
 use mlswarp_server::store::record::{read, write};
 
 pub(super) fn keep(bytes: &[u8]) {
@@ -21,7 +21,7 @@ pub(super) fn keep(bytes: &[u8]) {
                 Ok(&record),
                 "what is written is read again"
             );
-            if let Ok(setup) = Setup::new(
+            if let Ok(setup) = ResolvedRest::new(
                 &record.rest,
                 record.extent,
                 &Limits {

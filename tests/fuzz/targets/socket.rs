@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use mlswarp_server::app::App;
-use mlswarp_server::app::drag_socket::{Drag, DragOptions, Form, Outgoing, PreviewWidth, Window};
+use mlswarp_server::app::drag_socket::{
+    Drag, DragOptions, FrameContent, Outgoing, PreviewWidth, Window,
+};
 use mlswarp_server::app::warp::Upload;
 use mlswarp_server::client::{Client, Owner};
 use mlswarp_server::session::SessionId;
@@ -31,15 +33,15 @@ pub(super) fn talk(bytes: &[u8]) {
     };
     let is_binary = wishes % 128 >= 64;
     let picture = if wishes % 32 < 16 {
-        Form::Auto
+        FrameContent::Auto
     } else {
-        Form::Picture(None)
+        FrameContent::Picture(None)
     };
     let wishes = DragOptions {
         form: match wishes % 32 {
             n if n % 2 == 1 => picture,
-            n if n < 16 => Form::Mesh,
-            n => Form::CompactMesh(f64::from(n) / 8.0),
+            n if n < 16 => FrameContent::Mesh,
+            n => FrameContent::CompactMesh(f64::from(n) / 8.0),
         },
         width: if wishes % 4 < 2 {
             PreviewWidth::Auto

@@ -9,8 +9,8 @@ use std::sync::{Arc, LazyLock};
 use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
-    CoordinateMap, Folds, Frame, Image, ImageLimits, Limits, MapFormat, OutputSpec, Posed, Quality,
-    Setup, Subject, Units, Warp,
+    CoordinateFrame, CoordinateMap, Folds, Image, ImageLimits, Limits, MapFormat, OutputSpec,
+    PosedMesh, Quality, RasterSource, RenderJob, ResolvedRest, Units,
 };
 use mlswarp_server::problem::Problem;
 use mlswarp_server::wire::{
@@ -127,7 +127,7 @@ fn as_with_nulls<T: PartialEq + Debug>(
 type Poses = (u32, Vec<Result<PosePatch, Problem>>);
 
 fn batch(json: &[u8]) -> Result<Poses, Problem> {
-    let source = Frame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
+    let source = CoordinateFrame::of_source(Extent::new(40, 30).expect("a size"), Units::Px);
     let object = value(Reserved::<BatchObject, _>::parse(
         &Bytes::copy_from_slice(json),
         1 << 20,
@@ -140,7 +140,7 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
     Ok((
         count,
         (0..count.min(100))
-            .map(|frame| value(object.poses.given(frame, free)))
+            .map(|frame| value(object.poses.requested_frames(frame, free)))
             .collect(),
     ))
 }
@@ -148,11 +148,11 @@ fn batch(json: &[u8]) -> Result<Poses, Problem> {
 fn measured(object: &ReportObject) -> Result<(), Problem> {
     let (mut warp, extent) = (object.warp.clone(), object.extent);
     let alignment = warp.settle_pose(extent)?;
-    let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
+    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
     let (q, never) = (warp.posed()?, || false);
     let pose = setup.pose(q)?;
     warp.output.check(extent, &LIMITS)?;
-    let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
+    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &never)?;
     let quality = Quality::of(
         &setup,
         q,
@@ -187,17 +187,17 @@ fn measured(object: &ReportObject) -> Result<(), Problem> {
 fn warped(object: &WarpObject) -> Result<(), Problem> {
     let mut object = object.clone();
     object.settle_pose(IMAGE.extent())?;
-    let setup = Setup::new(&object.rest, IMAGE.extent(), &LIMITS)?;
+    let setup = ResolvedRest::new(&object.rest, IMAGE.extent(), &LIMITS)?;
     let pose = setup.pose(object.posed()?)?;
     object.output.check(IMAGE.extent(), &LIMITS)?;
-    let posed = Posed::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
+    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, object.folds, &|| false)?;
     assert!(posed.report().residual.is_finite(), "{:?}", posed.report());
     assert!(
         posed.vertices().flatten().all(f64::is_finite),
         "a vertex is nowhere"
     );
     let mut bytes = 0;
-    let warp = Warp::new(Subject::Image(&IMAGE), &posed, &object.output, &LIMITS)?;
+    let warp = RenderJob::new(RasterSource::Image(&IMAGE), &posed, &object.output, &LIMITS)?;
     let _ = warp.write(0, &(), &mut |strip| {
         bytes += strip.len();
         ControlFlow::Continue(())
@@ -215,8 +215,8 @@ fn inverted(object: &MapObject) -> Result<(), Problem> {
     for format in MapFormat::ALL {
         let spec = object.spec(&warp.output, format);
         spec.check(extent, &LIMITS)?;
-        let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
-        let posed = Posed::new(
+        let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
+        let posed = PosedMesh::new(
             &setup,
             &setup.plan(),
             &setup.pose(warp.posed()?)?,
@@ -241,15 +241,19 @@ fn mapped(object: &PointsObject) -> Result<(), Problem> {
         return Ok(());
     };
     warp.settle_pose(extent)?;
-    let setup = Setup::new(&warp.rest, extent, &LIMITS)?;
+    let setup = ResolvedRest::new(&warp.rest, extent, &LIMITS)?;
     let pose = setup.pose(warp.posed()?)?;
-    let posed = Posed::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
+    let posed = PosedMesh::coarse(&setup, &setup.plan(), &pose, warp.folds, &|| false)?;
     let transform = if object.annotations.is_inverse {
         setup.inverse(&pose, posed.mesh())
     } else {
         setup.transform(&pose)
     };
-    let transform = transform.onto(Frame::requested(&object.output, extent, warp.rest.units));
+    let transform = transform.onto(CoordinateFrame::requested(
+        &object.output,
+        extent,
+        warp.rest.units,
+    ));
     let (mut cursor, mut out) = (Cursor::default(), Vec::new());
     while object.annotations.map_part(
         &mut cursor,

@@ -11,7 +11,7 @@ use super::photo;
 use super::server::form;
 
 /// Answers that are waited for at least.
-const LEAST: usize = 10;
+const MIN_SAMPLES: usize = 10;
 
 /// A client that drags from one connection and must get every answer, until it is told to stop.
 pub(crate) struct Healthy {
@@ -33,7 +33,7 @@ impl Healthy {
         let stopped = Arc::clone(&stop);
         let client = tokio::spawn(async move {
             let mut waits = Vec::new();
-            while waits.len() < LEAST || !stopped.load(Ordering::Relaxed) {
+            while waits.len() < MIN_SAMPLES || !stopped.load(Ordering::Relaxed) {
                 let began = Instant::now();
                 let body = json!({"q": [[20 + waits.len() % 9, 20], [100, 24]]});
                 let answer = client

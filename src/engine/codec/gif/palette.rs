@@ -18,24 +18,25 @@ pub(super) const MOST_COLOURS: usize = 256;
 /// them.
 const SIDE: usize = 33;
 /// How much a difference of each channel is seen.
-const SEEN: [i32; 3] = [2, 4, 3];
+const CHANNEL_VISIBILITY: [i32; 3] = [2, 4, 3];
 /// Two colours farther apart than this are never mixed, in every channel: single pixels of the
 /// other colour would be seen.
 const MOST_MIXED: i32 = 20;
 /// Pixels between two calls of `wanted`.
-const PIXELS: usize = 1 << 16;
+const PIXELS_PER_CHECK: usize = 1 << 16;
 /// Memory for the palette of a frame, bytes: the sums, and the nearest colours.
-pub(super) const WORK_BYTES: u64 = ((SIDE * SIDE * SIDE * size_of::<Sums>()) + 2 * NEAREST) as u64;
+pub(super) const WORK_BYTES: u64 =
+    ((SIDE * SIDE * SIDE * size_of::<ColourSums>()) + 2 * NEAREST_ENTRIES) as u64;
 /// Entries of the table of nearest colours: one per four values along each channel.
-const NEAREST: usize = 1 << 18;
+const NEAREST_ENTRIES: usize = 1 << 18;
 
-pub(super) type Colour = [u8; 3];
+pub(super) type Rgb = [u8; 3];
 
 /// The colours of a frame.
 #[derive(Debug)]
-pub(super) struct Palette {
+pub(super) struct GifPalette {
     /// From dark to light.
-    colours: Vec<Colour>,
+    colours: Vec<Rgb>,
     /// Whether these are all colours of the frame.
     is_exact: bool,
 }
@@ -43,12 +44,12 @@ pub(super) struct Palette {
 /// The pixels of colours: their number, the sums of their channels, and the weighted sum of their
 /// squares.
 #[derive(Clone, Copy, Default)]
-struct Sums {
+struct ColourSums {
     count: i64,
     channels: [i64; 3],
 }
 
-impl Sums {
+impl ColourSums {
     fn plus(self, other: Self, sign: i64) -> Self {
         let channels = std::array::from_fn(|k| self.channels[k] + sign * other.channels[k]);
         Self {
@@ -61,7 +62,9 @@ impl Sums {
     /// error.
     fn explained(self) -> f64 {
         let sum: f64 = (0..3)
-            .map(|k| f64::from(SEEN[k]) * self.channels[k] as f64 * self.channels[k] as f64)
+            .map(|k| {
+                f64::from(CHANNEL_VISIBILITY[k]) * self.channels[k] as f64 * self.channels[k] as f64
+            })
             .sum();
         if self.count == 0 {
             0.0
@@ -70,7 +73,7 @@ impl Sums {
         }
     }
 
-    fn mean(self) -> Colour {
+    fn mean(self) -> Rgb {
         let count = self.count.max(1);
         self.channels
             .map(|sum| u8::try_from((sum + count / 2) / count).unwrap_or(u8::MAX))
@@ -92,22 +95,22 @@ struct Cut {
 }
 
 /// The sums of all cells below each corner.
-struct Table(Vec<Sums>);
+struct CumulativeSums(Vec<ColourSums>);
 
 const fn index([r, g, b]: [usize; 3]) -> usize {
     (r * SIDE + g) * SIDE + b
 }
 
-impl Table {
-    fn of(pixels: impl Iterator<Item = Colour>, wanted: &dyn Fn() -> bool) -> Self {
-        let mut table = vec![Sums::default(); SIDE * SIDE * SIDE];
+impl CumulativeSums {
+    fn of(pixels: impl Iterator<Item = Rgb>, wanted: &dyn Fn() -> bool) -> Self {
+        let mut table = vec![ColourSums::default(); SIDE * SIDE * SIDE];
         for (k, colour) in pixels.enumerate() {
-            if k % PIXELS == 0 && !wanted() {
+            if k % PIXELS_PER_CHECK == 0 && !wanted() {
                 break;
             }
             let cell = &mut table[index(colour.map(|value| usize::from(value >> 3) + 1))];
             *cell = cell.plus(
-                Sums {
+                ColourSums {
                     count: 1,
                     channels: colour.map(i64::from),
                 },
@@ -125,8 +128,8 @@ impl Table {
         Self(table)
     }
 
-    fn sums(&self, Box3 { low, high }: Box3) -> Sums {
-        (0..8).fold(Sums::default(), |sums, corner: usize| {
+    fn sums(&self, Box3 { low, high }: Box3) -> ColourSums {
+        (0..8).fold(ColourSums::default(), |sums, corner: usize| {
             let is_low = |k: usize| corner >> k & 1 == 1;
             let sign = if corner.count_ones().is_multiple_of(2) {
                 1
@@ -166,10 +169,10 @@ impl Table {
     }
 }
 
-impl Palette {
+impl GifPalette {
     /// The colours of the opaque pixels, at most `most`.
     pub(super) fn of(
-        pixels: impl Iterator<Item = Colour> + Clone,
+        pixels: impl Iterator<Item = Rgb> + Clone,
         most: usize,
         wanted: &dyn Fn() -> bool,
     ) -> Self {
@@ -179,7 +182,7 @@ impl Palette {
                 is_exact: true,
             };
         }
-        let table = Table::of(pixels, wanted);
+        let table = CumulativeSums::of(pixels, wanted);
         let whole = Box3 {
             low: [0; 3],
             high: [SIDE - 1; 3],
@@ -210,7 +213,7 @@ impl Palette {
             boxes[k] = (below, table.cut(below));
             boxes.push((above, table.cut(above)));
         }
-        let mut colours: Vec<Colour> = boxes
+        let mut colours: Vec<Rgb> = boxes
             .iter()
             .map(|(part, _)| table.sums(*part).mean())
             .collect();
@@ -221,7 +224,7 @@ impl Palette {
         }
     }
 
-    pub(super) fn colours(&self) -> &[Colour] {
+    pub(super) fn colours(&self) -> &[Rgb] {
         &self.colours
     }
 
@@ -240,14 +243,13 @@ impl Palette {
         Indexer {
             palette: self,
             exact,
-            nearest: vec![UNKNOWN; if self.is_exact { 0 } else { NEAREST }],
+            nearest: vec![NO_COLOUR; if self.is_exact { 0 } else { NEAREST_ENTRIES }],
         }
     }
 
     /// The nearest colour.
     fn nearest(&self, colour: [i32; 3]) -> u8 {
-        let distance =
-            |own: &Colour| square(std::array::from_fn(|k| i32::from(own[k]) - colour[k]));
+        let distance = |own: &Rgb| square(std::array::from_fn(|k| i32::from(own[k]) - colour[k]));
         // One number for both: this is the inner loop.
         let keys = self
             .colours
@@ -260,14 +262,14 @@ impl Palette {
 
 /// The colours, if there are no more than `most`.
 fn all_colours(
-    pixels: impl Iterator<Item = Colour>,
+    pixels: impl Iterator<Item = Rgb>,
     most: usize,
     wanted: &dyn Fn() -> bool,
-) -> Option<Vec<Colour>> {
+) -> Option<Vec<Rgb>> {
     let mut seen = HashMap::new();
     let mut last = None;
     for (k, colour) in pixels.enumerate() {
-        if k % PIXELS == 0 && !wanted() {
+        if k % PIXELS_PER_CHECK == 0 && !wanted() {
             break;
         }
         if last != Some(colour) {
@@ -278,43 +280,43 @@ fn all_colours(
             }
         }
     }
-    let mut colours: Vec<Colour> = seen.into_keys().collect();
+    let mut colours: Vec<Rgb> = seen.into_keys().collect();
     sort(&mut colours);
     Some(colours)
 }
 
-fn sort(colours: &mut Vec<Colour>) {
+fn sort(colours: &mut Vec<Rgb>) {
     colours.sort_unstable_by_key(|colour| (product(colour.map(i32::from), [1; 3]), *colour));
     colours.dedup();
 }
 
 /// The weighted product of two differences.
 fn product(a: [i32; 3], b: [i32; 3]) -> i32 {
-    (0..3).map(|k| SEEN[k] * a[k] * b[k]).sum()
+    (0..3).map(|k| CHANNEL_VISIBILITY[k] * a[k] * b[k]).sum()
 }
 
 fn square(a: [i32; 3]) -> i32 {
     product(a, a)
 }
 
-fn difference(a: Colour, b: Colour) -> [i32; 3] {
+fn difference(a: Rgb, b: Rgb) -> [i32; 3] {
     std::array::from_fn(|k| i32::from(a[k]) - i32::from(b[k]))
 }
 
 /// No colour of a palette with room for a transparent one.
-const UNKNOWN: u16 = u16::MAX;
+const NO_COLOUR: u16 = u16::MAX;
 
 /// Finds the colours of pixels.
 pub(super) struct Indexer<'a> {
-    palette: &'a Palette,
-    exact: HashMap<Colour, u8>,
+    palette: &'a GifPalette,
+    exact: HashMap<Rgb, u8>,
     /// By the high six bits of each channel; filled as they are needed.
     nearest: Vec<u16>,
 }
 
 impl Indexer<'_> {
     /// The index of the colour of a pixel.
-    pub(super) fn index(&mut self, colour: Colour, x: usize, y: usize) -> u8 {
+    pub(super) fn index(&mut self, colour: Rgb, x: usize, y: usize) -> u8 {
         if self.palette.is_exact {
             return self.exact.get(&colour).copied().unwrap_or_default();
         }
@@ -346,7 +348,7 @@ impl Indexer<'_> {
         let colour = colour.map(|value| value.clamp(0, 255));
         let [r, g, b] = colour.map(|value| usize::try_from(value >> 2).unwrap_or_default());
         let entry = &mut self.nearest[r << 12 | g << 6 | b];
-        if *entry == UNKNOWN {
+        if *entry == NO_COLOUR {
             // The middle of the values of this entry.
             *entry = self
                 .palette
@@ -368,10 +370,10 @@ fn threshold(x: usize, y: usize) -> i32 {
 mod tests {
     use super::*;
 
-    fn indexed(pixels: &[Colour], width: usize, most: usize) -> (Vec<Colour>, Vec<Colour>) {
-        let palette = Palette::of(pixels.iter().copied(), most, &|| true);
+    fn indexed(pixels: &[Rgb], width: usize, most: usize) -> (Vec<Rgb>, Vec<Rgb>) {
+        let palette = GifPalette::of(pixels.iter().copied(), most, &|| true);
         let mut indexer = palette.indexer();
-        let shown = |(k, colour): (usize, &Colour)| {
+        let shown = |(k, colour): (usize, &Rgb)| {
             palette.colours()[usize::from(indexer.index(*colour, k % width, k / width))]
         };
         (
@@ -380,7 +382,7 @@ mod tests {
         )
     }
 
-    fn ramp() -> Vec<Colour> {
+    fn ramp() -> Vec<Rgb> {
         let value = |x: usize, tenths: usize| u8::try_from(60 + x * tenths / 10).unwrap();
         (0..128 * 128)
             .map(|k| {
@@ -395,7 +397,7 @@ mod tests {
 
     #[test]
     fn few_colours_are_kept_and_those_of_neighbours_too() {
-        let pixels: Vec<Colour> = (0..255_u8).map(|k| [k / 16 * 3, 255 - k, k % 16]).collect();
+        let pixels: Vec<Rgb> = (0..255_u8).map(|k| [k / 16 * 3, 255 - k, k % 16]).collect();
         let (colours, shown) = indexed(&pixels, 15, 255);
         assert_eq!((colours.len(), shown), (255, pixels));
     }
@@ -409,7 +411,7 @@ mod tests {
             "{}",
             colours.len()
         );
-        let off = |a: &Colour, b: &Colour| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap();
+        let off = |a: &Rgb, b: &Rgb| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap();
         let worst = shown
             .iter()
             .zip(&pixels)
@@ -421,7 +423,7 @@ mod tests {
         for block in 0..16 * 16 {
             let places = (0..64).map(|k| (block / 16 * 8 + k / 8) * 128 + block % 16 * 8 + k % 8);
             for channel in 0..3 {
-                let mean = |of: &[Colour]| {
+                let mean = |of: &[Rgb]| {
                     places
                         .clone()
                         .map(|k| f64::from(of[k][channel]))
@@ -471,7 +473,7 @@ mod tests {
     #[test]
     fn a_frame_that_nobody_waits_for_is_given_up() {
         let asked = std::cell::Cell::new(0);
-        Palette::of(ramp().into_iter().cycle().take(1 << 24), 255, &|| {
+        GifPalette::of(ramp().into_iter().cycle().take(1 << 24), 255, &|| {
             asked.set(asked.get() + 1);
             asked.get() < 5
         });

@@ -8,7 +8,9 @@ use std::ops::Range;
 use gif::DecodeOptions;
 
 use crate::codec::alloc::{room, sample_count, zeros};
-use crate::codec::metadata::{Found, Kind, METADATA_BYTES, Ratio, Resolution, Unit};
+use crate::codec::metadata::{
+    DroppedKind, Found, METADATA_BYTES, Ratio, Resolution, ResolutionUnit,
+};
 use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Pieces, StepCounter};
 use crate::codec::{CodecError, Format, Repairs};
@@ -26,14 +28,14 @@ pub(in crate::codec) struct GifFile<'a> {
     /// The sub-blocks of a colour profile.
     profile: Option<Range<usize>>,
     /// Of a file that ends before its trailer.
-    open: Option<Open>,
+    open: Option<Truncation>,
     /// Whether there are bytes between its blocks.
     has_gap: bool,
 }
 
 /// Where a file is cut off, and what completes it.
 #[derive(Clone, Copy, Debug)]
-struct Open {
+struct Truncation {
     /// The beginning of a block or sub-block that is cut off, or the end of the file.
     at: usize,
     /// Whether the data of a frame have no end.
@@ -126,7 +128,7 @@ impl<'a> GifFile<'a> {
                         find(label, (bytes, blocks..end), &mut found, &mut profile, work);
                         at = end;
                     } else {
-                        open = Some(Open {
+                        open = Some(Truncation {
                             at,
                             in_frame: false,
                         });
@@ -151,7 +153,7 @@ impl<'a> GifFile<'a> {
                     }
                     let (end, is_whole) = skip(bytes, data, work)?;
                     at = end;
-                    open = (!is_whole).then_some(Open { at, in_frame: true });
+                    open = (!is_whole).then_some(Truncation { at, in_frame: true });
                 }
                 Some(0x3B) => break,
                 Some(0) if frames > 0 => {
@@ -161,7 +163,7 @@ impl<'a> GifFile<'a> {
                 }
                 Some(block) => return Err(bad(format!("an unknown block {block:#04x}"))),
                 None => {
-                    open = Some(Open {
+                    open = Some(Truncation {
                         at: bytes.len(),
                         in_frame: false,
                     })
@@ -210,12 +212,12 @@ impl<'a> GifFile<'a> {
         } else {
             0
         };
-        (512 << 10) + ROWS as u64 + copy
+        (512 << 10) + DECODED_INDICES as u64 + copy
     }
 
     /// The file with a trailer.
     fn whole(&self) -> Result<Cow<'a, [u8]>, CodecError> {
-        let Some(Open { at, in_frame }) = self.open else {
+        let Some(Truncation { at, in_frame }) = self.open else {
             return Ok(Cow::Borrowed(self.bytes));
         };
         let mut whole = room(self.bytes.len() as u64 + 2)?;
@@ -274,7 +276,7 @@ impl<'a> GifFile<'a> {
         let count = self.channels().count();
         let mut out = zeros::<u8>(sample_count(self.extent.pixels(), self.channels()), work)?;
         // Several rows at once where they are short.
-        let mut indices = vec![0; frame_width * (ROWS / frame_width).max(1)];
+        let mut indices = vec![0; frame_width * (DECODED_INDICES / frame_width).max(1)];
         for rows in rows.chunks(indices.len() / frame_width) {
             work.step((rows.len() * frame_width) as u64)?;
             let indices = &mut indices[..rows.len() * frame_width];
@@ -313,7 +315,7 @@ fn shape_of(byte: u8) -> Option<Resolution> {
     Some(Resolution {
         x: across,
         y: Ratio::new(u32::from(byte) + 15, 1)?,
-        unit: Unit::Unknown,
+        unit: ResolutionUnit::Unknown,
     })
 }
 
@@ -332,7 +334,7 @@ fn find<'a>(
         (0xF9, _) | (0xFF, b"NETSCAPE2.0" | b"ANIMEXTS1.0") => {}
         (0xFE, _) => match joined(data, METADATA_BYTES, work) {
             Some(comment) => found.add_comment(Cow::Owned(comment)),
-            None => found.dropped.add(Kind::Comment),
+            None => found.dropped.add(DroppedKind::Comment),
         },
         (0xFF, b"XMP DataXMP") => {
             // The packet is not divided; behind it come bytes that lead any reader of sub-blocks to
@@ -349,12 +351,12 @@ fn find<'a>(
             found.xmp = Some(Cow::Borrowed(&packet[..end]));
         }
         (0xFF, b"ICCRGBG1012") => *profile = Some(blocks.start + 12..blocks.end),
-        _ => found.dropped.add(Kind::Application),
+        _ => found.dropped.add(DroppedKind::Application),
     }
 }
 
 /// Indices that are decoded at once, unless a row is longer.
-const ROWS: usize = 1 << 16;
+const DECODED_INDICES: usize = 1 << 16;
 
 /// The rows of a frame in the order in which they are stored.
 fn frame_rows(height: usize, interlaced: bool) -> Vec<usize> {

@@ -4,22 +4,22 @@
 use weezl::encode::Encoder;
 use weezl::{BitOrder, LzwStatus};
 
-use super::palette::{Colour, MOST_COLOURS, Palette, WORK_BYTES};
+use super::palette::{GifPalette, MOST_COLOURS, Rgb, WORK_BYTES};
 use crate::codec::CodecError;
 use crate::pixmap::{Channels, Extent};
 
 /// The signature and the size.
-const HEAD: usize = 13;
+const HEADER_BYTES: usize = 13;
 /// The graphic control of a frame; its delay begins at byte 4.
-const CONTROL: usize = 8;
+const CONTROL_BYTES: usize = 8;
 const TRAILER: u8 = 0x3B;
 /// Bytes of a sub-block.
-const BLOCK: usize = 255;
+const SUB_BLOCK_BYTES: usize = 255;
 /// The least opaque alpha.
-const OPAQUE: u8 = 128;
+const MIN_OPAQUE_ALPHA: u8 = 128;
 /// Pixels, and blocks, between two calls of `wanted`.
-const PIXELS: usize = 1 << 16;
-const BLOCKS: usize = 1 << 8;
+const PIXELS_PER_CHECK: usize = 1 << 16;
+const BLOCKS_PER_CHECK: usize = 1 << 8;
 
 /// Memory for writing beside the file and the samples, bytes.
 pub(in crate::codec) fn work_bytes(extent: Extent) -> u64 {
@@ -38,12 +38,12 @@ pub(in crate::codec) fn write(
 ) {
     let count = channels.count();
     let has_alpha = channels == Channels::Rgba;
-    let colour = |pixel: &[u8]| -> Option<Colour> {
-        let is_opaque = !has_alpha || pixel[3] >= OPAQUE;
+    let colour = |pixel: &[u8]| -> Option<Rgb> {
+        let is_opaque = !has_alpha || pixel[3] >= MIN_OPAQUE_ALPHA;
         is_opaque.then(|| [pixel[0], pixel[1], pixel[2]])
     };
     let pixels = samples.chunks_exact(count).map(colour);
-    let palette = Palette::of(
+    let palette = GifPalette::of(
         pixels.clone().flatten(),
         MOST_COLOURS - usize::from(has_alpha),
         wanted,
@@ -89,7 +89,7 @@ pub(in crate::codec) fn write(
     let row = (extent.width() as usize).max(1);
     let mut indices = Vec::with_capacity(samples.len() / count);
     for (k, colour) in pixels.enumerate() {
-        if k % PIXELS == 0 && !wanted() {
+        if k % PIXELS_PER_CHECK == 0 && !wanted() {
             return;
         }
         indices.push(colour.map_or(transparent, |colour| {
@@ -109,10 +109,10 @@ pub(in crate::codec) fn write(
 fn compress(indices: &[u8], bits: u8, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     out.push(bits);
     let mut encoder = Encoder::new(BitOrder::Lsb, bits);
-    let (mut block, mut filled, mut rest, mut blocks) = ([0; BLOCK], 0, indices, 0_usize);
+    let (mut block, mut filled, mut rest, mut blocks) = ([0; SUB_BLOCK_BYTES], 0, indices, 0_usize);
     encoder.finish();
     loop {
-        if blocks % BLOCKS == 0 && !wanted() {
+        if blocks % BLOCKS_PER_CHECK == 0 && !wanted() {
             return;
         }
         // The end of the data is coded as soon as there are no more.
@@ -124,7 +124,7 @@ fn compress(indices: &[u8], bits: u8, out: &mut Vec<u8>, wanted: &dyn Fn() -> bo
                 .expect("indices are below the size of the table"),
             LzwStatus::Done
         );
-        if filled == BLOCK || is_done && filled > 0 {
+        if filled == SUB_BLOCK_BYTES || is_done && filled > 0 {
             out.push(u8::try_from(filled).unwrap_or_default());
             out.extend_from_slice(&block[..filled]);
             (filled, blocks) = (0, blocks + 1);
@@ -170,11 +170,11 @@ impl GifAnimation {
             detail: detail.to_owned(),
         };
         let (head, frame) = file
-            .split_at_checked(HEAD)
+            .split_at_checked(HEADER_BYTES)
             .ok_or_else(|| bad("a frame is incomplete"))?;
         let Some((control, picture)) = frame
             .strip_suffix(&[TRAILER])
-            .and_then(|frame| frame.split_at_checked(CONTROL))
+            .and_then(|frame| frame.split_at_checked(CONTROL_BYTES))
         else {
             return Err(bad("a frame is incomplete"));
         };

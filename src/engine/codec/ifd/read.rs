@@ -1,7 +1,7 @@
 //! Reads directories (TIFF 6.0, section 2; BigTIFF; EXIF 2.32, 4.6): tags and their values, in
 //! place.
 
-use crate::codec::metadata::resolution::{Ratio, Resolution, Unit};
+use crate::codec::metadata::resolution::{Ratio, Resolution, ResolutionUnit};
 use crate::codec::{CodecError, Format, StepCounter};
 
 pub(in crate::codec) fn bad(detail: impl ToString) -> CodecError {
@@ -193,7 +193,7 @@ impl<'a> Directory<'a> {
         work: &StepCounter<'_>,
     ) -> Result<Option<Resolution>, CodecError> {
         work.step(1 + (self.entries.len() / self.file.entry_bytes()) as u64)?;
-        let (mut x, mut y, mut unit) = (None, None, Unit::Inch);
+        let (mut x, mut y, mut unit) = (None, None, ResolutionUnit::Inch);
         let long = |bytes: &[u8]| u32::try_from(self.file.number(bytes)).unwrap_or(0);
         for Entry {
             tag,
@@ -206,8 +206,8 @@ impl<'a> Directory<'a> {
             match (tag, kind, count) {
                 (282, 5, 1) => x = Ratio::new(long(&data[..4]), long(&data[4..])),
                 (283, 5, 1) => y = Ratio::new(long(&data[..4]), long(&data[4..])),
-                (296, 3, 1) if self.file.number(data) == 1 => unit = Unit::Unknown,
-                (296, 3, 1) if self.file.number(data) == 3 => unit = Unit::Centimetre,
+                (296, 3, 1) if self.file.number(data) == 1 => unit = ResolutionUnit::Unknown,
+                (296, 3, 1) if self.file.number(data) == 3 => unit = ResolutionUnit::Centimetre,
                 _ => {}
             }
         }

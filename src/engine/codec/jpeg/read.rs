@@ -13,7 +13,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::scans::Precision;
 use super::segments::{
-    APP0, APP2, APP13, APP15, COM, DHT, EOI, SOI, SOS, Segment, bad, cut_off, find,
+    APP0, APP2, APP13, APP15, COM, DHT, EOI, MarkerSegment, SOI, SOS, bad, cut_off, find,
 };
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::metadata::Found;
@@ -24,7 +24,7 @@ use crate::pixmap::{Channels, Extent, Samples};
 
 /// Bytes of one-bits before EOI: enough for the magnitude bits that a truncated code still
 /// requests, and a whole code of 16 bits.
-const ONES: usize = 8;
+const PADDING_BYTES: usize = 8;
 /// The most places with bytes between segments.
 const MOST_GAPS: usize = 64;
 
@@ -85,7 +85,7 @@ impl<'a> JpegFile<'a> {
         let (mut profile_bytes, mut has_gap) = (0, false);
         let mut at = 2;
         loop {
-            let segment = Segment::at(bytes, at, work)?;
+            let segment = MarkerSegment::at(bytes, at, work)?;
             has_gap |= segment.start > at;
             at = segment.end;
             match segment.marker {
@@ -96,7 +96,7 @@ impl<'a> JpegFile<'a> {
                     ));
                 }
                 marker @ SOF0..=SOF15 if frame.is_none() => {
-                    frame = Some(Frame::parse(marker, segment.data)?)
+                    frame = Some(FrameHeader::parse(marker, segment.data)?)
                 }
                 SOF0..=SOF15 => return Err(bad("two frames")),
                 APP2 if segment.data.starts_with(b"ICC_PROFILE\0") => {
@@ -110,7 +110,7 @@ impl<'a> JpegFile<'a> {
                 }
                 SOI | EOI => return Err(bad("it ends before its first scan")),
                 SOS => {
-                    let Frame {
+                    let FrameHeader {
                         extent,
                         progressive,
                         components,
@@ -231,7 +231,7 @@ impl<'a> JpegFile<'a> {
             }
             scans.end = at;
             loop {
-                let segment = match Segment::at(self.bytes, at, work) {
+                let segment = match MarkerSegment::at(self.bytes, at, work) {
                     Ok(segment) => segment,
                     Err(CodecError::Cancelled) => return Err(CodecError::Cancelled),
                     // Behind the last scan that a picture needs, nothing is missing but the mark of
@@ -274,12 +274,12 @@ impl<'a> JpegFile<'a> {
         } else {
             scans.first
         };
-        let mut whole = room::<u8>((end + 2 * ONES + 2) as u64)?;
+        let mut whole = room::<u8>((end + 2 * PADDING_BYTES + 2) as u64)?;
         whole.extend_from_slice(&[0xFF, SOI]);
         let (_, scan) = self.scan;
         let mut at = 2;
         while at < scan {
-            let segment = Segment::at(self.bytes, at, work)?;
+            let segment = MarkerSegment::at(self.bytes, at, work)?;
             // Of the segments of applications, Adobe's says what the components are.
             if !matches!(segment.marker, APP0..=APP13 | APP15 | COM) {
                 whole.extend_from_slice(&self.bytes[segment.start..segment.end]);
@@ -314,7 +314,7 @@ impl<'a> JpegFile<'a> {
         // The decoder looks for the marker directly behind the first scan of a progressive picture,
         // where ones would hide it.
         if !(self.progressive && scans.count == 1) {
-            whole.extend_from_slice(&[0xFF, 0].repeat(ONES));
+            whole.extend_from_slice(&[0xFF, 0].repeat(PADDING_BYTES));
         }
         whole.extend_from_slice(&[0xFF, EOI]);
         let mut out = zeros::<u8>(sample_count(self.extent.pixels(), Channels::Rgb), work)?;
@@ -322,7 +322,7 @@ impl<'a> JpegFile<'a> {
         if scans.is_open {
             let with_ones = checksum(&out, work)?;
             whole.truncate(length);
-            whole.extend_from_slice(&[0; 2 * ONES]);
+            whole.extend_from_slice(&[0; 2 * PADDING_BYTES]);
             whole.extend_from_slice(&[0xFF, EOI]);
             let is_same =
                 self.decode(&whole, &mut out, work).is_ok() && checksum(&out, work)? == with_ones;
@@ -412,14 +412,14 @@ fn checksum(samples: &[u8], work: &StepCounter<'_>) -> Result<u32, CodecError> {
     Ok(sum.finalize())
 }
 
-struct Frame {
+struct FrameHeader {
     extent: Extent,
     progressive: bool,
     components: Vec<u8>,
     factors: Vec<(u64, u64)>,
 }
 
-impl Frame {
+impl FrameHeader {
     fn parse(marker: u8, data: &[u8]) -> Result<Self, CodecError> {
         if marker > SOF2 {
             return Err(CodecError::unsupported(format!(

@@ -3,7 +3,7 @@
 /// Coefficients of a block.
 const BLOCK: usize = 64;
 /// Nothing has been stated.
-const NOTHING: u8 = u8::MAX;
+const UNSTATED_BIT: u8 = u8::MAX;
 
 /// For each component, the lowest bit that is stated of each coefficient.
 pub(super) struct Precision<'a> {
@@ -16,7 +16,7 @@ impl<'a> Precision<'a> {
     pub(super) fn new(components: &'a [u8]) -> Self {
         Self {
             components,
-            lowest: vec![[NOTHING; BLOCK]; components.len()],
+            lowest: vec![[UNSTATED_BIT; BLOCK]; components.len()],
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::codec::metadata::{Found, Kind, Resolution, Unit, photoshop};
+use crate::codec::metadata::{DroppedKind, Found, Resolution, ResolutionUnit, photoshop};
 use crate::codec::{CodecError, Format, StepCounter};
 
 const TEM: u8 = 0x01;
@@ -30,14 +30,14 @@ pub(super) fn cut_off() -> CodecError {
 }
 
 /// A segment, from the byte before its marker to its end.
-pub(super) struct Segment<'a> {
+pub(super) struct MarkerSegment<'a> {
     pub(super) marker: u8,
     pub(super) data: &'a [u8],
     pub(super) start: usize,
     pub(super) end: usize,
 }
 
-impl<'a> Segment<'a> {
+impl<'a> MarkerSegment<'a> {
     /// The segment at `at`. Zero bytes before it, which some programs write, are skipped, and so
     /// are fill bytes before its marker. Markers without a length have no data.
     pub(super) fn at(
@@ -83,16 +83,16 @@ impl<'a> Segment<'a> {
 }
 
 /// Looks at a segment that no pixel needs.
-pub(super) fn find<'a>(segment: &Segment<'a>, found: &mut Found<'a>, work: &StepCounter<'_>) {
+pub(super) fn find<'a>(segment: &MarkerSegment<'a>, found: &mut Found<'a>, work: &StepCounter<'_>) {
     let data = segment.data;
     match segment.marker {
         APP0 => {
             // Version, unit, across and down.
             if let Some([_, _, unit, x0, x1, y0, y1, ..]) = data.strip_prefix(b"JFIF\0") {
                 let unit = match unit {
-                    1 => Unit::Inch,
-                    2 => Unit::Centimetre,
-                    _ => Unit::Unknown,
+                    1 => ResolutionUnit::Inch,
+                    2 => ResolutionUnit::Centimetre,
+                    _ => ResolutionUnit::Unknown,
                 };
                 let [x, y] =
                     [[*x0, *x1], [*y0, *y1]].map(|number| u16::from_be_bytes(number).into());
@@ -103,25 +103,25 @@ pub(super) fn find<'a>(segment: &Segment<'a>, found: &mut Found<'a>, work: &Step
         APP1 => match data.strip_prefix(b"http://ns.adobe.com/xap/1.0/\0") {
             Some(packet) if found.xmp.is_none() => found.xmp = Some(Cow::Borrowed(packet)),
             None if data.starts_with(b"http://ns.adobe.com/xmp/extension/\0") => {
-                found.dropped.add(Kind::ExtendedXmp)
+                found.dropped.add(DroppedKind::ExtendedXmp)
             }
-            _ => found.dropped.add(Kind::Application),
+            _ => found.dropped.add(DroppedKind::Application),
         },
         APP2 => found.dropped.add(if data.starts_with(b"MPF\0") {
-            Kind::FurtherImages
+            DroppedKind::FurtherImages
         } else {
-            Kind::Application
+            DroppedKind::Application
         }),
-        APP11 => found.dropped.add(Kind::Credentials),
+        APP11 => found.dropped.add(DroppedKind::Credentials),
         APP13 => match data.strip_prefix(b"Photoshop 3.0\0") {
             Some(resources) => photoshop::resources(resources, &mut found.dropped, work),
-            None => found.dropped.add(Kind::Application),
+            None => found.dropped.add(DroppedKind::Application),
         },
         // How an encoder has encoded.
         APP12 if data.starts_with(b"Ducky") => {}
         APP14 if data.starts_with(b"Adobe") => {}
         COM => found.add_comment(Cow::Borrowed(data)),
-        other if (APP0..=APP15).contains(&other) => found.dropped.add(Kind::Application),
+        other if (APP0..=APP15).contains(&other) => found.dropped.add(DroppedKind::Application),
         _ => {}
     }
 }

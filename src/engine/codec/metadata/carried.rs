@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::exif::{self, Exif};
-use super::resolution::{Resolution, Unit};
-use super::{Chunk, Dropped, KeptChunk, Kind, Metadata};
+use super::resolution::{Resolution, ResolutionUnit};
+use super::{Dropped, DroppedKind, KeptChunk, Metadata, PngChunk};
 use crate::codec::ifd::write::{BYTE, DirectoryWriter, UNDEFINED};
 use crate::codec::{Format, Profile};
 use crate::pixmap::Extent;
@@ -87,23 +87,26 @@ impl Carried {
         let mut dropped = source.dropped;
         dropped.add_if(
             source.resolution.is_some() && (is_gif || resolution.is_none()),
-            Kind::Resolution,
+            DroppedKind::Resolution,
         );
         // The frames of an animation have pixels alone.
-        dropped.add_if(is_gif && source.exif.is_some(), Kind::Exif);
-        dropped.add_if(is_gif && source.xmp.is_some(), Kind::Xmp);
+        dropped.add_if(is_gif && source.exif.is_some(), DroppedKind::Exif);
+        dropped.add_if(is_gif && source.xmp.is_some(), DroppedKind::Xmp);
         let has_maker_note = source.exif.as_ref().is_some_and(Exif::has_maker_note);
-        dropped.add_if(has_maker_note && format == Format::Tiff, Kind::MakerNote);
+        dropped.add_if(
+            has_maker_note && format == Format::Tiff,
+            DroppedKind::MakerNote,
+        );
         let is_lost = |text: &KeptChunk| match format {
             Format::Png => false,
             Format::Jpeg => comment_of(text).is_none(),
             Format::WebP | Format::Tiff | Format::Gif => true,
         };
-        dropped.add_if(source.texts.iter().any(is_lost), Kind::Text);
+        dropped.add_if(source.texts.iter().any(is_lost), DroppedKind::Text);
         dropped.add_if(
             !source.comments.is_empty()
                 && matches!(format, Format::WebP | Format::Tiff | Format::Gif),
-            Kind::Comment,
+            DroppedKind::Comment,
         );
         (lost_colour, dropped)
     }
@@ -127,10 +130,10 @@ impl Carried {
 
     /// The resolution in a unit of EXIF and TIFF.
     fn resolution_in_tags(&self) -> Option<Resolution> {
-        let unit = if self.resolution?.unit == Unit::Inch {
-            Unit::Inch
+        let unit = if self.resolution?.unit == ResolutionUnit::Inch {
+            ResolutionUnit::Inch
         } else {
-            Unit::Centimetre
+            ResolutionUnit::Centimetre
         };
         self.resolution?.in_unit(unit)
     }
@@ -151,15 +154,15 @@ impl Carried {
     }
 
     /// The chunks of a PNG that may follow its palette.
-    pub(in crate::codec) fn chunks(&self) -> Vec<Chunk<Vec<u8>>> {
+    pub(in crate::codec) fn chunks(&self) -> Vec<PngChunk<Vec<u8>>> {
         let mut chunks = Vec::new();
         let mut says_resolution = self.resolution.is_none();
         if let Some(resolution) = self.resolution
             && let Some(([x, y], is_near)) = resolution
-                .in_unit(Unit::Metre)
+                .in_unit(ResolutionUnit::Metre)
                 .and_then(|metre| metre.rounded(MOST_IN_PNG))
         {
-            let has_unit = resolution.unit != Unit::Unknown;
+            let has_unit = resolution.unit != ResolutionUnit::Unknown;
             says_resolution = is_near;
             if has_unit || is_near {
                 chunks.push((
@@ -196,23 +199,23 @@ impl Carried {
             return (0, [1; 2], true);
         };
         let in_unit = |unit| Some((unit, resolution.in_unit(unit)?.rounded(MOST_IN_JPEG)?));
-        let units = if resolution.unit == Unit::Centimetre {
-            [Unit::Centimetre, Unit::Inch]
+        let units = if resolution.unit == ResolutionUnit::Centimetre {
+            [ResolutionUnit::Centimetre, ResolutionUnit::Inch]
         } else {
-            [Unit::Inch, Unit::Centimetre]
+            [ResolutionUnit::Inch, ResolutionUnit::Centimetre]
         };
         let near = units
             .into_iter()
             .filter_map(in_unit)
             .find(|(_, (_, is_near))| *is_near);
-        let nearest =
-            near.or_else(|| in_unit(units[0]).filter(|_| resolution.unit != Unit::Unknown));
+        let nearest = near
+            .or_else(|| in_unit(units[0]).filter(|_| resolution.unit != ResolutionUnit::Unknown));
         let Some((unit, (numbers, is_near))) = nearest else {
             return (0, [1; 2], false);
         };
         let unit = match (resolution.unit, unit) {
-            (Unit::Unknown, _) => 0,
-            (_, Unit::Inch) => 1,
+            (ResolutionUnit::Unknown, _) => 0,
+            (_, ResolutionUnit::Inch) => 1,
             _ => 2,
         };
         #[expect(clippy::cast_possible_truncation, reason = "at most that of JFIF")]
@@ -300,7 +303,7 @@ fn comment_of((kind, data): &KeptChunk) -> Option<&[u8]> {
 }
 
 /// A comment as a text of PNG: Latin-1, or UTF-8.
-fn text_of(comment: &[u8]) -> Chunk<Vec<u8>> {
+fn text_of(comment: &[u8]) -> PngChunk<Vec<u8>> {
     // A zero byte would end it.
     let text: Vec<u8> = comment.iter().copied().filter(|byte| *byte != 0).collect();
     if !text.is_ascii() && std::str::from_utf8(&text).is_ok() {

@@ -2,7 +2,7 @@
 
 /// A kind of metadata.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum DroppedKind {
     /// Pixels per unit of length.
     Resolution,
     /// EXIF.
@@ -72,12 +72,12 @@ pub struct Dropped(u32);
 
 impl Dropped {
     /// Adds a kind.
-    pub fn add(&mut self, kind: Kind) {
+    pub fn add(&mut self, kind: DroppedKind) {
         self.0 |= 1 << kind as u32;
     }
 
     /// Adds a kind if that is so.
-    pub fn add_if(&mut self, is_so: bool, kind: Kind) {
+    pub fn add_if(&mut self, is_so: bool, kind: DroppedKind) {
         if is_so {
             self.add(kind);
         }
@@ -113,13 +113,13 @@ mod tests {
     fn every_kind_has_its_name() {
         let mut dropped = Dropped::default();
         assert!(dropped.is_empty());
-        dropped.add(Kind::Application);
-        dropped.add_if(true, Kind::Exif);
-        dropped.add_if(false, Kind::Xmp);
+        dropped.add(DroppedKind::Application);
+        dropped.add_if(true, DroppedKind::Exif);
+        dropped.add_if(false, DroppedKind::Xmp);
         assert_eq!(
             dropped.names().collect::<Vec<_>>(),
             ["EXIF", "application data"]
         );
-        assert_eq!(Kind::Application as usize + 1, NAMES.len());
+        assert_eq!(DroppedKind::Application as usize + 1, NAMES.len());
     }
 }

@@ -7,8 +7,8 @@
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 
-use super::dropped::{Dropped, Kind};
-use super::resolution::{Resolution, Unit};
+use super::dropped::{Dropped, DroppedKind};
+use super::resolution::{Resolution, ResolutionUnit};
 use crate::codec::StepCounter;
 use crate::codec::ifd::read::{Directory, Entry, File};
 use crate::codec::ifd::write::{DirectoryWriter, UNDEFINED, offset};
@@ -102,7 +102,7 @@ impl Exif {
             .flatten()
             .and_then(|file| file.first().ok());
         let Some(main) = main else {
-            dropped.add(Kind::Exif);
+            dropped.add(DroppedKind::Exif);
             return (None, None);
         };
         let resolution = main.resolution(work).ok().flatten();
@@ -193,7 +193,7 @@ impl Exif {
             ))
         })();
         let Some((main, own, gps, interoperability)) = gathered else {
-            dropped.add(Kind::Exif);
+            dropped.add(DroppedKind::Exif);
             return None;
         };
         this = Self {
@@ -213,7 +213,7 @@ impl Exif {
                 || note.data.len() <= 4
                 || note.at + note.data.len() + bytes > MOST_BYTES
             {
-                dropped.add(Kind::MakerNote);
+                dropped.add(DroppedKind::MakerNote);
             } else {
                 this.maker_note = Some(MakerNote {
                     at: note.at,
@@ -359,9 +359,9 @@ pub(super) fn put_resolution(resolution: Resolution, directory: &mut DirectoryWr
     directory.ratio(282, x.numerator, x.denominator);
     directory.ratio(283, y.numerator, y.denominator);
     let unit = match unit {
-        Unit::Unknown => 1,
-        Unit::Inch => 2,
-        Unit::Centimetre | Unit::Metre => 3,
+        ResolutionUnit::Unknown => 1,
+        ResolutionUnit::Inch => 2,
+        ResolutionUnit::Centimetre | ResolutionUnit::Metre => 3,
     };
     directory.short(296, unit);
 }

@@ -14,9 +14,9 @@ mod xmp;
 use std::borrow::Cow;
 
 pub use self::carried::Carried;
-pub use self::dropped::{Dropped, Kind};
+pub use self::dropped::{Dropped, DroppedKind};
 use self::exif::Exif;
-pub use self::resolution::{Ratio, Resolution, Unit};
+pub use self::resolution::{Ratio, Resolution, ResolutionUnit};
 use super::ifd::read::Directory;
 use super::{CodecError, Profile, StepCounter};
 
@@ -28,9 +28,9 @@ const MOST_TEXT: usize = 64 << 10;
 const MOST_TEXTS: usize = 256;
 
 /// A PNG chunk: its type and its data.
-pub(super) type Chunk<T> = ([u8; 4], T);
+pub(super) type PngChunk<T> = ([u8; 4], T);
 /// The same, kept after its file is gone.
-pub(super) type KeptChunk = Chunk<Box<[u8]>>;
+pub(super) type KeptChunk = PngChunk<Box<[u8]>>;
 
 /// What a reader has found in a file.
 #[derive(Clone, Debug, Default)]
@@ -42,9 +42,9 @@ pub(super) struct Found<'a> {
     /// That of the format itself.
     pub(super) resolution: Option<Resolution>,
     /// Chunks of PNG that say what the numbers mean.
-    pub(super) colour: Vec<Chunk<&'a [u8]>>,
+    pub(super) colour: Vec<PngChunk<&'a [u8]>>,
     /// Texts of PNG.
-    pub(super) texts: Vec<Chunk<&'a [u8]>>,
+    pub(super) texts: Vec<PngChunk<&'a [u8]>>,
     pub(super) comments: Vec<Cow<'a, [u8]>>,
     pub(super) dropped: Dropped,
     /// Whether it says about colour what is not kept.
@@ -56,7 +56,7 @@ impl<'a> Found<'a> {
         if has_room(self.texts.iter().map(|text| text.1.len()), data.len()) {
             self.texts.push((kind, data));
         } else {
-            self.dropped.add(Kind::Text);
+            self.dropped.add(DroppedKind::Text);
         }
     }
 
@@ -67,7 +67,7 @@ impl<'a> Found<'a> {
         ) {
             self.comments.push(comment);
         } else {
-            self.dropped.add(Kind::Comment);
+            self.dropped.add(DroppedKind::Comment);
         }
     }
 }
@@ -114,11 +114,11 @@ impl Metadata {
             .as_ref()
             .and_then(|page| Exif::of_page(page, &mut dropped, work));
         let xmp = found.xmp.as_deref().and_then(xmp::kept);
-        dropped.add_if(found.xmp.is_some() && xmp.is_none(), Kind::Xmp);
+        dropped.add_if(found.xmp.is_some() && xmp.is_none(), DroppedKind::Xmp);
         // A format's own resolution without a unit is the shape of a pixel, and one of whole
         // numbers may be rounded; EXIF may have more.
         let own = found.resolution.filter(|own| {
-            own.unit != Unit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif))
+            own.unit != ResolutionUnit::Unknown && !of_exif.is_some_and(|exif| own.is_rounded(exif))
         });
         let resolution = own.or(of_exif).or(found.resolution);
         work.check()?;
@@ -176,10 +176,10 @@ impl Metadata {
     /// Memory held, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        let chunks = |chunks: &[Chunk<Box<[u8]>>]| {
+        let chunks = |chunks: &[PngChunk<Box<[u8]>>]| {
             chunks
                 .iter()
-                .map(|(_, data)| data.len() + size_of::<Chunk<Box<[u8]>>>())
+                .map(|(_, data)| data.len() + size_of::<PngChunk<Box<[u8]>>>())
                 .sum::<usize>()
         };
         let comments = self

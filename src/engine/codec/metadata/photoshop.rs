@@ -1,6 +1,6 @@
 //! Image resources of Photoshop (segment APP13 of JPEG, tag 34377 of TIFF).
 
-use super::{Dropped, Kind};
+use super::{Dropped, DroppedKind};
 use crate::codec::StepCounter;
 
 /// What of the resources is dropped: IPTC-IIM, and paths. The others are a thumbnail, settings of
@@ -10,8 +10,8 @@ pub(in crate::codec) fn resources(mut data: &[u8], dropped: &mut Dropped, work: 
         if work.step(1).is_err() {
             return;
         }
-        dropped.add_if(id == 0x0404 && !content.is_empty(), Kind::Iptc);
-        dropped.add_if((2000..2998).contains(&id), Kind::Paths);
+        dropped.add_if(id == 0x0404 && !content.is_empty(), DroppedKind::Iptc);
+        dropped.add_if((2000..2998).contains(&id), DroppedKind::Paths);
         data = rest;
     }
 }

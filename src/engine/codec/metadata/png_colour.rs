@@ -2,7 +2,7 @@
 //! the other formats have no place for them. There, nothing is lost if they say sRGB, which is what
 //! every format means by default.
 
-use super::Chunk;
+use super::PngChunk;
 
 /// The chunks and their lengths.
 const CHUNKS: [([u8; 4], usize); 6] = [
@@ -31,7 +31,7 @@ pub(in crate::codec) fn length_of(kind: [u8; 4]) -> Option<usize> {
 }
 
 /// Whether the chunks say sRGB, or nothing that a profile beside them does not say.
-pub(super) fn is_srgb(chunks: &[Chunk<&[u8]>], has_profile: bool) -> bool {
+pub(super) fn is_srgb(chunks: &[PngChunk<&[u8]>], has_profile: bool) -> bool {
     let chunk = |kind: &[u8; 4]| {
         chunks
             .iter()

@@ -4,7 +4,7 @@
 use crate::pixmap::Extent;
 
 /// The relative error up to which a whole number stands for a resolution.
-const NEAR: f64 = 1e-4;
+const RATIONAL_TOLERANCE: f64 = 1e-4;
 
 /// A positive fraction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,14 +71,14 @@ impl Ratio {
         )]
         fits.then_some((
             rounded as u32,
-            (rounded - self.value()).abs() <= NEAR * self.value(),
+            (rounded - self.value()).abs() <= RATIONAL_TOLERANCE * self.value(),
         ))
     }
 }
 
 /// The unit of length of a resolution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unit {
+pub enum ResolutionUnit {
     /// Unknown: the resolution tells the shape of a pixel, or its unit is in a description.
     Unknown,
     /// 25.4 mm.
@@ -89,7 +89,7 @@ pub enum Unit {
     Metre,
 }
 
-impl Unit {
+impl ResolutionUnit {
     /// Length, in tenths of a millimetre.
     const fn length(self) -> u32 {
         match self {
@@ -109,7 +109,7 @@ pub struct Resolution {
     /// Along a column.
     pub y: Ratio,
     /// The unit.
-    pub unit: Unit,
+    pub unit: ResolutionUnit,
 }
 
 impl Resolution {
@@ -122,19 +122,19 @@ impl Resolution {
         Self {
             x: one,
             y: one,
-            unit: Unit::Unknown,
+            unit: ResolutionUnit::Unknown,
         }
     };
 
     /// One of whole numbers; `None` if one of them is zero, or if it says nothing.
     #[must_use]
-    pub fn whole(x: u32, y: u32, unit: Unit) -> Option<Self> {
+    pub fn whole(x: u32, y: u32, unit: ResolutionUnit) -> Option<Self> {
         let this = Self {
             x: Ratio::new(x, 1)?,
             y: Ratio::new(y, 1)?,
             unit,
         };
-        (unit != Unit::Unknown || (x, y) != (1, 1)).then_some(this)
+        (unit != ResolutionUnit::Unknown || (x, y) != (1, 1)).then_some(this)
     }
 
     /// That of the picture with its sides swapped.
@@ -164,8 +164,8 @@ impl Resolution {
 
     /// The same resolution in another unit; one of unknown unit stays as it is.
     #[must_use]
-    pub fn in_unit(self, unit: Unit) -> Option<Self> {
-        if self.unit == Unit::Unknown {
+    pub fn in_unit(self, unit: ResolutionUnit) -> Option<Self> {
+        if self.unit == ResolutionUnit::Unknown {
             return Some(self);
         }
         let (x, y) = (
@@ -195,7 +195,7 @@ impl Resolution {
     #[must_use]
     pub fn per_millimetre(self) -> [f64; 2] {
         let unit = match self.unit {
-            Unit::Unknown => 1.0,
+            ResolutionUnit::Unknown => 1.0,
             unit => f64::from(unit.length()) / 10.0,
         };
         [self.x.value() / unit, self.y.value() / unit]
@@ -215,10 +215,10 @@ mod tests {
         let odd = Resolution {
             x: Ratio::new(720_000, 10_000).unwrap(),
             y: Ratio::new(5, 2).unwrap(),
-            unit: Unit::Inch,
+            unit: ResolutionUnit::Inch,
         };
         assert_eq!(odd.scaled(extent(70, 50), extent(70, 50)), Some(odd));
-        assert_eq!(odd.in_unit(Unit::Inch), Some(odd));
+        assert_eq!(odd.in_unit(ResolutionUnit::Inch), Some(odd));
         assert_eq!(odd.swapped().swapped(), odd);
     }
 
@@ -230,7 +230,11 @@ mod tests {
             for denominator in numbers {
                 let x = Ratio::new(numerator, denominator).unwrap();
                 let y = Ratio::new(numbers[numbers.len() - 1 - k], denominator).unwrap();
-                for unit in [Unit::Inch, Unit::Centimetre, Unit::Metre] {
+                for unit in [
+                    ResolutionUnit::Inch,
+                    ResolutionUnit::Centimetre,
+                    ResolutionUnit::Metre,
+                ] {
                     let source = Resolution { x, y, unit };
                     for (target, canvas) in [
                         ((300, 200), (900, 601)),
@@ -242,7 +246,11 @@ mod tests {
                         let Some(scaled) = source.scaled(target, canvas) else {
                             continue;
                         };
-                        for unit in [Unit::Inch, Unit::Centimetre, Unit::Metre] {
+                        for unit in [
+                            ResolutionUnit::Inch,
+                            ResolutionUnit::Centimetre,
+                            ResolutionUnit::Metre,
+                        ] {
                             let Some(other) = scaled.in_unit(unit) else {
                                 continue;
                             };
@@ -277,17 +285,17 @@ mod tests {
             Resolution {
                 x: ratio,
                 y: ratio,
-                unit: Unit::Metre,
+                unit: ResolutionUnit::Metre,
             }
-            .in_unit(Unit::Inch)
+            .in_unit(ResolutionUnit::Inch)
             .and_then(|dpi| dpi.rounded(65_535))
         };
         assert_eq!(dpi(11_811, 1), Some(([300, 300], true)));
         assert_eq!(dpi(2_854, 1), Some(([72, 72], false)), "72.49 per inch");
         assert_eq!(dpi(1, 1), None, "less than one pixel per inch");
         assert_eq!(dpi(u32::MAX, 1), None, "more than 65535");
-        assert_eq!(Resolution::whole(1, 1, Unit::Unknown), None);
-        assert!(Resolution::whole(1, 2, Unit::Unknown).is_some());
-        assert_eq!(Resolution::whole(0, 300, Unit::Inch), None);
+        assert_eq!(Resolution::whole(1, 1, ResolutionUnit::Unknown), None);
+        assert!(Resolution::whole(1, 2, ResolutionUnit::Unknown).is_some());
+        assert_eq!(Resolution::whole(0, 300, ResolutionUnit::Inch), None);
     }
 }

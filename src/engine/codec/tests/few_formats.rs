@@ -79,7 +79,7 @@ fn a_mark_after_the_frame_makes_no_pixel_transparent() {
 
 #[test]
 fn a_gif_of_several_frames_is_refused_by_their_number() {
-    let error = decode(&gif(&[(3, 2); 3], None), &Limits::default()).unwrap_err();
+    let error = decode(&gif(&[(3, 2); 3], None), &ImageLimits::default()).unwrap_err();
     assert_eq!(
         error,
         CodecError::TooLarge {
@@ -92,7 +92,7 @@ fn a_gif_of_several_frames_is_refused_by_their_number() {
     let mut beyond = gif(&[(3, 2)], None);
     beyond[6] = 2;
     assert!(matches!(
-        decode(&beyond, &Limits::default()),
+        decode(&beyond, &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
 }
@@ -152,7 +152,7 @@ fn a_large_claim_is_refused_by_the_header() {
     gif[6..10].fill(0xFF);
     let side = |file: &[u8], actual| {
         assert_eq!(
-            decode(file, &Limits::default()).unwrap_err(),
+            decode(file, &ImageLimits::default()).unwrap_err(),
             CodecError::TooLarge {
                 what: "image_side",
                 limit: 16_384,

@@ -3,14 +3,14 @@
 use super::made::{Jpeg, Png, riff, vp8, vp8x, webp_lossless};
 use super::*;
 
-const NO_LIMITS: Limits = Limits {
+const NO_LIMITS: ImageLimits = ImageLimits {
     max_pixels: u64::MAX,
     max_side: u32::MAX,
 };
 
 /// A truncated file is refused, or it has every pixel and says that it was mended.
 fn is_whole_or_refused(name: &str, bytes: &[u8], length: usize, whole: &Pixmap) -> bool {
-    match decode(&bytes[..length], &Limits::default()) {
+    match decode(&bytes[..length], &ImageLimits::default()) {
         Ok(Decoded {
             pixmap, repairs, ..
         }) => {
@@ -40,7 +40,7 @@ fn truncated_small_files_are_whole_or_refused_at_every_length() {
             read += usize::from(is_whole_or_refused(name, &bytes, length, &whole));
             let cut = &bytes[..length];
             let unrecognised = matches!(
-                decode(cut, &Limits::default()),
+                decode(cut, &ImageLimits::default()),
                 Err(CodecError::Unsupported { .. })
             );
             assert_eq!(
@@ -193,7 +193,7 @@ fn bombs_are_refused_by_their_header() {
         jpeg(60_000, 60_000, false),
         jpeg(60_000, 60_000, true),
     ] {
-        assert_eq!(decode(&bytes, &Limits::default()).unwrap_err(), side);
+        assert_eq!(decode(&bytes, &ImageLimits::default()).unwrap_err(), side);
         // Even without limits the data is checked before memory is allocated.
         assert!(matches!(
             decode(&bytes, &NO_LIMITS),
@@ -202,12 +202,12 @@ fn bombs_are_refused_by_their_header() {
     }
     // A WebP frame is at most 16384 wide, so a larger canvas is invalid.
     assert!(matches!(
-        decode(&webp(60_000, 60_000), &Limits::default()),
+        decode(&webp(60_000, 60_000), &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
     let solid = riff(&[(b"VP8L", &[0x2F, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0, 0])]);
     assert_eq!(
-        decode(&solid, &Limits::default()).unwrap_err(),
+        decode(&solid, &ImageLimits::default()).unwrap_err(),
         CodecError::TooLarge {
             what: "image_pixels",
             limit: 50_000_000,
@@ -223,7 +223,7 @@ fn bombs_are_refused_by_their_header() {
     ] {
         assert!(probe(&bytes).is_ok());
         assert!(matches!(
-            decode(&bytes, &Limits::default()),
+            decode(&bytes, &ImageLimits::default()),
             Err(CodecError::Bad { .. })
         ));
     }

@@ -41,7 +41,7 @@ fn jpeg_small_pictures_come_back_close() {
             assert!(
                 header_is_kept(&bytes),
                 "{width}x{height} quality {quality}: {:?}",
-                decode(&bytes, &Limits::default()).err()
+                decode(&bytes, &ImageLimits::default()).err()
             );
             assert_eq!(eight(&decoded(&bytes)), lenient(&bytes));
         }
@@ -189,7 +189,7 @@ fn jpeg_scans_that_end_early_are_bad() {
         bytes.extend([0xFF, 0xD9]);
         assert!(
             matches!(
-                decode(&bytes, &Limits::default()),
+                decode(&bytes, &ImageLimits::default()),
                 Err(CodecError::Bad { .. })
             ),
             "{part}/16"
@@ -206,7 +206,7 @@ fn jpeg_scans_that_end_early_are_bad() {
         let cut = [&bytes[..end], &[0xFF, 0xD9]].concat();
         assert!(
             matches!(
-                decode(&cut, &Limits::default()),
+                decode(&cut, &ImageLimits::default()),
                 Err(CodecError::Bad { .. })
             ),
             "{end} of {}",

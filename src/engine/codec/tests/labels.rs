@@ -5,7 +5,7 @@ use super::*;
 use crate::pixmap::Extent;
 
 fn labels(file: &[u8]) -> Labels {
-    open_labels(file, &Limits::default(), &StepCounter::new(&|| false))
+    open_labels(file, &ImageLimits::default(), &StepCounter::new(&|| false))
         .unwrap()
         .decode_labels()
         .unwrap()
@@ -203,8 +203,8 @@ fn a_palette_that_is_missing_or_damaged_is_an_error() {
             .into_iter()
             .for_each(|palette| png.before.push((*b"PLTE", palette)));
         let file = png.bytes();
-        let read =
-            open_labels(&file, &Limits::default(), &work).and_then(|opened| opened.decode_labels());
+        let read = open_labels(&file, &ImageLimits::default(), &work)
+            .and_then(|opened| opened.decode_labels());
         assert!(
             matches!(read, Err(CodecError::Bad { format: "PNG", .. })),
             "{read:?}"

@@ -36,7 +36,7 @@ fn written(
     scale: (u32, u32),
 ) -> (Vec<u8>, (bool, Dropped), Arc<Metadata>) {
     let work = StepCounter::new(&|| false);
-    let opened = open(file, &Limits::default(), &work).unwrap();
+    let opened = open(file, &ImageLimits::default(), &work).unwrap();
     let Decoded {
         pixmap, metadata, ..
     } = opened.decode().unwrap();
@@ -73,7 +73,7 @@ fn written(
 }
 
 fn read_metadata(file: &[u8]) -> Metadata {
-    decode(file, &Limits::default()).unwrap().metadata
+    decode(file, &ImageLimits::default()).unwrap().metadata
 }
 
 #[test]
@@ -406,7 +406,7 @@ fn a_turned_picture_has_its_resolutions_swapped() {
         let [x, y] = if swaps { [200, 100] } else { [100, 200] };
         assert_eq!(
             resolution,
-            Resolution::whole(x, y, Unit::Metre).unwrap(),
+            Resolution::whole(x, y, ResolutionUnit::Metre).unwrap(),
             "{number}"
         );
     }
@@ -589,7 +589,7 @@ fn hostile_metadata_cost_little_memory() {
                 format.name()
             );
             assert!(
-                decode(&out, &Limits::default()).is_ok(),
+                decode(&out, &ImageLimits::default()).is_ok(),
                 "{name} as {}",
                 format.name()
             );

@@ -25,7 +25,7 @@ use super::orientation::tests::{UPRIGHT, exif};
 use super::*;
 use crate::pixmap::{Channels, Depth, Pixmap, Samples};
 
-fn decode(bytes: &[u8], limits: &Limits) -> Result<Decoded, CodecError> {
+fn decode(bytes: &[u8], limits: &ImageLimits) -> Result<Decoded, CodecError> {
     super::decode(bytes, limits, &|| false)
 }
 
@@ -42,7 +42,7 @@ fn photograph(name: &str) -> Vec<u8> {
 }
 
 fn decoded(bytes: &[u8]) -> Pixmap {
-    decode(bytes, &Limits::default()).unwrap().pixmap
+    decode(bytes, &ImageLimits::default()).unwrap().pixmap
 }
 
 fn eight(pixmap: &Pixmap) -> &[u8] {
@@ -63,7 +63,7 @@ fn sixteen(pixmap: &Pixmap) -> &[u16] {
 fn header_is_kept(bytes: &[u8]) -> bool {
     let Ok(Decoded { pixmap, .. }) = decode(
         bytes,
-        &Limits {
+        &ImageLimits {
             max_pixels: 1 << 20,
             max_side: 1 << 12,
         },
@@ -156,7 +156,7 @@ fn probe_and_decode_agree_on_every_kind() {
         assert!(
             header_is_kept(&bytes),
             "{name}: {:?}",
-            decode(&bytes, &Limits::default()).err()
+            decode(&bytes, &ImageLimits::default()).err()
         );
     }
 }
@@ -164,10 +164,10 @@ fn probe_and_decode_agree_on_every_kind() {
 #[test]
 fn trailing_bytes_are_ignored() {
     for (name, bytes) in zoo() {
-        let expected = decode(&bytes, &Limits::default()).unwrap();
+        let expected = decode(&bytes, &ImageLimits::default()).unwrap();
         for tail in [b"\0".as_slice(), b"trailing garbage", &bytes] {
             let longer = [&bytes, tail].concat();
-            let got = decode(&longer, &Limits::default()).unwrap();
+            let got = decode(&longer, &ImageLimits::default()).unwrap();
             assert_eq!(
                 (&got.pixmap, got.metadata.icc()),
                 (&expected.pixmap, expected.metadata.icc()),
@@ -181,12 +181,12 @@ fn trailing_bytes_are_ignored() {
 fn limits_are_applied_to_the_upright_numbers_before_anything_else() {
     for (name, bytes) in zoo() {
         let extent = probe(&bytes).unwrap().extent;
-        let exact = Limits {
+        let exact = ImageLimits {
             max_pixels: extent.pixels(),
             max_side: extent.width().max(extent.height()),
         };
         assert!(decode(&bytes, &exact).is_ok(), "{name}");
-        let side = Limits {
+        let side = ImageLimits {
             max_side: exact.max_side - 1,
             ..exact
         };
@@ -200,7 +200,7 @@ fn limits_are_applied_to_the_upright_numbers_before_anything_else() {
             ),
             "{name}"
         );
-        let pixels = Limits {
+        let pixels = ImageLimits {
             max_pixels: exact.max_pixels - 1,
             ..exact
         };
@@ -219,7 +219,7 @@ fn limits_are_applied_to_the_upright_numbers_before_anything_else() {
 
 #[test]
 fn unsupported_formats_are_named() {
-    let found = |bytes: &[u8]| match (probe(bytes), decode(bytes, &Limits::default())) {
+    let found = |bytes: &[u8]| match (probe(bytes), decode(bytes, &ImageLimits::default())) {
         (Err(CodecError::Unsupported { found }), Err(CodecError::Unsupported { found: again }))
             if found == again =>
         {
@@ -288,7 +288,7 @@ fn not_profiles() -> Vec<(&'static str, Vec<u8>)> {
 #[test]
 fn a_file_without_a_profile_has_none_to_drop() {
     for (name, bytes) in zoo() {
-        let decoded = decode(&bytes, &Limits::default()).unwrap();
+        let decoded = decode(&bytes, &ImageLimits::default()).unwrap();
         assert!(
             !decoded.metadata.profile_dropped() || name.contains("icc") || name.contains("rich"),
             "{name}"
@@ -300,7 +300,7 @@ fn a_file_without_a_profile_has_none_to_drop() {
 #[test]
 fn icc_profile_is_kept_for_rgb_only() {
     let icc = |bytes: &[u8]| {
-        let decoded = decode(bytes, &Limits::default()).unwrap();
+        let decoded = decode(bytes, &ImageLimits::default()).unwrap();
         let icc = decoded.metadata.icc().map(<[u8]>::to_vec);
         assert_eq!(
             decoded.metadata.profile_dropped(),

@@ -246,7 +246,7 @@ fn png_damage_is_an_error_or_in_no_pixel() {
         for bit in 0..8 {
             let mut damaged = good.clone();
             damaged[at] ^= 1 << bit;
-            match decode(&damaged, &Limits::default()) {
+            match decode(&damaged, &ImageLimits::default()) {
                 Ok(Decoded {
                     pixmap, repairs, ..
                 }) => {
@@ -272,7 +272,7 @@ fn png_damage_is_an_error_or_in_no_pixel() {
     let mut short = Png::new(3, 2, 8, 0, b"abcdef");
     short.rows.truncate(7);
     assert!(matches!(
-        decode(&short.bytes(), &Limits::default()),
+        decode(&short.bytes(), &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
     for (width, height) in [(0, 5), (5, 0), (0, 0)] {
@@ -283,7 +283,7 @@ fn png_damage_is_an_error_or_in_no_pixel() {
     }
     let no_palette = Png::new(4, 1, 8, 3, &[0; 4]).bytes();
     assert!(matches!(
-        decode(&no_palette, &Limits::default()),
+        decode(&no_palette, &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
 }
@@ -308,7 +308,7 @@ fn png_data_is_bounded_by_the_picture() {
             &[(b"IEND", vec![])],
         ]
         .concat();
-        decode(&bombs::png(&file), &Limits::default())
+        decode(&bombs::png(&file), &ImageLimits::default())
     };
     let plain = made::deflate(&rows);
     let pixels = of(vec![plain.clone()]).unwrap().pixmap;
@@ -328,7 +328,7 @@ fn png_data_is_bounded_by_the_picture() {
         vec![(b"IEND", vec![])],
     ]
     .concat();
-    assert!(decode(&bombs::png(&single), &Limits::default()).is_ok());
+    assert!(decode(&bombs::png(&single), &ImageLimits::default()).is_ok());
     assert_eq!(of(vec![flushed]).unwrap().pixmap, pixels);
     assert_eq!(of(of_sixteen).unwrap().pixmap, pixels);
     // Twice the rows, 16 bytes for each and 64 KiB: 127,336.
@@ -358,7 +358,7 @@ fn png_data_beyond_the_picture_takes_no_memory() {
     let mut bomb = Png::new(3, 2, 8, 0, b"abcdef");
     bomb.rows.resize(256 << 20, 0);
     let bytes = bomb.bytes();
-    if let Ok(Decoded { pixmap, .. }) = decode(&bytes, &Limits::default()) {
+    if let Ok(Decoded { pixmap, .. }) = decode(&bytes, &ImageLimits::default()) {
         assert_eq!(pixmap, decoded(&Png::new(3, 2, 8, 0, b"abcdef").bytes()));
     }
     assert!(probe(&bytes).unwrap().decode_bytes < 1 << 20);

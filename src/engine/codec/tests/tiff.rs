@@ -16,8 +16,8 @@ pub(super) struct Tiff {
     pub(super) others: Vec<(u16, u16, u32, Vec<u8>)>,
 }
 
-const SHORT: u16 = 3;
-const LONG: u16 = 4;
+const TYPE_SHORT: u16 = 3;
+const TYPE_LONG: u16 = 4;
 
 impl Tiff {
     /// Strips of not compressed samples.
@@ -29,11 +29,11 @@ impl Tiff {
         data: &[u8],
     ) -> Self {
         let entries = vec![
-            (256, LONG, vec![width]),
-            (257, LONG, vec![height]),
-            (258, SHORT, bits.to_vec()),
-            (262, SHORT, vec![photometric]),
-            (277, SHORT, vec![bits.len() as u32]),
+            (256, TYPE_LONG, vec![width]),
+            (257, TYPE_LONG, vec![height]),
+            (258, TYPE_SHORT, bits.to_vec()),
+            (262, TYPE_SHORT, vec![photometric]),
+            (277, TYPE_SHORT, vec![bits.len() as u32]),
         ];
         Self {
             entries,
@@ -51,7 +51,7 @@ impl Tiff {
 
     pub(super) fn with(mut self, tag: u16, values: &[u32]) -> Self {
         self.entries.retain(|entry| entry.0 != tag);
-        self.entries.push((tag, SHORT, values.to_vec()));
+        self.entries.push((tag, TYPE_SHORT, values.to_vec()));
         self
     }
 
@@ -65,21 +65,22 @@ impl Tiff {
         let lengths = self.parts.iter().map(|part| part.len() as u32).collect();
         let mut entries = self.entries.clone();
         let (offset_tag, length_tag) = if self.tiled { (324, 325) } else { (273, 279) };
-        entries.push((offset_tag, LONG, offsets));
-        entries.push((length_tag, LONG, lengths));
+        entries.push((offset_tag, TYPE_LONG, offsets));
+        entries.push((length_tag, TYPE_LONG, lengths));
         let others = self
             .others
             .iter()
             .map(|(tag, kind, count, data)| (*tag, *kind, *count, data.clone()));
         let mut others: Vec<_> = others.collect();
         let mut link = 4;
-        for entries in [entries]
-            .into_iter()
-            .chain(self.more.iter().map(|kind| vec![(254, LONG, vec![*kind])]))
-        {
+        for entries in [entries].into_iter().chain(
+            self.more
+                .iter()
+                .map(|kind| vec![(254, TYPE_LONG, vec![*kind])]),
+        ) {
             let numbers = entries.iter().map(|(tag, kind, values)| {
                 let data: Vec<u8> = match *kind {
-                    SHORT => values
+                    TYPE_SHORT => values
                         .iter()
                         .flat_map(|value| (*value as u16).to_le_bytes())
                         .collect(),
@@ -178,7 +179,7 @@ where
 }
 
 fn refused(tiff: &Tiff) -> String {
-    match decode(&tiff.bytes(), &Limits::default()) {
+    match decode(&tiff.bytes(), &ImageLimits::default()) {
         Err(error @ (CodecError::Unsupported { .. } | CodecError::Bad { .. })) => error.to_string(),
         other => panic!("{other:?}"),
     }
@@ -347,7 +348,7 @@ fn samples_that_are_no_colours_are_refused_by_their_number() {
         );
         let labels = open_labels(
             &tiff.bytes(),
-            &Limits::default(),
+            &ImageLimits::default(),
             &StepCounter::new(&|| false),
         )
         .map(|_| ());
@@ -399,17 +400,17 @@ fn one_page_is_read_and_several_are_refused() {
         actual: 3,
     };
     assert_eq!(
-        decode(&pages(&[0, 2]), &Limits::default()).unwrap_err(),
+        decode(&pages(&[0, 2]), &ImageLimits::default()).unwrap_err(),
         several
     );
     assert!(
-        decode(&pages(&[1, 1]), &Limits::default()).is_ok(),
+        decode(&pages(&[1, 1]), &ImageLimits::default()).is_ok(),
         "a preview is no page"
     );
     // The preview comes first.
     let preview = Tiff::new(3, 2, &[8], 1, b"ghijkl").with(254, &[1]);
     assert!(
-        decode(&preview.bytes(), &Limits::default()).is_ok(),
+        decode(&preview.bytes(), &ImageLimits::default()).is_ok(),
         "there is nothing else"
     );
     let error = decode(
@@ -418,7 +419,7 @@ fn one_page_is_read_and_several_are_refused() {
             ..preview
         }
         .bytes(),
-        &Limits::default(),
+        &ImageLimits::default(),
     )
     .unwrap_err();
     assert!(
@@ -431,7 +432,7 @@ fn one_page_is_read_and_several_are_refused() {
     let at = (last as u32 - 14).to_le_bytes();
     circle[last..].copy_from_slice(&at);
     assert!(matches!(
-        decode(&circle, &Limits::default()),
+        decode(&circle, &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
 }
@@ -513,7 +514,7 @@ fn lies_are_refused_before_memory_is_taken() {
         actual: 60_000,
     };
     assert_eq!(
-        decode(&claim(60_000, 60_000).bytes(), &Limits::default()).unwrap_err(),
+        decode(&claim(60_000, 60_000).bytes(), &ImageLimits::default()).unwrap_err(),
         large
     );
     assert!(refused(&claim(16_384, 3_000)).contains("cannot hold the picture"));
@@ -528,12 +529,12 @@ fn lies_are_refused_before_memory_is_taken() {
         .unwrap();
     let offsets = u32::from_le_bytes(file[at + 8..at + 12].try_into().unwrap()) as usize;
     let lengths = offsets + 256;
-    assert!(decode(&file, &Limits::default()).is_ok());
+    assert!(decode(&file, &ImageLimits::default()).is_ok());
     for strip in 0..64 {
         file[offsets + 4 * strip..][..4].copy_from_slice(&8_u32.to_le_bytes());
         file[lengths + 4 * strip..][..4].copy_from_slice(&4_000_u32.to_le_bytes());
     }
-    let Err(CodecError::Bad { detail, .. }) = decode(&file, &Limits::default()) else {
+    let Err(CodecError::Bad { detail, .. }) = decode(&file, &ImageLimits::default()) else {
         panic!("read")
     };
     assert!(detail.contains("overlap"), "{detail}");

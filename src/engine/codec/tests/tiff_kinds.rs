@@ -16,12 +16,14 @@ fn samples(tiff: &Tiff) -> Vec<u8> {
 }
 
 fn refusal(file: &[u8]) -> String {
-    decode(file, &Limits::default()).unwrap_err().to_string()
+    decode(file, &ImageLimits::default())
+        .unwrap_err()
+        .to_string()
 }
 
 fn labels_of(file: &[u8]) -> Result<Labels, CodecError> {
     let work = StepCounter::new(&|| false);
-    open_labels(file, &Limits::default(), &work)?.decode_labels()
+    open_labels(file, &ImageLimits::default(), &work)?.decode_labels()
 }
 
 /// Black where the sum of the coordinates is divisible by three.
@@ -130,7 +132,7 @@ fn jpeg_in_strips_and_tiles_is_read_with_its_common_tables() {
     );
     let cut = Tiff::new(24, 16, &[8], 1, &letters[..letters.len() - 4]).with(259, &[7]);
     assert!(matches!(
-        decode(&cut.bytes(), &Limits::default()),
+        decode(&cut.bytes(), &ImageLimits::default()),
         Err(CodecError::Bad { format: "TIFF", .. })
     ));
     let long = Tiff::new(24, 16, &[8], 1, &data).with(259, &[7]).with_tag(
@@ -144,7 +146,7 @@ fn jpeg_in_strips_and_tiles_is_read_with_its_common_tables() {
     let open = Tiff::new(24, 16, &[8], 1, &letters[..letters.len() - 2]).with(259, &[7]);
     let Decoded {
         pixmap, repairs, ..
-    } = decode(&open.bytes(), &Limits::default()).unwrap();
+    } = decode(&open.bytes(), &ImageLimits::default()).unwrap();
     assert!(repairs.end && pixmap == decoded(&letters));
 }
 
@@ -190,14 +192,14 @@ fn a_big_tiff_is_read_as_any_other() {
     assert_eq!((file[2], eight(&decoded(&file))), (43, rgb.as_slice()));
     for length in 0..file.len() {
         assert!(
-            decode(&file[..length], &Limits::default()).is_err() || length > file.len() - 16,
+            decode(&file[..length], &ImageLimits::default()).is_err() || length > file.len() - 16,
             "{length}"
         );
     }
     let mut huge = file;
     huge[8..16].fill(0xFF);
     assert!(matches!(
-        decode(&huge, &Limits::default()),
+        decode(&huge, &ImageLimits::default()),
         Err(CodecError::Bad { .. })
     ));
 }

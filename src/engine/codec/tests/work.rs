@@ -93,9 +93,9 @@ fn steps(bytes: &[u8]) -> [u64; 3] {
     };
     [
         counted(&|work| drop(Parsed::new(bytes, work))),
-        counted(&|work| drop(open(bytes, &Limits::default(), work))),
+        counted(&|work| drop(open(bytes, &ImageLimits::default(), work))),
         counted(&|work| {
-            drop(open(bytes, &Limits::default(), work).and_then(|opened| opened.decode()))
+            drop(open(bytes, &ImageLimits::default(), work).and_then(|opened| opened.decode()))
         }),
     ]
 }
@@ -103,7 +103,7 @@ fn steps(bytes: &[u8]) -> [u64; 3] {
 /// Pixels that a file claims, if they are within the limits.
 fn claimed(bytes: &[u8]) -> u64 {
     probe(bytes).map_or(0, |header| {
-        Limits::default()
+        ImageLimits::default()
             .check(header.extent)
             .map_or(0, |()| header.extent.pixels())
     })
@@ -153,7 +153,7 @@ fn decoding_ends_at_the_first_question_that_is_answered_with_no() {
                 questions.set(questions.get() + 1);
                 questions.get() > stop
             };
-            let result = super::super::decode(&bytes, &Limits::default(), &cancelled);
+            let result = super::super::decode(&bytes, &ImageLimits::default(), &cancelled);
             asked += 1;
             if questions.get() <= stop {
                 break;

@@ -10,11 +10,11 @@ use super::fax::Group4;
 use crate::codec::work::{Pieces, StepCounter};
 
 /// Bytes that the LZW decoder gets at once.
-const PIECE: usize = 1 << 15;
+const LZW_INPUT_BYTES: usize = 1 << 15;
 
 /// How strips and tiles are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Compression {
+pub(super) enum TiffCompression {
     None,
     Lzw,
     Deflate,
@@ -23,7 +23,7 @@ pub(super) enum Compression {
     Jpeg,
 }
 
-impl Compression {
+impl TiffCompression {
     pub(super) const fn from_number(number: u32) -> Option<Self> {
         Some(match number {
             1 => Self::None,
@@ -124,7 +124,7 @@ impl Read for Lzw<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         loop {
             self.work.check().map_err(io::Error::other)?;
-            let piece = &self.data[..self.data.len().min(PIECE)];
+            let piece = &self.data[..self.data.len().min(LZW_INPUT_BYTES)];
             let result = self.decoder.decode_bytes(piece, into);
             self.data = &self.data[result.consumed_in..];
             let status = result.status.map_err(io::Error::other)?;

@@ -6,8 +6,8 @@ use crate::codec::ifd::write::{DirectoryWriter, SHORT};
 use crate::pixmap::Extent;
 
 /// Bytes before the first row.
-const HEAD: u64 = 8;
-const FLOAT: u64 = 4;
+const HEADER_BYTES: u64 = 8;
+const FLOAT_BYTES: u64 = 4;
 
 /// A file of floating-point samples, big-endian.
 #[derive(Clone, Copy, Debug)]
@@ -30,11 +30,12 @@ impl FloatTiff {
             rows,
         };
         let strips = u64::from(extent.height().div_ceil(rows));
-        (HEAD + this.data_bytes() + 8 * strips + DIRECTORY <= u64::from(u32::MAX)).then_some(this)
+        (HEADER_BYTES + this.data_bytes() + 8 * strips + DIRECTORY <= u64::from(u32::MAX))
+            .then_some(this)
     }
 
     const fn row_bytes(&self) -> u64 {
-        self.extent.width() as u64 * self.samples as u64 * FLOAT
+        self.extent.width() as u64 * self.samples as u64 * FLOAT_BYTES
     }
 
     const fn data_bytes(&self) -> u64 {
@@ -66,7 +67,10 @@ impl FloatTiff {
             self.row_bytes() * u64::from(self.rows),
         );
         let strips: Vec<u64> = (0..u64::from(self.extent.height()).div_ceil(rows)).collect();
-        let offsets: Vec<u32> = strips.iter().map(|k| number(HEAD + k * strip)).collect();
+        let offsets: Vec<u32> = strips
+            .iter()
+            .map(|k| number(HEADER_BYTES + k * strip))
+            .collect();
         let lengths: Vec<u32> = strips
             .iter()
             .map(|k| number(strip.min(self.data_bytes() - k * strip)))
@@ -75,7 +79,7 @@ impl FloatTiff {
         let mut out = Vec::new();
         let mut directory = DirectoryWriter::after(
             &mut out,
-            usize::try_from(HEAD + self.data_bytes()).expect("an offset of 32 bits"),
+            usize::try_from(HEADER_BYTES + self.data_bytes()).expect("an offset of 32 bits"),
         );
         directory.longs(256, &[self.extent.width()]);
         directory.longs(257, &[self.extent.height()]);

@@ -1,7 +1,7 @@
 //! The page of a TIFF that is read, and its tags.
 
 use crate::codec::ifd::read::{Directory, File, bad};
-use crate::codec::orientation::Orientation;
+use crate::codec::orientation::ExifOrientation;
 use crate::codec::{CodecError, StepCounter};
 
 /// Directories of a file; more are a loop, or nothing that a picture needs.
@@ -9,8 +9,8 @@ const MOST_DIRECTORIES: u32 = 4096;
 
 /// What a directory is: bit 0 marks a copy in less detail, bit 2 a mask.
 const NEW_SUBFILE_TYPE: u16 = 254;
-const COPY: u32 = 0b001;
-const MASK: u32 = 0b100;
+const REDUCED_COPY_BIT: u32 = 0b001;
+const MASK_BIT: u32 = 0b100;
 const SUB_DIRECTORIES: u16 = 330;
 
 /// A well-formed file of a kind that is not read.
@@ -35,8 +35,8 @@ pub(super) fn only_page<'a>(
     let (mut directory, mut bytes) = (first, first.bytes());
     for _ in 0..MOST_DIRECTORIES {
         let kind = directory.number(NEW_SUBFILE_TYPE, 0, work)?;
-        has_mask |= kind & MASK != 0;
-        if kind & (COPY | MASK) == 0 {
+        has_mask |= kind & MASK_BIT != 0;
+        if kind & (REDUCED_COPY_BIT | MASK_BIT) == 0 {
             page = Some(directory);
             pages += 1;
         }
@@ -90,10 +90,10 @@ pub(super) fn uniform(
 pub(super) fn orientation(
     page: &Directory<'_>,
     work: &StepCounter<'_>,
-) -> Result<Orientation, CodecError> {
+) -> Result<ExifOrientation, CodecError> {
     let number = page.number(274, 1, work)?;
     Ok(u16::try_from(number)
         .ok()
-        .and_then(Orientation::from_number)
+        .and_then(ExifOrientation::from_number)
         .unwrap_or_default())
 }

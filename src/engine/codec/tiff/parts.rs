@@ -1,6 +1,6 @@
 //! The strips and tiles of a TIFF: their size, and where they are.
 
-use super::data::Compression;
+use super::data::TiffCompression;
 use crate::codec::ifd::read::{Directory, Values, bad};
 use crate::codec::{CodecError, StepCounter};
 use crate::pixmap::Extent;
@@ -22,7 +22,7 @@ impl<'a> Parts<'a> {
     pub(super) fn of(
         page: &Directory<'a>,
         extent: Extent,
-        compression: Compression,
+        compression: TiffCompression,
         work: &StepCounter<'_>,
     ) -> Result<Self, CodecError> {
         let tiles = page.values(324, work)?;
@@ -48,7 +48,7 @@ impl<'a> Parts<'a> {
             return Err(bad("no strips or tiles"));
         };
         let is_long = |side: u32, whole: u32| u64::from(side) > 2 * u64::from(whole) + FREE_TILE;
-        let is_too_high = compression == Compression::Jpeg && is_long(height, extent.height());
+        let is_too_high = compression == TiffCompression::Jpeg && is_long(height, extent.height());
         if width == 0 || height == 0 || is_long(width, extent.width()) || is_too_high {
             return Err(bad(format!("strips or tiles of {width} x {height} pixels")));
         }

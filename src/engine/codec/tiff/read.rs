@@ -6,13 +6,13 @@
 //! refused, never reduced. Memory: the picture and a few rows; work: in proportion to the picture
 //! and the file.
 
-use super::data::Compression;
+use super::data::TiffCompression;
 use super::found::found;
 use super::pages::{only_page, orientation, uniform, unsupported};
 use super::parts::Parts;
 use crate::codec::ifd::read::{Directory, File, Values, bad};
 use crate::codec::metadata::Found;
-use crate::codec::orientation::Orientation;
+use crate::codec::orientation::ExifOrientation;
 use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::{CodecError, Palette, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent};
@@ -25,7 +25,7 @@ const WIDEST_FAX: u32 = 1 << 20;
 
 /// What the samples of a pixel mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Colour {
+pub(super) enum Photometric {
     Grey {
         white_is_zero: bool,
     },
@@ -46,7 +46,7 @@ pub(super) struct Alpha {
 pub(in crate::codec) struct TiffFile<'a> {
     pub(super) file: File<'a>,
     pub(in crate::codec) extent: Extent,
-    pub(in crate::codec) orientation: Orientation,
+    pub(in crate::codec) orientation: ExifOrientation,
     pub(in crate::codec) found: Found<'a>,
     pub(super) bits: u32,
     /// Whether samples may be negative.
@@ -54,10 +54,10 @@ pub(in crate::codec) struct TiffFile<'a> {
     /// Samples of a pixel.
     pub(super) stored: usize,
     pub(super) is_planar: bool,
-    pub(super) colour: Colour,
+    pub(super) colour: Photometric,
     pub(super) alpha: Option<Alpha>,
     pub(super) palette: Option<Values<'a>>,
-    pub(super) compression: Compression,
+    pub(super) compression: TiffCompression,
     /// Whether bytes begin with their lowest bit.
     pub(super) is_reversed: bool,
     pub(super) differences: bool,
@@ -82,13 +82,16 @@ impl<'a> TiffFile<'a> {
         let extent = Extent::new(width, height)
             .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
         let compression = number(259, 1)?;
-        let compression = Compression::from_number(compression).ok_or_else(|| {
-            unsupported(format_args!("with {}", Compression::name_of(compression)))
+        let compression = TiffCompression::from_number(compression).ok_or_else(|| {
+            unsupported(format_args!(
+                "with {}",
+                TiffCompression::name_of(compression)
+            ))
         })?;
         let colour = colour_of(&page, compression, work)?;
         let is_signed = is_signed(&page, work)?;
         let (stored, bits) = (number(277, 1)?, uniform(&page, 258, 1, "depth", work)?);
-        let colours = if matches!(colour, Colour::Rgb | Colour::YCbCr) {
+        let colours = if matches!(colour, Photometric::Rgb | Photometric::YCbCr) {
             3
         } else {
             1
@@ -102,23 +105,23 @@ impl<'a> TiffFile<'a> {
         if is_signed && (bits < 8 || stored > 1) {
             return Err(unsupported("of samples with a sign"));
         }
-        let is_jpeg = compression == Compression::Jpeg;
+        let is_jpeg = compression == TiffCompression::Jpeg;
         let is_known = match (bits, stored, colour) {
             (8, ..) => true,
-            (16, _, Colour::Grey { .. } | Colour::Rgb) | (1 | 2 | 4, 1, _) => !is_jpeg,
+            (16, _, Photometric::Grey { .. } | Photometric::Rgb) | (1 | 2 | 4, 1, _) => !is_jpeg,
             // Labels.
-            (32 | 64, 1, Colour::Grey { .. }) => !is_jpeg,
+            (32 | 64, 1, Photometric::Grey { .. }) => !is_jpeg,
             _ => false,
         };
         if !is_known
-            || compression == Compression::Group4 && (bits, stored) != (1, 1)
+            || compression == TiffCompression::Group4 && (bits, stored) != (1, 1)
             || is_jpeg && alpha.is_some()
         {
             return Err(unsupported(format_args!(
                 "whose bits per sample are {bits} and samples per pixel {stored}"
             )));
         }
-        if compression == Compression::Group4 && width > WIDEST_FAX {
+        if compression == TiffCompression::Group4 && width > WIDEST_FAX {
             return Err(unsupported(format_args!(
                 "of group 4 with lines of {width} pixels"
             )));
@@ -129,12 +132,13 @@ impl<'a> TiffFile<'a> {
         }
         let is_reversed = number(266, 1)? == 2;
         if is_reversed
-            && (bits != 1 || !matches!(compression, Compression::None | Compression::Group4))
+            && (bits != 1
+                || !matches!(compression, TiffCompression::None | TiffCompression::Group4))
         {
             return Err(unsupported("whose bits are in reverse order"));
         }
         let differences = match number(317, 1)? {
-            _ if is_jpeg || compression == Compression::Group4 => false,
+            _ if is_jpeg || compression == TiffCompression::Group4 => false,
             1 => false,
             2 if bits >= 8 => true,
             kind => {
@@ -144,7 +148,8 @@ impl<'a> TiffFile<'a> {
             }
         };
         let palette = page.values(320, work)?;
-        if colour == Colour::Palette && palette.is_none_or(|palette| palette.len() < 3 << bits) {
+        if colour == Photometric::Palette && palette.is_none_or(|palette| palette.len() < 3 << bits)
+        {
             return Err(bad("too few colours in its palette"));
         }
         let tables = page
@@ -220,8 +225,8 @@ impl<'a> TiffFile<'a> {
     }
 
     pub(in crate::codec) const fn is_grey(&self) -> bool {
-        matches!(self.colour, Colour::Grey { .. })
-            || self.labels && matches!(self.colour, Colour::Palette)
+        matches!(self.colour, Photometric::Grey { .. })
+            || self.labels && matches!(self.colour, Photometric::Palette)
     }
 
     /// Planes that are stored one after the other.
@@ -246,11 +251,11 @@ impl<'a> TiffFile<'a> {
         let width = u64::from(self.parts.width);
         let rows = self.row_bytes() + 2 * width * self.interleaved() as u64;
         let more = match self.compression {
-            Compression::Jpeg => {
+            TiffCompression::Jpeg => {
                 let pixels = width * u64::from(self.parts.height);
                 3 * pixels + 3 * (self.longest_part + MOST_TABLES as u64) + 1024 * (width + 32)
             }
-            Compression::Group4 => 32 * width,
+            TiffCompression::Group4 => 32 * width,
             _ => 0,
         };
         (512 << 10) + rows + more
@@ -260,7 +265,7 @@ impl<'a> TiffFile<'a> {
     pub(in crate::codec) fn label_palette(&self) -> Option<Palette> {
         let palette = self
             .palette
-            .filter(|_| self.colour == Colour::Palette && self.bits <= 8)?;
+            .filter(|_| self.colour == Photometric::Palette && self.bits <= 8)?;
         let colours = 1_usize << self.bits;
         #[expect(clippy::cast_possible_truncation, reason = "the upper byte of 16 bits")]
         let sample = |index: usize| (palette.get(index).unwrap_or(0) >> 8) as u8;
@@ -279,28 +284,31 @@ impl<'a> TiffFile<'a> {
 
     pub(in crate::codec) fn icc(&self) -> Option<Vec<u8>> {
         let profile = self.profile.filter(|profile| profile.len() <= MAX_ICC)?;
-        keep_profile(profile.to_vec(), matches!(self.colour, Colour::Grey { .. }))
+        keep_profile(
+            profile.to_vec(),
+            matches!(self.colour, Photometric::Grey { .. }),
+        )
     }
 }
 
 fn colour_of(
     page: &Directory<'_>,
-    compression: Compression,
+    compression: TiffCompression,
     work: &StepCounter<'_>,
-) -> Result<Colour, CodecError> {
+) -> Result<Photometric, CodecError> {
     let kind = page
         .values(262, work)?
         .and_then(|values| values.get(0))
         .ok_or_else(|| bad("no photometric interpretation"))?;
     Err(match kind {
         0 | 1 => {
-            return Ok(Colour::Grey {
+            return Ok(Photometric::Grey {
                 white_is_zero: kind == 0,
             });
         }
-        2 => return Ok(Colour::Rgb),
-        3 => return Ok(Colour::Palette),
-        6 if compression == Compression::Jpeg => return Ok(Colour::YCbCr),
+        2 => return Ok(Photometric::Rgb),
+        3 => return Ok(Photometric::Palette),
+        6 if compression == TiffCompression::Jpeg => return Ok(Photometric::YCbCr),
         5 => unsupported("of CMYK colours"),
         6 => unsupported("of YCbCr colours without JPEG"),
         8..=10 => unsupported("of Lab colours"),
@@ -326,7 +334,7 @@ fn is_signed(page: &Directory<'_>, work: &StepCounter<'_>) -> Result<bool, Codec
 /// have no place in a picture.
 fn alpha_of(
     page: &Directory<'_>,
-    colour: Colour,
+    colour: Photometric,
     (stored, colours): (u32, u32),
     work: &StepCounter<'_>,
 ) -> Result<Option<Alpha>, CodecError> {
@@ -337,10 +345,10 @@ fn alpha_of(
         (0, _) => Ok(None),
         // Writers that leave the tag out mean a picture with alpha; two samples without it are as
         // often two channels of a microscope.
-        (1, None) if matches!(colour, Colour::Rgb) => Ok(Some(Alpha {
+        (1, None) if matches!(colour, Photometric::Rgb) => Ok(Some(Alpha {
             is_premultiplied: false,
         })),
-        (1, Some(kind @ (1 | 2))) if colour != Colour::Palette => Ok(Some(Alpha {
+        (1, Some(kind @ (1 | 2))) if colour != Photometric::Palette => Ok(Some(Alpha {
             is_premultiplied: kind == 1,
         })),
         (extra, _) => {

@@ -3,8 +3,8 @@
 
 use std::io::Read as _;
 
-use super::data::Compression;
-use super::read::{Alpha, Colour, TiffFile};
+use super::data::TiffCompression;
+use super::read::{Alpha, Photometric, TiffFile};
 use crate::codec::alloc::{room, sample_count, zeros};
 use crate::codec::ifd::read::{bad, cut_off};
 use crate::codec::jpeg::read::JpegFile;
@@ -92,14 +92,14 @@ impl<'a> TiffFile<'a> {
     ) -> Result<(Samples, Repairs), CodecError> {
         self.weigh_data(work)?;
         let samples = match self.depth() {
-            Depth::Eight if self.compression == Compression::Jpeg => return self.jpeg(work),
+            Depth::Eight if self.compression == TiffCompression::Jpeg => return self.jpeg(work),
             Depth::Eight => Samples::Eight(self.rows(work)?),
             Depth::Sixteen => Samples::Sixteen(self.rows(work)?),
         };
         Ok((samples, Repairs::default()))
     }
 
-    fn rows<T: Sample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
+    fn rows<T: TiffSample>(&self, work: &StepCounter<'_>) -> Result<Vec<T>, CodecError> {
         let (width, height, count) = (
             self.extent.width() as usize,
             self.extent.height() as usize,
@@ -151,7 +151,7 @@ impl<'a> TiffFile<'a> {
                     }
                 }
                 // The end of the data, with the checksum of deflate.
-                if self.compression == Compression::Deflate {
+                if self.compression == TiffCompression::Deflate {
                     let _ = data.read(&mut [0]).map_err(damaged)?;
                 }
             }
@@ -173,7 +173,7 @@ impl<'a> TiffFile<'a> {
         let mut out = zeros::<u8>(3 * self.extent.pixels(), work)?;
         let mut repairs = Repairs::default();
         let is_white_zero = self.colour
-            == Colour::Grey {
+            == Photometric::Grey {
                 white_is_zero: true,
             }
             && !self.labels;
@@ -200,7 +200,7 @@ impl<'a> TiffFile<'a> {
             work.step((tables.len() + data.len()) as u64)?;
             let whole = [tables, data].concat();
             let mut file = JpegFile::parse(&whole, work).map_err(of_tiff)?;
-            file.is_rgb = self.colour == Colour::Rgb;
+            file.is_rgb = self.colour == Photometric::Rgb;
             let (part_width, part_height) =
                 (file.extent.width() as usize, file.extent.height() as usize);
             let is_whole = part_width >= columns
@@ -234,16 +234,18 @@ impl<'a> TiffFile<'a> {
     }
 
     /// Converts a pixel to RGB or RGBA.
-    fn pixel<T: Sample>(&self, from: &[T], into: &mut [T]) {
+    fn pixel<T: TiffSample>(&self, from: &[T], into: &mut [T]) {
         match self.colour {
-            Colour::Rgb | Colour::YCbCr => into[..3].copy_from_slice(&from[..3]),
-            Colour::Grey { .. } | Colour::Palette if self.labels => into[..3].fill(from[0]),
-            Colour::Grey { white_is_zero } => into[..3].fill(if white_is_zero {
+            Photometric::Rgb | Photometric::YCbCr => into[..3].copy_from_slice(&from[..3]),
+            Photometric::Grey { .. } | Photometric::Palette if self.labels => {
+                into[..3].fill(from[0])
+            }
+            Photometric::Grey { white_is_zero } => into[..3].fill(if white_is_zero {
                 from[0].inverted()
             } else {
                 from[0]
             }),
-            Colour::Palette => {
+            Photometric::Palette => {
                 let colours = 1 << self.bits;
                 for (c, sample) in into[..3].iter_mut().enumerate() {
                     let value = self
@@ -261,22 +263,22 @@ impl<'a> TiffFile<'a> {
     }
 
     /// Converts a sample of a plane.
-    fn sample<T: Sample>(&self, plane: usize, from: T, into: &mut [T]) {
+    fn sample<T: TiffSample>(&self, plane: usize, from: T, into: &mut [T]) {
         match self.colour {
-            Colour::Grey { white_is_zero } if plane == 0 => {
+            Photometric::Grey { white_is_zero } if plane == 0 => {
                 into[..3].fill(if white_is_zero && !self.labels {
                     from.inverted()
                 } else {
                     from
                 });
             }
-            Colour::Grey { .. } => into[3] = from,
+            Photometric::Grey { .. } => into[3] = from,
             _ => into[plane] = from,
         }
     }
 
     /// Divides premultiplied alpha out.
-    fn divide<T: Sample>(&self, pixel: &mut [T]) {
+    fn divide<T: TiffSample>(&self, pixel: &mut [T]) {
         if let (
             [colours @ .., alpha],
             Some(Alpha {
@@ -293,7 +295,7 @@ impl<'a> TiffFile<'a> {
 
     /// Appends the labels of a row that may be negative, or larger than 16 bits hold, if none of
     /// them is.
-    fn count<T: Sample>(&self, row: &[u8], out: &mut Vec<T>) -> Result<(), CodecError> {
+    fn count<T: TiffSample>(&self, row: &[u8], out: &mut Vec<T>) -> Result<(), CodecError> {
         let most = u64::MAX >> (64 - self.bits);
         let mut label = 0;
         for number in row.chunks_exact(self.bits as usize / 8) {
@@ -322,7 +324,7 @@ impl<'a> TiffFile<'a> {
 }
 
 /// A sample of 8 or 16 bit.
-trait Sample: Copy + Default {
+trait TiffSample: Copy + Default {
     /// Appends the samples of a row.
     fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>);
     fn plus(self, other: Self) -> Self;
@@ -334,13 +336,13 @@ trait Sample: Copy + Default {
     fn divided(self, alpha: Self) -> Self;
 }
 
-impl Sample for u8 {
+impl TiffSample for u8 {
     fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
         if file.bits == 8 {
             return out.extend_from_slice(row);
         }
         let most = (1_u16 << file.bits) - 1;
-        let scale = if file.colour == Colour::Palette || file.labels {
+        let scale = if file.colour == Photometric::Palette || file.labels {
             1
         } else {
             255 / most
@@ -385,7 +387,7 @@ impl Sample for u8 {
     }
 }
 
-impl Sample for u16 {
+impl TiffSample for u16 {
     fn unpack(row: &[u8], file: &TiffFile<'_>, out: &mut Vec<Self>) {
         out.extend(
             row.as_chunks()

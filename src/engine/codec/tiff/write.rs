@@ -12,7 +12,7 @@ use crate::codec::{Carried, Palette};
 use crate::pixmap::{Channels, Depth};
 
 /// Target size of a strip, bytes.
-const STRIP: usize = 256 << 10;
+const STRIP_BYTES: usize = 256 << 10;
 
 /// Appends the file, or its beginning if it is no longer wanted.
 /// `samples: [height][width][PngShape::samples]`, 16-bit ones big-endian.
@@ -27,7 +27,7 @@ pub(in crate::codec) fn write(
     let start = out.len();
     out.extend_from_slice(b"MM\0*\0\0\0\0");
     let row = shape.extent.width() as usize * shape.samples() * shape.depth.bytes();
-    let rows = (STRIP / row).clamp(1, shape.extent.height() as usize);
+    let rows = (STRIP_BYTES / row).clamp(1, shape.extent.height() as usize);
     let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
     let level = match compression {
         Compression::None => None,

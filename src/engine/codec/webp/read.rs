@@ -10,7 +10,7 @@ use image::codecs::webp::WebPDecoder;
 
 use super::vp8l;
 use crate::codec::alloc::{room, sample_count, zeros};
-use crate::codec::metadata::{Found, Kind};
+use crate::codec::metadata::{DroppedKind, Found};
 use crate::codec::profile::{MAX_ICC, keep_profile};
 use crate::codec::work::{Pieces, StepCounter};
 use crate::codec::{CodecError, Format, Repairs};
@@ -27,7 +27,7 @@ const ALPHA_LOSSLESS: u8 = 1;
 const ANMF_HEAD: usize = 16;
 
 #[derive(Clone, Copy, Debug)]
-enum Coding<'a> {
+enum WebPBitstream<'a> {
     /// VP8, and its ALPH chunk.
     Lossy(&'a [u8], Option<&'a [u8]>),
     /// VP8L.
@@ -41,7 +41,7 @@ type Stream<'a> = (&'a [u8], Option<(u32, u32)>);
 #[derive(Debug)]
 pub(in crate::codec) struct WebPFile<'a> {
     pub(in crate::codec) extent: Extent,
-    coding: Coding<'a>,
+    coding: WebPBitstream<'a>,
     pub(in crate::codec) found: Found<'a>,
     pub(in crate::codec) repairs: Repairs,
     profile: Option<&'a [u8]>,
@@ -158,10 +158,12 @@ impl<'a> WebPFile<'a> {
         };
         found
             .dropped
-            .add_if(chunks.has_credentials, Kind::Credentials);
-        found.dropped.add_if(chunks.has_others, Kind::Application);
+            .add_if(chunks.has_credentials, DroppedKind::Credentials);
+        found
+            .dropped
+            .add_if(chunks.has_others, DroppedKind::Application);
 
-        let canvas = chunks.canvas.map(Canvas::parse).transpose()?;
+        let canvas = chunks.canvas.map(WebPCanvas::parse).transpose()?;
         if chunks.frames > 1 {
             return Err(CodecError::TooLarge {
                 what: "image_frames",
@@ -193,11 +195,11 @@ impl<'a> WebPFile<'a> {
         let (extent, coding) = match (chunks.vp8, chunks.vp8l) {
             (Some(vp8), None) => (
                 vp8_extent(vp8)?,
-                Coding::Lossy(vp8, chunks.alpha.filter(|_| canvas.is_some())),
+                WebPBitstream::Lossy(vp8, chunks.alpha.filter(|_| canvas.is_some())),
             ),
             (None, Some(vp8l)) => {
                 let (extent, alpha) = vp8l_header(vp8l)?;
-                (extent, Coding::Lossless(vp8l, alpha))
+                (extent, WebPBitstream::Lossless(vp8l, alpha))
             }
             (None, None) => return Err(bad("no picture")),
             (Some(_), Some(_)) => return Err(bad("two pictures")),
@@ -223,13 +225,13 @@ impl<'a> WebPFile<'a> {
 
     fn lossless_stream(&self) -> Option<Stream<'a>> {
         match self.coding {
-            Coding::Lossless(vp8l, _) => Some((vp8l, None)),
-            Coding::Lossy(_, Some([head, stream @ ..]))
+            WebPBitstream::Lossless(vp8l, _) => Some((vp8l, None)),
+            WebPBitstream::Lossy(_, Some([head, stream @ ..]))
                 if head & ALPHA_CODING == ALPHA_LOSSLESS =>
             {
                 Some((stream, Some((self.extent.width(), self.extent.height()))))
             }
-            Coding::Lossy(..) => None,
+            WebPBitstream::Lossy(..) => None,
         }
     }
 
@@ -246,8 +248,8 @@ impl<'a> WebPFile<'a> {
 
     pub(in crate::codec) fn channels(&self) -> Channels {
         match self.coding {
-            Coding::Lossy(_, Some(_)) | Coding::Lossless(_, true) => Channels::Rgba,
-            Coding::Lossy(_, None) | Coding::Lossless(_, false) => Channels::Rgb,
+            WebPBitstream::Lossy(_, Some(_)) | WebPBitstream::Lossless(_, true) => Channels::Rgba,
+            WebPBitstream::Lossy(_, None) | WebPBitstream::Lossless(_, false) => Channels::Rgb,
         }
     }
 
@@ -262,7 +264,7 @@ impl<'a> WebPFile<'a> {
         );
         let pixels = width * height;
         let (data, planes) = match self.coding {
-            Coding::Lossy(vp8, alpha) => {
+            WebPBitstream::Lossy(vp8, alpha) => {
                 let macroblocks = width.div_ceil(16) * height.div_ceil(16);
                 let alpha_planes = if alpha.is_some() { 6 * pixels } else { 0 };
                 (
@@ -270,8 +272,8 @@ impl<'a> WebPFile<'a> {
                     macroblocks * (384 + 2 * 64) + alpha_planes,
                 )
             }
-            Coding::Lossless(vp8l, true) => (vp8l.len(), pixels),
-            Coding::Lossless(vp8l, false) => (vp8l.len(), 5 * pixels),
+            WebPBitstream::Lossless(vp8l, true) => (vp8l.len(), pixels),
+            WebPBitstream::Lossless(vp8l, false) => (vp8l.len(), 5 * pixels),
         };
         (1 << 20) + data as u64 + planes + self.code_bytes
     }
@@ -279,8 +281,10 @@ impl<'a> WebPFile<'a> {
     /// A container with a canvas and the frame.
     fn remade(&self) -> Result<Vec<u8>, CodecError> {
         let chunks: [(&[u8; 4], &[u8]); 2] = match self.coding {
-            Coding::Lossy(vp8, alpha) => [(b"ALPH", alpha.unwrap_or_default()), (b"VP8 ", vp8)],
-            Coding::Lossless(vp8l, _) => [(b"ALPH", &[]), (b"VP8L", vp8l)],
+            WebPBitstream::Lossy(vp8, alpha) => {
+                [(b"ALPH", alpha.unwrap_or_default()), (b"VP8 ", vp8)]
+            }
+            WebPBitstream::Lossless(vp8l, _) => [(b"ALPH", &[]), (b"VP8L", vp8l)],
         };
         let mut canvas = [0; 10];
         canvas[0] = if self.channels() == Channels::Rgba {
@@ -338,13 +342,13 @@ impl<'a> WebPFile<'a> {
     }
 }
 
-struct Canvas {
+struct WebPCanvas {
     animated: bool,
     width: u32,
     height: u32,
 }
 
-impl Canvas {
+impl WebPCanvas {
     fn parse(data: &[u8]) -> Result<Self, CodecError> {
         let &[flags, _, _, _, w0, w1, w2, h0, h1, h2, ..] = data else {
             return Err(bad("a canvas that is too short"));

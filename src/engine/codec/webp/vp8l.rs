@@ -41,7 +41,7 @@ const LENGTH_CODES: usize = 19;
 const LENGTH_CODE_ORDER: [usize; LENGTH_CODES] = [
     17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15,
 ];
-const LONGEST: usize = 15;
+const LONGEST_CODE: usize = 15;
 /// Green (and lengths), red, blue, alpha, distances.
 const ALPHABETS: [usize; 5] = [256 + LENGTH_SYMBOLS, 256, 256, 256, 40];
 const LENGTH_SYMBOLS: usize = 24;
@@ -50,9 +50,9 @@ const TABLE_BITS: usize = 10;
 const TABLE_ENTRY: u64 = 4;
 const TREE_NODE: u64 = 16;
 /// Five codes in a vector that doubles; the old allocation exists while it is copied.
-const GROUP: u64 = 3 * 5 * 56;
+const GROUP_BYTES: u64 = 3 * 5 * 56;
 /// Overhead of the allocator for a code's two blocks.
-const BLOCKS: u64 = 32;
+const ALLOCATOR_BYTES: u64 = 32;
 
 /// Bytes of the tables that a decoder builds for a stream: a whole `VP8L` chunk (`size: None`), or
 /// an `ALPH` chunk without its first byte. At most `most`.
@@ -63,7 +63,7 @@ pub(super) fn code_bytes(
     work: &StepCounter<'_>,
 ) -> Result<u64, CodecError> {
     let mut walk = Walk {
-        bits: Bits {
+        bits: BitReader {
             rest: stream,
             buffer: 0,
             count: 0,
@@ -77,7 +77,7 @@ pub(super) fn code_bytes(
 }
 
 struct Walk<'a> {
-    bits: Bits<'a>,
+    bits: BitReader<'a>,
     bytes: u64,
     most: u64,
 }
@@ -125,7 +125,7 @@ impl Walk<'_> {
             groups = self.image(blocks(width, block), blocks(height, block))? + 1;
         }
         for _ in 0..groups {
-            self.bytes += GROUP;
+            self.bytes += GROUP_BYTES;
             for (k, alphabet) in ALPHABETS.into_iter().enumerate() {
                 let code = Code::read(&mut self.bits, alphabet + if k == 0 { cached } else { 0 })?;
                 self.bytes += code.table_bytes();
@@ -224,13 +224,13 @@ fn blocks(side: u32, bits: u32) -> u32 {
 /// A canonical prefix code.
 struct Code {
     /// Number of codes of each length.
-    counts: [u16; LONGEST + 1],
+    counts: [u16; LONGEST_CODE + 1],
     /// In the order of their codes.
     symbols: Vec<u16>,
 }
 
 impl Code {
-    fn read(bits: &mut Bits<'_>, alphabet: usize) -> Result<Self, CodecError> {
+    fn read(bits: &mut BitReader<'_>, alphabet: usize) -> Result<Self, CodecError> {
         if bits.read(1)? == 1 {
             let two = bits.read(1)? == 1;
             let first_bits = if bits.read(1)? == 1 { 8 } else { 1 };
@@ -238,7 +238,7 @@ impl Code {
             if two {
                 symbols.push(bits.symbol(8)?);
             }
-            let mut counts = [0; LONGEST + 1];
+            let mut counts = [0; LONGEST_CODE + 1];
             counts[1] = if two { 2 } else { 0 };
             let known = symbols.iter().all(|&symbol| usize::from(symbol) < alphabet);
             return if known {
@@ -285,13 +285,13 @@ impl Code {
 
     /// Accepts complete codes only: every bit sequence has a meaning.
     fn of_lengths(lengths: &[u16]) -> Result<Self, CodecError> {
-        let mut counts = [0; LONGEST + 1];
+        let mut counts = [0; LONGEST_CODE + 1];
         let used = || (0..).zip(lengths).filter(|(_, length)| **length > 0);
         for (_, &length) in used() {
             *counts.get_mut(usize::from(length)).ok_or_else(damaged)? += 1;
         }
         let symbols = if used().count() == 1 {
-            counts = [0; LONGEST + 1];
+            counts = [0; LONGEST_CODE + 1];
             used().map(|(symbol, _)| symbol).collect()
         } else {
             let filled: u32 = (0..)
@@ -299,11 +299,11 @@ impl Code {
                 .skip(1)
                 .map(|(length, count)| u32::from(count) << (15 - length))
                 .sum();
-            if filled != 1 << LONGEST {
+            if filled != 1 << LONGEST_CODE {
                 return Err(damaged());
             }
-            let mut places = [0; LONGEST + 1];
-            for length in 1..LONGEST {
+            let mut places = [0; LONGEST_CODE + 1];
+            for length in 1..LONGEST_CODE {
                 places[length + 1] = places[length] + usize::from(counts[length]);
             }
             let mut symbols = vec![0; used().count()];
@@ -318,7 +318,7 @@ impl Code {
     }
 
     /// The next symbol; a single symbol takes no bits.
-    fn symbol(&self, bits: &mut Bits<'_>) -> Result<u16, CodecError> {
+    fn symbol(&self, bits: &mut BitReader<'_>) -> Result<u16, CodecError> {
         if let [only] = *self.symbols {
             return Ok(only);
         }
@@ -351,19 +351,19 @@ impl Code {
             .skip(TABLE_BITS + 1)
             .map(|&count| u64::from(count))
             .sum();
-        (TABLE_ENTRY << longest.min(TABLE_BITS)) + TREE_NODE * 2 * deep + BLOCKS
+        (TABLE_ENTRY << longest.min(TABLE_BITS)) + TREE_NODE * 2 * deep + ALLOCATOR_BYTES
     }
 }
 
 /// Reads bits, starting with the least significant one of each byte.
-struct Bits<'a> {
+struct BitReader<'a> {
     rest: &'a [u8],
     buffer: u64,
     count: u32,
     work: &'a StepCounter<'a>,
 }
 
-impl Bits<'_> {
+impl BitReader<'_> {
     /// At most 32.
     fn read(&mut self, count: u32) -> Result<u32, CodecError> {
         self.work.step(1)?;
@@ -467,7 +467,7 @@ mod tests {
             ))
             .unwrap();
             assert_eq!(&file[12..16], b"VP8L");
-            let bits = Bits {
+            let bits = BitReader {
                 rest: &file[20..],
                 buffer: 0,
                 count: 0,
@@ -485,11 +485,11 @@ mod tests {
         assert!(
             weights
                 .iter()
-                .all(|weight| (GROUP..100_000).contains(weight)),
+                .all(|weight| (GROUP_BYTES..100_000).contains(weight)),
             "{weights:?}"
         );
         assert!(
-            weights[3] > 2 * GROUP,
+            weights[3] > 2 * GROUP_BYTES,
             "regions have groups of their own: {weights:?}"
         );
     }

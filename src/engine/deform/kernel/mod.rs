@@ -12,11 +12,11 @@ mod scalar;
 mod x86;
 
 use super::Method;
-use super::lanes::{Rows, Vertices};
+use super::lanes::{Coefficients, Vertices};
 use super::moments::MomentInputs;
 use super::row::RowInputs;
-use super::span::Scratch;
-use crate::level::Level;
+use super::segment_moments::CoefficientScratch;
+use crate::level::SimdLevel;
 
 /// Vertices in a block.
 pub(super) const LANES: usize = 16;
@@ -24,10 +24,10 @@ pub(super) const LANES: usize = 16;
 /// One coefficient of the vertices of a block.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(align(64))]
-pub(super) struct Lanes(pub(super) [f32; LANES]);
+pub(super) struct CoefficientLanes(pub(super) [f32; LANES]);
 
 /// The displacements of a block, px.
-pub(super) type Pairs = [[f32; 2]; LANES];
+pub(super) type BlockDisplacements = [[f32; 2]; LANES];
 
 /// Lanes in a block of this family.
 pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
@@ -43,54 +43,54 @@ pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
 /// (rigid), else 1.
 pub(super) fn displace(
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
-    displace_at(Level::detect(), family, table, d, out)
+    displace_at(SimdLevel::detect(), family, table, d, out)
 }
 
 /// Like [`displace`], at a level; scalar if the processor lacks it.
 pub(super) fn displace_at(
-    level: Level,
+    level: SimdLevel,
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 if level.is_here() => x86::displace_avx512(family, table, d, out),
+        SimdLevel::Avx512 if level.is_supported() => x86::displace_avx512(family, table, d, out),
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => x86::displace_avx2(family, table, d, out),
+        SimdLevel::Avx2 if level.is_supported() => x86::displace_avx2(family, table, d, out),
         _ => scalar::displace(family, table, d, out),
     }
 }
 
 /// The rows of N vertices, for whole plans and single places.
 pub(super) fn rows<const N: usize>(
-    waist: &RowInputs<'_>,
+    inputs: &RowInputs<'_>,
     v: &Vertices<N>,
-    scratch: &mut Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &mut CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
-    rows_at(Level::detect(), waist, v, scratch, rows);
+    rows_at(SimdLevel::detect(), inputs, v, scratch, rows);
 }
 
 /// Like [`rows`], at a level; scalar if the processor lacks it.
 pub(super) fn rows_at<const N: usize>(
-    level: Level,
-    waist: &RowInputs<'_>,
+    level: SimdLevel,
+    inputs: &RowInputs<'_>,
     v: &Vertices<N>,
-    scratch: &mut Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &mut CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 if level.is_here() => x86::rows_avx512(waist, v, scratch, rows),
+        SimdLevel::Avx512 if level.is_supported() => x86::rows_avx512(inputs, v, scratch, rows),
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => x86::rows_avx2(waist, v, scratch, rows),
-        _ => waist.rows(v, scratch, rows),
+        SimdLevel::Avx2 if level.is_supported() => x86::rows_avx2(inputs, v, scratch, rows),
+        _ => inputs.rows(v, scratch, rows),
     }
 }
 
@@ -99,20 +99,20 @@ pub(super) fn moments<const N: usize>(
     inputs: &MomentInputs<'_>,
     v: &Vertices<N>,
 ) -> ([[f64; N]; 2], [f64; N]) {
-    moments_at(Level::detect(), inputs, v)
+    moments_at(SimdLevel::detect(), inputs, v)
 }
 
 /// Like [`moments`], at a level; scalar if the processor lacks it.
 pub(super) fn moments_at<const N: usize>(
-    level: Level,
+    level: SimdLevel,
     inputs: &MomentInputs<'_>,
     v: &Vertices<N>,
 ) -> ([[f64; N]; 2], [f64; N]) {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 if level.is_here() => x86::moments_avx512(inputs, v),
+        SimdLevel::Avx512 if level.is_supported() => x86::moments_avx512(inputs, v),
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => x86::moments_avx2(inputs, v),
+        SimdLevel::Avx2 if level.is_supported() => x86::moments_avx2(inputs, v),
         _ => inputs.displacements::<16, N>(v),
     }
 }
@@ -121,7 +121,7 @@ pub(super) fn moments_at<const N: usize>(
 mod tests {
     use super::*;
     use crate::deform::Falloff;
-    use crate::deform::columns::{PointSource, Segment, Sources};
+    use crate::deform::columns::{HandleElements, PointSource, RestSegment};
     use crate::deform::incomplete_beta::IncompleteBeta;
     use crate::geometry::Point;
 
@@ -139,13 +139,13 @@ mod tests {
             (Method::Rigid, 3, 2),
         ] {
             for (columns, blocks) in [(1, 1), (7, 7), (3, 2), (11, 3)] {
-                let table: Vec<Lanes> = (0..blocks * (per_column * columns + extra))
-                    .map(|_| Lanes([0.0; LANES].map(|_: f32| next())))
+                let table: Vec<CoefficientLanes> = (0..blocks * (per_column * columns + extra))
+                    .map(|_| CoefficientLanes([0.0; LANES].map(|_: f32| next())))
                     .collect();
                 let d: Vec<[f32; 2]> = (0..columns).map(|_| [next(), next()]).collect();
                 let mut reference = Vec::new();
-                let least = displace_at(Level::Scalar, family, &table, &d, &mut reference);
-                for &level in Level::available() {
+                let least = displace_at(SimdLevel::Scalar, family, &table, &d, &mut reference);
+                for &level in SimdLevel::available() {
                     let mut out = Vec::new();
                     assert_eq!(
                         displace_at(level, family, &table, &d, &mut out).to_bits(),
@@ -164,7 +164,7 @@ mod tests {
     fn levels_weigh_to_the_same_bits() {
         let segment = |a: Point, b: Point, column| {
             let length = a.distance(b);
-            Segment {
+            RestSegment {
                 a,
                 b,
                 length,
@@ -196,7 +196,7 @@ mod tests {
         (v.x[3], v.y[3]) = (170.0, 205.0 + 1e-4);
         (v.x[4], v.y[4]) = (1e5, -3e4);
         for (points, segments, columns) in [(points.clone(), vec![], 3), (points, segments, 7)] {
-            let sources = Sources { points, segments };
+            let sources = HandleElements { points, segments };
             for alpha in [0.5, 1.0, 1.3, 1.5, 2.0, 3.0, 7.9] {
                 for (method, exact) in [
                     (Method::Affine, false),
@@ -209,7 +209,7 @@ mod tests {
                         Falloff::new(alpha, true).unwrap(),
                         IncompleteBeta::new(alpha),
                     );
-                    let waist = RowInputs {
+                    let inputs = RowInputs {
                         sources: &sources,
                         extent: 400.0,
                         falloff,
@@ -218,17 +218,23 @@ mod tests {
                         method,
                         exact,
                     };
-                    let bits = |rows: &Rows<LANES>, k: usize| -> Vec<u64> {
+                    let bits = |rows: &Coefficients<LANES>, k: usize| -> Vec<u64> {
                         let all = rows.h.iter().flatten().chain(&rows.wn).chain(&rows.e);
                         all.map(|lanes| lanes[k].to_bits()).collect()
                     };
                     let run = |level| {
-                        let mut rows = Rows::zeroed(columns);
-                        rows_at(level, &waist, &v, &mut Scratch::default(), &mut rows);
+                        let mut rows = Coefficients::zeroed(columns);
+                        rows_at(
+                            level,
+                            &inputs,
+                            &v,
+                            &mut CoefficientScratch::default(),
+                            &mut rows,
+                        );
                         rows
                     };
-                    let reference = run(Level::Scalar);
-                    for &level in Level::available() {
+                    let reference = run(SimdLevel::Scalar);
+                    for &level in SimdLevel::available() {
                         let rows = run(level);
                         for k in 0..LANES {
                             assert_eq!(
@@ -236,9 +242,15 @@ mod tests {
                                 bits(&reference, k),
                                 "{level:?} {method:?} {alpha} {k}"
                             );
-                            let mut one = Rows::<1>::zeroed(columns);
+                            let mut one = Coefficients::<1>::zeroed(columns);
                             let at = Vertices::all(Point::new(v.x[k], v.y[k]));
-                            rows_at(level, &waist, &at, &mut Scratch::default(), &mut one);
+                            rows_at(
+                                level,
+                                &inputs,
+                                &at,
+                                &mut CoefficientScratch::default(),
+                                &mut one,
+                            );
                             let single: Vec<u64> = one
                                 .h
                                 .iter()
@@ -263,11 +275,11 @@ mod tests {
     #[test]
     fn rotation_that_is_undefined_leaves_the_translation() {
         // H d = -1: m = 0. e must not matter, wn d must stay.
-        let mut block = vec![Lanes([0.0; LANES]); 5];
-        block[0] = Lanes([-1.0; LANES]);
-        block[2] = Lanes([1.0; LANES]);
-        block[3] = Lanes([50.0; LANES]);
-        for &level in Level::available() {
+        let mut block = vec![CoefficientLanes([0.0; LANES]); 5];
+        block[0] = CoefficientLanes([-1.0; LANES]);
+        block[2] = CoefficientLanes([1.0; LANES]);
+        block[3] = CoefficientLanes([50.0; LANES]);
+        for &level in SimdLevel::available() {
             let mut out = Vec::new();
             assert_eq!(
                 displace_at(level, Method::Rigid, &block, &[[1.0, 0.0]], &mut out),

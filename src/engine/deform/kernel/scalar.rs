@@ -2,17 +2,17 @@
 //! the width it is allowed. Functions, not closures: a closure may stay a function of its own,
 //! which then has the reference's vectors in every level.
 
-use super::{LANES, Lanes, Method, Pairs, lanes_per_block};
+use super::{BlockDisplacements, CoefficientLanes, LANES, Method, lanes_per_block};
 
 /// Below this |m| no rotation is better than another (f32).
-const UNDEFINED: f32 = 1e-5;
+const UNDEFINED_ROTATION: f32 = 1e-5;
 
 /// See [`super::displace`].
 pub(super) fn displace(
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     displace_inline(family, table, d, out)
 }
@@ -21,9 +21,9 @@ pub(super) fn displace(
 #[inline(always)]
 pub(super) fn displace_inline(
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops
     // free of a horizontal step.
@@ -42,7 +42,12 @@ pub(super) fn displace_inline(
 
 /// The displacements of a block.
 #[inline(always)]
-fn pose(family: Method, block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES]) -> Pairs {
+fn pose(
+    family: Method,
+    block: &[CoefficientLanes],
+    d: &[[f32; 2]],
+    least: &mut [f32; LANES],
+) -> BlockDisplacements {
     let [x, y] = match family {
         Method::Affine => affine(block, d),
         Method::Similarity => similarity(block, d),
@@ -58,9 +63,9 @@ fn pose(family: Method, block: &[Lanes], d: &[[f32; 2]], least: &mut [f32; LANES
 type Pair = [[f32; LANES]; 2];
 
 #[inline(always)]
-fn affine(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
+fn affine(block: &[CoefficientLanes], d: &[[f32; 2]]) -> Pair {
     let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
-    for (Lanes(c), [dx, dy]) in block.iter().zip(d) {
+    for (CoefficientLanes(c), [dx, dy]) in block.iter().zip(d) {
         for k in 0..LANES {
             x[k] += c[k] * dx;
             y[k] += c[k] * dy;
@@ -70,10 +75,10 @@ fn affine(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
 }
 
 #[inline(always)]
-fn similarity(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
+fn similarity(block: &[CoefficientLanes], d: &[[f32; 2]]) -> Pair {
     let (mut x, mut y) = ([0.0; LANES], [0.0; LANES]);
     for (c, [dx, dy]) in block.chunks_exact(2).zip(d) {
-        let (Lanes(re), Lanes(im)) = (&c[0], &c[1]);
+        let (CoefficientLanes(re), CoefficientLanes(im)) = (&c[0], &c[1]);
         for k in 0..LANES {
             x[k] += re[k] * dx - im[k] * dy;
             y[k] += re[k] * dy + im[k] * dx;
@@ -84,10 +89,11 @@ fn similarity(block: &[Lanes], d: &[[f32; 2]]) -> Pair {
 
 /// `u = sum H_j d_j` and `sum wn_j d_j` of rigid.
 #[inline(always)]
-fn pull(block: &[Lanes], d: &[[f32; 2]]) -> [[f32; LANES]; 4] {
+fn pull(block: &[CoefficientLanes], d: &[[f32; 2]]) -> [[f32; LANES]; 4] {
     let (mut ux, mut uy, mut x, mut y) = ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for (c, [dx, dy]) in block.chunks_exact(3).zip(d) {
-        let (Lanes(re), Lanes(im), Lanes(wn)) = (&c[0], &c[1], &c[2]);
+        let (CoefficientLanes(re), CoefficientLanes(im), CoefficientLanes(wn)) =
+            (&c[0], &c[1], &c[2]);
         for k in 0..LANES {
             ux[k] += re[k] * dx - im[k] * dy;
             uy[k] += re[k] * dy + im[k] * dx;
@@ -100,9 +106,14 @@ fn pull(block: &[Lanes], d: &[[f32; 2]]) -> [[f32; LANES]; 4] {
 
 /// `e rho(u) + sum wn_j d_j`, and the least |1 + u|.
 #[inline(always)]
-fn turn(block: &[Lanes], [ux, uy, x, y]: &[[f32; LANES]; 4], least: &mut [f32; LANES]) -> Pair {
+fn turn(
+    block: &[CoefficientLanes],
+    [ux, uy, x, y]: &[[f32; LANES]; 4],
+    least: &mut [f32; LANES],
+) -> Pair {
     let (mut x, mut y) = (*x, *y);
-    let (Lanes(ex), Lanes(ey)) = (&block[block.len() - 2], &block[block.len() - 1]);
+    let (CoefficientLanes(ex), CoefficientLanes(ey)) =
+        (&block[block.len() - 2], &block[block.len() - 1]);
     for k in 0..LANES {
         // rho(u) of mathematics 2.3 without a branch and with one division: where the turn is less
         // than a right angle, `(mx - n) / n` cancels and is `-uy^2 / (n (n + mx))` instead.
@@ -115,8 +126,16 @@ fn turn(block: &[Lanes], [ux, uy, x, y]: &[[f32; LANES]; 4], least: &mut [f32; L
         let (rx, ry) = (over * scale, uy[k] * (more * scale));
         let turned = [ex[k] * rx - ey[k] * ry, ex[k] * ry + ey[k] * rx];
         // Where no rotation fits, `scale` may be infinite: the lane is replaced, not multiplied.
-        x[k] += if n >= UNDEFINED { turned[0] } else { 0.0 };
-        y[k] += if n >= UNDEFINED { turned[1] } else { 0.0 };
+        x[k] += if n >= UNDEFINED_ROTATION {
+            turned[0]
+        } else {
+            0.0
+        };
+        y[k] += if n >= UNDEFINED_ROTATION {
+            turned[1]
+        } else {
+            0.0
+        };
         least[k] = if n < least[k] { n } else { least[k] };
     }
     [x, y]

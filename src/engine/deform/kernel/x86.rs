@@ -1,17 +1,25 @@
 //! The reference's loops compiled for AVX2 and AVX-512. The safe functions must be called on a
 //! processor that has the level.
 
-use super::{Lanes, Method, MomentInputs, Pairs, RowInputs, Rows, Scratch, Vertices, scalar};
+use super::{
+    BlockDisplacements, CoefficientLanes, CoefficientScratch, Coefficients, Method, MomentInputs,
+    RowInputs, Vertices, scalar,
+};
 
 /// See [`super::displace`].
 pub(super) fn displace_avx2(
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx2")]
-    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+    fn body(
+        family: Method,
+        table: &[CoefficientLanes],
+        d: &[[f32; 2]],
+        out: &mut Vec<BlockDisplacements>,
+    ) -> f32 {
         scalar::displace_inline(family, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -21,12 +29,17 @@ pub(super) fn displace_avx2(
 /// See [`super::displace`].
 pub(super) fn displace_avx512(
     family: Method,
-    table: &[Lanes],
+    table: &[CoefficientLanes],
     d: &[[f32; 2]],
-    out: &mut Vec<Pairs>,
+    out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
-    fn body(family: Method, table: &[Lanes], d: &[[f32; 2]], out: &mut Vec<Pairs>) -> f32 {
+    fn body(
+        family: Method,
+        table: &[CoefficientLanes],
+        d: &[[f32; 2]],
+        out: &mut Vec<BlockDisplacements>,
+    ) -> f32 {
         scalar::displace_inline(family, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
@@ -35,42 +48,42 @@ pub(super) fn displace_avx512(
 
 /// See [`super::rows`].
 pub(super) fn rows_avx2<const N: usize>(
-    waist: &RowInputs<'_>,
+    inputs: &RowInputs<'_>,
     v: &Vertices<N>,
-    scratch: &mut Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &mut CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
     #[target_feature(enable = "avx2")]
     fn body<const N: usize>(
-        waist: &RowInputs<'_>,
+        inputs: &RowInputs<'_>,
         v: &Vertices<N>,
-        scratch: &mut Scratch<N>,
-        rows: &mut Rows<N>,
+        scratch: &mut CoefficientScratch<N>,
+        rows: &mut Coefficients<N>,
     ) {
-        waist.rows(v, scratch, rows);
+        inputs.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(waist, v, scratch, rows) }
+    unsafe { body(inputs, v, scratch, rows) }
 }
 
 /// See [`super::rows`].
 pub(super) fn rows_avx512<const N: usize>(
-    waist: &RowInputs<'_>,
+    inputs: &RowInputs<'_>,
     v: &Vertices<N>,
-    scratch: &mut Scratch<N>,
-    rows: &mut Rows<N>,
+    scratch: &mut CoefficientScratch<N>,
+    rows: &mut Coefficients<N>,
 ) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body<const N: usize>(
-        waist: &RowInputs<'_>,
+        inputs: &RowInputs<'_>,
         v: &Vertices<N>,
-        scratch: &mut Scratch<N>,
-        rows: &mut Rows<N>,
+        scratch: &mut CoefficientScratch<N>,
+        rows: &mut Coefficients<N>,
     ) {
-        waist.rows(v, scratch, rows);
+        inputs.rows(v, scratch, rows);
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(waist, v, scratch, rows) }
+    unsafe { body(inputs, v, scratch, rows) }
 }
 
 /// See [`super::moments`].

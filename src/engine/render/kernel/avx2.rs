@@ -9,9 +9,9 @@ use super::Kernel;
 use super::cells::{CellBlock, Raster};
 use super::footprints::{Alike, FootprintBatch, FootprintGrid};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
-use crate::level::Level;
+use crate::level::SimdLevel;
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, Lattice, STEP, YRange};
+use crate::render::snapped_grid::{BLOCK_COLUMNS, PX_PER_STEP, SnappedGrid, YRange};
 use crate::render::source::Packed;
 
 /// Compiles a function of `scalar` for AVX2 under the same name.
@@ -22,7 +22,7 @@ macro_rules! widened {
             fn wide($($argument: $kind),*) {
                 scalar::$name($($argument),*);
             }
-            debug_assert!(kernel.0 >= Level::Avx2);
+            debug_assert!(kernel.0 >= SimdLevel::Avx2);
             // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
             unsafe { wide($($argument),*) }
         })*
@@ -41,31 +41,34 @@ widened! {
     footprints(grid: &FootprintGrid, u: &[f32], v: &[f32], first: usize,
         batch: &mut FootprintBatch);
     positions(alike: &Alike, log: u32, u: &mut [f32], v: &mut [f32]);
-    classify(lattice: &Lattice, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
+    classify(lattice: &SnappedGrid, j: usize, b: usize, raster: &Raster<'_>, seen: &mut CellBlock);
 }
 
 /// Pixels of a group, and columns of a block.
 const LANES: usize = 8;
-const _: () = assert!(LANES == BLOCK, "a block of columns fills a register");
+const _: () = assert!(
+    LANES == BLOCK_COLUMNS,
+    "a block of columns fills a register"
+);
 
 /// Crossings of columns with rows: [`scalar::crossings`], with a block of columns in registers for
 /// all rows that it reaches.
 pub(super) fn crossings(
     kernel: Kernel,
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     rows: Range<u32>,
     x: &mut [f32],
     v: &mut [f32],
 ) {
-    debug_assert!(kernel.0 >= Level::Avx2);
+    debug_assert!(kernel.0 >= SimdLevel::Avx2);
     // SAFETY: a `Kernel` of this level is only made where the machine was seen to have it.
     unsafe { wide_crossings(lattice, &rows, x, v) }
 }
 
 #[target_feature(enable = "avx2,fma,bmi1,bmi2")]
-fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [f32]) {
-    let blocks = lattice.pitch / BLOCK;
-    let stride = lattice.pitch + BLOCK;
+fn wide_crossings(lattice: &SnappedGrid, rows: &Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    let blocks = lattice.pitch / BLOCK_COLUMNS;
+    let stride = lattice.pitch + BLOCK_COLUMNS;
     for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(rows)) {
         let (top, fall) = (
             _mm256_set1_ps(lattice.v[j]),
@@ -99,7 +102,7 @@ fn wide_crossings(lattice: &Lattice, rows: &Range<u32>, x: &mut [f32], v: &mut [
             let slope_x = _mm256_mul_ps(_mm256_sub_ps(x1, x0), per_px);
             let slope_v = _mm256_mul_ps(fall, per_px);
             for row in touched {
-                let at = (row - rows.start) as usize * stride + b * BLOCK;
+                let at = (row - rows.start) as usize * stride + b * BLOCK_COLUMNS;
                 let centre = _mm256_set1_ps(scalar::centre(row));
                 let below = _mm256_sub_ps(centre, y0);
                 let starts = _mm256_cmp_ps::<_CMP_GE_OQ>(below, _mm256_setzero_ps());
@@ -144,7 +147,7 @@ fn put(values: &mut [f32; LANES], lanes: __m256) {
 fn px(places: &[i32; LANES]) -> __m256 {
     // SAFETY: eight integers are loaded from eight integers.
     let places = unsafe { _mm256_loadu_si256(places.as_ptr().cast()) };
-    _mm256_mul_ps(_mm256_cvtepi32_ps(places), _mm256_set1_ps(STEP))
+    _mm256_mul_ps(_mm256_cvtepi32_ps(places), _mm256_set1_ps(PX_PER_STEP))
 }
 
 /// [`scalar::note`].
@@ -165,9 +168,12 @@ fn note(spans: &mut Spans<'_>) {
         .as_chunks_mut::<NOTES>()
         .0
         .iter_mut()
-        .zip(spans.first.as_chunks_mut::<BLOCK>().0);
-    for (b, ([nu, ndu, nv, ndv], first)) in notes.enumerate().take(spans.columns.div_ceil(BLOCK)) {
-        let at = b * BLOCK;
+        .zip(spans.first.as_chunks_mut::<BLOCK_COLUMNS>().0);
+    for (b, ([nu, ndu, nv, ndv], first)) in notes
+        .enumerate()
+        .take(spans.columns.div_ceil(BLOCK_COLUMNS))
+    {
+        let at = b * BLOCK_COLUMNS;
         let pair = |values: &[f32]| {
             (
                 get(block_of(&values[at..])),
@@ -204,15 +210,15 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
         note(spans);
         let lanes = _mm256_setr_ps(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0);
         let (u, v) = (u.as_mut_ptr(), v.as_mut_ptr());
-        let blocks = spans
-            .notes
-            .as_chunks::<NOTES>()
-            .0
-            .iter()
-            .zip(spans.first.windows(BLOCK + 1).step_by(BLOCK));
+        let blocks = spans.notes.as_chunks::<NOTES>().0.iter().zip(
+            spans
+                .first
+                .windows(BLOCK_COLUMNS + 1)
+                .step_by(BLOCK_COLUMNS),
+        );
         let mut cells = spans.columns - 1;
-        for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK)) {
-            for c in 0..cells.min(BLOCK) {
+        for ([nu, ndu, nv, ndv], first) in blocks.take(cells.div_ceil(BLOCK_COLUMNS)) {
+            for c in 0..cells.min(BLOCK_COLUMNS) {
                 let (mut at, end) = (first[c] as usize, first[c + 1] as usize);
                 let (nu, ndu, nv, ndv) = (
                     _mm256_set1_ps(nu[c]),
@@ -236,10 +242,10 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
                     k = _mm256_add_ps(k, _mm256_set1_ps(8.0));
                 }
             }
-            cells -= cells.min(BLOCK);
+            cells -= cells.min(BLOCK_COLUMNS);
         }
     }
-    debug_assert!(kernel.0 >= Level::Avx2);
+    debug_assert!(kernel.0 >= SimdLevel::Avx2);
     assert!(spans.width <= 1 << 22, "pixels are exact in f32");
     assert!(
         spans.covered.start <= spans.width && spans.covered.end <= spans.width,
@@ -257,7 +263,7 @@ pub(super) fn spans(kernel: Kernel, spans: &mut Spans<'_>, u: &mut [f32], v: &mu
 pub(super) use super::avx2_cells::fill;
 
 /// Rows of the source that are prefetched.
-const AHEAD: usize = 4;
+const PREFETCHED_ROWS: usize = 4;
 
 /// Bilinear samples, eight pixels at a time; [`scalar::sample`] where 32-bit indices are too small.
 pub(super) fn sample(
@@ -268,7 +274,7 @@ pub(super) fn sample(
     channels: Channels,
     out: &mut [u8],
 ) {
-    debug_assert!(kernel.0 >= Level::Avx2);
+    debug_assert!(kernel.0 >= SimdLevel::Avx2);
     assert!(
         u.len() == v.len() && out.len() == u.len() * channels.count(),
         "one place for each pixel"
@@ -308,14 +314,14 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
     let mut places = [Places {
         index: [0; LANES],
         fractions: [0; LANES],
-    }; CHUNK];
+    }; CHUNK_GROUPS];
     let (us, u_rest) = u.as_chunks::<LANES>();
     let (vs, v_rest) = v.as_chunks::<LANES>();
     let (body, tail) = out.split_at_mut(us.len() * LANES * CHANNELS);
     for ((us, vs), out) in us
-        .chunks(CHUNK)
-        .zip(vs.chunks(CHUNK))
-        .zip(body.chunks_mut(CHUNK * LANES * CHANNELS))
+        .chunks(CHUNK_GROUPS)
+        .zip(vs.chunks(CHUNK_GROUPS))
+        .zip(body.chunks_mut(CHUNK_GROUPS * LANES * CHANNELS))
     {
         for ((places, u), v) in places.iter_mut().zip(us).zip(vs) {
             locate(packed, u, v, places);
@@ -338,7 +344,7 @@ unsafe fn row<const CHANNELS: usize, const OPAQUE: bool>(
 }
 
 /// Groups that are located before they are fetched.
-const CHUNK: usize = 8;
+const CHUNK_GROUPS: usize = 8;
 
 /// Sampling positions of eight pixels: the upper left texel, and fx and fy in 16 bits each.
 #[derive(Clone, Copy)]
@@ -446,7 +452,7 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     for k in [0, 4] {
         _mm_prefetch::<_MM_HINT_T0>(
             texels
-                .wrapping_add(index[k] as usize + AHEAD * stride)
+                .wrapping_add(index[k] as usize + PREFETCHED_ROWS * stride)
                 .cast(),
         );
     }

@@ -4,14 +4,14 @@
 use std::arch::x86_64::*;
 
 use super::Kernel;
-use super::cells::{LANES, Map, Near, Piece, Raster, Root, UNCOVERED, column, line, reach};
-use crate::level::Level;
-use crate::render::lattice::ONE;
-use crate::render::lattice::STEP;
+use super::cells::{CellMap, LANES, Near, Piece, Raster, Root, UNCOVERED, column, line, reach};
+use crate::level::SimdLevel;
+use crate::render::snapped_grid::PX_PER_STEP;
+use crate::render::snapped_grid::STEPS_PER_PX;
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
-    debug_assert!(kernel.0 >= Level::Avx2);
+    debug_assert!(kernel.0 >= SimdLevel::Avx2);
     let (from, to) = reach(piece, raster.width);
     if rows == 0 || from >= to {
         return;
@@ -110,7 +110,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
     let y0 = line(raster.first + top).wrapping_sub(piece.y);
     let down = piece
         .edges
-        .map(|[_, gy, _]| _mm256_set1_epi32(gy.wrapping_mul(ONE)));
+        .map(|[_, gy, _]| _mm256_set1_epi32(gy.wrapping_mul(STEPS_PER_PX)));
     let [[u0, us, ut], [v0, vs, vt]] =
         [piece.u, piece.v].map(|axis| axis.map(|value| _mm256_set1_ps(value)));
     let coordinate = |at: __m256, s: __m256, t: __m256, per_s: __m256, per_t: __m256| {
@@ -128,11 +128,14 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
                 .wrapping_add(g);
             _mm256_add_epi32(
                 _mm256_set1_epi32(first),
-                _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(ONE)), lanes),
+                _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(STEPS_PER_PX)), lanes),
             )
         });
         #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
-        let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
+        let px = _mm256_add_ps(
+            _mm256_set1_ps(x as f32 * PX_PER_STEP),
+            _mm256_cvtepi32_ps(lanes),
+        );
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
@@ -162,10 +165,10 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
             }
             if wanted {
                 #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
-                let y = y as f32 * STEP;
+                let y = y as f32 * PX_PER_STEP;
                 let (s, t) = match &piece.map {
-                    Map::Near(map) => near(map, px, y),
-                    Map::Root(map) => root(map, px, y),
+                    CellMap::Near(map) => near(map, px, y),
+                    CellMap::Root(map) => root(map, px, y),
                 };
                 let u_new = coordinate(u0, s, t, us, ut);
                 let v_new = coordinate(v0, s, t, vs, vt);
@@ -179,7 +182,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
                 *inside = _mm256_add_epi32(*inside, down);
             }
             left >>= 1;
-            y = y.wrapping_add(ONE);
+            y = y.wrapping_add(STEPS_PER_PX);
             row += 1;
         }
     }

@@ -6,10 +6,10 @@ use std::arch::x86_64::*;
 
 use super::Kernel;
 use super::avx2_cells::{near, root};
-use super::cells::{LANES, Map, Piece, Raster, UNCOVERED, column, line, reach};
-use crate::level::Level;
-use crate::render::lattice::ONE;
-use crate::render::lattice::STEP;
+use super::cells::{CellMap, LANES, Piece, Raster, UNCOVERED, column, line, reach};
+use crate::level::SimdLevel;
+use crate::render::snapped_grid::PX_PER_STEP;
+use crate::render::snapped_grid::STEPS_PER_PX;
 
 pub(super) use super::avx2::{
     bends, classify, crossings, edges, footprints, positions, sample, shrinks, snap, soundness,
@@ -18,7 +18,7 @@ pub(super) use super::avx2::{
 
 /// [`super::cells::fill`].
 pub(super) fn fill(kernel: Kernel, piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
-    debug_assert!(kernel.0 >= Level::Avx512);
+    debug_assert!(kernel.0 >= SimdLevel::Avx512);
     let (from, to) = reach(piece, raster.width);
     if rows == 0 || from >= to {
         return;
@@ -52,7 +52,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
     // Loops, not `map`, whose closures are not compiled for this level.
     let mut down = [_mm256_setzero_si256(); 4];
     for (down, [_, gy, _]) in down.iter_mut().zip(piece.edges) {
-        *down = _mm256_set1_epi32(gy.wrapping_mul(ONE));
+        *down = _mm256_set1_epi32(gy.wrapping_mul(STEPS_PER_PX));
     }
     let [u0, us, ut] = [
         _mm256_set1_ps(piece.u[0]),
@@ -80,11 +80,14 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
                 .wrapping_add(g);
             *inside = _mm256_add_epi32(
                 _mm256_set1_epi32(first),
-                _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(ONE)), lanes),
+                _mm256_mullo_epi32(_mm256_set1_epi32(gx.wrapping_mul(STEPS_PER_PX)), lanes),
             );
         }
         #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
-        let px = _mm256_add_ps(_mm256_set1_ps(x as f32 * STEP), _mm256_cvtepi32_ps(lanes));
+        let px = _mm256_add_ps(
+            _mm256_set1_ps(x as f32 * PX_PER_STEP),
+            _mm256_cvtepi32_ps(lanes),
+        );
         let (mut left, mut y, mut row) = (rows >> top, y0, top as usize);
         while left != 0 {
             // Skips painted blocks, because many cells may overlap.
@@ -113,10 +116,10 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
                     );
                 }
                 #[expect(clippy::cast_precision_loss, reason = "sides have at most 15 bits")]
-                let y = y as f32 * STEP;
+                let y = y as f32 * PX_PER_STEP;
                 let (s, t) = match &piece.map {
-                    Map::Near(map) => near(map, px, y),
-                    Map::Root(map) => root(map, px, y),
+                    CellMap::Near(map) => near(map, px, y),
+                    CellMap::Root(map) => root(map, px, y),
                 };
                 // SAFETY: as above.
                 unsafe {
@@ -128,7 +131,7 @@ unsafe fn blocks<const OVER: bool>(piece: &Piece, rows: u32, raster: &mut Raster
                 *inside = _mm256_add_epi32(*inside, down);
             }
             left >>= 1;
-            y = y.wrapping_add(ONE);
+            y = y.wrapping_add(STEPS_PER_PX);
             row += 1;
         }
     }

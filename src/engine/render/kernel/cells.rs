@@ -17,7 +17,9 @@
 
 use std::ops::Range;
 
-use crate::render::lattice::{BLOCK, Corner, HALF, Lattice, ONE, STEP, row_centre};
+use crate::render::snapped_grid::{
+    BLOCK_COLUMNS, Corner, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid, row_centre,
+};
 
 /// Pixels that are processed together.
 pub(in crate::render) const LANES: usize = 8;
@@ -81,15 +83,16 @@ pub(in crate::render) struct Piece {
     pub(super) pixels: [i32; 2],
     /// For each edge, the function `x X + y Y + c` that is not negative inside.
     pub(super) edges: [[i32; 3]; 4],
-    pub(super) map: Map,
-    /// Coordinates at the origin (for `Map::Near` at the middle), and their growth with s and t.
+    pub(super) map: CellMap,
+    /// Coordinates at the origin (for `CellMap::Near` at the middle), and their growth with s and
+    /// t.
     pub(super) u: [f32; 3],
     pub(super) v: [f32; 3],
 }
 
 /// How s and t are computed.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Map {
+pub(super) enum CellMap {
     Near(Near),
     Root(Root),
 }
@@ -118,9 +121,9 @@ pub(super) struct Root {
 }
 
 /// Largest error of `Near`, px of the sampled picture, times 16.
-const NEAR: f32 = 16.0 / 64.0;
+const NEAR_ERROR: f32 = 16.0 / 64.0;
 /// The smallest squared sine between sides that single precision can use.
-const NARROWEST: f32 = 1e-6;
+const NARROWEST_SQUARED_SINE: f32 = 1e-6;
 /// Each substitution at least halves the remaining error.
 const LARGEST_TWIST: f32 = 0.5;
 
@@ -133,7 +136,7 @@ impl Piece {
         let (map, u, v) = if seen.is_near[k] {
             let [s0, s1, s2, t0, t1, t2, ds, dt] = std::array::from_fn(|n| seen.near[n][k]);
             (
-                Map::Near(Near {
+                CellMap::Near(Near {
                     s: [s0, s1, s2],
                     t: [t0, t1, t2],
                     twist: [ds, dt],
@@ -145,7 +148,7 @@ impl Piece {
         } else {
             let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
             (
-                Map::Root(Root::new(
+                CellMap::Root(Root::new(
                     e,
                     f,
                     [e1[0] - e[0], e1[1] - e[1]],
@@ -200,9 +203,9 @@ impl Piece {
         let near = Near::new(e, f, twist);
         let (du, dv) = (b.u - a.u, d.v - a.v);
         let (map, off) = if near.is_accurate(du, dv, unit) {
-            (Map::Near(near), 0.5)
+            (CellMap::Near(near), 0.5)
         } else {
-            (Map::Root(Root::new(e, f, twist, sign)), 0.0)
+            (CellMap::Root(Root::new(e, f, twist, sign)), 0.0)
         };
         let mut edges = [[0; 3]; 4];
         for k in 0..4 {
@@ -227,9 +230,9 @@ impl Piece {
         let (e, f, flat) = (side(a, b), side(a, c), [0.0, 0.0]);
         let near = Near::new(e, f, flat);
         let (map, off) = if near.is_wide {
-            (Map::Near(near), 0.5)
+            (CellMap::Near(near), 0.5)
         } else {
-            (Map::Root(Root::new(e, f, flat, sign)), 0.0)
+            (CellMap::Root(Root::new(e, f, flat, sign)), 0.0)
         };
         let along = |a: f32, b: f32, c: f32| [a + off * ((b - a) + (c - a)), b - a, c - a];
         let mut edges = [[0; 3]; 4];
@@ -285,13 +288,16 @@ fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i
 /// The first pixel whose centre is not left of x.
 #[inline(always)]
 fn first_pixel(x: i32) -> i32 {
-    x.wrapping_add(ONE - 1 - HALF) >> ONE.trailing_zeros()
+    x.wrapping_add(STEPS_PER_PX - 1 - HALF_PX) >> STEPS_PER_PX.trailing_zeros()
 }
 
 /// The vector between two corners, px.
 #[inline(always)]
 fn side(from: &Corner, to: &Corner) -> [f32; 2] {
-    [(to.x - from.x) as f32 * STEP, (to.y - from.y) as f32 * STEP]
+    [
+        (to.x - from.x) as f32 * PX_PER_STEP,
+        (to.y - from.y) as f32 * PX_PER_STEP,
+    ]
 }
 
 impl Root {
@@ -334,7 +340,7 @@ impl Near {
             s: [s[0], s[1], -(s[0] * middle[0] + s[1] * middle[1])],
             t: [t[0], t[1], -(t[0] * middle[0] + t[1] * middle[1])],
             twist: [s[0] * d[0] + s[1] * d[1], t[0] * d[0] + t[1] * d[1]],
-            is_wide: area * area > NARROWEST * (norm2(middle_e) * norm2(middle_f)),
+            is_wide: area * area > NARROWEST_SQUARED_SINE * (norm2(middle_e) * norm2(middle_f)),
         }
     }
 
@@ -345,7 +351,7 @@ impl Near {
         let [ds, dt] = self.twist.map(f32::abs);
         let (off_u, off_v, both) = (ds * du.abs(), dt * dv.abs(), ds + dt);
         let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
-        self.is_wide & (both < LARGEST_TWIST) & (off < NEAR * unit)
+        self.is_wide & (both < LARGEST_TWIST) & (off < NEAR_ERROR * unit)
     }
 }
 
@@ -353,40 +359,43 @@ impl Near {
 #[derive(Clone, Copy, Debug, Default)]
 pub(in crate::render) struct CellBlock {
     /// The open rows of the raster that each cell meets, one bit each.
-    pub(in crate::render) rows: [u32; BLOCK],
+    pub(in crate::render) rows: [u32; BLOCK_COLUMNS],
     /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes,
     /// else 0.
-    pub(in crate::render) convex: [i32; BLOCK],
+    pub(in crate::render) convex: [i32; BLOCK_COLUMNS],
     /// Input of convex cells' pieces: [`Near`] if it is accurate, the pixels that they can reach,
     /// and their edges.
-    near: [[f32; BLOCK]; 8],
-    is_near: [bool; BLOCK],
-    pixels: [[i32; BLOCK]; 2],
-    edges: [[[i32; BLOCK]; 3]; 4],
+    near: [[f32; BLOCK_COLUMNS]; 8],
+    is_near: [bool; BLOCK_COLUMNS],
+    pixels: [[i32; BLOCK_COLUMNS]; 2],
+    edges: [[[i32; BLOCK_COLUMNS]; 3]; 4],
 }
 
 /// Classifies the cells of block `b` of row `j`.
 #[inline(always)]
 pub(super) fn classify(
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     j: usize,
     b: usize,
     raster: &Raster<'_>,
     seen: &mut CellBlock,
 ) {
-    let at = j * lattice.pitch + b * BLOCK;
-    let line = |places: &[i32], at: usize| -> ([i32; BLOCK], [i32; BLOCK]) {
-        let places = &places[at..=at + BLOCK];
+    let at = j * lattice.pitch + b * BLOCK_COLUMNS;
+    let line = |places: &[i32], at: usize| -> ([i32; BLOCK_COLUMNS], [i32; BLOCK_COLUMNS]) {
+        let places = &places[at..=at + BLOCK_COLUMNS];
         (
-            places[..BLOCK].try_into().expect("a block"),
+            places[..BLOCK_COLUMNS].try_into().expect("a block"),
             places[1..].try_into().expect("a block"),
         )
     };
     let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
     let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
     // Of the centres of the raster's first row and of the column behind its last.
-    let (first, right_end) = (raster.first as i32 * ONE + HALF, raster.width as i32 * ONE);
-    for k in 0..BLOCK {
+    let (first, right_end) = (
+        raster.first as i32 * STEPS_PER_PX + HALF_PX,
+        raster.width as i32 * STEPS_PER_PX,
+    );
+    for k in 0..BLOCK_COLUMNS {
         let (left, right_side) = (
             ax[k].min(bx[k]).min(cx[k].min(dx[k])),
             ax[k].max(bx[k]).max(cx[k].max(dx[k])),
@@ -396,7 +405,9 @@ pub(super) fn classify(
             ay[k].max(by[k]).max(cy[k].max(dy[k])),
         );
         // The first row whose centre is not above y, relative to the raster's first.
-        let row = |y: i32| ((y - first + (ONE - 1)) >> ONE.trailing_zeros()).clamp(0, 32) as u64;
+        let row = |y: i32| {
+            ((y - first + (STEPS_PER_PX - 1)) >> STEPS_PER_PX.trailing_zeros()).clamp(0, 32) as u64
+        };
         let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
         let rows = below(row(top)) & !below(row(bottom)) & raster.open;
         seen.rows[k] = if (right_side > 0) & (left < right_end) {
@@ -431,10 +442,10 @@ pub(super) fn classify(
         return;
     }
     let (u, dv) = (
-        &lattice.u[b * BLOCK..=(b + 1) * BLOCK],
+        &lattice.u[b * BLOCK_COLUMNS..=(b + 1) * BLOCK_COLUMNS],
         (lattice.v[j + 1] - lattice.v[j]).abs(),
     );
-    for k in 0..BLOCK {
+    for k in 0..BLOCK_COLUMNS {
         let (a, b, c, d) = (
             [ax[k], ay[k]],
             [bx[k], by[k]],
@@ -443,8 +454,8 @@ pub(super) fn classify(
         );
         let side = |a: [i32; 2], b: [i32; 2]| {
             [
-                b[0].wrapping_sub(a[0]) as f32 * STEP,
-                b[1].wrapping_sub(a[1]) as f32 * STEP,
+                b[0].wrapping_sub(a[0]) as f32 * PX_PER_STEP,
+                b[1].wrapping_sub(a[1]) as f32 * PX_PER_STEP,
             ]
         };
         let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
@@ -486,7 +497,7 @@ pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
                 .wrapping_add(g)
         });
         let pixels = row as usize * raster.pitch + from..row as usize * raster.pitch + to.max(from);
-        let (mut x, y) = (x0 as f32 * STEP, y as f32 * STEP);
+        let (mut x, y) = (x0 as f32 * PX_PER_STEP, y as f32 * PX_PER_STEP);
         for (u, v) in raster.u[pixels.clone()]
             .iter_mut()
             .zip(&mut raster.v[pixels])
@@ -497,7 +508,7 @@ pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
                 (*u, *v) = piece.place(x, y);
             }
             for (inside, [gx, ..]) in inside.iter_mut().zip(&piece.edges) {
-                *inside = inside.wrapping_add(gx.wrapping_mul(ONE));
+                *inside = inside.wrapping_add(gx.wrapping_mul(STEPS_PER_PX));
             }
             x += 1.0;
         }
@@ -514,7 +525,9 @@ pub(super) fn reach(piece: &Piece, width: usize) -> (usize, usize) {
 /// Lattice x of the centres of a column of pixels that vertices can reach.
 #[inline(always)]
 pub(super) fn column(pixel: usize) -> i32 {
-    (pixel as i32).wrapping_mul(ONE).wrapping_add(HALF)
+    (pixel as i32)
+        .wrapping_mul(STEPS_PER_PX)
+        .wrapping_add(HALF_PX)
 }
 
 /// Lattice y of the centres of a row of pixels.
@@ -528,7 +541,7 @@ impl Piece {
     #[inline(always)]
     fn place(&self, x: f32, y: f32) -> (f32, f32) {
         let (s, t) = match &self.map {
-            Map::Near(near) => {
+            CellMap::Near(near) => {
                 let s0 = (near.s[1] * y + near.s[2]) + near.s[0] * x;
                 let t0 = (near.t[1] * y + near.t[2]) + near.t[0] * x;
                 let once = s0 * t0;
@@ -536,7 +549,7 @@ impl Piece {
                 let twice = s1 * t1;
                 (s0 - twice * near.twist[0], t0 - twice * near.twist[1])
             }
-            Map::Root(root) => {
+            CellMap::Root(root) => {
                 let ([ex, ey], [fx, fy], [dx, dy]) = (root.e, root.f, root.d);
                 let b = (root.area - y * dx) + x * dy;
                 let c = x * ey - y * ex;

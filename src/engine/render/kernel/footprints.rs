@@ -17,15 +17,15 @@
 use super::rounding::ROUND_F32;
 
 /// The shrinking up to which a position is sampled as a point.
-const LEAST: f32 = 1.5;
+const POINT_SHRINKING: f32 = 1.5;
 /// The shrinking from which the whole footprint is averaged.
-const FULL: f32 = 2.0;
+const FULL_SHRINKING: f32 = 2.0;
 /// Longest side of a footprint, px of the source for a px of the posed plane.
-const LONGEST: f32 = 64.0;
+const LONGEST_SIDE_PX: f32 = 64.0;
 /// Most samples of a pixel.
 pub(in crate::render) const MOST: usize = 16;
 /// Largest distance of samples, px of the picture from which they are read.
-const APART: f32 = 1.5;
+const MAX_SAMPLE_DISTANCE_PX: f32 = 1.5;
 /// Pixels that are looked at together.
 pub(in crate::render) const TOGETHER: usize = 64;
 /// Pixels with the same number of samples that a batch holds.
@@ -62,7 +62,7 @@ pub(in crate::render) struct FootprintBatch {
     /// picture itself, then the others.
     pub(in crate::render) alike: [Box<Alike>; 2 * KINDS],
     /// Kept, because zeroing it costs as much as a pass.
-    lanes: Box<Lanes>,
+    lanes: Box<FootprintArrays>,
 }
 
 /// Pixels that need the same number of samples.
@@ -123,11 +123,11 @@ impl Alike {
 }
 
 /// The shrinking up to which a footprint certainly needs one sample, where a px of the target is
-/// `scale` px of the sampled picture: the root of `scale x (x - LEAST) / (FULL - LEAST) = APART`,
-/// less a margin for rounding.
+/// `scale` px of the sampled picture: the root of `scale x (x - POINT_SHRINKING) / (FULL_SHRINKING
+/// - POINT_SHRINKING) = MAX_SAMPLE_DISTANCE_PX`, less a margin for rounding.
 pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
-    let share = APART * (FULL - LEAST) / scale;
-    0.999 * (0.5 * LEAST + (0.25 * LEAST * LEAST + share).sqrt())
+    let share = MAX_SAMPLE_DISTANCE_PX * (FULL_SHRINKING - POINT_SHRINKING) / scale;
+    0.999 * (0.5 * POINT_SHRINKING + (0.25 * POINT_SHRINKING * POINT_SHRINKING + share).sqrt())
 }
 
 /// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be
@@ -142,7 +142,7 @@ pub(super) fn footprints(
     batch: &mut FootprintBatch,
 ) {
     let FootprintBatch { alike, lanes } = batch;
-    let Lanes {
+    let FootprintArrays {
         pixels,
         cells,
         shares: [s, t],
@@ -211,7 +211,7 @@ pub(super) fn footprints(
             continue;
         }
         let reduction = (0..16_u32)
-            .find(|r| shapes.distance[n] <= APART * (1_u32 << r) as f32)
+            .find(|r| shapes.distance[n] <= MAX_SAMPLE_DISTANCE_PX * (1_u32 << r) as f32)
             .unwrap_or(16);
         let [ax, ay, bx, by] = &shapes.sides;
         let place = [u[*k], v[*k], ax[n], ay[n], bx[n], by[n]];
@@ -246,7 +246,7 @@ pub(super) fn positions(alike: &Alike, log: u32, us: &mut [f32], vs: &mut [f32])
 
 /// The arrays of [`footprints`].
 #[derive(Debug)]
-struct Lanes {
+struct FootprintArrays {
     pixels: [usize; TOGETHER],
     cells: [u32; TOGETHER],
     shares: [[f32; TOGETHER]; 2],
@@ -256,7 +256,7 @@ struct Lanes {
     shapes: Shapes,
 }
 
-impl Default for Lanes {
+impl Default for FootprintArrays {
     fn default() -> Self {
         let shapes = Shapes {
             sides: [[0.0; TOGETHER]; 4],
@@ -349,7 +349,7 @@ impl Shapes {
             let (det, [square_a, square_b]) = squares(&[xx, yx, xy, yy]);
             let (a_x, a_y, a) = side((yy, -yx), square_a, det, &scale[0]);
             let (b_x, b_y, b) = side((-xy, xx), square_b, det, &scale[1]);
-            let step = |length: f32, power: f32| u32::from(length > APART * power);
+            let step = |length: f32, power: f32| u32::from(length > MAX_SAMPLE_DISTANCE_PX * power);
             let is_wide = a >= b;
             let (long, short) = (if is_wide { a } else { b }, if is_wide { b } else { a });
             // At most four along the shorter side.
@@ -374,8 +374,12 @@ impl Shapes {
 fn side((x, y): (f32, f32), square: f32, det: f32, scale: &[f32; 2]) -> (f32, f32, f32) {
     let raw = square.sqrt();
     let own = raw / det;
-    let own = if own < LONGEST { own } else { LONGEST };
-    let share = (own - LEAST) * (1.0 / (FULL - LEAST));
+    let own = if own < LONGEST_SIDE_PX {
+        own
+    } else {
+        LONGEST_SIDE_PX
+    };
+    let share = (own - POINT_SHRINKING) * (1.0 / (FULL_SHRINKING - POINT_SHRINKING));
     let share = if share > 0.0 { share } else { 0.0 };
     let grown = own * if share < 1.0 { share } else { 1.0 };
     let factor = if raw > 0.0 { grown / raw } else { 0.0 };

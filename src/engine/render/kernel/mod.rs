@@ -24,9 +24,9 @@ mod scalar;
 
 use std::ops::Range;
 
-use super::lattice::{Lattice, YRange};
+use super::snapped_grid::{SnappedGrid, YRange};
 use super::source::Packed;
-use crate::level::Level;
+use crate::level::SimdLevel;
 use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
@@ -39,35 +39,35 @@ pub(super) use scalar::{
 
 /// The kernels of a level that this machine has.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kernel(Level);
+pub(super) struct Kernel(SimdLevel);
 
 /// Calls the function of this name in the level's module.
 macro_rules! dispatch {
     ($self:ident, $name:ident($($argument:expr),*)) => {
         match $self.0 {
-            Level::Scalar => scalar::$name($($argument),*),
+            SimdLevel::Scalar => scalar::$name($($argument),*),
             #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => avx2::$name($self, $($argument),*),
+            SimdLevel::Avx2 => avx2::$name($self, $($argument),*),
             #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => avx512::$name($self, $($argument),*),
+            SimdLevel::Avx512 => avx512::$name($self, $($argument),*),
             #[cfg(not(target_arch = "x86_64"))]
-            Level::Avx2 | Level::Avx512 => scalar::$name($($argument),*),
+            SimdLevel::Avx2 | SimdLevel::Avx512 => scalar::$name($($argument),*),
         }
     };
 }
 
 impl Kernel {
     /// The kernels of a level; scalar if the machine lacks it.
-    pub(super) fn new(level: Level) -> Self {
-        Self(if level.is_here() {
+    pub(super) fn new(level: SimdLevel) -> Self {
+        Self(if level.is_supported() {
             level
         } else {
-            Level::Scalar
+            SimdLevel::Scalar
         })
     }
 
     /// The level in use.
-    pub(super) const fn level(self) -> Level {
+    pub(super) const fn level(self) -> SimdLevel {
         self.0
     }
 
@@ -160,7 +160,7 @@ impl Kernel {
     /// more than once.
     pub(super) fn crossings(
         self,
-        lattice: &Lattice,
+        lattice: &SnappedGrid,
         rows: Range<u32>,
         x: &mut [f32],
         v: &mut [f32],
@@ -177,7 +177,7 @@ impl Kernel {
     /// convex.
     pub(super) fn classify(
         self,
-        lattice: &Lattice,
+        lattice: &SnappedGrid,
         j: usize,
         block: usize,
         raster: &Raster<'_>,

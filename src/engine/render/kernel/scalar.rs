@@ -20,11 +20,11 @@ use std::ops::Range;
 
 pub(super) use super::cells::{classify, fill};
 pub(super) use super::footprints::{footprints, positions};
-use super::rounding::ROUND;
 pub(super) use super::rounding::ROUND_F32;
+use super::rounding::ROUNDING_SUMMAND;
 use crate::pixmap::Channels;
-use crate::render::lattice::{BLOCK, LIMIT, Lattice, STEP, YRange};
-use crate::render::source::{FLIP, Packed};
+use crate::render::snapped_grid::{BLOCK_COLUMNS, MAX_STEPS, PX_PER_STEP, SnappedGrid, YRange};
+use crate::render::source::{Packed, STORED_ZERO};
 
 /// Rounding term of a weighted sum of samples before 14 bits are dropped.
 pub(in crate::render) const ROUND_SAMPLE: u64 = 128 * 64 + 64;
@@ -40,12 +40,12 @@ pub(super) fn snap(
     x: &mut [i32],
     y: &mut [i32],
 ) {
-    let limit = f64::from(LIMIT);
+    let limit = f64::from(MAX_STEPS);
     let snapped = |rest: f64, displacement: f32, scale: f64| {
         let place = ((rest + f64::from(displacement)) * scale)
             .max(-limit)
             .min(limit);
-        (place + ROUND).to_bits() as i32
+        (place + ROUNDING_SUMMAND).to_bits() as i32
     };
     for (((x, y), rest), d) in x.iter_mut().zip(y).zip(rest_x).zip(displacement) {
         *x = snapped(*rest, d[0], scale[0]);
@@ -57,8 +57,8 @@ pub(super) fn snap(
 #[inline(always)]
 pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
     for (b, range) in y_ranges.iter_mut().enumerate() {
-        let block = block(&y[b * BLOCK..]);
-        let right = y[(b * BLOCK + BLOCK).min(y.len() - 1)];
+        let block = block(&y[b * BLOCK_COLUMNS..]);
+        let right = y[(b * BLOCK_COLUMNS + BLOCK_COLUMNS).min(y.len() - 1)];
         let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| {
             (top.min(y), bottom.max(y))
         });
@@ -90,7 +90,7 @@ pub(super) fn centre(row: u32) -> f32 {
 
 #[inline(always)]
 fn px(place: i32) -> f32 {
-    place as f32 * STEP
+    place as f32 * PX_PER_STEP
 }
 
 #[inline(always)]
@@ -152,14 +152,14 @@ pub(super) fn shrinks(
 /// The smallest area of a cell, as a share of its area at rest, at which crossings are used.
 const LEAST_AREA: f32 = 0.02;
 /// Coordinates beyond this are inexact in f32, px.
-const FARTHEST: f32 = 32_768.0;
+const FARTHEST_PX: f32 = 32_768.0;
 
 /// A convex cell whose columns lead downwards: it lies between its columns, in order.
 pub(in crate::render) const UPRIGHT: u8 = 1;
 /// An upright cell that column crossings draw accurately.
 pub(in crate::render) const SOUND: u8 = 2;
 /// Largest number of rows of cells that a row of pixels may cross between neighbouring columns.
-const STEEPEST: f32 = 4.0;
+const STEEPEST_CROSSING_ROWS: f32 = 4.0;
 
 /// A cell whose chords may cross more cells than its neighbours; [`steepness`] classifies it.
 pub(in crate::render) const STEEP: u8 = 4;
@@ -291,8 +291,9 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
             ),
         );
         let near = slant * most(off_u * width, off_v) <= cells.tolerance * middle * least_fall;
-        let upright =
-            (least(least_top, least_bottom) > LEAST_AREA / (STEP * STEP) * width) & (fall > 0.0);
+        let upright = (least(least_top, least_bottom)
+            > LEAST_AREA / (PX_PER_STEP * PX_PER_STEP) * width)
+            & (fall > 0.0);
         let flat = most_slant < least_fall * cells.height;
         soundness[c] = u8::from(upright)
             + u8::from(upright & flat & near)
@@ -345,24 +346,25 @@ pub(super) fn steepness(cells: &CellRow<'_>, above: &[f32], below: &[f32], sound
             most(most(ax.abs(), ay.abs()), most(bx.abs(), by.abs())),
             most(most(cx.abs(), cy.abs()), most(dx.abs(), dy.abs())),
         );
-        let upright = (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST);
-        let sound = upright & (slant <= STEEPEST * fall) & near;
+        let upright =
+            (area > LEAST_AREA * width * cells.height) & (fall > 0.0) & (far < FARTHEST_PX);
+        let sound = upright & (slant <= STEEPEST_CROSSING_ROWS * fall) & near;
         soundness[c] = u8::from(upright) + u8::from(sound);
     }
 }
 
 /// A block of values.
 #[inline(always)]
-fn block<T>(values: &[T]) -> &[T; BLOCK] {
+fn block<T>(values: &[T]) -> &[T; BLOCK_COLUMNS] {
     values
         .first_chunk()
         .expect("arrays are padded to whole blocks")
 }
 
 #[inline(always)]
-pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
-    let blocks = lattice.pitch / BLOCK;
-    let stride = lattice.pitch + BLOCK;
+pub(super) fn crossings(lattice: &SnappedGrid, rows: Range<u32>, x: &mut [f32], v: &mut [f32]) {
+    let blocks = lattice.pitch / BLOCK_COLUMNS;
+    let stride = lattice.pitch + BLOCK_COLUMNS;
     for j in (0..lattice.rows - 1).filter(|&j| lattice.row_ranges[j].meets(&rows)) {
         let (top, fall) = (lattice.v[j], lattice.v[j + 1] - lattice.v[j]);
         for b in 0..blocks {
@@ -370,26 +372,32 @@ pub(super) fn crossings(lattice: &Lattice, rows: Range<u32>, x: &mut [f32], v: &
             if touched.is_empty() {
                 continue;
             }
-            let at = j * lattice.pitch + b * BLOCK;
+            let at = j * lattice.pitch + b * BLOCK_COLUMNS;
             let (xa, ya) = (block(&lattice.x[at..]), block(&lattice.y[at..]));
             let (xb, yb) = (
                 block(&lattice.x[at + lattice.pitch..]),
                 block(&lattice.y[at + lattice.pitch..]),
             );
-            let (mut x0, mut y0, mut y1) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK], [0.0_f32; BLOCK]);
-            let (mut slope_x, mut slope_v) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK]);
-            for c in 0..BLOCK {
+            let (mut x0, mut y0, mut y1) = (
+                [0.0_f32; BLOCK_COLUMNS],
+                [0.0_f32; BLOCK_COLUMNS],
+                [0.0_f32; BLOCK_COLUMNS],
+            );
+            let (mut slope_x, mut slope_v) = ([0.0_f32; BLOCK_COLUMNS], [0.0_f32; BLOCK_COLUMNS]);
+            for c in 0..BLOCK_COLUMNS {
                 (x0[c], y0[c], y1[c]) = (px(xa[c]), px(ya[c]), px(yb[c]));
                 let per_px = 1.0 / (y1[c] - y0[c]);
                 slope_x[c] = (px(xb[c]) - x0[c]) * per_px;
                 slope_v[c] = fall * per_px;
             }
             for row in touched {
-                let at = (row - rows.start) as usize * stride + b * BLOCK;
-                let x: &mut [f32; BLOCK] = x[at..].first_chunk_mut().expect("a row has all blocks");
-                let v: &mut [f32; BLOCK] = v[at..].first_chunk_mut().expect("a row has all blocks");
+                let at = (row - rows.start) as usize * stride + b * BLOCK_COLUMNS;
+                let x: &mut [f32; BLOCK_COLUMNS] =
+                    x[at..].first_chunk_mut().expect("a row has all blocks");
+                let v: &mut [f32; BLOCK_COLUMNS] =
+                    v[at..].first_chunk_mut().expect("a row has all blocks");
                 let centre = centre(row);
-                for c in 0..BLOCK {
+                for c in 0..BLOCK_COLUMNS {
                     let below = centre - y0[c];
                     let crosses = (below >= 0.0) & (centre < y1[c]);
                     x[c] = if crosses {
@@ -424,7 +432,7 @@ pub(in crate::render) struct Spans<'a> {
     /// The covered pixels, exactly.
     pub(in crate::render) covered: Range<usize>,
     /// Output of [`note`]: see [`NOTES`].
-    pub(in crate::render) notes: &'a mut [[f32; BLOCK]],
+    pub(in crate::render) notes: &'a mut [[f32; BLOCK_COLUMNS]],
     /// The first pixel of each span.
     pub(in crate::render) first: &'a mut [u32],
 }
@@ -445,8 +453,9 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
     note(spans);
     for c in 0..spans.columns - 1 {
         let (mut at, end) = (spans.first[c] as usize, spans.first[c + 1] as usize);
-        let [nu, ndu, nv, ndv]: &[[f32; BLOCK]; NOTES] = notes(spans.notes, c / BLOCK);
-        let c = c % BLOCK;
+        let [nu, ndu, nv, ndv]: &[[f32; BLOCK_COLUMNS]; NOTES] =
+            notes(spans.notes, c / BLOCK_COLUMNS);
+        let c = c % BLOCK_COLUMNS;
         let mut k = 0.0;
         while at < end {
             // Whole groups: values written beyond the end belong to later spans or lie outside.
@@ -462,7 +471,7 @@ pub(super) fn spans(spans: &mut Spans<'_>, u: &mut [f32], v: &mut [f32]) {
 }
 
 #[inline(always)]
-fn notes(notes: &[[f32; BLOCK]], block: usize) -> &[[f32; BLOCK]; NOTES] {
+fn notes(notes: &[[f32; BLOCK_COLUMNS]], block: usize) -> &[[f32; BLOCK_COLUMNS]; NOTES] {
     notes[block * NOTES..]
         .first_chunk()
         .expect("there is room for whole blocks")
@@ -472,18 +481,18 @@ fn notes(notes: &[[f32; BLOCK]], block: usize) -> &[[f32; BLOCK]; NOTES] {
 #[inline(always)]
 pub(super) fn note(spans: &mut Spans<'_>) {
     let width = spans.width as f32;
-    for b in 0..spans.columns.div_ceil(BLOCK) {
-        let at = b * BLOCK;
+    for b in 0..spans.columns.div_ceil(BLOCK_COLUMNS) {
+        let at = b * BLOCK_COLUMNS;
         let (x0, x1) = (block(&spans.x[at..]), block(&spans.x[at + 1..]));
         let (v0, v1) = (block(&spans.v[at..]), block(&spans.v[at + 1..]));
         let (u0, u1) = (block(&spans.u[at..]), block(&spans.u[at + 1..]));
-        let first: &mut [u32; BLOCK] = spans.first[at..]
+        let first: &mut [u32; BLOCK_COLUMNS] = spans.first[at..]
             .first_chunk_mut()
             .expect("there is room for whole blocks");
-        let [nu, ndu, nv, ndv]: &mut [[f32; BLOCK]; NOTES] = spans.notes[b * NOTES..]
+        let [nu, ndu, nv, ndv]: &mut [[f32; BLOCK_COLUMNS]; NOTES] = spans.notes[b * NOTES..]
             .first_chunk_mut()
             .expect("there is room for whole blocks");
-        for c in 0..BLOCK {
+        for c in 0..BLOCK_COLUMNS {
             let (pixel, place) = first_pixel(x0[c], width);
             let per_px = 1.0 / (x1[c] - x0[c]);
             let (du, dv) = ((u1[c] - u0[c]) * per_px, (v1[c] - v0[c]) * per_px);
@@ -547,10 +556,10 @@ pub(super) fn pixel(packed: &Packed, u: f32, v: f32) -> [u8; 4] {
 pub(super) fn blend(packed: &Packed, at: usize, fx: u64, fy: u64) -> [u8; 4] {
     let below = at + packed.stride();
     let texels = [
-        packed.texels[at] ^ FLIP,
-        packed.texels[at + 1] ^ FLIP,
-        packed.texels[below] ^ FLIP,
-        packed.texels[below + 1] ^ FLIP,
+        packed.texels[at] ^ STORED_ZERO,
+        packed.texels[at + 1] ^ STORED_ZERO,
+        packed.texels[below] ^ STORED_ZERO,
+        packed.texels[below + 1] ^ STORED_ZERO,
     ];
     if packed.opaque || texels[0] & texels[1] & texels[2] & texels[3] >= 0xff00_0000 {
         opaque(texels, fx, fy)

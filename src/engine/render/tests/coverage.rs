@@ -4,15 +4,15 @@ use super::super::canvas::{Canvas, Placement, Window};
 use super::super::cell;
 use super::super::drawing::Drawing;
 use super::super::kernel::{Kernel, LANES, Raster, UNCOVERED};
-use super::super::lattice::{Lattice, ONE, column_centre, row_centre};
+use super::super::snapped_grid::{STEPS_PER_PX, SnappedGrid, column_centre, row_centre};
 use super::*;
 
 /// Draws each cell by itself, in drawing order, in strips of a few rows, and returns the
 /// coordinates.
 fn cell_by_cell(
-    lattice: &Lattice,
+    lattice: &SnappedGrid,
     target: Extent,
-    level: Level,
+    level: SimdLevel,
     mut painted: impl FnMut(usize, usize, Point),
 ) {
     const STRIP: u32 = 7;
@@ -64,22 +64,22 @@ fn cell_by_cell(
     }
 }
 
-fn lattice(mesh: &Mesh, options: &RenderOptions) -> Lattice {
+fn lattice(mesh: &Mesh, options: &RenderOptions) -> SnappedGrid {
     let grid = mesh.grid();
     let source = extent(grid.width() as u32, grid.height() as u32);
     let placement = Placement::new(Canvas::of(source), options.target);
-    Lattice::new(
+    SnappedGrid::new(
         mesh,
         source,
         0,
         options.filter,
         (placement.scale, [0.0; 2]),
-        Kernel::new(Level::detect()),
+        Kernel::new(SimdLevel::detect()),
     )
 }
 
 /// A drawing of the whole target.
-fn drawing(lattice: Lattice, target: Extent) -> Drawing {
+fn drawing(lattice: SnappedGrid, target: Extent) -> Drawing {
     let window = Window {
         columns: 0..target.width() as usize,
         rows: 0..target.height(),
@@ -92,14 +92,14 @@ fn drawing(lattice: Lattice, target: Extent) -> Drawing {
         target,
         options(target),
         0,
-        Kernel::new(Level::detect()),
+        Kernel::new(SimdLevel::detect()),
     )
 }
 
-fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
+fn paintings(lattice: &SnappedGrid, target: Extent) -> Vec<u32> {
     let width = target.width() as usize;
     let mut counts = vec![0; width * target.height() as usize];
-    cell_by_cell(lattice, target, Level::detect(), |x, y, _| {
+    cell_by_cell(lattice, target, SimdLevel::detect(), |x, y, _| {
         counts[y * width + x] += 1
     });
     counts
@@ -107,7 +107,7 @@ fn paintings(lattice: &Lattice, target: Extent) -> Vec<u32> {
 
 /// The winding number of the snapped border around a position, in exact integers; `None` on the
 /// border itself.
-fn winding(lattice: &Lattice, x: i64, y: i64) -> Option<i64> {
+fn winding(lattice: &SnappedGrid, x: i64, y: i64) -> Option<i64> {
     let (c, r) = (lattice.columns - 1, lattice.rows - 1);
     let loop_ = (0..c)
         .map(|i| (i, 0))
@@ -289,9 +289,12 @@ fn coordinates_are_those_of_the_bilinear_patch() {
 fn as_painted_in_order(drawing: &Drawing, target: Extent, what: &str) -> usize {
     let (width, mut painted) = (target.width() as usize, 0);
     let mut places = vec![None; width * target.height() as usize];
-    cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| {
-        places[y * width + x] = Some(place)
-    });
+    cell_by_cell(
+        &drawing.lattice,
+        target,
+        SimdLevel::detect(),
+        |x, y, place| places[y * width + x] = Some(place),
+    );
     for row in 0..target.height() {
         let (u, v, runs) = drawing.row(row);
         let mut covered = vec![false; width];
@@ -417,7 +420,7 @@ fn cells_without_area_paint_nothing() {
             0
         );
     }
-    assert_eq!(ONE, 256, "lattice steps in the places above");
+    assert_eq!(STEPS_PER_PX, 256, "lattice steps in the places above");
 }
 
 /// Steep grid lines, and columns that bend at some of them: a chord between columns crosses several
@@ -489,9 +492,12 @@ fn steep_lines_beside_bent_columns_are_drawn_as_their_patches() {
         });
         let drawing = drawing(lattice(&mesh, &options(target)), target);
         let mut exact = vec![None; 200 * 200];
-        cell_by_cell(&drawing.lattice, target, Level::detect(), |x, y, place| {
-            exact[y * 200 + x] = Some(place)
-        });
+        cell_by_cell(
+            &drawing.lattice,
+            target,
+            SimdLevel::detect(),
+            |x, y, place| exact[y * 200 + x] = Some(place),
+        );
         for row in (0..200).filter(|&row| drawing.crosses(row)) {
             mended += usize::from(!drawing.is_plain(row));
             let (u, v, runs) = drawing.row(row);

@@ -29,7 +29,7 @@ fn extreme_displacements_are_drawn() {
                     ..options(extent(40, 30))
                 };
                 let (_, best) = draw(&source, &mesh, options);
-                assert!(best == draw_on(Level::Scalar, &source, &mesh, options).1);
+                assert!(best == draw_on(SimdLevel::Scalar, &source, &mesh, options).1);
             }
         }
     }

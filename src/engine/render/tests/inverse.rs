@@ -46,9 +46,9 @@ fn meshes() -> Vec<(&'static str, Mesh)> {
 
 /// Waves, with a few cells that are drawn as smaller ones.
 fn refined() -> Mesh {
-    use crate::geometry::Refinement;
+    use crate::geometry::Subdivision;
     let mesh = waves(Grid::with_counts(200.0, 150.0, 21, 16), 8, 0.8);
-    let mut refinement = Refinement::default();
+    let mut refinement = Subdivision::default();
     for (column, row, level) in [(3_u32, 2_u32, 2_u8), (4, 2, 1), (10, 7, 3), (19, 14, 2)] {
         let (parts, from) = (1 << level, mesh.grid().vertex(column, row));
         let at = |k: u32| 10.0 * f64::from(k) / f64::from(parts);
@@ -231,7 +231,7 @@ fn bands_canvases_and_levels_give_the_same_bits() {
             all == bits(&positions(&mesh, whole.extent, Some(whole), 3)),
             "{name}"
         );
-        for level in [Level::Scalar, Level::Avx2] {
+        for level in [SimdLevel::Scalar, SimdLevel::Avx2] {
             let map = InverseMap::with_level(&mesh, whole.extent, Some(whole), level);
             assert!(all == bits(&banded_on(&map, 32)), "{name}, {level:?}");
         }

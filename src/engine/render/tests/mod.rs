@@ -19,7 +19,7 @@ mod sampling;
 
 use std::sync::Arc;
 
-use crate::level::Level;
+use crate::level::SimdLevel;
 
 use super::{Filter, Outside, RenderOptions, Renderer, Source};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
@@ -143,11 +143,11 @@ fn swirl(grid: Grid, angle: f64) -> Mesh {
 
 /// Draws the whole target at once on the best level.
 fn draw(source: &Arc<Source>, mesh: &Mesh, options: RenderOptions) -> (Renderer, Vec<u8>) {
-    draw_on(Level::detect(), source, mesh, options)
+    draw_on(SimdLevel::detect(), source, mesh, options)
 }
 
 fn draw_on(
-    level: Level,
+    level: SimdLevel,
     source: &Arc<Source>,
     mesh: &Mesh,
     options: RenderOptions,

@@ -52,7 +52,7 @@ fn identity_by_samples_returns_the_pixels() {
         let source = Arc::new(Source::new(noise(extent, channels, depth)));
         for grid in grids(extent) {
             let mesh = Mesh::new(grid, vec![[1e-6, -1e-6]; grid.len()]);
-            for level in Level::available() {
+            for level in SimdLevel::available() {
                 for filter in [Filter::Nearest, Filter::Bilinear] {
                     let (renderer, out) = draw_on(
                         *level,
@@ -323,8 +323,8 @@ fn levels_give_the_same_bytes_across_wide_sources() {
             (Mesh::new(grid, vec![[0.37, 0.21]; grid.len()]), wide),
             (waves(grid, 3, 0.3), extent(4100, 6)),
         ] {
-            let reference = draw_on(Level::Scalar, &source, &mesh, options(target)).1;
-            for &level in Level::available() {
+            let reference = draw_on(SimdLevel::Scalar, &source, &mesh, options(target)).1;
+            for &level in SimdLevel::available() {
                 assert!(
                     draw_on(level, &source, &mesh, options(target)).1 == reference,
                     "{channels:?} {depth:?} {level:?}"
@@ -375,8 +375,8 @@ fn levels_give_the_same_bytes() {
                 extent(2 * width + 3, height)
             })
         };
-        let reference = draw_on(Level::Scalar, &source, &mesh, options).1;
-        for level in Level::available() {
+        let reference = draw_on(SimdLevel::Scalar, &source, &mesh, options).1;
+        for level in SimdLevel::available() {
             assert!(
                 draw_on(*level, &source, &mesh, options).1 == reference,
                 "seed {seed}, {level:?}"
@@ -436,8 +436,8 @@ fn half_transparent_texels_beside_opaque_ones_are_weighed_on_every_level() {
         let mesh = posed(Grid::with_counts(60.0, 40.0, 2, 2), |p| {
             Point::new(p.x * 40.0 - 600.0, p.y)
         });
-        let reference = draw_on(Level::Scalar, &source, &mesh, options(extent(60, 40))).1;
-        for &level in Level::available() {
+        let reference = draw_on(SimdLevel::Scalar, &source, &mesh, options(extent(60, 40))).1;
+        for &level in SimdLevel::available() {
             assert!(
                 draw_on(level, &source, &mesh, options(extent(60, 40))).1 == reference,
                 "{level:?}"

@@ -83,7 +83,7 @@ fn moved_by_whole_pixels_every_filter_copies_and_mirrors() {
         let moved = posed(grid(side), |p| p + Vec2::new(7.0, -5.0));
         let all = bytes(source.pixmap());
         for filter in [Filter::Nearest, Filter::Bilinear, Filter::Bicubic] {
-            for level in [Level::Scalar, Level::Avx2, Level::Avx512] {
+            for level in [SimdLevel::Scalar, SimdLevel::Avx2, SimdLevel::Avx512] {
                 let (_, out) = draw_on(
                     level,
                     &source,
@@ -437,8 +437,8 @@ fn every_level_and_every_band_gives_the_same_bytes() {
             for filter in [Filter::Bilinear, Filter::Bicubic] {
                 for target in [extent(90, 90), extent(50, 50)] {
                     let options = with(filter, Outside::Reflect, target);
-                    let (_, want) = draw_on(Level::Scalar, &source, &mesh, options);
-                    for level in [Level::Scalar, Level::Avx2, Level::Avx512] {
+                    let (_, want) = draw_on(SimdLevel::Scalar, &source, &mesh, options);
+                    for level in [SimdLevel::Scalar, SimdLevel::Avx2, SimdLevel::Avx512] {
                         let renderer = Renderer::with_level(source.clone(), &mesh, options, level);
                         assert!(banded(&renderer, 7) == want, "{shape} {filter:?} {level:?}");
                     }

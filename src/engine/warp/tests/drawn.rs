@@ -8,7 +8,9 @@ use crate::deform::{IsCancelled, Pose};
 use crate::geometry::{Point, Vec2};
 use crate::pixmap::{Channels, Extent, Pixmap, Samples};
 use crate::render::{Filter, Outside, RenderOptions, Renderer, Source};
-use crate::warp::{Folds, GridSpec, Limits, Plan, Posed, RestSpec, Setup, WarpError};
+use crate::warp::{
+    CompiledRest, Folds, GridSpec, Limits, PosedMesh, ResolvedRest, RestSpec, WarpError,
+};
 
 /// The error of coordinates in 16 bits, of sampling between 1/128 px, and of snapping vertices, px
 /// of the source.
@@ -32,11 +34,11 @@ pub(super) struct Drawn {
     pub(super) farthest: String,
     /// Uncovered pixels inside.
     pub(super) cracks: Vec<(usize, usize)>,
-    pub(super) posed: Posed,
+    pub(super) posed: PosedMesh,
 }
 
 pub(super) type PoseAs =
-    fn(&Setup, &Plan, &Pose, Folds, IsCancelled<'_>) -> Result<Posed, WarpError>;
+    fn(&ResolvedRest, &CompiledRest, &Pose, Folds, IsCancelled<'_>) -> Result<PosedMesh, WarpError>;
 
 /// Red and green are x and y.
 fn coordinates(extent: Extent) -> Arc<Source> {
@@ -53,7 +55,7 @@ fn coordinates(extent: Extent) -> Arc<Source> {
 }
 
 /// The position of the source that every pixel of a drawn picture shows, if it is covered.
-pub(super) fn shown(posed: &Posed, extent: Extent) -> Vec<Option<Point>> {
+pub(super) fn shown(posed: &PosedMesh, extent: Extent) -> Vec<Option<Point>> {
     let options = RenderOptions {
         target: extent,
         canvas: None,
@@ -120,7 +122,7 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
         grid: GridSpec::Tolerance(tolerance),
         ..case.rest.clone()
     };
-    let setup = Setup::new(&rest, extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&rest, extent, &Limits::default()).unwrap();
     let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
     let posed = pose_as(&setup, &plan, &pose, Folds::Report, &|| false).unwrap();
     let width = extent.width() as usize;

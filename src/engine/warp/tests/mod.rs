@@ -22,7 +22,8 @@ use self::sets::{
     Case, Kind, MANY, MORE, contours, examples, extent, face, oracle, random, randoms,
 };
 use super::{
-    Folds, GridSpec, Limits, Method, OutputSpec, Plan, Posed, RestSpec, Setup, Warning, WarpError,
+    CompiledRest, Folds, GridSpec, Limits, Method, OutputSpec, PosedMesh, ResolvedRest, RestSpec,
+    Warning, WarpError,
 };
 use crate::codec::Format;
 use crate::deform::Handle;
@@ -44,7 +45,7 @@ fn wrong(cases: &[Case], tolerance: f64, each: usize) -> Vec<String> {
             farthest,
             cracks,
             posed,
-        } = draw(case, tolerance, each, Posed::new);
+        } = draw(case, tolerance, each, PosedMesh::new);
         let report = posed.report();
         assert_eq!(
             report.warnings.contains(&Warning::ToleranceExceeded),
@@ -117,7 +118,7 @@ fn landmarks_and_contours_are_drawn_within_their_tolerance() {
 #[test]
 fn the_undivided_grid_is_farther_than_the_tolerance() {
     let cases = randoms(extent(160, 120), 0..1);
-    let is_over = |case: &&Case| draw(case, 0.1, 1, Posed::coarse).over > 0;
+    let is_over = |case: &&Case| draw(case, 0.1, 1, PosedMesh::coarse).over > 0;
     let over = cases.par_iter().filter(is_over).count();
     assert!(
         over * 10 >= cases.len() * 9,
@@ -130,10 +131,10 @@ fn the_undivided_grid_is_farther_than_the_tolerance() {
 fn kept_rows_do_not_change_a_mesh() {
     let case = random(extent(240, 200), MANY, Method::Rigid, 2.0, 1);
     let posed = |limits: &Limits, warm: bool| {
-        let setup = Setup::new(&case.rest, case.extent, limits).unwrap();
+        let setup = ResolvedRest::new(&case.rest, case.extent, limits).unwrap();
         let plan = setup.plan();
         let pose = |q: &[Handle]| {
-            Posed::new(
+            PosedMesh::new(
                 &setup,
                 &plan,
                 &setup.pose(q).unwrap(),
@@ -183,7 +184,7 @@ fn rest_handles_and_undefined_rotations() {
         ..case.clone()
     };
     assert!(
-        draw(&at_rest, 0.05, 1, Posed::new)
+        draw(&at_rest, 0.05, 1, PosedMesh::new)
             .posed
             .mesh()
             .refinement()
@@ -206,7 +207,7 @@ fn rest_handles_and_undefined_rotations() {
         q: handles([1, 0, 2, 3]),
         ..case
     };
-    let drawn = draw(&mirrored, 0.25, 1, Posed::new);
+    let drawn = draw(&mirrored, 0.25, 1, PosedMesh::new);
     assert!(
         drawn.posed.report().exceeded > 0,
         "{:?}",
@@ -243,9 +244,9 @@ fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted()
         grid: GridSpec::Tolerance(0.05),
         ..case.rest
     };
-    let setup = Setup::new(&rest, case.extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default()).unwrap();
     let pose = setup.pose(&case.q).unwrap();
-    let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
     let drawn: usize = posed
         .mesh()
         .refinement()
@@ -276,9 +277,9 @@ fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
         grid: GridSpec::Tolerance(1.0),
         ..case.rest
     };
-    let setup = Setup::new(&rest, case.extent, &Limits::default()).unwrap();
+    let setup = ResolvedRest::new(&rest, case.extent, &Limits::default()).unwrap();
     let (plan, pose) = (setup.plan(), setup.pose(&case.q).unwrap());
-    let looks = |plan: &Plan, pose_as: PoseAs, after: usize| {
+    let looks = |plan: &CompiledRest, pose_as: PoseAs, after: usize| {
         let asked = AtomicUsize::new(0);
         let posed = pose_as(&setup, plan, &pose, Folds::Report, &|| {
             asked.fetch_add(1, Ordering::Relaxed) >= after
@@ -291,16 +292,16 @@ fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
         .build()
         .unwrap();
     one.install(|| {
-        let coarse = looks(&plan, Posed::coarse, usize::MAX);
+        let coarse = looks(&plan, PosedMesh::coarse, usize::MAX);
         // Of a plan that keeps no rows yet, and of one that does.
         for plan in [&setup.plan(), &plan, &plan] {
-            let all = looks(&setup.plan(), Posed::new, usize::MAX);
+            let all = looks(&setup.plan(), PosedMesh::new, usize::MAX);
             assert!(
                 all > coarse + 100,
                 "{all} looks, {coarse} without refinement"
             );
             for after in [coarse, coarse + 1, (coarse + all) / 2] {
-                assert_eq!(looks(plan, Posed::new, after), after + 1);
+                assert_eq!(looks(plan, PosedMesh::new, after), after + 1);
             }
         }
     });
@@ -309,7 +310,7 @@ fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
 #[test]
 fn a_tiff_that_32_bit_offsets_cannot_address_is_too_large() {
     let limits = Limits {
-        image: crate::codec::Limits {
+        image: crate::codec::ImageLimits {
             max_pixels: u64::MAX,
             max_side: u32::MAX,
         },

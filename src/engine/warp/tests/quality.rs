@@ -4,14 +4,16 @@ use super::sets::{Case, FEW, LINES, MIXED, extent, random, randoms};
 use crate::deform::Handle;
 use crate::geometry::{FoldRegions, Orientation, Point};
 use crate::render::Canvas;
-use crate::warp::{Folds, GridSpec, Limits, Method, Posed, Quality, RestSpec, Setup, Units};
+use crate::warp::{
+    Folds, GridSpec, Limits, Method, PosedMesh, Quality, ResolvedRest, RestSpec, Units,
+};
 
-fn quality_on(case: &Case, canvas: Canvas) -> (Quality, Posed) {
-    let setup = Setup::new(&case.rest, case.extent, &Limits::default()).unwrap();
+fn quality_on(case: &Case, canvas: Canvas) -> (Quality, PosedMesh) {
+    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
     let pose = setup.pose(&case.q).unwrap();
-    let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+    let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
     let to_invert = setup.to_invert(&Limits::default()).unwrap();
-    let inverse = Posed::coarse(&to_invert, &to_invert.plan(), &pose, Folds::Report, &|| {
+    let inverse = PosedMesh::coarse(&to_invert, &to_invert.plan(), &pose, Folds::Report, &|| {
         false
     })
     .unwrap();
@@ -30,7 +32,7 @@ fn quality_on(case: &Case, canvas: Canvas) -> (Quality, Posed) {
     )
 }
 
-fn quality(case: &Case) -> (Quality, Posed) {
+fn quality(case: &Case) -> (Quality, PosedMesh) {
     quality_on(case, Canvas::of(case.extent))
 }
 
@@ -271,9 +273,9 @@ fn contradictions_are_listed_and_work_can_be_cancelled() {
     );
     for kind in [FEW, LINES, MIXED] {
         let case = random(extent(160, 120), kind, Method::Rigid, 2.0, 3);
-        let setup = Setup::new(&case.rest, case.extent, &Limits::default()).unwrap();
+        let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
         let pose = setup.pose(&case.q).unwrap();
-        let posed = Posed::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
+        let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
         assert!(
             Quality::of(
                 &setup,

@@ -8,14 +8,14 @@ use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::{Canvas, Filter, Outside};
 use crate::warp::{
-    CanvasSpec, Folds, GridSpec, Holes, Image, LabelImage, Limits, Method, OutputSpec, Posed,
-    Region, RestSpec, Setup, Subject, Warning, Warp,
+    CanvasSpec, Folds, GridSpec, Holes, Image, LabelImage, Limits, Method, OutputSpec, PosedMesh,
+    RasterSource, Region, RenderJob, ResolvedRest, RestSpec, Warning,
 };
 
 const SIDE: (u32, u32) = (120, 90);
 /// Rest positions nearer than this to the edge of a mask may be mixed, px: the reach of a filter,
 /// and of a mean of a few pixels.
-const NEAR: f64 = 5.0;
+const NEAR_BORDER_PX: f64 = 5.0;
 
 /// A picture of every sample value: noise, so that a wrong pixel is seen.
 fn noise(size: Extent, channels: Channels, depth: Depth) -> Image {
@@ -87,9 +87,9 @@ const SOFT: Disc = Disc {
     feather: 20.0,
 };
 
-fn posed(case: &Case) -> Posed {
-    let setup = Setup::new(&case.rest, case.extent, &Limits::default()).unwrap();
-    Posed::new(
+fn posed(case: &Case) -> PosedMesh {
+    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
+    PosedMesh::new(
         &setup,
         &setup.plan(),
         &setup.pose(&case.q).unwrap(),
@@ -99,7 +99,7 @@ fn posed(case: &Case) -> Posed {
     .unwrap()
 }
 
-fn at_rest(case: &Case) -> Posed {
+fn at_rest(case: &Case) -> PosedMesh {
     posed(&Case {
         q: case.rest.p.clone(),
         ..case.clone()
@@ -139,7 +139,7 @@ impl Pixels {
     }
 }
 
-fn pixels(warp: &Warp, step: usize, depth: Depth) -> Pixels {
+fn pixels(warp: &RenderJob, step: usize, depth: Depth) -> Pixels {
     let (size, pixel) = (warp.drawer.target(), warp.drawer.pixel_bytes());
     let row = size.width() as usize * pixel;
     let mut bytes = vec![0; row * size.height() as usize];
@@ -163,13 +163,13 @@ fn pixels(warp: &Warp, step: usize, depth: Depth) -> Pixels {
     }
 }
 
-fn draw(subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Pixels {
+fn draw(subject: RasterSource<'_>, posed: &PosedMesh, output: &OutputSpec) -> Pixels {
     let depth = match subject {
-        Subject::Image(image) => image.source.pixmap().depth(),
+        RasterSource::Image(image) => image.source.pixmap().depth(),
         _ => Depth::Eight,
     };
     pixels(
-        &Warp::new(subject, posed, output, &Limits::default()).unwrap(),
+        &RenderJob::new(subject, posed, output, &Limits::default()).unwrap(),
         1000,
         depth,
     )
@@ -232,11 +232,11 @@ fn outside_is_the_source_and_inside_is_the_warp_bit_for_bit() {
             ..OutputSpec::default()
         };
         let (whole, source) = (
-            draw(Subject::Image(&image), &posed(&case), &output),
-            draw(Subject::Image(&image), &at_rest(&case), &output),
+            draw(RasterSource::Image(&image), &posed(&case), &output),
+            draw(RasterSource::Image(&image), &at_rest(&case), &output),
         );
         let moved = posed(&case).within(Region::new(&mask[n % 2]));
-        let part = draw(Subject::Image(&image), &moved, &output);
+        let part = draw(RasterSource::Image(&image), &moved, &output);
         assert_eq!(
             (part.channels, part.depth),
             (channels, depth),
@@ -246,10 +246,10 @@ fn outside_is_the_source_and_inside_is_the_warp_bit_for_bit() {
             let distance = position.map_or(f64::INFINITY, |p| {
                 p.distance(Point::new(f64::from(SIDE.0) / 2.0, f64::from(SIDE.1) / 2.0))
             });
-            if distance > disc.radius + disc.feather + NEAR {
+            if distance > disc.radius + disc.feather + NEAR_BORDER_PX {
                 assert_eq!(part.at(k), source.at(k), "{}: pixel {k}", case.name);
                 counts[0] += 1;
-            } else if distance < disc.radius - NEAR {
+            } else if distance < disc.radius - NEAR_BORDER_PX {
                 assert_eq!(part.at(k), whole.at(k), "{}: pixel {k}", case.name);
                 counts[1] += 1;
             } else if part.at(k) != source.at(k) {
@@ -279,14 +279,14 @@ fn a_pose_at_rest_is_the_source() {
                 holes,
                 ..OutputSpec::default()
             };
-            let want = draw(Subject::Image(&image), &still, &output);
+            let want = draw(RasterSource::Image(&image), &still, &output);
             let still = at_rest(&cases()[0]).within(disc.region());
             assert!(
-                draw(Subject::Image(&image), &still, &output) == want,
+                draw(RasterSource::Image(&image), &still, &output) == want,
                 "{channels:?} {depth:?} {holes:?}"
             );
             assert!(
-                draw(Subject::Holes(&disc.region()), &still, &output)
+                draw(RasterSource::Holes(&disc.region()), &still, &output)
                     .bytes
                     .iter()
                     .all(|hole| *hole == 0),
@@ -318,17 +318,17 @@ fn a_white_mask_is_the_warp_without_a_region_where_it_is_drawn() {
             ..OutputSpec::default()
         };
         let (whole, still) = (
-            draw(Subject::Image(&image), &posed(&case), &output),
-            draw(Subject::Image(&image), &at_rest(&case), &output),
+            draw(RasterSource::Image(&image), &posed(&case), &output),
+            draw(RasterSource::Image(&image), &at_rest(&case), &output),
         );
         let part = draw(
-            Subject::Image(&image),
+            RasterSource::Image(&image),
             &posed(&case).within(white.clone()),
             &output,
         );
         // Where the posed picture is drawn: without alpha, all of it.
         let solid = noise(size, Channels::Rgb, Depth::Eight);
-        let covered = draw(Subject::Image(&solid), &posed(&case), &output);
+        let covered = draw(RasterSource::Image(&solid), &posed(&case), &output);
         for (k, covered) in covered.all().enumerate() {
             let want = match (covered[3], holes) {
                 (255, _) => whole.at(k),
@@ -353,10 +353,10 @@ fn holes_are_what_is_left_transparent() {
             ..OutputSpec::default()
         };
         let (part, holes) = (
-            draw(Subject::Image(&image), &moved, &output),
-            draw(Subject::Holes(&region), &moved, &output),
+            draw(RasterSource::Image(&image), &moved, &output),
+            draw(RasterSource::Holes(&region), &moved, &output),
         );
-        let kept = draw(Subject::Image(&image), &moved, &OutputSpec::default());
+        let kept = draw(RasterSource::Image(&image), &moved, &OutputSpec::default());
         assert_eq!(
             (holes.channels, holes.depth, part.channels),
             (Channels::Rgb, Depth::Eight, Channels::Rgba)
@@ -404,7 +404,7 @@ fn largest_step(disc: Disc, filter: Filter) -> u16 {
         ..OutputSpec::default()
     };
     let part = draw(
-        Subject::Image(&image),
+        RasterSource::Image(&image),
         &posed(&case).within(disc.region()),
         &output,
     );
@@ -455,7 +455,13 @@ fn canvases_are_crops_and_bands_do_not_matter() {
                 canvas,
                 ..OutputSpec::default()
             };
-            Warp::new(Subject::Image(&image), &moved, &output, &Limits::default()).unwrap()
+            RenderJob::new(
+                RasterSource::Image(&image),
+                &moved,
+                &output,
+                &Limits::default(),
+            )
+            .unwrap()
         };
         let (large, small) = (
             pixels(&of(-40, -30, 200, 150), 1000, Depth::Eight),
@@ -491,7 +497,7 @@ fn canvases_are_crops_and_bands_do_not_matter() {
             }),
             ..OutputSpec::default()
         };
-        for (k, pixel) in draw(Subject::Image(&image), &moved, &output)
+        for (k, pixel) in draw(RasterSource::Image(&image), &moved, &output)
             .all()
             .enumerate()
         {
@@ -597,9 +603,9 @@ fn a_smaller_picture_has_the_smaller_source_outside() {
             ..OutputSpec::default()
         };
         let (still, part) = (
-            draw(Subject::Image(&image), &at_rest(case), &output),
+            draw(RasterSource::Image(&image), &at_rest(case), &output),
             draw(
-                Subject::Image(&image),
+                RasterSource::Image(&image),
                 &posed(case).within(HARD.region()),
                 &output,
             ),
@@ -619,14 +625,19 @@ fn what_a_picture_depends_on_is_in_its_digest() {
     let size = extent(SIDE.0, SIDE.1);
     let image = noise(size, Channels::Rgb, Depth::Eight);
     let case = &cases()[0];
-    let etag = |posed: &Posed, holes| {
+    let etag = |posed: &PosedMesh, holes| {
         let output = OutputSpec {
             holes,
             ..OutputSpec::default()
         };
-        Warp::new(Subject::Image(&image), posed, &output, &Limits::default())
-            .unwrap()
-            .etag()
+        RenderJob::new(
+            RasterSource::Image(&image),
+            posed,
+            &output,
+            &Limits::default(),
+        )
+        .unwrap()
+        .etag()
     };
     let (plain, hard, soft) = (
         posed(case),
@@ -660,7 +671,7 @@ fn what_a_picture_depends_on_is_in_its_digest() {
         .iter()
         .map(|p| crate::deform::Handle::Point(Point::new(p.places()[0].x + 5000.0, 0.0)))
         .collect();
-    let warns = |posed: Posed| {
+    let warns = |posed: PosedMesh| {
         posed
             .into_report(Some(canvas), &|| false)
             .unwrap()
@@ -673,8 +684,8 @@ fn what_a_picture_depends_on_is_in_its_digest() {
         ..OutputSpec::default()
     };
     assert!(
-        Warp::new(
-            Subject::Holes(&HARD.region()),
+        RenderJob::new(
+            RasterSource::Holes(&HARD.region()),
             &hard,
             &png,
             &Limits::default()
@@ -714,8 +725,8 @@ fn labels_are_chosen_and_coverage_is_mixed() {
         };
         let (whole, still) = (posed(&case), at_rest(&case));
         let moved = posed(&case).within(region.clone());
-        let grey = |subject, posed: &Posed| {
-            let warp = Warp::new(subject, posed, &output, &Limits::default()).unwrap();
+        let grey = |subject, posed: &PosedMesh| {
+            let warp = RenderJob::new(subject, posed, &output, &Limits::default()).unwrap();
             let mut bytes = vec![0; size.pixels() as usize * warp.drawer.pixel_bytes()];
             warp.drawer.band(0..SIDE.1, &mut bytes);
             bytes
@@ -724,18 +735,18 @@ fn labels_are_chosen_and_coverage_is_mixed() {
                 .collect::<Vec<u8>>()
         };
         let [there, at_rest, part] =
-            [&whole, &still, &moved].map(|posed| grey(Subject::Labels(&labels), posed));
+            [&whole, &still, &moved].map(|posed| grey(RasterSource::Labels(&labels), posed));
         let [covered, parts_covered] =
-            [&whole, &moved].map(|posed| grey(Subject::Coverage(size), posed));
+            [&whole, &moved].map(|posed| grey(RasterSource::Coverage(size), posed));
         let outside = OutputSpec {
             outside: Outside::Colour([0, 0, 0, 255]),
             ..output
         };
-        let m: Vec<u16> = draw(Subject::Image(&mask), &whole, &outside)
+        let m: Vec<u16> = draw(RasterSource::Image(&mask), &whole, &outside)
             .all()
             .map(|pixel| pixel[0])
             .collect();
-        let holes = grey(Subject::Holes(&region), &moved);
+        let holes = grey(RasterSource::Holes(&region), &moved);
         for k in 0..part.len() {
             let is_hole = output.holes == Holes::Transparent && holes[k] >= 128;
             let (want, kind) = match (m[k] >= 128, is_hole) {

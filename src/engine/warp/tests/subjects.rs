@@ -7,15 +7,15 @@ use rayon::prelude::*;
 
 use super::sets::{Case, extent, randoms};
 use crate::codec::{
-    Compression, Encoding, Format, Labels, Limits as ImageLimits, Palette, PngShape, StepCounter,
-    Writer, open_labels,
+    Compression, Encoding, Format, ImageLimits, Labels, Palette, PngShape, StepCounter, Writer,
+    open_labels,
 };
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent};
 use crate::render::{Canvas, InverseMap};
 use crate::warp::{
     CanvasSpec, CoordinateMap, Folds, LabelImage, Limits, MapDirection, MapFormat, MapSpec,
-    OutputSpec, Posed, Setup, Subject, Warp, WarpError,
+    OutputSpec, PosedMesh, RasterSource, RenderJob, ResolvedRest, WarpError,
 };
 
 /// Discs and stripes of 16-bit labels.
@@ -43,9 +43,9 @@ fn encoded(shape: PngShape, values: &[u8], palette: Option<&Palette>) -> Vec<u8>
     file
 }
 
-fn posed(case: &Case) -> Posed {
-    let setup = Setup::new(&case.rest, case.extent, &Limits::default()).unwrap();
-    Posed::new(
+fn posed(case: &Case) -> PosedMesh {
+    let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
+    PosedMesh::new(
         &setup,
         &setup.plan(),
         &setup.pose(&case.q).unwrap(),
@@ -55,9 +55,9 @@ fn posed(case: &Case) -> Posed {
     .unwrap()
 }
 
-fn drawn(subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Labels {
+fn drawn(subject: RasterSource<'_>, posed: &PosedMesh, output: &OutputSpec) -> Labels {
     let mut file = Vec::new();
-    let _ = Warp::new(subject, posed, output, &Limits::default())
+    let _ = RenderJob::new(subject, posed, output, &Limits::default())
         .unwrap()
         .write(0, &(), &mut |bytes| {
             file.extend(bytes);
@@ -112,7 +112,7 @@ fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
                     format,
                     ..OutputSpec::default()
                 };
-                let out = drawn(Subject::Labels(&image), &posed, &output);
+                let out = drawn(RasterSource::Labels(&image), &posed, &output);
                 assert_eq!(
                     (out.shape.samples(), out.shape.depth, &out.palette),
                     (1, Depth::Sixteen, &None)
@@ -159,7 +159,7 @@ fn palettes_are_kept_and_lossy_formats_refused() {
     let image =
         LabelImage::decode(&encoded(shape, &values, Some(&palette)), &Limits::default()).unwrap();
     let posed = posed(&randoms(size, 0..1)[0]);
-    let out = drawn(Subject::Labels(&image), &posed, &OutputSpec::default());
+    let out = drawn(RasterSource::Labels(&image), &posed, &OutputSpec::default());
     assert_eq!(out.palette, Some(palette));
     assert!(out.values.iter().all(|value| *value < 3));
     for format in [Format::Jpeg, Format::WebP] {
@@ -167,16 +167,24 @@ fn palettes_are_kept_and_lossy_formats_refused() {
             format,
             ..OutputSpec::default()
         };
-        let refused =
-            Warp::new(Subject::Labels(&image), &posed, &output, &Limits::default()).map(drop);
+        let refused = RenderJob::new(
+            RasterSource::Labels(&image),
+            &posed,
+            &output,
+            &Limits::default(),
+        )
+        .map(drop);
         assert_eq!(refused, Err(WarpError::LabelFormat { format }));
     }
     let etag = |subject| {
-        Warp::new(subject, &posed, &OutputSpec::default(), &Limits::default())
+        RenderJob::new(subject, &posed, &OutputSpec::default(), &Limits::default())
             .unwrap()
             .etag()
     };
-    assert_ne!(etag(Subject::Labels(&image)), etag(Subject::Coverage(size)));
+    assert_ne!(
+        etag(RasterSource::Labels(&image)),
+        etag(RasterSource::Coverage(size))
+    );
 }
 
 #[test]
@@ -186,7 +194,7 @@ fn coverage_is_grey_and_is_where_positions_are() {
         let posed = posed(case);
         for format in [Format::Png, Format::WebP, Format::Tiff] {
             let out = drawn(
-                Subject::Coverage(size),
+                RasterSource::Coverage(size),
                 &posed,
                 &OutputSpec {
                     format,
@@ -222,7 +230,7 @@ fn file(map: &CoordinateMap) -> Vec<u8> {
     file
 }
 
-fn map(case: &Case, spec: &MapSpec) -> (Posed, CoordinateMap) {
+fn map(case: &Case, spec: &MapSpec) -> (PosedMesh, CoordinateMap) {
     let posed = posed(case);
     let target = spec
         .target(&posed, case.extent, &Limits::default(), &|| false)

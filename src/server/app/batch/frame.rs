@@ -8,21 +8,23 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::deform::Handle;
 use mlswarp::render::{Canvas, Outside};
-use mlswarp::warp::{CanvasSpec, Folds, Frame as PictureFrame, Holes, OutputSpec, Plan, Warning};
+use mlswarp::warp::{
+    CanvasSpec, CompiledRest, CoordinateFrame as PictureFrame, Folds, Holes, OutputSpec, Warning,
+};
 use serde_json::json;
 
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, Rest};
 use crate::app::App;
-use crate::app::draw::{DrawJob, DrawnFile, Planned, Prepared};
-use crate::app::drawable::Content;
+use crate::app::draw::{DrawJob, DrawnFile, Planned, ReservedWarp};
+use crate::app::drawable::DrawnContent;
 use crate::app::json_text::json_unless;
 use crate::app::reading::Held;
 use crate::cache::CacheEntry;
 use crate::client::Client;
 use crate::layer::LayerRef;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::stages::Timing;
 use crate::pool::Cancel;
 use crate::problem::Problem;
@@ -42,10 +44,10 @@ pub(crate) struct BatchJob {
     pub(crate) client: Client,
     pub(crate) quota: ClientQuota,
     pub(crate) record: Arc<Record>,
-    pub(crate) content: Content,
+    pub(crate) content: DrawnContent,
     /// The layers that are drawn, by name.
-    pub(crate) layers: Vec<(LayerRef, Content)>,
-    pub(crate) plan: Arc<CacheEntry<Plan>>,
+    pub(crate) layers: Vec<(LayerRef, DrawnContent)>,
+    pub(crate) plan: Arc<CacheEntry<CompiledRest>>,
     pub(crate) rest: Rest,
     /// The poses and the annotations.
     pub(crate) object: Held<BatchObject>,
@@ -71,7 +73,7 @@ pub(crate) struct Survey {
 }
 
 /// A frame that is ready to be appended, and its memory.
-pub(crate) struct Frame {
+pub(crate) struct FinishedFrame {
     pub(crate) packed: PackedFrame,
     pub(crate) entry: BatchFrame,
     /// Those of its warnings that are about the file, and so about all frames.
@@ -101,7 +103,12 @@ impl BatchJob {
     }
 
     /// The job of drawing the picture or a layer.
-    fn draw_job(&self, content: &Content, q: Arc<Held<Vec<Handle>>>, timing: Timing) -> DrawJob {
+    fn draw_job(
+        &self,
+        content: &DrawnContent,
+        q: Arc<Held<Vec<Handle>>>,
+        timing: Timing,
+    ) -> DrawJob {
         let planned = Planned {
             setup: Arc::clone(&self.rest.setup),
             plan: Arc::clone(&self.plan),
@@ -124,7 +131,7 @@ impl BatchJob {
 
     /// Memory of a frame besides its pictures.
     fn reserve(&self, bytes: u64) -> Result<Reservation, Problem> {
-        self.app.reserve_for(Purpose::Frame, &self.quota, bytes)
+        self.app.reserve_for(MemoryClass::Frame, &self.quota, bytes)
     }
 
     fn pose_of(&self, pose: u32) -> Result<FramePose, Problem> {
@@ -191,7 +198,8 @@ impl BatchJob {
                 .prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| {
                     cancel.is_cancelled()
                 });
-            let Prepared { warp, .. } = prepared.map_err(|problem| self.located(frame, problem))?;
+            let ReservedWarp { warp, .. } =
+                prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
                 survey.has_one_canvas &= survey.canvas.is_none_or(|canvas| canvas == shown);
@@ -231,7 +239,7 @@ impl BatchJob {
     }
 
     /// The picture and the layers.
-    fn contents(&self) -> impl Iterator<Item = &Content> {
+    fn contents(&self) -> impl Iterator<Item = &DrawnContent> {
         std::iter::once(&self.content).chain(self.layers.iter().map(|(_, content)| content))
     }
 
@@ -245,7 +253,7 @@ impl BatchJob {
         };
         let has_holes = self.output.holes == Holes::Transparent;
         (!is_opaque || has_holes)
-            && self.contents().any(Content::may_gain_alpha)
+            && self.contents().any(DrawnContent::may_gain_alpha)
             && self.output.format != Format::Jpeg
     }
 
@@ -255,7 +263,7 @@ impl BatchJob {
         frame: u32,
         timing: Timing,
         cancel: &Cancel,
-    ) -> Result<Frame, Problem> {
+    ) -> Result<FinishedFrame, Problem> {
         let pose = self.pose_number(frame);
         let located = |problem| self.located(pose, problem);
         let FramePose { q, position } = self.pose_of(pose)?;
@@ -319,9 +327,9 @@ impl BatchJob {
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
         let held = self
             .app
-            .reserve_for(Purpose::Frame, &self.quota, 2 * length as u64)?;
+            .reserve_for(MemoryClass::Frame, &self.quota, 2 * length as u64)?;
         let of_file = warnings.into_iter().filter(Warning::is_of_file).collect();
-        Ok(Frame {
+        Ok(FinishedFrame {
             packed: self.form.pack(files)?,
             entry,
             of_file,

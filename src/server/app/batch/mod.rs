@@ -13,17 +13,17 @@ use bytes::Bytes;
 use mlswarp::codec::Format;
 use mlswarp::render::Canvas;
 use mlswarp::warp::{
-    CanvasSpec, Frame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid,
+    CanvasSpec, CoordinateFrame as PictureFrame, OutputSpec, RestSpec, Warning, jitter_grid,
 };
 
 use super::App;
 use super::draw::Planned;
-use super::drawable::Content;
+use super::drawable::DrawnContent;
 use super::session_warp::AdmittedPlan;
-use super::warp::{ATTEMPTS, columns};
+use super::warp::{SESSION_ATTEMPTS, columns};
 use crate::client::Client;
 use crate::layer::LayerRef;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::pool::{Cancel, QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
@@ -32,7 +32,7 @@ use crate::wire::formats::Formats;
 use crate::wire::{BatchObject, BatchPoses, Reserved};
 use frame::BatchJob;
 pub use package::BatchForm;
-use package::DELAY;
+use package::DEFAULT_DELAY_MS;
 use poses::Rest;
 pub(crate) use stream::BatchStream;
 
@@ -75,7 +75,7 @@ impl App {
             most_frame_bytes(columns(&record)),
         );
         let source = PictureFrame::of_source(record.extent, record.rest.units);
-        let reserve = self.reserving(Purpose::Upload, client);
+        let reserve = self.reserving(MemoryClass::Upload, client);
         let parse = move |_: &_| {
             Reserved::<BatchObject, _>::parse(&json, most, most_of_frame, source, reserve)
         };
@@ -149,7 +149,8 @@ impl App {
         };
         let mut warnings = Vec::new();
         job.object.annotations.add_warnings(&source, &mut warnings);
-        let mut rest = BatchStream::new(job, delay.unwrap_or(DELAY), plays.unwrap_or(0)).await?;
+        let mut rest =
+            BatchStream::new(job, delay.unwrap_or(DEFAULT_DELAY_MS), plays.unwrap_or(0)).await?;
         let first = rest
             .next()
             .await
@@ -167,7 +168,7 @@ impl App {
 }
 
 /// Layers by their names.
-type Layers = Vec<(LayerRef, Content)>;
+type Layers = Vec<(LayerRef, DrawnContent)>;
 
 impl App {
     /// The picture of a session, its layers of these names and its plan, all by one record: the
@@ -177,8 +178,8 @@ impl App {
         client: Client,
         mut record: Arc<Record>,
         names: &[LayerRef],
-    ) -> Result<(Arc<Record>, Content, Layers, Planned), Problem> {
-        for _ in 0..ATTEMPTS {
+    ) -> Result<(Arc<Record>, DrawnContent, Layers, Planned), Problem> {
+        for _ in 0..SESSION_ATTEMPTS {
             let (newest, content, plan) = self.admit_newest(client, record, None).await?;
             let AdmittedPlan { ticket, planned } = plan;
             drop(ticket);

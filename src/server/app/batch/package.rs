@@ -12,9 +12,9 @@ use zip::{CompressionMethod, DateTime, System, ZipWriter};
 use crate::problem::{Code, Problem};
 
 /// How long an animation shows a frame unless it is requested, ms.
-pub(crate) const DELAY: u16 = 40;
+pub(crate) const DEFAULT_DELAY_MS: u16 = 40;
 /// The name of the index.
-const INDEX: &str = "frames.json";
+const INDEX_NAME: &str = "frames.json";
 /// Memory of an entry in the directory of an archive, bytes.
 const ENTRY_BYTES: u64 = 512;
 
@@ -161,7 +161,7 @@ impl Package {
                 written,
             } => {
                 writer
-                    .add_prepared_file(entry(INDEX, index)?)
+                    .add_prepared_file(entry(INDEX_NAME, index)?)
                     .and_then(|()| writer.finish())
                     .map_err(|error| not_written(&error))?;
                 Ok(written.take())
@@ -224,7 +224,7 @@ mod tests {
     use super::*;
 
     fn file(frames: u32) -> Vec<u8> {
-        let mut package = Package::new(BatchForm::Zip, frames, DELAY, 0);
+        let mut package = Package::new(BatchForm::Zip, frames, DEFAULT_DELAY_MS, 0);
         let mut out = Vec::new();
         for k in 0..frames {
             let files = vec![
@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn more_entries_than_16_bits_count_are_an_archive_too() {
-        let mut package = Package::new(BatchForm::Zip, 10_000, DELAY, 0);
+        let mut package = Package::new(BatchForm::Zip, 10_000, DEFAULT_DELAY_MS, 0);
         let mut out = Vec::new();
         for k in 0..10_000 {
             let files = (0..7)

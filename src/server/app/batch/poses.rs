@@ -21,7 +21,7 @@ pub(crate) struct FramePose {
 }
 
 /// Takes memory for posed handles.
-pub(crate) type Reserve<'a> = &'a dyn Fn(u64) -> Result<Reservation, Problem>;
+pub(crate) type ReserveMemory<'a> = &'a dyn Fn(u64) -> Result<Reservation, Problem>;
 
 /// What the poses refer to.
 #[derive(Debug)]
@@ -39,16 +39,16 @@ impl Rest {
     }
 
     /// The pose that a frame begins with.
-    fn given(
+    fn read_frames(
         &self,
         poses: &BatchPoses,
         frame: u32,
-        reserve: Reserve<'_>,
+        reserve: ReserveMemory<'_>,
     ) -> Result<Held<Pose>, Problem> {
         let (p, session) = (&self.spec().p, self.record.pose.as_ref());
         // Those at rest or of the session may take their place, and a jitter makes a copy.
         let others = handles_bytes(p).max(session.map_or(0, |pose| handles_bytes(&pose.q)));
-        let given = poses.given(frame, |bytes| reserve(2 * bytes.max(others)))?;
+        let given = poses.requested_frames(frame, |bytes| reserve(2 * bytes.max(others)))?;
         let is_at_rest = p.is_empty() || matches!(poses, BatchPoses::Jitter { .. });
         let given = given.try_map(|mut given| {
             // The empty `q` of a session without handles.
@@ -69,9 +69,9 @@ impl Rest {
         &self,
         poses: &BatchPoses,
         frame: u32,
-        reserve: Reserve<'_>,
+        reserve: ReserveMemory<'_>,
     ) -> Result<FramePose, Problem> {
-        let given = self.given(poses, frame, reserve)?;
+        let given = self.read_frames(poses, frame, reserve)?;
         let strength = given.strength;
         let posed =
             |strength| given.map(|pose| self.spec().posed(pose.q, strength, self.record.extent).0);
@@ -118,7 +118,7 @@ impl Rest {
     pub(crate) fn check(
         &self,
         poses: &BatchPoses,
-        reserve: Reserve<'_>,
+        reserve: ReserveMemory<'_>,
         is_cancelled: &dyn Fn() -> bool,
     ) -> Result<(), Problem> {
         match poses {
@@ -130,7 +130,7 @@ impl Rest {
                 }
             }
             BatchPoses::Steps { .. } | BatchPoses::Jitter { .. } => {
-                let given = self.given(poses, 0, reserve)?;
+                let given = self.read_frames(poses, 0, reserve)?;
                 let q = given.map(|Pose { q, strength }| {
                     self.spec().posed(q, strength, self.record.extent).0
                 });

@@ -10,9 +10,9 @@ use bytes::Bytes;
 use mlswarp::warp::Warning;
 use tokio::task::JoinHandle;
 
-use super::frame::{BatchJob, Frame};
+use super::frame::{BatchJob, FinishedFrame};
 use super::package::{Package, PackedFrame};
-use crate::limits::memory::{Budget, Purpose, Reservation};
+use crate::limits::memory::{Budget, MemoryClass, Reservation};
 use crate::observe::Scope;
 use crate::observe::stages::Timing;
 use crate::pool::{PoolError, QueueKey, WorkClass, aside};
@@ -22,14 +22,14 @@ use crate::wire::{BatchFrame, BatchIndex};
 /// Frames that are made ahead beyond the number of workers, so that none waits while the reader
 /// takes one. With two workers, 0, 1, 2, 4 and 6 gave 1.08, 1.21, 1.27, 1.23 and 1.25 times the
 /// frames of single requests (`cargo bench --bench batch`).
-const SPARE: usize = 2;
+const SPARE_FRAMES: usize = 2;
 /// The most frames that are made ahead.
 const MOST_AHEAD: usize = 8;
 /// A frame of more bytes is appended on a blocking thread, and so is the index of more frames.
 const MAX_COPIED_HERE: usize = 64 << 10;
 const MAX_INDEX_HERE: u32 = 64;
 /// The pause before a frame that found no worker or no memory is made again.
-const RETRY: Duration = Duration::from_millis(50);
+const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// The bytes of a batch's file, frame by frame.
 pub(crate) struct BatchStream {
@@ -45,18 +45,18 @@ pub(crate) struct BatchStream {
     /// See [`Frame::of_file`].
     pub(crate) of_file: Vec<Warning>,
     /// `None` after the end.
-    file: Option<File>,
+    file: Option<BatchFile>,
     /// The memory of the package's directory and of the index.
     held: Option<Reservation>,
 }
 
 /// The file, and what its index says of each frame.
-struct File {
+struct BatchFile {
     package: Package,
     entries: Vec<BatchFrame>,
 }
 
-impl File {
+impl BatchFile {
     fn push(&mut self, packed: PackedFrame, entry: BatchFrame) -> Result<Vec<u8>, Problem> {
         let bytes = self.package.push(packed)?;
         self.entries.push(entry);
@@ -73,7 +73,7 @@ impl File {
 }
 
 /// A frame that is being made; it is cancelled when this is dropped.
-struct FrameTask(JoinHandle<Result<Frame, Problem>>);
+struct FrameTask(JoinHandle<Result<FinishedFrame, Problem>>);
 
 impl Drop for FrameTask {
     fn drop(&mut self) {
@@ -85,10 +85,10 @@ impl BatchStream {
     /// Errors: Too little memory for the directory.
     pub(crate) async fn new(job: BatchJob, delay: u16, plays: u16) -> Result<Self, Problem> {
         let directory = job.form.directory_bytes(job.frames, job.files_per_frame());
-        let take = |budget: &Budget| budget.take_for(Purpose::Frame, &job.quota, directory);
+        let take = |budget: &Budget| budget.take_for(MemoryClass::Frame, &job.quota, directory);
         let held = Some(job.app.reserve_aside(take).await?);
         let package = Package::new(job.form, job.frames, delay, plays);
-        let file = Some(File {
+        let file = Some(BatchFile {
             package,
             entries: Vec::new(),
         });
@@ -124,8 +124,8 @@ impl BatchStream {
         }))
     }
 
-    async fn next_frame(&mut self, mut file: File) -> Result<Bytes, Problem> {
-        let Frame {
+    async fn next_frame(&mut self, mut file: BatchFile) -> Result<Bytes, Problem> {
+        let FinishedFrame {
             packed,
             entry,
             of_file,
@@ -144,7 +144,7 @@ impl BatchStream {
 
     /// The next frame. A busy server delays a batch that has begun; it ends it only if one frame
     /// takes longer than a request may.
-    async fn made(&mut self) -> Result<Frame, Problem> {
+    async fn made(&mut self) -> Result<FinishedFrame, Problem> {
         let (began, limit) = (Instant::now(), self.job.app.config().timeouts.request);
         let most = most_ahead(&self.job);
         loop {
@@ -175,7 +175,7 @@ impl BatchStream {
                     self.ahead.clear();
                     self.begun = self.done;
                     self.width = 1;
-                    tokio::time::sleep(RETRY).await;
+                    tokio::time::sleep(RETRY_PAUSE).await;
                 }
                 made => {
                     self.ahead.pop_front();
@@ -202,12 +202,12 @@ impl BatchStream {
 }
 
 fn most_ahead(job: &BatchJob) -> usize {
-    (job.app.pool().workers() + SPARE).min(MOST_AHEAD)
+    (job.app.pool().workers() + SPARE_FRAMES).min(MOST_AHEAD)
 }
 
 /// Makes a frame on a worker. The batches of a client wait in the queue like one request of the
 /// client.
-async fn make(job: Arc<BatchJob>, frame: u32) -> Result<Frame, Problem> {
+async fn make(job: Arc<BatchJob>, frame: u32) -> Result<FinishedFrame, Problem> {
     let pool = job.app.pool().clone();
     let ticket = pool
         .admit(WorkClass::Upload, QueueKey::client(job.client))

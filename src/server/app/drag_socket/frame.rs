@@ -6,20 +6,22 @@ use std::time::Duration;
 use bytes::Bytes;
 use mlswarp::codec::{Compression, Format};
 use mlswarp::deform::Handle;
-use mlswarp::warp::{Align, CanvasSpec, CompactLattice, Frame as PictureFrame, OutputSpec, Report};
+use mlswarp::warp::{
+    Align, CanvasSpec, CompactLattice, CoordinateFrame as PictureFrame, OutputSpec, Report,
+};
 use tokio::sync::Semaphore;
 
 use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
 use crate::app::reading::Held;
-use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, MeshForm, PosedMesh};
+use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, MeshForm, SessionMesh};
 use crate::app::warp::columns;
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
 use crate::limits::client_quota::ClientQuota;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -30,7 +32,7 @@ use crate::wire::{AsJson, FrameReport, FrameTiming, MeshShape, UnreadHandles};
 
 /// The content of frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Form {
+pub enum FrameContent {
     /// Files of this format, or of the session's format.
     Picture(Option<Format>),
     /// PNG or JPEG, as the connection allows.
@@ -41,7 +43,7 @@ pub enum Form {
     CompactMesh(f64),
 }
 
-impl Form {
+impl FrameContent {
     /// Whether frames are meshes, not images.
     pub const fn is_mesh(self) -> bool {
         matches!(self, Self::Mesh | Self::CompactMesh(_))
@@ -72,7 +74,7 @@ impl KnownLattice {
 
 /// A frame with its report.
 #[derive(Debug)]
-pub(crate) struct Frame {
+pub(crate) struct DragFrame {
     /// The number of the pose.
     pub(crate) seq: u64,
     /// The record that it was drawn from.
@@ -143,9 +145,9 @@ pub(crate) async fn draw_frame(
     client: Client,
     id: SessionId,
     frames: Arc<Semaphore>,
-    (form, known): (Form, KnownLattice),
+    (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
-) -> Result<Frame, Problem> {
+) -> Result<DragFrame, Problem> {
     let frame = try_draw_frame(app, client, id, frames, (form, known), request).await;
     if let Err(problem) = &frame {
         Scope::current().set_error(problem.code);
@@ -158,9 +160,9 @@ async fn try_draw_frame(
     client: Client,
     id: SessionId,
     frames: Arc<Semaphore>,
-    (form, known): (Form, KnownLattice),
+    (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
-) -> Result<Frame, Problem> {
+) -> Result<DragFrame, Problem> {
     let permit = frames
         .acquire_owned()
         .await
@@ -171,8 +173,8 @@ async fn try_draw_frame(
     let record = app.touch(id, None).await?.record;
     let seq = request.pose.seq;
     match form {
-        Form::Picture(_) | Form::Auto => {
-            let format = if let Form::Picture(format) = form {
+        FrameContent::Picture(_) | FrameContent::Auto => {
+            let format = if let FrameContent::Picture(format) = form {
                 format
             } else {
                 None
@@ -221,7 +223,7 @@ async fn try_draw_frame(
                 full: preview.is_none(),
             };
             let report = report_json(head, file, (&report, None), timing, cost);
-            Ok(Frame {
+            Ok(DragFrame {
                 seq,
                 record,
                 shape,
@@ -229,7 +231,7 @@ async fn try_draw_frame(
                 report,
             })
         }
-        Form::Mesh | Form::CompactMesh(_) => {
+        FrameContent::Mesh | FrameContent::CompactMesh(_) => {
             // The lattice is chosen after admission; only JSON has a limit of its own.
             let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
             drop(permit);
@@ -237,7 +239,7 @@ async fn try_draw_frame(
             let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
             let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
             let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
-            let PosedMesh {
+            let SessionMesh {
                 report,
                 timing,
                 body,
@@ -258,7 +260,7 @@ async fn try_draw_frame(
                 timing,
                 Cost::default(),
             );
-            Ok(Frame {
+            Ok(DragFrame {
                 seq,
                 record,
                 shape,
@@ -274,11 +276,11 @@ async fn try_draw_frame(
 pub(super) async fn mesh_shape(
     app: &App,
     plan: &AdmittedPlan,
-    (form, known): (Form, &KnownLattice),
+    (form, known): (FrameContent, &KnownLattice),
     record: &Arc<Record>,
     quota: &ClientQuota,
 ) -> Result<(MeshShape, Option<Arc<CompactLattice>>), Problem> {
-    let Form::CompactMesh(tolerance) = form else {
+    let FrameContent::CompactMesh(tolerance) = form else {
         return Ok((plan.shape(record.extent), None));
     };
     let lattice = match known.of(record) {
@@ -299,7 +301,10 @@ async fn read_handles(
 ) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
     let is_short = q.len() <= MAX_INLINE
         && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
-    let (record, reserve) = (Arc::clone(record), app.reserving(Purpose::Frame, client));
+    let (record, reserve) = (
+        Arc::clone(record),
+        app.reserving(MemoryClass::Frame, client),
+    );
     let read = move || {
         Held::of_pose(
             &q,

@@ -19,11 +19,11 @@ use super::App;
 use super::session_warp::{MAX_INLINE, MeshForm};
 use super::warp::columns;
 use crate::client::Client;
-use crate::drag::frame_scheduler::{FrameScheduler, Pose, Step};
+use crate::drag::frame_scheduler::{FrameScheduler, QueuedPose, Step};
 use crate::drag::picture_ladder::PictureLadder;
 use crate::drag::preview_controller::PreviewController;
 pub use crate::drag::send_window::{MAX_WINDOW, Window};
-use crate::limits::memory::{Purpose, Reservation};
+use crate::limits::memory::{MemoryClass, Reservation};
 use crate::limits::sockets::SocketSlot;
 use crate::observe::Scope;
 use crate::pool::{QueueKey, WorkClass};
@@ -31,8 +31,8 @@ use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{BadMessage, DragMessage, MeshShape, Reserved};
-pub use frame::Form;
-use frame::{Frame, KnownLattice, draw_frame, full_width, mesh_shape};
+pub use frame::FrameContent;
+use frame::{DragFrame, KnownLattice, draw_frame, full_width, mesh_shape};
 
 /// The width of previews.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub enum PreviewWidth {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DragOptions {
     /// The content of frames.
-    pub form: Form,
+    pub form: FrameContent,
     /// The width of frames while the pose changes; images only.
     pub width: PreviewWidth,
     /// Whether a report precedes each frame.
@@ -75,7 +75,7 @@ type Task<T> = Pin<Box<dyn Future<Output = T> + Send>>;
 type Read = Result<DragMessage, BadMessage>;
 
 /// Pause before a long message is read that found no worker.
-const RETRY: Duration = Duration::from_millis(50);
+const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// One drag of one session.
 pub struct Drag {
@@ -83,8 +83,8 @@ pub struct Drag {
     id: SessionId,
     client: Client,
     options: DragOptions,
-    scheduler: FrameScheduler<Frame>,
-    drawing: Option<Task<Result<Frame, Problem>>>,
+    scheduler: FrameScheduler<DragFrame>,
+    drawing: Option<Task<Result<DragFrame, Problem>>>,
     /// A long message that is being read.
     reading: Option<Task<Read>>,
     newest: Option<u64>,
@@ -122,10 +122,10 @@ impl App {
         let slot = self.0.sockets.acquire(client.tenant(), id)?;
         let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
         let reservation = self
-            .reserve_aside(|budget| budget.take(Purpose::Socket, bytes))
+            .reserve_aside(|budget| budget.take(MemoryClass::Socket, bytes))
             .await?;
         let lattice = KnownLattice::default();
-        let shape = if let Form::CompactMesh(_) = options.form {
+        let shape = if let FrameContent::CompactMesh(_) = options.form {
             let _permit = slot
                 .frames
                 .acquire()
@@ -175,7 +175,7 @@ fn shape_message(shape: &MeshShape) -> Outgoing {
 }
 
 /// The width that stands for a mesh.
-const MESH: u32 = 1;
+const MESH_WIDTH: u32 = 1;
 
 /// The size of the session's images; of the source if it depends on the pose.
 fn size(record: &Record) -> (u32, u32) {
@@ -194,10 +194,12 @@ fn size(record: &Record) -> (u32, u32) {
 
 fn previews(options: DragOptions, record: &Record) -> PreviewController {
     match (options.form, options.width) {
-        (Form::Mesh | Form::CompactMesh(_), _) => PreviewController::fixed(MESH),
-        (Form::Auto, _) => PreviewController::fixed(size(record).0),
-        (Form::Picture(_), PreviewWidth::Auto) => PreviewController::adaptive(size(record)),
-        (Form::Picture(_), PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
+        (FrameContent::Mesh | FrameContent::CompactMesh(_), _) => {
+            PreviewController::fixed(MESH_WIDTH)
+        }
+        (FrameContent::Auto, _) => PreviewController::fixed(size(record).0),
+        (FrameContent::Picture(_), PreviewWidth::Auto) => PreviewController::adaptive(size(record)),
+        (FrameContent::Picture(_), PreviewWidth::Fixed(width)) => PreviewController::fixed(width),
     }
 }
 
@@ -206,13 +208,13 @@ fn pictures(options: DragOptions, record: &Record) -> Option<PictureLadder> {
         PreviewWidth::Auto => None,
         PreviewWidth::Fixed(width) => Some(width),
     };
-    (options.form == Form::Auto).then(|| PictureLadder::new(size(record), fixed))
+    (options.form == FrameContent::Auto).then(|| PictureLadder::new(size(record), fixed))
 }
 
 fn full(options: DragOptions, record: &Record) -> u32 {
     // Unless the full width is known, every picture is a preview.
     if options.form.is_mesh() {
-        MESH
+        MESH_WIDTH
     } else {
         full_width(record).unwrap_or(u32::MAX)
     }
@@ -273,7 +275,7 @@ impl Drag {
                     return;
                 }
                 self.newest = Some(seq);
-                self.scheduler.pose(Pose {
+                self.scheduler.pose(QueuedPose {
                     seq,
                     q: Arc::new(q),
                     at: now,
@@ -327,7 +329,7 @@ impl Drag {
         until
     }
 
-    fn send(&mut self, frame: Frame) {
+    fn send(&mut self, frame: DragFrame) {
         if !same(&self.announced, &frame.record) {
             self.outgoing.push_back(shape_message(&frame.shape));
             self.announced = frame.record;
@@ -349,7 +351,7 @@ impl Drag {
         }
     }
 
-    fn on_drawn(&mut self, drawn: Result<Frame, Problem>, now: Instant) {
+    fn on_drawn(&mut self, drawn: Result<DragFrame, Problem>, now: Instant) {
         match drawn {
             Ok(frame) => {
                 if !same(&self.record, &frame.record) {
@@ -440,7 +442,7 @@ async fn read_long(app: App, key: QueueKey, frames: Arc<Semaphore>, text: Bytes)
     let ticket = loop {
         match app.0.pool.admit(WorkClass::Drag, key).await {
             Ok(ticket) => break ticket,
-            Err(_) => tokio::time::sleep(RETRY).await,
+            Err(_) => tokio::time::sleep(RETRY_PAUSE).await,
         }
     };
     app.0

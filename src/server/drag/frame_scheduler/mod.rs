@@ -26,17 +26,17 @@ use super::send_window::{SendWindow, Window};
 use crate::wire::UnreadHandles;
 
 /// Without a pose for this time, the pointer rests.
-pub const REST: Duration = Duration::from_millis(150);
+pub const POINTER_REST_TIME: Duration = Duration::from_millis(150);
 /// A frame starts this many average drawing times before it is needed.
-const EARLY: f64 = 1.25;
+const EARLY_DRAW_TIMES: f64 = 1.25;
 /// A ready frame is outdated after this many drawing times.
-const OUTDATED: u32 = 2;
+const OUTDATED_DRAW_TIMES: u32 = 2;
 /// A rejected pose is retried after this time.
 const REJECTED_POSE_RETRY: Duration = Duration::from_millis(10);
 
 /// The positions of the handles at a time.
 #[derive(Clone, Debug)]
-pub struct Pose {
+pub struct QueuedPose {
     /// The client's sequence number.
     pub seq: u64,
     /// Posed handles, not yet parsed.
@@ -49,7 +49,7 @@ pub struct Pose {
 #[derive(Clone, Debug)]
 pub struct FrameRequest {
     /// The pose.
-    pub pose: Pose,
+    pub pose: QueuedPose,
     /// The width, px; `None`: the session's width.
     pub width: Option<u32>,
     /// The encoding, if the scheduler chooses it.
@@ -84,10 +84,10 @@ pub struct FrameScheduler<F> {
     pictures: Option<PictureLadder>,
     /// The full width.
     full: u32,
-    waiting: Option<Pose>,
+    waiting: Option<QueuedPose>,
     not_before: Option<Instant>,
     drawing: Option<Drawing>,
-    ready: Option<Ready<F>>,
+    ready: Option<ReadyFrame<F>>,
     /// The frames that the client has not acknowledged, oldest first.
     sent: VecDeque<Sent>,
     /// Number of frames sent.
@@ -97,7 +97,7 @@ pub struct FrameScheduler<F> {
     /// The last frame was sent then, and has this number of bytes.
     last_sent: Option<(Instant, u64)>,
     /// The pose of the last acknowledged frame, if that is a preview.
-    preview: Option<Pose>,
+    preview: Option<QueuedPose>,
     last_pose: Option<Instant>,
     newest_sent: Option<u64>,
     superseded: u64,
@@ -111,7 +111,7 @@ struct Drawing {
 
 /// A frame that waits for an acknowledgement of the previous one.
 #[derive(Debug)]
-struct Ready<F> {
+struct ReadyFrame<F> {
     frame: F,
     bytes: u64,
     request: FrameRequest,
@@ -186,7 +186,7 @@ impl<F> FrameScheduler<F> {
     }
 
     /// A pose arrived.
-    pub fn pose(&mut self, pose: Pose) {
+    pub fn pose(&mut self, pose: QueuedPose) {
         self.last_pose = Some(pose.at);
         if self.waiting.replace(pose).is_some() {
             self.superseded += 1;
@@ -264,9 +264,9 @@ impl<F> FrameScheduler<F> {
         }
     }
 
-    fn is_outdated(&self, ready: &Ready<F>, now: Instant) -> bool {
+    fn is_outdated(&self, ready: &ReadyFrame<F>, now: Instant) -> bool {
         now.saturating_duration_since(ready.since)
-            > OUTDATED * self.previews.draw_time().max(ready.draw_time)
+            > OUTDATED_DRAW_TIMES * self.previews.draw_time().max(ready.draw_time)
     }
 
     /// The frame in progress is ready.
@@ -277,7 +277,7 @@ impl<F> FrameScheduler<F> {
             if let (Some(pictures), Some(encoding)) = (&mut self.pictures, request.encoding) {
                 pictures.drawn(request.width, encoding, bytes, draw_time);
             }
-            self.ready = Some(Ready {
+            self.ready = Some(ReadyFrame {
                 frame,
                 bytes,
                 request,
@@ -332,9 +332,10 @@ impl<F> FrameScheduler<F> {
         }
         let (begin, is_full_quality) = match (&self.waiting, &self.preview) {
             (Some(_), _) => (self.begin(now), false),
-            (None, Some(_)) if self.sent.is_empty() => {
-                (self.last_pose.map_or(now, |last| last + REST), true)
-            }
+            (None, Some(_)) if self.sent.is_empty() => (
+                self.last_pose.map_or(now, |last| last + POINTER_REST_TIME),
+                true,
+            ),
             _ => return Step::Wait(None),
         };
         let begin = self
@@ -373,8 +374,8 @@ impl<F> FrameScheduler<F> {
         Step::Draw(request)
     }
 
-    fn send(&mut self, ready: Ready<F>, now: Instant) -> F {
-        let Ready {
+    fn send(&mut self, ready: ReadyFrame<F>, now: Instant) -> F {
+        let ReadyFrame {
             frame,
             bytes,
             request,
@@ -419,7 +420,7 @@ impl<F> FrameScheduler<F> {
             return now;
         };
         let window = self.frames();
-        let lead = self.previews.draw_time().mul_f64(EARLY);
+        let lead = self.previews.draw_time().mul_f64(EARLY_DRAW_TIMES);
         let mut begin = now;
         if self.sent.len() >= window {
             self.window.is_full();

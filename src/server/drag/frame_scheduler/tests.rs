@@ -6,7 +6,7 @@ const MS: Duration = Duration::from_millis(1);
 
 /// A simulated pointer, server and client, millisecond by millisecond.
 struct World {
-    desk: FrameScheduler<u64>,
+    scheduler: FrameScheduler<u64>,
     start: Instant,
     now: u32,
     make: u32,
@@ -23,10 +23,10 @@ struct World {
 
 impl World {
     fn new(pace: PreviewController, full: u32, make: u32, ack: u32) -> Self {
-        let desk = FrameScheduler::new(pace, None, full, Window::Fixed(1));
+        let scheduler = FrameScheduler::new(pace, None, full, Window::Fixed(1));
         let start = Instant::now();
         Self {
-            desk,
+            scheduler,
             start,
             now: 0,
             make,
@@ -42,7 +42,7 @@ impl World {
     }
 
     fn pose(&mut self, seq: u64) {
-        self.desk.pose(Pose {
+        self.scheduler.pose(QueuedPose {
             seq,
             q: Arc::default(),
             at: self.start + self.now * MS,
@@ -52,17 +52,17 @@ impl World {
     fn tick(&mut self) {
         let now = self.start + self.now * MS;
         if let Some((seq, _)) = self.being_made.take_if(|(_, at)| *at <= self.now) {
-            self.desk.drawn(seq, 1000, now);
+            self.scheduler.drawn(seq, 1000, now);
             self.made += 1;
         }
         if !self.deaf
             && let Some((seq, _)) = self.under_way.take_if(|(_, at)| *at <= self.now)
         {
-            self.desk.ack(seq, now).unwrap();
+            self.scheduler.ack(seq, now).unwrap();
             self.shown.push((seq, self.now, self.is_full_quality));
         }
         loop {
-            match self.desk.next(now) {
+            match self.scheduler.next(now) {
                 Step::Draw(order) => {
                     assert!(self.being_made.is_none(), "one frame is made at a time");
                     self.is_full_quality = order.is_full_quality;
@@ -129,7 +129,7 @@ fn what_keeps_up_shows_every_pose_at_once() {
         "{:?}",
         world.shown
     );
-    assert_eq!(world.desk.take_superseded(), 0);
+    assert_eq!(world.scheduler.take_superseded(), 0);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn what_is_slow_shows_the_newest_and_the_last() {
         assert!(seqs.is_sorted_by(|a, b| a < b), "{seqs:?}");
         assert_eq!(seqs.last(), Some(&299), "make {make}, ack {ack}");
         assert_eq!(
-            world.desk.take_superseded() + seqs.len() as u64,
+            world.scheduler.take_superseded() + seqs.len() as u64,
             300,
             "make {make}, ack {ack}"
         );
@@ -228,38 +228,41 @@ fn a_hand_that_moves_on_gives_up_the_full_frame() {
 #[test]
 fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
     for acknowledged_while_making in [false, true] {
-        let mut desk: FrameScheduler<()> =
+        let mut scheduler: FrameScheduler<()> =
             FrameScheduler::new(PreviewController::fixed(256), None, 512, Window::Fixed(1));
         let start = Instant::now();
-        let pose = |seq| Pose {
+        let pose = |seq| QueuedPose {
             seq,
             q: Arc::default(),
             at: start,
         };
-        desk.pose(pose(1));
-        assert!(matches!(desk.next(start), Step::Draw(_)));
-        desk.drawn((), 1000, start);
-        assert!(matches!(desk.next(start), Step::Send(())));
+        scheduler.pose(pose(1));
+        assert!(matches!(scheduler.next(start), Step::Draw(_)));
+        scheduler.drawn((), 1000, start);
+        assert!(matches!(scheduler.next(start), Step::Send(())));
         if !acknowledged_while_making {
-            desk.ack(1, start).unwrap();
+            scheduler.ack(1, start).unwrap();
         }
-        desk.pose(pose(2));
+        scheduler.pose(pose(2));
         assert!(matches!(
-            desk.next(start + MS),
+            scheduler.next(start + MS),
             Step::Draw(FrameRequest {
                 is_full_quality: false,
                 ..
             })
         ));
         if acknowledged_while_making {
-            desk.ack(1, start + MS).unwrap();
+            scheduler.ack(1, start + MS).unwrap();
         }
-        assert!(desk.failed().is_some());
-        assert!(matches!(desk.next(start + MS), Step::Wait(Some(until)) if until == start + REST));
+        assert!(scheduler.failed().is_some());
         assert!(matches!(
-            desk.next(start + REST),
+            scheduler.next(start + MS),
+            Step::Wait(Some(until)) if until == start + POINTER_REST_TIME
+        ));
+        assert!(matches!(
+            scheduler.next(start + POINTER_REST_TIME),
             Step::Draw(FrameRequest {
-                pose: Pose { seq: 1, .. },
+                pose: QueuedPose { seq: 1, .. },
                 is_full_quality: true,
                 ..
             })
@@ -270,16 +273,16 @@ fn a_pose_that_comes_to_nothing_leaves_the_last_frame_to_be_made_full() {
 #[test]
 fn acknowledgements_are_of_frames_that_were_sent() {
     let mut world = World::new(PreviewController::fixed(512), 512, 2, 3);
-    assert_eq!(world.desk.ack(0, world.start), Err(NotSent));
+    assert_eq!(world.scheduler.ack(0, world.start), Err(NotSent));
     world.pose(5);
     world.rest(10);
     assert_eq!(world.shown.len(), 1);
     let now = world.start + world.now * MS;
     assert_eq!(
         (
-            world.desk.ack(6, now),
-            world.desk.ack(5, now),
-            world.desk.ack(4, now)
+            world.scheduler.ack(6, now),
+            world.scheduler.ack(5, now),
+            world.scheduler.ack(4, now)
         ),
         (Err(NotSent), Ok(()), Ok(()))
     );
@@ -287,41 +290,41 @@ fn acknowledgements_are_of_frames_that_were_sent() {
 
 #[test]
 fn a_pose_that_found_no_room_waits_unless_there_is_a_newer_one() {
-    let mut desk: FrameScheduler<()> =
+    let mut scheduler: FrameScheduler<()> =
         FrameScheduler::new(PreviewController::fixed(512), None, 512, Window::Fixed(1));
     let now = Instant::now();
-    let pose = |seq| Pose {
+    let pose = |seq| QueuedPose {
         seq,
         q: Arc::default(),
         at: now,
     };
-    desk.pose(pose(1));
+    scheduler.pose(pose(1));
     assert!(matches!(
-        desk.next(now),
+        scheduler.next(now),
         Step::Draw(FrameRequest {
-            pose: Pose { seq: 1, .. },
+            pose: QueuedPose { seq: 1, .. },
             ..
         })
     ));
-    desk.rejected(now);
+    scheduler.rejected(now);
     assert!(
-        matches!(desk.next(now), Step::Wait(Some(until)) if until == now + REJECTED_POSE_RETRY)
+        matches!(scheduler.next(now), Step::Wait(Some(until)) if until == now + REJECTED_POSE_RETRY)
     );
     assert!(matches!(
-        desk.next(now + REJECTED_POSE_RETRY),
+        scheduler.next(now + REJECTED_POSE_RETRY),
         Step::Draw(FrameRequest {
-            pose: Pose { seq: 1, .. },
+            pose: QueuedPose { seq: 1, .. },
             ..
         })
     ));
-    desk.pose(pose(2));
-    desk.rejected(now);
+    scheduler.pose(pose(2));
+    scheduler.rejected(now);
     assert!(matches!(
-        desk.next(now + REJECTED_POSE_RETRY),
+        scheduler.next(now + REJECTED_POSE_RETRY),
         Step::Draw(FrameRequest {
-            pose: Pose { seq: 2, .. },
+            pose: QueuedPose { seq: 2, .. },
             ..
         })
     ));
-    assert_eq!(desk.take_superseded(), 1);
+    assert_eq!(scheduler.take_superseded(), 1);
 }

@@ -27,9 +27,9 @@ use signals::Signals;
 
 /// Maximum time for drag sockets to close after the grace, and then for the exporter of traces to
 /// finish.
-const FINISH: Duration = Duration::from_secs(3);
+const FINISH_TIMEOUT: Duration = Duration::from_secs(3);
 /// Maximum time for all of the shutdown after a second signal.
-const HURRY: Duration = Duration::from_secs(1);
+const HURRY_TIMEOUT: Duration = Duration::from_secs(1);
 /// Pause after the operating system has refused another connection.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// Async tasks compute little: a thread serves the tasks of this many workers. More threads wake
@@ -149,17 +149,19 @@ pub async fn serve(
         .await;
         tasks.abort_all();
         // Drag sockets have tasks of their own.
-        let _ = timeout(FINISH, app.sockets_closed()).await;
+        let _ = timeout(FINISH_TIMEOUT, app.sockets_closed()).await;
         if let Some(tracer) = app.tracer() {
-            tracer.shutdown(FINISH).await;
+            tracer.shutdown(FINISH_TIMEOUT).await;
         }
     };
     let hurried = async {
         app.hurrying().await;
-        sleep(HURRY).await;
+        sleep(HURRY_TIMEOUT).await;
     };
     if unless(hurried, draining).await.is_none() {
-        tracing::warn!("second signal to stop: connections that remain after {HURRY:?} are closed");
+        tracing::warn!(
+            "second signal to stop: connections that remain after {HURRY_TIMEOUT:?} are closed"
+        );
     }
     tracing::info!("stopped");
     Ok(())

@@ -14,9 +14,9 @@ use crate::auth::tls::{ServerConfig, TlsFiles};
 use crate::config::KeysConfig;
 
 /// Pause between two looks at the files.
-const PAUSE: Duration = Duration::from_secs(1);
+const POLL_PAUSE: Duration = Duration::from_secs(1);
 /// Permission bits by which other users read and write.
-const OTHERS: u32 = 0o006;
+const OTHER_USERS_BITS: u32 = 0o006;
 
 /// Modification time and size of a file.
 type Stamp = Option<(SystemTime, u64)>;
@@ -49,7 +49,9 @@ impl Reloader {
             None => std::future::pending().await,
         };
         loop {
-            let is_forced = unless(hung_up(), tokio::time::sleep(PAUSE)).await.is_none();
+            let is_forced = unless(hung_up(), tokio::time::sleep(POLL_PAUSE))
+                .await
+                .is_none();
             // A file system may block. The task fails only when the runtime ends.
             self = match tokio::task::spawn_blocking(move || self.check(is_forced)).await {
                 Ok(reloader) => reloader,
@@ -68,7 +70,7 @@ impl Reloader {
             .filter_map(|keys| keys.file.as_ref())
             .chain(key)
         {
-            if let Some(mode) = mode(path).filter(|mode| mode & OTHERS != 0) {
+            if let Some(mode) = mode(path).filter(|mode| mode & OTHER_USERS_BITS != 0) {
                 let path = path.display();
                 tracing::warn!(
                     "other users can read or write {path} (mode {mode:03o}), which holds secrets: \

@@ -40,7 +40,7 @@ const HTTP1_HEAD: usize = 64 << 10;
 /// Maximum size of an HTTP/2 header list; h2 rejects a larger one.
 const HTTP2_HEAD: u32 = 16 << 10;
 /// Maximum number of open streams of one HTTP/2 connection.
-const STREAMS: u32 = 64;
+const MAX_STREAMS: u32 = 64;
 /// Streams that the client has reset and that are not accepted yet; one more ends the connection
 /// (CVE-2023-44487).
 const PENDING_RESETS: usize = 20;
@@ -231,7 +231,7 @@ impl Connections {
         let mut builder = http2::Builder::new(streams.clone());
         builder
             .timer(TokioTimer::new())
-            .max_concurrent_streams(STREAMS)
+            .max_concurrent_streams(MAX_STREAMS)
             .max_pending_accept_reset_streams(PENDING_RESETS)
             .max_local_error_reset_streams(LOCAL_RESETS)
             .max_header_list_size(HTTP2_HEAD)

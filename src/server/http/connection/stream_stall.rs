@@ -17,17 +17,17 @@ use tokio::time::{Sleep, sleep};
 use super::turns::AddressTurns;
 
 /// Maximum size of a piece: a DATA frame of the size that every client accepts.
-const PIECE: usize = 16 << 10;
+const MAX_PIECE_BYTES: usize = 16 << 10;
 
 tokio::task_local! {
     /// The stream of the current task.
-    static CURRENT: Arc<Progress>;
+    static CURRENT: Arc<StreamProgress>;
 }
 
 /// When hyper took the last piece of a stream, if it has not asked for another one since.
-type Progress = Mutex<Option<Instant>>;
+type StreamProgress = Mutex<Option<Instant>>;
 
-fn lock(progress: &Progress) -> MutexGuard<'_, Option<Instant>> {
+fn lock(progress: &StreamProgress) -> MutexGuard<'_, Option<Instant>> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -66,7 +66,7 @@ impl Streams {
 impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
     fn execute(&self, stream: F) {
         self.open.send_modify(|open| *open += 1);
-        let progress = Arc::<Progress>::default();
+        let progress = Arc::<StreamProgress>::default();
         let (open, timeout) = (self.open.clone(), self.timeout);
         let stream = StreamStallTimeout {
             stream: Box::pin(stream),
@@ -86,7 +86,7 @@ impl<F: Future<Output = ()> + Send + 'static> Executor<F> for Streams {
 /// A stream until it ends or stalls. hyper resets a stream that is dropped.
 struct StreamStallTimeout<F> {
     stream: Pin<Box<F>>,
-    progress: Arc<Progress>,
+    progress: Arc<StreamProgress>,
     deadline: Option<Pin<Box<Sleep>>>,
     timeout: Duration,
     open: watch::Sender<usize>,
@@ -144,7 +144,7 @@ pub(crate) fn with_stall_timeout(body: Body) -> Body {
 
 struct PiecewiseBody {
     body: Body,
-    progress: Arc<Progress>,
+    progress: Arc<StreamProgress>,
     rest: Bytes,
 }
 
@@ -167,7 +167,7 @@ impl HttpBody for PiecewiseBody {
                 ended => return Poll::Ready(ended),
             }
         }
-        let piece = this.rest.split_to(this.rest.len().min(PIECE));
+        let piece = this.rest.split_to(this.rest.len().min(MAX_PIECE_BYTES));
         *lock(&this.progress) = Some(Instant::now());
         Poll::Ready(Some(Ok(Frame::data(piece))))
     }

@@ -19,12 +19,12 @@ use crate::limits::connections::ConnectionPermit;
 /// Mbit/s over 40 ms.
 const SEND_BUFFER: usize = 512 << 10;
 /// Maximum size of a write.
-const PIECE: usize = 64 << 10;
+const MAX_WRITE_BYTES: usize = 64 << 10;
 /// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at
 /// most.
-const UNIT: usize = 1 << 10;
+const BYTES_PER_BUDGET_UNIT: usize = 1 << 10;
 /// How often a blocked write is tried again within the write timeout.
-const RETRIES: u32 = 8;
+const WRITE_RETRIES: u32 = 8;
 
 /// A connection, plain or encrypted.
 pub(crate) type Transport = Either<WriteTimeoutStream, Box<TlsStream<WriteTimeoutStream>>>;
@@ -83,7 +83,7 @@ impl WriteTimeoutStream {
         let Some(timeout) = self.timeout else {
             return Poll::Pending;
         };
-        let pause = timeout / RETRIES;
+        let pause = timeout / WRITE_RETRIES;
         let blocked = self.blocked.get_or_insert_with(|| Blocked {
             since: Instant::now(),
             retry: Box::pin(sleep(pause)),
@@ -130,7 +130,7 @@ impl AsyncRead for WriteTimeoutStream {
 /// Takes the moved bytes from the budget of this poll. When it is used up, the socket is not ready
 /// before the next one.
 fn charge(cx: &mut Context<'_>, bytes: usize) {
-    for _ in 0..bytes / UNIT {
+    for _ in 0..bytes / BYTES_PER_BUDGET_UNIT {
         if !coop::has_budget_remaining() {
             return;
         }
@@ -140,14 +140,14 @@ fn charge(cx: &mut Context<'_>, bytes: usize) {
     }
 }
 
-/// As many of the slices as have [`PIECE`] bytes together; the first one that is not empty in any
-/// case.
+/// As many of the slices as have [`MAX_WRITE_BYTES`] bytes together; the first one that is not
+/// empty in any case.
 fn piece<'s, 'b>(slices: &'s [IoSlice<'b>]) -> &'s [IoSlice<'b>] {
     let slices = &slices[slices.iter().take_while(|slice| slice.is_empty()).count()..];
     let mut bytes = 0;
     let fits = |slice: &&IoSlice<'_>| {
         bytes += slice.len();
-        bytes <= PIECE
+        bytes <= MAX_WRITE_BYTES
     };
     &slices[..slices
         .iter()
@@ -174,7 +174,9 @@ impl AsyncWrite for WriteTimeoutStream {
         // The turn is over, which says nothing of the client.
         drop(ready!(coop::poll_proceed(cx)));
         let slices = piece(slices);
-        let first = slices.first().map(|first| &first[..first.len().min(PIECE)]);
+        let first = slices
+            .first()
+            .map(|first| &first[..first.len().min(MAX_WRITE_BYTES)]);
         let written = match (slices, first) {
             ([_], Some(first)) => Pin::new(&mut self.socket).poll_write(cx, first),
             _ => Pin::new(&mut self.socket).poll_write_vectored(cx, slices),

@@ -2,10 +2,10 @@
 //! get no more time than those of another one, however many connections and streams it has.
 //!
 //! Time is divided into rounds. In each round the tasks of an address are polled until they have
-//! used [`TURN`]; others of them wait for the next round, in the order in which they became ready.
-//! A round lasts as long as the runtime needs for everything that is ready, so an address that is
-//! alone gets all of the time. Half of the time that passes is forgiven, so that a client that asks
-//! for one thing after another seldom waits for a round.
+//! used [`TURN_TIME`]; others of them wait for the next round, in the order in which they became
+//! ready. A round lasts as long as the runtime needs for everything that is ready, so an address
+//! that is alone gets all of the time. Half of the time that passes is forgiven, so that a client
+//! that asks for one thing after another seldom waits for a round.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::IpAddr;
@@ -18,9 +18,9 @@ use std::time::{Duration, Instant};
 use crate::client::Tenant;
 
 /// Time of an address in a round. The poll that exceeds it is finished.
-const TURN: Duration = Duration::from_micros(100);
+const TURN_TIME: Duration = Duration::from_micros(100);
 /// Number of addresses from which those without a task are removed.
-const MANY: usize = 1024;
+const MANY_ADDRESSES: usize = 1024;
 
 /// The turns of all addresses. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -30,24 +30,24 @@ pub(crate) struct Turns(Arc<Rounds>);
 struct Rounds {
     /// The number of the round.
     round: AtomicU64,
-    addresses: Mutex<HashMap<Tenant, Weak<Address>>>,
+    addresses: Mutex<HashMap<Tenant, Weak<AddressQueue>>>,
     next: Mutex<NextRound>,
 }
 
 #[derive(Debug, Default)]
 struct NextRound {
     /// Addresses with tasks that wait for it.
-    addresses: Vec<Arc<Address>>,
+    addresses: Vec<Arc<AddressQueue>>,
     /// Whether a task begins rounds.
     is_begun: bool,
 }
 
 /// The turns of one address. Clones share them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct AddressTurns(Arc<Address>);
+pub(crate) struct AddressTurns(Arc<AddressQueue>);
 
 #[derive(Debug, Default)]
-struct Address {
+struct AddressQueue {
     rounds: Arc<Rounds>,
     state: Mutex<State>,
 }
@@ -77,12 +77,12 @@ impl Turns {
     /// The turns of an address: an IPv4 address, or a /64 of IPv6.
     pub(crate) fn of(&self, address: IpAddr) -> AddressTurns {
         let mut addresses = lock(&self.0.addresses);
-        if addresses.len() >= MANY && addresses.len().is_power_of_two() {
+        if addresses.len() >= MANY_ADDRESSES && addresses.len().is_power_of_two() {
             addresses.retain(|_, known| known.strong_count() > 0);
         }
         let known = addresses.entry(Tenant::of_address(address)).or_default();
         AddressTurns(known.upgrade().unwrap_or_else(|| {
-            let new = Arc::new(Address {
+            let new = Arc::new(AddressQueue {
                 rounds: Arc::clone(&self.0),
                 state: Mutex::default(),
             });
@@ -111,7 +111,7 @@ impl Rounds {
     }
 }
 
-impl Address {
+impl AddressQueue {
     /// The state in this round.
     fn now(&self) -> MutexGuard<'_, State> {
         let (mut state, round) = (lock(&self.state), self.rounds.round.load(Ordering::Relaxed));
@@ -137,7 +137,7 @@ impl Address {
         let mut state = self.now();
         if state.waiting.is_empty() {
             state.forgive();
-            if state.used < TURN {
+            if state.used < TURN_TIME {
                 return None;
             }
         }
@@ -159,7 +159,7 @@ impl Address {
     fn used(&self, time: Duration) {
         let mut state = self.now();
         state.used += time;
-        let next = if state.used < TURN {
+        let next = if state.used < TURN_TIME {
             state.next()
         } else {
             None
@@ -212,7 +212,7 @@ pub(crate) struct RequestTurns {
 /// A future that waits for a turn before it is polled.
 struct InTurn<F> {
     future: Pin<Box<F>>,
-    address: Arc<Address>,
+    address: Arc<AddressQueue>,
     place: Option<Arc<Place>>,
 }
 
@@ -300,7 +300,7 @@ mod tests {
 
     #[tokio::test]
     async fn many_tasks_of_an_address_get_no_more_than_one_of_another() {
-        let (few, many) = (beside(1, TURN).await, beside(300, TURN).await);
+        let (few, many) = (beside(1, TURN_TIME).await, beside(300, TURN_TIME).await);
         eprintln!("polls beside 100 of another address: {few} of one task, {many} of 300");
         assert!(many <= 3 * few.max(100), "{many} polls beside 100");
     }
@@ -316,7 +316,7 @@ mod tests {
                 tokio::spawn(
                     turns
                         .of(address(1))
-                        .take(async move { busy(TURN / 5, &polls, &is_over).await }),
+                        .take(async move { busy(TURN_TIME / 5, &polls, &is_over).await }),
                 )
             })
             .collect();
@@ -366,7 +366,7 @@ mod tests {
         for n in 0..5000_u32 {
             let _ = turns.of(IpAddr::V4(n.into()));
         }
-        assert!(lock(&turns.0.addresses).len() <= 2 * MANY);
+        assert!(lock(&turns.0.addresses).len() <= 2 * MANY_ADDRESSES);
         assert!(Arc::ptr_eq(&kept.0, &turns.of(address(1)).0));
     }
 }

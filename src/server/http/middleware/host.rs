@@ -10,13 +10,13 @@ use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
 /// Health checks send any host, and the responses hold no user data.
-const EXEMPT: [&str; 2] = ["/healthz", "/readyz"];
+const EXEMPT_PATHS: [&str; 2] = ["/healthz", "/readyz"];
 
 /// Checks the host. `served`: the hosts that the listener serves; none: any host.
 /// Errors: [`Code::MalformedRequest`], [`Code::Misdirected`].
 pub(crate) fn check(request: &Request, served: Option<&Hosts>) -> Result<(), Problem> {
     let host = host(request)?;
-    let Some(served) = served.filter(|_| !EXEMPT.contains(&request.uri().path())) else {
+    let Some(served) = served.filter(|_| !EXEMPT_PATHS.contains(&request.uri().path())) else {
         return Ok(());
     };
     if host.as_ref().is_some_and(|host| served.allow(host)) {

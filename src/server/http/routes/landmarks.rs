@@ -9,7 +9,7 @@ use crate::http::headers::query_fields;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::json_text;
 use crate::http::{body, upload};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, extent};
 
@@ -31,7 +31,7 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
         let file = body::raw(
             &caller,
             request,
-            Purpose::Upload,
+            MemoryClass::Upload,
             "body_bytes",
             caller.app.config().max_body_bytes,
         )

@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::json;
 
-use crate::app::{App, Ready};
+use crate::app::{App, Readiness};
 use crate::http::assets::Asset;
 use crate::http::response;
 use crate::problem::Problem;
@@ -24,8 +24,8 @@ pub(crate) async fn healthz() -> Response {
 /// reachable, and while the server stops.
 pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
     let store = match app.ready().await? {
-        Ready::Whole => "available",
-        Ready::WithoutStore => "unavailable",
+        Readiness::Whole => "available",
+        Readiness::WithoutStore => "unavailable",
     };
     Ok(response::json(&json!({"status": "ready", "store": store})))
 }

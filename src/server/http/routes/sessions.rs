@@ -11,7 +11,7 @@ use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::{json_head, session, with_method};
 use crate::http::upload;
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
@@ -55,7 +55,7 @@ pub(crate) async fn handles(
     let id = session_id(*client, &id)?;
     let target = Target::Session(app.peek_session(id).await?.record.extent);
     let limit = ("warp_json_bytes", app.config().max_warp_json_bytes);
-    let body = upload::json_or_form(&caller, request, Purpose::Upload, limit, target).await?;
+    let body = upload::json_or_form(&caller, request, MemoryClass::Upload, limit, target).await?;
     let (shown, method) = app.replace_handles(*client, id, body).await?;
     Ok(with_method(session(shown), method))
 }

@@ -14,7 +14,7 @@ use crate::http::middleware::authentication::Caller;
 use crate::http::response::{picture, takes_trailers, with_method};
 use crate::http::upload::{json_or_form, pose_of};
 use crate::http::{accept, upload};
-use crate::limits::memory::Purpose;
+use crate::limits::memory::MemoryClass;
 use crate::problem::Problem;
 use crate::session::SessionId;
 use crate::wire::DragObject;
@@ -48,7 +48,7 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, P
 }
 
 /// A picture of a session, by `q` alone.
-pub(crate) async fn drag(
+pub(crate) async fn session_warp(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
@@ -75,7 +75,7 @@ pub(super) async fn read_drag(
 ) -> Result<Held<DragObject>, Problem> {
     let record = caller.app.peek_session(id).await?.record;
     let limit = ("drag_json_bytes", drag_limit(columns(&record)));
-    let body = json_or_form(caller, request, Purpose::Frame, limit, pose_of(&record)).await?;
+    let body = json_or_form(caller, request, MemoryClass::Frame, limit, pose_of(&record)).await?;
     caller
         .app
         .read_drag(caller.client, &record, body, route)

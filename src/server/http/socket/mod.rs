@@ -30,10 +30,10 @@ use crate::problem::{Code, Problem};
 use websocket::{Ending, Event, WebSocketConnection};
 
 /// Messages per second that a client may send, and in one burst: enough for a pointer at 1000 Hz.
-const MESSAGES: (f64, f64) = (1000.0, 2000.0);
+const MESSAGE_RATE_AND_BURST: (f64, f64) = (1000.0, 2000.0);
 
 /// Opens the socket.
-pub(crate) async fn drag(
+pub(crate) async fn drag_socket(
     Caller { app, client }: Caller,
     Path(id): Path<String>,
     mut request: Request,
@@ -104,7 +104,7 @@ async fn exchange(
 ) -> Ending {
     let mut heard = Instant::now();
     let mut pinged = None;
-    let mut bucket = Bucket::new(MESSAGES.0, MESSAGES.1, heard);
+    let mut bucket = Bucket::new(MESSAGE_RATE_AND_BURST.0, MESSAGE_RATE_AND_BURST.1, heard);
     let (mut stopping, mut revoked) =
         (pin!(app.stopping()), pin!(app.access().revoked(credential)));
     loop {

@@ -6,14 +6,14 @@ use std::str::FromStr;
 
 use mlswarp::codec::Format;
 
-use crate::app::drag_socket::{DragOptions, Form, MAX_WINDOW, PreviewWidth, Window};
+use crate::app::drag_socket::{DragOptions, FrameContent, MAX_WINDOW, PreviewWidth, Window};
 use crate::http::headers::{bad_query_value, query_bool, query_fields};
 use crate::problem::{Code, Problem};
 
 /// Accepted tolerances of compact meshes, px.
-const TOLERANCES: RangeInclusive<f64> = 0.1..=16.0;
+const TOLERANCE_RANGE_PX: RangeInclusive<f64> = 0.1..=16.0;
 /// The tolerance if the query has none, px.
-const TOLERANCE: f64 = 0.5;
+const DEFAULT_TOLERANCE_PX: f64 = 0.5;
 
 /// Reads
 /// `?frames=auto|png|jpeg|webp|tiff|mesh&mesh=f32|compact&tolerance=PX&width=auto|N&window=auto|N`
@@ -25,7 +25,7 @@ pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions,
         ["frames", "mesh", "tolerance", "width", "window", "report"],
     )?;
     let form = match (mesh, frames) {
-        (None, None) => Form::Picture(None),
+        (None, None) => FrameContent::Picture(None),
         (None, Some(frames)) => frames_of(frames)?,
         (Some(mesh), frames) => mesh_of(mesh, frames.map(frames_of).transpose()?)?,
     };
@@ -45,38 +45,38 @@ pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions,
     Ok(options)
 }
 
-fn frames_of(name: &str) -> Result<Form, Problem> {
+fn frames_of(name: &str) -> Result<FrameContent, Problem> {
     const FORMS: &str = "`auto`, `png`, `jpeg`, `webp`, `tiff`, `mesh`";
     match name {
-        "mesh" => Ok(Form::Mesh),
-        "auto" => Ok(Form::Auto),
+        "mesh" => Ok(FrameContent::Mesh),
+        "auto" => Ok(FrameContent::Auto),
         _ => {
             let format = Format::ALL
                 .into_iter()
                 .find(|format| format.media_type().strip_prefix("image/") == Some(name));
             format
-                .map(|format| Form::Picture(Some(format)))
+                .map(|format| FrameContent::Picture(Some(format)))
                 .ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
         }
     }
 }
 
 /// `mesh` implies meshes as frames.
-fn mesh_of(value: &str, frames: Option<Form>) -> Result<Form, Problem> {
-    if frames.is_some_and(|frames| frames != Form::Mesh) {
+fn mesh_of(value: &str, frames: Option<FrameContent>) -> Result<FrameContent, Problem> {
+    if frames.is_some_and(|frames| frames != FrameContent::Mesh) {
         let detail =
             "`mesh` in the query needs meshes as frames: send `frames=mesh`, or remove `mesh`";
         return Err(Problem::new(Code::BadValue, detail));
     }
     match value {
-        "f32" => Ok(Form::Mesh),
-        "compact" => Ok(Form::CompactMesh(TOLERANCE)),
+        "f32" => Ok(FrameContent::Mesh),
+        "compact" => Ok(FrameContent::CompactMesh(DEFAULT_TOLERANCE_PX)),
         _ => Err(bad_query_value("mesh", value, "`f32` or `compact`")),
     }
 }
 
-fn with_tolerance(form: Form, value: &str) -> Result<Form, Problem> {
-    let Form::CompactMesh(_) = form else {
+fn with_tolerance(form: FrameContent, value: &str) -> Result<FrameContent, Problem> {
+    let FrameContent::CompactMesh(_) = form else {
         let detail = "`tolerance` in the query needs compact meshes: add `mesh=compact`, or \
             remove `tolerance`";
         return Err(Problem::new(Code::BadValue, detail));
@@ -84,13 +84,16 @@ fn with_tolerance(form: Form, value: &str) -> Result<Form, Problem> {
     let expected = || {
         format!(
             "a number of px, {} to {}",
-            TOLERANCES.start(),
-            TOLERANCES.end()
+            TOLERANCE_RANGE_PX.start(),
+            TOLERANCE_RANGE_PX.end()
         )
     };
-    let tolerance = value.parse().ok().filter(|px| TOLERANCES.contains(px));
+    let tolerance = value
+        .parse()
+        .ok()
+        .filter(|px| TOLERANCE_RANGE_PX.contains(px));
     tolerance
-        .map(Form::CompactMesh)
+        .map(FrameContent::CompactMesh)
         .ok_or_else(|| bad_query_value("tolerance", value, &expected()))
 }
 
@@ -123,7 +126,7 @@ mod tests {
     fn the_query_says_what_frames_are() {
         let read = |query: &str| options(Some(query), 16384);
         let usual = DragOptions {
-            form: Form::Picture(None),
+            form: FrameContent::Picture(None),
             width: PreviewWidth::Auto,
             report: false,
             window: Window::Auto,
@@ -148,24 +151,27 @@ mod tests {
         assert_eq!(
             read("frames=auto"),
             Ok(DragOptions {
-                form: Form::Auto,
+                form: FrameContent::Auto,
                 ..usual
             })
         );
         for (query, form) in [
-            ("frames=mesh", Form::Mesh),
-            ("mesh=f32", Form::Mesh),
-            ("frames=mesh&mesh=f32", Form::Mesh),
-            ("mesh=compact", Form::CompactMesh(0.5)),
+            ("frames=mesh", FrameContent::Mesh),
+            ("mesh=f32", FrameContent::Mesh),
+            ("frames=mesh&mesh=f32", FrameContent::Mesh),
+            ("mesh=compact", FrameContent::CompactMesh(0.5)),
             (
                 "frames=mesh&mesh=compact&tolerance=2",
-                Form::CompactMesh(2.0),
+                FrameContent::CompactMesh(2.0),
             ),
             (
                 "tolerance=0.1&frames=mesh&mesh=compact",
-                Form::CompactMesh(0.1),
+                FrameContent::CompactMesh(0.1),
             ),
-            ("mesh=compact&tolerance=1.6e1", Form::CompactMesh(16.0)),
+            (
+                "mesh=compact&tolerance=1.6e1",
+                FrameContent::CompactMesh(16.0),
+            ),
         ] {
             assert_eq!(read(query), Ok(DragOptions { form, ..usual }), "{query}");
         }
@@ -178,7 +184,7 @@ mod tests {
             assert_eq!(
                 read(&format!("frames={name}")),
                 Ok(DragOptions {
-                    form: Form::Picture(Some(format)),
+                    form: FrameContent::Picture(Some(format)),
                     ..usual
                 })
             );

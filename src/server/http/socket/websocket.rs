@@ -23,7 +23,7 @@ use tokio_util::io::InspectReader;
 use crate::http::connection::transport::Transport;
 
 /// Maximum size of a fragment, which is the buffer that a picture is copied through.
-const FRAGMENT: usize = 64 << 10;
+const MAX_FRAGMENT_BYTES: usize = 64 << 10;
 /// Smaller writes are collected.
 const WRITE_BUFFER: usize = 16 << 10;
 /// Bytes that the frame heads of a message may add to it: hundreds of fragments.
@@ -85,7 +85,7 @@ impl WebSocketConnection {
             .read_buffer_size(READ_BUFFER)
             .write_buffer_size(WRITE_BUFFER)
             // One fragment is written when the buffer is below its size; pongs come on top.
-            .max_write_buffer_size(2 * (WRITE_BUFFER + FRAGMENT))
+            .max_write_buffer_size(2 * (WRITE_BUFFER + MAX_FRAGMENT_BYTES))
             .max_message_size(Some(max_message))
             .max_frame_size(Some(max_message));
         let unread = Arc::new(AtomicUsize::new(0));
@@ -129,7 +129,7 @@ impl WebSocketConnection {
     pub(crate) fn send_binary(&mut self, head: Bytes, pieces: Vec<Bytes>) {
         let fragments = pieces.into_iter().flat_map(|mut piece| {
             std::iter::from_fn(move || {
-                (!piece.is_empty()).then(|| piece.split_to(piece.len().min(FRAGMENT)))
+                (!piece.is_empty()).then(|| piece.split_to(piece.len().min(MAX_FRAGMENT_BYTES)))
             })
         });
         let mut fragments = std::iter::once(head).chain(fragments).peekable();

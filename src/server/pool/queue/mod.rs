@@ -10,8 +10,8 @@
 //! 3. Within a key: the newest request of a session, because its user wants to see the newest pose;
 //!    otherwise the oldest.
 //!
-//! There is one permit ([`SPARE`]) more than workers, for a client that holds none. A long job
-//! gives way between parts of its work ([`FairQueue::gives_way`]): it returns its permit when
+//! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none. A long
+//! job gives way between parts of its work ([`FairQueue::gives_way`]): it returns its permit when
 //! another client that has used less waits for one, and is next when that is no longer so. So what
 //! a client holds shrinks while others wait, and long requests of any number of clients delay a
 //! short one of another by a part of their work only.
@@ -29,13 +29,13 @@ use crate::client::{Client, Tenant};
 use crate::session::SessionId;
 
 /// Permits beyond the number of workers.
-pub(crate) const SPARE: usize = 1;
+pub(crate) const SPARE_PERMITS: usize = 1;
 /// Seconds after which worker time counts half.
 const HALF_LIFE: f64 = 10.0;
 /// A client without requests that has used fewer seconds is forgotten.
-const NEGLIGIBLE: f64 = 0.01;
+const NEGLIGIBLE_SECONDS: f64 = 0.01;
 /// Above this many clients, those with negligible use are removed.
-const MANY: usize = 1024;
+const MANY_CLIENTS: usize = 1024;
 /// Most jobs that have given way. Each keeps its memory and a sleeping thread.
 pub(super) const MOST_PAUSED: usize = 64;
 
@@ -149,12 +149,12 @@ impl Usage {
     }
 
     fn is_negligible(&self, now: Instant) -> bool {
-        self.waiting == 0 && self.running == 0 && self.used(now) < NEGLIGIBLE
+        self.waiting == 0 && self.running == 0 && self.used(now) < NEGLIGIBLE_SECONDS
     }
 }
 
 impl<W> FairQueue<W> {
-    /// `permits` requests and [`SPARE`] run at one time; `max_waiting` wait.
+    /// `permits` requests and [`SPARE_PERMITS`] run at one time; `max_waiting` wait.
     pub(crate) fn new(permits: usize, max_waiting: usize) -> Self {
         let (waiters, usage, order) = (HashMap::new(), HashMap::new(), VecDeque::new());
         Self {
@@ -231,7 +231,7 @@ impl<W> FairQueue<W> {
                 .get(&tenant)
                 .is_none_or(|usage| usage.running == 0)
         };
-        running < self.permits || (running < self.permits + SPARE && has_none())
+        running < self.permits || (running < self.permits + SPARE_PERMITS && has_none())
     }
 
     /// The client with the least is next: recently used worker time, running requests.
@@ -242,7 +242,7 @@ impl<W> FairQueue<W> {
     }
 
     fn usage(&mut self, tenant: Tenant, now: Instant) -> &mut Usage {
-        if self.usage.len() >= MANY && self.usage.len().is_power_of_two() {
+        if self.usage.len() >= MANY_CLIENTS && self.usage.len().is_power_of_two() {
             self.usage.retain(|_, usage| !usage.is_negligible(now));
         }
         self.usage.entry(tenant).or_insert_with(|| Usage::new(now))
@@ -334,7 +334,7 @@ impl<W> FairQueue<W> {
     pub(crate) fn gives_way(&self, tenant: Tenant, now: Instant) -> bool {
         let (used, _) = self.rank(tenant, now);
         // More run than permits allow if jobs have waited too long; then it helps to run less.
-        let is_excess = self.running > self.permits + SPARE;
+        let is_excess = self.running > self.permits + SPARE_PERMITS;
         let would_run =
             |other| is_excess || self.may_run_beside(self.running.saturating_sub(1), other);
         let mut others = self

@@ -177,7 +177,7 @@ fn one_client_has_every_turn_and_another_gets_the_spare_one() {
         runs(&mut queue, 2),
         "another client does not wait for the end of those"
     );
-    assert!(!runs(&mut queue, 3) && queue.running() == 2 + SPARE);
+    assert!(!runs(&mut queue, 3) && queue.running() == 2 + SPARE_PERMITS);
     // The spare turn is free: of those who wait only client 3 has none.
     queue.end(at(2).tenant(), now);
     assert_eq!(queue.next(now), Some((at(3).tenant(), 3)));
@@ -306,7 +306,7 @@ fn beside(attackers: u8, cost: u32) -> Vec<u32> {
             });
             running.push(resumed.unwrap_or_else(|| job(u8::try_from(waiter).unwrap())));
         }
-        assert!(running.len() <= PERMITS + SPARE && queue.paused() == paused.len());
+        assert!(running.len() <= PERMITS + SPARE_PERMITS && queue.paused() == paused.len());
     }
     took
 }
@@ -417,7 +417,7 @@ fn what_was_used_is_forgotten_and_so_are_clients() {
         let now = later + step * n;
         queue.arrive(QueueKey::client(address), now, 0);
         queue.end(address.tenant(), now + step);
-        assert!(queue.usage.len() <= 2 * MANY);
+        assert!(queue.usage.len() <= 2 * MANY_CLIENTS);
     }
 }
 
@@ -475,11 +475,11 @@ proptest! {
             }
             prop_assert_eq!((queue.running(), queue.waiting(), queue.paused()),
                 (running.len(), waiting.len(), paused.len()));
-            prop_assert!(running.len() <= permits + SPARE && waiting.len() <= most);
+            prop_assert!(running.len() <= permits + SPARE_PERMITS && waiting.len() <= most);
             let running_of = |tenant: Tenant| running.iter().filter(
                 |other| **other == tenant).count();
             for (key, ..) in &waiting {
-                prop_assert!(running.len() >= permits && (running.len() == permits + SPARE
+                prop_assert!(running.len() >= permits && (running.len() == permits + SPARE_PERMITS
                     || running_of(key.tenant) > 0));
             }
             let sum = |of: fn(&Usage) -> usize| queue.usage.values().map(of).sum::<usize>();

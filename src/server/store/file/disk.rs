@@ -31,15 +31,15 @@ const NUMBERS: TableDefinition<'static, [u8; 32], u64> = TableDefinition::new("n
 /// Digest of a file and number of a piece to that piece.
 const PIECES: TableDefinition<'static, ([u8; 32], u32), &[u8]> = TableDefinition::new("pieces");
 /// Bytes of a piece: with its key and the page header it fills a page of 64 KiB.
-pub(crate) const PIECE: usize = (64 << 10) - 128;
+pub(crate) const PIECE_BYTES: usize = (64 << 10) - 128;
 /// Memory for the database's pages, bytes.
 const PAGE_CACHE: usize = 16 << 20;
 /// The first bytes of every database.
 const MAGIC: &[u8; 4] = b"redb";
 /// Pause between attempts to open a database that has failed.
-const PAUSE: Duration = Duration::from_secs(1);
+const REOPEN_PAUSE: Duration = Duration::from_secs(1);
 /// The file is compacted when it is larger than this and twice its content.
-pub(crate) const SLACK: u64 = 16 << 20;
+pub(crate) const COMPACTION_BYTES: u64 = 16 << 20;
 
 /// The tables, within one transaction.
 pub(crate) struct Change<'t> {
@@ -58,7 +58,7 @@ impl<'t> Change<'t> {
     }
 
     pub(crate) fn add_file(&mut self, digest: Digest, bytes: &[u8]) -> Result<(), redb::Error> {
-        for (number, piece) in (0..).zip(bytes.chunks(PIECE)) {
+        for (number, piece) in (0..).zip(bytes.chunks(PIECE_BYTES)) {
             self.pieces.insert((digest.0, number), piece)?;
         }
         Ok(())
@@ -203,7 +203,7 @@ impl Disk {
         if state.database.is_some() {
             return Ok(false);
         }
-        if state.tried.elapsed() < PAUSE {
+        if state.tried.elapsed() < REOPEN_PAUSE {
             return Err(StoreError::Away);
         }
         state.tried = Instant::now();
@@ -278,7 +278,7 @@ impl Disk {
                 .map_err(|e| self.not_opened(&e.to_string()))
         };
         let before = size()?;
-        if before < 2 * content + SLACK {
+        if before < 2 * content + COMPACTION_BYTES {
             return Ok(());
         }
         let mut state = self.lock();

@@ -28,7 +28,8 @@ use super::index::{Index, PutOutcome};
 use super::record;
 use super::record::Unreadable;
 use super::{
-    Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError, known,
+    NamedFile, NotOpened, Put, Record, Session, Store, StoreError, StoreFuture, StoreLimits,
+    StoreStats, ready,
 };
 use crate::client::Owner;
 use crate::observe::Scope;
@@ -46,7 +47,7 @@ type Numbers = HashMap<SessionId, u64>;
 pub struct FileStore(Arc<FileStoreState>);
 
 struct FileStoreState {
-    bounds: Bounds,
+    bounds: StoreLimits,
     index: Mutex<Index>,
     /// Locked from the check of a change until the index has it: one change at a time.
     written: Mutex<Numbers>,
@@ -65,9 +66,9 @@ impl FileStore {
     /// Opens the file, or creates it. Damaged records are logged and left out. Errors: The file
     /// cannot be opened, is not a session file, is damaged beyond reading, or is open in another
     /// process.
-    pub fn open(path: &Path, bounds: Bounds) -> Result<Self, NotOpened> {
+    pub fn open(path: &Path, bounds: StoreLimits) -> Result<Self, NotOpened> {
         let store = Self::on(Disk::open(path)?, bounds)?;
-        let Figures {
+        let StoreStats {
             sessions,
             bytes,
             damaged,
@@ -78,7 +79,7 @@ impl FileStore {
         Ok(store)
     }
 
-    fn on(disk: Disk, bounds: Bounds) -> Result<Self, NotOpened> {
+    fn on(disk: Disk, bounds: StoreLimits) -> Result<Self, NotOpened> {
         let not_opened = disk.not_opened("it cannot be read; the log has more");
         let state = FileStoreState {
             bounds,
@@ -95,7 +96,7 @@ impl FileStore {
     }
 
     #[cfg(test)]
-    fn over(disk: impl redb::StorageBackend, bounds: Bounds) -> Result<Self, NotOpened> {
+    fn over(disk: impl redb::StorageBackend, bounds: StoreLimits) -> Result<Self, NotOpened> {
         Self::on(Disk::over(disk)?, bounds)
     }
 
@@ -103,7 +104,7 @@ impl FileStore {
     fn blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&FileStoreState) -> Result<T, StoreError> + Send + 'static,
-    ) -> Answer<'_, T> {
+    ) -> StoreFuture<'_, T> {
         let (state, scope) = (Arc::clone(&self.0), Scope::current());
         let task = tokio::task::spawn_blocking(move || scope.enter(|| work(&state)));
         Box::pin(async move { task.await.unwrap_or(Err(StoreError::Away)) })
@@ -400,7 +401,7 @@ fn checked_files(
 }
 
 impl Store for FileStore {
-    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put> {
         self.blocking(move |state| state.put(record, &files))
     }
 
@@ -409,24 +410,24 @@ impl Store for FileStore {
         old: Revision,
         new: Arc<Record>,
         layer: Option<NamedFile>,
-    ) -> Answer<'_, Option<Session>> {
+    ) -> StoreFuture<'_, Option<Session>> {
         self.blocking(move |state| state.revise(old, new, layer.as_slice()))
     }
 
-    fn peek(&self, id: SessionId) -> Answer<'_, Session> {
-        known(self.0.index().peek(id))
+    fn peek(&self, id: SessionId) -> StoreFuture<'_, Session> {
+        ready(self.0.index().peek(id))
     }
 
-    fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
-        known(self.0.index().touch(id, seq))
+    fn touch(&self, id: SessionId, seq: Option<u64>) -> StoreFuture<'_, Session> {
+        ready(self.0.index().touch(id, seq))
     }
 
-    fn delete(&self, id: SessionId) -> Answer<'_, ()> {
+    fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
         self.blocking(move |state| state.delete(id))
     }
 
-    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
-        known(
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
+        ready(
             self.0
                 .index()
                 .file_bytes(id.owner(), digest)
@@ -434,7 +435,7 @@ impl Store for FileStore {
         )
     }
 
-    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+    fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes> {
         self.blocking(move |state| state.file(id.owner(), digest))
     }
 
@@ -442,16 +443,16 @@ impl Store for FileStore {
         self.0.index().names(owner, digest)
     }
 
-    fn sweep(&self) -> Answer<'_, usize> {
+    fn sweep(&self) -> StoreFuture<'_, usize> {
         self.blocking(|state| {
             let mut written = state.begin()?;
             state.sweep(&mut written)
         })
     }
 
-    fn ready(&self) -> Answer<'_, ()> {
+    fn ready(&self) -> StoreFuture<'_, ()> {
         if self.0.disk.is_open() {
-            return known(Ok(()));
+            return ready(Ok(()));
         }
         let opened = self.blocking(|state| state.begin().map(drop));
         Box::pin(async {
@@ -461,9 +462,9 @@ impl Store for FileStore {
         })
     }
 
-    fn figures(&self) -> Figures {
+    fn figures(&self) -> StoreStats {
         let index = self.0.index();
-        Figures {
+        StoreStats {
             sessions: index.len() as u64,
             bytes: index.bytes(),
             damaged: self.0.damaged.load(Ordering::Relaxed),

@@ -7,9 +7,9 @@ use redis::{ConnectionAddr, ConnectionInfo};
 /// The address and the credentials of a Redis or Valkey server. Its text has neither user nor
 /// password.
 #[derive(Clone)]
-pub struct Address(ConnectionInfo);
+pub struct RedisAddress(ConnectionInfo);
 
-impl Address {
+impl RedisAddress {
     /// Reads `redis://[user:password@]host[:port][/database]`. No error contains the text.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let info: Option<ConnectionInfo> = text.parse().ok();
@@ -36,20 +36,20 @@ impl Address {
     }
 }
 
-impl PartialEq for Address {
+impl PartialEq for RedisAddress {
     fn eq(&self, other: &Self) -> bool {
         self.parts() == other.parts()
     }
 }
 
-impl fmt::Display for Address {
+impl fmt::Display for RedisAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (address, database, ..) = self.parts();
         write!(f, "redis://{address}/{database}")
     }
 }
 
-impl fmt::Debug for Address {
+impl fmt::Debug for RedisAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
     }

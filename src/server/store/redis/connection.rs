@@ -13,14 +13,14 @@ use redis::{AsyncConnectionConfig, Client, ErrorKind, RedisError, RedisResult};
 use tokio::sync::Mutex;
 use tokio::time::timeout;
 
-use super::address::Address;
+use super::address::RedisAddress;
 use crate::observe::Scope;
 use crate::store::StoreError;
 
 /// Longest wait for a connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a server that does not answer is not asked.
-const PAUSE: Duration = Duration::from_secs(1);
+const UNAVAILABLE_PAUSE: Duration = Duration::from_secs(1);
 /// Requests that wait to be written.
 const WRITE_QUEUE: usize = 1024;
 
@@ -48,7 +48,7 @@ pub(crate) struct Health {
 impl Endpoint {
     pub(crate) fn new(
         name: &'static str,
-        address: &Address,
+        address: &RedisAddress,
         is_prompt: bool,
     ) -> Result<Arc<Self>, RedisError> {
         Ok(Arc::new(Self {
@@ -64,7 +64,7 @@ impl Endpoint {
     }
 
     fn pause(&self) {
-        self.health().paused_until = Some(Instant::now() + PAUSE);
+        self.health().paused_until = Some(Instant::now() + UNAVAILABLE_PAUSE);
     }
 
     /// Logs an outage once, when it begins.

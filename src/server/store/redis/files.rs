@@ -14,7 +14,7 @@ use super::connection::{Endpoint, RedisConnection};
 use crate::store::StoreError;
 
 /// Files that are transferred at one time, at most.
-const TRANSFERS: usize = 8;
+const MAX_TRANSFERS: usize = 8;
 /// The client library keeps the largest buffer of a connection: after a larger file than this the
 /// connection is closed.
 const LARGE_FILE: usize = 1 << 20;
@@ -48,11 +48,11 @@ impl Drop for Transfer<'_> {
 
 impl FileConnections {
     pub(crate) fn new(endpoint: &Arc<Endpoint>) -> Self {
-        let idle = (0..TRANSFERS)
+        let idle = (0..MAX_TRANSFERS)
             .map(|_| RedisConnection::new(endpoint))
             .collect();
         Self {
-            permits: Semaphore::new(TRANSFERS),
+            permits: Semaphore::new(MAX_TRANSFERS),
             idle: Mutex::new(idle),
         }
     }

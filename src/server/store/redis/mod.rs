@@ -30,12 +30,13 @@ use redis::{Cmd, FromRedisValue, Pipeline};
 use super::record;
 use super::record::Unreadable;
 use super::{
-    Answer, Bounds, Figures, NamedFile, NotOpened, Put, Record, Session, Store, StoreError,
+    NamedFile, NotOpened, Put, Record, Session, Store, StoreError, StoreFuture, StoreLimits,
+    StoreStats,
 };
 use crate::client::Owner;
 use crate::observe::Scope;
 use crate::session::{Revision, SessionId};
-pub use address::Address;
+pub use address::RedisAddress;
 use connection::{Endpoint, RedisConnection};
 use files::FileConnections;
 use script::{Call, Replaces, number, status};
@@ -90,7 +91,7 @@ impl fmt::Debug for RedisStore {
 impl RedisStore {
     /// A store on the server of that address, which may be down at this moment.
     /// Errors: The client library rejects the address.
-    pub fn new(address: &Address, bounds: Bounds) -> Result<Self, NotOpened> {
+    pub fn new(address: &RedisAddress, bounds: StoreLimits) -> Result<Self, NotOpened> {
         let not_opened = |e: redis::RedisError| NotOpened {
             what: address.to_string(),
             why: e.to_string(),
@@ -436,7 +437,7 @@ impl RedisStoreState {
 }
 
 impl Store for RedisStore {
-    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Answer<'_, Put> {
+    fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> StoreFuture<'_, Put> {
         Box::pin(self.0.put(record, files))
     }
 
@@ -445,27 +446,27 @@ impl Store for RedisStore {
         old: Revision,
         new: Arc<Record>,
         layer: Option<NamedFile>,
-    ) -> Answer<'_, Option<Session>> {
+    ) -> StoreFuture<'_, Option<Session>> {
         Box::pin(self.0.revise(old, new, layer))
     }
 
-    fn peek(&self, id: SessionId) -> Answer<'_, Session> {
+    fn peek(&self, id: SessionId) -> StoreFuture<'_, Session> {
         Box::pin(self.0.look_up(id, Lookup::Peek))
     }
 
-    fn touch(&self, id: SessionId, seq: Option<u64>) -> Answer<'_, Session> {
+    fn touch(&self, id: SessionId, seq: Option<u64>) -> StoreFuture<'_, Session> {
         Box::pin(self.0.look_up(id, Lookup::Touch(seq)))
     }
 
-    fn delete(&self, id: SessionId) -> Answer<'_, ()> {
+    fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
         Box::pin(self.0.delete(id))
     }
 
-    fn file_bytes(&self, id: SessionId, digest: Digest) -> Answer<'_, u64> {
+    fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
         Box::pin(self.0.file_bytes(id, digest))
     }
 
-    fn file(&self, id: SessionId, digest: Digest) -> Answer<'_, Bytes> {
+    fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes> {
         Box::pin(self.0.file(id, digest))
     }
 
@@ -474,18 +475,18 @@ impl Store for RedisStore {
     }
 
     /// Sweeps the cache; the server expires its keys itself.
-    fn sweep(&self) -> Answer<'_, usize> {
-        super::known(Ok(self.0.sessions.sweep()))
+    fn sweep(&self) -> StoreFuture<'_, usize> {
+        super::ready(Ok(self.0.sessions.sweep()))
     }
 
-    fn ready(&self) -> Answer<'_, ()> {
+    fn ready(&self) -> StoreFuture<'_, ()> {
         Box::pin(self.0.ready())
     }
 
-    fn figures(&self) -> Figures {
+    fn figures(&self) -> StoreStats {
         let (sessions, bytes) = self.0.sessions.size();
         let health = self.0.endpoint.health();
-        Figures {
+        StoreStats {
             sessions,
             bytes,
             damaged: self.0.damaged.load(Ordering::Relaxed),

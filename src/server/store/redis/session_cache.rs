@@ -15,12 +15,12 @@ use crate::store::index::record_bytes;
 /// A session as this process knows it.
 pub(crate) struct CachedSession {
     pub(crate) record: Arc<Record>,
-    progress: Mutex<Progress>,
+    progress: Mutex<SessionProgress>,
 }
 
 /// What changes with every pose of a drag.
 #[derive(Clone, Copy)]
-pub(crate) struct Progress {
+pub(crate) struct SessionProgress {
     /// The highest number that this process knows of.
     pub(crate) seq: Option<u64>,
     /// When the server confirmed the session.
@@ -28,7 +28,7 @@ pub(crate) struct Progress {
 }
 
 impl CachedSession {
-    pub(crate) fn progress(&self) -> MutexGuard<'_, Progress> {
+    pub(crate) fn progress(&self) -> MutexGuard<'_, SessionProgress> {
         self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -73,7 +73,7 @@ impl SessionCache {
         let before = before.filter(|before| before.record.created == record.created);
         let seq = seq.max(before.and_then(|before| before.progress().seq));
         state.bytes += record_bytes(&record);
-        let progress = Mutex::new(Progress {
+        let progress = Mutex::new(SessionProgress {
             seq,
             confirmed: Instant::now(),
         });

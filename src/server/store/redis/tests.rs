@@ -9,7 +9,7 @@ use crate::store::tests::{model, suite};
 mod server;
 use server::Redis;
 
-fn store_of(server: &Redis, bounds: Bounds) -> RedisStore {
+fn store_of(server: &Redis, bounds: StoreLimits) -> RedisStore {
     let Ok(StoreUrl::Redis(address)) = server.address().parse() else {
         panic!("an address")
     };
@@ -333,7 +333,7 @@ async fn a_warm_session_does_not_outlive_its_idle_time_without_the_server() {
     let mut server = Redis::start(&[]);
     let store = store_of(
         &server,
-        Bounds {
+        StoreLimits {
             idle: Duration::from_secs(1),
             ..bounds()
         },

@@ -10,7 +10,7 @@ use mlswarp::warp::Digest;
 
 use super::suite::{file, files, made_anew, record, with_layer, with_weights};
 use crate::session::{Revision, SessionId};
-use crate::store::{Bounds, Put, Record, Session, Store, StoreError};
+use crate::store::{Put, Record, Session, Store, StoreError, StoreLimits};
 
 /// What clocks that count milliseconds may differ by.
 const SLACK: Duration = Duration::from_millis(5);
@@ -18,8 +18,8 @@ const IDLE: Duration = Duration::from_millis(400);
 /// As many as there are graves at most.
 const NAMES: usize = 5;
 
-pub(crate) const fn bounds() -> Bounds {
-    Bounds {
+pub(crate) const fn bounds() -> StoreLimits {
+    StoreLimits {
         idle: IDLE,
         sessions: 5,
         bytes: 5500,

@@ -12,12 +12,12 @@ use super::layers;
 use crate::client::Owner;
 use crate::layer::{LayerKind, LayerName};
 use crate::session::{Revision, SessionId};
-use crate::store::{Bounds, NamedFile, Put, Record, Store, StoreError, StoredLayer};
+use crate::store::{NamedFile, Put, Record, Store, StoreError, StoreLimits, StoredLayer};
 
 pub(super) const IDLE: Duration = Duration::from_secs(1);
 
-pub(crate) const fn bounds() -> Bounds {
-    Bounds {
+pub(crate) const fn bounds() -> StoreLimits {
+    StoreLimits {
         idle: Duration::from_secs(600),
         sessions: 100,
         bytes: 1 << 20,
@@ -106,7 +106,7 @@ pub(crate) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
 }
 
 /// What every store promises.
-pub(crate) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
+pub(crate) async fn all<S: Store>(open: impl AsyncFn(StoreLimits) -> S) {
     what_was_put_is_there_to_the_bit(&open(bounds()).await).await;
     a_file_goes_with_its_last_session(&open(bounds()).await).await;
     a_put_makes_a_session_once_and_makes_it_anew_from_something_else(&open(bounds()).await).await;
@@ -118,7 +118,7 @@ pub(crate) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     layers::a_layer_that_is_not_stored_leaves_nothing(&open(bounds()).await).await;
     layers::the_same_put_keeps_layers_and_another_drops_them(&open(bounds()).await).await;
     layers::layers_are_deleted_with_their_session(&open(bounds()).await).await;
-    let brief = Bounds {
+    let brief = StoreLimits {
         idle: IDLE,
         ..bounds()
     };
@@ -133,11 +133,11 @@ pub(crate) async fn all<S: Store>(open: impl AsyncFn(Bounds) -> S) {
 }
 
 /// What a store promises that has bounds of its own.
-pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
+pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(StoreLimits) -> S) {
     all(&open).await;
     a_file_is_held_once(&open(bounds()).await).await;
     a_file_counts_once_for_each_owner(
-        &open(Bounds {
+        &open(StoreLimits {
             bytes: 5000,
             ..bounds()
         })
@@ -145,7 +145,7 @@ pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     )
     .await;
     layers::a_layer_is_weighed(
-        &open(Bounds {
+        &open(StoreLimits {
             bytes: 3200,
             ..bounds()
         })
@@ -153,7 +153,7 @@ pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     )
     .await;
     a_full_store_refuses_newcomers_and_keeps_the_living(
-        &open(Bounds {
+        &open(StoreLimits {
             sessions: 2,
             bytes: 3500,
             ..bounds()
@@ -162,7 +162,7 @@ pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     )
     .await;
     a_replaced_session_weighs_what_the_new_one_does(
-        &open(Bounds {
+        &open(StoreLimits {
             sessions: 1,
             ..bounds()
         })
@@ -170,7 +170,7 @@ pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     )
     .await;
     a_revision_is_weighed(
-        &open(Bounds {
+        &open(StoreLimits {
             bytes: 2000,
             ..bounds()
         })
@@ -178,7 +178,7 @@ pub(crate) async fn bounded<S: Store>(open: impl AsyncFn(Bounds) -> S) {
     )
     .await;
     expired_sessions_make_room_for_newcomers(
-        &open(Bounds {
+        &open(StoreLimits {
             idle: IDLE,
             sessions: 1,
             ..bounds()

@@ -8,7 +8,7 @@ use mlswarp::warp::Edges;
 
 use super::super::json::{At, Kind, Node};
 use super::super::number::number;
-use super::reader::{Geometry, Object, Reader};
+use super::reader::{GeoJsonObject, Geometry, Reader};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
@@ -19,7 +19,7 @@ const OBJECT: &str = "a GeoJSON Feature or geometry: {\"type\": ...}";
 const GEOMETRY: &str = "a GeoJSON geometry: {\"type\": \"Polygon\", \"coordinates\": [...]}";
 const POSITION: &str = "a position: [x, y]";
 /// GeometryCollections that may contain one another.
-const DEEPEST: usize = 16;
+const MAX_COLLECTION_DEPTH: usize = 16;
 
 const COLLECTION: &str = "GeometryCollection";
 /// The geometries with coordinates: how deep their lists of positions are, and what connects those.
@@ -34,7 +34,7 @@ const GEOMETRIES: [(&str, usize, Edges); 6] = [
 
 /// The outermost form, which the response has too.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Shape {
+pub(super) enum GeoJsonShape {
     List,
     FeatureCollection,
     Single,
@@ -42,9 +42,9 @@ pub(super) enum Shape {
 
 /// The form of a text, and the text of its features.
 /// Errors: Not GeoJSON.
-pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(Shape, &'j str), Problem> {
+pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(GeoJsonShape, &'j str), Problem> {
     match node.kind() {
-        Kind::Array => return Ok((Shape::List, node.text)),
+        Kind::Array => return Ok((GeoJsonShape::List, node.text)),
         Kind::Object => {}
         _ => return Err(node.wrong_kind(SHAPES)),
     }
@@ -54,12 +54,14 @@ pub(super) fn shape_of<'j>(node: &Node<'j, '_>) -> Result<(Shape, &'j str), Prob
         "FeatureCollection" => {
             let features = features.ok_or_else(|| node.missing("features", FEATURES))?;
             if features.kind() == Kind::Array {
-                Ok((Shape::FeatureCollection, features.text))
+                Ok((GeoJsonShape::FeatureCollection, features.text))
             } else {
                 Err(features.wrong_kind(FEATURES))
             }
         }
-        name if name == "Feature" || is_geometry_type(name) => Ok((Shape::Single, node.text)),
+        name if name == "Feature" || is_geometry_type(name) => {
+            Ok((GeoJsonShape::Single, node.text))
+        }
         name => Err(kind.unexpected(SHAPES, format_args!("the type {}", quote(name)))),
     }
 }
@@ -131,7 +133,7 @@ fn object<'j>(
     let (own, bbox) = read(reader)?;
     let geometries = first..count(reader);
     if let Some(kept) = &mut reader.kept {
-        kept.objects.push(Object {
+        kept.objects.push(GeoJsonObject {
             geometries,
             own,
             bbox,
@@ -214,8 +216,9 @@ fn nested<'j>(
     let kind = kind.ok_or_else(|| node.missing("type", GEOMETRY))?;
     let (name, first) = (kind.string(GEOMETRY)?, reader.line_count());
     if name == COLLECTION {
-        if depth == DEEPEST {
-            let detail = format!("more than {DEEPEST} GeometryCollections contain one another");
+        if depth == MAX_COLLECTION_DEPTH {
+            let detail =
+                format!("more than {MAX_COLLECTION_DEPTH} GeometryCollections contain one another");
             return Err(node.problem(Code::BadValue, detail));
         }
         let missing = || node.missing("geometries", "an array of GeoJSON geometries");

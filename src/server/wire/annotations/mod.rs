@@ -12,14 +12,14 @@ use std::ops::Range;
 
 use bytes::Bytes;
 use mlswarp::geometry::Point;
-use mlswarp::warp::{Edges, Frame, Seen, Warning};
+use mlswarp::warp::{CoordinateFrame, Edges, Seen, Warning};
 
 use super::handles::{PLACE, place};
 use super::json::{At, Kind, Node, optional};
 use super::number::number;
 use crate::problem::{Code, Problem};
-use geojson::{Shape, read_collection, read_object, shape_of};
-pub use part::{Cursor, Reserve};
+use geojson::{GeoJsonShape, read_collection, read_object, shape_of};
+pub use part::{Cursor, ReserveMore};
 use reader::Reader;
 
 const POLYGON: &str = "a polygon: an array of at least 3 positions, [[x, y], [x, y], [x, y], ...]";
@@ -42,7 +42,7 @@ pub struct Annotations {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Annotation {
     kind: AnnotationKind,
-    shape: Shape,
+    shape: GeoJsonShape,
     text: Bytes,
     /// Where the annotations are in the text: the inside of the list, or all of it.
     items: Range<usize>,
@@ -90,7 +90,7 @@ impl Annotations {
     pub(super) fn read(
         body: &Bytes,
         [points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6],
-        image: impl FnOnce(bool) -> Frame,
+        image: impl FnOnce(bool) -> CoordinateFrame,
     ) -> Result<Self, Problem> {
         let is_inverse = optional(inverse, Node::bool)?.unwrap_or(false);
         let is_refined = optional(refine, Node::bool)?.unwrap_or(true);
@@ -113,9 +113,11 @@ impl Annotations {
             let (shape, items) = kind.read_all(&node, &mut reader)?;
             let start = items.as_ptr() as usize - node.text.as_ptr() as usize;
             let items = match shape {
-                Shape::Single => 0..node.text.len(),
+                GeoJsonShape::Single => 0..node.text.len(),
                 // Without the brackets.
-                Shape::List | Shape::FeatureCollection => start + 1..start + items.len() - 1,
+                GeoJsonShape::List | GeoJsonShape::FeatureCollection => {
+                    start + 1..start + items.len() - 1
+                }
             };
             let text = body.slice_ref(node.text.as_bytes());
             positions += reader.positions;
@@ -138,7 +140,7 @@ impl Annotations {
     }
 
     /// Adds what the annotations of this image cause to the warnings of the handles.
-    pub fn add_warnings(&self, image: &Frame, warnings: &mut Vec<Warning>) {
+    pub fn add_warnings(&self, image: &CoordinateFrame, warnings: &mut Vec<Warning>) {
         let of_handles = warnings.clone();
         for kind in &self.kinds {
             let mut all = of_handles.clone();
@@ -163,7 +165,7 @@ impl AnnotationKind {
         self,
         node: &Node<'j, '_>,
         reader: &mut Reader<'j>,
-    ) -> Result<(Shape, &'j str), Problem> {
+    ) -> Result<(GeoJsonShape, &'j str), Problem> {
         let expected = match self {
             Self::Points => "an array of positions",
             Self::Polygons => "an array of polygons",
@@ -173,12 +175,12 @@ impl AnnotationKind {
         let (shape, text) = if self == Self::GeoJson {
             shape_of(node)?
         } else {
-            (Shape::List, node.text)
+            (GeoJsonShape::List, node.text)
         };
         let features = At::Field(&node.at, "features");
         let list = match shape {
-            Shape::List => *node,
-            Shape::FeatureCollection => {
+            GeoJsonShape::List => *node,
+            GeoJsonShape::FeatureCollection => {
                 read_collection(node, reader)?;
                 Node {
                     text,
@@ -186,7 +188,7 @@ impl AnnotationKind {
                     work: node.work,
                 }
             }
-            Shape::Single => return self.read_item(node, reader).map(|()| (shape, text)),
+            GeoJsonShape::Single => return self.read_item(node, reader).map(|()| (shape, text)),
         };
         list.items(expected, |_, item| self.read_item(&item, reader))?;
         Ok((shape, text))

@@ -7,8 +7,8 @@ use mlswarp::deform::IsCancelled;
 use mlswarp::warp::{MappedOutline, Outline, Transform, WarpError};
 
 use super::super::json::{At, Node, next_value};
-use super::geojson::{Shape, read_collection};
-use super::reader::{Kept, Line, Reader};
+use super::geojson::{GeoJsonShape, read_collection};
+use super::reader::{Line, PartContents, Reader};
 use super::write::{
     Bounds, Tail, items, write_head, write_items, write_objects, write_place, write_places,
     write_tail,
@@ -21,7 +21,7 @@ const OUTLINE_WITHIN: f64 = 0.1;
 /// The same of the outlines whose bounding boxes are taken.
 const BOX_WITHIN: f64 = 0.01;
 /// Text of annotations that are mapped together, bytes; a single annotation may have more.
-const PART: usize = 256 << 10;
+const PART_BYTES: usize = 256 << 10;
 /// Longest text of a mapped position, bytes: two numbers of 24 characters, brackets, commas.
 const PLACE_TEXT: usize = 52;
 /// Memory of a position, of a list of positions, and of an object, read and mapped, bytes.
@@ -30,7 +30,7 @@ const LIST_BYTES: u64 = 320;
 const OBJECT_BYTES: u64 = 448;
 
 /// Reserves further bytes.
-pub type Reserve<'a> = &'a mut dyn FnMut(u64) -> Result<(), Problem>;
+pub type ReserveMore<'a> = &'a mut dyn FnMut(u64) -> Result<(), Problem>;
 
 /// How far annotations have been mapped.
 #[derive(Clone, Debug, Default)]
@@ -77,7 +77,7 @@ impl Annotations {
         cursor: &mut Cursor,
         transform: &Transform<'_>,
         cancelled: IsCancelled<'_>,
-        reserve: Reserve<'_>,
+        reserve: ReserveMore<'_>,
         out: &mut Vec<u8>,
     ) -> Result<bool, Problem> {
         let mapping = Mapping {
@@ -119,7 +119,7 @@ impl Annotations {
             length += part.len();
             cursor.next = Some(part.end);
             kind.map(part, &mapping, reserve, &mut cursor.tail, out)?;
-            if length >= PART {
+            if length >= PART_BYTES {
                 return Ok(true);
             }
         }
@@ -143,7 +143,7 @@ impl Annotation {
     /// Where the next annotations are, with the text before them; empty after the last one.
     fn part(&self, from: usize) -> Range<usize> {
         let (text, mut end) = (&self.text[..self.items.end], from);
-        while let Some(item) = next_value(text, end).filter(|_| end - from < PART) {
+        while let Some(item) = next_value(text, end).filter(|_| end - from < PART_BYTES) {
             end = item.end;
         }
         from..end
@@ -161,7 +161,7 @@ impl Annotation {
     /// Writes the text before the annotations.
     fn begin(&self, mapping: &Mapping<'_>, out: &mut Vec<u8>) -> Result<Tail, Problem> {
         match (self.kind, self.shape) {
-            (AnnotationKind::GeoJson, Shape::FeatureCollection) => {
+            (AnnotationKind::GeoJson, GeoJsonShape::FeatureCollection) => {
                 let text = self.str(0..self.text.len());
                 let mut reader = Reader::keeping();
                 read_collection(&self.node(text), &mut reader)?;
@@ -183,7 +183,7 @@ impl Annotation {
     /// Writes the text after the annotations, the last of which ends `at` this byte.
     fn end(&self, at: usize, tail: &Tail, out: &mut Vec<u8>) {
         match (self.kind, self.shape) {
-            (AnnotationKind::GeoJson, Shape::FeatureCollection) => {
+            (AnnotationKind::GeoJson, GeoJsonShape::FeatureCollection) => {
                 out.extend(&self.text[at..self.items.end]);
                 write_tail(tail, out);
             }
@@ -197,7 +197,7 @@ impl Annotation {
         &self,
         part: Range<usize>,
         mapping: &Mapping<'_>,
-        reserve: Reserve<'_>,
+        reserve: ReserveMore<'_>,
         tail: &mut Tail,
         out: &mut Vec<u8>,
     ) -> Result<(), Problem> {
@@ -247,7 +247,7 @@ impl Annotation {
 
     fn map_lines(
         &self,
-        kept: &Kept<'_>,
+        kept: &PartContents<'_>,
         Mapping {
             transform,
             is_refined,
@@ -292,7 +292,7 @@ fn reading_bytes(text: &[u8]) -> u64 {
     text.windows(2).map(of).sum::<u64>() + OBJECT_BYTES
 }
 
-fn reserve_text(bytes: usize, reserve: Reserve<'_>, out: &mut Vec<u8>) -> Result<(), Problem> {
+fn reserve_text(bytes: usize, reserve: ReserveMore<'_>, out: &mut Vec<u8>) -> Result<(), Problem> {
     reserve(bytes as u64)?;
     out.reserve(bytes);
     Ok(())

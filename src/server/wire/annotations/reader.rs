@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use mlswarp::deform::MAX_COORDINATE;
 use mlswarp::geometry::Point;
-use mlswarp::warp::{Edges, Frame, SAMPLES, Seen, WarpError, samples_of};
+use mlswarp::warp::{CoordinateFrame, Edges, MAX_EDGE_SAMPLES, Seen, WarpError, samples_of};
 
 use super::super::json::Node;
 use crate::problem::Problem;
@@ -13,7 +13,7 @@ use crate::problem::Problem;
 /// Checks positions, and keeps them if they are to be mapped.
 pub(super) struct Reader<'j> {
     /// The image of positions that are checked.
-    image: Option<Frame>,
+    image: Option<CoordinateFrame>,
     seen: Seen,
     pub(super) positions: usize,
     /// Positions at which edges will be examined, beyond one for each edge.
@@ -22,18 +22,18 @@ pub(super) struct Reader<'j> {
     edges: Edges,
     /// The first and the last position of the line, px of the plane.
     ends: Option<(Point, Point)>,
-    pub(super) kept: Option<Kept<'j>>,
+    pub(super) kept: Option<PartContents<'j>>,
 }
 
 /// The positions of a part, and where they are in the text.
 #[derive(Default)]
-pub(super) struct Kept<'j> {
+pub(super) struct PartContents<'j> {
     pub(super) places: Vec<Point>,
     /// What the text has after the second number of each position; empty if no position has more.
     pub(super) more: Vec<&'j str>,
     pub(super) lines: Vec<Line<'j>>,
     pub(super) geometries: Vec<Geometry<'j>>,
-    pub(super) objects: Vec<Object<'j>>,
+    pub(super) objects: Vec<GeoJsonObject<'j>>,
 }
 
 /// Positions that are mapped together.
@@ -54,7 +54,7 @@ pub(super) struct Geometry<'j> {
 }
 
 /// A GeoJSON object that has geometries: a feature, or a geometry of its own.
-pub(super) struct Object<'j> {
+pub(super) struct GeoJsonObject<'j> {
     pub(super) geometries: Range<usize>,
     /// The lines of the geometry itself, without those of other members.
     pub(super) own: Range<usize>,
@@ -63,7 +63,7 @@ pub(super) struct Object<'j> {
 
 impl<'j> Reader<'j> {
     /// `image`: that of the positions; `samples`: those of other annotations.
-    pub(super) fn checking(image: Frame, is_refined: bool, samples: usize) -> Self {
+    pub(super) fn checking(image: CoordinateFrame, is_refined: bool, samples: usize) -> Self {
         Self {
             image: Some(image),
             is_refined,
@@ -83,14 +83,14 @@ impl<'j> Reader<'j> {
             is_refined: false,
             edges: Edges::None,
             ends: None,
-            kept: Some(Kept::default()),
+            kept: Some(PartContents::default()),
         }
     }
 
     /// What was seen, and the samples that it needs.
     pub(super) fn finish(self, node: &Node<'_, '_>) -> Result<(Seen, usize), Problem> {
-        let (limit, actual) = (SAMPLES as u64, self.samples as u64);
-        if self.samples > SAMPLES {
+        let (limit, actual) = (MAX_EDGE_SAMPLES as u64, self.samples as u64);
+        if self.samples > MAX_EDGE_SAMPLES {
             let error = WarpError::TooLarge {
                 what: "outline_samples",
                 limit,
@@ -173,7 +173,7 @@ impl<'j> Reader<'j> {
     }
 }
 
-impl<'j> Kept<'j> {
+impl<'j> PartContents<'j> {
     /// What the text has after the second number of a position.
     pub(super) fn more(&self, place: usize) -> &'j str {
         self.more.get(place).copied().unwrap_or_default()

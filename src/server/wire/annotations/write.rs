@@ -8,10 +8,10 @@ use mlswarp::geometry::Point;
 use mlswarp::warp::MappedOutline;
 
 use super::super::json::next_value;
-use super::reader::{Geometry, Kept, Line, Object};
+use super::reader::{GeoJsonObject, Geometry, Line, PartContents};
 
 /// Numbers in a box of two dimensions.
-const SIDES: usize = 4;
+const BOX_NUMBERS: usize = 4;
 
 /// What follows the features of a FeatureCollection.
 #[derive(Clone, Debug, Default)]
@@ -25,7 +25,7 @@ pub(super) struct Tail {
 
 /// The smallest box that contains positions: left, top, right, bottom.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds([f64; SIDES]);
+pub(super) struct Bounds([f64; BOX_NUMBERS]);
 
 /// What stands in place of a text.
 enum New {
@@ -94,7 +94,7 @@ impl Bounds {
             .strip_prefix('[')
             .map_or_else(Vec::new, |inside| items(inside).collect());
         let half = sides.len() / 2;
-        if sides.len() <= SIDES || !sides.len().is_multiple_of(2) || self.0[0] > self.0[2] {
+        if sides.len() <= BOX_NUMBERS || !sides.len().is_multiple_of(2) || self.0[0] > self.0[2] {
             return self.write(out);
         }
         for (k, side) in sides.iter().enumerate() {
@@ -170,7 +170,7 @@ pub(super) fn write_places<'a>(
 /// Writes a text of GeoJSON objects; returns the box around those that a bounding box is about.
 pub(super) fn write_objects(
     text: &str,
-    kept: &Kept<'_>,
+    kept: &PartContents<'_>,
     mapped: &Mapped,
     out: &mut Vec<u8>,
 ) -> Bounds {
@@ -196,7 +196,7 @@ pub(super) fn write_objects(
 pub(super) fn write_head(
     text: &str,
     features: Range<usize>,
-    kept: &Kept<'_>,
+    kept: &PartContents<'_>,
     mapped: &Mapped,
     out: &mut Vec<u8>,
 ) -> Tail {
@@ -259,8 +259,8 @@ pub(super) fn write_tail(Tail { text, bbox, bounds }: &Tail, out: &mut Vec<u8>) 
 /// The lines and boxes of the geometries of an object; `null` for a geometry of which a position
 /// has no image.
 fn add_geometries<'j>(
-    object: &Object<'j>,
-    kept: &Kept<'j>,
+    object: &GeoJsonObject<'j>,
+    kept: &PartContents<'j>,
     mapped: &Mapped,
     replaced: &mut Replaced<'j>,
 ) {
@@ -284,7 +284,7 @@ fn write_replaced(
     text: &str,
     range: Range<usize>,
     mut replaced: Replaced<'_>,
-    (kept, mapped): (&Kept<'_>, &Mapped),
+    (kept, mapped): (&PartContents<'_>, &Mapped),
     out: &mut Vec<u8>,
 ) {
     replaced.sort_by_key(|(old, _)| offset(text, old));
@@ -303,7 +303,12 @@ fn write_replaced(
     out.extend(&text.as_bytes()[at..range.end]);
 }
 
-fn write_line(line: &Line<'_>, mapped: Option<&MappedOutline>, kept: &Kept<'_>, out: &mut Vec<u8>) {
+fn write_line(
+    line: &Line<'_>,
+    mapped: Option<&MappedOutline>,
+    kept: &PartContents<'_>,
+    out: &mut Vec<u8>,
+) {
     let Some(mapped) = mapped else {
         return out.extend(b"null");
     };

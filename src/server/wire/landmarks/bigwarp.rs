@@ -10,18 +10,18 @@
 
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Field, Row, Table, flag};
-use super::{Form, Format};
+use super::table::{Table, TableField, TableRow, flag};
+use super::{Format, FormatReader};
 
 pub(super) const FORMAT: Format = Format {
     name: "bigwarp",
     title: "BigWarp CSV",
     items: "tables",
-    form: Form::Table(is_bigwarp, read),
+    form: FormatReader::Table(is_bigwarp, read),
 };
 const CENTRE: f64 = 0.5;
 
-fn is_bigwarp(first: &Row) -> bool {
+fn is_bigwarp(first: &TableRow) -> bool {
     let is_flag =
         |text: &str| text.eq_ignore_ascii_case("true") || text.eq_ignore_ascii_case("false");
     (6..=9).contains(&first.fields.len()) && is_flag(first.fields[1].text.trim())
@@ -44,7 +44,7 @@ fn read(table: Table<'_>, out: &mut Collector) -> Result<usize, Bad> {
     while let Some(row) = next {
         row.require_width(width, "as the first row has")?;
         let is_active = flag(&row.fields[1])?;
-        let number = |field: &Field| match field.located() {
+        let number = |field: &TableField| match field.located() {
             unset if unset.text.trim_start_matches('-') == "Infinity" => Ok(None),
             set => set.number().map(|value| Some(value + CENTRE)),
         };

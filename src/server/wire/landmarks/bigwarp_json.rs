@@ -10,8 +10,8 @@
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
-use super::json::Fields;
-use super::{Form, Format, offset};
+use super::json::ObjectMembers;
+use super::{Format, FormatReader, offset};
 use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
@@ -20,12 +20,12 @@ pub(super) const FORMAT: Format = Format {
     name: "bigwarp",
     title: "BigWarp JSON",
     items: "tables",
-    form: Form::Json(is_bigwarp, read),
+    form: FormatReader::Json(is_bigwarp, read),
 };
 const CENTRE: f64 = 0.5;
 const POINTS: &str = "an array of positions, [x, y] each";
 
-fn is_bigwarp(fields: &Fields<'_>) -> bool {
+fn is_bigwarp(fields: &ObjectMembers<'_>) -> bool {
     let is_object = |name: &str| fields.kind(name) == Some(Kind::Object);
     !fields.is_list
         && (fields.has("movingPoints") || is_object("landmarks") || is_object("Transform"))

@@ -14,9 +14,9 @@ use std::collections::HashMap;
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
 use super::item::{ItemNames, name_in};
-use super::json::Fields;
+use super::json::ObjectMembers;
 use super::own::read_names;
-use super::{Form, Format, offset};
+use super::{Format, FormatReader, offset};
 use crate::problem::Problem;
 use crate::wire::json::{At, Kind, Node, optional};
 use crate::wire::number::number;
@@ -25,7 +25,7 @@ pub(super) const FORMAT: Format = Format {
     name: "coco",
     title: "COCO keypoints",
     items: "annotations",
-    form: Form::Json(is_coco, read),
+    form: FormatReader::Json(is_coco, read),
 };
 const CENTRE: f64 = 0.5;
 const ANNOTATIONS: &str = "an array of annotations";
@@ -33,7 +33,7 @@ const KEYPOINTS: &str = "an array of numbers, x, y and v of each keypoint";
 /// The most images: their names are in memory together.
 const MOST_IMAGES: usize = 1 << 16;
 
-fn is_coco(fields: &Fields<'_>) -> bool {
+fn is_coco(fields: &ObjectMembers<'_>) -> bool {
     if fields.is_list {
         fields.has("keypoints")
     } else {

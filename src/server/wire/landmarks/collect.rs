@@ -71,16 +71,16 @@ fn in_range(at: usize, value: f64, max: f64, found: &str) -> Result<f64, Bad> {
 
 /// The coordinates of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Frame {
+pub(super) enum CoordinateConvention {
     /// Those of the contract.
     Px,
-    /// As [`Frame::Px`], but y points up from the lower edge of the image.
+    /// As [`CoordinateConvention::Px`], but y points up from the lower edge of the image.
     PxUp,
     /// Shares of the size of the image.
     Normalized,
 }
 
-impl Frame {
+impl CoordinateConvention {
     /// The largest coordinate.
     fn max(self) -> f64 {
         if self == Self::Normalized {
@@ -107,7 +107,7 @@ impl Unmatched {
 
 /// What one file holds.
 #[derive(Debug)]
-pub(super) struct File {
+pub(super) struct LandmarkFile {
     pub(super) p: Vec<Handle>,
     pub(super) q: Option<Vec<Handle>>,
     /// All handles have names, or none has: where each is in the file, bytes, and its text. Names
@@ -115,7 +115,7 @@ pub(super) struct File {
     pub(super) names: Option<Vec<(usize, String)>>,
     /// Where each handle is in the file, bytes.
     pub(super) at: Vec<usize>,
-    pub(super) frame: Frame,
+    pub(super) frame: CoordinateConvention,
     pub(super) format: &'static str,
     /// Names of landmarks that the file gives for one side only.
     pub(super) unmatched: Unmatched,
@@ -139,7 +139,7 @@ pub(super) struct Collector {
     q: Vec<Handle>,
     at: Vec<usize>,
     names: Vec<(usize, Option<String>)>,
-    frame: Frame,
+    frame: CoordinateConvention,
     unmatched: Unmatched,
     items: Items,
 }
@@ -152,7 +152,11 @@ fn point(place: Option<[f64; 2]>) -> Handle {
 impl Collector {
     pub(super) fn new(max_columns: usize, item: Option<Item>) -> Self {
         let (p, q, at, names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let (frame, unmatched, items) = (Frame::Px, Unmatched::default(), Items::new(item));
+        let (frame, unmatched, items) = (
+            CoordinateConvention::Px,
+            Unmatched::default(),
+            Items::new(item),
+        );
         Self {
             max_columns,
             columns: 0,
@@ -166,7 +170,7 @@ impl Collector {
         }
     }
 
-    pub(super) fn set_frame(&mut self, frame: Frame) {
+    pub(super) fn set_frame(&mut self, frame: CoordinateConvention) {
         self.frame = frame;
     }
 
@@ -291,7 +295,7 @@ impl Collector {
 
     /// The file. `end`: where a missing landmark would be.
     /// Errors: No landmarks, or names of some of them only; several items and none was chosen.
-    pub(super) fn finish(self, format: &'static Format, end: usize) -> Result<File, Bad> {
+    pub(super) fn finish(self, format: &'static Format, end: usize) -> Result<LandmarkFile, Bad> {
         let Self {
             p,
             q,
@@ -315,7 +319,7 @@ impl Collector {
             ));
         }
         let q = (!q.is_empty()).then_some(q);
-        Ok(File {
+        Ok(LandmarkFile {
             p,
             q,
             names: all_or_none(names)?,

@@ -8,15 +8,15 @@
 
 use super::bad::Bad;
 use super::collect::{Collector, Located};
-use super::table::{Row, Table};
-use super::{Form, Format, titles};
+use super::table::{Table, TableRow};
+use super::{Format, FormatReader, titles};
 use crate::problem::words::quote;
 
 pub(super) const FORMAT: Format = Format {
     name: "csv",
     title: "CSV",
     items: "tables",
-    form: Form::Table(|_| true, read),
+    form: FormatReader::Table(|_| true, read),
 };
 pub(super) const NAMES: [&str; 4] = ["name", "label", "id", "landmark"];
 /// The most columns of a header that an error names.
@@ -89,7 +89,7 @@ fn same_mark(field: Located<'_>, mark: &mut Option<char>) -> Result<(), Bad> {
 }
 
 /// The columns of a header.
-fn named(header: &Row, names: &[String]) -> Result<Columns, Bad> {
+fn named(header: &TableRow, names: &[String]) -> Result<Columns, Bad> {
     let find = |wanted: &str| names.iter().position(|name| name == wanted);
     for (index, name) in names.iter().enumerate() {
         if ["x", "y", "px", "py", "qx", "qy"].contains(&name.as_str()) && find(name) != Some(index)
@@ -154,7 +154,7 @@ fn named(header: &Row, names: &[String]) -> Result<Columns, Bad> {
 }
 
 /// The columns of a first row without header.
-fn unnamed(first: &Row) -> Result<Columns, Bad> {
+fn unnamed(first: &TableRow) -> Result<Columns, Bad> {
     let is_number = |field: usize| first.fields[field].located().parse(true).is_ok();
     let width = first.fields.len();
     let (start, name) = match width {
@@ -181,7 +181,7 @@ fn unnamed(first: &Row) -> Result<Columns, Bad> {
 }
 
 /// What probably is the matter with a row of so many fields.
-fn hint(first: &Row) -> &'static str {
+fn hint(first: &TableRow) -> &'static str {
     let is_number = |text: &str| text.trim().parse::<f64>().is_ok();
     // `1,5 2,5`: a field between two commas that is two numbers.
     let is_two = |text: &str| {

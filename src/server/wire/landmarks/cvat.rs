@@ -15,21 +15,21 @@ use super::bad::Bad;
 use super::collect::{Collector, Landmark, Located};
 use super::item::ItemNames;
 use super::xml::{Tag, Tags, root};
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 use crate::problem::words::quote;
 
 pub(super) const FORMAT: Format = Format {
     name: "cvat",
     title: "CVAT XML",
     items: "objects",
-    form: Form::Head(is_cvat, read),
+    form: FormatReader::Head(is_cvat, read),
 };
 
 fn is_cvat(head: &str) -> bool {
     root(head) == Some("annotations")
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut tags = Tags::new(source);
     // Whether the item is wanted: of the loose shapes of the image, known at the first, and of a
     // skeleton.

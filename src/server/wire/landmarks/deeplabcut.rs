@@ -9,22 +9,22 @@
 
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Row, Table};
-use super::{Form, Format};
+use super::table::{Table, TableRow};
+use super::{Format, FormatReader};
 
 pub(super) const FORMAT: Format = Format {
     name: "deeplabcut",
     title: "DeepLabCut CSV",
     items: "rows",
-    form: Form::Table(is_deeplabcut, read),
+    form: FormatReader::Table(is_deeplabcut, read),
 };
 const CENTRE: f64 = 0.5;
 
-fn is_deeplabcut(first: &Row) -> bool {
+fn is_deeplabcut(first: &TableRow) -> bool {
     first.fields[0].text.trim().eq_ignore_ascii_case("scorer")
 }
 
-fn text(row: &Row, field: usize) -> &str {
+fn text(row: &TableRow, field: usize) -> &str {
     row.fields.get(field).map_or("", |field| field.text.trim())
 }
 

@@ -11,13 +11,13 @@ use super::bad::Bad;
 use super::collect::Collector;
 use super::item::ItemNames;
 use super::xml::{Tags, root};
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 
 pub(super) const FORMAT: Format = Format {
     name: "dlib",
     title: "dlib XML",
     items: "boxes",
-    form: Form::Head(is_dlib, read),
+    form: FormatReader::Head(is_dlib, read),
 };
 const CENTRE: f64 = 0.5;
 
@@ -26,7 +26,7 @@ fn is_dlib(head: &str) -> bool {
 }
 
 /// The box whose parts are read.
-struct Object {
+struct DlibBox {
     at: usize,
     /// Among those of its image.
     index: usize,
@@ -34,9 +34,9 @@ struct Object {
     is_wanted: Option<bool>,
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut tags = Tags::new(source);
-    let (mut image, mut boxes, mut object) = (String::new(), 0, None::<Object>);
+    let (mut image, mut boxes, mut object) = (String::new(), 0, None::<DlibBox>);
     while let Some(tag) = tags.next_tag()? {
         match (tag.name, tag.is_end) {
             ("image", false) => {
@@ -44,7 +44,7 @@ fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
                 (image, boxes) = (file.unescaped()?.into_owned(), 0);
             }
             ("box", false) => {
-                object = Some(Object {
+                object = Some(DlibBox {
                     at: tag.at,
                     index: boxes,
                     is_wanted: None,

@@ -7,13 +7,13 @@
 use super::bad::Bad;
 use super::collect::Collector;
 use super::words::Lines;
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 
 pub(super) const FORMAT: Format = Format {
     name: "elastix",
     title: "elastix points",
     items: "sets",
-    form: Form::Lines(is_elastix, read),
+    form: FormatReader::Lines(is_elastix, read),
 };
 const CENTRE: f64 = 0.5;
 
@@ -23,7 +23,7 @@ fn is_elastix(first: &str) -> bool {
         && words.all(|word| word.parse::<usize>().is_ok())
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, false);
     let head = lines.line("`index`")?;
     let mut words = head.words();

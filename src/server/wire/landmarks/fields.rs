@@ -30,7 +30,7 @@ pub enum Target {
 /// What is written. Names say nothing more, and one of each side says that there are unmatched
 /// landmarks.
 #[derive(Serialize)]
-struct Fields<'a> {
+struct LandmarkMembers<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     p: Option<AsJson<&'a [Handle]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -38,11 +38,11 @@ struct Fields<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     units: Option<AsJson<Units>>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    unmatched: Option<Unmatched<'a>>,
+    unmatched: Option<UnmatchedMembers<'a>>,
 }
 
 #[derive(Serialize)]
-struct Unmatched<'a> {
+struct UnmatchedMembers<'a> {
     p: Option<&'a [String]>,
     q: Option<&'a [String]>,
 }
@@ -127,17 +127,17 @@ impl Landmarks {
             });
         }
         let fields = match target {
-            Target::Pose(..) => Fields {
+            Target::Pose(..) => LandmarkMembers {
                 p: None,
                 q: Some(AsJson(&p)),
                 units: None,
                 unmatched: None,
             },
-            Target::Request | Target::Session(_) => Fields {
+            Target::Request | Target::Session(_) => LandmarkMembers {
                 p: Some(AsJson(&p)),
                 q: q.as_deref().map(AsJson),
                 units: Some(AsJson(units)),
-                unmatched: (!unmatched.is_empty()).then(|| Unmatched {
+                unmatched: (!unmatched.is_empty()).then(|| UnmatchedMembers {
                     p: unmatched.p.get(..1),
                     q: unmatched.q.get(..1),
                 }),

@@ -8,7 +8,7 @@ use mlswarp::warp::{Units, WarpError};
 use serde::ser::{Serialize, SerializeMap as _, Serializer};
 
 use super::bad::Bad;
-use super::collect::{File, Frame, Unmatched};
+use super::collect::{CoordinateConvention, LandmarkFile, Unmatched};
 use super::item::Item;
 use super::pairs::{Pairs, pair};
 use super::{Work, read};
@@ -46,7 +46,7 @@ pub struct Choice {
 
 impl Choice {
     /// The field that is given, if there is one.
-    pub(crate) fn given(&self) -> Option<&'static str> {
+    pub(crate) fn given_item(&self) -> Option<&'static str> {
         let given = [
             ("match", self.matching.is_some()),
             ("item", self.item.is_some()),
@@ -124,7 +124,7 @@ pub struct Landmarks {
     pub(super) p: Vec<Handle>,
     pub(super) q: Option<Vec<Handle>>,
     names: Option<Vec<String>>,
-    frames: [Frame; 2],
+    frames: [CoordinateConvention; 2],
     extents: [Option<Extent>; 2],
     format: String,
     pub(super) unmatched: Unmatched,
@@ -151,7 +151,7 @@ impl LandmarkFiles {
         let given = extents
             .into_iter()
             .find_map(|(name, extent)| extent.map(|_| name))
-            .or(self.choice.given());
+            .or(self.choice.given_item());
         match given.filter(|_| self.is_empty()) {
             Some(name) => Err(without_files(name)),
             None => Ok(()),
@@ -160,15 +160,17 @@ impl LandmarkFiles {
 
     /// The memory that reading takes at most, bytes: handles, their places and names, in each file.
     pub(in crate::wire) fn reading_bytes(&self, max_columns: usize) -> u64 {
-        const HANDLE: usize = 400;
-        const NAME: usize = 4 * 256;
+        const HANDLE_BYTES: usize = 400;
+        const NAME_BYTES: usize = 4 * 256;
         // The longest row of a table, twice, and a long line.
-        const ROW: usize = 10 << 20;
+        const ROW_BYTES: usize = 10 << 20;
         let files = [&self.both, &self.p, &self.q].into_iter().flatten();
         let bytes = files.map(|file| {
             // A handle takes two bytes of text at least.
             let handles = max_columns.min(file.len() / 2 + 1);
-            HANDLE * handles + (4 * file.len()).min(NAME * handles) + (40 * file.len()).min(ROW)
+            HANDLE_BYTES * handles
+                + (4 * file.len()).min(NAME_BYTES * handles)
+                + (40 * file.len()).min(ROW_BYTES)
         });
         bytes.sum::<usize>() as u64
     }
@@ -234,7 +236,7 @@ impl LandmarkFiles {
         bytes: &Bytes,
         max_columns: usize,
         work: &Work<'_>,
-    ) -> Result<File, Problem> {
+    ) -> Result<LandmarkFile, Problem> {
         let file = read(bytes, max_columns, self.choice.item.clone(), work);
         if work.is_stopped() {
             return Err(WarpError::Cancelled.into());
@@ -243,7 +245,7 @@ impl LandmarkFiles {
     }
 
     /// Errors: `bad_value` at what belongs to two files, or to the side that is not there.
-    fn one(&self, file: File) -> Result<Landmarks, Problem> {
+    fn one(&self, file: LandmarkFile) -> Result<Landmarks, Problem> {
         if self.choice.matching.is_some() {
             return Err(Problem::new(
                 Code::BadValue,
@@ -301,7 +303,7 @@ pub(super) fn mismatched(detail: &str) -> Problem {
 }
 
 fn two(
-    [p, q]: [File; 2],
+    [p, q]: [LandmarkFile; 2],
     Pairs { indices, unmatched }: Pairs,
     extents: [Option<Extent>; 2],
 ) -> Landmarks {
@@ -337,9 +339,9 @@ fn texts(names: Vec<(usize, String)>) -> Vec<String> {
 }
 
 /// Errors: A line with a segment that has no length, which no image can be warped by.
-fn require_lines(file: &File) -> Result<(), Bad> {
+fn require_lines(file: &LandmarkFile) -> Result<(), Bad> {
     // Lengths of normalised lines are known with the image.
-    if file.frame == Frame::Normalized
+    if file.frame == CoordinateConvention::Normalized
         || !file
             .p
             .iter()
@@ -361,8 +363,8 @@ fn require_lines(file: &File) -> Result<(), Bad> {
 }
 
 impl Landmarks {
-    pub(super) fn of_file(file: File, extents: [Option<Extent>; 2]) -> Self {
-        let File {
+    pub(super) fn of_file(file: LandmarkFile, extents: [Option<Extent>; 2]) -> Self {
+        let LandmarkFile {
             p,
             q,
             names,
@@ -421,7 +423,8 @@ impl Landmarks {
     pub fn scale(mut self, image: Option<Extent>) -> Result<Placed, Problem> {
         let [own_p, own_q] = self.extents;
         let [frame_p, frame_q] = self.frames;
-        let is_alike = (frame_p == Frame::Normalized) == (frame_q == Frame::Normalized);
+        let is_alike = (frame_p == CoordinateConvention::Normalized)
+            == (frame_q == CoordinateConvention::Normalized);
         let own_q = own_q.or(own_p.filter(|_| is_alike));
         let mut done = Vec::new();
         let p = place(
@@ -475,14 +478,14 @@ impl Landmarks {
 /// [`Landmarks::scale`]. What is done to pixels is added to `done`.
 fn place(
     handles: &mut [Handle],
-    frame: Frame,
+    frame: CoordinateConvention,
     [own, image]: [Option<Extent>; 2],
     [side, field]: [&str; 2],
     done: &mut Vec<String>,
 ) -> Result<Units, Problem> {
     let sides = |extent: Extent| [f64::from(extent.width()), f64::from(extent.height())];
     let text = |extent: Extent| format!("{} x {}", extent.width(), extent.height());
-    if frame == Frame::PxUp {
+    if frame == CoordinateConvention::PxUp {
         let missing = || {
             let detail = format!(
                 "the file counts y from the lower edge of its image: give `{field}`, the size of \
@@ -494,14 +497,15 @@ fn place(
         each(handles, |place| Point::new(place.x, height - place.y));
     }
     match (frame, own, image) {
-        (Frame::Normalized, Some(extent), _) | (Frame::Normalized, None, Some(extent)) => {
+        (CoordinateConvention::Normalized, Some(extent), _)
+        | (CoordinateConvention::Normalized, None, Some(extent)) => {
             let [width, height] = sides(extent);
             each(handles, |place| {
                 Point::new(place.x * width, place.y * height)
             });
             Ok(Units::Px)
         }
-        (Frame::Normalized, None, None) => Ok(Units::Normalized),
+        (CoordinateConvention::Normalized, None, None) => Ok(Units::Normalized),
         (_, None, _) => Ok(Units::Px),
         (_, Some(own), Some(image)) if own == image => Ok(Units::Px),
         (_, Some(own), Some(image)) => {

@@ -12,8 +12,8 @@
 use super::bad::{Bad, BadJson};
 use super::collect::Collector;
 use super::item::name_in;
-use super::json::Fields;
-use super::{Form, Format, offset};
+use super::json::ObjectMembers;
+use super::{Format, FormatReader, offset};
 use crate::wire::handles::{PLACE, place};
 use crate::wire::json::{Kind, Node, optional};
 
@@ -21,12 +21,12 @@ pub(super) const FORMAT: Format = Format {
     name: "iiif",
     title: "IIIF georeference",
     items: "annotations",
-    form: Form::Json(is_iiif, read),
+    form: FormatReader::Json(is_iiif, read),
 };
 const ITEMS: &str = "an array of annotations";
 const FEATURES: &str = "an array of control points, GeoJSON features";
 
-fn is_iiif(fields: &Fields<'_>) -> bool {
+fn is_iiif(fields: &ObjectMembers<'_>) -> bool {
     let has = |name: &str, kind| fields.kind(name) == Some(kind);
     !fields.is_list
         && (has("body", Kind::Object) && (fields.has("target") || fields.has("type"))

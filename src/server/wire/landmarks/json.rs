@@ -11,12 +11,12 @@ const MOST_FIELDS: usize = 256;
 const MOST_NAMED: usize = 8;
 
 /// The fields of the outermost object; of a list, those of its first object.
-pub(super) struct Fields<'t> {
+pub(super) struct ObjectMembers<'t> {
     pub(super) is_list: bool,
     pairs: Vec<(&'t str, &'t str)>,
 }
 
-impl<'t> Fields<'t> {
+impl<'t> ObjectMembers<'t> {
     pub(super) fn of(root: &Node<'t, '_>) -> Self {
         let is_list = root.kind() == Kind::Array;
         let object = if is_list { root.first() } else { Some(*root) };

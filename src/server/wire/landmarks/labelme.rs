@@ -10,8 +10,8 @@ use mlswarp::geometry::Point;
 
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Landmark, Located};
-use super::json::Fields;
-use super::{Form, Format, offset};
+use super::json::ObjectMembers;
+use super::{Format, FormatReader, offset};
 use crate::problem::Problem;
 use crate::problem::words::quote;
 use crate::wire::handles::{PLACE, place};
@@ -21,13 +21,13 @@ pub(super) const FORMAT: Format = Format {
     name: "labelme",
     title: "labelme",
     items: "images",
-    form: Form::Json(is_labelme, read),
+    form: FormatReader::Json(is_labelme, read),
 };
 const SHAPES: &str = "an array of shapes";
 const POINTS: &str = "an array of positions";
 const TYPES: &str = "`point`, `line`, `linestrip` or `polygon`";
 
-fn is_labelme(fields: &Fields<'_>) -> bool {
+fn is_labelme(fields: &ObjectMembers<'_>) -> bool {
     !fields.is_list && fields.has("shapes")
 }
 

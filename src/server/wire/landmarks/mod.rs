@@ -40,15 +40,15 @@ mod xml;
 mod tests;
 
 use bad::{Bad, BadJson};
-use collect::{Collector, File};
+use collect::{Collector, LandmarkFile};
 pub use fields::Target;
 pub(crate) use files::without_files;
 pub use files::{Choice, LandmarkFiles, Landmarks, Placed, extent};
 pub use item::Item;
-use json::Fields;
+use json::ObjectMembers;
 
 pub use super::enum_name::Matching;
-use table::{Row, Table};
+use table::{Table, TableRow};
 
 use super::json::Node;
 use super::work::Work;
@@ -62,30 +62,30 @@ struct Format {
     title: &'static str,
     /// What one file may have several of; only one is read.
     items: &'static str,
-    form: Form,
+    form: FormatReader,
 }
 
 /// What a format is written in. The first function: whether a file is of this format, by its
 /// beginning. The second one reads it.
-enum Form {
+enum FormatReader {
     /// A text, by its beginning.
     Head(
         fn(&str) -> bool,
-        fn(Source<'_>, &mut Collector) -> Result<usize, Bad>,
+        fn(SourceText<'_>, &mut Collector) -> Result<usize, Bad>,
     ),
     /// Lines, by the first that is neither empty nor a comment.
     Lines(
         fn(&str) -> bool,
-        fn(Source<'_>, &mut Collector) -> Result<usize, Bad>,
+        fn(SourceText<'_>, &mut Collector) -> Result<usize, Bad>,
     ),
     /// Rows of fields, by the first.
     Table(
-        fn(&Row) -> bool,
+        fn(&TableRow) -> bool,
         fn(Table<'_>, &mut Collector) -> Result<usize, Bad>,
     ),
     /// JSON, by the fields of its outermost object.
     Json(
-        fn(&Fields<'_>) -> bool,
+        fn(&ObjectMembers<'_>) -> bool,
         fn(&str, &Node<'_, '_>, &mut Collector) -> Result<usize, BadJson>,
     ),
 }
@@ -130,7 +130,7 @@ pub(crate) fn is_format(text: &str) -> bool {
 
 /// The text of a file, and the work of reading it.
 #[derive(Clone, Copy)]
-struct Source<'t> {
+struct SourceText<'t> {
     text: &'t str,
     /// Where it begins, bytes: a byte order mark counts for offsets but belongs to no column.
     start: usize,
@@ -143,7 +143,7 @@ fn read(
     max_columns: usize,
     item: Option<Item>,
     work: &Work<'_>,
-) -> Result<File, Bad> {
+) -> Result<LandmarkFile, Bad> {
     if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
         return Err(Bad::new(
             0,
@@ -169,7 +169,7 @@ fn read(
     } else {
         0
     };
-    let source = Source { text, start, work };
+    let source = SourceText { text, start, work };
     let before = work.find(&text.as_bytes()[start..], |byte| {
         !byte.is_ascii_whitespace()
     });
@@ -194,8 +194,8 @@ fn first_line(text: &str) -> &str {
 
 /// The beginning of a text.
 fn head(text: &str) -> &str {
-    const LONGEST: usize = 1 << 16;
-    let end = (0..=LONGEST.min(text.len()))
+    const LONGEST_LINE: usize = 1 << 16;
+    let end = (0..=LONGEST_LINE.min(text.len()))
         .rev()
         .find(|end| text.is_char_boundary(*end))
         .unwrap_or_default();
@@ -205,13 +205,13 @@ fn head(text: &str) -> &str {
 /// What a reader returns: its format, and where a missing landmark would be.
 type Reading = (&'static Format, usize);
 
-fn read_json(source: Source<'_>, start: usize, out: &mut Collector) -> Result<Reading, Bad> {
+fn read_json(source: SourceText<'_>, start: usize, out: &mut Collector) -> Result<Reading, Bad> {
     let text = source.text;
     let node = super::json::long_value(&text[start..], source.work)
         .map_err(|e| Bad::of_syntax(text, start, &e))?;
-    let fields = Fields::of(&node);
+    let fields = ObjectMembers::of(&node);
     for format in &FORMATS {
-        if let Form::Json(is, read) = format.form
+        if let FormatReader::Json(is, read) = format.form
             && is(&fields)
         {
             return read(text, &node, out)
@@ -222,12 +222,12 @@ fn read_json(source: Source<'_>, start: usize, out: &mut Collector) -> Result<Re
     Err(fields.unknown(start))
 }
 
-fn read_text(source: Source<'_>, content: &str, out: &mut Collector) -> Result<Reading, Bad> {
+fn read_text(source: SourceText<'_>, content: &str, out: &mut Collector) -> Result<Reading, Bad> {
     let (head, first) = (head(content), first_line(content));
     for format in &FORMATS {
         match format.form {
-            Form::Head(is, read) if is(head) => return Ok((format, read(source, out)?)),
-            Form::Lines(is, read) if is(first) => return Ok((format, read(source, out)?)),
+            FormatReader::Head(is, read) if is(head) => return Ok((format, read(source, out)?)),
+            FormatReader::Lines(is, read) if is(first) => return Ok((format, read(source, out)?)),
             _ => {}
         }
     }
@@ -251,7 +251,7 @@ fn read_text(source: Source<'_>, content: &str, out: &mut Collector) -> Result<R
         ));
     }
     for format in &FORMATS {
-        if let Form::Table(is, read) = format.form
+        if let FormatReader::Table(is, read) = format.form
             && is(&table.first)
         {
             return Ok((format, read(table, out)?));

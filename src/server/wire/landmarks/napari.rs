@@ -9,14 +9,14 @@
 use super::bad::Bad;
 use super::collect::Collector;
 use super::csv::NAMES;
-use super::table::{Row, Table};
-use super::{Form, Format};
+use super::table::{Table, TableRow};
+use super::{Format, FormatReader};
 
 pub(super) const FORMAT: Format = Format {
     name: "napari",
     title: "napari points",
     items: "slices",
-    form: Form::Table(is_napari, read),
+    form: FormatReader::Table(is_napari, read),
 };
 const CENTRE: f64 = 0.5;
 
@@ -26,7 +26,7 @@ fn axes(names: &[String]) -> Vec<usize> {
     (0..names.len()).map_while(axis).collect()
 }
 
-fn is_napari(first: &Row) -> bool {
+fn is_napari(first: &TableRow) -> bool {
     first
         .as_header()
         .is_some_and(|names| axes(&names).len() > 1)

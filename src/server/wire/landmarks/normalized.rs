@@ -9,10 +9,10 @@
 //! Apple's Vision framework counts y from the bottom and has no file format: convert it before.
 
 use super::bad::{Bad, BadJson};
-use super::collect::{Collector, Frame, Located};
-use super::json::Fields;
+use super::collect::{Collector, CoordinateConvention, Located};
+use super::json::ObjectMembers;
 use super::own::read_names;
-use super::{Form, Format, offset};
+use super::{Format, FormatReader, offset};
 use crate::problem::Problem;
 use crate::wire::json::{Kind, Node};
 use crate::wire::number::number;
@@ -21,13 +21,13 @@ pub(super) const MEDIAPIPE: Format = Format {
     name: "mediapipe",
     title: "MediaPipe",
     items: "lists",
-    form: Form::Json(is_mediapipe, read),
+    form: FormatReader::Json(is_mediapipe, read),
 };
 pub(super) const ARKIT: Format = Format {
     name: "arkit",
     title: "ARKit",
     items: "lists",
-    form: Form::Json(is_arkit, read),
+    form: FormatReader::Json(is_arkit, read),
 };
 /// The fields of an object that contain a list. ARKit's stand last, with the names of its joints.
 const LISTS: [&str; 16] = [
@@ -52,17 +52,17 @@ const LIST: &str = "a list of landmarks {\"x\", \"y\"}";
 const ARRAY: &str = "at least 2 numbers, x and y";
 const SHARE: &str = "a share of the image, 0 to 1";
 
-fn is_arkit(fields: &Fields<'_>) -> bool {
+fn is_arkit(fields: &ObjectMembers<'_>) -> bool {
     !fields.is_list && fields.has("jointLandmarks")
 }
 
 /// A list without a field that says what it is, or an object with such a field.
-fn is_mediapipe(fields: &Fields<'_>) -> bool {
+fn is_mediapipe(fields: &ObjectMembers<'_>) -> bool {
     fields.is_list || LISTS.iter().any(|name| fields.has(name))
 }
 
 fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, BadJson> {
-    out.set_frame(Frame::Normalized);
+    out.set_frame(CoordinateConvention::Normalized);
     if root.kind() == Kind::Array {
         return read_lists(text, root, None, true, out);
     }

@@ -8,14 +8,14 @@
 
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Row, Table};
-use super::{Form, Format};
+use super::table::{Table, TableRow};
+use super::{Format, FormatReader};
 
 pub(super) const FORMAT: Format = Format {
     name: "openface",
     title: "OpenFace CSV",
     items: "rows",
-    form: Form::Table(is_openface, read),
+    form: FormatReader::Table(is_openface, read),
 };
 const CENTRE: f64 = 0.5;
 
@@ -35,7 +35,7 @@ fn landmarks(names: &[String]) -> Vec<[usize; 2]> {
     (0..names.len()).map_while(place).collect()
 }
 
-fn is_openface(first: &Row) -> bool {
+fn is_openface(first: &TableRow) -> bool {
     first
         .as_header()
         .is_some_and(|names| !landmarks(&names).is_empty())

@@ -5,9 +5,9 @@ use mlswarp::deform::Handle;
 use mlswarp::warp::Units;
 
 use super::bad::{Bad, BadJson};
-use super::collect::{Collector, Frame, Landmark, Located};
-use super::json::Fields;
-use super::{Form, Format, offset};
+use super::collect::{Collector, CoordinateConvention, Landmark, Located};
+use super::json::ObjectMembers;
+use super::{Format, FormatReader, offset};
 use crate::wire::enum_name::enum_name;
 use crate::wire::handles::handle;
 use crate::wire::json::{Kind, Node, optional};
@@ -16,13 +16,13 @@ pub(super) const FORMAT: Format = Format {
     name: "json",
     title: "JSON",
     items: "objects",
-    form: Form::Json(is_own, read),
+    form: FormatReader::Json(is_own, read),
 };
 /// `format` and `unmatched` are in what the server has written; they say nothing about the handles.
 const FIELDS: [&str; 6] = ["p", "q", "names", "units", "format", "unmatched"];
 const HANDLES: &str = "an array of handles";
 
-fn is_own(fields: &Fields<'_>) -> bool {
+fn is_own(fields: &ObjectMembers<'_>) -> bool {
     !fields.is_list && (fields.has("p") || fields.has("q"))
 }
 
@@ -30,7 +30,7 @@ fn read(text: &str, root: &Node<'_, '_>, out: &mut Collector) -> Result<usize, B
     let [p, q, names, units, _, _] = root.fields(&FIELDS)?;
     let p = p.ok_or_else(|| root.missing("p", HANDLES))?;
     if optional(units, enum_name::<Units>)? == Some(Units::Normalized) {
-        out.set_frame(Frame::Normalized);
+        out.set_frame(CoordinateConvention::Normalized);
     }
     let (mut rest, mut at) = (Vec::new(), Vec::new());
     p.items::<BadJson>(HANDLES, |_, item| {

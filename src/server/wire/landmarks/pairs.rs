@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use mlswarp::deform::Handle;
 
 use super::bad::Bad;
-use super::collect::{File, Unmatched};
+use super::collect::{LandmarkFile, Unmatched};
 use crate::problem::words::quote;
 use crate::wire::enum_name::Matching;
 
@@ -24,7 +24,10 @@ const BY_ORDER: &str = "to match them by order send match=order (`--match order`
 /// and without names, by order. Errors: An error, and 0 for the first file or 1 for the second: a
 /// name that does not tell landmarks apart, names of which the fewest match, or another number or
 /// shape.
-pub(super) fn pair(files: &[File; 2], matching: Option<Matching>) -> Result<Pairs, (usize, Bad)> {
+pub(super) fn pair(
+    files: &[LandmarkFile; 2],
+    matching: Option<Matching>,
+) -> Result<Pairs, (usize, Bad)> {
     let [p, q] = files;
     let pairs = match (matching, &p.names, &q.names) {
         (Some(Matching::Name), Some(p), Some(q)) => pair_by_name([p, q], true)?,
@@ -64,7 +67,7 @@ pub(super) fn pair(files: &[File; 2], matching: Option<Matching>) -> Result<Pair
     Ok(pairs)
 }
 
-fn unnamed(side: usize, file: &File) -> (usize, Bad) {
+fn unnamed(side: usize, file: &LandmarkFile) -> (usize, Bad) {
     let at = file.at.first().copied().unwrap_or_default();
     (
         side,
@@ -92,9 +95,9 @@ fn shape(handle: &Handle) -> String {
 /// Whether every name is the position of its landmark, as ImageJ names what nobody has named:
 /// `0045-0030` is y 45, x 30, after the slice of a stack, and in its tables after the title of the
 /// image (`ij/plugin/frame/RoiManager.java`, `getLabel`).
-fn has_positions_as_names(file: &File) -> bool {
+fn has_positions_as_names(file: &LandmarkFile) -> bool {
     /// Half a pixel of conventions, and rounding.
-    const NEAR: f64 = 1.5;
+    const NEAR_PX: f64 = 1.5;
     let is_position = |((_, name), handle): (&(usize, String), &Handle)| {
         let label = name
             .rsplit(':')
@@ -106,7 +109,7 @@ fn has_positions_as_names(file: &File) -> bool {
         let (Some(Some(x)), Some(Some(y))) = (numbers.next(), numbers.next()) else {
             return false;
         };
-        let is_near = |value: f64, label: u32| (value - f64::from(label)).abs() <= NEAR;
+        let is_near = |value: f64, label: u32| (value - f64::from(label)).abs() <= NEAR_PX;
         numbers.all(|slice| slice.is_some())
             && handle
                 .places()
@@ -118,7 +121,7 @@ fn has_positions_as_names(file: &File) -> bool {
         .is_some_and(|names| names.iter().zip(&file.p).all(is_position))
 }
 
-fn pair_by_order(files: [&File; 2]) -> Result<Pairs, (usize, Bad)> {
+fn pair_by_order(files: [&LandmarkFile; 2]) -> Result<Pairs, (usize, Bad)> {
     let [count_p, count_q] = files.map(|file| file.p.len());
     let shorter = count_p.min(count_q);
     if let Some((side, at)) = files

@@ -8,14 +8,14 @@
 use super::bad::Bad;
 use super::collect::{Collector, Located};
 use super::words::Lines;
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 use crate::problem::words::quote;
 
 pub(super) const FORMAT: Format = Format {
     name: "pts",
     title: "ibug .pts",
     items: "faces",
-    form: Form::Lines(is_pts, read),
+    form: FormatReader::Lines(is_pts, read),
 };
 const FIRST_CENTRE: f64 = 0.5;
 
@@ -29,7 +29,7 @@ fn is_pts(first: &str) -> bool {
     }) && first.contains(':')
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, false);
     let mut declared: Option<usize> = None;
     loop {

@@ -9,14 +9,14 @@
 
 use super::bad::Bad;
 use super::collect::Collector;
-use super::table::{Row, Table, flag};
-use super::{Form, Format};
+use super::table::{Table, TableRow, flag};
+use super::{Format, FormatReader};
 
 pub(super) const FORMAT: Format = Format {
     name: "qgis",
     title: "QGIS .points",
     items: "rasters",
-    form: Form::Table(is_qgis, read),
+    form: FormatReader::Table(is_qgis, read),
 };
 
 const X: [&str; 2] = ["sourcex", "pixelx"];
@@ -28,7 +28,7 @@ fn find(names: &[String], wanted: &[&str]) -> Option<usize> {
         .position(|name| wanted.contains(&name.as_str()))
 }
 
-fn is_qgis(first: &Row) -> bool {
+fn is_qgis(first: &TableRow) -> bool {
     first
         .as_header()
         .is_some_and(|names| find(&names, &["mapx"]).is_some())

@@ -10,10 +10,10 @@
 use super::bad::{Bad, BadJson};
 use super::collect::{Collector, Located};
 use super::item::name_in;
-use super::json::Fields;
+use super::json::ObjectMembers;
 use super::table::Table;
 use super::words::Lines;
-use super::{Form, Format, Source, offset};
+use super::{Format, FormatReader, SourceText, offset};
 use crate::problem::Problem;
 use crate::problem::words::quote;
 use crate::wire::json::{Kind, Node, optional};
@@ -23,13 +23,13 @@ pub(super) const JSON: Format = Format {
     name: "slicer",
     title: "3D Slicer",
     items: "markups",
-    form: Form::Json(is_markups, read_json),
+    form: FormatReader::Json(is_markups, read_json),
 };
 pub(super) const FCSV: Format = Format {
     name: "slicer",
     title: ".fcsv",
     items: "markups",
-    form: Form::Head(is_fcsv, read_fcsv),
+    form: FormatReader::Head(is_fcsv, read_fcsv),
 };
 const CENTRE: f64 = 0.5;
 const MARKUPS: &str = "an array of markups";
@@ -40,7 +40,7 @@ const CONVERSION: &str = "send CSV with x = (position - origin) / spacing + 0.5 
                           same coordinates (those of RAS are those of LPS with the other signs of \
                           x and y)";
 
-fn is_markups(fields: &Fields<'_>) -> bool {
+fn is_markups(fields: &ObjectMembers<'_>) -> bool {
     !fields.is_list && fields.kind("markups") == Some(Kind::Array)
 }
 
@@ -121,7 +121,7 @@ fn indices(position: &Node<'_, '_>) -> Result<[f64; 2], Problem> {
     }
 }
 
-fn read_fcsv(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read_fcsv(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, false);
     let (mut system, mut columns) = (None, None);
     while let Some(line) = lines.next_line()? {
@@ -151,7 +151,7 @@ fn read_fcsv(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let Table { first, mut rows } = Table::new(source)?;
     let mut next = Some(first);
     while let Some(row) = next {
-        let field = |index: usize| row.fields.get(index).map(super::table::Field::located);
+        let field = |index: usize| row.fields.get(index).map(super::table::TableField::located);
         let number = |index: usize| {
             field(index)
                 .unwrap_or(Located {

@@ -7,7 +7,7 @@ use csv_core::{ReadFieldResult, Reader, ReaderBuilder};
 use super::bad::Bad;
 use super::collect::Located;
 use super::words::line_at;
-use super::{Source, Work};
+use super::{SourceText, Work};
 use crate::problem::words::quote;
 
 /// The longest field, bytes.
@@ -17,12 +17,12 @@ const MOST_FIELDS: usize = 4096;
 
 /// A field and its place in the file, bytes.
 #[derive(Debug)]
-pub(super) struct Field {
+pub(super) struct TableField {
     pub(super) at: usize,
     pub(super) text: String,
 }
 
-impl Field {
+impl TableField {
     pub(super) fn located(&self) -> Located<'_> {
         Located {
             at: self.at,
@@ -33,12 +33,12 @@ impl Field {
 
 /// A row.
 #[derive(Debug)]
-pub(super) struct Row {
+pub(super) struct TableRow {
     pub(super) at: usize,
-    pub(super) fields: Vec<Field>,
+    pub(super) fields: Vec<TableField>,
 }
 
-impl Row {
+impl TableRow {
     /// The names of a header, in lower case; `None` if a field is a number.
     pub(super) fn as_header(&self) -> Option<Vec<String>> {
         let names = self.fields.iter().map(|field| field.text.trim());
@@ -70,13 +70,13 @@ impl Row {
 
 /// The rows of a file, the first of which has been read.
 pub(super) struct Table<'t> {
-    pub(super) first: Row,
+    pub(super) first: TableRow,
     pub(super) rows: Rows<'t>,
 }
 
 impl<'t> Table<'t> {
     /// Errors: A row that is too long, or none.
-    pub(super) fn new(source: Source<'t>) -> Result<Self, Bad> {
+    pub(super) fn new(source: SourceText<'t>) -> Result<Self, Bad> {
         let mut rows = Rows::new(source)?;
         let first = rows.next_row()?;
         let missing = || {
@@ -94,7 +94,7 @@ impl<'t> Table<'t> {
 
 /// The rows of a text. Empty lines, and comments (`#`) before the first row, are passed over.
 pub(super) struct Rows<'t> {
-    source: Source<'t>,
+    source: SourceText<'t>,
     at: usize,
     /// `None` for white space.
     reader: Option<Reader>,
@@ -106,7 +106,7 @@ pub(super) struct Rows<'t> {
 
 impl<'t> Rows<'t> {
     /// Errors: A comment that is too long.
-    pub(super) fn new(source: Source<'t>) -> Result<Self, Bad> {
+    pub(super) fn new(source: SourceText<'t>) -> Result<Self, Bad> {
         let mut at = source.start;
         while at < source.text.len() {
             let (line, length) = line_at(source, at)?;
@@ -133,7 +133,7 @@ impl<'t> Rows<'t> {
     }
 
     /// The next row.
-    pub(super) fn next_row(&mut self) -> Result<Option<Row>, Bad> {
+    pub(super) fn next_row(&mut self) -> Result<Option<TableRow>, Bad> {
         let rest = &self.source.text.as_bytes()[self.at..];
         // Only as far as the first byte of the next row: what follows it is looked at as it is
         // read.
@@ -160,7 +160,7 @@ impl<'t> Rows<'t> {
     }
 
     /// The words of the next row, and texts in quotes.
-    fn words(&mut self) -> Result<Row, Bad> {
+    fn words(&mut self) -> Result<TableRow, Bad> {
         let (line, length) = line_at(self.source, self.at)?;
         let (row_at, mut rest) = (self.at, line.trim_start());
         self.at += length;
@@ -177,30 +177,30 @@ impl<'t> Rows<'t> {
             }
             push(
                 &mut fields,
-                Field {
+                TableField {
                     at,
                     text: text.to_owned(),
                 },
             )?;
             rest = after.trim_start();
         }
-        Ok(Row { at: row_at, fields })
+        Ok(TableRow { at: row_at, fields })
     }
 
     /// The fields of the next row between separators.
-    fn fields(&mut self) -> Result<Row, Bad> {
+    fn fields(&mut self) -> Result<TableRow, Bad> {
         let (row_at, mut fields) = (self.at, Vec::new());
         loop {
             let (field, is_last) = self.field()?;
             push(&mut fields, field)?;
             if is_last {
-                return Ok(Row { at: row_at, fields });
+                return Ok(TableRow { at: row_at, fields });
             }
         }
     }
 
     /// The next field of the row, and whether it is the last one.
-    fn field(&mut self) -> Result<(Field, bool), Bad> {
+    fn field(&mut self) -> Result<(TableField, bool), Bad> {
         let Some(reader) = &mut self.reader else {
             return Err(Bad::new(self.at, "expected a row"));
         };
@@ -223,7 +223,7 @@ impl<'t> Rows<'t> {
             let text = std::str::from_utf8(&self.field[..length])
                 .map_err(|_| Bad::new(at, "expected text in UTF-8"))?;
             return Ok((
-                Field {
+                TableField {
                     at,
                     text: text.to_owned(),
                 },
@@ -234,7 +234,7 @@ impl<'t> Rows<'t> {
 }
 
 /// Errors: Too many fields.
-fn push(fields: &mut Vec<Field>, field: Field) -> Result<(), Bad> {
+fn push(fields: &mut Vec<TableField>, field: TableField) -> Result<(), Bad> {
     if fields.len() == MOST_FIELDS {
         return Err(Bad::new(
             field.at,
@@ -290,7 +290,7 @@ fn separator(text: &[u8], work: &Work<'_>) -> Option<u8> {
 }
 
 /// The value of a field that says whether its row counts.
-pub(super) fn flag(field: &Field) -> Result<bool, Bad> {
+pub(super) fn flag(field: &TableField) -> Result<bool, Bad> {
     match field.text.trim().to_ascii_lowercase().as_str() {
         "true" | "1" => Ok(true),
         "false" | "0" => Ok(false),

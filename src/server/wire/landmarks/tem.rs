@@ -14,14 +14,14 @@ use mlswarp::geometry::Point;
 use super::bad::Bad;
 use super::collect::{Collector, Landmark};
 use super::words::Lines;
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 use crate::problem::words::quote;
 
 pub(super) const FORMAT: Format = Format {
     name: "tem",
     title: "WebMorph .tem",
     items: "faces",
-    form: Form::Lines(is_tem, read),
+    form: FormatReader::Lines(is_tem, read),
 };
 const CENTRE: f64 = 0.5;
 
@@ -30,7 +30,7 @@ pub(super) fn is_tem(first: &str) -> bool {
     !first.is_empty() && first.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
     let mut lines = Lines::new(source, true);
     let count = lines
         .line("the number of points")?

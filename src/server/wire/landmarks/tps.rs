@@ -12,16 +12,16 @@ use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 
 use super::bad::Bad;
-use super::collect::{Collector, Frame, Landmark, Located};
+use super::collect::{Collector, CoordinateConvention, Landmark, Located};
 use super::words::Lines;
-use super::{Form, Format, Source};
+use super::{Format, FormatReader, SourceText};
 use crate::problem::words::quote;
 
 pub(super) const FORMAT: Format = Format {
     name: "tps",
     title: "tpsDig .tps",
     items: "specimens",
-    form: Form::Lines(is_tps, read),
+    form: FormatReader::Lines(is_tps, read),
 };
 
 /// `LM=12` as its name in capitals and its value.
@@ -52,8 +52,8 @@ struct Specimen {
     names: [String; 2],
 }
 
-fn read(source: Source<'_>, out: &mut Collector) -> Result<usize, Bad> {
-    out.set_frame(Frame::PxUp);
+fn read(source: SourceText<'_>, out: &mut Collector) -> Result<usize, Bad> {
+    out.set_frame(CoordinateConvention::PxUp);
     let mut lines = Lines::new(source, false);
     let mut specimen: Option<Specimen> = None;
     let mut positions = 0;

@@ -1,6 +1,6 @@
 //! Lines of words that white space separates.
 
-use super::Source;
+use super::SourceText;
 use super::bad::Bad;
 use super::collect::Located;
 use crate::problem::words::quote;
@@ -10,7 +10,7 @@ const LONGEST_LINE: usize = 1 << 20;
 
 /// The next line of a text, and its bytes with its end: LF, CR or both.
 /// Errors: A line that is too long.
-pub(super) fn line_at<'t>(source: Source<'t>, at: usize) -> Result<(&'t str, usize), Bad> {
+pub(super) fn line_at<'t>(source: SourceText<'t>, at: usize) -> Result<(&'t str, usize), Bad> {
     let rest = &source.text.as_bytes()[at..];
     let longest = &rest[..rest.len().min(LONGEST_LINE + 1)];
     let length = source
@@ -31,13 +31,13 @@ pub(super) fn line_at<'t>(source: Source<'t>, at: usize) -> Result<(&'t str, usi
 /// The lines of a text that are not empty; those that begin with `#` are comments if the format has
 /// them.
 pub(super) struct Lines<'t> {
-    source: Source<'t>,
+    source: SourceText<'t>,
     at: usize,
     has_comments: bool,
 }
 
 impl<'t> Lines<'t> {
-    pub(super) fn new(source: Source<'t>, has_comments: bool) -> Self {
+    pub(super) fn new(source: SourceText<'t>, has_comments: bool) -> Self {
         Self {
             source,
             at: source.start,

@@ -5,14 +5,14 @@
 
 use std::borrow::Cow;
 
-use super::Source;
+use super::SourceText;
 use super::bad::Bad;
 use super::collect::Located;
 use super::item::LONGEST_NAME;
 use crate::problem::words::quote;
 
 /// The most elements inside one another.
-const DEEPEST: usize = 64;
+const MAX_ELEMENT_DEPTH: usize = 64;
 
 /// The name of the outermost element, if a text is XML, by its beginning.
 pub(super) fn root(head: &str) -> Option<&str> {
@@ -48,12 +48,12 @@ pub(super) struct Tag<'t> {
     /// Whether it ends an element; `<a/>` begins one, and is followed by its end.
     pub(super) is_end: bool,
     attributes: Located<'t>,
-    source: Source<'t>,
+    source: SourceText<'t>,
 }
 
 /// The tags of a file.
 pub(super) struct Tags<'t> {
-    source: Source<'t>,
+    source: SourceText<'t>,
     at: usize,
     open: Vec<&'t str>,
     /// Whether the newest element has no content.
@@ -61,7 +61,7 @@ pub(super) struct Tags<'t> {
 }
 
 impl<'t> Tags<'t> {
-    pub(super) fn new(source: Source<'t>) -> Self {
+    pub(super) fn new(source: SourceText<'t>) -> Self {
         Self {
             source,
             at: source.start,
@@ -73,7 +73,7 @@ impl<'t> Tags<'t> {
     /// The next tag; `None` at the end of the file.
     /// Errors: Elements that do not end, or not in their order; a declaration.
     pub(super) fn next_tag(&mut self) -> Result<Option<Tag<'t>>, Bad> {
-        let Source { text, work, .. } = self.source;
+        let SourceText { text, work, .. } = self.source;
         if std::mem::take(&mut self.is_empty)
             && let Some(name) = self.open.pop()
         {
@@ -141,7 +141,7 @@ impl<'t> Tags<'t> {
 
     /// The tag that begins here.
     fn tag(&mut self) -> Result<Tag<'t>, Bad> {
-        let (Source { text, work, .. }, at) = (self.source, self.at);
+        let (SourceText { text, work, .. }, at) = (self.source, self.at);
         let mut end = at + 1;
         loop {
             end += work.find(&text.as_bytes()[end..], |byte| {
@@ -193,10 +193,13 @@ impl<'t> Tags<'t> {
                 ));
             }
         } else {
-            if self.open.len() == DEEPEST {
+            if self.open.len() == MAX_ELEMENT_DEPTH {
                 return Err(Bad::new(
                     at,
-                    format!("expected at most {DEEPEST} elements inside one another; found more"),
+                    format!(
+                        "expected at most {MAX_ELEMENT_DEPTH} elements inside one another; \
+                         found more"
+                    ),
                 ));
             }
             self.open.push(name);

@@ -353,7 +353,7 @@ fn schemas_and_parsers_agree_on_a_table() {
     let document = document();
     type Parse = fn(&[u8]) -> bool;
     let batch = |b: &[u8]| {
-        let source = Frame::of_source(Extent::new(400, 300).unwrap(), Units::Px);
+        let source = CoordinateFrame::of_source(Extent::new(400, 300).unwrap(), Units::Px);
         Reserved::<BatchObject, _>::parse(&super::bytes(b), 1 << 20, 1 << 16, source, |_| Ok(()))
             .is_ok()
     };

@@ -8,31 +8,31 @@ const COEFFICIENT_BITS: usize = 26;
 /// Most bytes of a block.
 pub(super) const BLOCK_BYTES: usize = BLOCK * COEFFICIENT_BITS / 8;
 /// Most blocks of a group.
-pub(super) const GROUP: usize = 12;
+pub(super) const MAX_GROUP_BLOCKS: usize = 12;
 /// Bits of a length in an entry of a table.
-const LENGTH: u32 = 6;
-/// Values from `-NEAR` to `NEAR - 1` have an entry of their own for each run of zeros. Kernels find
-/// them in bytes: when 64 is added, the sign bit of all others is 1.
-pub(super) const NEAR: i32 = 64;
-const VALUES: usize = 2 * NEAR as usize;
+const LENGTH_BITS: u32 = 6;
+/// Values from `-NEAR_VALUES` to `NEAR_VALUES - 1` have an entry of their own for each run of
+/// zeros. Kernels find them in bytes: when 64 is added, the sign bit of all others is 1.
+pub(super) const NEAR_VALUES: i32 = 64;
+const VALUES: usize = 2 * NEAR_VALUES as usize;
 
-/// Rows of a table: one for each run of 0 to 15 zeros, then one ([`FIRST`]) for the differences of
+/// Rows of a table: one for each run of 0 to 15 zeros, then one ([`DC_ROW`]) for the differences of
 /// first coefficients.
-const RUNS: usize = FIRST + 1;
-const FIRST: usize = 16;
+const RUNS: usize = DC_ROW + 1;
+const DC_ROW: usize = 16;
 
 /// A quantised block in zigzag order, and which of its coefficients are not zero, the first in the
 /// lowest bit.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
-pub(super) struct Block {
+pub(super) struct QuantisedBlock {
     pub(super) coefficients: [i16; BLOCK],
     pub(super) nonzero: u64,
-    /// All coefficients but the first are from `-NEAR` to `NEAR - 1`.
+    /// All coefficients but the first are from `-NEAR_VALUES` to `NEAR_VALUES - 1`.
     pub(super) is_near: bool,
 }
 
-impl Default for Block {
+impl Default for QuantisedBlock {
     fn default() -> Self {
         Self {
             coefficients: [0; BLOCK],
@@ -42,7 +42,7 @@ impl Default for Block {
     }
 }
 
-impl Block {
+impl QuantisedBlock {
     /// Coefficients `8 k` to `8 k + 7`.
     #[inline(always)]
     pub(super) fn eight(&mut self, k: usize) -> &mut [i16; 8] {
@@ -51,8 +51,8 @@ impl Block {
 }
 
 /// The blocks of a group of pixels.
-pub(super) type Blocks = [Block; BLOCKS];
-/// At least [`GROUP`], a power of two.
+pub(super) type Blocks = [QuantisedBlock; BLOCKS];
+/// At least [`MAX_GROUP_BLOCKS`], a power of two.
 const BLOCKS: usize = 16;
 /// The first coefficient of each component's previous block.
 pub(super) type Predictors = [i16; COMPONENTS];
@@ -67,14 +67,14 @@ pub(super) struct BlockPlace {
 }
 
 /// The codes of luminance or chrominance: `bits << 6 | length`.
-pub(super) struct Codes {
+pub(super) struct CoefficientCodes {
     /// By run of zeros and size of the value.
     sized: [[u32; 16]; RUNS],
     /// By run of zeros and the lowest bits of the value: the code and the bits of the value.
     near: [[u32; VALUES]; RUNS],
 }
 
-impl std::fmt::Debug for Codes {
+impl std::fmt::Debug for CoefficientCodes {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Codes").finish_non_exhaustive()
     }
@@ -86,7 +86,7 @@ impl std::fmt::Debug for Codes {
 fn with_value(code: u32, value: i32, size: u32) -> u32 {
     #[expect(clippy::cast_sign_loss, reason = "the lower bits")]
     let bits = (value + (value >> 31)) as u32 & ((1 << size) - 1);
-    ((code >> LENGTH) << size | bits) << LENGTH | (code % (1 << LENGTH) + size)
+    ((code >> LENGTH_BITS) << size | bits) << LENGTH_BITS | (code % (1 << LENGTH_BITS) + size)
 }
 
 /// Bits of a value: 0 for 0, and 1 + the logarithm of its amount.
@@ -95,11 +95,12 @@ const fn size(value: i32) -> u32 {
     32 - value.unsigned_abs().leading_zeros()
 }
 
-impl Codes {
+impl CoefficientCodes {
     /// Of luminance and chrominance.
     pub(super) fn of_both() -> [Self; 2] {
         [0, 1].map(|k| {
-            let code = |(code, length): (u16, u8)| u32::from(code) << LENGTH | u32::from(length);
+            let code =
+                |(code, length): (u16, u8)| u32::from(code) << LENGTH_BITS | u32::from(length);
             let (dc, ac) = (DC[k].codes().map(code), AC[k].codes().map(code));
             let mut codes = Self {
                 sized: [[0; 16]; RUNS],
@@ -107,13 +108,13 @@ impl Codes {
             };
             for run in 0..RUNS {
                 codes.sized[run] = std::array::from_fn(|size| {
-                    if run == FIRST {
+                    if run == DC_ROW {
                         dc[size]
                     } else {
                         ac[run << 4 | size]
                     }
                 });
-                for value in -NEAR..NEAR {
+                for value in -NEAR_VALUES..NEAR_VALUES {
                     codes.near[run][low_bits(value)] = codes.far(run, value);
                 }
             }
@@ -122,10 +123,10 @@ impl Codes {
     }
 
     /// The code of `run` zeros and a value that follows them; of a difference if `run` is
-    /// [`FIRST`]. `NEAR_ALL`: the value has an entry.
+    /// [`DC_ROW`]. `NEAR_ALL`: the value has an entry.
     #[inline(always)]
     fn of<const NEAR_ALL: bool>(&self, run: usize, value: i32) -> u32 {
-        if NEAR_ALL || (-NEAR..NEAR).contains(&value) {
+        if NEAR_ALL || (-NEAR_VALUES..NEAR_VALUES).contains(&value) {
             self.near[run % RUNS][low_bits(value)]
         } else {
             self.far(run, value)
@@ -149,19 +150,19 @@ const fn low_bits(value: i32) -> usize {
 }
 
 /// Bits that are joined, and whole bytes that wait for their zeros.
-pub(super) struct BitWriter {
-    bytes: Box<[u8; SIZE]>,
-    bits: Bits,
+pub(super) struct ScanWriter {
+    bytes: Box<[u8; BUFFER_BYTES]>,
+    bits: ScanBits,
 }
 
-const SIZE: usize = 16 << 10;
+const BUFFER_BYTES: usize = 16 << 10;
 /// Above, the bytes must be taken before the next group.
-const FULL: usize = SIZE - GROUP * BLOCK_BYTES - 16;
+const FULL_BYTES: usize = BUFFER_BYTES - MAX_GROUP_BLOCKS * BLOCK_BYTES - 16;
 
-/// The state of a [`BitWriter`] without its bytes, so that it stays in registers while a block is
+/// The state of a [`ScanWriter`] without its bytes, so that it stays in registers while a block is
 /// coded.
 #[derive(Clone, Copy)]
-struct Bits {
+struct ScanBits {
     /// Length of the bytes.
     at: usize,
     word: u64,
@@ -169,12 +170,12 @@ struct Bits {
     waiting: u32,
 }
 
-impl Bits {
+impl ScanBits {
     #[inline(always)]
     fn put(&mut self, code: u32) {
         // The shift takes the length, the lowest 6 bits, alone.
-        self.word = self.word.wrapping_shl(code) | u64::from(code >> LENGTH);
-        self.waiting += code % (1 << LENGTH);
+        self.word = self.word.wrapping_shl(code) | u64::from(code >> LENGTH_BITS);
+        self.waiting += code % (1 << LENGTH_BITS);
     }
 
     /// Codes a block. `difference`: of its first coefficient and that of the component's previous
@@ -182,9 +183,9 @@ impl Bits {
     #[inline(always)]
     fn block<const NEAR_ALL: bool>(
         &mut self,
-        block: &Block,
-        codes: &Codes,
-        bytes: &mut [u8; SIZE],
+        block: &QuantisedBlock,
+        codes: &CoefficientCodes,
+        bytes: &mut [u8; BUFFER_BYTES],
     ) {
         self.store(bytes);
         let mut rest = Uncoded {
@@ -208,10 +209,10 @@ impl Bits {
     #[inline(always)]
     fn coefficient<const NEAR_ALL: bool>(
         &mut self,
-        block: &Block,
-        codes: &Codes,
+        block: &QuantisedBlock,
+        codes: &CoefficientCodes,
         rest: &mut Uncoded,
-        bytes: &mut [u8; SIZE],
+        bytes: &mut [u8; BUFFER_BYTES],
     ) {
         let at = rest.left.trailing_zeros();
         rest.left &= rest.left - 1;
@@ -229,17 +230,22 @@ impl Bits {
         ));
     }
 
-    /// [`Bits::block`] of any values.
+    /// [`ScanBits::block`] of any values.
     #[cold]
     #[inline(never)]
-    fn far_block(mut self, block: &Block, codes: &Codes, bytes: &mut [u8; SIZE]) -> Self {
+    fn far_block(
+        mut self,
+        block: &QuantisedBlock,
+        codes: &CoefficientCodes,
+        bytes: &mut [u8; BUFFER_BYTES],
+    ) -> Self {
         self.block::<false>(block, codes, bytes);
         self
     }
 
     /// Stores all whole bytes.
     #[inline(always)]
-    fn store(&mut self, bytes: &mut [u8; SIZE]) {
+    fn store(&mut self, bytes: &mut [u8; BUFFER_BYTES]) {
         // If no bit waits, the bytes have no meaning and are overwritten.
         let bits = self.word.wrapping_shl(self.waiting.wrapping_neg());
         if let Some(bytes) = bytes.get_mut(self.at..).and_then(<[u8]>::first_chunk_mut) {
@@ -258,11 +264,11 @@ struct Uncoded {
     next: u32,
 }
 
-impl BitWriter {
+impl ScanWriter {
     pub(super) fn new() -> Self {
         Self {
-            bytes: Box::new([0; SIZE]),
-            bits: Bits {
+            bytes: Box::new([0; BUFFER_BYTES]),
+            bits: ScanBits {
                 at: 0,
                 word: 0,
                 waiting: 0,
@@ -277,11 +283,11 @@ impl BitWriter {
         &mut self,
         blocks: &Blocks,
         order: &[BlockPlace],
-        codes: &[Codes; 2],
+        codes: &[CoefficientCodes; 2],
         last: &mut Predictors,
         out: &mut Vec<u8>,
     ) {
-        if self.bits.at > FULL {
+        if self.bits.at > FULL_BYTES {
             self.take(out);
         }
         let (mut bits, bytes) = (self.bits, &mut *self.bytes);
@@ -294,7 +300,7 @@ impl BitWriter {
             let [first, ..] = block.coefficients;
             let difference = i32::from(first) - i32::from(*last);
             *last = first;
-            bits.put(codes.of::<false>(FIRST, difference));
+            bits.put(codes.of::<false>(DC_ROW, difference));
             if block.is_near {
                 bits.block::<true>(block, codes, bytes);
             } else {
@@ -328,7 +334,7 @@ impl BitWriter {
         self.bits.store(&mut self.bytes);
         if self.bits.waiting > 0 {
             let length = 8 - self.bits.waiting;
-            self.bits.put(((1 << length) - 1) << LENGTH | length);
+            self.bits.put(((1 << length) - 1) << LENGTH_BITS | length);
             self.bits.store(&mut self.bytes);
         }
         self.take(out);
@@ -392,7 +398,7 @@ mod tests {
     /// after each number of waiting bits.
     #[test]
     fn bits_are_those_of_the_standard() {
-        let codes = Codes::of_both();
+        let codes = CoefficientCodes::of_both();
         let mut state = 1_u64;
         let mut random = |below: u64| {
             state = state
@@ -423,7 +429,7 @@ mod tests {
                     .sum();
                 block.is_near = coefficients[1..]
                     .iter()
-                    .all(|value| (-NEAR..NEAR).contains(&i32::from(*value)));
+                    .all(|value| (-NEAR_VALUES..NEAR_VALUES).contains(&i32::from(*value)));
             }
             let table = (round % 2) as usize;
             let order: Vec<_> = (0..4)
@@ -432,7 +438,7 @@ mod tests {
                     component: table,
                 })
                 .collect();
-            let (mut bits, mut out) = (BitWriter::new(), Vec::new());
+            let (mut bits, mut out) = (ScanWriter::new(), Vec::new());
             bits.put_group(&group, &order, &codes, &mut Predictors::default(), &mut out);
             bits.finish(&mut out);
             assert!(out == defined(&blocks, table), "round {round}: {blocks:?}");

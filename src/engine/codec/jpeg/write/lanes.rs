@@ -1,6 +1,6 @@
 //! The operations of an instruction set that a strip needs.
 
-use super::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
+use super::coder::{BlockPlace, Blocks, CoefficientCodes, Predictors, QuantisedBlock, ScanWriter};
 
 /// Most lanes of a level.
 pub(super) const MOST_LANES: usize = 32;
@@ -8,7 +8,7 @@ pub(super) const MOST_LANES: usize = 32;
 /// 16-bit integers side by side: 16 of them or a multiple, signed unless stated otherwise. Sums and
 /// differences wrap; `strip` states the ranges, within which they do not. Eight lanes are a row of
 /// a block, or a column after `transpose`.
-pub(super) trait Lanes: Copy {
+pub(super) trait I16Lanes: Copy {
     const COUNT: usize;
 
     fn all(value: i16) -> Self;
@@ -48,13 +48,13 @@ pub(super) trait Lanes: Copy {
     /// Transposes the blocks, `rows[y]` at lane x to `[x]` at lane y.
     fn transpose(rows: [Self; 8]) -> [Self; 8];
     /// Stores `COUNT / 8` transposed blocks in zigzag order, and sets `nonzero` and `is_near`.
-    fn store(columns: [Self; 8], blocks: &mut [Block]);
-    /// [`BitWriter::put_group`], compiled for the level.
+    fn store(columns: [Self; 8], blocks: &mut [QuantisedBlock]);
+    /// [`ScanWriter::put_group`], compiled for the level.
     fn code(
-        bits: &mut BitWriter,
+        bits: &mut ScanWriter,
         blocks: &Blocks,
         order: &[BlockPlace],
-        codes: &[Codes; 2],
+        codes: &[CoefficientCodes; 2],
         last: &mut Predictors,
         out: &mut Vec<u8>,
     );

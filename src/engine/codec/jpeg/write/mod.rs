@@ -22,17 +22,17 @@ mod tests;
 use std::ops::Range;
 use std::sync::{Arc, LazyLock};
 
-use self::coder::{BLOCK_BYTES, Codes};
+use self::coder::{BLOCK_BYTES, CoefficientCodes};
 use self::strip::{Components, Job, Quantiser};
 use self::tables::BLOCK;
 use crate::codec::{Carried, PngShape};
-use crate::level::Level;
+use crate::level::SimdLevel;
 
 /// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share
 /// a picture of 500 x 500 unevenly.
-const STRIP: u64 = 512 << 10;
+const STRIP_BYTES: u64 = 512 << 10;
 /// Pictures with fewer bytes are one strip.
-const WHOLE: u64 = 96 << 10;
+const ONE_STRIP_BYTES: u64 = 96 << 10;
 
 /// The resolution of the colours of a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -50,7 +50,7 @@ pub struct JpegWriter {
     components: Components,
     /// The background of transparent pixels.
     background: [u8; 3],
-    level: Level,
+    level: SimdLevel,
     /// Rows of a strip but the last, a multiple of the side of a macroblock.
     strip_rows: u32,
     quantisers: Arc<[Quantiser; 2]>,
@@ -80,10 +80,10 @@ impl JpegWriter {
         let (width, height) = (shape.extent.width(), shape.extent.height());
         let bytes = u64::from(width) * u64::from(height) * shape.samples() as u64;
         // An even number, so that two threads have equal work.
-        let strips = if bytes <= WHOLE {
+        let strips = if bytes <= ONE_STRIP_BYTES {
             1
         } else {
-            2 * bytes.div_ceil(2 * STRIP)
+            2 * bytes.div_ceil(2 * STRIP_BYTES)
         };
         let strip_rows = height
             .div_ceil(u32::try_from(strips).map_or(height, |strips| strips.min(height)))
@@ -98,7 +98,7 @@ impl JpegWriter {
             shape,
             components,
             background,
-            level: Level::detect(),
+            level: SimdLevel::detect(),
             strip_rows,
             quantisers,
             head,
@@ -107,7 +107,7 @@ impl JpegWriter {
 
     /// Encodes with another level.
     #[must_use]
-    pub fn with_level(self, level: Level) -> Self {
+    pub fn with_level(self, level: SimdLevel) -> Self {
         Self { level, ..self }
     }
 
@@ -184,7 +184,7 @@ impl JpegWriter {
         wanted: &dyn Fn() -> bool,
     ) {
         /// The same for every picture.
-        static CODES: LazyLock<[Codes; 2]> = LazyLock::new(Codes::of_both);
+        static CODES: LazyLock<[CoefficientCodes; 2]> = LazyLock::new(CoefficientCodes::of_both);
         let (width, channels) = (self.shape.extent.width() as usize, self.shape.samples());
         assert_eq!(
             samples.len(),

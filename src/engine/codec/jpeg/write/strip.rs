@@ -1,7 +1,7 @@
 //! One strip: pixels to colour, cosine transform, quantisation and coding, a group of macroblocks
 //! at a time.
 //!
-//! All arithmetic is on 16-bit integers (`Lanes`), whose range is -32,768 to 32,767. In order:
+//! All arithmetic is on 16-bit integers (`I16Lanes`), whose range is -32,768 to 32,767. In order:
 //!
 //! | value | unit | range |
 //! |---|---|---|
@@ -12,8 +12,10 @@
 //!
 //! Encoders that transform the samples of 8 bits have no bits of fraction.
 
-use super::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, GROUP, Predictors};
-use super::lanes::{Lanes, MOST_LANES};
+use super::coder::{
+    BlockPlace, Blocks, CoefficientCodes, MAX_GROUP_BLOCKS, Predictors, QuantisedBlock, ScanWriter,
+};
+use super::lanes::{I16Lanes, MOST_LANES};
 use super::tables::{BLOCK, SIDE};
 
 /// Most bytes of a pixel.
@@ -64,7 +66,7 @@ impl Components {
     fn order(self, lanes: usize) -> Vec<BlockPlace> {
         let macroblocks = lanes / self.side();
         let coded = |(plane, block, component): (usize, usize, usize)| BlockPlace {
-            block: plane * PLANE + block,
+            block: plane * MAX_PLANE_BLOCKS + block,
             component,
         };
         let one = |k: usize| match self {
@@ -83,9 +85,9 @@ impl Components {
     }
 }
 
-/// Divides coefficients by their steps: for each column of a block, two factors of [`Lanes::times`]
-/// in units of 2^-15. The reciprocal of a large step alone would have too few bits, so it is a
-/// factor of 1/2 to 1 and a power of two.
+/// Divides coefficients by their steps: for each column of a block, two factors of
+/// [`I16Lanes::times`] in units of 2^-15. The reciprocal of a large step alone would have too few
+/// bits, so it is a factor of 1/2 to 1 and a power of two.
 #[derive(Debug)]
 pub(super) struct Quantiser([[[i16; MOST_LANES]; 2]; SIDE]);
 
@@ -105,7 +107,7 @@ impl Quantiser {
     }
 
     #[inline(always)]
-    fn divide<T: Lanes>(&self, rows: &mut [T; SIDE]) {
+    fn divide<T: I16Lanes>(&self, rows: &mut [T; SIDE]) {
         for (row, [first, second]) in rows.iter_mut().zip(&self.0) {
             *row = row.times(T::load(first)).times(T::load(second));
         }
@@ -124,12 +126,12 @@ pub(super) struct Job<'a> {
     /// The background of transparent pixels.
     pub(super) background: [u8; 3],
     pub(super) quantisers: &'a [Quantiser; 2],
-    pub(super) codes: &'a [Codes; 2],
+    pub(super) codes: &'a [CoefficientCodes; 2],
 }
 
 /// See [`super::kernel::encode`].
 #[inline(always)]
-pub(super) fn encode<T: Lanes>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+pub(super) fn encode<T: I16Lanes>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     match job.channels {
         1 => rows::<T, 1>(job, out, wanted),
         2 => rows::<T, 2>(job, out, wanted),
@@ -156,7 +158,7 @@ pub(super) struct Pixels<'a> {
 impl<'a> Pixels<'a> {
     /// The first group.
     #[inline(always)]
-    pub(super) fn of_group<T: Lanes>(samples: &'a [u8], pitch: usize, channels: usize) -> Self {
+    pub(super) fn of_group<T: I16Lanes>(samples: &'a [u8], pitch: usize, channels: usize) -> Self {
         let edge = [[0; MOST_LANES * MOST_CHANNELS]; MOST_ROWS];
         Self {
             samples,
@@ -193,7 +195,7 @@ impl<'a> Pixels<'a> {
 }
 
 #[inline(always)]
-fn rows<T: Lanes, const CHANNELS: usize>(
+fn rows<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
     out: &mut Vec<u8>,
     wanted: &dyn Fn() -> bool,
@@ -201,9 +203,9 @@ fn rows<T: Lanes, const CHANNELS: usize>(
     let (side, pitch) = (job.components.side(), job.width * CHANNELS);
     let height = job.samples.len() / pitch;
     let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
-    let (mut bits, mut last) = (BitWriter::new(), Predictors::default());
+    let (mut bits, mut last) = (ScanWriter::new(), Predictors::default());
     let mut blocks = Blocks::default();
-    let mut planes = [[T::all(0); SIDE]; PLANES];
+    let mut planes = [[T::all(0); SIDE]; MAX_GROUP_PLANES];
     let order = job.components.order(T::COUNT);
     let across = job.width.div_ceil(side);
     for top in (0..height).step_by(side) {
@@ -234,18 +236,18 @@ fn rows<T: Lanes, const CHANNELS: usize>(
 /// Rows of lanes.
 type Plane<T> = [T; SIDE];
 /// Most planes of a group, see [`Components::quantisers`].
-pub(super) const PLANES: usize = 3;
+pub(super) const MAX_GROUP_PLANES: usize = 3;
 /// Most blocks of a plane.
-pub(super) const PLANE: usize = MOST_LANES / SIDE;
-const _: () = assert!(PLANE * PLANES == GROUP);
+pub(super) const MAX_PLANE_BLOCKS: usize = MOST_LANES / SIDE;
+const _: () = assert!(MAX_PLANE_BLOCKS * MAX_GROUP_PLANES == MAX_GROUP_BLOCKS);
 
 /// The blocks of a group, those of a plane side by side.
 #[inline(always)]
-pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
+pub(super) fn transform<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
     pixels: &Pixels<'_>,
     top: usize,
-    planes: &mut [Plane<T>; PLANES],
+    planes: &mut [Plane<T>; MAX_GROUP_PLANES],
     blocks: &mut Blocks,
 ) {
     match job.components {
@@ -253,7 +255,7 @@ pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
         Components::Full => full::<T, CHANNELS>(job, pixels, top, planes),
         Components::Half => half::<T, CHANNELS>(job, pixels, top, planes),
     }
-    let (blocks, _) = blocks.as_chunks_mut::<PLANE>();
+    let (blocks, _) = blocks.as_chunks_mut::<MAX_PLANE_BLOCKS>();
     for ((rows, quantiser), blocks) in planes.iter().zip(job.components.quantisers()).zip(blocks) {
         coefficients(*rows, &job.quantisers[*quantiser], blocks);
     }
@@ -261,11 +263,11 @@ pub(super) fn transform<T: Lanes, const CHANNELS: usize>(
 
 /// Luminance in the first plane.
 #[inline(always)]
-fn grey<T: Lanes, const CHANNELS: usize>(
+fn grey<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
     pixels: &Pixels<'_>,
     top: usize,
-    planes: &mut [Plane<T>; PLANES],
+    planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {
     for (y, luma) in planes[0].iter_mut().enumerate() {
         let [grey, ..] = colours::<T, CHANNELS>(pixels.row(top, y), job.background);
@@ -275,11 +277,11 @@ fn grey<T: Lanes, const CHANNELS: usize>(
 
 /// The three components.
 #[inline(always)]
-fn full<T: Lanes, const CHANNELS: usize>(
+fn full<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
     pixels: &Pixels<'_>,
     top: usize,
-    planes: &mut [Plane<T>; PLANES],
+    planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {
     let [first, second, third] = planes;
     for (y, ((first, second), third)) in first.iter_mut().zip(second).zip(third).enumerate() {
@@ -294,11 +296,11 @@ fn full<T: Lanes, const CHANNELS: usize>(
 /// Luminance of the upper and of the lower eight rows; then Cb in the lower half of the lanes and
 /// Cr in the upper half, means of 2 x 2 px.
 #[inline(always)]
-fn half<T: Lanes, const CHANNELS: usize>(
+fn half<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
     pixels: &Pixels<'_>,
     top: usize,
-    planes: &mut [Plane<T>; PLANES],
+    planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {
     for pair in 0..SIDE {
         let above @ [r, g, b] = colours::<T, CHANNELS>(pixels.row(top, 2 * pair), job.background);
@@ -314,7 +316,10 @@ fn half<T: Lanes, const CHANNELS: usize>(
 
 /// Red, green and blue, 257 times their samples; or grey three times, 256 times its sample.
 #[inline(always)]
-fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [u8; 3]) -> [T; 3] {
+fn colours<T: I16Lanes, const CHANNELS: usize>(
+    pixels: &[u8],
+    [red, green, blue]: [u8; 3],
+) -> [T; 3] {
     match CHANNELS {
         1 => [T::pixels_1(pixels).shift_left::<8>(); 3],
         2 => {
@@ -336,7 +341,7 @@ fn colours<T: Lanes, const CHANNELS: usize>(pixels: &[u8], [red, green, blue]: [
 
 /// `(c a + g (255 - a)) / 255`, rounded.
 #[inline(always)]
-fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
+fn blended<T: I16Lanes>(colour: T, alpha: T, background: u8) -> T {
     let behind = T::all(255)
         .minus(alpha)
         .times_low(T::all(i16::from(background)));
@@ -351,7 +356,7 @@ fn blended<T: Lanes>(colour: T, alpha: T, background: u8) -> T {
 /// 0.587 and 0.114 in units of 2^-16, are multiplied by 256 / 257, because colours are 257 times
 /// their samples.
 #[inline(always)]
-fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
+fn luma<T: I16Lanes>([r, g, b]: [T; 3]) -> T {
     // 38,320 as a signed integer.
     fraction(
         r.times_high(T::all(19_519))
@@ -362,14 +367,14 @@ fn luma<T: Lanes>([r, g, b]: [T; 3]) -> T {
 
 /// Of unsigned integers with 8 bits of fraction: less 128, with 4 bits.
 #[inline(always)]
-fn fraction<T: Lanes>(value: T) -> T {
+fn fraction<T: I16Lanes>(value: T) -> T {
     value.minus(T::all(i16::MIN)).shift_rounded::<4>()
 }
 
 /// Cb and Cr without the offset of 128, with 7 bits of fraction. The weights, 0.5, 0.1687, 0.3313,
 /// 0.4187 and 0.0813 in units of 2^-15, are multiplied by 256 / 257.
 #[inline(always)]
-fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
+fn chroma<T: I16Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
     let half = T::all(16_320);
     let blue = b
         .times_high(half)
@@ -384,7 +389,7 @@ fn chroma<T: Lanes>([r, g, b]: [T; 3]) -> [T; 2] {
 
 /// Blocks of samples to quantised coefficients.
 #[inline(always)]
-fn coefficients<T: Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [Block]) {
+fn coefficients<T: I16Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [QuantisedBlock]) {
     let mut rows = cosines(rows);
     for row in &mut rows {
         *row = row.shift_rounded::<2>();
@@ -397,7 +402,7 @@ fn coefficients<T: Lanes>(rows: Plane<T>, quantiser: &Quantiser, blocks: &mut [B
 /// The cosine transform of eight values, times the square root of 8 (Loeffler, Ligtenberg,
 /// Moschytz, ICASSP 1989).
 #[inline(always)]
-fn cosines<T: Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
+fn cosines<T: I16Lanes>([x0, x1, x2, x3, x4, x5, x6, x7]: [T; SIDE]) -> [T; SIDE] {
     let (s0, s1, s2, s3) = (x0.plus(x7), x1.plus(x6), x2.plus(x5), x3.plus(x4));
     let (d0, d1, d2, d3) = (x0.minus(x7), x1.minus(x6), x2.minus(x5), x3.minus(x4));
     let (even, odd) = ([s0.plus(s3), s1.plus(s2)], [s0.minus(s3), s1.minus(s2)]);

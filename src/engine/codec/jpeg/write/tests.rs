@@ -1,12 +1,12 @@
 //! Every size, component and level is decoded; coefficients are held against cosines in `f64`.
 
-use super::coder::{Block, Blocks, Codes, NEAR};
+use super::coder::{Blocks, CoefficientCodes, NEAR_VALUES, QuantisedBlock};
 use super::kernel::Scalar;
-use super::lanes::Lanes;
-use super::strip::{PLANE, PLANES, Pixels, transform};
+use super::lanes::I16Lanes;
+use super::strip::{MAX_GROUP_PLANES, MAX_PLANE_BLOCKS, Pixels, transform};
 use super::tables::{BLOCK, SIDE, ZIGZAG, quantisation};
 use super::*;
-use crate::codec::Limits;
+use crate::codec::ImageLimits;
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
 const GROUND: [u8; 3] = [200, 10, 90];
@@ -98,7 +98,7 @@ fn file(writer: &JpegWriter, samples: &[u8]) -> Vec<u8> {
 }
 
 fn decoded(file: &[u8]) -> image::RgbImage {
-    let read = crate::codec::decode(file, &Limits::default(), &|| false)
+    let read = crate::codec::decode(file, &ImageLimits::default(), &|| false)
         .unwrap()
         .pixmap;
     let Samples::Eight(samples) = read.samples() else {
@@ -140,10 +140,10 @@ fn every_size_is_decoded_and_every_level_writes_the_same_bytes() {
                     GROUND,
                     None,
                 );
-                let scalar = file(&writer.clone().with_level(Level::Scalar), &samples);
+                let scalar = file(&writer.clone().with_level(SimdLevel::Scalar), &samples);
                 let picture = decoded(&scalar);
                 assert_eq!(picture.dimensions(), (width, height));
-                for level in Level::available() {
+                for level in SimdLevel::available() {
                     assert!(
                         file(&writer.clone().with_level(*level), &samples) == scalar,
                         "{level:?} {width} x {height} {shape:?} {subsampling:?}"
@@ -318,7 +318,7 @@ fn coefficients_are_the_exact_ones_rounded() {
             let samples = picture(width, height, channels, content);
             let steps = quantisation(quality);
             let quantisers = steps.each_ref().map(Quantiser::new);
-            let codes = Codes::of_both();
+            let codes = CoefficientCodes::of_both();
             let job = |components| Job {
                 samples: &samples,
                 width: 16,
@@ -347,7 +347,7 @@ fn coefficients_are_the_exact_ones_rounded() {
                     }
                 })
             };
-            let mut check = |got: &Block, exact: [f64; BLOCK], table: usize| {
+            let mut check = |got: &QuantisedBlock, exact: [f64; BLOCK], table: usize| {
                 for (k, place) in ZIGZAG.into_iter().enumerate() {
                     let (v, u) = (usize::from(place) / SIDE, usize::from(place) % SIDE);
                     let step = f64::from(steps[table][usize::from(place)]);
@@ -355,10 +355,14 @@ fn coefficients_are_the_exact_ones_rounded() {
                     worst = worst.max((off - 0.5) * step);
                     assert_eq!(got.coefficients[k] != 0, got.nonzero >> k & 1 == 1);
                 }
-                let is_near = |value: &i16| (-NEAR..NEAR).contains(&i32::from(*value));
+                let is_near =
+                    |value: &i16| (-NEAR_VALUES..NEAR_VALUES).contains(&i32::from(*value));
                 assert_eq!(got.is_near, got.coefficients[1..].iter().all(is_near));
             };
-            let (mut planes, mut blocks) = ([[Scalar::all(0); SIDE]; PLANES], Blocks::default());
+            let (mut planes, mut blocks) = (
+                [[Scalar::all(0); SIDE]; MAX_GROUP_PLANES],
+                Blocks::default(),
+            );
             macro_rules! with {
                 ($components:expr, $top:expr) => {{
                     let (job, pixels) = (
@@ -381,7 +385,7 @@ fn coefficients_are_the_exact_ones_rounded() {
             with!(Components::Full, 8);
             (0..6).for_each(|k| {
                 check(
-                    &blocks[k % 3 * PLANE + k / 3],
+                    &blocks[k % 3 * MAX_PLANE_BLOCKS + k / 3],
                     block(k % 3, k / 3 * 8, 8, 1),
                     (k % 3).min(1),
                 )
@@ -389,12 +393,12 @@ fn coefficients_are_the_exact_ones_rounded() {
             with!(Components::Half, 0);
             (0..4).for_each(|k| {
                 check(
-                    &blocks[k / 2 * PLANE + k % 2],
+                    &blocks[k / 2 * MAX_PLANE_BLOCKS + k % 2],
                     block(0, k % 2 * 8, k / 2 * 8, 1),
                     0,
                 )
             });
-            (0..2).for_each(|k| check(&blocks[2 * PLANE + k], block(1 + k, 0, 0, 2), 1));
+            (0..2).for_each(|k| check(&blocks[2 * MAX_PLANE_BLOCKS + k], block(1 + k, 0, 0, 2), 1));
         }
     }
     println!("coefficients are at most {worst:.3} beyond half a step");

@@ -18,7 +18,7 @@ use crate::codec::work::{Pieces, StepCounter};
 use crate::codec::{CodecError, Format, Palette, Repairs};
 use crate::pixmap::{Channels, Depth, Extent, Samples};
 
-const SIGNATURE: usize = 8;
+const SIGNATURE_BYTES: usize = 8;
 
 /// Largest expansion by deflate: matches of 258 bytes at two bits each.
 const MAX_INFLATION: u64 = 1032;
@@ -45,9 +45,9 @@ const FREE_DEFLATED: usize = 64 << 10;
 const MOST_XMP: usize = 1 << 17;
 
 /// An empty IEND.
-const END: [u8; 12] = *b"\0\0\0\0IEND\xAE\x42\x60\x82";
+const EMPTY_IEND: [u8; 12] = *b"\0\0\0\0IEND\xAE\x42\x60\x82";
 /// Bytes of a chunk beside its data.
-const FRAME: u64 = 12;
+const CHUNK_OVERHEAD_BYTES: u64 = 12;
 
 /// First column, first row, column step, row step of the seven passes.
 const ADAM7: [(usize, usize, usize, usize); 7] = [
@@ -106,7 +106,7 @@ impl<'a> PngFile<'a> {
         bytes: &'a [u8],
         work: &StepCounter<'_>,
     ) -> Result<Self, CodecError> {
-        let ihdr = chunk_at(bytes, SIGNATURE)
+        let ihdr = chunk_at(bytes, SIGNATURE_BYTES)
             .filter(|chunk| &chunk.kind == b"IHDR")
             .ok_or_else(|| bad("no header chunk"))?;
         if !ihdr.is_intact(work)? {
@@ -193,7 +193,7 @@ impl<'a> PngFile<'a> {
         let rows = 48 * u64::from(self.extent.width());
         let exif = 4 * self.found.exif.map_or(0, |exif| exif.len() as u64);
         let copy = if self.is_copied {
-            self.bytes.len() as u64 + 2 * FRAME
+            self.bytes.len() as u64 + 2 * CHUNK_OVERHEAD_BYTES
         } else {
             0
         };
@@ -270,9 +270,9 @@ impl<'a> PngFile<'a> {
         if !self.is_copied {
             return Ok(Cow::Borrowed(whole));
         }
-        let mut copy = room((self.end + self.rest.len()) as u64 + 2 * FRAME)?;
-        copy.extend_from_slice(&whole[..SIGNATURE]);
-        let mut at = SIGNATURE;
+        let mut copy = room((self.end + self.rest.len()) as u64 + 2 * CHUNK_OVERHEAD_BYTES)?;
+        copy.extend_from_slice(&whole[..SIGNATURE_BYTES]);
+        let mut at = SIGNATURE_BYTES;
         while let Some(chunk) = chunk_at(whole, at) {
             work.step(1)?;
             let is_read =
@@ -294,7 +294,7 @@ impl<'a> PngFile<'a> {
             let sum = crc32fast::hash(&copy[start..]);
             copy.extend_from_slice(&sum.to_be_bytes());
         }
-        copy.extend_from_slice(&END);
+        copy.extend_from_slice(&EMPTY_IEND);
         Ok(Cow::Owned(copy))
     }
 
@@ -341,7 +341,7 @@ impl<'a> PngFile<'a> {
 
     /// What is wrong with pixels that cannot be decoded.
     fn damaged(&self, work: &StepCounter<'_>) -> CodecError {
-        let mut at = SIGNATURE;
+        let mut at = SIGNATURE_BYTES;
         while let Some(chunk) = chunk_at(&self.bytes[..self.end], at) {
             if &chunk.kind == b"IDAT" && !chunk.is_intact(work).unwrap_or(true) {
                 return wrong_checksum(chunk.kind);
@@ -351,7 +351,7 @@ impl<'a> PngFile<'a> {
         bad("its pixels are damaged, or no PNG stores them like this")
     }
 
-    fn rows<T: Sample, R: std::io::BufRead + std::io::Seek>(
+    fn rows<T: PngSample, R: std::io::BufRead + std::io::Seek>(
         &self,
         reader: &mut png::Reader<R>,
         damaged: &dyn Fn(png::DecodingError) -> CodecError,
@@ -501,7 +501,7 @@ fn inflated(deflated: &[u8], most: usize, work: &StepCounter<'_>) -> Option<Vec<
 }
 
 /// A sample in PNG's format.
-trait Sample: Copy + Default {
+trait PngSample: Copy + Default {
     const BYTES: usize;
     const OPAQUE: Self;
     fn from_be(bytes: &[u8]) -> Self;
@@ -525,7 +525,7 @@ trait Sample: Copy + Default {
     }
 }
 
-impl Sample for u8 {
+impl PngSample for u8 {
     const BYTES: usize = 1;
     const OPAQUE: Self = Self::MAX;
 
@@ -538,7 +538,7 @@ impl Sample for u8 {
     }
 }
 
-impl Sample for u16 {
+impl PngSample for u16 {
     const BYTES: usize = 2;
     const OPAQUE: Self = Self::MAX;
 

@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 
 use super::{PngFile, cut_off, wrong_checksum};
-use crate::codec::metadata::{Kind, Resolution, Unit, png_colour};
+use crate::codec::metadata::{DroppedKind, Resolution, ResolutionUnit, png_colour};
 use crate::codec::{CodecError, StepCounter};
 
 /// The keyword of XMP, and those of metadata in texts of hexadecimal digits.
@@ -148,9 +148,9 @@ impl<'a> PngFile<'a> {
             b"pHYs" if before_data => {
                 if let &[x0, x1, x2, x3, y0, y1, y2, y3, unit] = data {
                     let unit = if unit == 1 {
-                        Unit::Metre
+                        ResolutionUnit::Metre
                     } else {
-                        Unit::Unknown
+                        ResolutionUnit::Unknown
                     };
                     let [x, y] = [[x0, x1, x2, x3], [y0, y1, y2, y3]].map(u32::from_be_bytes);
                     found.resolution = Resolution::whole(x, y, unit);
@@ -160,15 +160,15 @@ impl<'a> PngFile<'a> {
                 found.xmp = Some(Cow::Borrowed(&data[XMP.len()..]))
             }
             b"tEXt" | b"zTXt" | b"iTXt" if data.starts_with(RAW_PROFILE) => {
-                found.dropped.add(Kind::Text)
+                found.dropped.add(DroppedKind::Text)
             }
             b"tEXt" | b"zTXt" | b"iTXt" => found.add_text(kind, data),
             b"sBIT" => found.dropped.add_if(
                 data.iter().any(|significant| significant < bits),
-                Kind::SignificantBits,
+                DroppedKind::SignificantBits,
             ),
-            b"sCAL" | b"pCAL" => found.dropped.add(Kind::Calibration),
-            b"caBX" => found.dropped.add(Kind::Credentials),
+            b"sCAL" | b"pCAL" => found.dropped.add(DroppedKind::Calibration),
+            b"caBX" => found.dropped.add(DroppedKind::Credentials),
             // They describe the stored file: its time, background, colours, data, virtual page,
             // signature.
             b"tIME" | b"bKGD" | b"hIST" | b"sPLT" | b"iDOT" | b"CgBI" | b"vpAg" | b"orNT"
@@ -180,7 +180,7 @@ impl<'a> PngFile<'a> {
                     }
                 }
                 Some(_) => found.colour_dropped = true,
-                None => found.dropped.add(Kind::Application),
+                None => found.dropped.add(DroppedKind::Application),
             },
         }
     }

@@ -5,7 +5,7 @@
 const MODULUS: u64 = 65_521;
 
 /// The checksum of no bytes.
-pub(super) const EMPTY: u32 = 1;
+pub(super) const EMPTY_CHECKSUM: u32 = 1;
 
 /// The checksum of `x` followed by `y`, given the checksum of each and the length of `y`.
 pub(super) fn combine(x: u32, y: u32, y_len: u64) -> u32 {
@@ -33,7 +33,7 @@ mod tests {
             .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
             .chain([255; 70_000])
             .collect();
-        assert_eq!(adler(&[]), EMPTY);
+        assert_eq!(adler(&[]), EMPTY_CHECKSUM);
         for cut in [
             0, 1, 2, 5551, 5552, 5553, 65_520, 65_521, 65_522, 131_042, 200_000, 269_999, 270_000,
         ] {
@@ -49,7 +49,7 @@ mod tests {
     #[test]
     fn combine_is_associative_over_many_pieces() {
         let bytes = vec![0xff; 100_000];
-        let sum = bytes.chunks(777).fold(EMPTY, |sum, piece| {
+        let sum = bytes.chunks(777).fold(EMPTY_CHECKSUM, |sum, piece| {
             combine(sum, adler(piece), piece.len() as u64)
         });
         assert_eq!(sum, adler(&bytes));

@@ -2,11 +2,11 @@
 //! them, become the frames of one file. The chunks IDAT of all frames but the first become fdAT,
 //! which begin with a sequence number.
 
-use super::chunk::{self, FRAME, SIGNATURE};
+use super::chunk::{self, CHUNK_OVERHEAD_BYTES, SIGNATURE};
 use crate::codec::CodecError;
 
 /// Milliseconds of a second.
-const SECOND: u16 = 1000;
+const MS_PER_SECOND: u16 = 1000;
 
 /// An animation that is being written.
 #[derive(Debug)]
@@ -46,7 +46,7 @@ impl Animation {
             .strip_prefix(&SIGNATURE)
             .ok_or_else(|| bad("a frame is not a PNG file"))?;
         let is_first = self.header.is_empty();
-        out.reserve(file.len() + 4 * FRAME);
+        out.reserve(file.len() + 4 * CHUNK_OVERHEAD_BYTES);
         while let Some((kind, payload, chunk)) = next_chunk(&mut rest) {
             match &kind {
                 b"IHDR" if is_first => {
@@ -96,7 +96,7 @@ impl Animation {
         out.extend_from_slice(&self.header[..8]);
         out.extend_from_slice(&[0; 8]);
         out.extend_from_slice(&self.delay.to_be_bytes());
-        out.extend_from_slice(&SECOND.to_be_bytes());
+        out.extend_from_slice(&MS_PER_SECOND.to_be_bytes());
         // Nothing is disposed of, and nothing is blended.
         out.extend_from_slice(&[0, 0]);
         open.close(out);
@@ -113,7 +113,7 @@ impl Animation {
 fn next_chunk<'a>(rest: &mut &'a [u8]) -> Option<([u8; 4], &'a [u8], &'a [u8])> {
     let length = u32::from_be_bytes(*rest.first_chunk()?);
     let (chunk, after) =
-        rest.split_at_checked(FRAME.checked_add(usize::try_from(length).ok()?)?)?;
+        rest.split_at_checked(CHUNK_OVERHEAD_BYTES.checked_add(usize::try_from(length).ok()?)?)?;
     *rest = after;
     Some((
         *chunk[4..].first_chunk()?,

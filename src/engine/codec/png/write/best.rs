@@ -8,18 +8,18 @@
 use flate2::{Compress, Compression, FlushCompress};
 
 use super::bits::BitWriter;
-use super::rows::{self, PAETH, Rows, SUB};
+use super::rows::{self, PAETH, SUB, StripRows};
 use super::{fast, stored};
 
 /// The compression level of the library: its highest with a window of 32 KiB.
-const LEVEL: u32 = 9;
+const DEFLATE_LEVEL: u32 = 9;
 
 /// Filtered bytes of a block without matches, exceeded by at most a row.
-const BLOCK: usize = 64 << 10;
+const BLOCK_BYTES: usize = 64 << 10;
 
 /// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered
 /// rows.
-pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+pub(super) fn encode(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
     let most = filtered
@@ -39,9 +39,9 @@ pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     adler
 }
 
-fn with_matches(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+fn with_matches(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let mut adler = simd_adler32::Adler32::new();
-    let mut deflate = Compress::new(Compression::new(LEVEL), false);
+    let mut deflate = Compress::new(Compression::new(DEFLATE_LEVEL), false);
     for_each_filtered(rows, |row| {
         adler.write(row);
         feed(&mut deflate, row, FlushCompress::None, out);
@@ -59,15 +59,15 @@ fn with_matches(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     adler.finish()
 }
 
-fn without_matches(rows: Rows<'_>, last: bool, reserve: usize) -> Vec<u8> {
+fn without_matches(rows: StripRows<'_>, last: bool, reserve: usize) -> Vec<u8> {
     let mut out = Vec::with_capacity(reserve);
     let mut bits = BitWriter::default();
-    let mut block = Vec::with_capacity(BLOCK.min(rows.filtered_len()) + rows.row_bytes() + 1);
+    let mut block = Vec::with_capacity(BLOCK_BYTES.min(rows.filtered_len()) + rows.row_bytes() + 1);
     let mut left = rows.filtered_len();
     for_each_filtered(rows, |row| {
         block.extend_from_slice(row);
         left -= row.len();
-        if block.len() >= BLOCK || left == 0 {
+        if block.len() >= BLOCK_BYTES || left == 0 {
             fast::block(&block, last && left == 0, &mut bits, &mut out);
             block.clear();
         }
@@ -77,7 +77,7 @@ fn without_matches(rows: Rows<'_>, last: bool, reserve: usize) -> Vec<u8> {
 }
 
 /// Calls `take` with every filtered row, including its filter byte.
-fn for_each_filtered(rows: Rows<'_>, mut take: impl FnMut(&[u8])) {
+fn for_each_filtered(rows: StripRows<'_>, mut take: impl FnMut(&[u8])) {
     let mut candidates: [Vec<u8>; 5] = std::array::from_fn(|filter| {
         let mut row = vec![0; rows.row_bytes() + 1];
         row[0] = u8::try_from(filter).expect("five filters");
@@ -90,7 +90,7 @@ fn for_each_filtered(rows: Rows<'_>, mut take: impl FnMut(&[u8])) {
 
 /// Filters one row with every allowed filter and returns the result with the smallest residuals, as
 /// signed bytes.
-fn choose<'a>(rows: Rows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) -> &'a [u8] {
+fn choose<'a>(rows: StripRows<'_>, index: usize, candidates: &'a mut [Vec<u8>; 5]) -> &'a [u8] {
     let (row, bpp) = (rows.row(index), rows.bpp());
     candidates[0][1..].copy_from_slice(row);
     rows::sub(row, bpp, 0, &mut candidates[usize::from(SUB)][1..]);

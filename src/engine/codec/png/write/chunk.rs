@@ -13,24 +13,24 @@ use crate::codec::{Carried, Palette};
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
 /// Bytes of a chunk without its payload.
-pub(super) const FRAME: usize = 12;
+pub(super) const CHUNK_OVERHEAD_BYTES: usize = 12;
 
 /// A chunk whose payload is being appended.
 #[derive(Debug)]
 #[must_use = "a chunk must be closed"]
-pub(super) struct Open {
+pub(super) struct OpenChunk {
     start: usize,
 }
 
 /// Begins a chunk at the end of `out`.
-pub(super) fn open(out: &mut Vec<u8>, kind: [u8; 4]) -> Open {
+pub(super) fn open(out: &mut Vec<u8>, kind: [u8; 4]) -> OpenChunk {
     let start = out.len();
     out.extend_from_slice(&[0; 4]);
     out.extend_from_slice(&kind);
-    Open { start }
+    OpenChunk { start }
 }
 
-impl Open {
+impl OpenChunk {
     /// Index of the payload's first byte.
     pub(super) const fn payload(&self) -> usize {
         self.start + 8

@@ -6,24 +6,26 @@
 //! groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with pairs, 0.6 without.
 
 use super::bits::BitWriter;
-use super::huffman::{Codes, END, LITERALS};
+use super::huffman::{Codes, END_OF_BLOCK, LITERAL_SYMBOLS};
 
 /// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store
 /// together with 7 waiting bits.
-pub(super) const LIMIT: usize = 12;
+pub(super) const MAX_CODE_BITS: usize = 12;
 
 /// Filtered bytes that are coded at once; a multiple of 8.
-pub(super) const PIECE: usize = 4096;
+pub(super) const PIECE_BYTES: usize = 4096;
 
 /// Upper bound of a coded piece (12 bits per byte; a coded run is never longer than its bytes).
-const STAGE: usize = 8192;
+const CODED_PIECE_BYTES: usize = 8192;
 /// Output of a coded piece; stores may reach 24 bytes beyond.
-pub(super) type Stage = [u8; STAGE + 24];
+pub(super) type CodeBuffer = [u8; CODED_PIECE_BYTES + 24];
 
 /// An empty stage.
-pub(super) const STAGE_EMPTY: Stage = [0; STAGE + 24];
+pub(super) const STAGE_EMPTY: CodeBuffer = [0; CODED_PIECE_BYTES + 24];
 
-const _: () = assert!(PIECE * LIMIT / 8 + 16 < STAGE && STAGE.is_power_of_two());
+const _: () = assert!(
+    PIECE_BYTES * MAX_CODE_BITS / 8 + 16 < CODED_PIECE_BYTES && CODED_PIECE_BYTES.is_power_of_two()
+);
 
 /// The tables of a strip's code.
 #[derive(Debug)]
@@ -32,12 +34,12 @@ pub(super) struct Tables<'a, L> {
     pub(super) single: &'a Single,
 }
 
-/// Appends the codes of at most `PIECE` bytes to `out`.
+/// Appends the codes of at most `PIECE_BYTES` bytes to `out`.
 #[inline(always)]
 pub(super) fn code_piece<L: Lookup>(
     piece: &[u8],
     tables: Tables<'_, L>,
-    stage: &mut Stage,
+    stage: &mut CodeBuffer,
     bits: &mut BitWriter,
     out: &mut Vec<u8>,
 ) {
@@ -115,16 +117,16 @@ fn split_zeros(mut count: usize, mut take: impl FnMut(usize)) {
     while count > 0 {
         take(length);
         count -= length;
-        length = if count < SHORTEST {
+        length = if count < SHORTEST_MATCH {
             1
         } else {
-            count.min(LONGEST)
+            count.min(LONGEST_MATCH)
         };
     }
 }
 
-const SHORTEST: usize = 3;
-const LONGEST: usize = 258;
+const SHORTEST_MATCH: usize = 3;
+const LONGEST_MATCH: usize = 258;
 
 /// First length of the symbols 257 and on, and their numbers of extra bits (RFC 1951, 3.2.5).
 const LENGTHS: [u16; 29] = [
@@ -136,27 +138,27 @@ const EXTRA_BITS: [u8; 29] = [
 ];
 
 fn length_symbol(length: usize) -> usize {
-    END + LENGTHS.partition_point(|&first| usize::from(first) <= length)
+    END_OF_BLOCK + LENGTHS.partition_point(|&first| usize::from(first) <= length)
 }
 
 #[derive(Debug)]
 pub(super) struct Counts {
     /// Four tables, so that equal neighbours do not wait for each other's store.
     bytes: [[u32; 256]; 4],
-    lengths: [u32; LITERALS],
+    lengths: [u32; LITERAL_SYMBOLS],
 }
 
 impl Default for Counts {
     fn default() -> Self {
         Self {
             bytes: [[0; 256]; 4],
-            lengths: [0; LITERALS],
+            lengths: [0; LITERAL_SYMBOLS],
         }
     }
 }
 
 impl Counts {
-    pub(super) fn total(&self) -> [u32; LITERALS] {
+    pub(super) fn total(&self) -> [u32; LITERAL_SYMBOLS] {
         let mut total = self.lengths;
         for table in &self.bytes {
             for (total, count) in total.iter_mut().zip(table) {
@@ -230,18 +232,21 @@ pub(super) trait Lookup {
 #[derive(Debug)]
 pub(super) struct Single {
     bytes: [u32; 256],
-    runs: [u32; LONGEST + 1],
+    runs: [u32; LONGEST_MATCH + 1],
 }
 
 impl Single {
-    pub(super) fn new(codes: &Codes<LITERALS>) -> Self {
+    pub(super) fn new(codes: &Codes<LITERAL_SYMBOLS>) -> Self {
         let byte = |byte: usize| entry(codes.bits[byte].into(), codes.length[byte].into());
         let run = |length| {
-            if length < SHORTEST {
+            if length < SHORTEST_MATCH {
                 return byte(0);
             }
             let symbol = length_symbol(length);
-            let (first, extra_bits) = (LENGTHS[symbol - END - 1], EXTRA_BITS[symbol - END - 1]);
+            let (first, extra_bits) = (
+                LENGTHS[symbol - END_OF_BLOCK - 1],
+                EXTRA_BITS[symbol - END_OF_BLOCK - 1],
+            );
             let (code, bits) = (
                 u32::from(codes.bits[symbol]),
                 u32::from(codes.length[symbol]),
@@ -300,7 +305,7 @@ pub(super) struct Staged<'a> {
     waiting: u64,
     filled: u32,
     at: usize,
-    stage: &'a mut Stage,
+    stage: &'a mut CodeBuffer,
 }
 
 /// For the kernel that codes many bytes at once.
@@ -335,7 +340,7 @@ impl Staged<'_> {
     pub(super) fn put(&mut self, code: u64, length: u32) {
         // Never changes the value (STAGE holds the longest coded piece); it replaces a bounds
         // check.
-        self.at &= STAGE - 1;
+        self.at &= CODED_PIECE_BYTES - 1;
         self.put_next(code, length);
     }
 

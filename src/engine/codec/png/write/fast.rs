@@ -9,23 +9,23 @@ use std::cell::Cell;
 
 use super::bits::BitWriter;
 use super::coder::{
-    Counts, LIMIT, Lookup, PIECE, PairTable, STAGE_EMPTY, Single, Stage, Tables, code_piece,
-    fill_pairs, walk,
+    CodeBuffer, Counts, Lookup, MAX_CODE_BITS, PIECE_BYTES, PairTable, STAGE_EMPTY, Single, Tables,
+    code_piece, fill_pairs, walk,
 };
-use super::huffman::{self, Codes, END, LITERALS};
-use super::rows::{self, PAETH, Rows, SUB};
+use super::huffman::{self, Codes, END_OF_BLOCK, LITERAL_SYMBOLS};
+use super::rows::{self, PAETH, SUB, StripRows};
 
 /// Size of the sample from which the code is made, filtered bytes.
-const SAMPLE: usize = 16 << 10;
+const SAMPLE_BYTES: usize = 16 << 10;
 
 /// Weight of a sampled byte relative to the minimum of every symbol.
-const SAMPLED: u32 = 8;
+const SAMPLED_WEIGHT: u32 = 8;
 
 /// Smaller strips look up single bytes, because the table of pairs costs about 15 us.
 const PAIRS_FROM: usize = 48 << 10;
 
 /// The parts of `body` that differ between levels. The defaults are the portable code.
-pub(super) trait Kernel: Sized {
+pub(super) trait FastKernel: Sized {
     /// Codes all rows, looking up two bytes at a time, or one in small strips. A method and not a
     /// closure, so that it is compiled for the level of its caller.
     #[inline(always)]
@@ -49,7 +49,7 @@ pub(super) trait Kernel: Sized {
     fn piece<L: Lookup>(
         piece: &[u8],
         tables: Tables<'_, L>,
-        stage: &mut Stage,
+        stage: &mut CodeBuffer,
         bits: &mut BitWriter,
         out: &mut Vec<u8>,
     ) {
@@ -60,18 +60,18 @@ pub(super) trait Kernel: Sized {
 /// The defaults.
 pub(super) struct Portable;
 
-impl Kernel for Portable {}
+impl FastKernel for Portable {}
 
 /// Codes a strip; `None` as soon as `out` is longer than `most`. Compiled once per level.
 #[inline(always)]
-pub(super) fn body<K: Kernel>(
-    rows: Rows<'_>,
+pub(super) fn body<K: FastKernel>(
+    rows: StripRows<'_>,
     last: bool,
     most: usize,
     out: &mut Vec<u8>,
 ) -> Option<u32> {
-    let mut piece = [0; PIECE];
-    let codes = Codes::new(&sample(rows, &mut piece), LIMIT);
+    let mut piece = [0; PIECE_BYTES];
+    let codes = Codes::new(&sample(rows, &mut piece), MAX_CODE_BITS);
     let mut bits = BitWriter::default();
     huffman::block_header(&codes, last, &mut bits, out);
     let single = Single::new(&codes);
@@ -84,7 +84,11 @@ pub(super) fn body<K: Kernel>(
         out: &mut *out,
     };
     let adler = K::code(&single, coder)?;
-    bits.put(out, codes.bits[END].into(), codes.length[END].into());
+    bits.put(
+        out,
+        codes.bits[END_OF_BLOCK].into(),
+        codes.length[END_OF_BLOCK].into(),
+    );
     end(last, &mut bits, out);
     (out.len() <= most).then_some(adler)
 }
@@ -103,15 +107,15 @@ pub(super) fn end(last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
 pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut Vec<u8>) {
     let mut counts = Counts::default();
     filtered
-        .chunks(PIECE)
+        .chunks(PIECE_BYTES)
         .for_each(|piece| walk(piece, &mut counts));
     let mut weights = counts.total();
-    weights[END] = 1;
-    let codes = Codes::new(&weights, LIMIT);
+    weights[END_OF_BLOCK] = 1;
+    let codes = Codes::new(&weights, MAX_CODE_BITS);
     huffman::block_header(&codes, last, bits, out);
     let single = Single::new(&codes);
     let mut stage = STAGE_EMPTY;
-    for piece in filtered.chunks(PIECE) {
+    for piece in filtered.chunks(PIECE_BYTES) {
         code_piece(
             piece,
             Tables {
@@ -123,7 +127,11 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
             out,
         );
     }
-    bits.put(out, codes.bits[END].into(), codes.length[END].into());
+    bits.put(
+        out,
+        codes.bits[END_OF_BLOCK].into(),
+        codes.length[END_OF_BLOCK].into(),
+    );
 }
 
 thread_local! {
@@ -131,18 +139,18 @@ thread_local! {
     static PAIRS: Cell<Option<Box<PairTable>>> = const { Cell::new(None) };
 }
 
-/// Weights of all symbols, from about `SAMPLE` bytes of evenly spaced rows.
+/// Weights of all symbols, from about `SAMPLE_BYTES` bytes of evenly spaced rows.
 #[inline(always)]
-fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
+fn sample(rows: StripRows<'_>, piece: &mut [u8; PIECE_BYTES]) -> [u32; LITERAL_SYMBOLS] {
     let mut counts = Counts::default();
-    let step = (rows.filtered_len() / SAMPLE).clamp(1, rows.count());
+    let step = (rows.filtered_len() / SAMPLE_BYTES).clamp(1, rows.count());
     // The middle of every group of `step` rows; never the first row alone, which has another
     // filter.
     let mut index = step / 2;
     while index < rows.count() {
         let mut from = 0;
         while from < rows.row_bytes() {
-            let n = PIECE.min(rows.row_bytes() - from);
+            let n = PIECE_BYTES.min(rows.row_bytes() - from);
             filter(rows, index, from, &mut piece[..n]);
             walk(&piece[..n], &mut counts);
             from += n;
@@ -151,15 +159,15 @@ fn sample(rows: Rows<'_>, piece: &mut [u8; PIECE]) -> [u32; LITERALS] {
     }
     let mut weights = counts
         .total()
-        .map(|weight| weight.saturating_mul(SAMPLED).saturating_add(1));
+        .map(|weight| weight.saturating_mul(SAMPLED_WEIGHT).saturating_add(1));
     let sampled = u32::try_from(rows.count() / step).unwrap_or(u32::MAX);
     weights[usize::from(PAETH)] =
-        weights[usize::from(PAETH)].saturating_add(sampled.saturating_mul(SAMPLED));
+        weights[usize::from(PAETH)].saturating_add(sampled.saturating_mul(SAMPLED_WEIGHT));
     weights
 }
 
 #[inline(always)]
-fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
+fn filter(rows: StripRows<'_>, index: usize, from: usize, out: &mut [u8]) {
     if index == 0 {
         rows::sub(rows.row(0), rows.bpp(), from, out);
     } else {
@@ -169,9 +177,9 @@ fn filter(rows: Rows<'_>, index: usize, from: usize, out: &mut [u8]) {
 
 /// The state of coding a strip's rows.
 pub(super) struct RowCoder<'a> {
-    rows: Rows<'a>,
+    rows: StripRows<'a>,
     single: &'a Single,
-    piece: &'a mut [u8; PIECE],
+    piece: &'a mut [u8; PIECE_BYTES],
     bits: &'a mut BitWriter,
     most: usize,
     out: &'a mut Vec<u8>,
@@ -180,7 +188,7 @@ pub(super) struct RowCoder<'a> {
 impl RowCoder<'_> {
     /// Filters and codes all rows; `None` as soon as `out` is longer than `most`.
     #[inline(always)]
-    pub(super) fn code<K: Kernel>(self, lookup: &impl Lookup) -> Option<u32> {
+    pub(super) fn code<K: FastKernel>(self, lookup: &impl Lookup) -> Option<u32> {
         let Self {
             rows,
             single,
@@ -197,11 +205,11 @@ impl RowCoder<'_> {
             filled += 1;
             let mut from = 0;
             loop {
-                let n = (PIECE - filled).min(rows.row_bytes() - from);
+                let n = (PIECE_BYTES - filled).min(rows.row_bytes() - from);
                 filter(rows, index, from, &mut piece[filled..filled + n]);
                 from += n;
                 filled += n;
-                if filled == PIECE {
+                if filled == PIECE_BYTES {
                     adler.write(piece);
                     K::piece(
                         piece,

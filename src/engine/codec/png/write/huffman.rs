@@ -6,10 +6,10 @@
 use super::bits::BitWriter;
 
 /// Symbols of the literal and length alphabet: bytes, end of block, 29 lengths.
-pub(super) const LITERALS: usize = 286;
+pub(super) const LITERAL_SYMBOLS: usize = 286;
 
 /// The end of a block.
-pub(super) const END: usize = 256;
+pub(super) const END_OF_BLOCK: usize = 256;
 
 /// The order in which the lengths of the code of lengths are sent.
 const LENGTH_ORDER: [usize; 19] = [
@@ -144,7 +144,7 @@ fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
 /// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one
 /// distance code for distance 1, one bit long.
 pub(super) fn block_header(
-    codes: &Codes<LITERALS>,
+    codes: &Codes<LITERAL_SYMBOLS>,
     last: bool,
     bits: &mut BitWriter,
     out: &mut Vec<u8>,
@@ -163,7 +163,7 @@ pub(super) fn block_header(
         .map_or(4, |at| (at + 1).max(4));
     bits.put(out, u64::from(last), 1);
     bits.put(out, 2, 2);
-    bits.put(out, (LITERALS - 257) as u64, 5);
+    bits.put(out, (LITERAL_SYMBOLS - 257) as u64, 5);
     bits.put(out, 0, 5);
     bits.put(out, sent as u64 - 4, 4);
     for &symbol in &LENGTH_ORDER[..sent] {
@@ -180,7 +180,7 @@ pub(super) fn block_header(
     }
 }
 
-struct Run {
+struct LengthRun {
     symbol: u8,
     extra: u8,
     extra_bits: u8,
@@ -188,7 +188,7 @@ struct Run {
 
 /// Lengths with repetitions: 16 repeats the last 3 to 6 times, 17 and 18 stand for 3 to 10 and 11
 /// to 138 zeros.
-fn run_lengths(lengths: &[u8]) -> Vec<Run> {
+fn run_lengths(lengths: &[u8]) -> Vec<LengthRun> {
     let mut runs = Vec::with_capacity(lengths.len());
     for same in lengths.chunk_by(|a, b| a == b) {
         let value = same[0];
@@ -201,7 +201,7 @@ fn run_lengths(lengths: &[u8]) -> Vec<Run> {
                 3.. if !first => (16, left.min(6), 3, 2),
                 _ => (value, 1, 1, 0),
             };
-            runs.push(Run {
+            runs.push(LengthRun {
                 symbol,
                 extra: u8::try_from(taken - least).expect("at most 127"),
                 extra_bits,

@@ -12,14 +12,14 @@ use super::{Compression, PngShape, chunk, stored};
 /// Target size of a strip, filtered bytes. Below, the code table of every strip costs too much (0.1
 /// % and 40 us a strip, `notes.md`); above, two threads share a 500 x 500 picture unevenly and the
 /// first bytes of a large one are late.
-const STRIP: u64 = 512 << 10;
+const STRIP_BYTES: u64 = 512 << 10;
 
 /// Target size for `Compression::Best`, which resets its window at every strip.
 const STRIP_BEST: u64 = 1 << 20;
 
 /// Pictures with fewer filtered bytes are one strip, because sharing the work costs more than it
 /// saves.
-const WHOLE: u64 = 96 << 10;
+const ONE_STRIP_BYTES: u64 = 96 << 10;
 
 /// Longest row in bytes: an IDAT chunk, and so a strip of a single row in its stored form, must
 /// stay below 2^31.
@@ -43,11 +43,11 @@ impl Layout {
         let height = shape.extent.height();
         let filtered = (row + 1) * u64::from(height);
         let aim = match compression {
-            Compression::None | Compression::Fast => STRIP,
+            Compression::None | Compression::Fast => STRIP_BYTES,
             Compression::Best => STRIP_BEST,
         };
         // An even number, so that two threads have equal work.
-        let strips = if filtered <= WHOLE {
+        let strips = if filtered <= ONE_STRIP_BYTES {
             1
         } else {
             2 * filtered.div_ceil(2 * aim)
@@ -85,7 +85,7 @@ impl Layout {
         let taller = height % strips;
         let strip = |rows: u64| {
             let filtered = rows * (self.row_bytes as u64 + 1);
-            filtered + stored::overhead(filtered) + chunk::FRAME as u64
+            filtered + stored::overhead(filtered) + chunk::CHUNK_OVERHEAD_BYTES as u64
         };
         super::ZLIB_HEADER.len() as u64
             + taller * strip(height / strips + 1)

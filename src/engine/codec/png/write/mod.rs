@@ -40,18 +40,18 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::codec::{Carried, Palette};
-use crate::level::Level;
+use crate::level::SimdLevel;
 use crate::pixmap::{Channels, Depth, Extent};
 
 pub use self::animation::Animation;
 use self::layout::Layout;
-use self::rows::Rows;
+use self::rows::StripRows;
 
 /// A window of 32 KiB and no dictionary; the two bytes make a multiple of 31 (RFC 1950).
 const ZLIB_HEADER: [u8; 2] = [0x78, 0x01];
 
 /// Bytes of the tail: the checksum as an IDAT of its own, and IEND.
-const TAIL: u64 = 2 * chunk::FRAME as u64 + 4;
+const TAIL_BYTES: u64 = 2 * chunk::CHUNK_OVERHEAD_BYTES as u64 + 4;
 
 /// The effort of compression.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -133,7 +133,7 @@ pub type StripChecksum = (u32, u64);
 #[derive(Debug, Clone)]
 pub struct PngWriter {
     compression: Compression,
-    level: Level,
+    level: SimdLevel,
     bpp: usize,
     layout: Layout,
     head: Arc<[u8]>,
@@ -160,7 +160,7 @@ impl PngWriter {
     pub fn new(shape: PngShape, compression: Compression, metadata: Option<&Carried>) -> Self {
         Self {
             compression,
-            level: Level::detect(),
+            level: SimdLevel::detect(),
             bpp: layout::pixel_bytes(shape),
             layout: Layout::new(shape, compression),
             head: chunk::head(shape, metadata, None).into(),
@@ -186,7 +186,7 @@ impl PngWriter {
 
     /// Sets the level, which changes the speed but not the bytes; scalar if the machine lacks it.
     #[must_use]
-    pub const fn with_level(mut self, level: Level) -> Self {
+    pub const fn with_level(mut self, level: SimdLevel) -> Self {
         self.level = level;
         self
     }
@@ -210,7 +210,7 @@ impl PngWriter {
     /// Upper bound of the whole file, bytes, whatever the samples.
     #[must_use]
     pub fn max_bytes(&self) -> u64 {
-        self.head.len() as u64 + self.layout.max_bytes() + TAIL
+        self.head.len() as u64 + self.layout.max_bytes() + TAIL_BYTES
     }
 
     /// Signature, IHDR, metadata, and the palette.
@@ -240,7 +240,7 @@ impl PngWriter {
     /// # Panics
     /// Like [`Self::strip`].
     pub fn strip_into(&self, index: usize, samples: &[u8], out: &mut Vec<u8>) -> StripChecksum {
-        let rows = Rows::new(samples, self.layout.row_bytes(), self.bpp);
+        let rows = StripRows::new(samples, self.layout.row_bytes(), self.bpp);
         assert_eq!(
             rows.count(),
             self.rows(index).len(),
@@ -264,9 +264,11 @@ impl PngWriter {
     /// in order) and IEND.
     #[must_use]
     pub fn tail(&self, checksums: &[StripChecksum]) -> Vec<u8> {
-        let adler = checksums.iter().fold(adler::EMPTY, |sum, &(adler, len)| {
-            adler::combine(sum, adler, len)
-        });
+        let adler = checksums
+            .iter()
+            .fold(adler::EMPTY_CHECKSUM, |sum, &(adler, len)| {
+                adler::combine(sum, adler, len)
+            });
         let mut out = Vec::new();
         chunk::write(&mut out, *b"IDAT", &adler.to_be_bytes());
         chunk::write(&mut out, *b"IEND", &[]);

@@ -7,13 +7,13 @@
 
 /// Samples of one strip.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rows<'a> {
+pub(super) struct StripRows<'a> {
     samples: &'a [u8],
     row_bytes: usize,
     bpp: usize,
 }
 
-impl<'a> Rows<'a> {
+impl<'a> StripRows<'a> {
     /// `samples` are whole rows, at least one; rows are whole pixels, at least one.
     pub(super) fn new(samples: &'a [u8], row_bytes: usize, bpp: usize) -> Self {
         assert!(

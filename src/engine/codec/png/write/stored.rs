@@ -2,21 +2,21 @@
 //! the fallback if coding would make a strip longer. One copy, one Adler-32 pass over bytes still
 //! in the cache. Shapes: samples `[rows][row_bytes]`.
 
-use super::rows::Rows;
+use super::rows::StripRows;
 
 /// Most bytes of one block.
-const BLOCK: usize = 65_535;
+const MAX_BLOCK_BYTES: usize = 65_535;
 
 /// Header bytes of one block.
-const HEADER: u64 = 5;
+const BLOCK_HEADER_BYTES: u64 = 5;
 
 /// Bytes that storing `filtered` bytes adds.
 pub(super) const fn overhead(filtered: u64) -> u64 {
-    HEADER * filtered.div_ceil(BLOCK as u64)
+    BLOCK_HEADER_BYTES * filtered.div_ceil(MAX_BLOCK_BYTES as u64)
 }
 
 /// Appends all rows with filter 0; returns their Adler-32.
-pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+pub(super) fn encode(rows: StripRows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     let filtered = rows.filtered_len();
     out.reserve(
         filtered
@@ -46,18 +46,18 @@ pub(super) fn encode(rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
     adler.finish()
 }
 
-struct Block {
+struct StoredBlock {
     start: usize,
     room: usize,
 }
 
-fn begin(out: &mut Vec<u8>, left: usize, last: bool) -> Block {
-    let room = left.min(BLOCK);
+fn begin(out: &mut Vec<u8>, left: usize, last: bool) -> StoredBlock {
+    let room = left.min(MAX_BLOCK_BYTES);
     let length = u16::try_from(room).expect("BLOCK is the largest u16");
-    out.push(u8::from(last && left <= BLOCK));
+    out.push(u8::from(last && left <= MAX_BLOCK_BYTES));
     out.extend_from_slice(&length.to_le_bytes());
     out.extend_from_slice(&(!length).to_le_bytes());
-    Block {
+    StoredBlock {
         start: out.len(),
         room,
     }

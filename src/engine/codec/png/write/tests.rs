@@ -200,7 +200,7 @@ fn check(shape: PngShape, samples: &[u8], compression: Compression) -> usize {
     );
     assert!(by_png(&bytes) == samples, "{what}: png");
     assert!(by_zune(&bytes, shape.depth) == samples, "{what}: zune-png");
-    for &level in Level::available() {
+    for &level in SimdLevel::available() {
         assert!(
             file(&writer.clone().with_level(level), shape, samples) == bytes,
             "{what}: {level:?}"

@@ -127,10 +127,10 @@ async fn a_file_of_many_pieces_comes_back_whole() {
     let store = place.open();
     for len in [
         1,
-        disk::PIECE - 1,
-        disk::PIECE,
-        disk::PIECE + 1,
-        3 * disk::PIECE + 7,
+        disk::PIECE_BYTES - 1,
+        disk::PIECE_BYTES,
+        disk::PIECE_BYTES + 1,
+        3 * disk::PIECE_BYTES + 7,
     ] {
         let bytes: Bytes = (0..len)
             .map(|k| u8::try_from(k * k % 251).unwrap())
@@ -289,17 +289,17 @@ async fn what_another_version_has_stored_counts() {
     drop(store);
     let store = FileStore::open(
         &place.0,
-        Bounds {
+        StoreLimits {
             sessions: 2,
             ..bounds()
         },
     )
     .unwrap();
-    let expected = Figures {
+    let expected = StoreStats {
         sessions: 2,
         bytes: one + 1000 + bytes.len() as u64,
         other_version: 1,
-        ..Figures::default()
+        ..StoreStats::default()
     };
     assert_eq!(store.figures(), expected);
     assert!(matches!(
@@ -315,7 +315,7 @@ async fn what_another_version_has_stored_counts() {
     store.put(Arc::clone(&c), files(1)).await.unwrap();
     assert_eq!(
         store.figures(),
-        Figures {
+        StoreStats {
             bytes: expected.bytes - 1000,
             ..expected
         }
@@ -509,7 +509,7 @@ async fn a_flipped_byte_anywhere_is_survived() {
 #[tokio::test]
 async fn space_is_given_back_when_the_file_is_opened() {
     let place = Place::new();
-    let wide = Bounds {
+    let wide = StoreLimits {
         bytes: 1 << 30,
         ..bounds()
     };
@@ -539,7 +539,7 @@ async fn space_is_given_back_when_the_file_is_opened() {
     );
     // The database gives much of it back by itself; what is left then may not be worth the trouble.
     assert!(
-        place.size() < 2 * store.figures().bytes + disk::SLACK,
+        place.size() < 2 * store.figures().bytes + disk::COMPACTION_BYTES,
         "{}",
         place.size()
     );

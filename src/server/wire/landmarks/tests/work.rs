@@ -5,7 +5,7 @@ use std::cell::Cell;
 
 use super::{LandmarkFiles, both};
 use crate::problem::Code;
-use crate::wire::work::{PIECE, Work};
+use crate::wire::work::{BYTES_PER_CHECK, Work};
 
 /// More than any file here has.
 const MANY: usize = 1 << 22;
@@ -184,7 +184,7 @@ fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
         let ((bytes, time), (more_bytes, more_time)) = (cost(&small), cost(&large));
         // Each byte is looked at some times, and no byte in vain: the count is what is done.
         let passes = more_bytes as f64 / large.bytes() as f64;
-        if more_bytes > 2 * bytes + 8 * PIECE || !(0.9..=16.0).contains(&passes) {
+        if more_bytes > 2 * bytes + 8 * BYTES_PER_CHECK || !(0.9..=16.0).contains(&passes) {
             wrong.push(format!(
                 "{what:?}: {bytes} bytes, of twice as much {more_bytes}, {passes:.1} passes"
             ));
@@ -201,7 +201,7 @@ fn the_work_of_each_reader_is_linear_whatever_ends_the_lines() {
 fn reading_stops_soon_after_nobody_wants_the_result() {
     const SIZE: usize = 128 << 10;
     // A line is looked at in one go.
-    const SOON: usize = 3 * SIZE + 16 * PIECE;
+    const SOON: usize = 3 * SIZE + 16 * BYTES_PER_CHECK;
     for file in files(SIZE) {
         let what = start(&file);
         let file = both(file);
@@ -220,7 +220,7 @@ fn reading_stops_soon_after_nobody_wants_the_result() {
                 Code::Overloaded,
                 "{what:?}"
             );
-            let until = (part * 8 + 1) * 2 * PIECE;
+            let until = (part * 8 + 1) * 2 * BYTES_PER_CHECK;
             assert!(
                 work.bytes() <= until + SOON,
                 "{what:?}: {} bytes instead of {until}",

@@ -3,12 +3,14 @@
 use std::arch::x86_64::*;
 
 use super::x86::lanes;
-use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
-use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
+use crate::codec::jpeg::write::coder::{
+    BlockPlace, Blocks, CoefficientCodes, Predictors, QuantisedBlock, ScanWriter,
+};
+use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
-/// Must be called where [`crate::level::Level::Avx2`] is here.
+/// Must be called where [`crate::level::SimdLevel::Avx2`] is here.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { wide(job, out, wanted) }
@@ -16,17 +18,17 @@ pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
 fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
-    strip::encode::<Avx2>(job, out, wanted);
+    strip::encode::<Avx2Lanes>(job, out, wanted);
 }
 
 /// A function of its own, because a longer one has too few registers.
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
 fn code(
-    bits: &mut BitWriter,
+    bits: &mut ScanWriter,
     blocks: &Blocks,
     order: &[BlockPlace],
-    codes: &[Codes; 2],
+    codes: &[CoefficientCodes; 2],
     last: &mut Predictors,
     out: &mut Vec<u8>,
 ) {
@@ -35,13 +37,13 @@ fn code(
 
 /// Made by `wide` only.
 #[derive(Clone, Copy)]
-struct Avx2(__m256i);
+struct Avx2Lanes(__m256i);
 
-impl Avx2 {
+impl Avx2Lanes {
     /// Samples of a channel of pixels of three bytes, times 257.
     #[inline(always)]
     unsafe fn third<const CHANNEL: usize>(first: __m256i, last: __m256i) -> Self {
-        // SAFETY: as for `Lanes`.
+        // SAFETY: as for `I16Lanes`.
         unsafe {
             let [low, high] = &PLACES[CHANNEL];
             let low = _mm256_broadcastsi128_si256(_mm_loadu_si128(low.as_ptr().cast()));
@@ -57,7 +59,7 @@ impl Avx2 {
     /// others.
     #[inline(always)]
     unsafe fn channel<const SHIFT: i32>(first: __m256i, second: __m256i) -> Self {
-        // SAFETY: as for `Lanes`.
+        // SAFETY: as for `I16Lanes`.
         unsafe {
             let low = _mm256_set1_epi32(255);
             Self(_mm256_packus_epi32(
@@ -88,14 +90,14 @@ static PLACES: [[[u8; 16]; 2]; 3] = [places(0), places(1), places(2)];
 #[inline(always)]
 unsafe fn sixteen(bytes: &[u8], at: usize) -> __m128i {
     let bytes: &[u8; 16] = bytes[at..].first_chunk().expect("16 bytes");
-    // SAFETY: as for `Lanes`; the reference has 16 bytes.
+    // SAFETY: as for `I16Lanes`; the reference has 16 bytes.
     unsafe { _mm_loadu_si128(bytes.as_ptr().cast()) }
 }
 
 /// 16 bytes at each of two places.
 #[inline(always)]
 unsafe fn two(bytes: &[u8], first: usize, second: usize) -> __m256i {
-    // SAFETY: as for `Lanes`.
+    // SAFETY: as for `I16Lanes`.
     unsafe {
         _mm256_inserti128_si256::<1>(
             _mm256_castsi128_si256(sixteen(bytes, first)),
@@ -123,7 +125,7 @@ const fn shuffles() -> [[[u8; 2 * SIDE]; SIDE]; SIDE] {
 }
 
 /// For every eight coefficients, by column: whether it has some of them.
-const HAS: [[bool; SIDE]; SIDE] = {
+const HAS_COEFFICIENTS: [[bool; SIDE]; SIDE] = {
     let mut has = [[false; SIDE]; SIDE];
     let mut k = 0;
     while k < BLOCK {
@@ -133,7 +135,7 @@ const HAS: [[bool; SIDE]; SIDE] = {
     has
 };
 
-impl Avx2 {
+impl Avx2Lanes {
     /// Coefficients `8 K` to `8 K + 7` in the order of a file.
     #[inline(always)]
     fn eight<const K: usize>(columns: &[Self; 8]) -> __m256i {
@@ -141,7 +143,7 @@ impl Avx2 {
         unsafe {
             let mut joined = _mm256_setzero_si256();
             for (x, column) in columns.iter().enumerate() {
-                if HAS[K][x] {
+                if HAS_COEFFICIENTS[K][x] {
                     let order = _mm256_broadcastsi128_si256(_mm_loadu_si128(
                         SHUFFLES[K][x].as_ptr().cast(),
                     ));
@@ -168,7 +170,7 @@ impl Avx2 {
 }
 
 lanes! {
-    Avx2(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16,
+    Avx2Lanes(__m256i), 16, set: _mm256_set1_epi16, load: _mm256_loadu_si256, add: _mm256_add_epi16,
     sub: _mm256_sub_epi16, times: _mm256_mulhrs_epi16, high: _mm256_mulhi_epu16,
     mean: _mm256_avg_epu16, low: _mm256_mullo_epi16, left: _mm256_sll_epi16,
         right: _mm256_srl_epi16,
@@ -176,7 +178,8 @@ lanes! {
     _mm256_unpackhi_epi32, _mm256_unpacklo_epi64, _mm256_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2],
+        fn code(bits: &mut ScanWriter, blocks: &Blocks, order: &[BlockPlace],
+            codes: &[CoefficientCodes; 2],
             last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
@@ -226,7 +229,7 @@ lanes! {
         }
 
         #[inline(always)]
-        fn store(columns: [Self; 8], blocks: &mut [Block]) {
+        fn store(columns: [Self; 8], blocks: &mut [QuantisedBlock]) {
             let [first, second, ..] = blocks else { unreachable!("blocks of all lanes") };
             let eights = Self::in_order(&columns);
             unsafe {

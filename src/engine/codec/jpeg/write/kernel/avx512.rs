@@ -3,12 +3,14 @@
 use std::arch::x86_64::*;
 
 use super::x86::lanes;
-use crate::codec::jpeg::write::coder::{BitWriter, Block, BlockPlace, Blocks, Codes, Predictors};
-use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
+use crate::codec::jpeg::write::coder::{
+    BlockPlace, Blocks, CoefficientCodes, Predictors, QuantisedBlock, ScanWriter,
+};
+use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
 use crate::codec::jpeg::write::strip::{self, Job};
 use crate::codec::jpeg::write::tables::{BLOCK, ZIGZAG};
 
-/// Must be called where [`crate::level::Level::Avx512`] is here.
+/// Must be called where [`crate::level::SimdLevel::Avx512`] is here.
 pub(super) fn encode(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
     // SAFETY: the one caller asks `Level::is_here` first.
     unsafe { wide(job, out, wanted) }
@@ -23,10 +25,10 @@ fn wide(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
 #[inline(never)]
 #[target_feature(enable = "bmi1,bmi2,lzcnt")]
 fn code(
-    bits: &mut BitWriter,
+    bits: &mut ScanWriter,
     blocks: &Blocks,
     order: &[BlockPlace],
-    codes: &[Codes; 2],
+    codes: &[CoefficientCodes; 2],
     last: &mut Predictors,
     out: &mut Vec<u8>,
 ) {
@@ -38,7 +40,7 @@ fn code(
 struct Avx512(__m512i);
 
 /// Every second byte.
-const LOW: u64 = 0x5555_5555_5555_5555;
+const EVEN_BYTES: u64 = 0x5555_5555_5555_5555;
 
 /// The bytes of a channel of 32 pixels, each twice.
 const fn places(channels: u8, channel: u8) -> [u8; 64] {
@@ -59,7 +61,7 @@ impl Avx512 {
     /// `MASK`: the bytes that are taken.
     #[inline(always)]
     unsafe fn channel<const MASK: u64>(first: __m512i, second: __m512i, places: &[u8; 64]) -> Self {
-        // SAFETY: as for `Lanes`.
+        // SAFETY: as for `I16Lanes`.
         unsafe {
             let places = _mm512_loadu_si512(places.as_ptr().cast());
             Self(_mm512_maskz_permutex2var_epi8(MASK, first, places, second))
@@ -71,7 +73,7 @@ impl Avx512 {
 #[inline(always)]
 unsafe fn sixty_four(bytes: &[u8], at: usize) -> __m512i {
     let bytes: &[u8; 64] = bytes[at..].first_chunk().expect("64 bytes");
-    // SAFETY: as for `Lanes`; the reference has 64 bytes.
+    // SAFETY: as for `I16Lanes`; the reference has 64 bytes.
     unsafe { _mm512_loadu_si512(bytes.as_ptr().cast()) }
 }
 
@@ -79,12 +81,12 @@ unsafe fn sixty_four(bytes: &[u8], at: usize) -> __m512i {
 #[inline(always)]
 unsafe fn thirty_two(bytes: &[u8], at: usize) -> __m256i {
     let bytes: &[u8; 32] = bytes[at..].first_chunk().expect("32 bytes");
-    // SAFETY: as for `Lanes`; the reference has 32 bytes.
+    // SAFETY: as for `I16Lanes`; the reference has 32 bytes.
     unsafe { _mm256_loadu_si256(bytes.as_ptr().cast()) }
 }
 
 /// The order of a file, in columns.
-static ORDER: [[u16; 32]; 2] = order();
+static FILE_ORDER: [[u16; 32]; 2] = order();
 
 const fn order() -> [[u16; 32]; 2] {
     let mut order = [[0; 32]; 2];
@@ -99,7 +101,7 @@ const fn order() -> [[u16; 32]; 2] {
 /// Four columns of each block from four columns of all blocks.
 #[inline(always)]
 fn by_block([a, b, c, d]: [Avx512; 4]) -> [__m512i; 4] {
-    // SAFETY: as for `Lanes`.
+    // SAFETY: as for `I16Lanes`.
     unsafe {
         let (ab, cd) = (
             _mm512_shuffle_i32x4::<0x44>(a.0, b.0),
@@ -127,7 +129,8 @@ lanes! {
     _mm512_unpackhi_epi32, _mm512_unpacklo_epi64, _mm512_unpackhi_epi64],
     own: {
         #[inline(always)]
-        fn code(bits: &mut BitWriter, blocks: &Blocks, order: &[BlockPlace], codes: &[Codes; 2],
+        fn code(bits: &mut ScanWriter, blocks: &Blocks, order: &[BlockPlace],
+            codes: &[CoefficientCodes; 2],
             last: &mut Predictors, out: &mut Vec<u8>) {
             unsafe { code(bits, blocks, order, codes, last, out) }
         }
@@ -163,10 +166,10 @@ lanes! {
                 let (first, second) = (sixty_four(pixels, 0), sixty_four(pixels, 64));
                 let [r, g, b, a] = &PLACES_4;
                 [
-                    Self::channel::<LOW>(first, second, r),
-                    Self::channel::<LOW>(first, second, g),
-                    Self::channel::<LOW>(first, second, b),
-                    Self::channel::<LOW>(first, second, a),
+                    Self::channel::<EVEN_BYTES>(first, second, r),
+                    Self::channel::<EVEN_BYTES>(first, second, g),
+                    Self::channel::<EVEN_BYTES>(first, second, b),
+                    Self::channel::<EVEN_BYTES>(first, second, a),
                 ]
             }
         }
@@ -182,12 +185,12 @@ lanes! {
         }
 
         #[inline(always)]
-        fn store(columns: [Self; 8], blocks: &mut [Block]) {
+        fn store(columns: [Self; 8], blocks: &mut [QuantisedBlock]) {
             let [c0, c1, c2, c3, c4, c5, c6, c7] = columns;
             let (left, right) = (by_block([c0, c1, c2, c3]), by_block([c4, c5, c6, c7]));
             for ((left, right), block) in left.into_iter().zip(right).zip(blocks) {
                 unsafe {
-                    let [first, second] = ORDER.each_ref().map(|places| {
+                    let [first, second] = FILE_ORDER.each_ref().map(|places| {
                         _mm512_permutex2var_epi16(left, _mm512_loadu_si512(places.as_ptr().cast()),
                             right)
                     });

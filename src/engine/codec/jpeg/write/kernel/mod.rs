@@ -1,9 +1,9 @@
 //! Chooses the instruction set of a strip. The strip is written once (`strip::encode`), over
-//! [`Lanes`](super::lanes::Lanes) of 16-bit integers; every level has the same operations on more
-//! or fewer lanes, so all of them give the same bytes.
+//! [`I16Lanes`](super::lanes::I16Lanes) of 16-bit integers; every level has the same operations on
+//! more or fewer lanes, so all of them give the same bytes.
 
 use super::strip::{self, Job};
-use crate::level::Level;
+use crate::level::SimdLevel;
 
 #[cfg(target_arch = "x86_64")]
 #[expect(unsafe_code, reason = "AVX2 intrinsics behind run-time detection")]
@@ -27,12 +27,17 @@ pub(super) use scalar::Scalar;
 
 /// Appends the entropy-coded data of a strip, ended on a byte. `wanted` is called between rows of
 /// blocks; when it returns false, the work ends. A level that the machine lacks is scalar.
-pub(super) fn encode(level: Level, job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn Fn() -> bool) {
+pub(super) fn encode(
+    level: SimdLevel,
+    job: &Job<'_>,
+    out: &mut Vec<u8>,
+    wanted: &dyn Fn() -> bool,
+) {
     match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => avx2::encode(job, out, wanted),
+        SimdLevel::Avx2 if level.is_supported() => avx2::encode(job, out, wanted),
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 if level.is_here() => avx512::encode(job, out, wanted),
+        SimdLevel::Avx512 if level.is_supported() => avx512::encode(job, out, wanted),
         _ => strip::encode::<Scalar>(job, out, wanted),
     }
 }

@@ -1,9 +1,9 @@
 //! The reference: loops over 16 lanes, which a compiler turns into what registers there are.
 
 use crate::codec::jpeg::write::coder::{
-    BitWriter, Block, BlockPlace, Blocks, Codes, NEAR, Predictors,
+    BlockPlace, Blocks, CoefficientCodes, NEAR_VALUES, Predictors, QuantisedBlock, ScanWriter,
 };
-use crate::codec::jpeg::write::lanes::{Lanes, MOST_LANES};
+use crate::codec::jpeg::write::lanes::{I16Lanes, MOST_LANES};
 use crate::codec::jpeg::write::tables::{BLOCK, SIDE, ZIGZAG};
 
 const COUNT: usize = 16;
@@ -24,7 +24,7 @@ impl Scalar {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "lanes of 16 bits wrap")]
-impl Lanes for Scalar {
+impl I16Lanes for Scalar {
     const COUNT: usize = COUNT;
 
     #[inline(always)]
@@ -138,10 +138,10 @@ impl Lanes for Scalar {
 
     #[inline(never)]
     fn code(
-        bits: &mut BitWriter,
+        bits: &mut ScanWriter,
         blocks: &Blocks,
         order: &[BlockPlace],
-        codes: &[Codes; 2],
+        codes: &[CoefficientCodes; 2],
         last: &mut Predictors,
         out: &mut Vec<u8>,
     ) {
@@ -149,7 +149,7 @@ impl Lanes for Scalar {
     }
 
     #[inline(always)]
-    fn store(columns: [Self; 8], blocks: &mut [Block]) {
+    fn store(columns: [Self; 8], blocks: &mut [QuantisedBlock]) {
         for (block, lanes) in blocks[..COUNT / SIDE].iter_mut().zip((0..).step_by(SIDE)) {
             let mut transposed = [0; BLOCK];
             for (column, Self(values)) in transposed
@@ -174,7 +174,7 @@ impl Lanes for Scalar {
             }
             // No early exit, so that the comparisons are vectorised.
             let far = block.coefficients[1..].iter().fold(false, |far, value| {
-                far | !(-NEAR..NEAR).contains(&i32::from(*value))
+                far | !(-NEAR_VALUES..NEAR_VALUES).contains(&i32::from(*value))
             });
             block.is_near = !far;
             block.nonzero = 0;

@@ -1,7 +1,7 @@
 //! What AVX2 and AVX-512 have in common: every operation that stays within 128 bits, which are a
 //! row or a column of a block.
 
-/// Implements `Lanes` for a type of `count` lanes by the instructions that are named; `own`: the
+/// Implements `I16Lanes` for a type of `count` lanes by the instructions that are named; `own`: the
 /// methods in which the levels differ.
 macro_rules! lanes {
     (
@@ -15,7 +15,7 @@ macro_rules! lanes {
     ) => {
         // SAFETY of every block here: `encode` alone uses this type, where the processor has the
         // level; pointers are those of references.
-        impl Lanes for $name {
+        impl I16Lanes for $name {
             const COUNT: usize = $count;
 
             #[inline(always)]

@@ -2,31 +2,31 @@
 //! filters and `shlx`, `shrx` of the shifts.
 
 use super::super::bits::BitWriter;
-use super::super::coder::{Lookup, Stage, Tables, code_piece};
+use super::super::coder::{CodeBuffer, Lookup, Tables, code_piece};
 use super::super::fast;
-use super::super::rows::Rows;
+use super::super::rows::StripRows;
 
-/// Must be called where [`crate::level::Level::Avx2`] is here.
-pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+/// Must be called where [`crate::level::SimdLevel::Avx2`] is here.
+pub(super) fn fast(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     // SAFETY: the one caller asks `Level::is_here` first, which covers every feature of
     // `fast_avx2`.
     unsafe { fast_avx2(rows, last, most, out) }
 }
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn fast_avx2(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+fn fast_avx2(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     fast::body::<Avx2>(rows, last, most, out)
 }
 
 /// Made by `fast_avx2` only.
 struct Avx2;
 
-impl fast::Kernel for Avx2 {
+impl fast::FastKernel for Avx2 {
     #[inline(always)]
     fn piece<L: Lookup>(
         piece: &[u8],
         tables: Tables<'_, L>,
-        stage: &mut Stage,
+        stage: &mut CodeBuffer,
         bits: &mut BitWriter,
         out: &mut Vec<u8>,
     ) {
@@ -40,7 +40,7 @@ impl fast::Kernel for Avx2 {
 fn piece_avx2<L: Lookup>(
     piece: &[u8],
     tables: Tables<'_, L>,
-    stage: &mut Stage,
+    stage: &mut CodeBuffer,
     bits: &mut BitWriter,
     out: &mut Vec<u8>,
 ) {

@@ -5,25 +5,25 @@
 use std::arch::x86_64::*;
 
 use super::super::bits::BitWriter;
-use super::super::coder::{Lookup, Single, Stage, Staged, Tables, code, code_piece, length};
+use super::super::coder::{CodeBuffer, Lookup, Single, Staged, Tables, code, code_piece, length};
 use super::super::fast;
-use super::super::rows::Rows;
+use super::super::rows::StripRows;
 
-/// Must be called where [`crate::level::Level::Avx512`] is here.
-pub(super) fn fast(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+/// Must be called where [`crate::level::SimdLevel::Avx512`] is here.
+pub(super) fn fast(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     // SAFETY: the one caller asks `Level::is_here` first, which covers every feature.
     unsafe { fast_avx512(rows, last, most, out) }
 }
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi")]
-fn fast_avx512(rows: Rows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
+fn fast_avx512(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {
     fast::body::<Registers>(rows, last, most, out)
 }
 
 /// Looks codes up in registers.
 struct Registers;
 
-impl fast::Kernel for Registers {
+impl fast::FastKernel for Registers {
     #[inline(always)]
     fn code(single: &Single, coder: fast::RowCoder<'_>) -> Option<u32> {
         coder.code::<Self>(&Wide::new(single))
@@ -33,7 +33,7 @@ impl fast::Kernel for Registers {
     fn piece<L: Lookup>(
         piece: &[u8],
         tables: Tables<'_, L>,
-        stage: &mut Stage,
+        stage: &mut CodeBuffer,
         bits: &mut BitWriter,
         out: &mut Vec<u8>,
     ) {
@@ -44,7 +44,7 @@ impl fast::Kernel for Registers {
 /// Bits of a code in a 16-bit lane; its length is above.
 const CODE_BITS: u32 = 12;
 /// Most bits of eight codes that go to one store.
-const MOST: i64 = 56;
+const MAX_STORED_BITS: i64 = 56;
 
 /// The codes of all bytes, `length << 12 | code`, split into low and high halves. Made by
 /// `fast_avx512` only.
@@ -133,7 +133,7 @@ fn sixty_fours(tables: &Wide<'_>, bytes: &[u8], bits: &mut Staged<'_>) -> usize 
         let fore_length = _mm512_unpacklo_epi64(first_length, second_length);
         let rear_length = _mm512_unpackhi_epi64(first_length, second_length);
         let lengths = _mm512_add_epi64(fore_length, rear_length);
-        if zeros == 0 && _mm512_cmpgt_epi64_mask(lengths, _mm512_set1_epi64(MOST)) == 0 {
+        if zeros == 0 && _mm512_cmpgt_epi64_mask(lengths, _mm512_set1_epi64(MAX_STORED_BITS)) == 0 {
             done += 64;
             let codes = lanes(_mm512_or_si512(fore, _mm512_sllv_epi64(rear, fore_length)));
             for (code, length) in codes.into_iter().zip(lanes(lengths)) {

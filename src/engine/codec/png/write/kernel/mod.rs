@@ -4,9 +4,9 @@
 //! up in its own way. All levels give the same bytes.
 
 use super::fast;
-use super::rows::Rows;
+use super::rows::StripRows;
 use super::stored;
-use crate::level::Level;
+use crate::level::SimdLevel;
 
 #[cfg(target_arch = "x86_64")]
 #[expect(
@@ -20,7 +20,12 @@ mod avx512;
 
 /// Appends the deflate blocks of one strip, ended on a byte; returns the Adler-32 of the filtered
 /// rows. A level that the machine lacks is scalar.
-pub(super) fn encode_fast(level: Level, rows: Rows<'_>, last: bool, out: &mut Vec<u8>) -> u32 {
+pub(super) fn encode_fast(
+    level: SimdLevel,
+    rows: StripRows<'_>,
+    last: bool,
+    out: &mut Vec<u8>,
+) -> u32 {
     let start = out.len();
     let filtered = rows.filtered_len();
     let most = start
@@ -30,9 +35,9 @@ pub(super) fn encode_fast(level: Level, rows: Rows<'_>, last: bool, out: &mut Ve
     out.reserve(filtered / 8 * 5 + 1024);
     let coded = match level {
         #[cfg(target_arch = "x86_64")]
-        Level::Avx2 if level.is_here() => avx2::fast(rows, last, most, out),
+        SimdLevel::Avx2 if level.is_supported() => avx2::fast(rows, last, most, out),
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 if level.is_here() => avx512::fast(rows, last, most, out),
+        SimdLevel::Avx512 if level.is_supported() => avx512::fast(rows, last, most, out),
         _ => fast::body::<fast::Portable>(rows, last, most, out),
     };
     coded.unwrap_or_else(|| {

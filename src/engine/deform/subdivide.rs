@@ -10,53 +10,55 @@
 use std::borrow::Cow;
 use std::cmp::Ordering;
 
+use super::coefficient_table::{CoefficientTable, IsCancelled, to_f32};
 use super::curvature::bent_cells;
-use super::exact_rows::{ExactRows, Posing, group_len};
 use super::interpolated::{EvenLines, Interpolated};
-use super::measured::{Cells, LEVELS, Measured, edge_level, on_edge, split_error};
-use super::plan::{IsCancelled, Plan, to_f32};
+use super::measured::{
+    MAX_SUBDIVISION_DEPTH, Measured, MeasuredCells, edge_level, on_edge, split_error,
+};
 use super::posed_cells::PosedCells;
-use super::samples::{Samples, sample_error};
-use super::{Field, Pose};
-use crate::geometry::{Grid, Mesh, Point, RefinedCell, Refinement};
+use super::samples::{CellSamples, sample_error};
+use super::subdivision_cache::{Posing, SubdivisionCache, group_len};
+use super::{Pose, RestDeformation};
+use crate::geometry::{Grid, Mesh, Point, SubdividedCell, Subdivision};
 
 /// Cells are measured if their second differences predict more than this share of the tolerance;
 /// they bound the error of resolved cells.
-const SUSPECT: f64 = 0.6;
+const SUSPECT_TOLERANCE_SHARE: f64 = 0.6;
 /// With a larger tolerance, px, cells are measured as with this one: second differences tell little
 /// of what the grid does not resolve.
 const SUSPECT_TOLERANCE: f64 = 0.2;
 /// Halving a smooth cell divides its error by four; a part of that is relied on without measuring
 /// again, unless f has a cusp at its handles or a crease along them (mathematics sections 2.4,
 /// 3.4).
-const HALVED: f32 = 0.5;
+const HALVED_ERROR_SHARE: f32 = 0.5;
 /// The largest error of a cell in which f is resolved, as a share of its size.
-const RESOLVED: f32 = 0.1;
+const RESOLVED_CELL_SHARE: f32 = 0.1;
 /// Vertices may be interpolated if they are off by at most this share of the tolerance.
-const INTERPOLATED: f32 = 0.35;
+const INTERPOLATED_TOLERANCE_SHARE: f32 = 0.35;
 /// The least alpha of points and of lines at which f is smooth enough for that.
 const SMOOTH_POINTS: f64 = 1.0;
 const SMOOTH_LINES: f64 = 1.5;
 /// The largest difference of two targets at one position that counts as one, as a share of the
 /// tolerance.
-const TORN: f64 = 0.5;
+const TORN_TOLERANCE_SHARE: f64 = 0.5;
 /// Cells are not halved below this size, px.
 const SMALLEST_CELL: f64 = 0.5;
 /// A handle this near to the side of a cell, as a share of the cell, is one of the cell beyond as
 /// well: halved once, all of them.
-const BESIDE: f64 = 0.5;
+const NEIGHBOUR_HANDLE_CELLS: f64 = 0.5;
 /// An error between the vertices where it is measured is at most this much larger: where the grid
 /// resolves f, and elsewhere.
 const BETWEEN_SMOOTH: f32 = 1.1;
-const BETWEEN: f32 = 1.5;
+const BETWEEN_VERTICES_FACTOR: f32 = 1.5;
 
 /// The tolerance of a posed grid, and what may be spent on it.
 #[derive(Clone, Copy, Debug)]
-pub struct Refiner<'a> {
+pub struct Subdivider<'a> {
     /// The handles.
-    pub field: &'a Field,
+    pub field: &'a RestDeformation,
     /// The rows that are kept.
-    pub rows: &'a ExactRows,
+    pub rows: &'a SubdivisionCache,
     /// Largest distance between the drawn map and f, px.
     pub tolerance: f64,
     /// The largest distance between what is drawn and a cell, px of the source, which the tolerance
@@ -68,21 +70,26 @@ pub struct Refiner<'a> {
     pub vertices: usize,
 }
 
-/// The result of [`Refiner::refine`].
+/// The result of [`Subdivider::subdivide`].
 #[derive(Clone, Debug)]
-pub struct Refined {
+pub struct SubdividedMesh {
     /// The refined cells.
-    pub refinement: Refinement,
+    pub refinement: Subdivision,
     /// Column and row of the cells that remain over the tolerance.
     pub exceeded: Vec<(u32, u32)>,
 }
 
-impl Refiner<'_> {
+impl Subdivider<'_> {
     /// Measures and halves cells of a posed mesh. `None` when cancelled.
     #[must_use]
-    pub fn refine(&self, mesh: &Mesh, pose: &Pose, cancelled: IsCancelled<'_>) -> Option<Refined> {
-        let none = Refined {
-            refinement: Refinement::new(self.drawn_within),
+    pub fn subdivide(
+        &self,
+        mesh: &Mesh,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<SubdividedMesh> {
+        let none = SubdividedMesh {
+            refinement: Subdivision::new(self.drawn_within),
             exceeded: Vec::new(),
         };
         if pose.is_identity() || self.field.handles().columns() == 0 {
@@ -90,28 +97,29 @@ impl Refiner<'_> {
         }
         let grid = mesh.grid();
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
-        let bytes = Plan::bytes_for(self.field, grid.len());
-        let f = (!Plan::rows_inside_cells_pay(self.field)).then(|| self.field.deformation(pose));
+        let bytes = CoefficientTable::bytes_for(self.field, grid.len());
+        let f = (!CoefficientTable::rows_inside_cells_pay(self.field))
+            .then(|| self.field.deformation(pose));
         let posing = Posing {
             field: self.field,
             f: f.as_ref(),
             grid,
             d: &d,
-            serial: Plan::is_posed_on_one_thread(bytes),
+            serial: CoefficientTable::is_posed_on_one_thread(bytes),
         };
-        let samples = Samples::of_handles(self.field, grid, pose, cancelled)?;
+        let samples = CellSamples::of_handles(self.field, grid, pose, cancelled)?;
         let smooth = if self.field.handles().has_lines() {
             SMOOTH_LINES
         } else {
             SMOOTH_POINTS
         };
-        let mut work = Work {
+        let mut work = PoseMeasurement {
             refiner: self,
             mesh,
             even: EvenLines::of(grid),
             samples,
             posed: PosedCells::of(mesh),
-            cells: Cells::new(grid.len()),
+            cells: MeasuredCells::new(grid.len()),
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
@@ -130,7 +138,7 @@ impl Refiner<'_> {
 fn deepest(grid: &Grid) -> u8 {
     let mut cell = grid.cell().0.max(grid.cell().1);
     let mut level = 0;
-    while cell > SMALLEST_CELL && usize::from(level) < LEVELS {
+    while cell > SMALLEST_CELL && usize::from(level) < MAX_SUBDIVISION_DEPTH {
         cell /= 2.0;
         level += 1;
     }
@@ -138,13 +146,13 @@ fn deepest(grid: &Grid) -> u8 {
 }
 
 /// The measurement of one pose.
-struct Work<'a> {
-    refiner: &'a Refiner<'a>,
+struct PoseMeasurement<'a> {
+    refiner: &'a Subdivider<'a>,
     mesh: &'a Mesh,
     even: EvenLines,
-    samples: Samples,
+    samples: CellSamples,
     posed: PosedCells<'a>,
-    cells: Cells,
+    cells: MeasuredCells,
     /// Vertices that may still be computed.
     left: usize,
     exceeded: Vec<u32>,
@@ -161,7 +169,7 @@ enum Decision {
     Measure,
 }
 
-impl Work<'_> {
+impl PoseMeasurement<'_> {
     #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
     fn tolerance(&self) -> f32 {
         self.refiner.tolerance as f32
@@ -171,17 +179,17 @@ impl Work<'_> {
     fn between(&self, cell: u32, error: f32) -> f32 {
         let [width, height] = self.posed.size(cell);
         error
-            * if self.is_smooth && error <= RESOLVED * width.max(height) {
+            * if self.is_smooth && error <= RESOLVED_CELL_SHARE * width.max(height) {
                 BETWEEN_SMOOTH
             } else {
-                BETWEEN
+                BETWEEN_VERTICES_FACTOR
             }
     }
 
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
         let mut pending = bent_cells(
             self.mesh,
-            SUSPECT * self.refiner.tolerance.min(SUSPECT_TOLERANCE),
+            SUSPECT_TOLERANCE_SHARE * self.refiner.tolerance.min(SUSPECT_TOLERANCE),
         );
         for (cell, samples) in self.samples.by_cell() {
             if sample_error(samples, &self.posed.corners(cell), 0) > self.tolerance() * 0.5 {
@@ -192,7 +200,7 @@ impl Work<'_> {
             let columns = self.mesh.grid().columns() - 1;
             // What the second differences of a cell that is not bent leave room for.
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
-            let split = ((1.0 - SUSPECT) * self.refiner.tolerance) as f32;
+            let split = ((1.0 - SUSPECT_TOLERANCE_SHARE) * self.refiner.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
             pending.extend(folded.filter(|&cell| {
                 split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split
@@ -251,7 +259,7 @@ impl Work<'_> {
         };
         let halved = halved
             .map(|halved| (halved, halved.off()))
-            .filter(|(_, off)| *off <= INTERPOLATED * tolerance);
+            .filter(|(_, off)| *off <= INTERPOLATED_TOLERANCE_SHARE * tolerance);
         if let Some((halved, off)) = halved {
             let halves = halved.halves();
             if self.cells.get(&cell).is_none()
@@ -281,7 +289,7 @@ impl Work<'_> {
             return false;
         }
         known.deepen(vertices, size);
-        known.errors[usize::from(known.depth) - 1] += off / HALVED;
+        known.errors[usize::from(known.depth) - 1] += off / HALVED_ERROR_SHARE;
         let known = self.cells.get(&cell).expect("is there");
         let suffices = matches!(self.decide(cell, known), Decision::Draw(_));
         if suffices {
@@ -345,8 +353,9 @@ impl Work<'_> {
             && sample_error(samples, &known.vertices, depth - 1) > self.tolerance()
         {
             let beside = |di: i32, dj: i32| {
-                let near =
-                    |x: f64, side: i32| side == 0 || (if side < 0 { x } else { 1.0 - x }) < BESIDE;
+                let near = |x: f64, side: i32| {
+                    side == 0 || (if side < 0 { x } else { 1.0 - x }) < NEIGHBOUR_HANDLE_CELLS
+                };
                 samples
                     .iter()
                     .any(|sample| near(sample.s, di) && near(sample.t, dj))
@@ -414,7 +423,10 @@ impl Work<'_> {
                 y.clamp(0.0, grid.height()),
             ))
         };
-        for p in pose.contradictions().torn(TORN * self.refiner.tolerance) {
+        for p in pose
+            .contradictions()
+            .torn(TORN_TOLERANCE_SHARE * self.refiner.tolerance)
+        {
             if grid.locate(p).is_none() {
                 continue;
             }
@@ -444,7 +456,7 @@ impl Work<'_> {
         let size = self.posed.size(cell);
         let is_resolved = |level: u8| {
             let size = size[0].max(size[1]) / f32::from(1_u8 << (level - 1));
-            known.errors[usize::from(level) - 1] <= RESOLVED * size
+            known.errors[usize::from(level) - 1] <= RESOLVED_CELL_SHARE * size
         };
         for level in known.least..=known.depth {
             let error = match level.cmp(&known.depth) {
@@ -453,7 +465,7 @@ impl Work<'_> {
                     && self.is_smooth
                     && (level == self.deepest || is_resolved(level)) =>
                 {
-                    known.errors[usize::from(level) - 1] * HALVED
+                    known.errors[usize::from(level) - 1] * HALVED_ERROR_SHARE
                 }
                 _ if level > 0 && level == self.deepest => known.errors[usize::from(level) - 1],
                 _ => f32::INFINITY,
@@ -467,9 +479,9 @@ impl Work<'_> {
         Decision::Measure
     }
 
-    fn finish(mut self) -> Refined {
+    fn finish(mut self) -> SubdividedMesh {
         let grid = self.mesh.grid();
-        let mut refinement = Refinement::new(self.refiner.drawn_within);
+        let mut refinement = Subdivision::new(self.refiner.drawn_within);
         self.cells.sort();
         for (cell, known) in &self.cells.known {
             let cell = *cell;
@@ -483,7 +495,7 @@ impl Work<'_> {
                 refinement.push(i, j, level, &vertices);
             }
         }
-        let outer = |cell: &RefinedCell, edge: usize| {
+        let outer = |cell: &SubdividedCell, edge: usize| {
             let index = cell.row * (grid.columns() - 1) + cell.column;
             if !self.samples.of(index).is_empty() {
                 return cell.level;
@@ -503,7 +515,7 @@ impl Work<'_> {
             .iter()
             .map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1)))
             .collect();
-        Refined {
+        SubdividedMesh {
             refinement,
             exceeded,
         }

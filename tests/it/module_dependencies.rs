@@ -395,7 +395,10 @@ fn layers_wrong_dependencies_are_seen() {
         let sources = files(&all);
         !offences(&sources, &ENGINE).is_empty() || !forbidden_crates(&sources).is_empty()
     };
-    assert!(one("deform/plan.rs", "use crate::render::Filter;"));
+    assert!(one(
+        "deform/coefficient_table.rs",
+        "use crate::render::Filter;"
+    ));
     assert!(one(
         "deform/kernel/scalar.rs",
         "use super::super::super::codec::Limits;"
@@ -412,10 +415,10 @@ fn layers_wrong_dependencies_are_seen() {
         one("new/part.rs", ""),
         "a module that the table does not list"
     );
-    assert!(one("warp/setup.rs", "use tokio::sync::Notify;"));
+    assert!(one("warp/resolved_rest.rs", "use tokio::sync::Notify;"));
     assert!(!one(
-        "deform/plan.rs",
-        "use super::field::Field; use crate::geometry::Grid; // crate::render"
+        "deform/coefficient_table.rs",
+        "use super::rest_deformation::RestDeformation; use crate::geometry::Grid; // crate::render"
     ));
     let circle = files(&[
         ("a/x.rs", "use super::y::Y;"),

@@ -5,7 +5,7 @@ use super::{Grid, Point, Vec2};
 
 /// A cell of the grid that is drawn as `2^level x 2^level` cells of equal size at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RefinedCell {
+pub struct SubdividedCell {
     /// Column of the cell.
     pub column: u32,
     /// Row of the cell.
@@ -20,7 +20,7 @@ pub struct RefinedCell {
     start: usize,
 }
 
-impl RefinedCell {
+impl SubdividedCell {
     /// Vertices along a side.
     #[must_use]
     pub const fn side(&self) -> usize {
@@ -30,19 +30,19 @@ impl RefinedCell {
 
 /// The refined cells of a mesh, row by row, and the displacements of their vertices.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refinement {
-    cells: Vec<RefinedCell>,
+pub struct Subdivision {
+    cells: Vec<SubdividedCell>,
     displacement: Vec<[f32; 2]>,
     drawn_within: f32,
 }
 
-impl Default for Refinement {
+impl Default for Subdivision {
     fn default() -> Self {
         Self::NONE
     }
 }
 
-impl Refinement {
+impl Subdivision {
     /// No cell is refined.
     pub const NONE: Self = Self::new(1.0 / 16.0);
 
@@ -65,12 +65,12 @@ impl Refinement {
 
     /// Appends a cell, which must come after all others. Shapes:
     /// `vertices: [2^level + 1][2^level + 1]`. The edges are as fine as the cell until
-    /// [`Refinement::join`].
+    /// [`Subdivision::join`].
     ///
     /// # Panics
     /// If `vertices` does not have the size of its shape.
     pub fn push(&mut self, column: u32, row: u32, level: u8, vertices: &[[f32; 2]]) {
-        let cell = RefinedCell {
+        let cell = SubdividedCell {
             column,
             row,
             level,
@@ -88,7 +88,7 @@ impl Refinement {
 
     /// Makes neighbours agree on their common edges: each edge gets the lesser level of both cells.
     /// `outer(cell, edge)` is the level of an edge on the border of the grid, at most the cell's.
-    pub fn join(&mut self, grid: &Grid, outer: impl Fn(&RefinedCell, usize) -> u8) {
+    pub fn join(&mut self, grid: &Grid, outer: impl Fn(&SubdividedCell, usize) -> u8) {
         let (last_column, last_row) = (grid.columns() - 2, grid.rows() - 2);
         for index in 0..self.cells.len() {
             let cell = self.cells[index];
@@ -156,13 +156,13 @@ impl Refinement {
 
     /// The refined cells, row by row.
     #[must_use]
-    pub fn cells(&self) -> &[RefinedCell] {
+    pub fn cells(&self) -> &[SubdividedCell] {
         &self.cells
     }
 
     /// Displacements of the vertices of a cell, `[2^level + 1][2^level + 1]`, px.
     #[must_use]
-    pub fn displacement(&self, cell: &RefinedCell) -> &[[f32; 2]] {
+    pub fn displacement(&self, cell: &SubdividedCell) -> &[[f32; 2]] {
         &self.displacement[cell.start..][..cell.side() * cell.side()]
     }
 
@@ -170,7 +170,7 @@ impl Refinement {
     pub fn posed<'a>(
         &'a self,
         grid: &'a Grid,
-        cell: &RefinedCell,
+        cell: &SubdividedCell,
     ) -> impl Iterator<Item = Point> + 'a {
         let (from, to) = (
             grid.vertex(cell.column, cell.row),
@@ -191,7 +191,7 @@ impl Refinement {
 
     /// The refined cell at a column and row.
     #[must_use]
-    pub fn find(&self, column: u32, row: u32) -> Option<&RefinedCell> {
+    pub fn find(&self, column: u32, row: u32) -> Option<&SubdividedCell> {
         self.cells
             .binary_search_by_key(&(row, column), |cell| (cell.row, cell.column))
             .ok()
@@ -200,7 +200,7 @@ impl Refinement {
 
     /// The displacement at `(s, t)` of a refined cell, each in [0, 1].
     #[must_use]
-    pub fn displaced(&self, cell: &RefinedCell, s: f64, t: f64) -> Vec2 {
+    pub fn displaced(&self, cell: &SubdividedCell, s: f64, t: f64) -> Vec2 {
         Self::displaced_in(self.displacement(cell), cell.side(), s, t)
     }
 
@@ -238,7 +238,7 @@ mod tests {
     #[test]
     fn neighbours_agree_on_their_edge() {
         let grid = Grid::with_counts(40.0, 20.0, 5, 3);
-        let mut refinement = Refinement::default();
+        let mut refinement = Subdivision::default();
         let wave = |x: f32, y: f32| [(x * 0.3 + y).sin(), (x - 0.2 * y).cos()];
         for (column, row, level) in [(0_u8, 0_u8, 1_u8), (1, 0, 3), (2, 1, 2)] {
             let parts = 1_u8 << level;

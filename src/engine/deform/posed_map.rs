@@ -2,16 +2,16 @@
 
 use std::cell::RefCell;
 
-use super::columns::{Element, PointSource, Rank, Segment};
+use super::columns::{Element, PointSource, Rank, RestSegment};
 use super::falloff::Falloff;
 use super::family::{displacement, rotation};
-use super::field::Model;
 use super::kernel::{self, LANES};
 use super::lanes::{Vertices, gather};
 use super::moments::MomentInputs;
-use super::span::Workspace;
+use super::rest_deformation::Model;
+use super::segment_moments::Workspace;
 use super::spline::PosedSpline;
-use super::{Field, Handle, IsCancelled, Method, Pose};
+use super::{Handle, IsCancelled, Method, Pose, RestDeformation};
 use crate::geometry::{Point, Vec2};
 
 /// Sets of more points are posed by moments where rows are used once.
@@ -27,17 +27,17 @@ const SEGMENT_SAMPLES: u32 = 5;
 
 /// f of one pose: what does not depend on the position is computed once.
 #[derive(Debug)]
-pub struct Deformation<'a> {
-    field: &'a Field,
+pub struct PosedMap<'a> {
+    field: &'a RestDeformation,
     pose: &'a Pose,
     spline: Option<PosedSpline<'a>>,
     moments: Option<MomentInputs<'a>>,
 }
 
-impl Field {
+impl RestDeformation {
     /// f of a pose, for many positions.
     #[must_use]
-    pub fn deformation<'a>(&'a self, pose: &'a Pose) -> Deformation<'a> {
+    pub fn deformation<'a>(&'a self, pose: &'a Pose) -> PosedMap<'a> {
         let spline = self
             .solved()
             .map(|spline| spline.posed(pose.displacements()));
@@ -46,7 +46,7 @@ impl Field {
         } else {
             None
         };
-        Deformation {
+        PosedMap {
             field: self,
             pose,
             spline,
@@ -83,7 +83,7 @@ impl Field {
         self.handles.columns() > MANY_POINTS && self.has_moments()
     }
 
-    /// f at a position; [`Field::deformation`] is for many.
+    /// f at a position; [`RestDeformation::deformation`] is for many.
     #[must_use]
     pub fn map(&self, pose: &Pose, place: Point) -> Point {
         self.deformation(pose).map(place)
@@ -92,13 +92,13 @@ impl Field {
     /// Calls `look` with positions at which f is known, and their displacements, px: those of
     /// points, and a few of each segment. Positions at which handles contradict each other are left
     /// out. `None` when cancelled.
-    pub fn look_at_handles(
+    pub fn for_each_constraint(
         &self,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
         mut look: impl FnMut(Point, Vec2),
     ) -> Option<()> {
-        let approximated = self.approximated(pose, cancelled)?;
+        let approximated = self.achieved_displacements(pose, cancelled)?;
         let mut d = approximated
             .as_deref()
             .unwrap_or(pose.displacements())
@@ -140,7 +140,7 @@ impl Field {
         let Some((given, groups)) = self.grouped.as_deref() else {
             return Some(());
         };
-        let approximated = self.approximated(pose, cancelled)?;
+        let approximated = self.achieved_displacements(pose, cancelled)?;
         let d = approximated.as_deref().unwrap_or(pose.displacements());
         for element in &self.elements {
             if let Element::Point { p, column, .. } = element
@@ -157,7 +157,7 @@ impl Field {
     /// Where f takes the handles, if not to their targets: the displacements of the columns, px.
     /// The outer `None`: cancelled.
     #[must_use]
-    pub fn approximated(
+    pub fn achieved_displacements(
         &self,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
@@ -174,7 +174,7 @@ impl Field {
         }
         let places = self.elements.iter().flat_map(|element| match element {
             Element::Point { p, .. } => [Some(*p), None],
-            Element::Segment(Segment { a, b, .. }) => [Some(*a), Some(*b)],
+            Element::Segment(RestSegment { a, b, .. }) => [Some(*a), Some(*b)],
         });
         let places: Vec<Point> = places.flatten().collect();
         let mapped = self.deformation(pose).map_all(&places, cancelled)?;
@@ -188,7 +188,7 @@ impl Field {
     }
 }
 
-impl Deformation<'_> {
+impl PosedMap<'_> {
     pub(super) fn columns(&self) -> usize {
         self.field.handles.columns()
     }
@@ -206,7 +206,7 @@ impl Deformation<'_> {
         })
     }
 
-    /// f at many positions: the same bits as [`Deformation::map`], several times as fast. `None`
+    /// f at many positions: the same bits as [`PosedMap::map`], several times as fast. `None`
     /// when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {

@@ -1,23 +1,23 @@
 //! Conversion of the refined cells of a mesh to the lattice. Cost: O(their vertices).
 
-use super::fine::{FineCell, FineCells};
+use super::fixed_point::{BLOCK_COLUMNS, Corner, YRange};
 use super::kernel::Kernel;
-use super::steps::{BLOCK, Corner, YRange};
-use crate::geometry::{Grid, Mesh, RefinedCell};
+use super::subdivided_cells::{SnappedSubdividedCell, SnappedSubdividedCells};
+use crate::geometry::{Grid, Mesh, SubdividedCell};
 
 /// Converts a position at rest to the sampler's coordinates.
-pub(super) trait Sampled {
+pub(super) trait SamplerCoordinates {
     fn u(&self, x: f64) -> f32;
     fn v(&self, y: f64) -> f32;
 }
 
-impl FineCells {
+impl SnappedSubdividedCells {
     /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of
     /// the window, px of the source.
     pub(super) fn new(
         mesh: &Mesh,
         (scale, origin): ([f64; 2], [f64; 2]),
-        sampled: &impl Sampled,
+        sampled: &impl SamplerCoordinates,
         kernel: Kernel,
     ) -> Self {
         let refinement = mesh.refinement();
@@ -27,7 +27,7 @@ impl FineCells {
         let grid = mesh.grid();
         let (cell_rows, blocks) = (
             grid.rows() as usize - 1,
-            (grid.columns() as usize).div_ceil(BLOCK),
+            (grid.columns() as usize).div_ceil(BLOCK_COLUMNS),
         );
         let mut fine = Self {
             blocks,
@@ -38,7 +38,7 @@ impl FineCells {
         for cell in refinement.cells() {
             let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
             fine.rows.resize(j + 1, fine.cells.len());
-            fine.bits[j * blocks + i / BLOCK] |= 1 << (i % BLOCK);
+            fine.bits[j * blocks + i / BLOCK_COLUMNS] |= 1 << (i % BLOCK_COLUMNS);
             let (start, mut range) = (fine.corners.len(), YRange::NOWHERE);
             let mut across = (i32::MAX, i32::MIN);
             let at_rest = |a| between(grid.x(cell.column), grid.x(cell.column + 1), a, side);
@@ -68,7 +68,7 @@ impl FineCells {
             let is_ragged = outer_edges(grid, cell)
                 .zip(cell.edges)
                 .any(|(is_outer, level)| is_outer && level > 0);
-            fine.cells.push(FineCell {
+            fine.cells.push(SnappedSubdividedCell {
                 i,
                 j,
                 level: cell.level,
@@ -96,7 +96,7 @@ fn between(from: f64, to: f64, k: usize, side: usize) -> f64 {
 }
 
 /// Whether each edge lies on the border of the grid.
-fn outer_edges(grid: &Grid, cell: &RefinedCell) -> std::array::IntoIter<bool, 4> {
+fn outer_edges(grid: &Grid, cell: &SubdividedCell) -> std::array::IntoIter<bool, 4> {
     [
         cell.row == 0,
         cell.column + 2 == grid.columns(),

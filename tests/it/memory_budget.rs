@@ -13,7 +13,7 @@ use http_body_util::BodyExt as _;
 use mlswarp_server::app::App;
 use mlswarp_server::client::Client;
 use mlswarp_server::http::router;
-use mlswarp_server::limits::memory::Purpose;
+use mlswarp_server::limits::memory::MemoryClass;
 use mlswarp_server::pool::WorkClass;
 use serde_json::json;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -77,7 +77,7 @@ async fn uploads_do_not_keep_drags_out() {
         .await;
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     let left = (12 << 20) - server.app.budget().taken();
-    let _uploads = server.app.reserve(Purpose::Upload, left).unwrap();
+    let _uploads = server.app.reserve(MemoryClass::Upload, left).unwrap();
     for _ in 0..2 {
         let drag = server
             .post(&format!("/sessions/{id}/warp"))
@@ -241,13 +241,13 @@ async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
         })
         .await;
         eventually("answers leave nothing", || {
-            app.budget().taken_for(Purpose::Frame) == 0
+            app.budget().taken_for(MemoryClass::Frame) == 0
         })
         .await;
     }
     let kept = || {
         app.clear_caches();
-        Purpose::ALL
+        MemoryClass::ALL
             .iter()
             .map(|purpose| app.budget().taken_for(*purpose))
             .sum::<u64>()
@@ -276,7 +276,7 @@ async fn objects_of_new_sessions_are_in_the_account() {
             .await
             .unwrap()
     };
-    let held = || app.budget().taken_for(Purpose::Frame);
+    let held = || app.budget().taken_for(MemoryClass::Frame);
     let named = "/sessions/8f3b1c1e-6f0a-4c8e-9d53-0f1a2b3c4d5e";
     let sessions = || {
         app.metrics_text()
@@ -307,7 +307,7 @@ async fn objects_of_new_sessions_are_in_the_account() {
     assert_eq!(sessions(), "2");
     let share = app.response_quota(Client::default());
     let _unread = app
-        .reserve_for(Purpose::Frame, &share, share.limit())
+        .reserve_for(MemoryClass::Frame, &share, share.limit())
         .unwrap();
     let other = multipart(&photo(300, 20), r#"{"p": [[1, 2]]}"#);
     for (method, path) in [

@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use self::region::{HolesDrawer, RegionDrawer};
-use super::{Image, LabelImage, Subject, Target};
+use super::{Image, LabelImage, RasterSource, Target};
 use crate::codec::{Carried, Encoding, Labels, PngShape, Writer};
 use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Depth, Extent};
@@ -15,7 +15,7 @@ use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 
 /// Draws one subject.
 #[derive(Debug)]
-pub(super) enum Drawer {
+pub(super) enum MeshRenderer {
     /// A picture.
     Image {
         renderer: Renderer,
@@ -37,23 +37,23 @@ pub(super) enum Drawer {
     Holes(Box<HolesDrawer>),
 }
 
-impl Drawer {
+impl MeshRenderer {
     /// Draws a subject through a mesh, without a region.
     pub(super) fn new(
-        subject: Subject<'_>,
+        subject: RasterSource<'_>,
         target: &Target,
         mesh: &Mesh,
         options: RenderOptions,
     ) -> Self {
         match subject {
-            Subject::Image(image) => Self::image(image, target, mesh, options),
-            Subject::Labels(labels) => Self::labels(labels, target, mesh, options),
-            Subject::Coverage(_) => Self::Coverage(Box::new(Coverage::new(
+            RasterSource::Image(image) => Self::image(image, target, mesh, options),
+            RasterSource::Labels(labels) => Self::labels(labels, target, mesh, options),
+            RasterSource::Coverage(_) => Self::Coverage(Box::new(Coverage::new(
                 mesh,
                 options.target,
                 options.canvas,
             ))),
-            Subject::Holes(region) => {
+            RasterSource::Holes(region) => {
                 Self::Holes(Box::new(HolesDrawer::new(region, mesh, options)))
             }
         }
@@ -91,7 +91,7 @@ impl Drawer {
     /// The writer of what is drawn.
     ///
     /// # Panics
-    /// If the format would change labels; see [`super::Subject::check`].
+    /// If the format would change labels; see [`super::RasterSource::check`].
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match self {
             Self::Image {

@@ -4,31 +4,31 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::digest::Collector;
-use super::drawer::Drawer;
-use super::posed::Posed;
+use super::mesh_renderer::MeshRenderer;
+use super::posed_mesh::PosedMesh;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
-use super::{Digest, Holes, Limits, OutputSpec, Subject, Target, WarpError};
+use super::{Digest, Holes, Limits, OutputSpec, RasterSource, Target, WarpError};
 use crate::codec::{Compression, Encoding, Format, Subsampling, Writer};
 use crate::render::{Canvas, Filter, Outside};
 
 /// A prepared warp.
 #[derive(Debug)]
-pub struct Warp {
-    pub(super) drawer: Drawer,
+pub struct RenderJob {
+    pub(super) drawer: MeshRenderer,
     pub(super) writer: Writer,
     format: Format,
     etag: Digest,
     target: Target,
 }
 
-impl Warp {
+impl RenderJob {
     /// Prepares the drawing of a posed mesh: tens of microseconds.
     ///
     /// # Errors
-    /// Those of [`OutputSpec::target`] and [`Subject::check`].
+    /// Those of [`OutputSpec::target`] and [`RasterSource::check`].
     pub fn new(
-        subject: Subject<'_>,
-        posed: &Posed,
+        subject: RasterSource<'_>,
+        posed: &PosedMesh,
         output: &OutputSpec,
         limits: &Limits,
     ) -> Result<Self, WarpError> {
@@ -44,9 +44,14 @@ impl Warp {
     /// Prepares the drawing of a target of `output`.
     ///
     /// # Panics
-    /// If [`Subject::check`] refuses the format.
+    /// If [`RasterSource::check`] refuses the format.
     #[must_use]
-    pub fn onto(target: Target, subject: Subject<'_>, posed: &Posed, output: &OutputSpec) -> Self {
+    pub fn onto(
+        target: Target,
+        subject: RasterSource<'_>,
+        posed: &PosedMesh,
+        output: &OutputSpec,
+    ) -> Self {
         let drawer = subject.drawer(target, posed, output);
         let writer = drawer.writer(output.encoding(subject.depth()));
         Self {
@@ -133,8 +138,8 @@ impl Warp {
 }
 
 fn etag(
-    subject: Subject<'_>,
-    posed: &Posed,
+    subject: RasterSource<'_>,
+    posed: &PosedMesh,
     output: &OutputSpec,
     Target {
         canvas,

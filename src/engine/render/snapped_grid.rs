@@ -1,18 +1,18 @@
 //! The posed grid as the rasteriser uses it: vertices snapped to a lattice of 1/256 target px, so
 //! that integers compare edges exactly, and the sampler's coordinate of every column and row.
-//! Structure of arrays `[rows][pitch]`; the pitch is a multiple of [`BLOCK`] (the last vertex of a
-//! row is repeated). Ranges of y bound each row of cells and each block of cells, so that a strip
-//! of target rows finds the cells that it meets. Memory and time: O(vertices).
+//! Structure of arrays `[rows][pitch]`; the pitch is a multiple of [`BLOCK_COLUMNS`] (the last
+//! vertex of a row is repeated). Ranges of y bound each row of cells and each block of cells, so
+//! that a strip of target rows finds the cells that it meets. Memory and time: O(vertices).
 
-use super::fine::FineCells;
-pub(super) use super::steps::{
-    BLOCK, Corner, HALF, LIMIT, LONGEST_SIDE, ONE, STEP, YRange, column_centre, first_row,
-    row_centre,
+pub(super) use super::fixed_point::{
+    BLOCK_COLUMNS, Corner, HALF_PX, LONGEST_SIDE_STEPS, MAX_STEPS, PX_PER_STEP, STEPS_PER_PX,
+    YRange, column_centre, first_row, row_centre,
 };
+use super::subdivided_cells::SnappedSubdividedCells;
 
 /// The posed grid on the lattice.
 #[derive(Debug)]
-pub(super) struct Lattice {
+pub(super) struct SnappedGrid {
     /// Vertices in a row.
     pub(super) columns: usize,
     /// Vertices in a column.
@@ -23,7 +23,7 @@ pub(super) struct Lattice {
     pub(super) x: Vec<i32>,
     /// Lattice y, `[rows][pitch]` and one block more.
     pub(super) y: Vec<i32>,
-    /// The sampler's coordinate of each column, `[pitch + BLOCK]`.
+    /// The sampler's coordinate of each column, `[pitch + BLOCK_COLUMNS]`.
     pub(super) u: Vec<f32>,
     /// The sampler's coordinate of each row.
     pub(super) v: Vec<f32>,
@@ -35,20 +35,20 @@ pub(super) struct Lattice {
     pub(super) crossing_error: f32,
     /// Range of y of each row of cells.
     pub(super) row_ranges: Vec<YRange>,
-    /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK]`.
+    /// Range of y of each block of cells, `[rows - 1][pitch / BLOCK_COLUMNS]`.
     pub(super) block_ranges: Vec<YRange>,
     /// The cells that are drawn as smaller ones.
-    pub(super) fine: FineCells,
+    pub(super) fine: SnappedSubdividedCells,
 }
 
-impl Lattice {
+impl SnappedGrid {
     /// Extends the ranges of y to the refined cells.
     pub(super) fn cover_fine_cells(&mut self) {
-        let blocks = self.pitch / BLOCK;
+        let blocks = self.pitch / BLOCK_COLUMNS;
         for cell in self.fine.cells() {
             let (row, block) = (
                 &mut self.row_ranges[cell.j],
-                &mut self.block_ranges[cell.j * blocks + cell.i / BLOCK],
+                &mut self.block_ranges[cell.j * blocks + cell.i / BLOCK_COLUMNS],
             );
             (*row, *block) = (row.join(cell.y), block.join(cell.y));
         }
@@ -112,7 +112,7 @@ impl Lattice {
 
     /// Blocks of cells per row of cells.
     pub(super) fn blocks(&self) -> usize {
-        (self.columns - 1).div_ceil(BLOCK)
+        (self.columns - 1).div_ceil(BLOCK_COLUMNS)
     }
 
     /// Whether some cell of a block may touch target rows.
@@ -122,7 +122,7 @@ impl Lattice {
         block: usize,
         rows: &std::ops::Range<u32>,
     ) -> bool {
-        self.block_ranges[j * (self.pitch / BLOCK) + block].meets(rows)
+        self.block_ranges[j * (self.pitch / BLOCK_COLUMNS) + block].meets(rows)
     }
 
     #[cfg(test)]
@@ -131,7 +131,7 @@ impl Lattice {
         &self,
         rows: std::ops::Range<u32>,
     ) -> impl DoubleEndedIterator<Item = (usize, usize)> + '_ {
-        let blocks = self.pitch / BLOCK;
+        let blocks = self.pitch / BLOCK_COLUMNS;
         let meets = move |range: &YRange| range.meets(&rows);
         let rows = meets.clone();
         (0..self.rows - 1)
@@ -142,7 +142,8 @@ impl Lattice {
                 (0..blocks)
                     .filter(move |&b| meets(&self.block_ranges[j * blocks + b]))
                     .flat_map(move |b| {
-                        (b * BLOCK..((b + 1) * BLOCK).min(cells)).map(move |i| (i, j))
+                        (b * BLOCK_COLUMNS..((b + 1) * BLOCK_COLUMNS).min(cells))
+                            .map(move |i| (i, j))
                     })
             })
     }

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
-use crate::layers::sources;
+use crate::module_dependencies::sources;
 use crate::support::server::{header, problem};
 use crate::support::{Server, eventually};
 

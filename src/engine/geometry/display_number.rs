@@ -5,9 +5,9 @@ use std::fmt;
 /// A number with all its digits, and an exponent if it is very large or very small: `1e300` has 300
 /// digits otherwise.
 #[derive(Clone, Copy, Debug)]
-pub struct Compact(pub f64);
+pub struct DisplayNumber(pub f64);
 
-impl fmt::Display for Compact {
+impl fmt::Display for DisplayNumber {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(number) = self;
         if *number == 0.0 || !number.is_finite() || (1e-5..1e7).contains(&number.abs()) {
@@ -35,7 +35,7 @@ mod tests {
             (f64::INFINITY, "inf"),
             (f64::NAN, "NaN"),
         ] {
-            assert_eq!(Compact(number).to_string(), text);
+            assert_eq!(DisplayNumber(number).to_string(), text);
         }
     }
 }

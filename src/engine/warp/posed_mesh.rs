@@ -2,11 +2,12 @@
 
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
-use super::setup::FINE_BYTES;
+use super::resolved_rest::FINE_BYTES;
 use super::{
-    Digest, Folds, OutputSpec, Plan, Region, Setup, Subject, Target, Units, Warning, WarpError,
+    CompiledRest, Digest, Folds, OutputSpec, RasterSource, Region, ResolvedRest, Target, Units,
+    Warning, WarpError,
 };
-use crate::deform::{self, Contradiction, Field, IsCancelled, Pose};
+use crate::deform::{self, Conflict, IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
 
@@ -32,7 +33,7 @@ pub struct Report {
     /// Cells of the grid that are farther than the tolerance from the exact map.
     pub exceeded: u64,
     /// The first groups of handles that coincide at rest and move differently, at most 100.
-    pub coincident: Vec<Contradiction>,
+    pub coincident: Vec<Conflict>,
 }
 
 impl Report {
@@ -44,7 +45,7 @@ impl Report {
 
 /// A posed mesh and its report.
 #[derive(Debug)]
-pub struct Posed {
+pub struct PosedMesh {
     mesh: Mesh,
     report: Report,
     digest: Digest,
@@ -55,7 +56,7 @@ pub struct Posed {
     region: Option<Region>,
 }
 
-impl Posed {
+impl PosedMesh {
     /// Poses the grid, within its tolerance if it has one. CPU work, microseconds to a millisecond;
     /// longer only if the grid is large, the plan has no table, or cells are refined for the first
     /// time. Stops when `cancelled` returns true.
@@ -63,8 +64,8 @@ impl Posed {
     /// # Errors
     /// `folds: reject` and the grid folds; cancelled.
     pub fn new(
-        setup: &Setup,
-        plan: &Plan,
+        setup: &ResolvedRest,
+        plan: &CompiledRest,
         pose: &Pose,
         folds: Folds,
         cancelled: IsCancelled<'_>,
@@ -88,13 +89,13 @@ impl Posed {
         Ok(posed)
     }
 
-    /// Like [`Posed::new`], without regard to a tolerance: the grid as it is.
+    /// Like [`PosedMesh::new`], without regard to a tolerance: the grid as it is.
     ///
     /// # Errors
-    /// Those of [`Posed::new`].
+    /// Those of [`PosedMesh::new`].
     pub fn coarse(
-        setup: &Setup,
-        plan: &Plan,
+        setup: &ResolvedRest,
+        plan: &CompiledRest,
         pose: &Pose,
         folds: Folds,
         cancelled: IsCancelled<'_>,
@@ -235,7 +236,7 @@ impl Posed {
     /// Cancelled.
     pub fn into_report_on(
         self,
-        subject: Subject<'_>,
+        subject: RasterSource<'_>,
         (target, output): (&Target, &OutputSpec),
         cancelled: IsCancelled<'_>,
     ) -> Result<Report, WarpError> {
@@ -264,7 +265,7 @@ impl Posed {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn numbers(&self, cancelled: IsCancelled<'_>) -> Result<Vec<u8>, WarpError> {
+    pub fn to_le_bytes(&self, cancelled: IsCancelled<'_>) -> Result<Vec<u8>, WarpError> {
         let mut out = Vec::with_capacity(8 * self.mesh.grid().len());
         for row in 0..self.mesh.grid().rows() {
             if cancelled() {
@@ -289,7 +290,7 @@ impl Posed {
 
 /// Largest distance between a handle under f and its position in the mesh.
 fn residual(
-    field: &Field,
+    field: &RestDeformation,
     pose: &Pose,
     mesh: &Mesh,
     cancelled: IsCancelled<'_>,
@@ -301,7 +302,7 @@ fn residual(
         }
     };
     field
-        .look_at_handles(pose, cancelled, &mut look)
+        .for_each_constraint(pose, cancelled, &mut look)
         .ok_or(WarpError::Cancelled)?;
     field
         .look_at_grouped_points(pose, cancelled, &mut look)
@@ -309,7 +310,7 @@ fn residual(
     Ok(worst)
 }
 
-fn digest(setup: &Setup, pose: &Pose) -> Digest {
+fn digest(setup: &ResolvedRest, pose: &Pose) -> Digest {
     let mut digest = Collector::new("mlswarp pose 1")
         .bytes(env!("CARGO_PKG_VERSION").as_bytes())
         .bytes(&setup.plan_key().0)

@@ -3,21 +3,22 @@
 use std::sync::Arc;
 
 use super::digest::Collector;
-use super::setup::resolve_grid;
+use super::resolved_rest::resolve_grid;
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, Setup, Units, WarpError};
-use crate::deform::{ColumnMember, Field, IsCancelled, Method, Plan};
+use super::{Digest, GridSpec, Limits, ResolvedRest, Units, WarpError};
+use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, Method, RestDeformation};
 use crate::geometry::Grid;
 
-/// A lattice of vertices at equal distances over the picture, and the deformation of a [`Setup`].
+/// A lattice of vertices at equal distances over the picture, and the deformation of a
+/// [`ResolvedRest`].
 #[derive(Clone, Debug)]
-pub struct Table {
-    field: Arc<Field>,
+pub struct CoefficientRequest {
+    field: Arc<RestDeformation>,
     grid: Grid,
     rest: Digest,
 }
 
-impl Setup {
+impl ResolvedRest {
     /// Digest of everything but the grid that the coefficients depend on: picture size, rest
     /// handles, method and parameters.
     #[must_use]
@@ -33,7 +34,12 @@ impl Setup {
                 .integer(parameter.is_some().into())
                 .float(parameter.unwrap_or_default());
         }
-        for (handle, &weight) in field.given().handles().iter().zip(field.given().weights()) {
+        for (handle, &weight) in field
+            .client_handles()
+            .handles()
+            .iter()
+            .zip(field.client_handles().weights())
+        {
             key = key.float(weight).integer(handle.places().len() as u64);
             for p in handle.places() {
                 key = key.float(p.x).float(p.y);
@@ -48,12 +54,17 @@ impl Setup {
     }
 }
 
-impl Table {
+impl CoefficientRequest {
     /// The lattice of `columns` x `rows` vertices.
     ///
     /// # Errors
     /// The lattice or its coefficients exceed a limit, or the method has no table.
-    pub fn new(setup: &Setup, columns: u32, rows: u32, limits: &Limits) -> Result<Self, WarpError> {
+    pub fn new(
+        setup: &ResolvedRest,
+        columns: u32,
+        rows: u32,
+        limits: &Limits,
+    ) -> Result<Self, WarpError> {
         let (width, height, _) = setup.on();
         let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
         let table = Self {
@@ -61,7 +72,7 @@ impl Table {
             grid,
             rest: setup.rest_digest(),
         };
-        if !Plan::pays(&table.field) {
+        if !CoefficientTable::is_worthwhile(&table.field) {
             return Err(WarpError::NoTable);
         }
         at_most("plan_bytes", limits.plan_bytes, table.bytes())?;
@@ -71,7 +82,7 @@ impl Table {
     /// Memory of the coefficients, bytes; known before anything is allocated.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        Plan::bytes_for(&self.field, self.grid.len())
+        CoefficientTable::bytes_for(&self.field, self.grid.len())
     }
 
     /// Computes the coefficients in parallel on the current rayon pool. CPU work. Stops when
@@ -79,8 +90,9 @@ impl Table {
     ///
     /// # Errors
     /// Cancelled.
-    pub fn fill_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
-        Plan::of_grid_unless(&self.field, &self.grid, cancelled).ok_or(WarpError::Cancelled)
+    pub fn fill_unless(&self, cancelled: IsCancelled<'_>) -> Result<CoefficientTable, WarpError> {
+        CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
+            .ok_or(WarpError::Cancelled)
     }
 
     /// The lattice.
@@ -104,7 +116,7 @@ impl Table {
     /// Numbers per vertex.
     #[must_use]
     pub fn planes(&self) -> usize {
-        Plan::planes_for(&self.field)
+        CoefficientTable::planes_for(&self.field)
     }
 
     /// The handles behind the columns.
@@ -113,13 +125,13 @@ impl Table {
         self.field.column_members()
     }
 
-    /// Number of [`Table::members`].
+    /// Number of [`CoefficientRequest::members`].
     #[must_use]
     pub fn members_len(&self) -> usize {
-        self.field.given().columns()
+        self.field.client_handles().columns()
     }
 
-    /// [`Setup::rest_digest`] of the setup.
+    /// [`ResolvedRest::rest_digest`] of the setup.
     #[must_use]
     pub const fn rest_digest(&self) -> Digest {
         self.rest

@@ -1,20 +1,20 @@
 //! The lattice of 1/256 target px: positions, ranges and rows in its steps.
 
 /// Lattice steps in a target pixel.
-pub(super) const ONE: i32 = 256;
+pub(super) const STEPS_PER_PX: i32 = 256;
 /// The lattice coordinate of the first pixel's centre.
-pub(super) const HALF: i32 = ONE / 2;
+pub(super) const HALF_PX: i32 = STEPS_PER_PX / 2;
 /// The largest lattice coordinate, 2^21 px; vertices beyond it are clamped. Products of two
 /// differences stay below 2^62.
-pub(super) const LIMIT: i32 = 1 << 29;
+pub(super) const MAX_STEPS: i32 = 1 << 29;
 
 /// Lattice steps to px.
-pub(super) const STEP: f32 = 1.0 / ONE as f32;
+pub(super) const PX_PER_STEP: f32 = 1.0 / STEPS_PER_PX as f32;
 /// The longest side of a cell that is drawn in lanes, lattice steps: the edge functions of all
 /// lanes then fit 31 bits.
-pub(super) const LONGEST_SIDE: i32 = 112 * ONE;
+pub(super) const LONGEST_SIDE_STEPS: i32 = 112 * STEPS_PER_PX;
 /// Columns that are processed together.
-pub(super) const BLOCK: usize = 8;
+pub(super) const BLOCK_COLUMNS: usize = 8;
 
 /// A range of lattice y, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +50,7 @@ impl YRange {
     pub(super) fn meets(self, rows: &std::ops::Range<u32>) -> bool {
         let (first, last) = (
             row_centre(rows.start),
-            row_centre(rows.end) - i64::from(ONE),
+            row_centre(rows.end) - i64::from(STEPS_PER_PX),
         );
         i64::from(self.top) <= last && i64::from(self.bottom) > first
     }
@@ -58,17 +58,17 @@ impl YRange {
 
 /// Lattice y of the centres of a row of pixels.
 pub(super) const fn row_centre(row: u32) -> i64 {
-    row as i64 * ONE as i64 + HALF as i64
+    row as i64 * STEPS_PER_PX as i64 + HALF_PX as i64
 }
 
 /// Lattice x of the centre of a column of pixels.
 pub(super) const fn column_centre(pixel: usize) -> f64 {
-    pixel as f64 * ONE as f64 + HALF as f64
+    pixel as f64 * STEPS_PER_PX as f64 + HALF_PX as f64
 }
 
 /// The first row whose centre is at or below a lattice y.
 pub(super) const fn first_row(y: i32) -> i64 {
-    (y as i64 - HALF as i64 + ONE as i64 - 1).div_euclid(ONE as i64)
+    (y as i64 - HALF_PX as i64 + STEPS_PER_PX as i64 - 1).div_euclid(STEPS_PER_PX as i64)
 }
 
 /// A vertex: its lattice position and the sampler's coordinates there.

@@ -15,7 +15,7 @@ const MOST_NAMED: usize = 5;
 /// Handles that coincide at rest and have different targets, or one polyline that visits a position
 /// more than once.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Contradiction {
+pub struct Conflict {
     /// Indices of the handles, ascending, each once, at most 100; one if it is a polyline that
     /// meets itself.
     pub handles: Vec<usize>,
@@ -29,7 +29,7 @@ pub struct Contradiction {
     pub apart: Option<f64>,
 }
 
-impl fmt::Display for Contradiction {
+impl fmt::Display for Conflict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
             handles,
@@ -90,18 +90,18 @@ impl fmt::Display for Short {
 
 /// The contradictions of a pose.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Contradictory {
+pub struct ConflictingHandles {
     /// The first groups that were found, at most 100.
-    pub listed: Vec<Contradiction>,
+    pub listed: Vec<Conflict>,
     /// The number of all groups.
     pub total: usize,
-    positions: Positions,
+    positions: PositionIndex,
     /// Positions at which f is torn, and the distance of two targets there, px. Coincident points,
     /// which move by their mean, tear nothing.
     tears: Vec<(Point, f64)>,
 }
 
-impl Contradictory {
+impl ConflictingHandles {
     /// Positions at which f is torn by more than `apart`, px.
     pub(super) fn torn(&self, apart: f64) -> impl Iterator<Item = Point> + '_ {
         self.tears
@@ -119,14 +119,14 @@ impl Contradictory {
 
 /// Positions with an index each.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Positions {
+struct PositionIndex {
     /// Positions nearer than this are one, px.
     within: f64,
     /// By cell.
     cells: HashMap<[i64; 2], (usize, Point)>,
 }
 
-impl Positions {
+impl PositionIndex {
     /// Adds a position that is not there yet.
     fn add(&mut self, position: Point) -> usize {
         let index = self.cells.len();
@@ -166,21 +166,21 @@ pub(super) struct Member {
 
 /// Groups of elements by position.
 #[derive(Debug)]
-pub(super) struct Contradictions {
+pub(super) struct Conflicts {
     /// The positions of the first 100 groups and what meets there.
     groups: Vec<(Point, Vec<Member>)>,
     /// The groups by their position; an index beyond the end: counted only.
-    positions: Positions,
+    positions: PositionIndex,
     tears: Vec<(Point, f64)>,
 }
 
-impl Contradictions {
+impl Conflicts {
     pub(super) fn new(within: f64) -> Self {
         Self {
             groups: Vec::new(),
-            positions: Positions {
+            positions: PositionIndex {
                 within,
-                ..Positions::default()
+                ..PositionIndex::default()
             },
             tears: Vec::new(),
         }
@@ -222,7 +222,7 @@ impl Contradictions {
     }
 
     /// The groups in the order of their first position.
-    pub(super) fn finish(self) -> Contradictory {
+    pub(super) fn finish(self) -> ConflictingHandles {
         let Self {
             groups,
             positions,
@@ -232,7 +232,7 @@ impl Contradictions {
             .into_iter()
             .map(|(position, members)| contradiction(position, members, positions.within))
             .collect();
-        Contradictory {
+        ConflictingHandles {
             listed,
             total: positions.cells.len(),
             positions,
@@ -242,7 +242,7 @@ impl Contradictions {
 }
 
 /// The report of a group.
-fn contradiction(position: Point, mut members: Vec<Member>, within: f64) -> Contradiction {
+fn contradiction(position: Point, mut members: Vec<Member>, within: f64) -> Conflict {
     members.sort_unstable_by_key(|member| member.element);
     members.dedup_by_key(|member| member.element);
     // Neighbouring segments of a polyline share a position and its target.
@@ -266,7 +266,7 @@ fn contradiction(position: Point, mut members: Vec<Member>, within: f64) -> Cont
     handles.dedup();
     let total = handles.len();
     handles.truncate(MOST_HANDLES);
-    Contradiction {
+    Conflict {
         handles,
         total,
         position,
@@ -288,15 +288,15 @@ mod tests {
         }
     }
 
-    fn groups(members: &[(Point, Member)], wrong: &[Point]) -> (Vec<Contradiction>, usize) {
-        let mut found = Contradictions::new(1e-3);
+    fn groups(members: &[(Point, Member)], wrong: &[Point]) -> (Vec<Conflict>, usize) {
+        let mut found = Conflicts::new(1e-3);
         wrong
             .iter()
             .for_each(|position| found.add_position(*position));
         members
             .iter()
             .for_each(|(position, member)| found.add_members(*position, [*member]));
-        let Contradictory { listed, total, .. } = found.finish();
+        let ConflictingHandles { listed, total, .. } = found.finish();
         (listed, total)
     }
 

@@ -1,16 +1,16 @@
 //! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as
 //! f32, so that each later q costs two to six multiplications per vertex and handle.
 //!
-//! Shapes: blocks of [`LANES`] vertices; per block and column one [`Lanes`] (affine), two
-//! (similarity: re, im of C) or three (rigid: re, im of H, wn), and two more per block for rigid
-//! (e). A block is read from front to back.
+//! Shapes: blocks of [`LANES`] vertices; per block and column one [`CoefficientLanes`] (affine),
+//! two (similarity: re, im of C) or three (rigid: re, im of H, wn), and two more per block for
+//! rigid (e). A block is read from front to back.
 
 use rayon::prelude::*;
 
-use super::field::Field;
-use super::kernel::{self, LANES, Lanes, lanes_per_block};
-use super::lanes::{Rows, gather};
-use super::span::Workspace;
+use super::kernel::{self, CoefficientLanes, LANES, lanes_per_block};
+use super::lanes::{Coefficients, gather};
+use super::rest_deformation::RestDeformation;
+use super::segment_moments::Workspace;
 use super::{Method, Pose};
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
@@ -28,11 +28,11 @@ pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The A_j table of a set of vertices.
 #[derive(Debug)]
-pub struct Plan {
+pub struct CoefficientTable {
     family: Method,
     columns: usize,
     vertices: usize,
-    table: Vec<Lanes>,
+    table: Vec<CoefficientLanes>,
 }
 
 /// Quality of a pose, measured while it is computed.
@@ -43,7 +43,7 @@ pub struct PoseQuality {
     pub least_rotation: f32,
 }
 
-impl Plan {
+impl CoefficientTable {
     /// A spline of more sites has no table: a drag of this many frames takes about as long as its
     /// table alone.
     pub const MOST_SITES: usize = 64;
@@ -51,15 +51,15 @@ impl Plan {
     /// Memory that the table of `vertices` vertices takes, bytes; known before anything is
     /// allocated.
     #[must_use]
-    pub fn bytes_for(field: &Field, vertices: usize) -> u64 {
+    pub fn bytes_for(field: &RestDeformation, vertices: usize) -> u64 {
         let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
-        vertices.div_ceil(LANES) as u64 * lanes * size_of::<Lanes>() as u64
+        vertices.div_ceil(LANES) as u64 * lanes * size_of::<CoefficientLanes>() as u64
     }
 
     /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves
     /// of each pose is O(sites).
     #[must_use]
-    pub fn pays(field: &Field) -> bool {
+    pub fn is_worthwhile(field: &RestDeformation) -> bool {
         field
             .solved()
             .is_none_or(|spline| spline.len() <= Self::MOST_SITES)
@@ -68,8 +68,8 @@ impl Plan {
     /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and
     /// moments take little longer than reading them.
     #[must_use]
-    pub fn rows_inside_cells_pay(field: &Field) -> bool {
-        Self::pays(field) && !field.prefers_moments()
+    pub fn rows_inside_cells_pay(field: &RestDeformation) -> bool {
+        Self::is_worthwhile(field) && !field.prefers_moments()
     }
 
     /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
@@ -86,13 +86,18 @@ impl Plan {
 
     /// Fills the table for the vertices of a grid, in parallel on the current pool.
     #[must_use]
-    pub fn of_grid(field: &Field, grid: &Grid) -> Self {
+    pub fn of_grid(field: &RestDeformation, grid: &Grid) -> Self {
         Self::of_grid_unless(field, grid, &|| false).expect("nothing gives it up")
     }
 
-    /// Like [`Plan::of_grid`]; `None` when cancelled, which is checked for each block of vertices.
+    /// Like [`CoefficientTable::of_grid`]; `None` when cancelled, which is checked for each block
+    /// of vertices.
     #[must_use]
-    pub fn of_grid_unless(field: &Field, grid: &Grid, cancelled: IsCancelled<'_>) -> Option<Self> {
+    pub fn of_grid_unless(
+        field: &RestDeformation,
+        grid: &Grid,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
         let columns = grid.columns() as usize;
         Self::fill(field, grid.len(), |k| vertex(grid, columns, k), cancelled)
     }
@@ -100,7 +105,7 @@ impl Plan {
     /// Fills the table for any vertices, `vertex(0..vertices)`.
     #[must_use]
     pub fn of_vertices(
-        field: &Field,
+        field: &RestDeformation,
         vertices: usize,
         vertex: impl Fn(usize) -> Point + Sync,
     ) -> Self {
@@ -108,7 +113,7 @@ impl Plan {
     }
 
     fn fill(
-        field: &Field,
+        field: &RestDeformation,
         vertices: usize,
         vertex: impl Fn(usize) -> Point + Sync,
         cancelled: IsCancelled<'_>,
@@ -122,7 +127,10 @@ impl Plan {
             // Reserves a piece at a time, because touching the memory of a large table takes tenths
             // of a second.
             let start = table.len();
-            table.resize(per_block * blocks.min(piece + per_piece), Lanes::default());
+            table.resize(
+                per_block * blocks.min(piece + per_piece),
+                CoefficientLanes::default(),
+            );
             table[start..]
                 .par_chunks_mut(per_block * BLOCKS_PER_TASK)
                 .enumerate()
@@ -214,9 +222,9 @@ impl Plan {
         Some((out, quality))
     }
 
-    /// Numbers per vertex in [`Plan::planes`].
+    /// Numbers per vertex in [`CoefficientTable::planes`].
     #[must_use]
-    pub fn planes_for(field: &Field) -> usize {
+    pub fn planes_for(field: &RestDeformation) -> usize {
         field.handles().columns() * lanes_per_block(field.family(), 1).min(3)
     }
 
@@ -236,7 +244,7 @@ impl Plan {
         })
     }
 
-    fn plane_of_block(&self, block: &[Lanes], plane: usize) -> Lanes {
+    fn plane_of_block(&self, block: &[CoefficientLanes], plane: usize) -> CoefficientLanes {
         let (Method::Rigid, [.., ex, ey]) = (self.family, block) else {
             return block[plane];
         };
@@ -255,7 +263,7 @@ impl Plan {
         if plane - first == 2 {
             block[plane]
         } else {
-            Lanes(std::array::from_fn(product))
+            CoefficientLanes(std::array::from_fn(product))
         }
     }
 
@@ -266,7 +274,7 @@ impl Plan {
             .expect("nothing gives it up")
     }
 
-    /// Like [`Plan::pose`]; `None` when cancelled.
+    /// Like [`CoefficientTable::pose`]; `None` when cancelled.
     #[must_use]
     pub fn pose_unless(
         &self,
@@ -281,7 +289,7 @@ impl Plan {
 
 /// Blocks per piece of a table.
 fn blocks_per_piece(per_block: usize) -> usize {
-    (PIECE_BYTES / size_of::<Lanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
+    (PIECE_BYTES / size_of::<CoefficientLanes>() / per_block.max(1)).max(BLOCKS_PER_TASK)
 }
 
 /// The posed mesh without a table: computes every vertex for each pose, for grids whose table would
@@ -289,7 +297,7 @@ fn blocks_per_piece(per_block: usize) -> usize {
 /// each block of vertices.
 #[must_use]
 pub fn pose_without_table(
-    field: &Field,
+    field: &RestDeformation,
     grid: &Grid,
     pose: &Pose,
     cancelled: IsCancelled<'_>,
@@ -347,12 +355,12 @@ pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
 }
 
 /// Writes the rows of a block.
-pub(super) fn store(family: Method, rows: &Rows<LANES>, block: &mut [Lanes]) {
+pub(super) fn store(family: Method, rows: &Coefficients<LANES>, block: &mut [CoefficientLanes]) {
     #[expect(
         clippy::cast_possible_truncation,
         reason = "f32 is the precision of the table"
     )]
-    let put = |lanes: &mut Lanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
+    let put = |lanes: &mut CoefficientLanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match family {
         Method::Affine => {
             for (lanes, c) in block.iter_mut().zip(&rows.h) {
@@ -386,7 +394,7 @@ mod tests {
     use super::*;
     use crate::deform::{Falloff, Handle, Handles};
 
-    fn field(count: u32) -> (Field, Pose) {
+    fn field(count: u32) -> (RestDeformation, Pose) {
         let place = |k: u32| {
             Point::new(
                 f64::from(k % 10) * 31.0 + 3.3,
@@ -397,7 +405,8 @@ mod tests {
         let rest =
             Handles::new((0..count).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
         let field =
-            Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+            RestDeformation::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0)
+                .unwrap();
         let pose = field
             .pose(&(0..count).map(moved).collect::<Vec<_>>())
             .unwrap();
@@ -409,12 +418,12 @@ mod tests {
         let (field, pose) = field(100);
         // Two pieces of a table.
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
-        let plan = Plan::of_grid(&field, &grid);
+        let plan = CoefficientTable::of_grid(&field, &grid);
         assert!(plan.bytes() > PIECE_BYTES as u64);
         type GivesUp<'a> = &'a (dyn Fn(IsCancelled<'_>) -> bool + Sync);
         let works: [(&str, usize, GivesUp<'_>); 3] = [
             ("filling", grid.len() / LANES, &|cancelled| {
-                Plan::of_grid_unless(&field, &grid, cancelled).is_none()
+                CoefficientTable::of_grid_unless(&field, &grid, cancelled).is_none()
             }),
             ("posing", 2, &|cancelled| {
                 plan.pose_unless(&grid, &pose, cancelled).is_none()
@@ -442,7 +451,7 @@ mod tests {
     fn a_table_of_several_pieces_has_no_seam() {
         let (field, pose) = field(100);
         let grid = Grid::with_counts(300.0, 200.0, 200, 100);
-        let (displacement, _) = Plan::of_grid(&field, &grid).displace(&pose);
+        let (displacement, _) = CoefficientTable::of_grid(&field, &grid).displace(&pose);
         for (k, d) in displacement.iter().enumerate() {
             let v = vertex(&grid, 200, k);
             let want = to_f32(field.map(&pose, v) - v);

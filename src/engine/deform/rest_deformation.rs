@@ -5,30 +5,30 @@
 use std::sync::Arc;
 
 use super::coincidences::Coincidences;
-use super::columns::{Element, Rank, Sources, elements, rank};
-use super::contradictions::{Contradictions, Member};
+use super::columns::{Element, HandleElements, Rank, elements, rank};
+use super::conflicts::{Conflicts, Member};
 use super::falloff::Falloff;
 use super::global_affine::GlobalAffine;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::incomplete_beta::IncompleteBeta;
 use super::kernel;
-use super::lanes::{Rows, Vertices};
+use super::lanes::{Coefficients, Vertices};
 use super::row::RowInputs;
-use super::span::Workspace;
+use super::segment_moments::Workspace;
 use super::spline::{Sites, Spline};
-use super::{Contradictory, DeformError, Handle, IsCancelled, Method, Pose, Warning};
+use super::{ConflictingHandles, DeformError, Handle, IsCancelled, Method, Pose, Warning};
 use crate::geometry::Vec2;
 
 /// Masses outside of this range would overflow or underflow the ratios in f64, px.
 const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
 /// Smoothing of a spline.
-const SMOOTHING: std::ops::RangeInclusive<f64> = 0.0..=1e9;
+const SMOOTHING_RANGE: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 
 /// Handles at rest with the parameters of their method: everything that f depends on except the
 /// pose.
 #[derive(Clone, Debug)]
-pub struct Field {
+pub struct RestDeformation {
     /// Coincident points are one handle.
     pub(super) handles: Handles,
     /// The client's handles, if some of their points coincide.
@@ -40,7 +40,7 @@ pub struct Field {
     pub(super) family: Method,
     pub(super) rank: Rank,
     pub(super) elements: Vec<Element>,
-    pub(super) sources: Sources,
+    pub(super) sources: HandleElements,
     /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
     coincidences: Coincidences,
@@ -128,7 +128,7 @@ fn determined(method: Method, rank: Rank) -> (Method, Vec<Warning>) {
     }
 }
 
-impl Field {
+impl RestDeformation {
     /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where
     /// points and lines are mixed.
     ///
@@ -151,10 +151,10 @@ impl Field {
         )
     }
 
-    /// Like [`Field::new`]; stops when `cancelled` returns true.
+    /// Like [`RestDeformation::new`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`Field::new`]; cancelled.
+    /// Those of [`RestDeformation::new`]; cancelled.
     pub fn new_unless(
         handles: Handles,
         coincident: Coincident,
@@ -190,7 +190,7 @@ impl Field {
                 point_mass,
                 beta,
             },
-            Sources::of(&elements),
+            HandleElements::of(&elements),
         );
         Ok(Self {
             handles,
@@ -217,10 +217,11 @@ impl Field {
         Self::spline_unless(handles, Coincident::default(), smoothing, &|| false)
     }
 
-    /// Like [`Field::spline`], which takes O(points^3); stops when `cancelled` returns true.
+    /// Like [`RestDeformation::spline`], which takes O(points^3); stops when `cancelled` returns
+    /// true.
     ///
     /// # Errors
-    /// Those of [`Field::spline`]; cancelled.
+    /// Those of [`RestDeformation::spline`]; cancelled.
     pub fn spline_unless(
         handles: Handles,
         coincident: Coincident,
@@ -230,8 +231,8 @@ impl Field {
         Self::spline_of(handles, coincident, smoothing, true, cancelled)
     }
 
-    /// The handles and parameters of [`Field::spline`] without its system, which takes nearly all
-    /// of the time: it is described by this, and cannot be evaluated.
+    /// The handles and parameters of [`RestDeformation::spline`] without its system, which takes
+    /// nearly all of the time: it is described by this, and cannot be evaluated.
     #[cfg(feature = "codec")]
     pub(crate) fn spline_without_system(
         handles: Handles,
@@ -256,7 +257,7 @@ impl Field {
         {
             return Err(DeformError::LineInSpline { handle });
         }
-        if !SMOOTHING.contains(&smoothing) {
+        if !SMOOTHING_RANGE.contains(&smoothing) {
             return Err(DeformError::BadSmoothing { value: smoothing });
         }
         let Grouped {
@@ -266,7 +267,7 @@ impl Field {
             owners,
             coincidences,
         } = Grouped::new(handles, coincident, 1.0, cancelled)?;
-        let (policy, sources) = (coincident.policy, Sources::of(&elements));
+        let (policy, sources) = (coincident.policy, HandleElements::of(&elements));
         let sites = Sites::of(&sources.points, coincidence_distance(handles.extent()));
         let rank = rank(&Handles::new(
             sites.positions.iter().copied().map(Handle::Point).collect(),
@@ -304,10 +305,11 @@ impl Field {
         })
     }
 
-    /// One affine map, of least squares over all handles; `point_mass` as in [`Field::new`].
+    /// One affine map, of least squares over all handles; `point_mass` as in
+    /// [`RestDeformation::new`].
     ///
     /// # Errors
-    /// Those of [`Field::new_unless`].
+    /// Those of [`RestDeformation::new_unless`].
     pub fn global_affine_unless(
         handles: Handles,
         coincident: Coincident,
@@ -324,7 +326,11 @@ impl Field {
             owners,
             coincidences,
         } = Grouped::new(handles, coincident, point_mass, cancelled)?;
-        let (policy, sources, rank) = (coincident.policy, Sources::of(&elements), rank(&handles));
+        let (policy, sources, rank) = (
+            coincident.policy,
+            HandleElements::of(&elements),
+            rank(&handles),
+        );
         let (family, warnings) = determined(Method::Affine, rank);
         let map = match rank {
             Rank::Empty | Rank::OnePlace => None,
@@ -349,8 +355,8 @@ impl Field {
         })
     }
 
-    /// Bytes that [`Field::spline`] of this number of points takes; known before anything is
-    /// allocated.
+    /// Bytes that [`RestDeformation::spline`] of this number of points takes; known before anything
+    /// is allocated.
     #[must_use]
     pub const fn spline_bytes(points: u64) -> u64 {
         Spline::bytes(points)
@@ -364,7 +370,7 @@ impl Field {
 
     /// The client's handles at rest.
     #[must_use]
-    pub fn given(&self) -> &Handles {
+    pub fn client_handles(&self) -> &Handles {
         self.grouped
             .as_ref()
             .map_or(&self.handles, |grouped| &grouped.0)
@@ -419,7 +425,7 @@ impl Field {
     /// # Errors
     /// Shapes, numbers; contradictory targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
-        let given = Pose::new(self.given(), posed)?;
+        let given = Pose::new(self.client_handles(), posed)?;
         let (displacements, contradictions) = match self.grouped.as_deref() {
             Some((_, groups)) => {
                 let mean = groups.displacements(given.displacements());
@@ -433,7 +439,7 @@ impl Field {
             }
         };
         if self.policy == CoincidentPolicy::Reject && contradictions.total > 0 {
-            let Contradictory { listed, total, .. } = contradictions;
+            let ConflictingHandles { listed, total, .. } = contradictions;
             return Err(DeformError::Contradictory { listed, total });
         }
         Ok(Pose::of_columns(displacements, contradictions))
@@ -444,9 +450,9 @@ impl Field {
         &self,
         displacements: &[Vec2],
         given: Option<(&Groups, &[Vec2])>,
-    ) -> Contradictory {
+    ) -> ConflictingHandles {
         let tolerance = self.coincidences.tolerance();
-        let mut found = Contradictions::new(tolerance);
+        let mut found = Conflicts::new(tolerance);
         if let Some((groups, given)) = given {
             groups.add_contradictions(&mut found, &self.handles, given, displacements, tolerance);
         }
@@ -461,7 +467,7 @@ impl Field {
                     .map(Iterator::collect);
                 members.unwrap_or_else(|| {
                     let handle = self.owners[element];
-                    let weights = self.given().weights();
+                    let weights = self.client_handles().weights();
                     // Columns of the client's set identify the points of groups; these must differ
                     // from them.
                     vec![Member {
@@ -549,7 +555,7 @@ impl Field {
 
     /// All handles at one position: the mass-weighted mean of their displacements, for every
     /// family.
-    fn translation<const N: usize>(&self, rows: &mut Rows<N>) {
+    fn translation<const N: usize>(&self, rows: &mut Coefficients<N>) {
         rows.clear();
         let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();
         for mark in &self.sources.points {

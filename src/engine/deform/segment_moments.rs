@@ -1,11 +1,11 @@
 //! A segment in a row: its mass and moments relative to N vertices, and the shares of its two ends.
 
-use super::lanes::{PointMass, Rows};
+use super::lanes::{Coefficients, PointMass};
 use super::segments::View;
 
 /// A segment: its mass, and the first and second moment of it along `(x, y)`, px, from a to b.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Span<const N: usize> {
+pub(super) struct SegmentMoments<const N: usize> {
     pub(super) view: View<N>,
     pub(super) place: PointMass<N>,
     pub(super) first: [f64; N],
@@ -14,7 +14,7 @@ pub(super) struct Span<const N: usize> {
     pub(super) y: [f64; N],
 }
 
-impl<const N: usize> Span<N> {
+impl<const N: usize> SegmentMoments<N> {
     pub(super) const ZERO: Self = Self {
         view: View::ZERO,
         place: PointMass::ZERO,
@@ -50,24 +50,24 @@ impl<const N: usize> Span<N> {
 /// Buffers reused from row to row: one mass per point, one span per segment; of a spline the right
 /// sides of its system.
 #[derive(Debug, Default)]
-pub(super) struct Scratch<const N: usize> {
+pub(super) struct CoefficientScratch<const N: usize> {
     pub(super) places: Vec<PointMass<N>>,
-    pub(super) spans: Vec<Span<N>>,
+    pub(super) spans: Vec<SegmentMoments<N>>,
     pub(super) sides: Vec<[f64; N]>,
 }
 
 /// Rows and scratch, reused while many positions are mapped, N at once.
 #[derive(Debug)]
 pub(super) struct Workspace<const N: usize> {
-    pub(super) rows: Rows<N>,
-    pub(super) scratch: Scratch<N>,
+    pub(super) rows: Coefficients<N>,
+    pub(super) scratch: CoefficientScratch<N>,
 }
 
 impl<const N: usize> Workspace<N> {
     pub(super) fn new(columns: usize) -> Self {
         Self {
-            rows: Rows::zeroed(columns),
-            scratch: Scratch::default(),
+            rows: Coefficients::zeroed(columns),
+            scratch: CoefficientScratch::default(),
         }
     }
 }

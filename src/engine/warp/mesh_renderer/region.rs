@@ -4,27 +4,27 @@
 use std::ops::Range;
 
 use super::super::region::MaskDrawer;
-use super::super::{Holes, Region, Subject, Target};
-use super::Drawer;
+use super::super::{Holes, RasterSource, Region, Target};
+use super::MeshRenderer;
 use crate::codec::{Encoding, PngShape, Writer};
 use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Extent};
-use crate::render::{FULL_WEIGHT, Outside, RenderOptions, STRIP, blend};
+use crate::render::{FULL_WEIGHT, Outside, RenderOptions, STRIP_ROWS, blend};
 
-const HALF: u16 = FULL_WEIGHT / 2;
+const HALF_WEIGHT: u16 = FULL_WEIGHT / 2;
 
 /// Memory for mixing, bytes, of each thread.
 pub(super) fn work_bytes(target: Extent) -> u64 {
     /// Two pictures and a mask of four 16-bit samples each, and four weights.
-    const PIXEL: u64 = 32;
-    u64::from(STRIP) * u64::from(target.width()) * PIXEL
+    const PIXEL_BYTES: u64 = 32;
+    u64::from(STRIP_ROWS) * u64::from(target.width()) * PIXEL_BYTES
 }
 
 /// Draws a subject of which only the content of a region moves.
 #[derive(Debug)]
 pub(in super::super) struct RegionDrawer {
-    background: Drawer,
-    moved: Drawer,
+    background: MeshRenderer,
+    moved: MeshRenderer,
     weights: Weights,
     /// Those of the result, if the subject is a picture.
     channels: Channels,
@@ -32,16 +32,16 @@ pub(in super::super) struct RegionDrawer {
 
 impl RegionDrawer {
     pub(in super::super) fn new(
-        subject: Subject<'_>,
+        subject: RasterSource<'_>,
         (target, region): (&Target, &Region),
         mesh: &Mesh,
         options: RenderOptions,
         holes: Holes,
     ) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
-        let background = Drawer::new(subject, target, &at_rest, options);
+        let background = MeshRenderer::new(subject, target, &at_rest, options);
         // What is outside the moved part is not visible: the mask is 0 there.
-        let moved = Drawer::new(
+        let moved = MeshRenderer::new(
             subject,
             target,
             mesh,
@@ -56,7 +56,7 @@ impl RegionDrawer {
             mask_at_rest: (holes == Holes::Transparent).then(|| region.drawer(&at_rest, options)),
         };
         let channels = match &background {
-            Drawer::Image { renderer, .. } if holes == Holes::Keep => renderer.channels(),
+            MeshRenderer::Image { renderer, .. } if holes == Holes::Keep => renderer.channels(),
             _ => Channels::Rgba,
         };
         Self {
@@ -73,7 +73,7 @@ impl RegionDrawer {
 
     pub(super) fn adds_alpha(&self) -> bool {
         match (&self.background, &self.moved) {
-            (Drawer::Image { .. }, Drawer::Image { renderer, .. }) => {
+            (MeshRenderer::Image { .. }, MeshRenderer::Image { renderer, .. }) => {
                 self.channels != renderer.channels()
             }
             _ => false,
@@ -82,7 +82,7 @@ impl RegionDrawer {
 
     pub(super) fn writer(&self, encoding: Encoding) -> Writer {
         match &self.background {
-            Drawer::Image {
+            MeshRenderer::Image {
                 renderer,
                 grey,
                 metadata,
@@ -101,7 +101,9 @@ impl RegionDrawer {
 
     pub(super) fn pixel_bytes(&self) -> usize {
         match &self.background {
-            Drawer::Image { renderer, .. } => self.channels.count() * renderer.depth().bytes(),
+            MeshRenderer::Image { renderer, .. } => {
+                self.channels.count() * renderer.depth().bytes()
+            }
             other => other.pixel_bytes(),
         }
     }
@@ -118,10 +120,10 @@ impl RegionDrawer {
         let row = out.len() / rows.len().max(1);
         for (first, out) in rows
             .clone()
-            .step_by(STRIP as usize)
-            .zip(out.chunks_mut(STRIP as usize * row))
+            .step_by(STRIP_ROWS as usize)
+            .zip(out.chunks_mut(STRIP_ROWS as usize * row))
         {
-            self.strip(first..rows.end.min(first + STRIP), out);
+            self.strip(first..rows.end.min(first + STRIP_ROWS), out);
         }
     }
 
@@ -133,7 +135,7 @@ impl RegionDrawer {
         let mut samples = vec![0; weights.len() * self.moved.pixel_bytes()];
         self.moved.band(rows, &mut samples);
         match &self.moved {
-            Drawer::Image { renderer, .. } => blend(
+            MeshRenderer::Image { renderer, .. } => blend(
                 out,
                 self.channels,
                 &samples,
@@ -141,16 +143,16 @@ impl RegionDrawer {
                 renderer.depth(),
                 &weights,
             ),
-            Drawer::Labels { .. } => {
+            MeshRenderer::Labels { .. } => {
                 let pixel = self.moved.pixel_bytes();
                 for ((out, moved), [m, k]) in out
                     .chunks_exact_mut(pixel)
                     .zip(samples.chunks_exact(pixel))
                     .zip(weights)
                 {
-                    if m > HALF {
+                    if m > HALF_WEIGHT {
                         out.copy_from_slice(moved);
-                    } else if FULL_WEIGHT - m - k > HALF {
+                    } else if FULL_WEIGHT - m - k > HALF_WEIGHT {
                         out.fill(0);
                     }
                 }
@@ -169,7 +171,7 @@ impl RegionDrawer {
     }
 
     fn draw_background(&self, rows: Range<u32>, out: &mut [u8]) {
-        let Drawer::Image { renderer, .. } = &self.background else {
+        let MeshRenderer::Image { renderer, .. } = &self.background else {
             return self.background.band(rows, out);
         };
         if renderer.channels() == self.channels {
@@ -192,7 +194,7 @@ impl RegionDrawer {
 fn mixed(a: u8, b: u8, [w, v]: [u16; 2]) -> u8 {
     let sum = u32::from(a) * u32::from(w) + u32::from(b) * u32::from(v);
     #[expect(clippy::cast_possible_truncation, reason = "a mean of 8-bit numbers")]
-    let mean = ((sum + u32::from(HALF)) / u32::from(FULL_WEIGHT)) as u8;
+    let mean = ((sum + u32::from(HALF_WEIGHT)) / u32::from(FULL_WEIGHT)) as u8;
     mean
 }
 
@@ -257,10 +259,10 @@ impl HolesDrawer {
         let row = out.len() / rows.len().max(1);
         for (first, out) in rows
             .clone()
-            .step_by(STRIP as usize)
-            .zip(out.chunks_mut(STRIP as usize * row))
+            .step_by(STRIP_ROWS as usize)
+            .zip(out.chunks_mut(STRIP_ROWS as usize * row))
         {
-            let rows = first..rows.end.min(first + STRIP);
+            let rows = first..rows.end.min(first + STRIP_ROWS);
             let holes = self
                 .mask_at_rest
                 .weights(rows.clone())

@@ -11,10 +11,10 @@
 use super::IsCancelled;
 
 /// Polynomials, at most: 1, x, y.
-pub(super) const MOST: usize = 3;
+pub(super) const MAX_POLYNOMIALS: usize = 3;
 /// Rows of the factor that are computed together, so that an earlier row is read once for all of
 /// them.
-const PANEL: usize = 8;
+const PANEL_ROWS: usize = 8;
 
 /// A reflection `1 - beta v v^T`.
 #[derive(Debug)]
@@ -25,12 +25,12 @@ struct Reflection {
 
 /// The factorised system of n unknowns. Shapes: `[n]` and a packed triangle of n rows.
 #[derive(Debug)]
-pub(super) struct Saddle {
+pub(super) struct TpsSystem {
     /// S.
     scale: Vec<f64>,
     /// Q of `S P = Q [R; 0]`, in the order in which Q^T applies them; one per polynomial.
     reflections: Vec<Reflection>,
-    r: [[f64; MOST]; MOST],
+    r: [[f64; MAX_POLYNOMIALS]; MAX_POLYNOMIALS],
     /// `Q^T S (K + N) S Q`: below the rows of the polynomials their columns, and beyond their
     /// columns the Cholesky factor.
     factor: Triangle,
@@ -84,12 +84,12 @@ impl Triangle {
             .iter()
             .fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()));
         let least = (f64::EPSILON * largest).max(f64::MIN_POSITIVE);
-        for first in (head..rows).step_by(PANEL) {
+        for first in (head..rows).step_by(PANEL_ROWS) {
             if cancelled() {
                 return None;
             }
             let (done, panel) = self.0.split_at_mut(start(first));
-            let last = rows.min(first + PANEL);
+            let last = rows.min(first + PANEL_ROWS);
             for j in head..first {
                 let (above, pivot) = done[start(j) + head..start(j + 1)].split_at(j - head);
                 for i in first..last {
@@ -113,7 +113,7 @@ impl Triangle {
     }
 }
 
-impl Saddle {
+impl TpsSystem {
     /// Bytes of the factor of n unknowns.
     pub(super) const fn bytes(n: u64) -> u64 {
         n * (n + 1) / 2 * size_of::<f64>() as u64
@@ -159,13 +159,17 @@ impl Saddle {
 
     /// The first n entries of the solution with the right side `(u, m)` for N right sides: `u`
     /// becomes them.
-    pub(super) fn coefficients<const N: usize>(&self, u: &mut [[f64; N]], m: &[[f64; N]; MOST]) {
+    pub(super) fn coefficients<const N: usize>(
+        &self,
+        u: &mut [[f64; N]],
+        m: &[[f64; N]; MAX_POLYNOMIALS],
+    ) {
         self.scaled(u);
         self.reflections
             .iter()
             .for_each(|reflection| reflect(reflection, u));
         let head = self.reflections.len();
-        let mut y = [[0.0; N]; MOST];
+        let mut y = [[0.0; N]; MAX_POLYNOMIALS];
         for c in 0..head {
             y[c] = m[c];
             for above in 0..c {
@@ -190,14 +194,17 @@ impl Saddle {
 
     /// The solution with the right side `(d, 0)` for N right sides: `d` becomes its first n
     /// entries, the weights of the kernel; returns the others, the coefficients of the polynomials.
-    pub(super) fn weights<const N: usize>(&self, d: &mut [[f64; N]]) -> [[f64; N]; MOST] {
+    pub(super) fn weights<const N: usize>(
+        &self,
+        d: &mut [[f64; N]],
+    ) -> [[f64; N]; MAX_POLYNOMIALS] {
         self.scaled(d);
         self.reflections
             .iter()
             .for_each(|reflection| reflect(reflection, d));
         self.solve(d);
         let head = self.reflections.len();
-        let mut a = [[0.0; N]; MOST];
+        let mut a = [[0.0; N]; MAX_POLYNOMIALS];
         a[..head].copy_from_slice(&d[..head]);
         for (i, d) in d.iter().enumerate().skip(head) {
             for (t, a) in self.factor.row(i)[..head].iter().zip(&mut a) {
@@ -267,8 +274,13 @@ impl Saddle {
 }
 
 /// The QR of a few columns.
-fn reflections(mut columns: Vec<Vec<f64>>) -> (Vec<Reflection>, [[f64; MOST]; MOST]) {
-    let (mut reflections, mut r) = (Vec::with_capacity(columns.len()), [[0.0; MOST]; MOST]);
+fn reflections(
+    mut columns: Vec<Vec<f64>>,
+) -> (Vec<Reflection>, [[f64; MAX_POLYNOMIALS]; MAX_POLYNOMIALS]) {
+    let (mut reflections, mut r) = (
+        Vec::with_capacity(columns.len()),
+        [[0.0; MAX_POLYNOMIALS]; MAX_POLYNOMIALS],
+    );
     for c in 0..columns.len() {
         let (done, rest) = columns.split_at_mut(c + 1);
         let column = &done[c];

@@ -8,10 +8,10 @@ use super::plausibility::{self, PosedHandles};
 use super::spec::{MOST_SPLINE_HANDLES, at_most};
 use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, work};
 use crate::deform::{
-    self, DeformError, Demand, ExactRows, Falloff, Field, Handle, Handles, IsCancelled, Pose,
-    PoseQuality, Refined, Refiner, pose_without_table,
+    self, DeformError, Demand, Falloff, Handle, Handles, IsCancelled, Pose, PoseQuality,
+    RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
-use crate::geometry::{Compact, Grid, Mesh, Point};
+use crate::geometry::{DisplayNumber, Grid, Mesh, Point};
 use crate::pixmap::Extent;
 use crate::render::Canvas;
 
@@ -44,8 +44,8 @@ const EXACT_ALWAYS: u64 = 64 << 20;
 
 /// Everything that a warp depends on except the pixels and the pose.
 #[derive(Clone, Debug)]
-pub struct Setup {
-    field: Arc<Field>,
+pub struct ResolvedRest {
+    field: Arc<RestDeformation>,
     grid: Grid,
     /// Of the client's coordinates.
     units: Units,
@@ -66,21 +66,24 @@ pub struct Setup {
 /// The A_j of every grid vertex, or none if their table would not fit, and those inside cells that
 /// poses have needed.
 #[derive(Debug)]
-pub struct Plan {
-    table: Option<deform::Plan>,
-    exact: ExactRows,
+pub struct CompiledRest {
+    table: Option<deform::CoefficientTable>,
+    exact: SubdivisionCache,
     exact_bytes: u64,
 }
 
-impl Plan {
+impl CompiledRest {
     /// Memory held at most, bytes: its weight in a cache.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.table.as_ref().map_or(0, deform::Plan::bytes) + self.exact_bytes
+        self.table
+            .as_ref()
+            .map_or(0, deform::CoefficientTable::bytes)
+            + self.exact_bytes
     }
 }
 
-impl Setup {
+impl ResolvedRest {
     /// Resolves and validates. Cheap relative to a plan: O(handles log handles). A spline is
     /// computed here: O(handles^3).
     ///
@@ -90,10 +93,10 @@ impl Setup {
         Self::new_unless(rest, extent, limits, &|| false)
     }
 
-    /// Like [`Setup::new`]; stops when `cancelled` returns true.
+    /// Like [`ResolvedRest::new`]; stops when `cancelled` returns true.
     ///
     /// # Errors
-    /// Those of [`Setup::new`]; cancelled.
+    /// Those of [`ResolvedRest::new`]; cancelled.
     pub fn new_unless(
         rest: &RestSpec,
         extent: Extent,
@@ -132,7 +135,12 @@ impl Setup {
         let field = match rest.method {
             Method::ThinPlateSpline if !is_solved => {
                 let smoothing = rest.smoothing.unwrap_or_default();
-                Field::spline_without_system(handles, rest.coincident, smoothing, cancelled)
+                RestDeformation::spline_without_system(
+                    handles,
+                    rest.coincident,
+                    smoothing,
+                    cancelled,
+                )
             }
             _ => field(handles, rest, cancelled),
         };
@@ -158,7 +166,7 @@ impl Setup {
 
     /// `field` on a resolved grid.
     fn on_grid(
-        field: Arc<Field>,
+        field: Arc<RestDeformation>,
         grid: Grid,
         spec: GridSpec,
         rest: (Units, Method, bool, Vec<Warning>),
@@ -167,15 +175,17 @@ impl Setup {
         let (units, method, mixed, warnings) = rest;
         let tolerance = spec.tolerance();
         let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
-        let bytes = deform::Plan::bytes_for(&field, grid.len());
-        let table_bytes =
-            (bytes <= limits.plan_bytes && deform::Plan::pays(&field)).then_some(bytes);
+        let bytes = deform::CoefficientTable::bytes_for(&field, grid.len());
+        let table_bytes = (bytes <= limits.plan_bytes
+            && deform::CoefficientTable::is_worthwhile(&field))
+        .then_some(bytes);
         let left = |bytes: u64| {
             (EXACT_PER_BYTE * bytes)
                 .min(bytes.max(EXACT_ALWAYS))
                 .min(limits.plan_bytes - bytes)
         };
-        let rows_pay = tolerance.is_some() && deform::Plan::rows_inside_cells_pay(&field);
+        let rows_pay =
+            tolerance.is_some() && deform::CoefficientTable::rows_inside_cells_pay(&field);
         let exact_bytes = table_bytes.filter(|_| rows_pay).map_or(0, left);
         let max_work = limits.work;
         Self {
@@ -235,8 +245,8 @@ impl Setup {
         self.plan_key
     }
 
-    /// Bytes of the table that [`Setup::plan`] fills, and of the exact rows that it may keep;
-    /// `None` if the warp has no table.
+    /// Bytes of the table that [`ResolvedRest::plan`] fills, and of the exact rows that it may
+    /// keep; `None` if the warp has no table.
     #[must_use]
     pub fn plan_bytes(&self) -> Option<u64> {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
@@ -269,7 +279,7 @@ impl Setup {
         work::at_most(
             Task::Quality,
             self.max_work,
-            (self.grid.len() as u64).saturating_mul(work::CELL),
+            (self.grid.len() as u64).saturating_mul(work::CELL_OPERATIONS),
         )
     }
 
@@ -288,12 +298,12 @@ impl Setup {
     #[must_use]
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
-        const VERTEX: u64 = 64;
-        self.grid.len() as u64 * VERTEX
+        const VERTEX_BYTES: u64 = 64;
+        self.grid.len() as u64 * VERTEX_BYTES
     }
 
     /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes;
-    /// [`Posed::halved_bytes`](super::Posed::halved_bytes) is what a pose has used of it.
+    /// [`PosedMesh::halved_bytes`](super::PosedMesh::halved_bytes) is what a pose has used of it.
     #[must_use]
     pub fn most_halved_bytes(&self) -> u64 {
         if self.tolerance.is_some() {
@@ -314,30 +324,30 @@ impl Setup {
 
     /// Whether posing is split over the current rayon pool.
     #[must_use]
-    pub fn is_wide(&self) -> bool {
+    pub fn uses_thread_pool(&self) -> bool {
         self.table_bytes
-            .is_none_or(|bytes| !deform::Plan::is_posed_on_one_thread(bytes))
+            .is_none_or(|bytes| !deform::CoefficientTable::is_posed_on_one_thread(bytes))
     }
 
     /// Fills the table of A_j in parallel on the current rayon pool. CPU work.
     #[must_use]
-    pub fn plan(&self) -> Plan {
+    pub fn plan(&self) -> CompiledRest {
         self.plan_unless(&|| false).expect("nothing gives it up")
     }
 
-    /// Like [`Setup::plan`]; stops when `cancelled` returns true.
+    /// Like [`ResolvedRest::plan`]; stops when `cancelled` returns true.
     ///
     /// # Errors
     /// Cancelled.
-    pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<Plan, WarpError> {
+    pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<CompiledRest, WarpError> {
         let fill = |_| {
-            deform::Plan::of_grid_unless(&self.field, &self.grid, cancelled)
+            deform::CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
                 .ok_or(WarpError::Cancelled)
         };
         let table = self.table_bytes.map(fill).transpose()?;
-        Ok(Plan {
+        Ok(CompiledRest {
             table,
-            exact: ExactRows::new(self.exact_bytes),
+            exact: SubdivisionCache::new(self.exact_bytes),
             exact_bytes: self.exact_bytes,
         })
     }
@@ -381,7 +391,7 @@ impl Setup {
 
     /// Columns and rows of vertices of the resolved grid.
     #[must_use]
-    pub const fn grid(&self) -> (u32, u32) {
+    pub const fn dimensions(&self) -> (u32, u32) {
         (self.grid.columns(), self.grid.rows())
     }
 
@@ -446,11 +456,11 @@ impl Setup {
 
     /// The resolved grid.
     #[must_use]
-    pub const fn lines(&self) -> &Grid {
+    pub const fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    pub(super) const fn field(&self) -> &Arc<Field> {
+    pub(super) const fn field(&self) -> &Arc<RestDeformation> {
         &self.field
     }
 
@@ -482,7 +492,7 @@ impl Setup {
     /// `cancelled` returns true.
     pub(super) fn mesh(
         &self,
-        plan: &Plan,
+        plan: &CompiledRest,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Result<(Mesh, PoseQuality), WarpError> {
@@ -497,17 +507,17 @@ impl Setup {
     /// one.
     pub(super) fn refine(
         &self,
-        plan: &Plan,
+        plan: &CompiledRest,
         mesh: &Mesh,
         folds: bool,
         pose: &Pose,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Option<Refined>, WarpError> {
+    ) -> Result<Option<SubdividedMesh>, WarpError> {
         let refine = |tolerance: f64| {
             let drawn_within = DRAWN_WITHIN.min(tolerance / 2.0);
             let (field, rows, vertices) = (&*self.field, &plan.exact, self.fine_vertices());
             #[expect(clippy::cast_possible_truncation, reason = "at most 1/16")]
-            let refiner = Refiner {
+            let refiner = Subdivider {
                 field,
                 rows,
                 tolerance: tolerance - drawn_within,
@@ -516,7 +526,7 @@ impl Setup {
                 vertices,
             };
             refiner
-                .refine(mesh, pose, cancelled)
+                .subdivide(mesh, pose, cancelled)
                 .ok_or(WarpError::Cancelled)
         };
         self.tolerance.map(refine).transpose()
@@ -548,14 +558,14 @@ pub(super) fn field(
     handles: Handles,
     rest: &RestSpec,
     cancelled: IsCancelled<'_>,
-) -> Result<Field, DeformError> {
+) -> Result<RestDeformation, DeformError> {
     let coincident = rest.coincident;
     let point_mass = rest
         .point_mass
         .unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
     let family = match rest.method {
         Method::ThinPlateSpline => {
-            return Field::spline_unless(
+            return RestDeformation::spline_unless(
                 handles,
                 coincident,
                 rest.smoothing.unwrap_or(0.0),
@@ -563,7 +573,9 @@ pub(super) fn field(
             );
         }
         Method::GlobalAffine => {
-            return Field::global_affine_unless(handles, coincident, point_mass, cancelled);
+            return RestDeformation::global_affine_unless(
+                handles, coincident, point_mass, cancelled,
+            );
         }
         Method::Rigid => deform::Method::Rigid,
         Method::Similarity => deform::Method::Similarity,
@@ -573,7 +585,7 @@ pub(super) fn field(
         .alpha
         .unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
     let falloff = Falloff::new(alpha, handles.has_lines())?;
-    Field::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
+    RestDeformation::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
 }
 
 pub(super) fn resolve_grid(
@@ -609,11 +621,11 @@ pub(super) fn resolve_grid(
         Ok(Grid::with_cell(width, height, cell))
     };
     match spec {
-        GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCES.contains(&tolerance) => {
-            let (least, most) = GridSpec::TOLERANCES.into_inner();
+        GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCE_RANGE_PX.contains(&tolerance) => {
+            let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
             Err(WarpError::BadGrid(format!(
                 "the tolerance of a grid must be {least} to {most} px; found {}",
-                Compact(tolerance)
+                DisplayNumber(tolerance)
             )))
         }
         GridSpec::Auto | GridSpec::Tolerance(_) => {
@@ -623,7 +635,7 @@ pub(super) fn resolve_grid(
         GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
         GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!(
             "the cell of a grid must be a positive number of pixels; found {}",
-            Compact(cell)
+            DisplayNumber(cell)
         ))),
         GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
             check(columns, rows)?;
@@ -654,7 +666,7 @@ pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
         .collect()
 }
 
-fn plan_key(field: &Field, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
+fn plan_key(field: &RestDeformation, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
     /// Beside the families of moving least squares.
     const SPLINE: u64 = 3;
     const GLOBAL_AFFINE: u64 = 4;

@@ -3,11 +3,11 @@
 //! is snapped like any other, at most half a step beside it. The slivers that this leaves are
 //! painted as well.
 
-use super::steps::{BLOCK, Corner, YRange};
+use super::fixed_point::{BLOCK_COLUMNS, Corner, YRange};
 
 /// A refined cell.
 #[derive(Debug)]
-pub(super) struct FineCell {
+pub(super) struct SnappedSubdividedCell {
     pub(super) i: usize,
     pub(super) j: usize,
     pub(super) level: u8,
@@ -23,23 +23,23 @@ pub(super) struct FineCell {
 
 /// The refined cells, row by row.
 #[derive(Debug, Default)]
-pub(super) struct FineCells {
-    pub(super) cells: Vec<FineCell>,
+pub(super) struct SnappedSubdividedCells {
+    pub(super) cells: Vec<SnappedSubdividedCell>,
     pub(super) corners: Vec<Corner>,
     /// Index of the first cell of each row of cells, and the number of all.
     pub(super) rows: Vec<usize>,
-    /// The refined cells, one bit each, `[rows][pitch / BLOCK]`.
+    /// The refined cells, one bit each, `[rows][pitch / BLOCK_COLUMNS]`.
     pub(super) bits: Vec<u8>,
     pub(super) blocks: usize,
 }
 
-impl FineCells {
-    pub(super) fn cells(&self) -> &[FineCell] {
+impl SnappedSubdividedCells {
+    pub(super) fn cells(&self) -> &[SnappedSubdividedCell] {
         &self.cells
     }
 
     /// The refined cells of a row of cells.
-    pub(super) fn row(&self, j: usize) -> &[FineCell] {
+    pub(super) fn row(&self, j: usize) -> &[SnappedSubdividedCell] {
         if self.cells.is_empty() {
             &[]
         } else {
@@ -48,8 +48,10 @@ impl FineCells {
     }
 
     /// The refined cell at a column and row.
-    pub(super) fn find(&self, i: usize, j: usize) -> Option<&FineCell> {
-        if self.cells.is_empty() || self.bits[j * self.blocks + i / BLOCK] >> (i % BLOCK) & 1 == 0 {
+    pub(super) fn find(&self, i: usize, j: usize) -> Option<&SnappedSubdividedCell> {
+        if self.cells.is_empty()
+            || self.bits[j * self.blocks + i / BLOCK_COLUMNS] >> (i % BLOCK_COLUMNS) & 1 == 0
+        {
             return None;
         }
         let row = self.row(j);
@@ -62,7 +64,7 @@ impl FineCells {
     /// 11, 01.
     pub(super) fn parts(
         &self,
-        cell: &FineCell,
+        cell: &SnappedSubdividedCell,
     ) -> impl DoubleEndedIterator<Item = [Corner; 4]> + '_ {
         let cells = 1_usize << cell.level;
         let corners = &self.corners[cell.start..][..(cells + 1) * (cells + 1)];
@@ -82,7 +84,7 @@ impl FineCells {
     /// at edges that are straight as a whole.
     pub(super) fn slivers(
         &self,
-        cell: &FineCell,
+        cell: &SnappedSubdividedCell,
         under: bool,
     ) -> impl Iterator<Item = [Corner; 3]> + '_ {
         let side = (1_usize << cell.level) + 1;

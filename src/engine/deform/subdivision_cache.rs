@@ -12,25 +12,25 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 use rayon::prelude::*;
 
-use super::deformation::Deformation;
-use super::field::Field;
-use super::kernel::{self, LANES, Lanes, Pairs, lanes_per_block};
+use super::coefficient_table::{IsCancelled, store, to_f32};
+use super::kernel::{self, BlockDisplacements, CoefficientLanes, LANES, lanes_per_block};
 use super::lanes::gather;
-use super::plan::{IsCancelled, store, to_f32};
-use super::span::Workspace;
+use super::posed_map::PosedMap;
+use super::rest_deformation::RestDeformation;
+use super::segment_moments::Workspace;
 use crate::geometry::{Grid, Point, Vec2};
 
 /// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the
 /// counters of its unit.
-const ENTRY: usize = 96;
+const ENTRY_BYTES: usize = 96;
 
 /// Blocks of one or more groups, as the table of a plan, and what they hold.
-type Unit = Arc<[Lanes]>;
+type CachedBlocks = Arc<[CoefficientLanes]>;
 
 /// The rows of some groups of a grid's cells.
 #[derive(Debug)]
-pub struct ExactRows {
-    kept: RwLock<HashMap<(u32, u8), (Unit, usize)>>,
+pub struct SubdivisionCache {
+    kept: RwLock<HashMap<(u32, u8), (CachedBlocks, usize)>>,
     /// Memory that may still be taken, bytes.
     left: AtomicU64,
 }
@@ -38,9 +38,9 @@ pub struct ExactRows {
 /// A set of handles, its grid, and a pose in the precision of the rows.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Posing<'a> {
-    pub(super) field: &'a Field,
+    pub(super) field: &'a RestDeformation,
     /// Gives displacements without rows, where rows take longer than they save.
-    pub(super) f: Option<&'a Deformation<'a>>,
+    pub(super) f: Option<&'a PosedMap<'a>>,
     pub(super) grid: &'a Grid,
     pub(super) d: &'a [[f32; 2]],
     /// Whether rows are computed on this thread alone.
@@ -81,7 +81,7 @@ pub(super) fn vertex(grid: &Grid, cell: u32, level: u8, (a, b): (u32, u32)) -> P
     )
 }
 
-impl ExactRows {
+impl SubdivisionCache {
     /// Keeps rows of up to `bytes`.
     #[must_use]
     pub fn new(bytes: u64) -> Self {
@@ -102,14 +102,14 @@ impl ExactRows {
     ) -> Option<Vec<[f32; 2]>> {
         let len = group_len(level);
         let mut out = vec![[0.0; 2]; cells.len() * len];
-        let found: Vec<Option<(Unit, usize)>> = {
+        let found: Vec<Option<(CachedBlocks, usize)>> = {
             let kept = self.kept.read().unwrap_or_else(PoisonError::into_inner);
             cells
                 .iter()
                 .map(|&cell| kept.get(&(cell, level)).cloned())
                 .collect()
         };
-        let mut posed: (Option<Unit>, Vec<Pairs>) = (None, Vec::new());
+        let mut posed: (Option<CachedBlocks>, Vec<BlockDisplacements>) = (None, Vec::new());
         for (unit, out) in found.iter().zip(out.chunks_exact_mut(len)) {
             let Some((unit, group)) = unit else { continue };
             if posed.0.as_ref().is_none_or(|last| !Arc::ptr_eq(last, unit)) {
@@ -135,7 +135,7 @@ impl ExactRows {
             Some(self.unit(posing, level, &unit_cells, workspace))
         };
         let columns = posing.field.handles().columns();
-        let units: Option<Vec<(Vec<Pairs>, Option<Unit>)>> = if posing.serial {
+        let units: Option<Vec<(Vec<BlockDisplacements>, Option<CachedBlocks>)>> = if posing.serial {
             let mut workspace = Workspace::new(columns);
             missing
                 .chunks(per_unit)
@@ -165,7 +165,7 @@ impl ExactRows {
         level: u8,
         cells: &[u32],
         workspace: &mut Workspace<LANES>,
-    ) -> (Vec<Pairs>, Option<Unit>) {
+    ) -> (Vec<BlockDisplacements>, Option<CachedBlocks>) {
         let Posing { field, grid, d, .. } = *posing;
         let places: Vec<Point> = cells
             .iter()
@@ -181,7 +181,8 @@ impl ExactRows {
         }
         let per_block = lanes_per_block(field.family(), field.handles().columns());
         let blocks = places.len().div_ceil(LANES);
-        let bytes = (blocks * per_block * size_of::<Lanes>() + cells.len() * ENTRY) as u64;
+        let bytes =
+            (blocks * per_block * size_of::<CoefficientLanes>() + cells.len() * ENTRY_BYTES) as u64;
         let is_kept = self
             .left
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
@@ -189,7 +190,7 @@ impl ExactRows {
             })
             .is_ok();
         let mut table = vec![
-            Lanes::default();
+            CoefficientLanes::default();
             if is_kept {
                 blocks * per_block
             } else {
@@ -211,7 +212,7 @@ impl ExactRows {
     }
 
     /// Keeps fresh rows, unless another thread was faster.
-    fn keep(&self, level: u8, cells: &[u32], fresh: Vec<(&[usize], Unit)>) {
+    fn keep(&self, level: u8, cells: &[u32], fresh: Vec<(&[usize], CachedBlocks)>) {
         if fresh.is_empty() {
             return;
         }
@@ -223,7 +224,7 @@ impl ExactRows {
             }
             if Arc::strong_count(&unit) == 1 {
                 self.left.fetch_add(
-                    (size_of_val(&*unit) + indices.len() * ENTRY) as u64,
+                    (size_of_val(&*unit) + indices.len() * ENTRY_BYTES) as u64,
                     Ordering::Relaxed,
                 );
             }
@@ -236,24 +237,26 @@ mod tests {
     use std::collections::HashSet;
 
     use super::*;
-    use crate::deform::{Falloff, Handle, Handles, Method, Plan, Pose};
+    use crate::deform::{CoefficientTable, Falloff, Handle, Handles, Method, Pose};
 
     /// Bytes of the units that are kept, each once, and of their entries.
-    fn kept_bytes(rows: &ExactRows) -> u64 {
+    fn kept_bytes(rows: &SubdivisionCache) -> u64 {
         let kept = rows.kept.read().unwrap();
         let units: HashSet<_> = kept
             .values()
             .map(|(unit, _)| (unit.as_ptr(), size_of_val(&**unit)))
             .collect();
-        units.iter().map(|(_, bytes)| *bytes as u64).sum::<u64>() + (kept.len() * ENTRY) as u64
+        units.iter().map(|(_, bytes)| *bytes as u64).sum::<u64>()
+            + (kept.len() * ENTRY_BYTES) as u64
     }
 
-    fn set() -> (Field, Pose, Grid) {
+    fn set() -> (RestDeformation, Pose, Grid) {
         let place =
             |k: u32| Point::new(f64::from(k % 5) * 31.0 + 3.3, f64::from(k / 5) * 17.0 + 5.1);
         let rest = Handles::new((0..20).map(|k| Handle::Point(place(k))).collect(), None).unwrap();
         let field =
-            Field::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0).unwrap();
+            RestDeformation::new(rest, Method::Rigid, Falloff::new(1.3, false).unwrap(), 1.0)
+                .unwrap();
         let moved = |k: u32| Handle::Point(place(k) + Vec2::new(3.0, f64::from(k % 3)));
         let pose = field.pose(&(0..20).map(moved).collect::<Vec<_>>()).unwrap();
         (field, pose, Grid::with_counts(160.0, 100.0, 33, 21))
@@ -264,7 +267,7 @@ mod tests {
         let (field, pose, grid) = set();
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let cells: Vec<u32> = (0..32 * 20).collect();
-        let displaced = |rows: &ExactRows, level: u8, serial: bool| {
+        let displaced = |rows: &SubdivisionCache, level: u8, serial: bool| {
             let posing = Posing {
                 field: &field,
                 f: None,
@@ -277,12 +280,15 @@ mod tests {
                 .flat_map(|cells| rows.displace(&posing, level, cells, &|| false).unwrap())
                 .collect::<Vec<_>>()
         };
-        let all = ExactRows::new(u64::MAX);
+        let all = SubdivisionCache::new(u64::MAX);
         let want: Vec<_> = (1..=4).map(|level| displaced(&all, level, true)).collect();
-        let (needed, table) = (kept_bytes(&all), Plan::bytes_for(&field, grid.len()));
+        let (needed, table) = (
+            kept_bytes(&all),
+            CoefficientTable::bytes_for(&field, grid.len()),
+        );
         assert!(needed > 100 * table, "{needed} {table}");
         for limit in [0, 1, table, needed / 3, needed - 1, needed] {
-            let rows = ExactRows::new(limit);
+            let rows = SubdivisionCache::new(limit);
             for serial in [true, false, true] {
                 for (level, want) in (1..=4).zip(&want) {
                     assert_eq!(
@@ -312,7 +318,7 @@ mod tests {
         let f = field.deformation(&pose);
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let cells: Vec<u32> = (0..32 * 20).collect();
-        let rows = ExactRows::new(u64::MAX);
+        let rows = SubdivisionCache::new(u64::MAX);
         let posing = |f| Posing {
             field: &field,
             f,

@@ -1,9 +1,9 @@
 //! What a warp draws.
 
 use super::digest::Collector;
-use super::drawer::Drawer;
-use super::drawer::region::RegionDrawer;
-use super::{Digest, Image, LabelImage, OutputSpec, Posed, Region, Target, Warning, WarpError};
+use super::mesh_renderer::MeshRenderer;
+use super::mesh_renderer::region::RegionDrawer;
+use super::{Digest, Image, LabelImage, OutputSpec, PosedMesh, Region, Target, Warning, WarpError};
 use crate::codec::Format;
 use crate::deform::IsCancelled;
 use crate::pixmap::{Depth, Extent};
@@ -11,7 +11,7 @@ use crate::render::{Coverage, Outside, Source};
 
 /// What a warp draws.
 #[derive(Clone, Copy, Debug)]
-pub enum Subject<'a> {
+pub enum RasterSource<'a> {
     /// A picture.
     Image(&'a Image),
     /// Labels: every pixel has the label of the source pixel that its centre shows, and 0 where
@@ -26,7 +26,7 @@ pub enum Subject<'a> {
     Holes(&'a Region),
 }
 
-impl Subject<'_> {
+impl RasterSource<'_> {
     /// Upright size of the source, px.
     #[must_use]
     pub fn extent(self) -> Extent {
@@ -104,7 +104,7 @@ impl Subject<'_> {
 
     /// Memory for preparing the drawing of a posed mesh beyond that of a picture, bytes.
     #[must_use]
-    pub fn prepared_bytes(self, posed: &Posed) -> u64 {
+    pub fn prepared_bytes(self, posed: &PosedMesh) -> u64 {
         match self {
             Self::Image(_) | Self::Labels(_) | Self::Holes(_) => 0,
             // With a region, that of the picture at rest as well.
@@ -131,19 +131,19 @@ impl Subject<'_> {
     /// Whether drawing has to make copies of a source first (packed, reduced), which are kept for
     /// later drawings.
     #[must_use]
-    pub fn lacks_copies(self, target: Target, posed: &Posed, output: &OutputSpec) -> bool {
+    pub fn lacks_copies(self, target: Target, posed: &PosedMesh, output: &OutputSpec) -> bool {
         self.sources(posed)
             .any(|source| target.options(output).lacks_copies(source, posed.mesh()))
     }
 
-    /// Makes the copies, for which [`Warp::onto`](super::Warp::onto) otherwise takes the time.
+    /// Makes the copies, for which [`Warp::onto`](super::RenderJob::onto) otherwise takes the time.
     ///
     /// # Errors
     /// Cancelled.
     pub fn make_copies(
         self,
         target: Target,
-        posed: &Posed,
+        posed: &PosedMesh,
         output: &OutputSpec,
         cancelled: IsCancelled<'_>,
     ) -> Result<(), WarpError> {
@@ -157,7 +157,7 @@ impl Subject<'_> {
     }
 
     /// The source that is drawn, and the mask of what moves.
-    fn sources<'a>(&'a self, posed: &'a Posed) -> impl Iterator<Item = &'a Source> {
+    fn sources<'a>(&'a self, posed: &'a PosedMesh) -> impl Iterator<Item = &'a Source> {
         let (drawn, region) = match self {
             Self::Image(image) => (Some(&*image.source), posed.region()),
             Self::Labels(_) | Self::Coverage(_) => (None, posed.region()),
@@ -166,14 +166,19 @@ impl Subject<'_> {
         drawn.into_iter().chain(region.map(Region::mask))
     }
 
-    pub(super) fn drawer(self, target: Target, posed: &Posed, output: &OutputSpec) -> Drawer {
+    pub(super) fn drawer(
+        self,
+        target: Target,
+        posed: &PosedMesh,
+        output: &OutputSpec,
+    ) -> MeshRenderer {
         let options = target.options(output);
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
-            Some(region) if !matches!(self, Self::Holes(_)) => Drawer::Region(Box::new(
+            Some(region) if !matches!(self, Self::Holes(_)) => MeshRenderer::Region(Box::new(
                 RegionDrawer::new(self, (&target, region), posed.mesh(), options, output.holes),
             )),
-            _ => Drawer::new(self, &target, posed.mesh(), options),
+            _ => MeshRenderer::new(self, &target, posed.mesh(), options),
         }
     }
 }
