@@ -1,5 +1,6 @@
-// Generates the types for openapi-fetch from the OpenAPI document. The command line of openapi-typescript types files as strings and fields with a
-// default as required; here files are Blobs and such fields are optional.
+// Generates the types for openapi-fetch from the OpenAPI document. The command line of
+// openapi-typescript types files as strings and fields with a default as required; here files are
+// Blobs and such fields are optional.
 //
 //     npm install openapi-typescript typescript@5
 //     node openapi-typescript.mjs http://127.0.0.1:8080/openapi.json mlswarp.ts

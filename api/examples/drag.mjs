@@ -3,10 +3,12 @@
 //     npm install ws
 //     node drag.mjs IMAGE OUT.png [http://127.0.0.1:8080] [--key KEY]
 //
-// A server with keys needs one: --key, or the variable MLSWARP_KEY, which no other user of the machine can see.
+// A server with keys needs one: --key, or the variable MLSWARP_KEY, which no other user of the
+// machine can see.
 //
-// A browser needs no package: use its WebSocket with `socket.binaryType = "arraybuffer"`, and show a frame with
-// URL.createObjectURL(new Blob([picture])). It cannot set headers; the key goes into the subprotocols:
+// A browser needs no package: use its WebSocket with `socket.binaryType = "arraybuffer"`, and show
+// a frame with URL.createObjectURL(new Blob([picture])). It cannot set headers; the key goes into
+// the subprotocols:
 // new WebSocket(url, ["mlswarp", `mlswarp.bearer.${key in base64url without padding}`]).
 
 import { readFile, writeFile } from "node:fs/promises";
@@ -64,7 +66,8 @@ async function move(socket, rest) {
   }
 }
 
-// Acknowledges each frame; the server then sends the next one. The last frame has the last pose, at full size.
+// Acknowledges each frame; the server then sends the next one. The last frame has the last pose, at
+// full size.
 function watch(socket) {
   return new Promise((resolve) => {
     let report; // the report of the next frame; the first message is the grid

@@ -1,5 +1,5 @@
-// The API key. It is stored in this browser only: for this tab or, on request, permanently. It is sent in a header and in the list of
-// subprotocols of the socket, never in an address.
+// The API key. It is stored in this browser only: for this tab or, on request, permanently. It is
+// sent in a header and in the list of subprotocols of the socket, never in an address.
 
 import { attempt } from "./keep.js";
 

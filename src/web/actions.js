@@ -73,7 +73,10 @@ export class Actions {
     this.say(part.removes ? "Removed from the region" : "Added to the region");
   }
 
-  /** With the first part of a region: a cut-out leaves nothing where it was, unless the user has chosen otherwise. */
+  /**
+   * With the first part of a region: a cut-out leaves nothing where it was, unless the user has
+   * chosen otherwise.
+   */
   #withPart(part) {
     const { document, picture } = this.state;
     const next = withPart(document, part);
@@ -139,7 +142,10 @@ export class Actions {
     return freeTurn(this.sync.mesh, p[0], longest(this.view.size) / 8);
   }
 
-  /** The document with a pin turned by degrees, to a multiple of `step`; undefined, with a message, if the focus does not permit it. */
+  /**
+   * The document with a pin turned by degrees, to a multiple of `step`; undefined, with a message,
+   * if the focus does not permit it.
+   */
   twistedBy(document, index, by, free, step = 0) {
     if (!edits.mayTwist(document)) return this.#sayNoTwist();
     const from = document.handles[index].twist?.angle ?? free.angle;

@@ -1,6 +1,7 @@
-// Alignment: the posed handles of another picture are brought to the frame of this one by the best map of a class, which the server reports.
-// A document has the aligned handles in `handles` and, in `align`, the class and the handles as they were: { by, handles }. An edit of a handle
-// makes the aligned pose the pose: then `align` is gone.
+// Alignment: the posed handles of another picture are brought to the frame of this one by the best
+// map of a class, which the server reports. A document has the aligned handles in `handles` and, in
+// `align`, the class and the handles as they were: { by, handles }. An edit of a handle makes the
+// aligned pose the pose: then `align` is gone.
 
 import * as api from "./api.js";
 import { wire } from "./edits.js";
@@ -34,7 +35,9 @@ function handleBy([[a, b, c], [d, e, f]]) {
   };
 }
 
-/** The document with its handles aligned by a class, in a picture of this size. Throws a Problem. */
+/**
+ * The document with its handles aligned by a class, in a picture of this size. Throws a Problem.
+ */
 export async function aligned(document, by, { width, height }) {
   const plain = unaligned(atStrength(document, 1));
   if (by === "none" || !plain.handles.length) return plain;

@@ -1,4 +1,5 @@
-// The export as an animation: its rows in the export dialog, the request, which is streamed, and its progress.
+// The export as an animation: its rows in the export dialog, the request, which is streamed, and
+// its progress.
 
 import * as api from "./api.js";
 import { EASINGS, MOST_FRAMES, TIME } from "./player.js";
@@ -6,7 +7,10 @@ import { wire } from "./edits.js";
 import { posesOf } from "./strength.js";
 import { ANIMATION, bytes } from "./words.js";
 
-/** Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, a graphic control, or the header of a zip entry. */
+/**
+ * Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, a graphic
+ * control, or the header of a zip entry.
+ */
 const FILES = {
   apng: { media: "image/apng", mark: "fcTL" },
   gif: { media: "image/gif", mark: "!\xf9\x04" },
@@ -20,7 +24,10 @@ const FEW = 3;
 
 const find = (id) => document.getElementById(`export-${id}`);
 
-/** The body of the request. `frames` counts those from rest to the pose; the way back repeats neither of the two. */
+/**
+ * The body of the request. `frames` counts those from rest to the pose; the way back repeats
+ * neither of the two.
+ */
 function batchOf(document, { frames, easing, back, file }, output) {
   const { at } = posesOf(document);
   const delay =
@@ -30,7 +37,8 @@ function batchOf(document, { frames, easing, back, file }, output) {
   const isTwisted = document.handles.some((handle) => handle.twist);
   if (!isTwisted) return { q, steps: frames, easing, ...(back && { and_back: true }), ...more };
   const there = Array.from({ length: frames }, (_, k) => EASINGS[easing](k / (frames - 1)));
-  // A twisted pin turns by a share of its angle; to the server it is a segment, whose ends would move along straight lines.
+  // A twisted pin turns by a share of its angle; to the server it is a segment, whose ends would
+  // move along straight lines.
   return {
     frames: there.map((t) => ({ q: wire(at(t), "q") })),
     ...(back && { and_back: true }),

@@ -1,5 +1,5 @@
-// Annotations (GeoJSON) over the picture, which follow the warp: during a drag by the posed grid of the page, at rest by the server, which
-// maps them exactly (`POST /sessions/{id}/points`).
+// Annotations (GeoJSON) over the picture, which follow the warp: during a drag by the posed grid of
+// the page, at rest by the server, which maps them exactly (`POST /sessions/{id}/points`).
 
 import * as api from "./api.js";
 import { wire } from "./edits.js";
@@ -20,7 +20,10 @@ const GEOMETRIES = [
 const KINDS = new Set(["FeatureCollection", "Feature", ...GEOMETRIES]);
 /** Vertices that are drawn in a frame of a motion; of more, every second or third one is. */
 const MOST_MOVING = 40_000;
-/** Places of a path that are farther apart than this, px, get some between them, up to so many parts. */
+/**
+ * Places of a path that are farther apart than this, px, get some between them, up to so many
+ * parts.
+ */
 const FAR = 8;
 const MOST_PARTS = 64;
 /** More vertices are near enough to each other. */
@@ -97,7 +100,9 @@ export function pathsOf(geojson) {
   return paths;
 }
 
-/** A path with places between those that are far apart, because the warp bends what is between them. */
+/**
+ * A path with places between those that are far apart, because the warp bends what is between them.
+ */
 function refined(path) {
   return path.flatMap(([x, y], k) => {
     if (!k) return [[x, y]];
@@ -204,7 +209,10 @@ export class Annotations {
     }
   }
 
-  /** What is drawn: `exact` the server's positions of the shown pose, `mesh` those by the posed grid, or an empty text. */
+  /**
+   * What is drawn: `exact` the server's positions of the shown pose, `mesh` those by the posed
+   * grid, or an empty text.
+   */
   get shown() {
     if (!this.#of) return "";
     return this.#mapped?.revision === this.store.state.revision ? "exact" : "mesh";

@@ -1,5 +1,5 @@
-// The HTTP client. Addresses are relative to the page, so that a proxy may serve both under any path. Errors are thrown as a Problem: a
-// problem document, or a missing response.
+// The HTTP client. Addresses are relative to the page, so that a proxy may serve both under any
+// path. Errors are thrown as a Problem: a problem document, or a missing response.
 
 import { keyHeaders } from "./access.js";
 import { boxFrom } from "./canvas.js";
@@ -85,8 +85,8 @@ function newName() {
 }
 
 /**
- * PUT /sessions/{uuid}: with a client-chosen id, so that a proxy that hashes ids sends upload and drags to one replica.
- * XMLHttpRequest, because fetch reports no upload progress.
+ * PUT /sessions/{uuid}: with a client-chosen id, so that a proxy that hashes ids sends upload and
+ * drags to one replica. XMLHttpRequest, because fetch reports no upload progress.
  */
 export function openSession(file, name, rest, { progress, signal }) {
   return new Promise((resolve, reject) => {
@@ -127,7 +127,10 @@ export const putHandles = async (id, rest, signal) =>
 
 const region = (id) => `${session(id)}/layers/region`;
 
-/** The mask of the region, a picture of the size of the session's. The session then draws every picture through it. */
+/**
+ * The mask of the region, a picture of the size of the session's. The session then draws every
+ * picture through it.
+ */
 export const putRegion = async (id, file) =>
   read(await ask("PUT", region(id), { file, media: file.type }), "json");
 /** Deletes the mask, if there is one; returns the session. */

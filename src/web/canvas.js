@@ -1,4 +1,5 @@
-// The canvas: the part of the posed plane that the result shows. A box is [x, y, width, height], px of the picture.
+// The canvas: the part of the posed plane that the result shows. A box is [x, y, width, height], px
+// of the picture.
 
 /** `same`, `fit` or a box { x, y, width, height }. Documents of older pages lack it. */
 export const canvasOf = ({ canvas }) => canvas ?? "same";
@@ -23,7 +24,10 @@ export function boundsOf(mesh) {
   return bounds;
 }
 
-/** The box of a canvas around a posed grid on a picture of this size. `staying`: with the picture itself, of which only a region moves. */
+/**
+ * The box of a canvas around a posed grid on a picture of this size. `staying`: with the picture
+ * itself, of which only a region moves.
+ */
 export function boxOf(canvas, size, mesh, staying = false) {
   if (canvas === "same" || !mesh) return boxOfPicture(size);
   if (canvas !== "fit") return [canvas.x, canvas.y, canvas.width, canvas.height];
@@ -36,7 +40,10 @@ export function boxOf(canvas, size, mesh, staying = false) {
   return [x, y, Math.max(1, Math.ceil(right) - x), Math.max(1, Math.ceil(bottom) - y)];
 }
 
-/** The box that a response names: the header `Warp-Canvas`, or `canvas` in the report of a frame; null where it is that of the picture. */
+/**
+ * The box that a response names: the header `Warp-Canvas`, or `canvas` in the report of a frame;
+ * null where it is that of the picture.
+ */
 export function boxFrom(told) {
   if (!told) return null;
   return typeof told === "string"
@@ -44,7 +51,9 @@ export function boxFrom(told) {
     : [told.x, told.y, told.width, told.height];
 }
 
-/** How far a posed grid extends beyond a box: { left, top, right, bottom }, px, 0 where it does not. */
+/**
+ * How far a posed grid extends beyond a box: { left, top, right, bottom }, px, 0 where it does not.
+ */
 export function cutOff(mesh, [x, y, width, height]) {
   const [left, top, right, bottom] = boundsOf(mesh);
   const far = (length) => (length >= LEAST_CUT ? Math.ceil(length) : 0);
@@ -56,7 +65,9 @@ export function cutOff(mesh, [x, y, width, height]) {
   };
 }
 
-/** The outlines of the picture and of the canvas, with the coordinates of its edges, over the stage. */
+/**
+ * The outlines of the picture and of the canvas, with the coordinates of its edges, over the stage.
+ */
 export class CanvasRuler {
   constructor(store, view, sync) {
     Object.assign(this, {

@@ -1,5 +1,6 @@
-// Edits of a document: pure functions that return a new document, or the same one if nothing changes. Positions are [x, y] in picture px,
-// rounded to 0.01, so that the table shows the values that are sent.
+// Edits of a document: pure functions that return a new document, or the same one if nothing
+// changes. Positions are [x, y] in picture px, rounded to 0.01, so that the table shows the values
+// that are sent.
 
 import { canvasOf } from "./canvas.js";
 import { regionOf } from "./region.js";
@@ -21,7 +22,10 @@ const same = (a, b) => a[0] === b[0] && a[1] === b[1];
 const idOf = (key) => Number(key.split(".")[0]);
 const vertexOf = (key) => (key.includes(".") ? Number(key.split(".")[1]) : null);
 
-/** The selected vertices: Map of handle id to vertex indices. Vertices of one handle that coincide at rest are selected together. */
+/**
+ * The selected vertices: Map of handle id to vertex indices. Vertices of one handle that coincide
+ * at rest are selected together.
+ */
 export function placesOf(document, selection) {
   const found = new Map();
   for (const key of selection) {
@@ -121,7 +125,10 @@ export function removed(document, selection) {
 
 const segmentsHaveLength = (p) => p.every((place, k) => k === 0 || !same(place, p[k - 1]));
 
-/** Adds a handle; `null` if all of its segments would have zero length at rest. Repeated positions are dropped. */
+/**
+ * Adds a handle; `null` if all of its segments would have zero length at rest. Repeated positions
+ * are dropped.
+ */
 export function added(document, p, q) {
   const rest = p.map(rounded);
   const keep = rest.map((place, k) => k === 0 || !same(place, rest[k - 1]));
@@ -160,7 +167,10 @@ export function borderPath(width, height) {
   ];
 }
 
-/** Turns a pin to an angle, in degrees; `free`: its angle and scale without a twist. An angle of null removes the twist. */
+/**
+ * Turns a pin to an angle, in degrees; `free`: its angle and scale without a twist. An angle of
+ * null removes the twist.
+ */
 export function withTwist(document, index, degrees, free, size) {
   const old = document.handles[index];
   const next =
@@ -168,13 +178,19 @@ export function withTwist(document, index, degrees, free, size) {
   return next === old ? document : { ...document, handles: document.handles.with(index, next) };
 }
 
-/** Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted pin is a short segment. */
+/**
+ * Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted
+ * pin is a short segment.
+ */
 export const wire = (document, which) =>
   document.handles.map((h) =>
     h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which],
   );
 
-/** Handles of the groups of coincident points whose displacements differ by more than a hundredth of a pixel. */
+/**
+ * Handles of the groups of coincident points whose displacements differ by more than a hundredth of
+ * a pixel.
+ */
 export function movedApart({ handles }, groups) {
   const moved = ({ p: [[x, y]], q: [[a, b]] }) => [a - x, b - y];
   const differ = ([first, ...others]) =>
@@ -184,7 +200,10 @@ export function movedApart({ handles }, groups) {
   );
 }
 
-/** The mass of a point, px, if the set has segments; the server's default is the mean length of the segments. */
+/**
+ * The mass of a point, px, if the set has segments; the server's default is the mean length of the
+ * segments.
+ */
 export function massOf({ handles, mass }) {
   if (mass !== undefined) return mass;
   const lengths = handles.flatMap((h) =>
@@ -206,7 +225,9 @@ export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(docume
 export const alphaOf = ({ alpha, handles }) =>
   alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
 
-/** `after`, with the focus of `before` if another automatic one would move handles that are posed. */
+/**
+ * `after`, with the focus of `before` if another automatic one would move handles that are posed.
+ */
 export function keepingFocus(before, after) {
   if (after.alpha !== null || alphaOf(before) === alphaOf(after)) return after;
   const isPosed = (h) => h.twist || h.p.some((place, k) => !same(place, h.q[k]));
@@ -215,7 +236,10 @@ export function keepingFocus(before, after) {
     : after;
 }
 
-/** The content outside the warped picture: `transparent`, `edge`, `reflect`, `#rrggbbaa` or a value of the picture's depth, `{ value }`. Documents of older pages lack it. */
+/**
+ * The content outside the warped picture: `transparent`, `edge`, `reflect`, `#rrggbbaa` or a value
+ * of the picture's depth, `{ value }`. Documents of older pages lack it.
+ */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
 /** The kind of content outside: a name, `colour` or `value`. */
@@ -225,13 +249,19 @@ export const kindOfOutside = (outside) =>
 /** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
 export const filterOf = ({ filter }) => filter ?? "bilinear";
 
-/** What is seen where the content of the region has moved away: `keep` (the picture) or `transparent`. */
+/**
+ * What is seen where the content of the region has moved away: `keep` (the picture) or
+ * `transparent`.
+ */
 export const holesOf = ({ holes }) => holes ?? "keep";
 
 /** What happens to coincident handles by default: they follow the mean of their targets. */
 const MEAN = { policy: "mean", within: 0 };
 
-/** The session's part of a warp object. The parameters of the method and of the output are always included: an absent field keeps the session's value. */
+/**
+ * The session's part of a warp object. The parameters of the method and of the output are always
+ * included: an absent field keeps the session's value.
+ */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
@@ -280,7 +310,9 @@ export function swapped({ full: _, strength: __, align, ...document }) {
   return { ...document, handles, ...sides };
 }
 
-/** The complete warp object, for export. Aligned handles are told as they were, with the alignment. */
+/**
+ * The complete warp object, for export. Aligned handles are told as they were, with the alignment.
+ */
 export function warpOf(document) {
   const { alpha, output, point_mass, smoothing, coincident, ...rest } = restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.

@@ -1,5 +1,6 @@
-// The export dialog: format, size, quality, compression and background of the file. The file is prepared while the dialog is open, so that
-// its size is known; "Download" and "Copy curl" give these bytes. An animation is made when it is downloaded (animationexport.js).
+// The export dialog: format, size, quality, compression and background of the file. The file is
+// prepared while the dialog is open, so that its size is known; "Download" and "Copy curl" give
+// these bytes. An animation is made when it is downloaded (animationexport.js).
 
 import { AnimationExport } from "./animationexport.js";
 import * as api from "./api.js";
@@ -58,7 +59,10 @@ function storedSettings() {
 /** The height that the server gives to a width: the proportions of the picture, rounded. */
 const heightOf = (width, [w, h]) => Math.max(1, Math.floor((2 * h * width + w) / (2 * w)));
 
-/** The largest width within the limits; the width of the picture itself is always permitted by the server's pixel limit. */
+/**
+ * The largest width within the limits; the width of the picture itself is always permitted by the
+ * server's pixel limit.
+ */
 function widestOf(size, format, { side, pixels }) {
   const longest = Math.min(side, SIDES[format]);
   let width =
@@ -168,7 +172,10 @@ export class ExportDialog {
     };
   }
 
-  /** A JPEG has no transparency: its background is the colour outside, or white. It can be chosen unless the panel sets another outside. */
+  /**
+   * A JPEG has no transparency: its background is the colour outside, or white. It can be chosen
+   * unless the panel sets another outside.
+   */
   get #hasBackground() {
     return (
       this.#settings.format === "jpeg" && outsideOf(this.store.state.document) === "transparent"

@@ -26,7 +26,10 @@ async function valueOf(file, most) {
   }
 }
 
-/** `picture`, `project`, `annotations`, `handles` (complete, with both sides), `landmarks` or `other`. */
+/**
+ * `picture`, `project`, `annotations`, `handles` (complete, with both sides), `landmarks` or
+ * `other`.
+ */
 async function kindOf(file, most) {
   if (file.type.startsWith("image/") || PICTURE.test(file.name)) return "picture";
   if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
@@ -40,8 +43,9 @@ async function kindOf(file, most) {
 }
 
 /**
- * What is used of some files, in the order of their names: { project, picture, handles, annotations, unused }. A project is used alone. Two
- * landmark files are rest and pose; a file with both sides is used alone. `most`: bytes up to which JSON is looked into.
+ * What is used of some files, in the order of their names: { project, picture, handles,
+ * annotations, unused }. A project is used alone. Two landmark files are rest and pose; a file with
+ * both sides is used alone. `most`: bytes up to which JSON is looked into.
  */
 export async function sorted(list, most) {
   const files = [...list].toSorted(byName);

@@ -1,5 +1,5 @@
-// "Choose for me": the server leaves out each pin and predicts it from the others; the method that predicts best is chosen. The residuals
-// are shown as arrows until a handle or the method changes.
+// "Choose for me": the server leaves out each pin and predicts it from the others; the method that
+// predicts best is chosen. The residuals are shown as arrows until a handle or the method changes.
 
 import * as api from "./api.js";
 import { wire } from "./edits.js";

@@ -10,7 +10,10 @@ const COLOURS = {
   fold: "rgb(235 10 50 / 0.6)",
 };
 
-/** `place`: { zoom, x, y } in device px; `scale`: device px per CSS px; `quick`: during a drag, without the dark edge. */
+/**
+ * `place`: { zoom, x, y } in device px; `scale`: device px per CSS px; `quick`: during a drag,
+ * without the dark edge.
+ */
 export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, quick) {
   const { width, height } = context.canvas;
   context.setTransform(1, 0, 0, 1, 0, 0);

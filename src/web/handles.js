@@ -1,5 +1,6 @@
-// The handles as SVG over the picture: one focusable element per point; for a line, one for the whole and one per vertex. Positions are in
-// picture px, the drawing in CSS px of the stage, so that dots have the same size at every zoom. A canvas shows those that are not selected
+// The handles as SVG over the picture: one focusable element per point; for a line, one for the
+// whole and one per vertex. Positions are in picture px, the drawing in CSS px of the stage, so
+// that dots have the same size at every zoom. A canvas shows those that are not selected
 // (marks.js).
 
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
@@ -36,7 +37,9 @@ function set(node, attributes) {
 const list = (places) => places.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
 const at = ([x, y]) => `translate(${x.toFixed(2)} ${y.toFixed(2)})`;
 
-/** The path of an arrow by (dx, dy) that ends at the rim of a dot; empty if it is shorter than that. */
+/**
+ * The path of an arrow by (dx, dy) that ends at the rim of a dot; empty if it is shorter than that.
+ */
 function arrowTo([x, y], [dx, dy]) {
   const [length, rim, head] = [Math.hypot(dx, dy), 9.5, 6];
   if (length < rim + 2) return "";
@@ -51,7 +54,10 @@ export const keyOf = (handle, vertex) =>
   vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
 
 export class Handles {
-  /** The selection rectangle in stage px: [[x, y], [x, y]] or null; and the pointer position while a line is drawn. */
+  /**
+   * The selection rectangle in stage px: [[x, y], [x, y]] or null; and the pointer position while a
+   * line is drawn.
+   */
   marquee = null;
   pointer = null;
 
@@ -295,7 +301,9 @@ export class Handles {
     if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
   }
 
-  /** An arrow from the prediction of each pin to the pin, as long as the residual times the scale. */
+  /**
+   * An arrow from the prediction of each pin to the pin, as long as the residual times the scale.
+   */
   #drawFit({ fit, fitShown, document: { handles } }) {
     const shown = fit && fitShown ? handles : [];
     while (this.fit.children.length > shown.length) this.fit.lastChild.remove();
@@ -315,7 +323,10 @@ export class Handles {
     });
   }
 
-  /** Circle around a selected pin, or around a selection with two or more vertices, stage px; otherwise null. */
+  /**
+   * Circle around a selected pin, or around a selection with two or more vertices, stage px;
+   * otherwise null.
+   */
   ringAt() {
     const { document, selection, draft, arm } = this.store.state;
     if (draft.length || arm) return null;
@@ -447,7 +458,10 @@ export class Handles {
     });
   }
 
-  /** Hit test at a stage position: { knob: true }, { handle, index, vertex } (vertex null: the whole handle), or null. */
+  /**
+   * Hit test at a stage position: { knob: true }, { handle, index, vertex } (vertex null: the whole
+   * handle), or null.
+   */
   hit([x, y], kind) {
     const ring = this.ringAt();
     const reach = REACH[kind] ?? REACH.mouse;
@@ -477,7 +491,10 @@ export class Handles {
     return best;
   }
 
-  /** Selection keys inside a stage rectangle: the whole handle if all vertices are inside, otherwise the vertices. */
+  /**
+   * Selection keys inside a stage rectangle: the whole handle if all vertices are inside, otherwise
+   * the vertices.
+   */
   inside([[ax, ay], [bx, by]]) {
     const within = (place) => {
       const [x, y] = this.view.toStage(place);

@@ -1,5 +1,6 @@
-// Files with handles: the warp object as JSON, read here, and landmark files of other programs, which the server reads. A file that cannot be
-// used is rejected with its name, the position and what is expected.
+// Files with handles: the warp object as JSON, read here, and landmark files of other programs,
+// which the server reads. A file that cannot be used is rejected with its name, the position and
+// what is expected.
 
 import { CLASSES } from "./align.js";
 import { Problem, readLandmarks, readSides } from "./api.js";
@@ -14,8 +15,9 @@ const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
 const FILTERS = ["nearest", "bilinear", "bicubic"];
 
 /**
- * The handles of a file: { name, document, warp, missing: how many have no position }. The positions of a normalised file are shares of the picture's size; `warp` then makes
- * the document for a picture (`scaled`), and is otherwise null. Throws a Problem.
+ * The handles of a file: { name, document, warp, missing: how many have no position }. The
+ * positions of a normalised file are shares of the picture's size; `warp` then makes the document
+ * for a picture (`scaled`), and is otherwise null. Throws a Problem.
  */
 export async function readHandles(file) {
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);

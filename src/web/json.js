@@ -1,4 +1,5 @@
-// JSON with positions, for messages about a file: where it is broken, or where a value is. `JSON.parse` tells this in some browsers only.
+// JSON with positions, for messages about a file: where it is broken, or where a value is.
+// `JSON.parse` tells this in some browsers only.
 
 /** Nesting beyond which a file is rejected. */
 const DEEPEST = 20;

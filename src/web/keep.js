@@ -1,9 +1,11 @@
-// Persistence across reloads: the document in session storage (and in local storage, for a new tab), the file in IndexedDB, so that an
-// expired session is opened again automatically.
+// Persistence across reloads: the document in session storage (and in local storage, for a new
+// tab), the file in IndexedDB, so that an expired session is opened again automatically.
 
 const KEY = "mlswarp";
 const STEPS = 50;
-/** Number of stored files: those of the last pictures, besides the ones that the undo history needs. */
+/**
+ * Number of stored files: those of the last pictures, besides the ones that the undo history needs.
+ */
 const FILES = 4;
 
 /** Storage may be disabled or full: then nothing is stored, and the page continues. */
@@ -28,7 +30,10 @@ export function forget() {
   attempt(() => localStorage.removeItem(KEY));
 }
 
-/** Stores the document with all undo steps or, if storage is full, without them. Never leaves an older document in the storage. */
+/**
+ * Stores the document with all undo steps or, if storage is full, without them. Never leaves an
+ * older document in the storage.
+ */
 function keepText(storage, text) {
   const keeps = (steps) => attempt(() => (storage.setItem(KEY, text(steps)), true), false);
   if (keeps(STEPS) || keeps(0)) return true;
@@ -100,8 +105,8 @@ function settled(request) {
 }
 
 /**
- * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those with a key in `needed`. Stores bytes:
- * private windows of WebKit cannot store a Blob.
+ * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those
+ * with a key in `needed`. Stores bytes: private windows of WebKit cannot store a Blob.
  */
 export async function keepFile(blob, name, needed) {
   try {

@@ -1,5 +1,6 @@
-// The keyboard. Keys with Ctrl and characters work everywhere except in text fields and lists; characters can be switched off. Arrows,
-// Enter, Space and Delete work with the focus in the stage or nowhere.
+// The keyboard. Keys with Ctrl and characters work everywhere except in text fields and lists;
+// characters can be switched off. Arrows, Enter, Space and Delete work with the focus in the stage
+// or nowhere.
 
 import { isRegionTool } from "./region.js";
 
@@ -104,7 +105,10 @@ export class Keys {
     return isRegionTool(this.store.state.tool) ? null : this.handles.named(event.target);
   }
 
-  /** Selects the focused handle, unless the selection contains it: arrow keys move the focused handle. */
+  /**
+   * Selects the focused handle, unless the selection contains it: arrow keys move the focused
+   * handle.
+   */
   #adopts(event) {
     const { state } = this.store;
     if (state.arm || state.draft.length) return false;

@@ -1,5 +1,6 @@
-// Live poses during a drag: the newest wins. By the drag socket, on which several poses may be unanswered, or by POST, one at a time, if the
-// socket does not open. Responses are posed grids, or pictures without WebGL.
+// Live poses during a drag: the newest wins. By the drag socket, on which several poses may be
+// unanswered, or by POST, one at a time, if the socket does not open. Responses are posed grids, or
+// pictures without WebGL.
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
@@ -7,15 +8,24 @@ import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
 const TRIES = 3;
-/** Time without a response, ms, after which the socket is given up, even if the connection looks open. */
+/**
+ * Time without a response, ms, after which the socket is given up, even if the connection looks
+ * open.
+ */
 const PATIENCE = 5000;
 /** Buffered bytes of the socket beyond which newer poses wait here. */
 const BACKLOG = 1 << 16;
-/** A pose that is unanswered for this much longer than the quickest response took, ms, means that the connection queues: newer poses wait here.
- * Before the first response, the quickest is assumed to take this long. */
+/**
+ * A pose that is unanswered for this much longer than the quickest response took, ms, means that
+ * the connection queues: newer poses wait here. Before the first response, the quickest is assumed
+ * to take this long.
+ */
 const QUEUE = 300;
-/** Time, ms, after which a socket that has closed by itself is opened again. It doubles with each attempt, which is made at a random time of its
- * second half. After the last attempt, the next response to a request opens the socket. */
+/**
+ * Time, ms, after which a socket that has closed by itself is opened again. It doubles with each
+ * attempt, which is made at a random time of its second half. After the last attempt, the next
+ * response to a request opens the socket.
+ */
 const AGAIN = 1000;
 const ATTEMPTS = 8;
 /** Close code of a session that has ended. */
@@ -44,8 +54,9 @@ export class Live {
   #attempts = 0;
 
   /**
-   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report, done), frame(blob, revision, report, done),
-   * problem(problem, revision), way(). Call done() when a response is shown: it acknowledges the frame.
+   * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report, done),
+   * frame(blob, revision, report, done), problem(problem, revision), way(). Call done() when a
+   * response is shown: it acknowledges the frame.
    */
   constructor(kind, allowSocket, told) {
     this.kind = kind;
@@ -57,20 +68,26 @@ export class Live {
     return this.#id === null ? "off" : this.#open ? "socket" : "http";
   }
 
-  /** Whether the socket has closed by itself, and the server has not answered a request that was made since. */
+  /**
+   * Whether the socket has closed by itself, and the server has not answered a request that was
+   * made since.
+   */
   get lost() {
     return this.#lost;
   }
 
-  /** The server has responded to a request that was made at this time. A response to an earlier one may have been under way when the server
-   * stopped. */
+  /**
+   * The server has responded to a request that was made at this time. A response to an earlier one
+   * may have been under way when the server stopped.
+   */
   found(asked) {
     if (asked < this.#closedAt) return;
     const wasLost = this.#lost;
     this.#lost = false;
     if (!wasLost || !this.#broken) return;
-    // The socket may open again, whatever its failures meanwhile. One that is opening may have begun while the server was away: it fails, and
-    // another one follows, because the socket counts as broken until one is open.
+    // The socket may open again, whatever its failures meanwhile. One that is opening may have
+    // begun while the server was away: it fails, and another one follows, because the socket counts
+    // as broken until one is open.
     this.#failures = this.#attempts = 0;
     clearTimeout(this.#reopening);
     if (!this.#socket) this.#connect();
@@ -171,7 +188,9 @@ export class Live {
     this.#flush();
   }
 
-  /** Without this, the page would learn that the server responds again only from its next request. */
+  /**
+   * Without this, the page would learn that the server responds again only from its next request.
+   */
   #reopen() {
     if (this.#attempts >= ATTEMPTS) return;
     const pause = (AGAIN * 2 ** this.#attempts++ * (1 + Math.random())) / 2;

@@ -1,4 +1,5 @@
-// The magnifier: while a finger or a pen drags a handle, a round enlarged view of the place under it, with a cross at the handle.
+// The magnifier: while a finger or a pen drags a handle, a round enlarged view of the place under
+// it, with a cross at the handle.
 
 /** Diameter, distance from the finger, and distance from the edges of the stage, CSS px. */
 const SIZE = 128;

@@ -1,4 +1,5 @@
-// The entry point: creates the store, the views and the inputs, and publishes the observable state (README.md).
+// The entry point: creates the store, the views and the inputs, and publishes the observable state
+// (README.md).
 
 import * as api from "./api.js";
 import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
@@ -221,7 +222,8 @@ store.subscribe(observe);
 sync.subscribe(observe);
 view.subscribe(observe);
 
-// After a click, a tool or a button returns the focus to the stage, so that the arrow keys work. Keyboard focus stays.
+// After a click, a tool or a button returns the focus to the stage, so that the arrow keys work.
+// Keyboard focus stays.
 for (const bar of document.querySelectorAll(
   "body > header, #work > .tools, #work > .zoom, #selection, #draft, #region-bar, #panel .buttons",
 )) {
@@ -243,7 +245,8 @@ document.querySelector("h1 a").addEventListener("click", (event) => {
   does.close();
 });
 
-// The focus never stays on a hidden control: it moves to the picture or, on the start page, to where it was or to the first button.
+// The focus never stays on a hidden control: it moves to the picture or, on the start page, to
+// where it was or to the first button.
 const staysAt = (node, phase) =>
   node !== document.body &&
   node?.checkVisibility() &&
@@ -302,7 +305,8 @@ const taking = (act) => async () => {
     store.do("problem", { problem });
   }
 };
-// A command or a link contains the session id, which may change with the handles: wait until the server has them.
+// A command or a link contains the session id, which may change with the handles: wait until the
+// server has them.
 const copying = (words, what) =>
   taking(async () => {
     await sync.settled();
@@ -399,7 +403,10 @@ function showKey() {
   find("key-wrong").hidden = true;
   find("key").showModal();
 }
-/** Uses a key and retries a request that was rejected without it. Only the server knows whether it accepts the key. */
+/**
+ * Uses a key and retries a request that was rejected without it. Only the server knows whether it
+ * accepts the key.
+ */
 async function takeKey(key, remember) {
   useKey(key, remember);
   find("key").close();

@@ -1,6 +1,8 @@
-// Handles on a canvas, below the SVG: hundreds of SVG elements take longer to draw than a frame may, and so does an SVG of which anything
-// changes, without a graphics card. The SVG keeps an element of each handle for focus, names and pointers, and draws the few that are selected,
-// hovered, focused or faulty. During a drag it is transparent, and the canvas shows these too. Those that are not selected are drawn once.
+// Handles on a canvas, below the SVG: hundreds of SVG elements take longer to draw than a frame
+// may, and so does an SVG of which anything changes, without a graphics card. The SVG keeps an
+// element of each handle for focus, names and pointers, and draws the few that are selected,
+// hovered, focused or faulty. During a drag it is transparent, and the canvas shows these too.
+// Those that are not selected are drawn once.
 
 /** Up to this many selected handles are drawn by the SVG. */
 export const FEW_SELECTED = 50;
@@ -36,8 +38,8 @@ export class Marks {
   }
 
   /**
-   * Draws handles: `plain` ones, and those `moving` in a drag over them, as { handle, pressed, fault, labels }; `ring` as in `Handles.ringAt`,
-   * with `degrees`.
+   * Draws handles: `plain` ones, and those `moving` in a drag over them, as { handle, pressed,
+   * fault, labels }; `ring` as in `Handles.ringAt`, with `degrees`.
    */
   draw(plain, moving, ring, isHidden) {
     const { canvas } = this.lower;

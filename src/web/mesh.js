@@ -1,8 +1,12 @@
-// The posed grid from the server: the forward map, the inverse map, and the folded cells. Rest lines are at 0, c, 2c, ...; the last one is
-// at the edge of the picture. Each cell is a bilinear patch; where cells overlap, the later one in row order is visible.
+// The posed grid from the server: the forward map, the inverse map, and the folded cells. Rest
+// lines are at 0, c, 2c, ...; the last one is at the edge of the picture. Each cell is a bilinear
+// patch; where cells overlap, the later one in row order is visible.
 
 export class Mesh {
-  /** `grid`: columns, rows, width, height, cell [w, h]; `places`: x, y of each vertex, row by row, picture px. */
+  /**
+   * `grid`: columns, rows, width, height, cell [w, h]; `places`: x, y of each vertex, row by row,
+   * picture px.
+   */
   constructor(grid, places) {
     this.grid = grid;
     this.places = places;
@@ -24,7 +28,10 @@ export class Mesh {
     return mesh;
   }
 
-  /** A compact frame of the drag socket: `seq`, the scale of the displacements, and those of each vertex as 16-bit integers. */
+  /**
+   * A compact frame of the drag socket: `seq`, the scale of the displacements, and those of each
+   * vertex as 16-bit integers.
+   */
   static ofCompact(grid, frame) {
     const data = new DataView(frame);
     const scale = data.getFloat32(8, true);
@@ -78,7 +85,10 @@ export class Mesh {
     );
   }
 
-  /** The source position of (x, y). Outside the posed picture, uses the displacement of the nearest vertex. */
+  /**
+   * The source position of (x, y). Outside the posed picture, uses the displacement of the nearest
+   * vertex.
+   */
   inverse(x, y) {
     const { columns, rows } = this.grid;
     for (let j = rows - 2; j >= 0; j--) {
@@ -140,8 +150,9 @@ export class Mesh {
   }
 
   /**
-   * Folded cells as [i, j]: their orientation is not that of most of the area at rest, or the cross products at their corners have several
-   * signs. The server uses the same rule: a mirror image has no folds.
+   * Folded cells as [i, j]: their orientation is not that of most of the area at rest, or the cross
+   * products at their corners have several signs. The server uses the same rule: a mirror image has
+   * no folds.
    */
   folded() {
     const { columns, rows } = this.grid;
@@ -170,7 +181,10 @@ export class Mesh {
     return cells;
   }
 
-  /** Divides every cell into n x n: posed positions of (n (columns - 1) + 1) x (n (rows - 1) + 1) vertices. */
+  /**
+   * Divides every cell into n x n: posed positions of (n (columns - 1) + 1) x (n (rows - 1) + 1)
+   * vertices.
+   */
   refined(n) {
     if (n === 1) return this.places;
     const { columns, rows } = this.grid;

@@ -1,4 +1,5 @@
-// Notices beside the stage that offer a change: which landmark file is rest and which pose, the old place of what has moved, unused files.
+// Notices beside the stage that offer a change: which landmark file is rest and which pose, the old
+// place of what has moved, unused files.
 
 import { alignOf } from "./align.js";
 import { holesOf } from "./edits.js";

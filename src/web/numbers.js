@@ -1,8 +1,12 @@
-// Which numbers of handles have room. A number covers neither another number nor another handle; of two that collide, the first one stays.
+// Which numbers of handles have room. A number covers neither another number nor another handle; of
+// two that collide, the first one stays.
 
 /** Up to this many selected handles all have their numbers. */
 const FEW = 12;
-/** Size of a number (per character, and height), its offset from the handle, and the radius of a handle, CSS px. */
+/**
+ * Size of a number (per character, and height), its offset from the handle, and the radius of a
+ * handle, CSS px.
+ */
 const [WIDE, HIGH, ABOVE, DOT] = [7.5, 13, 19, 8];
 const CELL = 32;
 

@@ -1,4 +1,5 @@
-// Opens a picture: a file (dropped, pasted, picked), a sample, a link, or a kept one (undo, reload). Closes it.
+// Opens a picture: a file (dropped, pasted, picked), a sample, a link, or a kept one (undo,
+// reload). Closes it.
 
 import { aligned } from "./align.js";
 import { readAnnotations } from "./annotations.js";
@@ -52,7 +53,10 @@ export class Opener {
     };
   }
 
-  /** Opens dropped, pasted or picked files: a picture, handles, annotations, or all of them; or a project. */
+  /**
+   * Opens dropped, pasted or picked files: a picture, handles, annotations, or all of them; or a
+   * project.
+   */
   async files(list) {
     if (!list.length) return;
     const { project, picture, handles, annotations, unused } = await sorted(
@@ -84,7 +88,10 @@ export class Opener {
     if (!this.store.state.problem) this.store.do("unused", { names: unused });
   }
 
-  /** Uses what a file has: now if a picture is open, otherwise (or if one comes with it) on the next picture. */
+  /**
+   * Uses what a file has: now if a picture is open, otherwise (or if one comes with it) on the next
+   * picture.
+   */
   async #take(what, content, waits) {
     if (this.store.state.phase === "open" && !waits) await this.#useWaiting({ [what]: content });
     else this.store.do("waiting", { [what]: content });
@@ -221,8 +228,9 @@ export class Opener {
   }
 
   /**
-   * Shows a session and its document; returns the picture that was open. If `file` is null, the texture comes from the session. `history`
-   * makes the history of pictures from the state and the picture that was open.
+   * Shows a session and its document; returns the picture that was open. If `file` is null, the
+   * texture comes from the session. `history` makes the history of pictures from the state and the
+   * picture that was open.
    */
   async #use(
     object,
@@ -256,7 +264,8 @@ export class Opener {
       );
     }
     const left = this.current;
-    // A session of another user keeps its region. Otherwise the session without one is known, and one with a mask is given it again.
+    // A session of another user keeps its region. Otherwise the session without one is known, and
+    // one with a mask is given it again.
     const region = borrowed || !object.layers?.region ? regionOf(borrowed ? document : {}) : null;
     this.sync.begin(
       object,
@@ -365,7 +374,10 @@ export class Opener {
     else if (history.earlier.length) this.store.do("opened", { picture: null, ...history });
   }
 
-  /** Shows a kept picture: with its session if it exists, otherwise with a new session from the kept file. */
+  /**
+   * Shows a kept picture: with its session if it exists, otherwise with a new session from the kept
+   * file.
+   */
   #again(kept, history) {
     return this.#attempt(kept.picture.name, async (signal) => {
       const file = kept.source ?? (await keptFile(kept.file));
@@ -399,7 +411,10 @@ async function copyOf(file) {
   }
 }
 
-/** The warp object of a link without handles: those of the session, at rest. An alpha equal to the default counts as automatic. */
+/**
+ * The warp object of a link without handles: those of the session, at rest. An alpha equal to the
+ * default counts as automatic.
+ */
 function warpOfSession({
   p,
   weights,

@@ -1,6 +1,7 @@
-// The live preview of `outside: edge`: every pixel outside the posed picture has the colour of the nearest border position. Each border
-// segment has a strip on both sides, and each vertex has fans between the strips. The depth is the distance from the border, so the nearest
-// one is visible. The picture is drawn over them.
+// The live preview of `outside: edge`: every pixel outside the posed picture has the colour of the
+// nearest border position. Each border segment has a strip on both sides, and each vertex has fans
+// between the strips. The depth is the distance from the border, so the nearest one is visible. The
+// picture is drawn over them.
 
 /** Numbers per vertex: x, y (picture px), depth, and the texture coordinates. */
 export const STRIDE = 5;

@@ -1,6 +1,7 @@
-// Renders the source through the posed grid with WebGL 2 or 1. Each cell is a bilinear patch of 1, 4 or 16 pairs of triangles. Cells are
-// drawn in row order without blending: where cells overlap, the later one is visible, as in the server's picture. The outside is drawn
-// first. Alpha is premultiplied.
+// Renders the source through the posed grid with WebGL 2 or 1. Each cell is a bilinear patch of 1,
+// 4 or 16 pairs of triangles. Cells are drawn in row order without blending: where cells overlap,
+// the later one is visible, as in the server's picture. The outside is drawn first. Alpha is
+// premultiplied.
 
 import { STRIDE, edgeTriangles } from "./outside.js";
 import { RegionPainter } from "./regionpaint.js";
@@ -13,11 +14,17 @@ const FRAGMENT = `
 precision mediump float; uniform sampler2D source; varying vec2 at;
 void main() { gl_FragColor = texture2D(source, at); }`;
 
-/** Target size of the parts of a patch, picture px, and the maximum number of vertices. Without a graphics card, vertices are slow. */
+/**
+ * Target size of the parts of a patch, picture px, and the maximum number of vertices. Without a
+ * graphics card, vertices are slow.
+ */
 const FINE = 8;
 const MOST_VERTICES = 300_000;
 
-/** `transparent`, a colour `#rrggbbaa`, or a value, with premultiplied alpha. The browser does not tell the picture's depth: a value above 255 has 16 bits. */
+/**
+ * `transparent`, a colour `#rrggbbaa`, or a value, with premultiplied alpha. The browser does not
+ * tell the picture's depth: a value above 255 has 16 bits.
+ */
 function premultiplied(outside) {
   if (typeof outside === "object") {
     const samples = [outside.value, outside.value, outside.value].flat().slice(0, 3);
@@ -104,7 +111,10 @@ export class Painter {
     return this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE);
   }
 
-  /** Sets the picture: an upright ImageBitmap with premultiplied alpha, and its size in picture px, which may exceed that of the bitmap. */
+  /**
+   * Sets the picture: an upright ImageBitmap with premultiplied alpha, and its size in picture px,
+   * which may exceed that of the bitmap.
+   */
   setSource(bitmap, width, height) {
     const gl = this.#gl;
     this.#source = bitmap;
@@ -127,8 +137,8 @@ export class Painter {
   }
 
   /**
-   * Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels, `outside`, `holes`: as in the document, `box`: of
-   * the canvas.
+   * Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels,
+   * `outside`, `holes`: as in the document, `box`: of the canvas.
    */
   paint(mesh, { zoom, x, y }, { crisp, outside, holes, box }) {
     const gl = this.#gl;
@@ -137,7 +147,8 @@ export class Painter {
     const n = this.#parts(mesh);
     this.#arrange(mesh, n);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, crisp ? gl.NEAREST : gl.LINEAR);
-    // One level is faster without a GPU. In a picture that is not reduced, a second one makes no visible difference.
+    // One level is faster without a GPU. In a picture that is not reduced, a second one makes no
+    // visible difference.
     const reduced = zoom < 1 ? gl.LINEAR_MIPMAP_LINEAR : gl.LINEAR_MIPMAP_NEAREST;
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, this.#mipmaps ? reduced : gl.LINEAR);
     gl.viewport(0, 0, width, height);
@@ -206,7 +217,10 @@ export class Painter {
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
   }
 
-  /** Draws the extended edge, also in place of a mirrored one, which only the server draws; depth is the distance from the border. */
+  /**
+   * Draws the extended edge, also in place of a mirrored one, which only the server draws; depth is
+   * the distance from the border.
+   */
   #paintEdge(mesh) {
     const gl = this.#gl;
     const vertices = edgeTriangles(mesh);

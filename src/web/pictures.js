@@ -1,12 +1,15 @@
-// The pictures of the undo history. A picture that was replaced or closed stays, with its handles, its own undo steps and its file. The
-// start page is `{ picture: null }`.
+// The pictures of the undo history. A picture that was replaced or closed stays, with its handles,
+// its own undo steps and its file. The start page is `{ picture: null }`.
 
 /** Pictures besides the open one; each of them keeps its file in memory. */
 const MOST = 3;
 
 const withLast = (earlier, left) => (left.picture ? [...earlier, left].slice(-MOST) : earlier);
 
-/** The history after `left` was replaced by another picture, or closed: a new step, after which nothing can be redone. */
+/**
+ * The history after `left` was replaced by another picture, or closed: a new step, after which
+ * nothing can be redone.
+ */
 export const replaced = ({ earlier }, left) => ({
   earlier: withLast(earlier, { ...left, future: [] }),
   later: [],

@@ -1,4 +1,5 @@
-// Poses without the server: the coefficients of a session (`GET /sessions/{id}/plan`; /docs describes the file), and when they are fetched.
+// Poses without the server: the coefficients of a session (`GET /sessions/{id}/plan`; /docs
+// describes the file), and when they are fetched.
 
 import * as api from "./api.js";
 import { Mesh } from "./mesh.js";
@@ -11,7 +12,10 @@ const LARGEST = 2e6;
 const FINER = 400;
 /** The server has no table of larger splines. */
 const SPLINE = 64;
-/** Positions along a segment at which its residual is measured: `SEGMENT_SAMPLES` of src/engine/warp/quality.rs. */
+/**
+ * Positions along a segment at which its residual is measured: `SEGMENT_SAMPLES` of
+ * src/engine/warp/quality.rs.
+ */
 const SAMPLES = 5;
 
 const HEADER = 64;
@@ -105,8 +109,9 @@ export class Plan {
   }
 
   /**
-   * The largest distance between a posed handle and where its mesh puts it, px: the lattice is coarser than the grid of the server. Handles
-   * outside of the picture do not count; those that coincide at rest count as one at their mean.
+   * The largest distance between a posed handle and where its mesh puts it, px: the lattice is
+   * coarser than the grid of the server. Handles outside of the picture do not count; those that
+   * coincide at rest count as one at their mean.
    */
   residual(mesh, p, q) {
     let worst = 0;
@@ -153,7 +158,10 @@ export class Plans {
     return session?.rest && this.#plan?.revision === session.revision ? this.#plan : null;
   }
 
-  /** Requests the coefficients of a session, unless they are here. `shown`: called when a file arrives. */
+  /**
+   * Requests the coefficients of a session, unless they are here. `shown`: called when a file
+   * arrives.
+   */
   want(session, shown) {
     if (this.#plan?.revision === session.revision) return;
     this.drop();

@@ -1,5 +1,6 @@
-// Plays between the rest pose and the shown pose. The meshes of some strengths are fetched first, and those between them are interpolated
-// here: nothing is requested while it plays, and the document does not change.
+// Plays between the rest pose and the shown pose. The meshes of some strengths are fetched first,
+// and those between them are interpolated here: nothing is requested while it plays, and the
+// document does not change.
 
 import * as api from "./api.js";
 import { wire } from "./edits.js";
@@ -14,7 +15,10 @@ export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 
 const PARTS = 8;
 /** Time of one way, ms. */
 export const TIME = 1500;
-/** The longest step of time between two frames, ms: a slow browser plays more slowly instead of skipping frames. */
+/**
+ * The longest step of time between two frames, ms: a slow browser plays more slowly instead of
+ * skipping frames.
+ */
 const LONGEST = 200;
 /** Stills that replace the motion of one way if the user prefers reduced motion. */
 const STILLS = 5;

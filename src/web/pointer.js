@@ -1,5 +1,5 @@
-// Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until pointerup or pointercancel. A second
-// finger cancels it and begins a pinch.
+// Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until
+// pointerup or pointercancel. A second finger cancels it and begins a pinch.
 
 import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
 import { keyOf } from "./handles.js";
@@ -56,7 +56,9 @@ export class Pointer {
     this.#end();
   }
 
-  /** Position in the stage. The stage cannot move during a gesture, so its rectangle is read once. */
+  /**
+   * Position in the stage. The stage cannot move during a gesture, so its rectangle is read once.
+   */
   #at(event) {
     const { left, top } =
       (this.#gesture || this.#pinch) && this.#box
@@ -190,7 +192,9 @@ export class Pointer {
     };
   }
 
-  /** Turns a pin about itself. Turns are counted from the angle that it has, or had without a twist. */
+  /**
+   * Turns a pin about itself. Turns are counted from the angle that it has, or had without a twist.
+   */
   #twisting(pin) {
     const { document } = this.store.state;
     const index = document.handles.indexOf(pin);
@@ -297,7 +301,10 @@ export class Pointer {
     };
   }
 
-  /** The brush draws from the press on; the lasso draws if it is dragged, and a click is the first of its corners. */
+  /**
+   * The brush draws from the press on; the lasso draws if it is dragged, and a click is the first
+   * of its corners.
+   */
   #outlining(kind, brush) {
     const places = [];
     const put = (at) => {

@@ -1,5 +1,5 @@
-// A project: one JSON file with the picture, its handles, the region, annotations and settings, as the page has them. Every part is checked
-// when it is opened, and what is wrong is named.
+// A project: one JSON file with the picture, its handles, the region, annotations and settings, as
+// the page has them. Every part is checked when it is opened, and what is wrong is named.
 
 import { FORMATS } from "./animationexport.js";
 import { Problem } from "./api.js";
@@ -46,7 +46,10 @@ export async function projectText({ document, annotations, animation }, { blob, 
   )}\n`;
 }
 
-/** The parts of a project: { name, blob, document, warp (if its handles are to be aligned), annotations, animation }. Throws a Problem. */
+/**
+ * The parts of a project: { name, blob, document, warp (if its handles are to be aligned),
+ * annotations, animation }. Throws a Problem.
+ */
 export async function readProject(file, most) {
   const problem = (detail) =>
     new Problem({ code: "bad_project", detail: `In ${file.name}, ${detail}` }, 0);

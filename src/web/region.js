@@ -1,8 +1,10 @@
-// The region: the part of the picture that moves. In the document it is a list of parts, drawn one over the other, and a feather; the
-// server gets it as a mask, white where content moves. Without parts the whole picture moves. Positions are those at rest.
+// The region: the part of the picture that moves. In the document it is a list of parts, drawn one
+// over the other, and a feather; the server gets it as a mask, white where content moves. Without
+// parts the whole picture moves. Positions are those at rest.
 //
-// A part is { kind: "lasso", removes, places }, { kind: "brush", removes, places, size }, { kind: "invert" } or, from a session that
-// another page has made or from a file of handles, { kind: "mask", png (base64) }.
+// A part is { kind: "lasso", removes, places }, { kind: "brush", removes, places, size }, { kind:
+// "invert" } or, from a session that another page has made or from a file of handles, { kind:
+// "mask", png (base64) }.
 
 const NONE = [];
 
@@ -15,7 +17,10 @@ export const regionOf = ({ region, feather }) => ({ parts: region ?? NONE, feath
 export const sameRegion = (a, b) =>
   (!a.parts.length && !b.parts.length) || (a.parts === b.parts && a.feather === b.feather);
 
-/** The document with one more part. If the whole picture moves, a part that removes begins with the whole picture. */
+/**
+ * The document with one more part. If the whole picture moves, a part that removes begins with the
+ * whole picture.
+ */
 export function withPart(document, part) {
   const { parts } = regionOf(document);
   const before =
@@ -29,7 +34,10 @@ export const withoutRegion = (document) => ({ ...document, region: NONE });
 export const brushSizeOf = ({ brush, picture }) =>
   brush ?? (picture ? Math.max(4, Math.round((picture.width + picture.height) / 20)) : 1);
 
-/** The part that the lasso or the brush has drawn along a path; null if it has no area. `most`: the tolerance of its simplification, px. */
+/**
+ * The part that the lasso or the brush has drawn along a path; null if it has no area. `most`: the
+ * tolerance of its simplification, px.
+ */
 export function partOf(state, places, most = 0) {
   const { tool, removes } = state;
   if (tool === "lasso" && isFlat(places, most)) return null;
@@ -49,7 +57,10 @@ function isFlat(places, most) {
 
 const tenth = (x) => Math.round(10 * x) / 10;
 
-/** Simplifies a path within a tolerance of `most` px (Ramer, Douglas and Peucker), and rounds it to a tenth. */
+/**
+ * Simplifies a path within a tolerance of `most` px (Ramer, Douglas and Peucker), and rounds it to
+ * a tenth.
+ */
 export function simplified(places, most) {
   const keep = new Set([0, places.length - 1]);
   const open = [[0, places.length - 1]];
@@ -164,7 +175,10 @@ export function maskOf({ parts, feather }, size, scale = 1) {
   return context.canvas;
 }
 
-/** Two means over 2 radius + 1 pixels in each direction: an edge becomes a smooth transition of about 4 radius px. White stays white. */
+/**
+ * Two means over 2 radius + 1 pixels in each direction: an edge becomes a smooth transition of
+ * about 4 radius px. White stays white.
+ */
 function blurAlpha({ data, width, height }, radius) {
   let [from, to] = [new Uint8ClampedArray(width * height), new Uint8ClampedArray(width * height)];
   for (let k = 0; k < from.length; k++) from[k] = data[4 * k + 3];

@@ -1,5 +1,6 @@
-// The live preview of a region, as the server draws it: m M + k S, where M is the source and m the mask through the posed grid, S the source
-// at rest with what is outside, and k = 1 - m. With transparent holes k is at most 1 - r, where r is the mask at rest.
+// The live preview of a region, as the server draws it: m M + k S, where M is the source and m the
+// mask through the posed grid, S the source at rest with what is outside, and k = 1 - m. With
+// transparent holes k is at most 1 - r, where r is the mask at rest.
 
 const MOVED = `
 precision mediump float; uniform sampler2D source, mask; uniform float alone; varying vec2 at;
@@ -74,7 +75,10 @@ export class RegionPainter {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  /** `drawMesh` draws the posed cells, later ones over earlier ones; `drawBox` a rectangle that covers the canvas; both with `view`. */
+  /**
+   * `drawMesh` draws the posed cells, later ones over earlier ones; `drawBox` a rectangle that
+   * covers the canvas; both with `view`.
+   */
   paint(view, { outside, beyond, holes }, drawMesh, drawBox) {
     const { gl, moved, rest } = this;
     this.#resize();

@@ -1,4 +1,5 @@
-// The tools for the region: its overlay, the brush under the pointer, and the controls. Everything is drawn on the picture at rest.
+// The tools for the region: its overlay, the brush under the pointer, and the controls. Everything
+// is drawn on the picture at rest.
 
 import {
   decodeParts,
@@ -14,7 +15,10 @@ import {
 import { holesOf } from "./edits.js";
 import { HOLES, REGION } from "./words.js";
 
-/** Most pixels of the mask on the screen and in the live preview; the server gets one of the picture's size. */
+/**
+ * Most pixels of the mask on the screen and in the live preview; the server gets one of the
+ * picture's size.
+ */
 const PIXELS = 1.5e6;
 /** What covers the part that stays. */
 const SHADE = "rgb(30 50 160 / .5)";

@@ -33,7 +33,10 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
-/** The picture of the current document: the shown PNG, otherwise requested from the server. `output`: fields that differ from its defaults. */
+/**
+ * The picture of the current document: the shown PNG, otherwise requested from the server.
+ * `output`: fields that differ from its defaults.
+ */
 export async function warpedPicture(sync, store, output = {}, signal = undefined) {
   await sync.settled();
   signal?.throwIfAborted();
@@ -47,7 +50,10 @@ export async function warpedPicture(sync, store, output = {}, signal = undefined
   ).blob;
 }
 
-/** The document as JSON: the warp object with one handle per line, and the mask of the region, if there is one, as `region` (a PNG in base64). */
+/**
+ * The document as JSON: the warp object with one handle per line, and the mask of the region, if
+ * there is one, as `region` (a PNG in base64).
+ */
 export async function handlesText({ picture, document }) {
   const region = regionOf(document);
   const mask = region.parts.length
@@ -64,7 +70,10 @@ export async function handlesText({ picture, document }) {
   return `{\n${parts.map(([name, text]) => `  "${name}": ${text}`).join(",\n")}\n}\n`;
 }
 
-/** Saves the mask of the region, which the curl command reads from a file; returns its name, or null if the command needs none. */
+/**
+ * Saves the mask of the region, which the curl command reads from a file; returns its name, or null
+ * if the command needs none.
+ */
 export async function saveRegion({ picture, document }) {
   const region = regionOf(document);
   if (!region.parts.length || picture.linked) return null;
@@ -77,7 +86,10 @@ export async function saveRegion({ picture, document }) {
 const quoted = (words) =>
   /^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`;
 
-/** A file name in a form field of curl: quoted if it has special characters; `-` alone would be standard input. */
+/**
+ * A file name in a form field of curl: quoted if it has special characters; `-` alone would be
+ * standard input.
+ */
 const formFile = (name) =>
   name === "-"
     ? "./-"
@@ -101,7 +113,10 @@ function jsonBody(value) {
 export const batchLine = (sync, name, media, body) =>
   `curl -sS ${addressOf(`sessions/${sync.session.id}/batch`)} -o ${quoted(name)}${keyHeader()} -H 'Accept: ${media}' ${jsonBody(body)}`;
 
-/** A curl command with the same result as "Download PNG", or as the export with `output`. It reads the key from a variable; the copied text never contains it. */
+/**
+ * A curl command with the same result as "Download PNG", or as the export with `output`. It reads
+ * the key from a variable; the copied text never contains it.
+ */
 export function curlLine(sync, { picture, document: bent }, output = {}) {
   const out = quoted(pictureName(picture.name, output.format));
   const object = warpOf(bent);
@@ -158,7 +173,9 @@ export function readLink(hash) {
   return { session, warp, name: (parts.get("name") ?? "picture.png").slice(0, 200) };
 }
 
-/** Copies text to the clipboard; if the browser refuses, shows and selects it for manual copying. */
+/**
+ * Copies text to the clipboard; if the browser refuses, shows and selects it for manual copying.
+ */
 export async function copy(text, shown) {
   shown.value = text;
   try {

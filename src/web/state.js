@@ -1,5 +1,5 @@
-// The store: document (handles, method, alpha, grid, outside, filter, canvas, region), selection and history. Reducers are pure functions of state and action.
-// Views subscribe.
+// The store: document (handles, method, alpha, grid, outside, filter, canvas, region), selection
+// and history. Reducers are pure functions of state and action. Views subscribe.
 
 import { isRegionTool } from "./region.js";
 import { settled } from "./strength.js";
@@ -242,7 +242,10 @@ const reducers = {
   show: (state, { what }) => ({ ...state, ...what }),
 };
 
-/** Steps that undo and redo can take: those of the open picture and of the other ones, and one for each change of the picture. */
+/**
+ * Steps that undo and redo can take: those of the open picture and of the other ones, and one for
+ * each change of the picture.
+ */
 export function steps({ past, future, earlier, later }) {
   const all = (own, others, which) =>
     others.reduce((sum, picture) => sum + 1 + (picture[which]?.length ?? 0), own.length);

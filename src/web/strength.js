@@ -1,5 +1,6 @@
-// The strength of the pose: 0 is the rest pose, 1 the full one, and values beyond exaggerate it. A document at another strength than 1
-// shows the pose of that strength in `handles` and has the full one in `full`. An edit of a handle makes the shown pose the full one.
+// The strength of the pose: 0 is the rest pose, 1 the full one, and values beyond exaggerate it. A
+// document at another strength than 1 shows the pose of that strength in `handles` and has the full
+// one in `full`. An edit of a handle makes the shown pose the full one.
 
 /** Handles that the page has posed by itself: not edited. */
 const posed = new WeakSet();
@@ -16,7 +17,8 @@ export const shownStrength = ({ playing, document }) =>
   typeof playing === "number" ? playing : strengthOf(document);
 
 /**
- * The poses from rest to the shown pose, or to the full one if rest is shown: a function of t from 0 to 1, and `goal`, the strength at the end.
+ * The poses from rest to the shown pose, or to the full one if rest is shown: a function of t from
+ * 0 to 1, and `goal`, the strength at the end.
  */
 export function posesOf(document) {
   const goal = strengthOf(document) || 1;
@@ -51,7 +53,10 @@ export function atStrength(document, t) {
   return { ...document, handles, full, strength: t };
 }
 
-/** The document after an edit: if its handles were edited, the shown pose is the full one, and the aligned pose the pose. */
+/**
+ * The document after an edit: if its handles were edited, the shown pose is the full one, and the
+ * aligned pose the pose.
+ */
 export function settled(document, before) {
   if (document.handles === before.handles || posed.has(document.handles)) return document;
   const { align: _, ...edited } = without(document);

@@ -1,5 +1,7 @@
-// Synchronises document, server and picture. During a drag, `plans` poses the grid here; until it has the coefficients, `live` sends the poses
-// and its responses are drawn at once. When the pointer rests, the server's PNG is fetched. A single loop decides the next step, so that an outdated response is never shown.
+// Synchronises document, server and picture. During a drag, `plans` poses the grid here; until it
+// has the coefficients, `live` sends the poses and its responses are drawn at once. When the
+// pointer rests, the server's PNG is fetched. A single loop decides the next step, so that an
+// outdated response is never shown.
 
 import * as api from "./api.js";
 import { boxFrom } from "./canvas.js";
@@ -11,8 +13,10 @@ import { maskFile, regionOf, sameRegion } from "./region.js";
 
 /** Time without movement, ms, after which the pointer counts as resting. */
 const REST = 150;
-/** Age of the oldest pose that is newer than the shown one, and delay of the server's picture of a resting pose, ms, after which the page says
- * that it is behind. */
+/**
+ * Age of the oldest pose that is newer than the shown one, and delay of the server's picture of a
+ * resting pose, ms, after which the page says that it is behind.
+ */
 const LATE = 1000;
 const TRANSIENT = new Set([
   "network",
@@ -40,8 +44,9 @@ const NOTHING = {
 
 export class Sync {
   /**
-   * The session: { id, grid, revision (of the rest handles), rest (JSON that it was created with), region (as in the document; null: unknown), setup (the server's form),
-   * borrowed (from a link of another user) }.
+   * The session: { id, grid, revision (of the rest handles), rest (JSON that it was created with),
+   * region (as in the document; null: unknown), setup (the server's form), borrowed (from a link of
+   * another user) }.
    */
   session = null;
   /** The picture as a file: { blob, name }. */
@@ -107,8 +112,10 @@ export class Sync {
     return this.#plans.of(this.session)?.grid ?? null;
   }
 
-  /** What is missing: `server` if it does not respond; `picture` if a pose has not been shown for a second or the server's picture is late;
-   * otherwise empty. */
+  /**
+   * What is missing: `server` if it does not respond; `picture` if a pose has not been shown for a
+   * second or the server's picture is late; otherwise empty.
+   */
   get behind() {
     const { phase, revision } = this.store.state;
     if (phase !== "open" || this.condition === "ready" || this.#refused === revision) return "";
@@ -133,7 +140,10 @@ export class Sync {
     this.#adopt(object, rest, region, borrowed);
   }
 
-  /** Ends the work on the picture, before it is closed in the store. The session stays on the server, so that undo is quick. */
+  /**
+   * Ends the work on the picture, before it is closed in the store. The session stays on the
+   * server, so that undo is quick.
+   */
   end() {
     this.#cancel?.abort();
     this.session = this.file = this.mesh = this.png = null;
@@ -154,7 +164,8 @@ export class Sync {
       setup: setupOf(object),
       borrowed,
     };
-    // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session (`#after`).
+    // Numbers beyond 2^53 are inexact: if the session rejects them, the page opens its own session
+    // (`#after`).
     const seq = object.seq ?? 0;
     if (Number.isSafeInteger(seq)) this.#seq = Math.max(this.#seq, seq);
     this.live.open(object.id, this.session.grid, () => this.#nextSeq());
@@ -162,7 +173,9 @@ export class Sync {
     this.#tell();
   }
 
-  /** Sequence numbers that increase across tabs and reloads: the clock, or the last number plus one. */
+  /**
+   * Sequence numbers that increase across tabs and reloads: the clock, or the last number plus one.
+   */
   #nextSeq() {
     this.#seq = Math.max(this.#seq + 1, Date.now());
     return this.#seq;
@@ -282,7 +295,9 @@ export class Sync {
     if (this.session === session) Object.assign(session, { region, setup: setupOf(object) });
   }
 
-  /** Opens a new session with the same picture: the old one has expired, or belongs to another user. */
+  /**
+   * Opens a new session with the same picture: the old one has expired, or belongs to another user.
+   */
   async #reopen(rest) {
     if (!this.file)
       throw new api.Problem(
@@ -319,7 +334,8 @@ export class Sync {
       meshing,
     ]);
     if (cancel.signal.aborted) return;
-    // Another tab, or another user of the link, may have replaced the handles: then this page opens its own session.
+    // Another tab, or another user of the link, may have replaced the handles: then this page opens
+    // its own session.
     if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted)
       return;
@@ -413,7 +429,10 @@ export class Sync {
     return span < 200 ? 0 : ((this.#frames.length - 1) * 1000) / span;
   }
 
-  /** Reports problems of the newest pose only. The loop handles lost sessions and sessions with replaced handles (`#after`). */
+  /**
+   * Reports problems of the newest pose only. The loop handles lost sessions and sessions with
+   * replaced handles (`#after`).
+   */
   #liveProblem(problem, revision) {
     if (
       problem.code === "superseded" ||
@@ -445,7 +464,10 @@ export class Sync {
     });
   }
 
-  /** Makes a request to the session of the newest pose. If the session has ended, it is opened again and the request is repeated. */
+  /**
+   * Makes a request to the session of the newest pose. If the session has ended, it is opened again
+   * and the request is repeated.
+   */
   async ask(act) {
     await this.settled();
     try {
@@ -497,13 +519,18 @@ export class Sync {
   }
 }
 
-/** A report, and the residual: of a compact mesh at most that of the full one and the distance between both. */
+/**
+ * A report, and the residual: of a compact mesh at most that of the full one and the distance
+ * between both.
+ */
 const figures = (report) => ({
   report,
   residual: report?.residual == null ? null : report.residual + (report.error ?? 0),
 });
 
-/** Whether a warp takes its handles to their posed positions, as far as its grid can follow them. */
+/**
+ * Whether a warp takes its handles to their posed positions, as far as its grid can follow them.
+ */
 const meetsHandles = ({ method, smoothing }) =>
   method !== "global_affine" && !(method === "tps" && smoothing);
 

@@ -110,7 +110,9 @@ export class Table {
     return row;
   }
 
-  /** Fills the rows, except those whose handle is among the `known` ones: during a drag most are. */
+  /**
+   * Fills the rows, except those whose handle is among the `known` ones: during a drag most are.
+   */
   #fill(state, known = []) {
     const { document, selection, problem, apart } = state;
     this.#filled = { document, selection, problem, apart };

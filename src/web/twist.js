@@ -1,9 +1,16 @@
-// The twist of a pin. To the user it is one point with an angle; the server gets a short horizontal segment, centred at the rest position
-// and turned about the posed one. Its weight times its length is the point mass, so its total weight is that of the point it replaces.
+// The twist of a pin. To the user it is one point with an angle; the server gets a short horizontal
+// segment, centred at the rest position and turned about the posed one. Its weight times its length
+// is the point mass, so its total weight is that of the point it replaces.
 
-/** Rest length of the segment, as a share of the mean side of the picture: it determines how far a twist reaches. */
+/**
+ * Rest length of the segment, as a share of the mean side of the picture: it determines how far a
+ * twist reaches.
+ */
 const SHARE = 1 / 8;
-/** The segment reaches this length in equal steps, one for each STEP degrees, so that the first degree does not move the surroundings. */
+/**
+ * The segment reaches this length in equal steps, one for each STEP degrees, so that the first
+ * degree does not move the surroundings.
+ */
 const STEPS = 8;
 const STEP = 2;
 /** The server's lower limit of alpha with segments. */
@@ -29,7 +36,10 @@ export function freeTurn(mesh, [x, y], reach) {
 export const longest = ([width, height]) =>
   Math.max(4, Math.round((width + height) * 0.5 * SHARE)) + 0.25;
 
-/** A pin turned to an angle. `free`: its angle and scale without a twist; at that angle it remains a plain point. */
+/**
+ * A pin turned to an angle. `free`: its angle and scale without a twist; at that angle it remains a
+ * plain point.
+ */
 export function turned(handle, degrees, free, size) {
   const angle = wrapped(degrees);
   const old = handle.twist;
@@ -42,7 +52,10 @@ export function turned(handle, degrees, free, size) {
   return { ...handle, twist: { ...twist, ...grown(twist, angle, size), angle } };
 }
 
-/** The length grows with the angle; it never shrinks, except within one drag, which always starts from the same pin. */
+/**
+ * The length grows with the angle; it never shrinks, except within one drag, which always starts
+ * from the same pin.
+ */
 function grown({ free, length }, angle, size) {
   if (free === undefined) return { length };
   const steps = Math.min(STEPS, Math.ceil(Math.abs(wrapped(angle - free)) / STEP));
@@ -68,7 +81,10 @@ const fine = (x) => Math.round(x * 1e4) / 1e4 + 0;
 /** The weight of the segment of a pin with this weight. */
 export const segmentWeight = ({ weight = 1, twist }, mass) => (weight * mass) / twist.length;
 
-/** The pin of a saved segment, or null: horizontal at rest, with a weight that times its length is the point mass. */
+/**
+ * The pin of a saved segment, or null: horizontal at rest, with a weight that times its length is
+ * the point mass.
+ */
 export function pinOf(p, q, weight, mass) {
   if (
     p.length !== 2 ||

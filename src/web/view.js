@@ -1,5 +1,6 @@
-// The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview is a canvas of the part of the picture that
-// is visible. Its pixels are those of the picture, or of the screen where these are larger: neither a large picture nor a large zoom costs more.
+// The view: zoom, pan and the layers of the stage. The server's PNG is an <img>; the live preview
+// is a canvas of the part of the picture that is visible. Its pixels are those of the picture, or
+// of the screen where these are larger: neither a large picture nor a large zoom costs more.
 
 import { boxOf, boxOfPicture } from "./canvas.js";
 import { drawGrid } from "./grid.js";
@@ -87,7 +88,10 @@ export class View {
     return [(x - this.pan[0]) / this.zoom, (y - this.pan[1]) / this.zoom];
   }
 
-  /** Sets the picture: its file is the texture and the original of the comparison. Whether it is a cut-out: partly transparent. */
+  /**
+   * Sets the picture: its file is the texture and the original of the comparison. Whether it is a
+   * cut-out: partly transparent.
+   */
   async setPicture(blob, width, height, signal) {
     const original = await this.#load("original", blob, "Original picture");
     const picture = await this.#load("picture", blob, "Picture");
@@ -157,7 +161,10 @@ export class View {
     this.#urls.delete(image);
   }
 
-  /** Shows the server's PNG, which has this box, after decoding; false if a newer one has replaced it. */
+  /**
+   * Shows the server's PNG, which has this box, after decoding; false if a newer one has replaced
+   * it.
+   */
   async showPng(blob, box, signal) {
     const image = await this.#load("picture", blob, "Warped picture");
     if (signal.aborted) {
@@ -220,7 +227,10 @@ export class View {
     this.invalidate();
   }
 
-  /** Sets the mask of the region that moves in a mesh (a canvas; null: the whole picture), and what its holes show. */
+  /**
+   * Sets the mask of the region that moves in a mesh (a canvas; null: the whole picture), and what
+   * its holes show.
+   */
   setRegion(mask, holes) {
     this.#region = mask !== null;
     this.#holes = holes;
@@ -373,7 +383,8 @@ export class View {
     divider.hidden = !(this.size && compare && !peek);
     divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
     divider.style.height = `${height * this.zoom}px`;
-    // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of the divider.
+    // Mesh lines and folds belong to the warped picture: in a comparison they are drawn right of
+    // the divider.
     this.lines.canvas.style.clipPath = compare
       ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)`
       : "none";
@@ -381,7 +392,10 @@ export class View {
       !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
   }
 
-  /** Sizes the live canvas to the visible part of the box; returns where the picture is in it, in its px. */
+  /**
+   * Sizes the live canvas to the visible part of the box; returns where the picture is in it, in
+   * its px.
+   */
   #placeLive() {
     const { zoom, scale, pan, live } = this;
     // CSS px of a pixel of the canvas, and where its pixels begin.

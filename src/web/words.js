@@ -122,7 +122,10 @@ const PROBLEMS = {
   bad_link: ["The link is incomplete", "Ask for the link again, or open a picture."],
 };
 
-/** Indices of the handles that a problem is about: the member `handle`, and those that contradict each other. */
+/**
+ * Indices of the handles that a problem is about: the member `handle`, and those that contradict
+ * each other.
+ */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
   return [
@@ -153,7 +156,8 @@ export function problemWords({
   link,
   request_id: id,
 }) {
-  // The detail of `unauthorized` describes a request header, which does not help here. Status 0: the page's own words.
+  // The detail of `unauthorized` describes a request header, which does not help here. Status 0:
+  // the page's own words.
   const detail = code === "unauthorized" ? "" : status === 0 ? (told ?? "") : plain(told ?? "");
   const [said, usual] = PROBLEMS[link ? "dead_link" : code] ?? [
     title || "Request rejected",
@@ -193,7 +197,9 @@ const METHODS = {
 export const PINS_ONLY =
   "Spline and Global take pins without a twist only: choose another method first";
 
-/** The note about the method of a document. `canSpline`: whether its handles may have that method. */
+/**
+ * The note about the method of a document. `canSpline`: whether its handles may have that method.
+ */
 export function methodWords({ method, smoothing }, canSpline) {
   const near =
     method === "tps" && smoothing

@@ -1,6 +1,8 @@
-// Checks custom resources against models generated from the definitions of their projects. Reads a JSON list of objects, returns a list of lists of
-// messages. The validators of the models check values (patterns, enumerations, bounds) but accept unknown fields. Their types list every field, and the
-// TypeScript compiler rejects unknown ones in a literal. Each object is therefore checked by both.
+// Checks custom resources against models generated from the definitions of their projects. Reads a
+// JSON list of objects, returns a list of lists of messages. The validators of the models check
+// values (patterns, enumerations, bounds) but accept unknown fields. Their types list every field,
+// and the TypeScript compiler rejects unknown ones in a literal. Each object is therefore checked
+// by both.
 import { readFileSync, writeFileSync } from "node:fs";
 import ts from "typescript";
 

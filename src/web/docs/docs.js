@@ -1,5 +1,6 @@
-// Examples in tabs: each is a file in `examples`, shown as it is. Run imports the JavaScript file, so what is shown is what runs. Only the
-// address of the server is replaced in the shell and Python files.
+// Examples in tabs: each is a file in `examples`, shown as it is. Run imports the JavaScript file,
+// so what is shown is what runs. Only the address of the server is replaced in the shell and Python
+// files.
 
 import { server, showIn, show } from "./examples/here.js";
 
@@ -49,7 +50,9 @@ function onKey(event) {
   tab.focus();
 }
 
-/** Changes the page without moving what the user looks at: examples above may have another height. */
+/**
+ * Changes the page without moving what the user looks at: examples above may have another height.
+ */
 function keepInPlace(anchor, change) {
   const before = anchor.getBoundingClientRect().top;
   change();

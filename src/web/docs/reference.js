@@ -2,7 +2,8 @@
 
 Scalar.createApiReference("#reference", {
   url: "../openapi.json",
-  // Below the path at which a proxy publishes the service too; without a slash at the end, because Scalar adds the paths to it.
+  // Below the path at which a proxy publishes the service too; without a slash at the end, because
+  // Scalar adds the paths to it.
   servers: [{ url: new URL("..", location.href).href.replace(/\/$/, "") }],
   withDefaultFonts: false,
   telemetry: false,
