@@ -7,18 +7,24 @@ const NAME = "mlswarp.key";
 /** The syntax of a key; only the server knows whether it is valid. */
 const SHAPE = /^[A-Za-z0-9._~+/=-]{16,512}$/;
 
+/** @type {string | null} */
 let key = attempt(() => sessionStorage.getItem(NAME) ?? localStorage.getItem(NAME));
 
 export const hasKey = () => key !== null;
 export const isRemembered = () => attempt(() => localStorage.getItem(NAME)) !== null;
+/** @type {(text: string) => boolean} */
 export const looksLikeKey = (text) => SHAPE.test(text);
 
-/** Sets the key; null removes it. */
+/**
+ * Sets the key; null removes it.
+ * @param {string | null} text
+ * @param {boolean} remember
+ */
 export function useKey(text, remember) {
   key = text;
-  for (const [storage, keeps] of [
-    [() => sessionStorage, !remember],
-    [() => localStorage, remember],
+  for (const { storage, keeps } of [
+    { storage: () => sessionStorage, keeps: !remember },
+    { storage: () => localStorage, keeps: remember },
   ]) {
     attempt(() =>
       text !== null && keeps ? storage().setItem(NAME, text) : storage().removeItem(NAME),
@@ -26,10 +32,12 @@ export function useKey(text, remember) {
   }
 }
 
+/** @type {() => Record<string, string>} */
 export const keyHeaders = () => (key === null ? {} : { Authorization: `Bearer ${key}` });
 
 /** Subprotocols with the key: a WebSocket in a browser cannot set headers. */
 export const keyProtocols = () =>
   key === null ? [] : ["mlswarp", `mlswarp.bearer.${base64Url(key)}`];
 
+/** @type {(text: string) => string} */
 const base64Url = (text) => btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");

@@ -1,6 +1,8 @@
 // The user actions on handles, shared by pointer, keyboard and buttons.
 
 import { aligned } from "./align.js";
+import { asProblem } from "./api.js";
+import { known } from "./dom.js";
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
 import { brushSizeOf, isRegionTool, partOf, regionOf, withPart, withoutRegion } from "./region.js";
@@ -8,30 +10,54 @@ import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
 import { PINS_ONLY, count, places } from "./words.js";
 
 export class Actions {
-  /** `step`: undo (true) or redo of what is more than an edit: opening or closing a picture. */
+  /**
+   * `step`: undo (true) or redo of what is more than an edit: opening or closing a picture.
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {Page.View} view
+   * @param {Page.Handles} handles
+   * @param {(words: string) => void} say
+   * @param {(back: boolean) => void} step
+   */
   constructor(store, sync, view, handles, say, step) {
-    Object.assign(this, { store, sync, view, handles, say, step });
+    this.store = store;
+    this.sync = sync;
+    this.view = view;
+    this.handles = handles;
+    this.say = say;
+    this.step = step;
   }
 
   get state() {
     return this.store.state;
   }
 
+  /**
+   * @param {Page.Document} document
+   * @param {{ tag?: string, select?: string[] }} [more]
+   */
   edit(document, more = {}) {
     this.store.do("edit", { document, now: performance.now(), ...more });
   }
 
-  /** The rest position of a posed position, by the inverse of the shown grid. */
+  /**
+   * The rest position of a posed position, by the inverse of the shown grid.
+   * @param {Page.Place} place
+   */
   restOf(place) {
     return this.sync.mesh ? this.sync.mesh.inverse(...place) : place;
   }
 
+  /** @param {Page.Place} place */
   inPicture([x, y]) {
     const [width, height] = this.view.size ?? [0, 0];
     return x >= 0 && y >= 0 && x <= width && y <= height;
   }
 
-  /** Adds a handle at these posed positions, selects it and focuses it. */
+  /**
+   * Adds a handle at these posed positions, selects it and focuses it.
+   * @param {Page.Place[]} posed
+   */
   add(posed) {
     const made = edits.added(
       this.state.document,
@@ -51,7 +77,10 @@ export class Actions {
     );
   }
 
-  /** A click on the picture that hits no handle. */
+  /**
+   * A click on the picture that hits no handle.
+   * @param {Page.Place} place
+   */
   place(place) {
     const { tool, draft, arm } = this.state;
     if (arm === "move") return this.moveTo(place);
@@ -63,7 +92,10 @@ export class Actions {
     this.say(`${edits.toolName(tool)}: ${count(places.length, "point")}`);
   }
 
-  /** Adds what lasso or brush have drawn along these places to the region, or takes it away. */
+  /**
+   * Adds what lasso or brush have drawn along these places to the region, or takes it away.
+   * @param {Page.Place[]} places
+   */
   outline(places) {
     const { state } = this;
     const part = partOf(state, places, Math.min(1, 0.5 / this.view.zoom));
@@ -76,12 +108,14 @@ export class Actions {
   /**
    * With the first part of a region: a cut-out leaves nothing where it was, unless the user has
    * chosen otherwise.
+   * @param {Page.RegionPart} part
+   * @returns {Page.Document}
    */
   #withPart(part) {
     const { document, picture } = this.state;
     const next = withPart(document, part);
     const isFirst = !regionOf(document).parts.length && (document.holes ?? null) === null;
-    return isFirst && picture.isCutout ? { ...next, holes: "transparent" } : next;
+    return isFirst && picture?.isCutout ? { ...next, holes: "transparent" } : next;
   }
 
   invertRegion() {
@@ -95,11 +129,14 @@ export class Actions {
     this.say("The whole picture moves");
   }
 
-  /** Makes the brush larger (1) or smaller (-1) by a fifth. */
+  /**
+   * Makes the brush larger (1) or smaller (-1) by a fifth.
+   * @param {number} way
+   */
   resizeBrush(way) {
     const size = brushSizeOf(this.state);
     const next = way > 0 ? Math.ceil(1.2 * size) : Math.floor(size / 1.2);
-    const brush = Math.min(Math.max(...this.view.size), Math.max(1, next));
+    const brush = Math.min(Math.max(...known(this.view.size)), Math.max(1, next));
     this.store.do("show", { what: { brush } });
     this.say(`Brush ${brush} px`);
   }
@@ -111,7 +148,10 @@ export class Actions {
     else this.store.do("draft", { places: [] });
   }
 
-  /** Moves the centre of the selection to a position. */
+  /**
+   * Moves the centre of the selection to a position.
+   * @param {Page.Place} place
+   */
   moveTo(place) {
     const { document, selection } = this.state;
     const { centre } = edits.circleOf(edits.posedPlaces(document, selection));
@@ -120,39 +160,57 @@ export class Actions {
     this.sayWhere();
   }
 
+  /**
+   * @param {number} dx
+   * @param {number} dy
+   */
   nudge(dx, dy) {
     const { document, selection } = this.state;
     this.edit(edits.translated(document, selection, dx, dy), { tag: `nudge ${selection}` });
     this.sayWhere();
   }
 
-  /** Says what `#keepFocus` has done. */
+  /**
+   * Says what `#keepFocus` has done.
+   * @param {boolean} unchanged
+   */
   #focusKept(unchanged) {
     return unchanged
       ? ""
       : `. Focus stays at ${edits.alphaOf(this.state.document)}, so that the other handles keep their effect`;
   }
 
+  /** @param {Page.Document} next */
   #keepFocus(next) {
     return edits.keepingFocus(this.state.document, next);
   }
 
-  /** How a pin is turned and scaled by the other handles alone, if it is not twisted. */
+  /**
+   * How a pin is turned and scaled by the other handles alone, if it is not twisted.
+   * @param {Page.Handle} pin
+   */
   freeOf({ p }) {
-    return freeTurn(this.sync.mesh, p[0], longest(this.view.size) / 8);
+    return freeTurn(this.sync.mesh, p[0], longest(known(this.view.size)) / 8);
   }
 
   /**
    * The document with a pin turned by degrees, to a multiple of `step`; undefined, with a message,
    * if the focus does not permit it.
+   * @param {Page.Document} document
+   * @param {number} index
+   * @param {number} by
+   * @param {Page.Turn} free
+   * @param {number} [step]
+   * @returns {Page.Document | undefined}
    */
   twistedBy(document, index, by, free, step = 0) {
     if (!edits.mayTwist(document)) return this.#sayNoTwist();
     const from = document.handles[index].twist?.angle ?? free.angle;
     const angle = step ? Math.round((from + by) / step) * step : from + by;
-    return edits.withTwist(document, index, angle, free, this.view.size);
+    return edits.withTwist(document, index, angle, free, known(this.view.size));
   }
 
+  /** @returns {undefined} */
   #sayNoTwist() {
     this.say(
       edits.takesPinsOnly(this.state.document)
@@ -161,16 +219,27 @@ export class Actions {
     );
   }
 
-  /** Twists a pin to an angle, in degrees; null removes the twist. */
+  /**
+   * Twists a pin to an angle, in degrees; null removes the twist.
+   * @param {number} index
+   * @param {number | null} angle
+   */
   twistTo(index, angle) {
     const { document } = this.state;
     if (angle !== null && !edits.mayTwist(document)) return this.#sayNoTwist();
     this.edit(
-      edits.withTwist(document, index, angle, this.freeOf(document.handles[index]), this.view.size),
+      edits.withTwist(
+        document,
+        index,
+        angle,
+        this.freeOf(document.handles[index]),
+        known(this.view.size),
+      ),
     );
     this.sayTwist(index);
   }
 
+  /** @param {number} degrees */
   rotate(degrees) {
     const { document, selection } = this.state;
     const index =
@@ -186,7 +255,13 @@ export class Actions {
     const posed = edits.posedPlaces(document, selection);
     if (posed.length < 2) return;
     this.edit(
-      edits.rotated(document, selection, edits.circleOf(posed).centre, (degrees * Math.PI) / 180),
+      edits.rotated(
+        document,
+        selection,
+        edits.circleOf(posed).centre,
+        (degrees * Math.PI) / 180,
+        known(this.view.size),
+      ),
       { tag: `rotate ${selection}` },
     );
     this.say(`Rotated by ${degrees} degrees`);
@@ -224,16 +299,19 @@ export class Actions {
     if (align) await this.align(align.by);
   }
 
-  /** Aligns the posed handles by the best map of a class (align.js). */
+  /**
+   * Aligns the posed handles by the best map of a class (align.js).
+   * @param {Page.AlignClass} by
+   */
   async align(by) {
     const { document, picture } = this.state;
     try {
-      const next = await aligned(document, by, picture);
+      const next = await aligned(document, by, known(picture));
       if (this.state.document !== document) return;
       this.edit(next);
       this.say(by === "none" ? "The pose is not aligned" : "The pose is aligned");
-    } catch (problem) {
-      this.store.do("problem", { problem });
+    } catch (error) {
+      this.store.do("problem", { problem: asProblem(error) });
     }
   }
 
@@ -252,10 +330,12 @@ export class Actions {
 
   /** Adds a handle of the selected kind in the middle of the view. */
   addInTheMiddle() {
+    const size = known(this.view.size);
     const middle = this.view
       .toPicture(this.view.stageSize.map((side) => side / 2))
-      .map((c, axis) => Math.min(this.view.size[axis], Math.max(0, c)));
-    const reach = Math.min(...this.view.size) / 8;
+      .map((c, axis) => Math.min(size[axis], Math.max(0, c)));
+    const reach = Math.min(...size) / 8;
+    /** @type {Record<Page.HandleKind, Page.Place[]>} */
     const offsets = {
       point: [[0, 0]],
       line: [
@@ -267,21 +347,24 @@ export class Actions {
         [0, -reach / 2],
         [reach, 0],
       ],
-    }[isRegionTool(this.state.tool) ? "point" : this.state.tool];
-    this.add(offsets.map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
+    };
+    const { tool } = this.state;
+    const kind = isRegionTool(tool) ? "point" : tool;
+    this.add(offsets[kind].map(([dx, dy]) => [middle[0] + dx, middle[1] + dy]));
   }
 
   pinBorder() {
-    const places = edits.borderPath(...this.view.size);
+    const places = edits.borderPath(...known(this.view.size));
     const { document } = this.state;
     if (document.handles.some((h) => JSON.stringify(h.p) === JSON.stringify(places)))
       return this.say("The border is already pinned");
-    const made = edits.added(document, places, places);
+    const made = known(edits.added(document, places, places));
     const next = this.#keepFocus(made.document);
     this.edit(next, { select: [] });
     this.say(`The border is pinned${this.#focusKept(next === made.document)}`);
   }
 
+  /** @param {boolean} back */
   undo(back) {
     const { past, future, before, phase } = this.state;
     if (before || phase === "uploading") return;
@@ -303,13 +386,18 @@ export class Actions {
     }
   }
 
-  /** A click on a handle. */
+  /**
+   * A click on a handle.
+   * @param {{ handle: Page.Handle, vertex: number | null }} named
+   * @param {boolean} adds
+   */
   choose({ handle, vertex }, adds) {
     const key = keyOf(handle, vertex);
     if (adds || this.state.more) this.store.do("toggle", { key });
     else this.store.do("select", { keys: [key] });
   }
 
+  /** @param {number} index */
   sayTwist(index) {
     const angle = angleOf(this.state.document.handles[index]);
     this.say(

@@ -7,17 +7,28 @@ import * as api from "./api.js";
 import { wire } from "./edits.js";
 import { atStrength, keepPosed } from "./strength.js";
 
+/** @type {Page.AlignClass[]} */
 export const CLASSES = ["none", "rigid", "similarity", "affine"];
 
+/** @type {(document: Pick<Page.Document, "align">) => Page.AlignClass} */
 export const alignOf = ({ align }) => align?.by ?? "none";
 
-/** The document as it was before it was aligned. */
+/**
+ * The document as it was before it was aligned.
+ * @type {(document: Page.Document) => Page.Document}
+ */
 export const unaligned = ({ align, ...document }) =>
   align ? { ...document, handles: align.handles } : document;
 
+/** @type {(x: number) => number} */
 const round = (x) => Math.round(x * 100) / 100 + 0;
 
+/**
+ * @param {number[][]} map
+ * @returns {(handle: Page.Handle) => Page.Handle}
+ */
 function handleBy([[a, b, c], [d, e, f]]) {
+  /** @type {(place: Page.Place) => Page.Place} */
   const move = ([x, y]) => [round(a * x + b * y + c), round(d * x + e * y + f)];
   return ({ twist, ...handle }) => {
     const moved = { ...handle, q: handle.q.map(move) };
@@ -37,6 +48,10 @@ function handleBy([[a, b, c], [d, e, f]]) {
 
 /**
  * The document with its handles aligned by a class, in a picture of this size. Throws a Problem.
+ * @param {Page.Document} document
+ * @param {Page.AlignClass} by
+ * @param {{ width: number, height: number }} picture
+ * @returns {Promise<Page.Document>}
  */
 export async function aligned(document, by, { width, height }) {
   const plain = unaligned(atStrength(document, 1));

@@ -2,6 +2,7 @@
 // its progress.
 
 import * as api from "./api.js";
+import { find, known, listen } from "./dom.js";
 import { EASINGS, MOST_FRAMES, TIME } from "./player.js";
 import { wire } from "./edits.js";
 import { posesOf } from "./strength.js";
@@ -10,6 +11,7 @@ import { ANIMATION, bytes } from "./words.js";
 /**
  * Media type, and the bytes with which each frame begins in the file: a chunk `fcTL`, a graphic
  * control, or the header of a zip entry.
+ * @type {Record<Page.Animation["file"], { media: string, mark: string }>}
  */
 const FILES = {
   apng: { media: "image/apng", mark: "fcTL" },
@@ -22,11 +24,12 @@ const LEAST_DELAY = 20;
 /** Frames of the file by which the size is estimated. */
 const FEW = 3;
 
-const find = (id) => document.getElementById(`export-${id}`);
-
 /**
  * The body of the request. `frames` counts those from rest to the pose; the way back repeats
  * neither of the two.
+ * @param {Page.Document} document
+ * @param {Page.Animation} settings
+ * @param {Page.Output} output
  */
 function batchOf(document, { frames, easing, back, file }, output) {
   const { at } = posesOf(document);
@@ -46,7 +49,11 @@ function batchOf(document, { frames, easing, back, file }, output) {
   };
 }
 
-/** Counts a mark in the parts of a stream. */
+/**
+ * Counts a mark in the parts of a stream.
+ * @param {string} mark
+ * @returns {(part: Uint8Array) => number}
+ */
 function counter(mark) {
   const codes = Array.from(mark, (character) => character.charCodeAt(0));
   let [count, matched] = [0, 0];
@@ -60,22 +67,35 @@ function counter(mark) {
 }
 
 export class AnimationExport {
+  /** @type {{ key: string, size: number } | null} */
   #measured = null; // { key, size } of a file with FEW frames
 
-  /** `changed`: called after a change of a row; `cancel`: stops the download. */
+  /**
+   * `changed`: called after a change of a row; `cancel`: stops the download.
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {() => void} changed
+   * @param {() => void} cancel
+   */
   constructor(store, sync, changed, cancel) {
-    Object.assign(this, { store, sync });
+    this.store = store;
+    this.sync = sync;
+    /** @type {(change: Partial<Page.Animation>) => void} */
     const set = (change) => {
       store.do("animation", { change });
       changed();
     };
-    find("file").addEventListener("change", ({ target }) => set({ file: target.value }));
-    find("easing").addEventListener("change", ({ target }) => set({ easing: target.value }));
-    find("back").addEventListener("change", ({ target }) => set({ back: target.checked }));
-    find("frames").addEventListener("input", ({ target }) =>
-      target.checkValidity() ? set({ frames: target.valueAsNumber }) : changed(),
+    listen("export-file", "change", ({ value }) =>
+      set({ file: /** @type {Page.Animation["file"]} */ (value) }),
     );
-    find("cancel").addEventListener("click", cancel);
+    listen("export-easing", "change", ({ value }) =>
+      set({ easing: /** @type {Page.Animation["easing"]} */ (value) }),
+    );
+    listen("export-back", "change", ({ checked }) => set({ back: checked }));
+    listen("export-frames", "input", (input) =>
+      input.checkValidity() ? set({ frames: input.valueAsNumber }) : changed(),
+    );
+    find("export-cancel").addEventListener("click", cancel);
   }
 
   get #settings() {
@@ -96,19 +116,28 @@ export class AnimationExport {
     return this.#settings.back ? MOST_FRAMES / 2 + 1 : MOST_FRAMES;
   }
 
+  /** @param {boolean} isChosen */
   draw(isChosen) {
     const { frames, easing, back, file } = this.#settings;
-    find("animation-rows").hidden = !isChosen;
-    find("file").value = file;
-    find("easing").value = easing;
-    find("back").checked = back;
-    find("frames").max = this.most;
-    if (document.activeElement !== find("frames")) find("frames").value = frames;
-    find("frames").setAttribute("aria-invalid", !find("frames").checkValidity());
-    find("frames-note").textContent = ANIMATION.notes[file](back);
+    find("export-animation-rows").hidden = !isChosen;
+    find("export-file").value = file;
+    find("export-easing").value = easing;
+    find("export-back").checked = back;
+    find("export-frames").max = String(this.most);
+    if (document.activeElement !== find("export-frames"))
+      find("export-frames").value = String(frames);
+    find("export-frames").setAttribute(
+      "aria-invalid",
+      String(!find("export-frames").checkValidity()),
+    );
+    find("export-frames-note").textContent = ANIMATION.notes[file](back);
   }
 
-  /** The size of the file, bytes, by that of a small one. */
+  /**
+   * The size of the file, bytes, by that of a small one.
+   * @param {Page.Output} output
+   * @param {AbortSignal} signal
+   */
   async estimate(output, signal) {
     const { document, revision } = this.store.state;
     const { file } = this;
@@ -120,9 +149,10 @@ export class AnimationExport {
       for await (const part of api.stream(response)) size += part.length;
       this.#measured = { key, size };
     }
-    return (this.#measured.size / FEW) * this.count;
+    return (known(this.#measured).size / FEW) * this.count;
   }
 
+  /** @param {Page.Output} output */
   body(output) {
     return batchOf(this.store.state.document, this.#settings, output);
   }
@@ -131,17 +161,22 @@ export class AnimationExport {
     return FILES[this.file].media;
   }
 
-  /** The file, streamed; the rows show its progress. */
+  /**
+   * The file, streamed; the rows show its progress.
+   * @param {Page.Output} output
+   * @param {AbortSignal} signal
+   */
   async fetch(output, signal) {
     const { media, mark } = FILES[this.file];
     this.#progress(0, this.count, 0);
-    find("progress-row").hidden = false;
-    if (document.activeElement === find("save")) find("cancel").focus();
-    find("save").disabled = true;
+    find("export-progress-row").hidden = false;
+    if (document.activeElement === find("export-save")) find("export-cancel").focus();
+    find("export-save").disabled = true;
     try {
       const response = await this.sync.ask((id) => api.batch(id, this.body(output), media, signal));
       const total = Number(response.headers.get("Warp-Frames")) || this.count;
       const begun = counter(mark);
+      /** @type {Uint8Array<ArrayBuffer>[]} */
       const parts = [];
       let size = 0;
       for await (const part of api.stream(response)) {
@@ -151,15 +186,20 @@ export class AnimationExport {
       }
       return new Blob(parts, { type: media });
     } finally {
-      const hasFocus = document.activeElement === find("cancel");
-      find("progress-row").hidden = true;
-      find("save").disabled = false;
-      if (hasFocus) find("save").focus();
+      const hasFocus = document.activeElement === find("export-cancel");
+      find("export-progress-row").hidden = true;
+      find("export-save").disabled = false;
+      if (hasFocus) find("export-save").focus();
     }
   }
 
+  /**
+   * @param {number} value
+   * @param {number} max
+   * @param {number} size
+   */
   #progress(value, max, size) {
-    Object.assign(find("progress"), { max, value });
-    find("progress-text").textContent = `${value} of ${max} frames, ${bytes(size)}`;
+    Object.assign(find("export-progress"), { max, value });
+    find("export-progress-text").textContent = `${value} of ${max} frames, ${bytes(size)}`;
   }
 }

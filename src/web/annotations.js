@@ -2,6 +2,7 @@
 // the page, at rest by the server, which maps them exactly (`POST /sessions/{id}/points`).
 
 import * as api from "./api.js";
+import { contextOf, find, known } from "./dom.js";
 import { wire } from "./edits.js";
 import { named } from "./handlesfile.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
@@ -17,6 +18,7 @@ const GEOMETRIES = [
   "MultiPolygon",
   "GeometryCollection",
 ];
+/** @type {Set<unknown>} */
 const KINDS = new Set(["FeatureCollection", "Feature", ...GEOMETRIES]);
 /** Vertices that are drawn in a frame of a motion; of more, every second or third one is. */
 const MOST_MOVING = 40_000;
@@ -33,15 +35,20 @@ const DEEPEST = 20;
 /** Smaller outlines are drawn as a dot, CSS px. */
 const DOT = 2;
 
-const find = (id) => document.getElementById(id);
-
+/** @type {(value: Page.Json) => boolean} */
 export const isAnnotations = (value) =>
   Array.isArray(value)
     ? value.length > 0 && value.every((feature) => feature?.type === "Feature")
     : KINDS.has(value?.type);
 
-/** The annotations of a file: { name, geojson }. Throws a Problem. */
+/**
+ * The annotations of a file: { name, geojson }. Throws a Problem.
+ * @param {File} file
+ * @param {number} most
+ * @returns {Promise<Page.Annotations>}
+ */
 export async function readAnnotations(file, most) {
+  /** @type {(detail: string) => Page.Problem} */
   const problem = (detail) => new api.Problem({ code: "bad_annotations", detail }, 0);
   if (file.size > most) throw problem(`The file ${file.name} is too large for this server.`);
   const text = await file.text().catch(() => null);
@@ -59,6 +66,12 @@ export async function readAnnotations(file, most) {
   return { name: file.name, geojson };
 }
 
+/**
+ * @param {string} text
+ * @param {string} name
+ * @param {(detail: string) => Page.Problem} problem
+ * @returns {Page.Json}
+ */
 function whereBroken(text, name, problem) {
   try {
     return parse(text).value;
@@ -69,11 +82,17 @@ function whereBroken(text, name, problem) {
   }
 }
 
-/** Points and outlines of GeoJSON: lists of positions. What is not drawable is left out. */
+/**
+ * Points and outlines of GeoJSON: lists of positions. What is not drawable is left out.
+ * @param {Page.Json} geojson
+ */
 export function pathsOf(geojson) {
+  /** @type {Page.Place[][]} */
   const paths = [];
+  /** @type {(value: Page.Json) => boolean} */
   const isPlace = (value) =>
     Array.isArray(value) && Number.isFinite(value[0]) && Number.isFinite(value[1]);
+  /** @type {(coordinates: Page.Json, depth?: number) => void} */
   const add = (coordinates, depth = 0) => {
     if (depth > DEEPEST) return;
     if (isPlace(coordinates)) paths.push([coordinates]);
@@ -81,6 +100,7 @@ export function pathsOf(geojson) {
       paths.push(coordinates.filter(isPlace));
     else if (Array.isArray(coordinates)) for (const part of coordinates) add(part, depth + 1);
   };
+  /** @type {(value: Page.Json, depth?: number) => void} */
   const visit = (value, depth = 0) => {
     if (value === null || typeof value !== "object" || depth > DEEPEST) return;
     if (Array.isArray(value)) return value.forEach((one) => visit(one, depth + 1));
@@ -88,7 +108,7 @@ export function pathsOf(geojson) {
     if (value.type === "GeometryCollection") return visit(value.geometries, depth);
     if (value.type === "MultiPoint")
       return Array.isArray(value.coordinates)
-        ? value.coordinates.forEach((place) => add([place]))
+        ? value.coordinates.forEach((/** @type {Page.Json} */ place) => add([place]))
         : undefined;
     if (GEOMETRIES.includes(value.type)) return add(value.coordinates);
     // Every member of a feature that is a geometry, such as the nucleus of a cell.
@@ -102,38 +122,63 @@ export function pathsOf(geojson) {
 
 /**
  * A path with places between those that are far apart, because the warp bends what is between them.
+ * @param {Page.Place[]} path
+ * @returns {Page.Place[]}
  */
 function refined(path) {
   return path.flatMap(([x, y], k) => {
     if (!k) return [[x, y]];
     const [a, b] = path[k - 1];
     const parts = Math.min(MOST_PARTS, Math.ceil(Math.hypot(x - a, y - b) / FAR)) || 1;
-    return Array.from({ length: parts }, (_, n) => [
-      a + ((x - a) * (n + 1)) / parts,
-      b + ((y - b) * (n + 1)) / parts,
-    ]);
+    /** @type {(n: number) => Page.Place} */
+    const at = (n) => [a + ((x - a) * n) / parts, b + ((y - b) * n) / parts];
+    return Array.from({ length: parts }, (_, n) => at(n + 1));
   });
 }
 
+/** @type {(geojson: Page.Json) => number} */
 export const countOf = (geojson) =>
   (Array.isArray(geojson) ? geojson : (geojson.features ?? geojson.geometries ?? [geojson])).length;
 
+/** @typedef {{ revision: number, cancel: AbortController }} Asking */
+
 export class Annotations {
-  #of = null; // the annotations of the state
-  #paths = []; // at rest
-  #mapped = null; // by the server: { revision, geojson, paths }
+  /**
+   * Those of the state.
+   *
+   * @type {Page.Annotations | null}
+   */
+  #of = null;
+  /**
+   * At rest.
+   *
+   * @type {Page.Place[][]}
+   */
+  #paths = [];
+  /**
+   * By the server.
+   *
+   * @type {{ revision: number, geojson: Page.Json, paths: Page.Place[][] } | null}
+   */
+  #mapped = null;
+  /** @type {Asking | null} */
   #asking = null;
+  /** @type {unknown[]} */
   #drawn = [];
 
-  /** `told`: called when the server has mapped them. */
+  /**
+   * `told`: called when the server has mapped them.
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   * @param {Page.Sync} sync
+   * @param {() => void} told
+   */
   constructor(store, view, sync, told) {
-    Object.assign(this, {
-      store,
-      view,
-      sync,
-      told,
-      context: find("annotations").getContext("2d", { willReadFrequently: true }),
-    });
+    this.store = store;
+    this.view = view;
+    this.sync = sync;
+    this.told = told;
+    this.context = contextOf(find("annotations"), { willReadFrequently: true });
     find("annotations-shown").addEventListener("change", () => this.#draw());
     find("annotations-remove").addEventListener("click", () =>
       store.do("annotations", { annotations: null }),
@@ -144,6 +189,7 @@ export class Annotations {
     view.afterDraw(() => this.#draw());
   }
 
+  /** @param {Page.State} state */
   #follow({ annotations }) {
     find("annotations-panel").hidden = !annotations;
     if (annotations !== this.#of) {
@@ -175,30 +221,39 @@ export class Annotations {
     }
     if (!this.#of || !settled || this.#asking || this.#mapped?.revision === revision) return;
     this.#asking = { revision, cancel: new AbortController() };
-    this.#map(session.id, document, this.#asking, shown.report?.canvas ?? [0, 0]);
+    this.#map(known(session).id, document, this.#asking, shown.report?.canvas ?? [0, 0]);
   }
 
+  /**
+   * @param {string} id
+   * @param {Page.Document} document
+   * @param {Asking} asking
+   * @param {number[]} origin
+   */
   async #map(id, document, asking, [x, y]) {
-    const { name, geojson } = this.#of;
+    const { name, geojson } = known(this.#of);
     try {
       const mapped = (
         await api.points(id, { q: wire(document, "q"), geojson }, asking.cancel.signal)
       ).geojson;
       if (this.#asking !== asking) return;
       // Positions are those of the server's picture, whose canvas may begin elsewhere.
-      const paths = pathsOf(mapped).map((path) => path.map(([a, b]) => [a + x, b + y]));
+      const origin = [x, y];
+      const paths = pathsOf(mapped).map((path) =>
+        path.map((place) => place.map((c, axis) => c + origin[axis])),
+      );
       this.#mapped = { revision: asking.revision, geojson: mapped, paths };
       this.#draw();
       this.told();
     } catch (error) {
       if (api.wasAborted(error) || this.#asking !== asking) return;
-      if (!(error instanceof api.Problem)) throw error;
+      const { pointer, detail: told } = api.asProblem(error);
       // They cannot be used: as after a file that cannot be read.
       this.store.do("annotations", { annotations: null });
-      const where = error.pointer?.startsWith("/geojson")
-        ? ` at ${named(error.pointer.replace("/geojson", "")) || "the start"}`
+      const where = pointer?.startsWith("/geojson")
+        ? ` at ${named(pointer.replace("/geojson", "")) || "the start"}`
         : "";
-      const detail = `In ${name},${where || " as a whole"}: ${error.detail}`;
+      const detail = `In ${name},${where || " as a whole"}: ${told}`;
       this.store.do("problem", {
         problem: Object.assign(new api.Problem({ code: "bad_annotations", detail }, 0), {
           opening: true,
@@ -223,7 +278,7 @@ export class Annotations {
     await this.sync.settled();
     const { document, revision } = this.store.state;
     if (this.#mapped?.revision === revision) return this.#mapped.geojson;
-    const { geojson } = this.#of;
+    const { geojson } = known(this.#of);
     return (await this.sync.ask((id) => api.points(id, { q: wire(document, "q"), geojson })))
       .geojson;
   }
@@ -250,7 +305,7 @@ export class Annotations {
       state.playing === null &&
       this.#mapped?.revision === this.sync.shown.revision;
     const mesh = atRest || isExact ? null : view.shownMesh;
-    const paths = isExact ? this.#mapped.paths : this.#paths;
+    const paths = isExact ? known(this.#mapped).paths : this.#paths;
     const { zoom, pan, stageSize, scale } = view;
     const now = [paths, mesh, zoom, ...pan, ...stageSize, scale];
     if (!canvas.hidden && now.every((part, k) => part === this.#drawn[k])) return;
@@ -264,6 +319,11 @@ export class Annotations {
     this.#stroke(paths, mesh, moving);
   }
 
+  /**
+   * @param {Page.Place[][]} paths
+   * @param {Page.Mesh | null} mesh
+   * @param {boolean} moving
+   */
   #stroke(paths, mesh, moving) {
     const { context, view } = this;
     const [wide, high] = view.stageSize;

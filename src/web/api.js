@@ -3,13 +3,60 @@
 
 import { keyHeaders } from "./access.js";
 import { boxFrom } from "./canvas.js";
+import { known } from "./dom.js";
+
+/**
+ * The members of a problem document (api/problems.md), and what the page adds. Others are read by
+ * nobody.
+ *
+ * @typedef {{
+ *   code?: string,
+ *   title?: string,
+ *   detail?: string,
+ *   handle?: number,
+ *   coincident?: { handles: number[] }[],
+ *   pointer?: string,
+ *   request_id?: string,
+ *   retry_after?: number,
+ *   link?: boolean,
+ *   opening?: boolean,
+ * }} ProblemMembers
+ */
+
+/**
+ * @typedef {{ json?: object, file?: Blob | FormData, accept?: string, signal?: AbortSignal, media?:
+ * string }} Asked
+ */
 
 export class Problem extends Error {
+  /**
+   * @param {ProblemMembers} members
+   * @param {number} status
+   */
   constructor(members, status) {
     super(members.detail ?? members.title ?? "refused");
-    Object.assign(this, { status, code: "internal", title: "", detail: "" }, members);
+    this.status = status;
+    this.code = "internal";
+    this.title = "";
+    this.detail = "";
+    /** @type {ProblemMembers["handle"]} */
+    this.handle = undefined;
+    /** @type {ProblemMembers["coincident"]} */
+    this.coincident = undefined;
+    /** @type {ProblemMembers["pointer"]} */
+    this.pointer = undefined;
+    /** @type {ProblemMembers["request_id"]} */
+    this.request_id = undefined;
+    /** @type {ProblemMembers["retry_after"]} */
+    this.retry_after = undefined;
+    /** Whether it is about a link. */
+    this.link = false;
+    /** Whether something could not be opened: the page is as it was. */
+    this.opening = false;
+    Object.assign(this, members);
   }
 
+  /** @param {Response} response */
   static async from(response) {
     try {
       return new Problem(await response.json(), response.status);
@@ -20,7 +67,10 @@ export class Problem extends Error {
     }
   }
 
-  /** An error without a problem document: it comes from a proxy, not from the service. */
+  /**
+   * An error without a problem document: it comes from a proxy, not from the service.
+   * @param {number} status
+   */
   static ofStatus(status) {
     const code =
       { 413: "too_large", 429: "rate_limited", 502: "network", 503: "overloaded", 504: "timeout" }[
@@ -41,10 +91,27 @@ export class Problem extends Error {
   }
 }
 
-const wasAborted = (error) => error?.name === "AbortError";
+/** @type {(error: unknown) => boolean} */
+const wasAborted = (error) => error instanceof DOMException && error.name === "AbortError";
 export { wasAborted };
 
+/**
+ * A Problem as what it is; anything else is an error of this page, and stays one.
+ *
+ * @param {unknown} error
+ */
+export function asProblem(error) {
+  if (error instanceof Problem) return error;
+  throw error;
+}
+
+/**
+ * @param {string} method
+ * @param {string} path
+ * @param {Asked} [asked]
+ */
 async function ask(method, path, { json, file, accept, signal, media } = {}) {
+  /** @type {Record<string, string>} */
   const headers = {
     ...keyHeaders(),
     ...(json ? { "Content-Type": "application/json" } : media && { "Content-Type": media }),
@@ -66,14 +133,25 @@ async function ask(method, path, { json, file, accept, signal, media } = {}) {
   return response;
 }
 
-/** Reads a body; a broken connection is a network problem. */
-async function read(response, how) {
+/**
+ * Reads a body; a broken connection is a network problem.
+ * @template T
+ * @param {() => Promise<T>} how
+ * @returns {Promise<T>}
+ */
+async function read(how) {
   try {
-    return await response[how]();
+    return await how();
   } catch (error) {
     throw wasAborted(error) ? error : Problem.network();
   }
 }
+
+/** @type {(response: Response) => Promise<Page.Json>} */
+const jsonOf = (response) => read(() => response.json());
+
+/** @type {(response: Response) => Promise<Blob>} */
+const blobOf = (response) => read(() => response.blob());
 
 /** A version 4 UUID. `crypto.randomUUID` is unavailable on pages served over plain HTTP. */
 function newName() {
@@ -87,6 +165,11 @@ function newName() {
 /**
  * PUT /sessions/{uuid}: with a client-chosen id, so that a proxy that hashes ids sends upload and
  * drags to one replica. XMLHttpRequest, because fetch reports no upload progress.
+ * @param {Blob} file
+ * @param {string} name
+ * @param {Page.Rest} rest
+ * @param {{ progress?: (percent: number) => void, signal?: AbortSignal }} how
+ * @returns {Promise<Page.SessionObject>}
  */
 export function openSession(file, name, rest, { progress, signal }) {
   return new Promise((resolve, reject) => {
@@ -118,90 +201,140 @@ export function openSession(file, name, rest, { progress, signal }) {
   });
 }
 
+/** @type {(id: string) => string} */
 const session = (id) => `sessions/${encodeURIComponent(id)}`;
 
-export const readSession = async (id) => read(await ask("GET", session(id)), "json");
+/** @type {(id: string) => Promise<Page.SessionObject>} */
+export const readSession = async (id) => jsonOf(await ask("GET", session(id)));
 
+/** @type {(id: string, rest: Page.Rest, signal?: AbortSignal) => Promise<Page.SessionObject>} */
 export const putHandles = async (id, rest, signal) =>
-  read(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }), "json");
+  jsonOf(await ask("PUT", `${session(id)}/handles`, { json: rest, signal }));
 
+/** @type {(id: string) => string} */
 const region = (id) => `${session(id)}/layers/region`;
 
 /**
  * The mask of the region, a picture of the size of the session's. The session then draws every
  * picture through it.
+ * @type {(id: string, file: Blob) => Promise<Page.SessionObject>}
  */
 export const putRegion = async (id, file) =>
-  read(await ask("PUT", region(id), { file, media: file.type }), "json");
-/** Deletes the mask, if there is one; returns the session. */
+  jsonOf(await ask("PUT", region(id), { file, media: file.type }));
+/**
+ * Deletes the mask, if there is one; returns the session.
+ * @param {string} id
+ */
 export async function deleteRegion(id) {
-  await ask("DELETE", region(id)).catch((problem) => {
-    if (problem.code !== "no_such_layer") throw problem;
+  await ask("DELETE", region(id)).catch((error) => {
+    if (asProblem(error).code !== "no_such_layer") throw error;
   });
   return readSession(id);
 }
-export const readRegion = async (id, signal) =>
-  read(await ask("GET", region(id), { signal }), "blob");
+/** @type {(id: string, signal: AbortSignal) => Promise<Blob>} */
+export const readRegion = async (id, signal) => blobOf(await ask("GET", region(id), { signal }));
 
-/** Many poses in one file, as a response that is read with `stream`. */
+/**
+ * Many poses in one file, as a response that is read with `stream`.
+ * @type {(id: string, body: object, accept: string, signal: AbortSignal) => Promise<Response>}
+ */
 export const batch = (id, body, accept, signal) =>
   ask("POST", `${session(id)}/batch`, { json: body, accept, signal });
 
-/** The parts of a body as they arrive. */
+/**
+ * The parts of a body as they arrive.
+ * @param {Response} response
+ * @returns {AsyncGenerator<Uint8Array<ArrayBuffer>>}
+ */
 export async function* stream(response) {
-  const reader = response.body.getReader();
+  const reader = known(response.body).getReader();
   for (;;) {
-    const { done, value } = await read(reader, "read");
+    const { done, value } = await read(() => reader.read());
     if (done) return;
     yield value;
   }
 }
 
-/** How well methods predict the handles: { best, candidates }. */
+/**
+ * How well methods predict the handles: { best, candidates }.
+ * @type {(id: string, body: Page.Pose) => Promise<{ best: Page.FitBest, candidates:
+ * Page.FitCandidate[] }>}
+ */
 export const fit = async (id, body) =>
-  read(await ask("POST", `${session(id)}/fit`, { json: body }), "json");
+  jsonOf(await ask("POST", `${session(id)}/fit`, { json: body }));
 
-/** Annotations in the frame of the session's picture: { geojson }. */
+/**
+ * Annotations in the frame of the session's picture: { geojson }.
+ * @type {(id: string, body: object, signal?: AbortSignal) => Promise<{ geojson: Page.Json }>}
+ */
 export const points = async (id, body, signal) =>
-  read(await ask("POST", `${session(id)}/points`, { json: body, signal }), "json");
+  jsonOf(await ask("POST", `${session(id)}/points`, { json: body, signal }));
 
-/** The handles in a landmark file: { p, q (if the file has both sides), units }. */
-export const readLandmarks = async (file) => read(await ask("POST", "landmarks", { file }), "json");
+/**
+ * The handles in a landmark file: { p, q (if the file has both sides), units }.
+ * @type {(file: Blob) => Promise<Page.Landmarks>}
+ */
+export const readLandmarks = async (file) => jsonOf(await ask("POST", "landmarks", { file }));
 
-/** The handles of two landmark files, one for each side: { p, q, units }. */
+/**
+ * The handles of two landmark files, one for each side: { p, q, units }.
+ * @param {Blob} rest
+ * @param {Blob} pose
+ * @returns {Promise<Page.Landmarks & { q: Page.Landmarks["p"] }>}
+ */
 export async function readSides(rest, pose) {
   const form = new FormData();
   form.append("landmarks_p", rest);
   form.append("landmarks_q", pose);
-  return read(await ask("POST", "landmarks", { file: form }), "json");
+  return jsonOf(await ask("POST", "landmarks", { file: form }));
 }
 
-/** The map that aligns q of a warp object: { class, matrix }. */
+/**
+ * The map that aligns q of a warp object: { class, matrix }.
+ * @type {(warp: object, extent: Page.Size) => Promise<{ matrix: number[][] }>}
+ */
 export const alignment = async (warp, extent) =>
-  (await read(await ask("POST", "report", { json: { ...warp, extent } }), "json")).align;
+  (await jsonOf(await ask("POST", "report", { json: { ...warp, extent } }))).align;
 
-/** The posed grid: f32, x and y of each vertex, row by row. */
+/**
+ * The posed grid: f32, x and y of each vertex, row by row.
+ * @param {string} id
+ * @param {Page.Pose} body
+ * @param {AbortSignal} [signal]
+ */
 export async function mesh(id, body, signal) {
   const response = await ask("POST", `${session(id)}/mesh`, {
     json: body,
     accept: "application/octet-stream",
     signal,
   });
-  const bytes = await read(response, "arrayBuffer");
+  const bytes = await read(() => response.arrayBuffer());
   return { places: floats(bytes, 0), report: reportOf(response, bytes.byteLength) };
 }
 
-/** The coefficients on a lattice, in half precision. */
+/**
+ * The coefficients on a lattice, in half precision.
+ * @param {string} id
+ * @param {number} columns
+ * @param {number} rows
+ * @param {AbortSignal} signal
+ * @returns {Promise<ArrayBuffer>}
+ */
 export async function plan(id, columns, rows, signal) {
   const response = await ask(
     "GET",
     `${session(id)}/plan?columns=${columns}&rows=${rows}&precision=f16`,
     { signal },
   );
-  return read(response, "arrayBuffer");
+  return read(() => response.arrayBuffer());
 }
 
-/** A picture, and the figures in its headers. */
+/**
+ * A picture, and the figures in its headers.
+ * @param {string} id
+ * @param {Page.Pose} body
+ * @param {AbortSignal} [signal]
+ */
 export async function picture(id, body, signal) {
   const begun = performance.now();
   const response = await ask("POST", `${session(id)}/warp`, {
@@ -209,11 +342,17 @@ export async function picture(id, body, signal) {
     accept: `image/${body.output?.format ?? "png"}`,
     signal,
   });
-  const blob = await read(response, "blob");
+  const blob = await blobOf(response);
   return { blob, report: { ...reportOf(response, blob.size), trip: performance.now() - begun } };
 }
 
+/**
+ * @param {Response} response
+ * @param {number} size
+ * @returns {Page.Report}
+ */
 function reportOf(response, size) {
+  /** @type {Page.Report["timing"]} */
   const timing = {};
   for (const entry of (response.headers.get("Server-Timing") ?? "").split(",")) {
     const [, name, ms] = /^\s*([\w-]+)\s*;\s*dur=([\d.]+)/.exec(entry) ?? [];
@@ -235,7 +374,11 @@ function reportOf(response, size) {
 
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
-/** Reads little-endian f32 from a byte offset (a multiple of 4). */
+/**
+ * Reads little-endian f32 from a byte offset (a multiple of 4).
+ * @param {ArrayBuffer} bytes
+ * @param {number} from
+ */
 export function floats(bytes, from) {
   if (LITTLE_ENDIAN) return new Float32Array(bytes, from);
   const view = new DataView(bytes, from);
@@ -244,7 +387,11 @@ export function floats(bytes, from) {
   );
 }
 
-/** The address of the drag socket. */
+/**
+ * The address of the drag socket.
+ * @param {string} id
+ * @param {string} query
+ */
 export function socketAddress(id, query) {
   const address = new URL(`${session(id)}/drag?${query}`, document.baseURI);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";

@@ -1,7 +1,12 @@
 // The canvas: the part of the posed plane that the result shows. A box is [x, y, width, height], px
 // of the picture.
 
-/** `same`, `fit` or a box { x, y, width, height }. Documents of older pages lack it. */
+import { find, known, part } from "./dom.js";
+
+/**
+ * `same`, `fit` or a box { x, y, width, height }. Documents of older pages lack it.
+ * @type {(document: Pick<Page.Document, "canvas">) => Page.Canvas}
+ */
 export const canvasOf = ({ canvas }) => canvas ?? "same";
 
 /** What is beyond this share of a px is on the next one, as on the server. */
@@ -9,10 +14,16 @@ const STEPS = 256;
 /** The result counts as cut off from this length on, px. */
 const LEAST_CUT = 0.5;
 
+/** @type {(size: Page.Size) => Page.Box} */
 export const boxOfPicture = ([width, height]) => [0, 0, width, height];
 
-/** Left, top, right and bottom edge of a posed grid. */
+/**
+ * Left, top, right and bottom edge of a posed grid.
+ * @param {Page.Mesh} mesh
+ * @returns {Page.Box}
+ */
 export function boundsOf(mesh) {
+  /** @type {[left: number, top: number, right: number, bottom: number]} */
   const bounds = [Infinity, Infinity, -Infinity, -Infinity];
   for (let k = 0; k < mesh.places.length; k += 2) {
     const [x, y] = [mesh.places[k], mesh.places[k + 1]];
@@ -27,6 +38,11 @@ export function boundsOf(mesh) {
 /**
  * The box of a canvas around a posed grid on a picture of this size. `staying`: with the picture
  * itself, of which only a region moves.
+ * @param {Page.Canvas} canvas
+ * @param {Page.Size} size
+ * @param {Page.Mesh | null} mesh
+ * @param {boolean} [staying]
+ * @returns {Page.Box}
  */
 export function boxOf(canvas, size, mesh, staying = false) {
   if (canvas === "same" || !mesh) return boxOfPicture(size);
@@ -43,19 +59,23 @@ export function boxOf(canvas, size, mesh, staying = false) {
 /**
  * The box that a response names: the header `Warp-Canvas`, or `canvas` in the report of a frame;
  * null where it is that of the picture.
+ * @param {string | Page.CanvasBox | null | undefined} told
+ * @returns {Page.Box | null}
  */
 export function boxFrom(told) {
   if (!told) return null;
-  return typeof told === "string"
-    ? told.split(",").map(Number)
-    : [told.x, told.y, told.width, told.height];
+  if (typeof told === "string") return /** @type {Page.Box} */ (told.split(",").map(Number));
+  return [told.x, told.y, told.width, told.height];
 }
 
 /**
  * How far a posed grid extends beyond a box: { left, top, right, bottom }, px, 0 where it does not.
+ * @param {Page.Mesh} mesh
+ * @param {Page.Box} box
  */
 export function cutOff(mesh, [x, y, width, height]) {
   const [left, top, right, bottom] = boundsOf(mesh);
+  /** @type {(length: number) => number} */
   const far = (length) => (length >= LEAST_CUT ? Math.ceil(length) : 0);
   return {
     left: far(x - left),
@@ -69,14 +89,16 @@ export function cutOff(mesh, [x, y, width, height]) {
  * The outlines of the picture and of the canvas, with the coordinates of its edges, over the stage.
  */
 export class CanvasRuler {
+  /**
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   * @param {Page.Sync} sync
+   */
   constructor(store, view, sync) {
-    Object.assign(this, {
-      store,
-      view,
-      sync,
-      ruler: document.getElementById("ruler"),
-      frame: document.getElementById("source-frame"),
-    });
+    this.store = store;
+    this.view = view;
+    this.ruler = find("ruler");
+    this.frame = find("source-frame");
     store.subscribe(() => this.draw());
     view.subscribe(() => this.draw());
     sync.subscribe(() => this.draw());
@@ -89,13 +111,17 @@ export class CanvasRuler {
     if (!shown) return;
     const box = this.view.box;
     this.#place(this.ruler, box);
-    this.#place(this.frame, boxOfPicture(this.view.size));
+    this.#place(this.frame, boxOfPicture(known(this.view.size)));
     const [x, y, width, height] = box;
     const edges = { left: x, right: x + width, top: y, bottom: y + height };
     for (const [side, at] of Object.entries(edges))
-      this.ruler.querySelector(`[data-edge=${side}]`).textContent = at;
+      part(this.ruler, `[data-edge=${side}]`).textContent = String(at);
   }
 
+  /**
+   * @param {HTMLElement} element
+   * @param {Page.Box} box
+   */
   #place({ style }, [x, y, width, height]) {
     const [left, top] = this.view.toStage([x, y]);
     style.transform = `translate(${left}px, ${top}px)`;

@@ -6,27 +6,43 @@ import { canvasOf } from "./canvas.js";
 import { regionOf } from "./region.js";
 import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
-export const kindOf = (handle) => ["point", "line"][handle.p.length - 1] ?? "path";
+/** @type {(handle: Pick<Page.Handle, "p">) => Page.HandleKind} */
+export const kindOf = ({ p }) => (p.length === 1 ? "point" : p.length === 2 ? "line" : "path");
+/** @type {(handle: Page.Handle) => string} */
 export const kindName = (handle) =>
   ({ point: "Point", line: "Line", path: "Path" })[kindOf(handle)];
 
+/** @type {(tool: Page.Tool) => string} */
 export const toolName = (tool) =>
   ({ point: "Point", line: "Line", path: "Path", lasso: "Lasso", brush: "Brush" })[tool];
 
+/** @typedef {"transparent" | "edge" | "reflect" | "colour" | "value"} OutsideKind */
+
+/** What is without a meaning for a pin that is twisted already. */
+const UNTURNED = { angle: 0, scale: 1 };
 /** The server's limit of a coordinate. */
 const REACH = 1e6;
+/** @type {(x: number) => number} */
 const round = (x) => Math.min(REACH, Math.max(-REACH, Math.round(x * 100) / 100)) + 0;
+/** @type {(place: Page.Place) => Page.Place} */
 export const rounded = ([x, y]) => [round(x), round(y)];
 
+/** @type {(a: Page.Place, b: Page.Place) => boolean} */
 const same = (a, b) => a[0] === b[0] && a[1] === b[1];
+/** @type {(key: string) => number} */
 const idOf = (key) => Number(key.split(".")[0]);
+/** @type {(key: string) => number | null} */
 const vertexOf = (key) => (key.includes(".") ? Number(key.split(".")[1]) : null);
 
 /**
  * The selected vertices: Map of handle id to vertex indices. Vertices of one handle that coincide
  * at rest are selected together.
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @returns {Map<number, Set<number>>}
  */
 export function placesOf(document, selection) {
+  /** @type {Map<number, Set<number>>} */
   const found = new Map();
   for (const key of selection) {
     const handle = document.handles.find((h) => h.id === idOf(key));
@@ -41,13 +57,23 @@ export function placesOf(document, selection) {
   return found;
 }
 
-/** Posed positions of a selection. */
+/**
+ * Posed positions of a selection.
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ */
 export function posedPlaces(document, selection) {
   const places = placesOf(document, selection);
   return document.handles.flatMap((h) => [...(places.get(h.id) ?? [])].map((k) => h.q[k]));
 }
 
-/** Maps every posed position of a selection by `to`. */
+/**
+ * Maps every posed position of a selection by `to`.
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @param {(place: Page.Place) => Page.Place} to
+ * @returns {Page.Document}
+ */
 export function moved(document, selection, to) {
   const places = placesOf(document, selection);
   let changed = false;
@@ -62,27 +88,47 @@ export function moved(document, selection, to) {
   return changed ? { ...document, handles } : document;
 }
 
+/**
+ * @type {(document: Page.Document, selection: string[], dx: number, dy: number) => Page.Document}
+ */
 export const translated = (document, selection, dx, dy) =>
   moved(document, selection, ([x, y]) => [x + dx, y + dy]);
 
-export function rotated(document, selection, [cx, cy], angle) {
+/**
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @param {Page.Place} centre
+ * @param {number} angle radians
+ * @returns {Page.Document}
+ * @param {Page.Size} size of the picture
+ */
+export function rotated(document, selection, [cx, cy], angle, size) {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
   const next = moved(document, selection, ([x, y]) => [
     cx + (x - cx) * cos - (y - cy) * sin,
     cy + (x - cx) * sin + (y - cy) * cos,
   ]);
   // Twisted pins turn with their surroundings.
-  const turns = (handle) => handle.twist && selection.includes(String(handle.id));
+  /** @type {(handle: Page.Handle) => boolean} */
+  const turns = (handle) => Boolean(handle.twist) && selection.includes(String(handle.id));
   if (!next.handles.some(turns)) return next;
+  /** @type {(handle: Page.Handle) => Page.Handle} */
   const turn = (handle) =>
-    turns(handle) ? turned(handle, handle.twist.angle + (angle * 180) / Math.PI) : handle;
+    handle.twist && turns(handle)
+      ? turned(handle, handle.twist.angle + (angle * 180) / Math.PI, UNTURNED, size)
+      : handle;
   return { ...next, handles: next.handles.map(turn) };
 }
 
-/** Centre and radius of the circle around positions. */
+/**
+ * Centre and radius of the circle around positions.
+ * @param {Page.Place[]} places
+ * @returns {Page.Circle}
+ */
 export function circleOf(places) {
   const xs = places.map((p) => p[0]);
   const ys = places.map((p) => p[1]);
+  /** @type {Page.Place} */
   const centre = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
   return {
     centre,
@@ -90,6 +136,11 @@ export function circleOf(places) {
   };
 }
 
+/**
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @returns {Page.Document}
+ */
 export function putBack(document, selection) {
   const places = placesOf(document, selection);
   let changed = false;
@@ -106,12 +157,18 @@ export function putBack(document, selection) {
   return changed ? { ...document, handles } : document;
 }
 
-/** Removes whole handles, and vertices of paths while two remain. */
+/**
+ * Removes whole handles, and vertices of paths while two remain.
+ * @param {Page.Document} document
+ * @param {string[]} selection
+ * @returns {Page.Document}
+ */
 export function removed(document, selection) {
   const handles = document.handles.flatMap((handle) => {
     const keys = selection.filter((key) => idOf(key) === handle.id);
     if (!keys.length) return [handle];
     const gone = new Set(keys.map(vertexOf));
+    /** @type {(_: unknown, k: number) => boolean} */
     const stays = (_, k) => !gone.has(k);
     const p = handle.p.filter(stays);
     if (gone.has(null) || p.length < 2 || !segmentsHaveLength(p)) return [];
@@ -123,11 +180,15 @@ export function removed(document, selection) {
     : { ...document, handles };
 }
 
+/** @type {(p: Page.Place[]) => boolean} */
 const segmentsHaveLength = (p) => p.every((place, k) => k === 0 || !same(place, p[k - 1]));
 
 /**
  * Adds a handle; `null` if all of its segments would have zero length at rest. Repeated positions
  * are dropped.
+ * @param {Page.Document} document
+ * @param {Page.Place[]} p
+ * @param {Page.Place[]} q
  */
 export function added(document, p, q) {
   const rest = p.map(rounded);
@@ -142,21 +203,32 @@ export function added(document, p, q) {
   return { document: { ...document, handles: [...document.handles, handle] }, key: String(id) };
 }
 
-/** Sets one coordinate of the table. */
+/**
+ * Sets one coordinate of the table.
+ * @param {Page.Document} document
+ * @param {Page.Which} which
+ * @param {number} index
+ * @param {number} vertex
+ * @param {number} axis
+ * @param {number} value
+ * @returns {Page.Document}
+ */
 export function withNumber(document, which, index, vertex, axis, value) {
   const old = document.handles[index];
-  const places = old[which].map((place, k) => {
-    if (k !== vertex) return place;
-    const next = [...place];
-    next[axis] = round(value);
-    return next;
-  });
+  const places = old[which].map((place, k) =>
+    k === vertex ? place.map((c, way) => (way === axis ? round(value) : c)) : place,
+  );
   if (same(places[vertex], old[which][vertex])) return document;
   const handles = document.handles.with(index, { ...old, [which]: places });
   return { ...document, handles };
 }
 
-/** A closed path around the picture. */
+/**
+ * A closed path around the picture.
+ * @param {number} width
+ * @param {number} height
+ * @returns {Page.Place[]}
+ */
 export function borderPath(width, height) {
   return [
     [0, 0],
@@ -170,6 +242,12 @@ export function borderPath(width, height) {
 /**
  * Turns a pin to an angle, in degrees; `free`: its angle and scale without a twist. An angle of
  * null removes the twist.
+ * @param {Page.Document} document
+ * @param {number} index
+ * @param {number | null} degrees
+ * @param {Page.Turn} free
+ * @param {Page.Size} size
+ * @returns {Page.Document}
  */
 export function withTwist(document, index, degrees, free, size) {
   const old = document.handles[index];
@@ -178,21 +256,29 @@ export function withTwist(document, index, degrees, free, size) {
   return next === old ? document : { ...document, handles: document.handles.with(index, next) };
 }
 
+/** @type {(handle: Page.Handle) => handle is Page.Handle & { twist: Page.Twist }} */
+const isPinTwisted = (handle) => handle.twist !== undefined;
+
 /**
  * Handles in the server's form, p or q: a point is [x, y], a line is a list of positions, a twisted
  * pin is a short segment.
+ * @type {(document: { handles: Page.Handle[] }, which: Page.Which) => Page.WireHandle[]}
  */
 export const wire = (document, which) =>
   document.handles.map((h) =>
-    h.twist ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which],
+    isPinTwisted(h) ? segmentOf(h, which) : h[which].length === 1 ? h[which][0] : h[which],
   );
 
 /**
  * Handles of the groups of coincident points whose displacements differ by more than a hundredth of
  * a pixel.
+ * @param {Page.Document} document
+ * @param {{ handles: number[] }[]} groups
  */
 export function movedApart({ handles }, groups) {
+  /** @type {(handle: Page.Handle) => Page.Place} */
   const moved = ({ p: [[x, y]], q: [[a, b]] }) => [a - x, b - y];
+  /** @type {(moves: Page.Place[]) => boolean} */
   const differ = ([first, ...others]) =>
     others.some(([x, y]) => Math.hypot(x - first[0], y - first[1]) > 0.01);
   return groups.flatMap((group) =>
@@ -203,6 +289,8 @@ export function movedApart({ handles }, groups) {
 /**
  * The mass of a point, px, if the set has segments; the server's default is the mean length of the
  * segments.
+ * @param {Pick<Page.Document, "handles" | "mass">} document
+ * @returns {number | undefined}
  */
 export function massOf({ handles, mass }) {
   if (mass !== undefined) return mass;
@@ -213,24 +301,40 @@ export function massOf({ handles, mass }) {
   return handles.some((h) => h.twist) ? 1 : undefined;
 }
 
+/** @type {(a: number, b: number) => boolean} */
 export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
+/** @type {(document: Page.Document) => boolean} */
 const isTwisted = ({ handles }) => handles.some((h) => h.twist);
-/** Methods without a focus. Their handles are pins. */
+/**
+ * Methods without a focus. Their handles are pins.
+ * @type {(document: Pick<Page.Document, "method">) => boolean}
+ */
 export const takesPinsOnly = ({ method }) => method === "tps" || method === "global_affine";
-/** Whether all handles are pins without a twist. */
+/**
+ * Whether all handles are pins without a twist.
+ * @type {(document: Page.Document) => boolean}
+ */
 export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 1 && !h.twist);
+/** @type {(document: Page.Document) => boolean} */
 export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(document) >= LEAST_ALPHA;
 
-/** Alpha; the server's default is 2 with any line, otherwise 1. */
+/**
+ * Alpha; the server's default is 2 with any line, otherwise 1.
+ * @type {(document: Pick<Page.Document, "alpha" | "handles">) => number}
+ */
 export const alphaOf = ({ alpha, handles }) =>
   alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
 
 /**
  * `after`, with the focus of `before` if another automatic one would move handles that are posed.
+ * @param {Page.Document} before
+ * @param {Page.Document} after
+ * @returns {Page.Document}
  */
 export function keepingFocus(before, after) {
   if (after.alpha !== null || alphaOf(before) === alphaOf(after)) return after;
-  const isPosed = (h) => h.twist || h.p.some((place, k) => !same(place, h.q[k]));
+  /** @type {(handle: Page.Handle) => boolean} */
+  const isPosed = (h) => Boolean(h.twist) || h.p.some((place, k) => !same(place, h.q[k]));
   return after.handles.some((h) => before.handles.includes(h) && isPosed(h))
     ? { ...after, alpha: alphaOf(before) }
     : after;
@@ -239,33 +343,49 @@ export function keepingFocus(before, after) {
 /**
  * The content outside the warped picture: `transparent`, `edge`, `reflect`, `#rrggbbaa` or a value
  * of the picture's depth, `{ value }`. Documents of older pages lack it.
+ * @type {(document: Page.Document) => Page.Outside}
  */
 export const outsideOf = ({ outside }) => outside ?? "transparent";
 
-/** The kind of content outside: a name, `colour` or `value`. */
+/**
+ * The kind of content outside: a name, `colour` or `value`.
+ * @type {(outside: Page.Outside) => OutsideKind}
+ */
 export const kindOfOutside = (outside) =>
-  typeof outside === "object" ? "value" : outside.startsWith("#") ? "colour" : outside;
+  typeof outside === "object"
+    ? "value"
+    : /** @type {OutsideKind} */ (outside.startsWith("#") ? "colour" : outside);
 
-/** How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it. */
+/**
+ * How the source is read: `nearest`, `bilinear` or `bicubic`. Documents of older pages lack it.
+ * @type {(document: Page.Document) => Page.Filter}
+ */
 export const filterOf = ({ filter }) => filter ?? "bilinear";
 
 /**
  * What is seen where the content of the region has moved away: `keep` (the picture) or
  * `transparent`.
+ * @type {(document: Page.Document) => Page.Holes}
  */
 export const holesOf = ({ holes }) => holes ?? "keep";
 
-/** What happens to coincident handles by default: they follow the mean of their targets. */
+/**
+ * What happens to coincident handles by default: they follow the mean of their targets.
+ * @type {NonNullable<Page.Document["coincident"]>}
+ */
 const MEAN = { policy: "mean", within: 0 };
 
 /**
  * The session's part of a warp object. The parameters of the method and of the output are always
  * included: an absent field keeps the session's value.
+ * @param {Page.Document} document
+ * @returns {Page.Rest}
  */
 export function restOf(document) {
   const { handles, method, grid } = document;
   const mass = massOf(document);
-  const weight = (h) => (h.twist ? segmentWeight(h, mass) : (h.weight ?? 1));
+  /** @type {(handle: Page.Handle) => number} */
+  const weight = (h) => (isPinTwisted(h) ? segmentWeight(h, mass ?? 1) : (h.weight ?? 1));
   const weights = handles.some((h) => h.weight !== undefined || h.twist)
     ? { weights: handles.map(weight) }
     : {};
@@ -293,10 +413,17 @@ export function restOf(document) {
   };
 }
 
-/** The defaults of `output`, which an exported warp object leaves out. */
+/**
+ * The defaults of `output`, which an exported warp object leaves out.
+ * @type {Required<Page.Rest["output"]>}
+ */
 const USUAL = { outside: "transparent", filter: "bilinear", canvas: "same", holes: "keep" };
 
-/** Handles whose rest and posed positions are exchanged. */
+/**
+ * Handles whose rest and posed positions are exchanged.
+ * @param {Page.Document} document
+ * @returns {Page.Document}
+ */
 export function swapped({ full: _, strength: __, align, ...document }) {
   const handles = (align?.handles ?? document.handles).map(({ p, q, twist, ...handle }) => ({
     ...handle,
@@ -312,25 +439,33 @@ export function swapped({ full: _, strength: __, align, ...document }) {
 
 /**
  * The complete warp object, for export. Aligned handles are told as they were, with the alignment.
+ * @param {Page.Document} document
+ * @returns {Page.Warp}
  */
 export function warpOf(document) {
   const { alpha, output, point_mass, smoothing, coincident, ...rest } = restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
+  /** @type {Partial<Page.Warp>} */
   const chosen = {
     ...((twisted || document.alpha !== null) && { alpha }),
     ...mass,
     ...(smoothing && { smoothing }),
     ...(document.coincident && { coincident }),
   };
-  const told = Object.entries(output).filter(([name, value]) => value !== USUAL[name]);
-  if (told.length) chosen.output = Object.fromEntries(told);
+  const names = /** @type {(keyof typeof output)[]} */ (Object.keys(output));
+  const told = names.filter((name) => output[name] !== USUAL[name]);
+  if (told.length) chosen.output = Object.fromEntries(told.map((name) => [name, output[name]]));
   const { align } = document.full ? {} : document;
   return { ...rest, ...chosen, ...(align && { align: align.by }), q: wire(align ?? document, "q") };
 }
 
-/** Whether a session has the same rest handles and parameters as a document. */
+/**
+ * Whether a session has the same rest handles and parameters as a document.
+ * @param {Page.SessionObject} object
+ * @param {Page.Document} document
+ */
 export function sameRest(object, document) {
   const {
     p,
@@ -343,7 +478,10 @@ export function sameRest(object, document) {
     output,
     point_mass: mass,
   } = restOf(document);
+  /** @type {(a: unknown, b: unknown) => boolean} */
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+  const names = /** @type {(keyof typeof output)[]} */ (Object.keys(output));
+  /** @type {[unknown, unknown][]} */
   const pairs = [
     [object.p, p],
     [object.weights, weights],
@@ -352,7 +490,7 @@ export function sameRest(object, document) {
     [object.smoothing, smoothing],
     [object.coincident_policy ?? MEAN, coincident],
     [object.grid.requested, grid],
-    ...Object.keys(output).map((name) => [object.output[name], output[name]]),
+    ...names.map((name) => /** @type {[unknown, unknown]} */ ([object.output[name], output[name]])),
   ];
   // The server reports the mass of sets with points and segments only.
   const sameMass = object.point_mass == null || near(object.point_mass, mass ?? 1);

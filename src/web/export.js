@@ -4,6 +4,7 @@
 
 import { AnimationExport } from "./animationexport.js";
 import * as api from "./api.js";
+import { find, known, listen, text } from "./dom.js";
 import { kindOfOutside, outsideOf } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
 import {
@@ -18,13 +19,24 @@ import {
 } from "./share.js";
 import { ANIMATION, EXPORT, REGION, bytes, problemWords } from "./words.js";
 
-const find = (id) => document.getElementById(`export-${id}`);
-const text = (id, words) => (find(id).textContent = words);
+/**
+ * @typedef {{
+ *   format: "png" | "jpeg" | "webp" | "animation",
+ *   scale: number,
+ *   quality: number,
+ *   compression: keyof typeof EXPORT.compressions,
+ *   background: string,
+ * }} Settings
+ */
 
 /** Time without a change, ms, after which the file is prepared. */
 const REST = 250;
-/** Largest side of a file by format, px; the limits of the server apply too. */
+/**
+ * Largest side of a file by format, px; the limits of the server apply too.
+ * @type {Record<Settings["format"], number>}
+ */
 const SIDES = { png: Infinity, jpeg: 65535, webp: 16383, animation: Infinity };
+/** @type {Settings} */
 const DEFAULTS = {
   format: "png",
   scale: 100,
@@ -32,15 +44,21 @@ const DEFAULTS = {
   compression: "fast",
   background: "#ffffff",
 };
+const FORMATS = /** @type {const} */ (["png", "jpeg", "webp", "animation"]);
 
-/** The stored settings; invalid ones are replaced by the defaults. */
+/**
+ * The stored settings; invalid ones are replaced by the defaults.
+ * @returns {Settings}
+ */
 function storedSettings() {
+  /** @type {Page.Json} */
   let told = {};
   try {
-    told = JSON.parse(setting("export")) ?? {};
+    told = JSON.parse(setting("export") ?? "null") ?? {};
   } catch {
     // Damaged: the defaults apply.
   }
+  /** @type {Record<keyof Settings, (value: Page.Json) => boolean>} */
   const valid = {
     format: (v) => v in SIDES,
     scale: (v) => v > 0 && v <= 10_000,
@@ -48,20 +66,23 @@ function storedSettings() {
     compression: (v) => ["none", "fast", "best"].includes(v),
     background: (v) => /^#[0-9a-f]{6}$/.test(v),
   };
-  return Object.fromEntries(
-    Object.entries(DEFAULTS).map(([name, usual]) => [
-      name,
-      valid[name](told[name]) ? told[name] : usual,
-    ]),
-  );
+  const names = /** @type {(keyof Settings)[]} */ (Object.keys(DEFAULTS));
+  const kept = names.filter((name) => valid[name](told[name])).map((name) => [name, told[name]]);
+  return { ...DEFAULTS, ...Object.fromEntries(kept) };
 }
 
-/** The height that the server gives to a width: the proportions of the picture, rounded. */
+/**
+ * The height that the server gives to a width: the proportions of the picture, rounded.
+ * @type {(width: number, size: Page.Size) => number}
+ */
 const heightOf = (width, [w, h]) => Math.max(1, Math.floor((2 * h * width + w) / (2 * w)));
 
 /**
  * The largest width within the limits; the width of the picture itself is always permitted by the
  * server's pixel limit.
+ * @param {Page.Size} size
+ * @param {Settings["format"]} format
+ * @param {Page.Limits} limits
  */
 function widestOf(size, format, { side, pixels }) {
   const longest = Math.min(side, SIDES[format]);
@@ -80,58 +101,63 @@ function widestOf(size, format, { side, pixels }) {
 export class ExportDialog {
   #settings = storedSettings();
   #width = 0;
+  /** @type {{ key: string, blob: Blob } | null} */
   #prepared = null; // { key, blob }
+  /** @type {AbortController | null} */
   #cancel = null;
   #timer = 0;
 
+  /**
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {Page.Limits} limits
+   * @param {(words: string) => void} toast
+   */
   constructor(store, sync, limits, toast) {
-    Object.assign(this, { store, sync, limits, toast, dialog: document.getElementById("export") });
+    this.store = store;
+    this.sync = sync;
+    this.limits = limits;
+    this.toast = toast;
+    this.dialog = find("export");
     const cancel = () => {
       this.#stop();
-      text("result", EXPORT.cancelled);
+      text("export-result", EXPORT.cancelled);
     };
     this.animation = new AnimationExport(store, sync, () => this.#changed(), cancel);
-    find("close").addEventListener("click", () => this.dialog.close());
+    find("export-close").addEventListener("click", () => this.dialog.close());
     this.dialog.addEventListener(
       "click",
       (event) => event.target === this.dialog && this.dialog.close(),
     );
     // The event arrives late: the dialog may be open again.
     this.dialog.addEventListener("close", () => this.dialog.open || this.#stop());
-    find("form").addEventListener("submit", (event) => {
+    find("export-form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.#attempt(() => this.#download());
     });
-    find("curl").addEventListener(
+    find("export-curl").addEventListener(
       "click",
-      () => find("form").reportValidity() && this.#attempt(() => this.#copy()),
+      () => find("export-form").reportValidity() && this.#attempt(() => this.#copy()),
     );
-    for (const format of Object.keys(SIDES))
-      find(format).addEventListener("change", () => this.#set({ format }));
-    find("quality").addEventListener("input", ({ target }) =>
-      this.#set({ quality: Number(target.value) }),
+    for (const format of FORMATS) listen(`export-${format}`, "change", () => this.#set({ format }));
+    listen("export-quality", "input", ({ value }) => this.#set({ quality: Number(value) }));
+    listen("export-compression", "change", ({ value }) =>
+      this.#set({ compression: /** @type {keyof typeof EXPORT.compressions} */ (value) }),
     );
-    find("compression").addEventListener("change", ({ target }) =>
-      this.#set({ compression: target.value }),
-    );
-    find("background").addEventListener("input", ({ target }) =>
-      this.#set({ background: target.value }),
-    );
-    find("width").addEventListener("input", ({ target }) =>
-      this.#resize(target.valueAsNumber, target),
-    );
-    find("scale").addEventListener("input", ({ target }) =>
-      this.#resize(Math.round((target.valueAsNumber * this.#size[0]) / 100), target),
+    listen("export-background", "input", ({ value }) => this.#set({ background: value }));
+    listen("export-width", "input", (input) => this.#resize(input.valueAsNumber, input));
+    listen("export-scale", "input", (input) =>
+      this.#resize(Math.round((input.valueAsNumber * this.#size[0]) / 100), input),
     );
   }
 
+  /** @returns {Page.Size} */
   get #size() {
-    const {
-      picture: { width, height },
-      revision,
-    } = this.store.state;
+    const { picture, revision } = this.store.state;
     const { png } = this.sync;
-    return png?.revision === revision && png.canvas ? png.canvas.slice(2) : [width, height];
+    const { width, height } = known(picture);
+    if (png?.revision !== revision || !png.canvas) return [width, height];
+    return [png.canvas[2], png.canvas[3]];
   }
 
   show() {
@@ -146,13 +172,18 @@ export class ExportDialog {
     this.#changed();
   }
 
+  /** @param {Partial<Settings>} change */
   #set(change) {
     this.#settings = { ...this.#settings, ...change };
     keepSetting("export", JSON.stringify(this.#settings));
     this.#changed();
   }
 
-  /** `typed`: the field that the user is typing in; it is not overwritten. */
+  /**
+   * `typed`: the field that the user is typing in; it is not overwritten.
+   * @param {number} width
+   * @param {HTMLElement} typed
+   */
   #resize(width, typed) {
     this.#width = width;
     if (width >= 1) this.#settings = { ...this.#settings, scale: (100 * width) / this.#size[0] };
@@ -160,7 +191,10 @@ export class ExportDialog {
     this.#changed(typed);
   }
 
-  /** The fields of `output` that differ from those of "Download PNG". */
+  /**
+   * The fields of `output` that differ from those of "Download PNG".
+   * @returns {Page.Output}
+   */
   get #output() {
     const { format, quality, compression, background } = this.#settings;
     return {
@@ -182,10 +216,14 @@ export class ExportDialog {
     );
   }
 
+  /** @param {HTMLElement | null} [typed] */
   #changed(typed = null) {
     this.#stop();
     this.#draw(typed);
-    if (!find("width").checkValidity() || (this.#isAnimation && !find("frames").checkValidity()))
+    if (
+      !find("export-width").checkValidity() ||
+      (this.#isAnimation && !find("export-frames").checkValidity())
+    )
       return;
     this.#timer = setTimeout(
       () => this.#attempt(() => (this.#isAnimation ? this.#estimate() : this.#prepare())),
@@ -203,44 +241,46 @@ export class ExportDialog {
     this.#cancel = null;
   }
 
+  /** @param {HTMLElement | null} typed */
   #draw(typed) {
     const { format, quality, compression, background, scale } = this.#settings;
     const [width, height] = this.#size;
     const widest = widestOf(this.#size, format, this.limits);
-    find(format).checked = true;
-    text("format-note", EXPORT.formats[format]);
-    find("width").max = widest;
-    if (typed !== find("width")) find("width").value = this.#width;
-    if (typed !== find("scale")) find("scale").value = Math.round(10 * scale) / 10;
-    const valid = find("width").checkValidity();
-    find("width").setAttribute("aria-invalid", !valid);
-    text("height", valid ? `× ${heightOf(this.#width, this.#size)} px` : "px");
+    find(`export-${format}`).checked = true;
+    text("export-format-note", EXPORT.formats[format]);
+    find("export-width").max = String(widest);
+    if (typed !== find("export-width")) find("export-width").value = String(this.#width);
+    if (typed !== find("export-scale"))
+      find("export-scale").value = String(Math.round(10 * scale) / 10);
+    const valid = find("export-width").checkValidity();
+    find("export-width").setAttribute("aria-invalid", String(!valid));
+    text("export-height", valid ? `× ${heightOf(this.#width, this.#size)} px` : "px");
     text(
-      "size-note",
+      "export-size-note",
       `The picture has ${width} × ${height} px. The width can be 1 to ${widest} px.`,
     );
-    find("quality-row").hidden = format !== "jpeg";
-    find("quality").value = quality;
-    text("quality-value", quality);
-    find("compression-row").hidden = format !== "png";
-    find("compression").value = compression;
-    text("compression-note", EXPORT.compressions[compression]);
-    find("background-row").hidden = format !== "jpeg";
-    find("background").hidden = !this.#hasBackground;
-    find("background").value = background;
+    find("export-quality-row").hidden = format !== "jpeg";
+    find("export-quality").value = String(quality);
+    text("export-quality-value", String(quality));
+    find("export-compression-row").hidden = format !== "png";
+    find("export-compression").value = compression;
+    text("export-compression-note", EXPORT.compressions[compression]);
+    find("export-background-row").hidden = format !== "jpeg";
+    find("export-background").hidden = !this.#hasBackground;
+    find("export-background").value = background;
     const outside = outsideOf(this.store.state.document);
-    text("background-note", EXPORT.backgrounds[kindOfOutside(outside)]);
-    text("save", `Download ${EXPORT.names[format]}`);
+    text("export-background-note", EXPORT.backgrounds[kindOfOutside(outside)]);
+    text("export-save", `Download ${EXPORT.names[format]}`);
     this.animation.draw(this.#isAnimation);
-    const hasFrames = !this.#isAnimation || find("frames").checkValidity();
-    find("problem").hidden = valid && hasFrames;
-    if (!hasFrames) text("problem", `Enter 2 to ${this.animation.most} frames.`);
-    if (!valid) text("problem", `Enter a width of 1 to ${widest} px.`);
+    const hasFrames = !this.#isAnimation || find("export-frames").checkValidity();
+    find("export-problem").hidden = valid && hasFrames;
+    if (!hasFrames) text("export-problem", `Enter 2 to ${this.animation.most} frames.`);
+    if (!valid) text("export-problem", `Enter a width of 1 to ${widest} px.`);
     text(
-      "result",
+      "export-result",
       !valid || !hasFrames ? "" : this.#isAnimation ? this.#frames : "Preparing the file",
     );
-    text("said", "");
+    text("export-said", "");
   }
 
   /** The file, from the server unless it is prepared already. */
@@ -256,7 +296,7 @@ export class ExportDialog {
       this.#prepared = { key, blob };
     }
     text(
-      "result",
+      "export-result",
       `${this.#width} × ${heightOf(this.#width, this.#size)} px, ${bytes(this.#prepared.blob.size)}`,
     );
     return this.#prepared.blob;
@@ -271,7 +311,7 @@ export class ExportDialog {
     const cancel = new AbortController();
     this.#cancel = cancel;
     const size = await this.animation.estimate(this.#output, cancel.signal);
-    if (!cancel.signal.aborted) text("result", `${this.#frames}, about ${bytes(size)}`);
+    if (!cancel.signal.aborted) text("export-result", `${this.#frames}, about ${bytes(size)}`);
   }
 
   /** The animation, unless it is cancelled. */
@@ -279,13 +319,13 @@ export class ExportDialog {
     this.#stop();
     const cancel = new AbortController();
     this.#cancel = cancel;
-    find("problem").hidden = true;
-    text("result", "");
+    find("export-problem").hidden = true;
+    text("export-result", "");
     return this.animation.fetch(this.#output, cancel.signal);
   }
 
   get #name() {
-    const { name } = this.store.state.picture;
+    const { name } = known(this.store.state.picture);
     return this.#isAnimation
       ? animationName(name, this.animation.file)
       : pictureName(name, this.#settings.format);
@@ -303,7 +343,7 @@ export class ExportDialog {
     const line = this.#isAnimation
       ? batchLine(this.sync, this.#name, this.animation.media, this.animation.body(this.#output))
       : curlLine(this.sync, this.store.state, this.#output);
-    const copied = await copy(line, find("copied"));
+    const copied = await copy(line, find("export-copied"));
     const mask = this.#isAnimation ? null : await saveRegion(this.store.state);
     const more = this.#isAnimation
       ? ANIMATION.session(this.limits.idle)
@@ -311,25 +351,28 @@ export class ExportDialog {
         ? REGION.needs(mask)
         : "";
     text(
-      "said",
+      "export-said",
       `${copied ? "Command copied" : "Press Ctrl+C to copy the command"}${more && `. ${more}`}`,
     );
   }
 
-  /** Shows a problem in the dialog: the page behind it cannot be reached. */
+  /**
+   * Shows a problem in the dialog: the page behind it cannot be reached.
+   * @param {() => unknown} act
+   */
   async #attempt(act) {
     try {
       await act();
     } catch (error) {
       if (api.wasAborted(error)) return;
-      if (!(error instanceof api.Problem)) throw error;
+      const problem = api.asProblem(error);
       // Nothing that the dialog requests is repeated automatically.
       const { title, detail, advice } = problemWords(
-        Object.assign(Object.create(error), { opening: true }),
+        Object.assign(Object.create(problem), { opening: true }),
       );
-      find("problem").hidden = false;
-      text("problem", [`${title}.`, detail, advice].filter(Boolean).join(" "));
-      text("result", "");
+      find("export-problem").hidden = false;
+      text("export-problem", [`${title}.`, detail, advice].filter(Boolean).join(" "));
+      text("export-result", "");
     }
   }
 }

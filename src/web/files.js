@@ -14,9 +14,17 @@ export const HANDLES =
   "application/json,.json,text/csv,.csv,.tsv,.pts,.tem,.tps,.points,.txt,.xml,.fcsv";
 export const ANNOTATIONS = "application/geo+json,.geojson";
 
+/** @typedef {"picture" | "project" | "annotations" | "handles" | "landmarks" | "other"} FileKind */
+
+/** @type {(a: File, b: File) => number} */
 const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
 
-/** The JSON value of a file; undefined if it is none or too large. */
+/**
+ * The JSON value of a file; undefined if it is none or too large.
+ * @param {File} file
+ * @param {number} most
+ * @returns {Promise<Page.Json>}
+ */
 async function valueOf(file, most) {
   if (file.size > most) return undefined;
   try {
@@ -29,6 +37,9 @@ async function valueOf(file, most) {
 /**
  * `picture`, `project`, `annotations`, `handles` (complete, with both sides), `landmarks` or
  * `other`.
+ * @param {File} file
+ * @param {number} most
+ * @returns {Promise<FileKind>}
  */
 async function kindOf(file, most) {
   if (file.type.startsWith("image/") || PICTURE.test(file.name)) return "picture";
@@ -46,14 +57,22 @@ async function kindOf(file, most) {
  * What is used of some files, in the order of their names: { project, picture, handles,
  * annotations, unused }. A project is used alone. Two landmark files are rest and pose; a file with
  * both sides is used alone. `most`: bytes up to which JSON is looked into.
+ * @param {Iterable<File>} list
+ * @param {number} most
  */
 export async function sorted(list, most) {
   const files = [...list].toSorted(byName);
   const kinds = await Promise.all(files.map((file) => kindOf(file, most)));
+  /** @type {(kind: FileKind) => File[]} */
   const of = (kind) => files.filter((_, k) => kinds[k] === kind);
-  const [[project], [picture], [annotations]] = ["project", "picture", "annotations"].map(of);
+  const [project, picture, annotations] = /** @type {const} */ ([
+    "project",
+    "picture",
+    "annotations",
+  ]).map((kind) => of(kind).at(0));
   const complete = of("handles");
   const handles = complete.length ? complete.slice(0, 1) : of("landmarks").slice(0, 2);
+  /** @type {{ project?: File, picture?: File, handles: File[], annotations?: File }} */
   const chosen = project ? { project, handles: [] } : { picture, handles, annotations };
   const used = new Set([...Object.values(chosen).flat()]);
   return { ...chosen, unused: files.filter((file) => !used.has(file)).map(({ name }) => name) };

@@ -2,6 +2,7 @@
 // predicts best is chosen. The residuals are shown as arrows until a handle or the method changes.
 
 import * as api from "./api.js";
+import { known } from "./dom.js";
 import { wire } from "./edits.js";
 import { fitWords } from "./words.js";
 
@@ -10,17 +11,28 @@ export const LEAST_PINS = 4;
 /** Arrows are magnified by one of these, so that the longest has about this length, CSS px. */
 const SCALES = [1, 2, 5, 10, 20, 50, 100];
 const LONGEST = 160;
+const PARAMETERS = /** @type {const} */ (["method", "alpha", "smoothing"]);
 
-const of = (best) => (candidate) =>
-  ["method", "alpha", "smoothing"].every((name) => candidate[name] === best[name]);
+/** @type {(best: Page.FitBest) => (candidate: Page.FitCandidate) => boolean} */
+const of = (best) => (candidate) => PARAMETERS.every((name) => candidate[name] === best[name]);
 
-/** How often arrows are magnified. */
+/**
+ * How often arrows are magnified.
+ * @param {Page.Place[]} residuals
+ * @param {number} zoom
+ */
 function scaleOf(residuals, zoom) {
   const longest = Math.max(...residuals.map(([x, y]) => Math.hypot(x, y))) * zoom;
-  return SCALES.findLast((scale) => scale === 1 || scale * longest <= LONGEST);
+  return known(SCALES.findLast((scale) => scale === 1 || scale * longest <= LONGEST));
 }
 
-/** Compares the methods, and sets the best. Throws a Problem. */
+/**
+ * Compares the methods, and sets the best. Throws a Problem.
+ * @param {Page.Store} store
+ * @param {Page.Sync} sync
+ * @param {Page.View} view
+ * @param {Page.UserActions} actions
+ */
 export async function chooseMethod(store, sync, view, actions) {
   const { document: asked } = store.state;
   await sync.settled();
@@ -28,7 +40,7 @@ export async function chooseMethod(store, sync, view, actions) {
   const { best, candidates } = await api.fit(sync.session.id, { q: wire(asked, "q") });
   // Changed in the meantime: the choice is of other handles.
   if (store.state.document !== asked) return;
-  const { residuals, outliers } = candidates.find(of(best));
+  const { residuals, outliers } = known(candidates.find(of(best)));
   const scale = scaleOf(residuals, view.zoom);
   const words = fitWords({ best, candidates, before: asked.method, outliers, scale });
   const { smoothing: _, ...others } = asked;
@@ -38,7 +50,7 @@ export async function chooseMethod(store, sync, view, actions) {
     alpha: best.alpha ?? null,
     ...(best.smoothing && { smoothing: best.smoothing }),
   };
-  const isSame = ["method", "alpha", "smoothing"].every((name) => chosen[name] === asked[name]);
+  const isSame = PARAMETERS.every((name) => chosen[name] === asked[name]);
   if (!isSame) actions.edit(chosen);
   store.do("fit", { fit: { residuals, outliers, scale, words } });
   actions.say(words);

@@ -13,6 +13,13 @@ const COLOURS = {
 /**
  * `place`: { zoom, x, y } in device px; `scale`: device px per CSS px; `quick`: during a drag,
  * without the dark edge.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Page.Mesh} mesh
+ * @param {Page.Place[]} folded
+ * @param {Page.Placed} place
+ * @param {number} scale
+ * @param {boolean} lines
+ * @param {boolean} quick
  */
 export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, quick) {
   const { width, height } = context.canvas;
@@ -23,6 +30,7 @@ export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, qu
   context.rect(x, y, zoom * mesh.grid.width, zoom * mesh.grid.height);
   context.save();
   context.clip();
+  /** @type {(place: Page.Place) => Page.Place} */
   const to = ([px, py]) => [x + zoom * px, y + zoom * py];
   if (lines) {
     if (!quick) drawLines(context, mesh, to, zoom, scale, COLOURS.under, 2.5 * scale);
@@ -40,14 +48,26 @@ export function drawGrid(context, mesh, folded, { zoom, x, y }, scale, lines, qu
   context.restore();
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Page.Mesh} mesh
+ * @param {(place: Page.Place) => Page.Place} to
+ * @param {number} zoom
+ * @param {number} scale
+ * @param {string} colour
+ * @param {number} thick
+ */
 function drawLines(context, mesh, to, zoom, scale, colour, thick) {
   const { columns, rows, cell } = mesh.grid;
+  /** @type {(size: number) => number} */
   const every = (size) => Math.max(1, Math.round((APART * scale) / (zoom * size)));
   const [acrossStep, downStep] = [every(cell[0]), every(cell[1])];
+  /** @type {(count: number, step: number) => number[]} */
   const chosen = (count, step) =>
     Array.from({ length: count }, (_, k) => k).filter((k) => k % step === 0 || k === count - 1);
   // Skip vertices along a line where the difference is not visible.
   const [alongX, alongY] = [acrossStep, downStep].map((step) => Math.max(1, Math.floor(step / 2)));
+  /** @type {(places: Page.Place[]) => void} */
   const line = (places) =>
     places.forEach((place, k) => (k ? context.lineTo(...to(place)) : context.moveTo(...to(place))));
   context.beginPath();

@@ -3,6 +3,7 @@
 // that dots have the same size at every zoom. A canvas shows those that are not selected
 // (marks.js).
 
+import { find, known } from "./dom.js";
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
 import { FEW_SELECTED, LEAST_WAY, Marks, PLATE, STALK } from "./marks.js";
 import { isRegionTool } from "./region.js";
@@ -11,7 +12,10 @@ import { canTwist } from "./twist.js";
 import { marked, places as placesWords, residualWords } from "./words.js";
 
 const SPACE = "http://www.w3.org/2000/svg";
-/** Hit radius of a vertex or a line, CSS px: 24 px across for a mouse, 44 px for touch. */
+/**
+ * Hit radius of a vertex or a line, CSS px: 24 px across for a mouse, 44 px for touch.
+ * @type {Record<Page.PointerKind, number>}
+ */
 export const REACH = { mouse: 12, pen: 14, touch: 22 };
 /** Distance of the selection ring from the vertices, CSS px. */
 const RING_OFF = 26;
@@ -19,6 +23,12 @@ const RING_OFF = 26;
 const PIN_RING = { mouse: 30, touch: 40 };
 const COARSE = matchMedia("(pointer: coarse)");
 
+/**
+ * @template {keyof SVGElementTagNameMap} Name
+ * @param {Name} name
+ * @param {Attributes} [attributes]
+ * @param {...Node} children
+ */
 function element(name, attributes = {}, ...children) {
   const made = document.createElementNS(SPACE, name);
   set(made, attributes);
@@ -26,52 +36,113 @@ function element(name, attributes = {}, ...children) {
   return made;
 }
 
-/** Sets changed attributes; null removes one. */
+/**
+ * Sets changed attributes; null removes one.
+ * @param {Element} node
+ * @param {Attributes} attributes
+ */
 function set(node, attributes) {
   for (const [name, value] of Object.entries(attributes)) {
     if (value === null) node.removeAttribute(name);
-    else if (node.getAttribute(name) !== String(value)) node.setAttribute(name, value);
+    else if (node.getAttribute(name) !== String(value)) node.setAttribute(name, String(value));
   }
 }
 
+/** @type {(places: Page.Place[]) => string} */
 const list = (places) => places.map(([x, y]) => `${x.toFixed(2)},${y.toFixed(2)}`).join(" ");
+/** @type {(place: Page.Place) => string} */
 const at = ([x, y]) => `translate(${x.toFixed(2)} ${y.toFixed(2)})`;
 
 /**
  * The path of an arrow by (dx, dy) that ends at the rim of a dot; empty if it is shorter than that.
+ * @param {Page.Place} place
+ * @param {Page.Place} way
  */
 function arrowTo([x, y], [dx, dy]) {
   const [length, rim, head] = [Math.hypot(dx, dy), 9.5, 6];
   if (length < rim + 2) return "";
   const [ux, uy] = [dx / length, dy / length];
   const [tx, ty] = [x - rim * ux, y - rim * uy];
+  /** @type {(side: number) => string} */
   const wing = (side) =>
     `${(tx - head * ux + side * head * 0.7 * uy).toFixed(2)} ${(ty - head * uy - side * head * 0.7 * ux).toFixed(2)}`;
-  return `M${(x - dx).toFixed(2)} ${(y - dy).toFixed(2)}L${tx.toFixed(2)} ${ty.toFixed(2)}M${wing(1)}L${tx.toFixed(2)} ${ty.toFixed(2)}L${wing(-1)}`;
+  const tip = `L${tx.toFixed(2)} ${ty.toFixed(2)}`;
+  return `M${(x - dx).toFixed(2)} ${(y - dy).toFixed(2)}${tip}M${wing(1)}${tip}L${wing(-1)}`;
 }
 
+/** @type {(handle: Page.Handle, vertex: number | null) => string} */
 export const keyOf = (handle, vertex) =>
   vertex === null || handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
+
+/** @typedef {Record<string, string | number | boolean | null>} Attributes */
+
+/**
+ * What draws a handle: the whole, and a node for each vertex of a line; `look` tells whether it
+ * must be drawn again.
+ *
+ * @typedef {{
+ *   handle: Page.Handle | null,
+ *   look: string,
+ *   count: number,
+ *   whole: SVGGElement,
+ *   places: SVGGElement[],
+ *   ghosts: SVGGElement[],
+ *   onCanvas: boolean,
+ *   mark: Page.Mark,
+ * }} Nodes
+ */
+
+/**
+ * What the looks of a handle depend on, besides the handle; `inSvg`: the SVG draws what is
+ * selected.
+ *
+ * @typedef {{
+ *   place: string,
+ *   selected: Set<string>,
+ *   inSvg: boolean,
+ *   moving: boolean,
+ *   faults: Set<number>,
+ *   warnings: Set<number>,
+ *   residual: (index: number) => string,
+ * }} Looks
+ */
 
 export class Handles {
   /**
    * The selection rectangle in stage px: [[x, y], [x, y]] or null; and the pointer position while a
    * line is drawn.
+   * @type {[Page.Place, Page.Place] | null}
    */
   marquee = null;
+  /**
+   * The circle of a selection that is being turned, and the angle of its knob.
+   *
+   * @type {Page.Circle & { angle: number } | null}
+   */
+  turning = null;
+  /** @type {Page.Place | null} */
   pointer = null;
 
-  #drawn = new Map(); // handle id to its nodes
+  /**
+   * The nodes of a handle, by its id.
+   *
+   * @type {Map<number, Nodes>}
+   */
+  #drawn = new Map();
   #thinned = "";
+  /** @type {Page.Document | null} */
   #thinnedFor = null;
 
+  /**
+   * @param {SVGSVGElement} svg
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   */
   constructor(svg, store, view) {
-    Object.assign(this, {
-      svg,
-      store,
-      view,
-      marks: new Marks(document.getElementById("marks"), document.getElementById("moving"), view),
-    });
+    this.svg = svg;
+    this.store = store;
+    this.view = view;
+    this.marks = new Marks(find("marks"), find("moving"), view);
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.fit = element("g", { id: "residuals", "aria-hidden": true });
     this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
@@ -145,6 +216,7 @@ export class Handles {
       this.#drawn.delete(id);
     }
     const { fit, fitShown } = state;
+    /** @type {Looks} */
     const looks = {
       place: `${this.view.zoom} ${this.view.toStage([0, 0])}`,
       selected: new Set(state.selection),
@@ -156,9 +228,13 @@ export class Handles {
         ? (index) => residualWords(fit.residuals[index], fit.outliers.includes(index))
         : () => "",
     };
+    /** @type {Element | null} */
     let last = null;
-    const [plain, drawnHere] = [[], []];
-    handles.forEach((handle, index) => {
+    /** @type {import("./marks.js").MarkedHandle[]} */
+    const plain = [];
+    /** @type {import("./marks.js").MarkedHandle[]} */
+    const drawnHere = [];
+    for (const [index, handle] of handles.entries()) {
       const nodes = this.#drawn.get(handle.id) ?? this.#make(handle);
       this.#update(nodes, handle, index, looks);
       (nodes.onCanvas ? plain : drawnHere).push({ handle, ...nodes.mark });
@@ -169,7 +245,7 @@ export class Handles {
           ...nodes.places,
         );
       last = nodes.places.at(-1) ?? nodes.whole;
-    });
+    }
     this.#drawFit(state);
     this.#thinOut(state);
     const ring = this.#drawRing(state);
@@ -183,8 +259,11 @@ export class Handles {
     this.#drawMarks(state);
   }
 
+  /** @param {Page.Handle} handle */
   #make(handle) {
+    /** @type {(...parts: Node[]) => SVGGElement} */
     const focusable = (...parts) => element("g", { role: "button", tabindex: 0 }, ...parts);
+    /** @type {(small: boolean) => SVGGElement} */
     const place = (small) => {
       const label = element("text", { class: "number", y: -15, "text-anchor": "middle" });
       const rim = small
@@ -217,6 +296,7 @@ export class Handles {
         element("circle", { r: 3.2 }),
       ),
     );
+    /** @type {Nodes} */
     const nodes = {
       handle: null,
       look: "",
@@ -224,13 +304,21 @@ export class Handles {
       whole: single ? place(false) : line(),
       places: single ? [] : handle.p.map(() => place(true)),
       ghosts,
+      onCanvas: false,
+      mark: { pressed: [], fault: null, labels: [] },
     };
     this.ghosts.append(...ghosts);
     this.#drawn.set(handle.id, nodes);
     return nodes;
   }
 
-  /** Draws a handle, unless it looks as before: most do in a frame of a drag. */
+  /**
+   * Draws a handle, unless it looks as before: most do in a frame of a drag.
+   * @param {Nodes} nodes
+   * @param {Page.Handle} handle
+   * @param {number} index
+   * @param {Looks} looks
+   */
   #update(
     nodes,
     handle,
@@ -284,11 +372,17 @@ export class Handles {
       if (onCanvas) return;
       for (const line of ghost.querySelectorAll("line"))
         set(line, { x1: x, y1: y, x2: posed[k][0], y2: posed[k][1] });
-      set(ghost.lastChild, { cx: x, cy: y });
+      set(known(ghost.lastElementChild), { cx: x, cy: y });
     });
   }
 
-  /** The number that a vertex shows on the canvas, if it has room. */
+  /**
+   * The number that a vertex shows on the canvas, if it has room.
+   * @param {Nodes} nodes
+   * @param {number} k
+   * @param {boolean} isShown
+   * @param {number} index
+   */
   #labelOf(nodes, k, isShown, index) {
     const node = nodes.places[k] ?? nodes.whole;
     return isShown && node.getAttribute("class") !== "crowded"
@@ -296,23 +390,32 @@ export class Handles {
       : "";
   }
 
+  /**
+   * @param {Element} node
+   * @param {Page.Place | undefined} stage
+   * @param {Page.Place} place
+   * @param {string | number} label
+   */
   #updatePlace(node, stage, place, label) {
     set(node, { ...(stage && { transform: at(stage) }), "data-x": place[0], "data-y": place[1] });
-    if (node.lastChild.textContent !== String(label)) node.lastChild.textContent = label;
+    const shown = known(node.lastChild);
+    if (shown.textContent !== String(label)) shown.textContent = String(label);
   }
 
   /**
    * An arrow from the prediction of each pin to the pin, as long as the residual times the scale.
+   * @param {Page.State} state
    */
   #drawFit({ fit, fitShown, document: { handles } }) {
     const shown = fit && fitShown ? handles : [];
-    while (this.fit.children.length > shown.length) this.fit.lastChild.remove();
+    while (this.fit.children.length > shown.length) this.fit.lastChild?.remove();
     shown.forEach(({ q: [place] }, index) => {
       const arrow =
         this.fit.children[index] ??
         this.fit.appendChild(
           element("g", {}, ...["rim", "over"].map((name) => element("path", { class: name }))),
         );
+      if (!fit) return;
       const outlier = fit.outliers.includes(index);
       set(arrow, { class: outlier ? "outlier" : null, "data-residual": index });
       const d = arrowTo(
@@ -326,6 +429,7 @@ export class Handles {
   /**
    * Circle around a selected pin, or around a selection with two or more vertices, stage px;
    * otherwise null.
+   * @returns {Page.Ring | null}
    */
   ringAt() {
     const { document, selection, draft, arm } = this.store.state;
@@ -340,6 +444,7 @@ export class Handles {
       (pin
         ? (((pin.twist?.angle ?? 0) - (pin.twist?.free ?? 0)) * Math.PI) / 180
         : (this.turning?.angle ?? 0));
+    /** @type {(r: number) => Page.Place} */
     const knobAt = (r) => [
       middle[0] + (r + STALK) * Math.cos(angle),
       middle[1] + (r + STALK) * Math.sin(angle),
@@ -359,6 +464,10 @@ export class Handles {
     return { pin: null, centre, middle, r, knob: knobAt(r) };
   }
 
+  /**
+   * @param {Page.State} state
+   * @returns {Page.Ring & { degrees: string } | null}
+   */
   #drawRing({ before }) {
     const ring = this.ringAt();
     const degrees = ring?.pin?.twist?.angle;
@@ -388,7 +497,10 @@ export class Handles {
     return null;
   }
 
-  /** Hides numbers without room. Not during a drag, so that they do not flicker. */
+  /**
+   * Hides numbers without room. Not during a drag, so that they do not flicker.
+   * @param {Page.State} state
+   */
   #thinOut({ selection, document, before, compare, peek }) {
     if (before || compare || peek) return;
     const key = `${this.view.zoom} ${selection} ${document.handles.length}`;
@@ -396,16 +508,18 @@ export class Handles {
     this.#thinned = key;
     this.#thinnedFor = document;
     const chosen = new Set(selection);
+    /** @type {[x: number, y: number, text: string, wanted: boolean][]} */
     const marks = [];
+    /** @type {Element[]} */
     const nodes = [];
     for (const handle of document.handles) {
-      const drawn = this.#drawn.get(handle.id);
+      const drawn = known(this.#drawn.get(handle.id));
       handle.q.forEach((place, k) => {
         const node = drawn.places[k] ?? drawn.whole;
         nodes.push(node);
         marks.push([
           ...this.view.toStage(place),
-          node.lastChild.textContent,
+          known(known(node.lastChild).textContent),
           chosen.has(String(handle.id)) || chosen.has(`${handle.id}.${k}`),
         ]);
       });
@@ -416,13 +530,20 @@ export class Handles {
     );
   }
 
-  /** The pin of a selection that is a single point and may be twisted, or null. */
+  /**
+   * The pin of a selection that is a single point and may be twisted, or null.
+   * @param {Page.State} state
+   * @returns {Page.Handle | null}
+   */
   #pin({ document, selection }) {
     const handle =
-      selection.length === 1 && document.handles.find((h) => String(h.id) === selection[0]);
+      selection.length === 1
+        ? document.handles.find((h) => String(h.id) === selection[0])
+        : undefined;
     return handle && canTwist(handle) && !takesPinsOnly(document) ? handle : null;
   }
 
+  /** @param {Page.State} state */
   #drawDraft({ draft, cross }) {
     const posed = draft.map((place) => this.view.toStage(place));
     const next = this.pointer ?? (cross ? this.view.toStage(cross) : null);
@@ -440,6 +561,7 @@ export class Handles {
     });
   }
 
+  /** @param {Page.State} state */
   #drawMarks({ cross }) {
     const box = this.marquee;
     set(this.frame, { visibility: box ? "visible" : "hidden" });
@@ -461,13 +583,17 @@ export class Handles {
   /**
    * Hit test at a stage position: { knob: true }, { handle, index, vertex } (vertex null: the whole
    * handle), or null.
+   * @param {Page.Place} place
+   * @param {string} kind
+   * @returns {Page.Named | { knob: true, pin: Page.Handle | null } | null}
    */
   hit([x, y], kind) {
     const ring = this.ringAt();
-    const reach = REACH[kind] ?? REACH.mouse;
+    const reach = REACH[/** @type {Page.PointerKind} */ (kind)] ?? REACH.mouse;
     const fromKnob = ring ? Math.hypot(ring.knob[0] - x, ring.knob[1] - y) : Infinity;
     const { handles } = this.store.state.document;
-    let [best, least] = [null, Infinity];
+    let best = /** @type {Page.Named | null} */ (null);
+    let least = Infinity;
     handles.forEach((handle, index) => {
       handle.q.forEach((place, vertex) => {
         const [px, py] = this.view.toStage(place);
@@ -477,7 +603,7 @@ export class Handles {
       });
     });
     // Between a pin's knob and another handle, the nearer one.
-    if (fromKnob <= Math.max(14, reach) && (fromKnob <= least || !ring.pin))
+    if (ring && fromKnob <= Math.max(14, reach) && (fromKnob <= least || !ring.pin))
       return { knob: true, pin: ring.pin };
     if (best) return best;
     least = reach;
@@ -494,8 +620,10 @@ export class Handles {
   /**
    * Selection keys inside a stage rectangle: the whole handle if all vertices are inside, otherwise
    * the vertices.
+   * @param {[Page.Place, Page.Place]} corners
    */
   inside([[ax, ay], [bx, by]]) {
+    /** @type {(place: Page.Place) => boolean} */
     const within = (place) => {
       const [x, y] = this.view.toStage(place);
       return (
@@ -513,9 +641,14 @@ export class Handles {
     });
   }
 
-  /** The handle or vertex of an SVG element. */
+  /**
+   * The handle or vertex of an SVG element.
+   * @param {EventTarget | null} target
+   * @returns {Page.Named | null}
+   */
   named(target) {
-    const node = target.closest?.("[data-handle]");
+    /** @type {SVGElement | null} */
+    const node = target instanceof Element ? target.closest("[data-handle]") : null;
     if (!node) return null;
     const index = Number(node.dataset.handle);
     const handle = this.store.state.document.handles[index];
@@ -528,14 +661,24 @@ export class Handles {
       : null;
   }
 
-  /** Focuses the element of a handle without scrolling. */
+  /**
+   * Focuses the element of a handle without scrolling.
+   * @param {number} index
+   * @param {number | null} [vertex]
+   */
   focus(index, vertex = null) {
-    this.svg
-      .querySelector(vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`)
-      ?.focus({ preventScroll: true });
+    const id = vertex === null ? `#handle-${index}` : `#handle-${index}-${vertex}`;
+    /** @type {SVGElement | null} */
+    const node = this.svg.querySelector(id);
+    node?.focus({ preventScroll: true });
   }
 }
 
+/**
+ * @param {Page.Place} place
+ * @param {Page.Place} from
+ * @param {Page.Place} to
+ */
 function distanceToSegment([x, y], [ax, ay], [bx, by]) {
   const [dx, dy] = [bx - ax, by - ay];
   const length = dx * dx + dy * dy;

@@ -18,22 +18,28 @@ const FILTERS = ["nearest", "bilinear", "bicubic"];
  * The handles of a file: { name, document, warp, missing: how many have no position }. The
  * positions of a normalised file are shares of the picture's size; `warp` then makes the document
  * for a picture (`scaled`), and is otherwise null. Throws a Problem.
+ * @param {File} file
+ * @returns {Promise<Page.HandlesFile>}
  */
 export async function readHandles(file) {
+  /** @type {(detail: string) => Problem} */
   const problem = (detail) => new Problem({ code: "bad_handles_file", detail }, 0);
   const text = await (file.size > LARGEST ? null : file.text().catch(() => null));
   const reason = file.size > LARGEST ? ": it is too large for a file of handles" : "";
   if (text === null) throw problem(`The file ${file.name} cannot be read${reason}.`);
+  /** @type {(at: number) => string} */
   const where = (at) => {
     const { line, column } = lineAndColumn(text, at);
     return `In ${file.name}, line ${line}, column ${column}`;
   };
+  /** @type {(warp: Page.Json) => Page.HandlesFile} */
   const ready = (warp) => {
     const isNormalized = warp?.units === "normalized";
     const document = documentFrom(isNormalized ? { ...warp, units: "px" } : warp);
     const missing = warp.p.length - document.handles.length;
     return { name: file.name, document, warp: isNormalized ? warp : null, missing };
   };
+  /** @type {ReturnType<typeof parse> | null} */
   let parsed = null;
   try {
     if (/^\s*($|[{[])/.test(text) && !isTable(file)) parsed = parse(text);
@@ -50,19 +56,25 @@ export async function readHandles(file) {
     if (!(error instanceof Unsupported)) throw error;
     const member = error.pointer && ` for ${named(error.pointer)}`;
     throw problem(
-      `${where(parsed.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`,
+      `${where(parsed?.places.get(error.pointer) ?? 0)}: ${error.expected} is expected${member}.`,
     );
   }
 }
 
+/** @type {(file: File) => boolean} */
 const isTable = (file) =>
   file.type === "text/csv" || /\.(csv|tsv|pts|tem|tps|points|txt|xml|fcsv)$/i.test(file.name);
 
-/** The handles of two landmark files: rest and pose. */
+/**
+ * The handles of two landmark files: rest and pose.
+ * @param {File[]} files
+ * @returns {Promise<Page.HandlesFile>}
+ */
 export async function readBoth(files) {
   const names = files.map(({ name }) => name);
   try {
-    const { p, q, units } = await readSides(...(await Promise.all(files.map(sideOf))));
+    const [rest, pose] = await Promise.all(files.map(sideOf));
+    const { p, q, units } = await readSides(rest, pose);
     const isNormalized = units === "normalized";
     const document = { ...documentFrom({ p, q }), sides: names };
     return {
@@ -73,6 +85,7 @@ export async function readBoth(files) {
     };
   } catch (error) {
     if (error instanceof Problem) {
+      /** @type {(text: string, k: number) => string} */
       const named = (text, k) =>
         text
           .replace(new RegExp(`^landmarks_${"pq"[k]}, `), `In ${names[k]}, `)
@@ -83,7 +96,11 @@ export async function readBoth(files) {
   }
 }
 
-/** A file as one side: of a warp object without q, the handles alone. */
+/**
+ * A file as one side: of a warp object without q, the handles alone.
+ * @param {File} file
+ * @returns {Promise<Blob>}
+ */
 async function sideOf(file) {
   if (isTable(file) || file.size > LARGEST) return file;
   try {
@@ -94,7 +111,11 @@ async function sideOf(file) {
   }
 }
 
-/** A landmark file as a warp object. */
+/**
+ * A landmark file as a warp object.
+ * @param {File} file
+ * @returns {Promise<Page.Landmarks>}
+ */
 async function landmarks(file) {
   try {
     const { p, q, units } = await readLandmarks(file);
@@ -106,9 +127,16 @@ async function landmarks(file) {
   }
 }
 
-/** The document of a normalised warp object for a picture. */
+/**
+ * The document of a normalised warp object for a picture.
+ * @param {Page.Json} warp
+ * @param {{ width: number, height: number }} size
+ * @returns {Page.Document}
+ */
 export function scaled({ p, q, sides, ...others }, { width, height }) {
+  /** @type {(place: Page.Place) => Page.Place} */
   const place = ([x, y]) => [x * width, y * height];
+  /** @type {(handles: Page.Json[]) => Page.Json[]} */
   const px = (handles) =>
     handles.map((handle) => (isPlace(handle) ? place(handle) : (handle?.map(place) ?? null)));
   return {
@@ -117,7 +145,10 @@ export function scaled({ p, q, sides, ...others }, { width, height }) {
   };
 }
 
-/** A pointer as in the API's messages: `p[3]`. */
+/**
+ * A pointer as in the API's messages: `p[3]`.
+ * @type {(pointer: string) => string}
+ */
 export const named = (pointer) =>
   pointer
     .slice(1)
@@ -126,17 +157,27 @@ export const named = (pointer) =>
 
 /** A warp object that this page does not support: the first value at fault. */
 export class Unsupported extends Error {
+  /**
+   * @param {string} pointer
+   * @param {string} expected
+   */
   constructor(pointer, expected) {
     super(`${pointer}: ${expected}`);
-    Object.assign(this, { pointer, expected });
+    this.pointer = pointer;
+    this.expected = expected;
   }
 }
 
+/** @type {(holds: unknown, pointer: string, expected: string) => asserts holds} */
 export const demand = (holds, pointer, expected) => {
   if (!holds) throw new Unsupported(pointer, expected);
 };
 
-/** The document of a warp object; `null` if this page does not support it. */
+/**
+ * The document of a warp object; `null` if this page does not support it.
+ * @param {Page.Json} warp
+ * @returns {Page.Document | null}
+ */
 export function documentOf(warp) {
   try {
     return documentFrom(warp);
@@ -146,10 +187,16 @@ export function documentOf(warp) {
   }
 }
 
+/** @type {(value: unknown) => value is Page.Place} */
 export const isPlace = (value) =>
   Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
 
-/** The positions of a handle: [x, y] is a point, a list of positions is a line or a path. */
+/**
+ * The positions of a handle: [x, y] is a point, a list of positions is a line or a path.
+ * @param {Page.Json} handle
+ * @param {string} pointer
+ * @returns {Page.Place[]}
+ */
 function placesOf(handle, pointer) {
   if (isPlace(handle)) return [handle];
   demand(
@@ -162,6 +209,10 @@ function placesOf(handle, pointer) {
   return handle;
 }
 
+/**
+ * @param {Page.Json} warp
+ * @returns {Page.Document}
+ */
 export function documentFrom(warp) {
   const isObject = warp !== null && typeof warp === "object" && !Array.isArray(warp);
   demand(
@@ -191,6 +242,7 @@ export function documentFrom(warp) {
   // A handle without a position on either side is left out, as the server does.
   const present = [...p.keys()].filter((i) => p[i] !== null && q[i] !== null);
   demand(units === "px", "/units", '"px" or "normalized"');
+  /** @type {(list: Page.Json) => boolean} */
   const areWeights = (list) =>
     Array.isArray(list) && list.length === p.length && list.every((w) => w > 0);
   demand(
@@ -199,6 +251,7 @@ export function documentFrom(warp) {
     "a list of one positive number for each handle",
   );
   demand(mass === undefined || mass > 0, "/point_mass", "a positive number");
+  /** @type {Page.Handle[]} */
   const handles = present.map((i, n) => {
     const [rest, posed] = [placesOf(p[i], `/p/${i}`), placesOf(q[i], `/q/${i}`)];
     demand(
@@ -300,6 +353,7 @@ export function documentFrom(warp) {
   return follows ? read : { ...read, mass };
 }
 
+/** @param {Page.Json} canvas */
 function isCanvas(canvas) {
   if (canvas === "same" || canvas === "fit") return true;
   const { x, y, width, height } = canvas;
@@ -311,7 +365,11 @@ function isCanvas(canvas) {
   );
 }
 
-/** The server's form of what is outside, or null. */
+/**
+ * The server's form of what is outside, or null.
+ * @param {Page.Json} told
+ * @returns {Page.Outside | null}
+ */
 function outsideFrom(told) {
   if (typeof told === "object" && told !== null) return valueFrom(told);
   if (told === "transparent" || told === "edge" || told === "reflect") return told;
@@ -320,10 +378,15 @@ function outsideFrom(told) {
   return colour ? colour + alpha : null;
 }
 
-/** A value in units of the picture's depth: one number if its colours are equal; or null. */
+/**
+ * A value in units of the picture's depth: one number if its colours are equal; or null.
+ * @param {Page.Json} told
+ * @returns {Page.OutsideValue | null}
+ */
 function valueFrom({ value, ...others }) {
   const samples = [value].flat();
   const isOne = samples.length === 1 && !Array.isArray(value);
+  /** @type {(sample: Page.Json) => boolean} */
   const isSample = (sample) => Number.isInteger(sample) && sample >= 0 && sample <= 65535;
   if (Object.keys(others).length || (!isOne && samples.length !== 3) || !samples.every(isSample))
     return null;

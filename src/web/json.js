@@ -1,6 +1,8 @@
 // JSON with positions, for messages about a file: where it is broken, or where a value is.
 // `JSON.parse` tells this in some browsers only.
 
+import { known } from "./dom.js";
+
 /** Nesting beyond which a file is rejected. */
 const DEEPEST = 20;
 const SPACE = /[ \t\r\n]*/y;
@@ -10,32 +12,50 @@ const WORD = /true|false|null/y;
 
 /** A text that is not JSON. */
 export class Broken extends Error {
+  /**
+   * @param {number} at
+   * @param {string} expected
+   */
   constructor(at, expected) {
     super(expected);
-    Object.assign(this, { at, expected });
+    this.at = at;
+    this.expected = expected;
   }
 }
 
-/** Line and column of an offset, from 1. */
+/**
+ * Line and column of an offset, from 1.
+ * @param {string} text
+ * @param {number} at
+ */
 export function lineAndColumn(text, at) {
   const lines = text.slice(0, at).split(/\r\n|\n|\r/);
-  return { line: lines.length, column: lines.at(-1).length + 1 };
+  return { line: lines.length, column: known(lines.at(-1)).length + 1 };
 }
 
-/** The value of a text, and the offset of each of its parts by JSON pointer. Throws `Broken`. */
+/**
+ * The value of a text, and the offset of each of its parts by JSON pointer. Throws `Broken`.
+ * @param {string} text
+ * @returns {{ value: Page.Json, places: Map<string, number> }}
+ */
 export function parse(text) {
   const places = new Map();
   let at = 0;
+  /** @type {(pattern: RegExp) => string | undefined} */
   const take = (pattern) => {
     pattern.lastIndex = at;
     const [found] = pattern.exec(text) ?? [];
     if (found !== undefined) at += found.length;
     return found;
   };
+  /** @type {(expected: string) => never} */
   const fail = (expected) => {
     throw new Broken(at, expected);
   };
-  /** The members of an array or object up to its end; `one` reads a member. */
+  /**
+   * The members of an array or object up to its end; `one` reads a member.
+   * @type {(end: string, one: () => unknown) => unknown}
+   */
   const members = (end, one) => {
     at += 1;
     take(SPACE);
@@ -49,11 +69,13 @@ export function parse(text) {
       take(SPACE);
     }
   };
+  /** @type {(pointer: string, depth: number) => Page.Json} */
   const value = (pointer, depth) => {
     take(SPACE);
     if (depth > DEEPEST) fail("fewer brackets inside each other");
     places.set(pointer, at);
     if (text[at] === "[") {
+      /** @type {Page.Json[]} */
       const list = [];
       members("]", () => list.push(value(`${pointer}/${list.length}`, depth + 1)));
       return list;
@@ -62,7 +84,7 @@ export function parse(text) {
       const object = new Map();
       members("}", () => {
         const name = take(STRING);
-        if (name === undefined) fail("a name in double quotes");
+        if (name === undefined) return fail("a name in double quotes");
         take(SPACE);
         if (text[at] !== ":") fail("a colon");
         at += 1;

@@ -8,22 +8,32 @@ const STEPS = 50;
  */
 const FILES = 4;
 
-/** Storage may be disabled or full: then nothing is stored, and the page continues. */
-export function attempt(what, otherwise = null) {
+/**
+ * Storage may be disabled or full: then nothing is stored, and the page continues.
+ * @template T
+ * @param {() => T} what
+ * @returns {T | null}
+ */
+export function attempt(what) {
   try {
     return what();
   } catch {
-    return otherwise;
+    return null;
   }
 }
 
+/** @type {(name: string) => string | null} */
 export const setting = (name) => attempt(() => localStorage.getItem(`${KEY}.${name}`));
+/** @type {(name: string, value: string) => unknown} */
 export const keepSetting = (name, value) =>
   attempt(() => localStorage.setItem(`${KEY}.${name}`, value));
 
-/** The state stored by this tab, otherwise by the last one. */
+/**
+ * The state stored by this tab, otherwise by the last one.
+ * @type {() => Page.Json}
+ */
 export const kept = () =>
-  attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY)));
+  attempt(() => JSON.parse(sessionStorage.getItem(KEY) ?? localStorage.getItem(KEY) ?? "null"));
 
 export function forget() {
   attempt(() => sessionStorage.removeItem(KEY));
@@ -33,9 +43,12 @@ export function forget() {
 /**
  * Stores the document with all undo steps or, if storage is full, without them. Never leaves an
  * older document in the storage.
+ * @param {Storage} storage
+ * @param {(steps: number) => string} text
  */
 function keepText(storage, text) {
-  const keeps = (steps) => attempt(() => (storage.setItem(KEY, text(steps)), true), false);
+  /** @type {(steps: number) => boolean | null} */
+  const keeps = (steps) => attempt(() => (storage.setItem(KEY, text(steps)), true));
   if (keeps(STEPS) || keeps(0)) return true;
   attempt(() => storage.removeItem(KEY));
   return false;
@@ -45,12 +58,18 @@ export class Keeper {
   kept = false;
   #timer = 0;
 
-  /** `current`: returns the open picture (Opener). */
+  /**
+   * `current`: returns the open picture (Opener).
+   * @param {Page.Store} store
+   * @param {() => Page.Kept} current
+   * @param {() => void} told
+   */
   constructor(store, current, told) {
-    Object.assign(this, { current, told });
+    this.current = current;
+    this.told = told;
     store.subscribe((state, previous) => {
       if (
-        ["document", "picture", "past", "earlier", "later"].every(
+        /** @type {const} */ (["document", "picture", "past", "earlier", "later"]).every(
           (name) => state[name] === previous[name],
         )
       )
@@ -61,13 +80,17 @@ export class Keeper {
     addEventListener("pagehide", () => this.save(store.state));
   }
 
+  /** @param {Page.State} state */
   save(state) {
     clearTimeout(this.#timer);
     const { phase, earlier, later } = state;
     if (phase === "uploading" || (phase === "empty" && !earlier.length && !later.length)) return;
     const open = this.current();
+    /** @type {(steps: number) => string} */
     const text = (steps) => {
+      /** @type {(past: Page.Document[] | undefined) => Page.Document[] | undefined} */
       const lastly = (past) => (steps ? past?.slice(-steps) : []);
+      /** @type {(picture: Page.Kept) => object} */
       const short = (picture) => ({
         ...picture,
         past: lastly(picture.past),
@@ -87,6 +110,7 @@ export class Keeper {
   }
 }
 
+/** @returns {Promise<IDBDatabase>} */
 function database() {
   return new Promise((resolve, reject) => {
     const request = indexedDB.open(KEY, 1);
@@ -97,6 +121,11 @@ function database() {
   });
 }
 
+/**
+ * @template T
+ * @param {IDBRequest<T>} request
+ * @returns {Promise<T>}
+ */
 function settled(request) {
   return new Promise((resolve, reject) => {
     request.onsuccess = () => resolve(request.result);
@@ -107,6 +136,10 @@ function settled(request) {
 /**
  * Stores a file; returns its key, or null if the browser refuses. Removes old files, except those
  * with a key in `needed`. Stores bytes: private windows of WebKit cannot store a Blob.
+ * @param {Blob} blob
+ * @param {string} name
+ * @param {IDBValidKey[]} needed
+ * @returns {Promise<IDBValidKey | null>}
  */
 export async function keepFile(blob, name, needed) {
   try {
@@ -124,6 +157,10 @@ export async function keepFile(blob, name, needed) {
   }
 }
 
+/**
+ * @param {IDBValidKey | null | undefined} key
+ * @returns {Promise<Page.Source | null>}
+ */
 export async function keptFile(key) {
   if (key === null || key === undefined) return null;
   try {

@@ -2,8 +2,10 @@
 // characters can be switched off. Arrows, Enter, Space and Delete work with the focus in the stage
 // or nowhere.
 
+import { known } from "./dom.js";
 import { isRegionTool } from "./region.js";
 
+/** @type {Record<string, Page.Place>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const NUDGE = [1, 10];
 const CROSS = [10, 1];
@@ -13,23 +15,44 @@ const TURN = 5;
 export class Keys {
   #crossMoved = false;
 
-  /** `does`: the actions of the buttons, by name. */
+  /**
+   * `does`: the actions of the buttons, by name.
+   * @param {HTMLElement} stage
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   * @param {Page.Handles} handles
+   * @param {import("./pointer.js").Pointer} pointer
+   * @param {Page.UserActions} actions
+   * @param {Page.Does} does
+   * @param {() => boolean} singleKeys
+   */
   constructor(stage, store, view, handles, pointer, actions, does, singleKeys) {
-    Object.assign(this, { stage, store, view, handles, pointer, actions, does, singleKeys });
+    this.stage = stage;
+    this.store = store;
+    this.view = view;
+    this.handles = handles;
+    this.pointer = pointer;
+    this.actions = actions;
+    this.does = does;
+    this.singleKeys = singleKeys;
     document.addEventListener("keydown", (event) => this.#down(event));
     document.addEventListener("keyup", (event) => this.#up(event));
     globalThis.addEventListener("blur", () => this.#release());
     // Tab pans to the focused handle.
     stage.addEventListener("focusin", (event) => {
-      const named = event.target.matches(":focus-visible") && handles.named(event.target);
+      const { target } = event;
+      const seen = target instanceof Element && target.matches(":focus-visible");
+      const named = seen && handles.named(target);
       if (named) view.reveal(named.handle.q[named.vertex ?? 0]);
     });
   }
 
+  /** @param {KeyboardEvent} event */
   #down(event) {
     if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
     const open = this.store.state.phase === "open";
-    const text = event.target.closest?.(
+    const target = event.target instanceof Element ? event.target : null;
+    const text = target?.closest(
       "input:not([type=radio], [type=checkbox], [type=range]), textarea, select",
     );
     if (event.ctrlKey || event.metaKey) {
@@ -38,15 +61,18 @@ export class Keys {
       return;
     }
     if (text) return;
-    const inStage = this.stage.contains(event.target);
-    const free =
-      inStage || event.target === document.body || event.target === document.documentElement;
+    const inStage = this.stage.contains(target);
+    const free = inStage || target === document.body || target === document.documentElement;
     if (event.key === "?" && this.singleKeys()) return this.#take(event, this.does.help);
     if (!open) return;
     if (!free) return this.#character(event);
     if (this.#moving(event, inStage) || this.#acting(event, inStage)) event.preventDefault();
   }
 
+  /**
+   * @param {KeyboardEvent} event
+   * @param {boolean} open
+   */
   #command(event, open) {
     const key = event.key.toLowerCase();
     if (key === "o") this.does.pick();
@@ -58,24 +84,36 @@ export class Keys {
     return true;
   }
 
-  /** A key that the focused control does not use. */
+  /**
+   * A key that the focused control does not use.
+   * @param {KeyboardEvent} event
+   */
   #character(event) {
     if (event.key === "Escape") this.actions.escape();
     if (event.key.length > 1 || event.key === " " || !this.singleKeys()) return;
     if (this.#single(event.key.toLowerCase(), event.repeat)) event.preventDefault();
   }
 
+  /**
+   * @param {KeyboardEvent} event
+   * @param {() => void} act
+   */
   #take(event, act) {
     event.preventDefault();
     act();
   }
 
-  /** Arrow keys, with or without a selection. */
+  /**
+   * Arrow keys, with or without a selection.
+   * @param {KeyboardEvent} event
+   * @param {boolean} inStage
+   */
   #moving(event, inStage) {
     const arrow = ARROWS[event.key];
     if (!arrow) return false;
     const [dx, dy] = arrow;
     const coarse = event.shiftKey ? 1 : 0;
+    const named = this.#focused(event);
     if (event.altKey) this.view.panBy(-dx * PAN, -dy * PAN);
     else if (this.store.state.compare)
       this.store.do("show", {
@@ -87,7 +125,7 @@ export class Keys {
         },
       });
     else if (event.target === this.handles.knob) this.actions.rotate((dx || dy) * NUDGE[coarse]);
-    else if (this.#focused(event) && this.#adopts(event))
+    else if (named && this.#adopts(named))
       this.actions.nudge(dx * NUDGE[coarse], dy * NUDGE[coarse]);
     else if (
       this.store.state.selection.length &&
@@ -100,7 +138,10 @@ export class Keys {
     return true;
   }
 
-  /** The focused handle; none while a tool for the region hides the handles. */
+  /**
+   * The focused handle; none while a tool for the region hides the handles.
+   * @param {Pick<KeyboardEvent, "target">} event
+   */
   #focused(event) {
     return isRegionTool(this.store.state.tool) ? null : this.handles.named(event.target);
   }
@@ -108,31 +149,35 @@ export class Keys {
   /**
    * Selects the focused handle, unless the selection contains it: arrow keys move the focused
    * handle.
+   * @param {Page.Named} named
    */
-  #adopts(event) {
+  #adopts({ handle, vertex }) {
     const { state } = this.store;
     if (state.arm || state.draft.length) return false;
-    const { handle, vertex } = this.#focused(event);
     const keys = [String(handle.id), `${handle.id}.${vertex}`];
     if (!state.selection.some((key) => keys.includes(key)))
       this.actions.choose({ handle, vertex }, false);
     return true;
   }
 
+  /**
+   * @param {number} dx
+   * @param {number} dy
+   */
   #moveCross(dx, dy) {
-    const { size } = this.view;
+    const size = known(this.view.size);
     const from =
       this.store.state.cross ??
-      this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map(Math.round);
-    const place = [from[0] + dx, from[1] + dy].map((c, axis) =>
-      Math.min(size[axis], Math.max(0, c)),
-    );
+      this.view.toPicture(this.view.stageSize.map((side) => side / 2)).map((c) => Math.round(c));
+    const by = [dx, dy];
+    const place = from.map((c, axis) => Math.min(size[axis], Math.max(0, c + by[axis])));
     this.#crossMoved = true;
     this.store.do("cross", { place });
     this.view.reveal(place);
     this.actions.say(`${place[0]}, ${place[1]}`);
   }
 
+  /** @param {KeyboardEvent} event */
   #enter(event) {
     const named = this.#focused(event);
     const { draft, tool, arm, cross } = this.store.state;
@@ -148,6 +193,10 @@ export class Keys {
     if (!keep || arm) this.store.do("cross", { place: null });
   }
 
+  /**
+   * @param {KeyboardEvent} event
+   * @param {boolean} inStage
+   */
   #acting(event, inStage) {
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
     const { state } = this.store;
@@ -172,10 +221,15 @@ export class Keys {
     return true;
   }
 
+  /**
+   * @param {string} key
+   * @param {boolean} repeat
+   */
   #single(key, repeat) {
     const { does, actions, view } = this;
     const { selection, tool, removes } = this.store.state;
     const selected = selection.length > 0;
+    /** @type {Record<string, () => unknown>} */
     const acts = {
       1: () => does.tool("point"),
       2: () => does.tool("line"),
@@ -203,6 +257,7 @@ export class Keys {
     return true;
   }
 
+  /** @param {Pick<KeyboardEvent, "key" | "target" | "shiftKey">} event */
   #up(event) {
     if (event.key === " ") {
       // Space without a pan selects the focused handle.
@@ -218,7 +273,7 @@ export class Keys {
 
   /** Releases held keys: no keyup arrives after the window loses the focus. */
   #release() {
-    this.#up({ key: " " });
-    this.#up({ key: "b" });
+    this.#up({ key: " ", target: null, shiftKey: false });
+    this.#up({ key: "b", target: null, shiftKey: false });
   }
 }

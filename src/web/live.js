@@ -4,6 +4,8 @@
 
 import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
+import { boxFrom } from "./canvas.js";
+import { known } from "./dom.js";
 import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
@@ -31,25 +33,74 @@ const ATTEMPTS = 8;
 /** Close code of a session that has ended. */
 const ENDED = 1000;
 
+/** @typedef {{ q: Page.WireHandle[], revision: number }} LivePose */
+
+/**
+ * Whom it tells. `done` is called when a response is shown: it acknowledges the frame.
+ *
+ * @typedef {{
+ *   mesh: (
+ *     mesh: Page.Mesh,
+ *     isCompact: boolean,
+ *     revision: number,
+ *     report: Page.FrameReport | null,
+ *     done: () => void,
+ *   ) => void,
+ *   frame: (
+ *     blob: Blob,
+ *     revision: number,
+ *     report: Page.FrameReport | null,
+ *     done: () => void,
+ *   ) => void,
+ *   problem: (problem: Page.Problem, revision: number | undefined) => void,
+ *   way: () => void,
+ * }} Told
+ */
+
 export class Live {
+  /** @type {string | null} */
   #id = null;
+  /** @type {WebSocket | null} */
   #socket = null;
   #failures = 0;
   #open = false;
+  /** @type {Page.MeshGrid | null} */
   #grid = null;
-  #lattice = null; // of the compact meshes of the socket
+  /**
+   * Of the compact meshes of the socket.
+   *
+   * @type {Page.MeshGrid | null}
+   */
+  #lattice = null;
   #seq = 0;
-  #revisions = new Map(); // socket seq to document revision
-  #unanswered = new Map(); // socket seq to the time when it was sent, oldest first
+  /**
+   * Sequence number of the socket to revision of the document.
+   *
+   * @type {Map<number, number>}
+   */
+  #revisions = new Map();
+  /**
+   * Sequence number of the socket to the time when it was sent, oldest first.
+   *
+   * @type {Map<number, number>}
+   */
+  #unanswered = new Map();
+  /** @type {number | null} */
   #quickest = null; // time of the quickest response, ms
+  /** @type {LivePose | null} */
   #waiting = null; // the newest pose that has not been sent
+  /** @type {LivePose | null} */
   #sent = null; // the newest pose that the socket has not answered
   #overdue = 0;
+  /** @type {AbortController | null} */
   #asking = null; // AbortController of the outstanding POST
+  /** @type {Page.FrameReport | null} */
   #report = null;
   #lost = false; // an open socket was closed or given up, and no later request has been answered
   #closedAt = 0;
-  #broken = false; // a socket that had answered was closed by the other side or the network, and none has opened since
+  // A socket that had answered was closed by the other side or the network, and none has opened
+  // since.
+  #broken = false;
   #reopening = 0;
   #attempts = 0;
 
@@ -57,11 +108,16 @@ export class Live {
    * `kind`: mesh or png. `told`: callbacks mesh(mesh, isCompact, revision, report, done),
    * frame(blob, revision, report, done), problem(problem, revision), way(). Call done() when a
    * response is shown: it acknowledges the frame.
+   * @param {"mesh" | "png"} kind
+   * @param {boolean} allowSocket
+   * @param {Told} told
    */
   constructor(kind, allowSocket, told) {
     this.kind = kind;
     this.allowSocket = allowSocket;
     this.told = told;
+    /** @type {() => number} */
+    this.nextSeq = () => 0;
   }
 
   get way() {
@@ -79,6 +135,7 @@ export class Live {
   /**
    * The server has responded to a request that was made at this time. A response to an earlier one
    * may have been under way when the server stopped.
+   * @param {number} asked
    */
   found(asked) {
     if (asked < this.#closedAt) return;
@@ -93,7 +150,12 @@ export class Live {
     if (!this.#socket) this.#connect();
   }
 
-  /** `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers. */
+  /**
+   * `grid` and `nextSeq` are for POST: the session's grid, and the page-wide sequence numbers.
+   * @param {string} id
+   * @param {Page.MeshGrid} grid
+   * @param {() => number} nextSeq
+   */
   open(id, grid, nextSeq) {
     this.nextSeq = nextSeq;
     this.#grid = grid;
@@ -124,7 +186,11 @@ export class Live {
     this.told.way();
   }
 
-  /** Sends a pose; drops older poses that have not been sent. */
+  /**
+   * Sends a pose; drops older poses that have not been sent.
+   * @param {Page.WireHandle[]} q
+   * @param {number} revision
+   */
   send(q, revision) {
     if (this.#id === null) return;
     this.#waiting = { q, revision };
@@ -141,13 +207,17 @@ export class Live {
     this.#asking = null;
   }
 
-  /** `again`: whatever the failures, because an earlier socket had lived. */
+  /**
+   * `again`: whatever the failures, because an earlier socket had lived.
+   * @param {boolean} [again]
+   */
   #connect(again = false) {
     if (!this.allowSocket || (this.#failures >= TRIES && !again)) return this.told.way();
     const query = `frames=${this.kind}&report=true${this.kind === "mesh" ? "&mesh=compact" : "&width=auto"}`;
-    const socket = new WebSocket(api.socketAddress(this.#id, query), keyProtocols());
+    const socket = new WebSocket(api.socketAddress(known(this.#id), query), keyProtocols());
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
+    /** @type {<E>(then: (event: E) => void) => (event: E) => void} */
     const current = (then) => (event) => socket === this.#socket && then(event);
     socket.onopen = current(() => {
       this.#open = true;
@@ -173,7 +243,10 @@ export class Live {
     });
   }
 
-  /** Sends the unanswered pose again, by another transport if necessary. */
+  /**
+   * Sends the unanswered pose again, by another transport if necessary.
+   * @param {number} failures
+   */
   #closed(failures) {
     this.#waiting ??= this.#sent;
     this.#answered();
@@ -200,7 +273,10 @@ export class Live {
     );
   }
 
-  /** The response to a pose is also that to all older ones. */
+  /**
+   * The response to a pose is also that to all older ones.
+   * @param {number} seq
+   */
   #trip(seq) {
     const sent = this.#unanswered.get(seq);
     if (sent === undefined) return;
@@ -214,7 +290,7 @@ export class Live {
     const [oldest = Infinity] = this.#unanswered.values();
     return (
       performance.now() - oldest > (this.#quickest ?? QUEUE) + QUEUE ||
-      this.#socket.bufferedAmount > BACKLOG
+      known(this.#socket).bufferedAmount > BACKLOG
     );
   }
 
@@ -225,11 +301,12 @@ export class Live {
   }
 
   #giveUp() {
-    const socket = this.#socket;
+    const socket = known(this.#socket);
     this.#closed(this.#failures + 1);
     socket.close();
   }
 
+  /** @param {Page.Json} message */
   #text(message) {
     if (message.columns) this.#lattice = message;
     else if (message.code) {
@@ -237,9 +314,10 @@ export class Live {
       this.#trip(message.seq ?? this.#seq);
       this.told.problem(new api.Problem(message, message.status), this.#revisions.get(message.seq));
       this.#flush();
-    } else if (message.timing) this.#report = message;
+    } else if (message.timing) this.#report = { ...message, canvas: boxFrom(message.canvas) };
   }
 
+  /** @param {ArrayBuffer} bytes */
   #binary(bytes) {
     const seq = Number(new DataView(bytes).getBigUint64(0, true));
     this.#answered();
@@ -252,7 +330,7 @@ export class Live {
       this.#socket.send(JSON.stringify({ ack: seq }));
     if (revision === undefined) return shown();
     if (this.kind === "mesh")
-      this.told.mesh(Mesh.ofCompact(this.#lattice, bytes), true, revision, report, shown);
+      this.told.mesh(Mesh.ofCompact(known(this.#lattice), bytes), true, revision, report, shown);
     else
       this.told.frame(
         new Blob([new Uint8Array(bytes, 8)], { type: "image/png" }),
@@ -273,14 +351,15 @@ export class Live {
       this.#waiting = null;
       this.#revisions.set(++this.#seq, revision);
       this.#unanswered.set(this.#seq, performance.now());
-      this.#socket.send(JSON.stringify({ seq: this.#seq, q }));
+      known(this.#socket).send(JSON.stringify({ seq: this.#seq, q }));
     } else if (!this.#asking) {
       this.#post();
     }
   }
 
   async #post() {
-    const { q, revision } = this.#waiting;
+    const { q, revision } = known(this.#waiting);
+    const [id, grid] = [known(this.#id), known(this.#grid)];
     this.#waiting = null;
     const asking = new AbortController();
     this.#asking = asking;
@@ -288,20 +367,21 @@ export class Live {
     try {
       const body = { q, seq: this.nextSeq() };
       if (this.kind === "mesh") {
-        const { places, report } = await api.mesh(this.#id, body, asking.signal);
+        const { places, report } = await api.mesh(id, body, asking.signal);
         this.found(asked);
         if (!asking.signal.aborted)
-          this.told.mesh(new Mesh(this.#grid, places), false, revision, report, () => {});
+          this.told.mesh(new Mesh(grid, places), false, revision, report, () => {});
       } else {
-        const output = { width: Math.min(1024, this.#grid.width) };
-        const { blob, report } = await api.picture(this.#id, { ...body, output }, asking.signal);
+        const output = { width: Math.min(1024, grid.width) };
+        const { blob, report } = await api.picture(id, { ...body, output }, asking.signal);
         this.found(asked);
         if (!asking.signal.aborted) this.told.frame(blob, revision, report, () => {});
       }
     } catch (error) {
       if (!api.wasAborted(error)) {
-        if (error.code !== "network") this.found(asked);
-        this.told.problem(error, revision);
+        const problem = api.asProblem(error);
+        if (problem.code !== "network") this.found(asked);
+        this.told.problem(problem, revision);
       }
     } finally {
       if (this.#asking === asking) this.#asking = null;

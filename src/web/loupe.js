@@ -1,6 +1,8 @@
 // The magnifier: while a finger or a pen drags a handle, a round enlarged view of the place under
 // it, with a cross at the handle.
 
+import { contextOf } from "./dom.js";
+
 /** Diameter, distance from the finger, and distance from the edges of the stage, CSS px. */
 const SIZE = 128;
 const OFF = 104;
@@ -8,17 +10,31 @@ const INSET = 8;
 const FACTOR = 2.5;
 
 export class Loupe {
+  /** @type {Page.Place | null} */
   #at = null; // the shown position, stage px
+  /** @type {Page.Place | null} */
   #spot = null; // the same in the picture
 
-  /** `wanted`: whether the user wants it. */
+  /**
+   * `wanted`: whether the user wants it.
+   * @param {HTMLCanvasElement} canvas
+   * @param {Page.View} view
+   * @param {() => boolean} wanted
+   */
   constructor(canvas, view, wanted) {
-    Object.assign(this, { canvas, view, wanted });
-    this.context = canvas.getContext("2d");
+    this.canvas = canvas;
+    this.view = view;
+    this.wanted = wanted;
+    this.context = contextOf(canvas);
     view.afterDraw(() => this.#draw());
   }
 
-  /** Shows the surroundings of a posed position, while the finger is at a position of the stage. */
+  /**
+   * Shows the surroundings of a posed position, while the finger is at a position of the stage.
+   * @param {Page.Place} place
+   * @param {Page.Place} finger
+   * @param {string} kind
+   */
   show(place, finger, kind) {
     if (kind === "mouse" || !this.wanted()) return;
     const begins = !this.#at;
@@ -38,9 +54,14 @@ export class Loupe {
     this.canvas.hidden = true;
   }
 
-  /** The upper left corner: above the finger or, near the upper edge, beside it. */
+  /**
+   * The upper left corner: above the finger or, near the upper edge, beside it.
+   * @param {Page.Place} finger
+   * @returns {Page.Place}
+   */
   #beside([x, y]) {
     const [width, height] = this.view.stageSize;
+    /** @type {(c: number, side: number) => number} */
     const keep = (c, side) => Math.min(side - SIZE - INSET, Math.max(INSET, c));
     const top = y - OFF - SIZE / 2;
     if (top >= INSET) return [keep(x - SIZE / 2, width), top];
@@ -68,10 +89,10 @@ export class Loupe {
       context.moveTo(middle - arm * dx, middle - arm * dy);
       context.lineTo(middle + arm * dx, middle + arm * dy);
     }
-    for (const [colour, wide] of [
+    for (const [colour, wide] of /** @type {const} */ ([
       ["rgb(0 0 0 / 0.65)", 3.5],
       ["#fff", 1.5],
-    ]) {
+    ])) {
       context.strokeStyle = colour;
       context.lineWidth = wide * view.scale;
       context.stroke();

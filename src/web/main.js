@@ -7,6 +7,7 @@ import { alignOf } from "./align.js";
 import { Actions } from "./actions.js";
 import { Player } from "./player.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
+import { find, findAll, known, listen, part } from "./dom.js";
 import { filterOf, outsideOf, takesPinsOnly } from "./edits.js";
 import { Annotations } from "./annotations.js";
 import { ExportDialog } from "./export.js";
@@ -47,14 +48,15 @@ import { Table } from "./table.js";
 import { View } from "./view.js";
 import { BEHIND, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
-const find = (id) => document.getElementById(id);
 const wishes = new URLSearchParams(location.search);
-const limits = Object.fromEntries(
-  document
-    .querySelector("meta[name=limits]")
-    .content.split(" ")
-    .map((pair) => pair.split("="))
-    .map(([k, v]) => [k, Number(v)]),
+const told = /** @type {HTMLMetaElement} */ (document.querySelector("meta[name=limits]")).content;
+const limits = /** @type {Page.Limits} */ (
+  Object.fromEntries(
+    told
+      .split(" ")
+      .map((pair) => pair.split("="))
+      .map(([name, value]) => [name, Number(value)]),
+  )
 );
 
 const stage = find("stage");
@@ -77,12 +79,17 @@ const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked)
 const region = new RegionTool(store, view, actions);
 const pointer = new Pointer(stage, store, view, handles, actions, loupe, region);
 
-/** Announces a text to screen readers; a newer text replaces it. */
+/**
+ * Announces a text to screen readers; a newer text replaces it.
+ *
+ * @param {string} words
+ */
 function say(words) {
   find("says").textContent = words;
 }
 
 let toasting = 0;
+/** @param {string} words */
 function toast(words) {
   const node = find("toast");
   node.textContent = words;
@@ -102,12 +109,20 @@ const RETRIES = new Set([
   "internal",
 ]);
 
-/** Opens the browser's file chooser. */
+/**
+ * Opens the browser's file chooser.
+ *
+ * @param {string} accept
+ */
 function choose(accept) {
   Object.assign(find("file"), { accept }).click();
 }
 
-/** Actions shared by buttons and keys. */
+/**
+ * Actions shared by buttons and keys.
+ *
+ * @type {Page.Does}
+ */
 const does = {
   pick: () => choose([PICTURES, HANDLES, ANNOTATIONS].join()),
   pickHandles: () => choose(HANDLES),
@@ -130,8 +145,8 @@ const does = {
   fit: async () => {
     try {
       await chooseMethod(store, sync, view, actions);
-    } catch (problem) {
-      store.do("problem", { problem });
+    } catch (error) {
+      store.do("problem", { problem: api.asProblem(error) });
     }
   },
   full: () => view.zoomTo(1 / view.scale),
@@ -143,6 +158,7 @@ const does = {
     return !opening && store.state.past.length ? "Undo" : null;
   },
   mend: (problem) => {
+    if (!problem) return;
     const action = does.mending(problem);
     if (action === "Open a picture") does.pick();
     else if (action === "Enter a key") does.key();
@@ -216,7 +232,7 @@ function observe() {
   };
   find("behind").textContent = BEHIND[told.behind] ?? "";
   for (const [name, value] of Object.entries(told))
-    if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = value;
+    if (document.body.dataset[name] !== String(value)) document.body.dataset[name] = String(value);
 }
 store.subscribe(observe);
 sync.subscribe(observe);
@@ -224,7 +240,7 @@ view.subscribe(observe);
 
 // After a click, a tool or a button returns the focus to the stage, so that the arrow keys work.
 // Keyboard focus stays.
-for (const bar of document.querySelectorAll(
+for (const bar of findAll(
   "body > header, #work > .tools, #work > .zoom, #selection, #draft, #region-bar, #panel .buttons",
 )) {
   const giveBack = () =>
@@ -239,7 +255,7 @@ for (const bar of document.querySelectorAll(
   });
 }
 // The mark leads to the start page, like "Close".
-document.querySelector("h1 a").addEventListener("click", (event) => {
+part(document, "h1 a").addEventListener("click", (event) => {
   if (event.ctrlKey || event.metaKey || event.shiftKey || store.state.phase !== "open") return;
   event.preventDefault();
   does.close();
@@ -247,14 +263,17 @@ document.querySelector("h1 a").addEventListener("click", (event) => {
 
 // The focus never stays on a hidden control: it moves to the picture or, on the start page, to
 // where it was or to the first button.
+/** @type {(node: HTMLElement | null, phase: Page.Phase) => node is HTMLElement} */
 const staysAt = (node, phase) =>
+  node !== null &&
   node !== document.body &&
-  node?.checkVisibility() &&
+  node.checkVisibility() &&
   (phase !== "open" || node.matches(":focus-visible"));
+/** @type {HTMLElement | null} */
 let left = null;
 store.subscribe(({ phase }, { phase: before }) => {
   if (phase === before) return;
-  const { activeElement } = document;
+  const activeElement = /** @type {HTMLElement | null} */ (document.activeElement);
   if (before === "empty" && phase === "uploading") left = activeElement;
   if (phase === "uploading" || staysAt(activeElement, phase)) return;
   (phase === "open" ? stage : staysAt(left, phase) ? left : find("pick")).focus({
@@ -264,14 +283,17 @@ store.subscribe(({ phase }, { phase: before }) => {
 
 // Files
 
-find("file").addEventListener("change", ({ target }) => {
-  opener.files(target.files);
-  target.value = "";
+listen("file", "change", (input) => {
+  opener.files(input.files ?? []);
+  input.value = "";
 });
-for (const button of document.querySelectorAll("[data-sample]"))
-  button.addEventListener("click", () => opener.sample(button.dataset.sample));
+for (const button of findAll("[data-sample]"))
+  button.addEventListener("click", () =>
+    opener.sample(/** @type {Parameters<Opener["sample"]>[0]} */ (button.dataset.sample)),
+  );
 find("upload-cancel").addEventListener("click", () => opener.cancel());
 
+/** @type {(event: DragEvent) => boolean | undefined} */
 const carriesFiles = (event) => event.dataTransfer?.types.includes("Files");
 let inside = 0;
 addEventListener(
@@ -288,7 +310,7 @@ addEventListener("drop", (event) => {
   event.preventDefault();
   inside = 0;
   find("over").hidden = true;
-  opener.files(event.dataTransfer.files);
+  opener.files(event.dataTransfer?.files ?? []);
 });
 addEventListener(
   "paste",
@@ -297,16 +319,25 @@ addEventListener(
 
 // Export
 
-/** Runs an action on the open picture; shows the problem if the server rejects it. */
+/**
+ * Runs an action on the open picture; shows the problem if the server rejects it.
+ *
+ * @type {(act: (state: Page.State & { picture: Page.Picture }) => unknown) => () => Promise<void>}
+ */
 const taking = (act) => async () => {
   try {
-    await act(store.state);
-  } catch (problem) {
-    store.do("problem", { problem });
+    const { picture } = store.state;
+    if (picture) await act({ ...store.state, picture });
+  } catch (error) {
+    store.do("problem", { problem: api.asProblem(error) });
   }
 };
 // A command or a link contains the session id, which may change with the handles: wait until the
 // server has them.
+/**
+ * @type {(words: (sync: Page.Sync, state: Page.State) => string, what: string) => () =>
+ * Promise<void>}
+ */
 const copying = (words, what) =>
   taking(async () => {
     await sync.settled();
@@ -316,6 +347,7 @@ const copying = (words, what) =>
       `${copied ? `${what} copied` : `Press Ctrl+C to copy the ${what.toLowerCase()}`}${mask ? `. ${REGION.needs(mask)}` : ""}`,
     );
   });
+/** @param {string} text */
 const json = (text) => new Blob([text], { type: "application/json" });
 find("download").addEventListener(
   "click",
@@ -339,7 +371,7 @@ const copyLink = copying(linkTo, "Link");
 find("copy-link").addEventListener("click", async () => {
   await copyLink();
   await taking(async () => {
-    const words = linkWords(await api.readSession(sync.session.id));
+    const words = linkWords(await api.readSession(known(sync.session).id));
     find("link-note").textContent = words;
     if (find("copied").hidden) toast(`Link copied. ${words}`);
   })();
@@ -347,15 +379,15 @@ find("copy-link").addEventListener("click", async () => {
 find("save-project").addEventListener(
   "click",
   taking(async (state) =>
-    save(json(await projectText(state, sync.file)), projectName(state.picture.name)),
+    save(json(await projectText(state, known(sync.file))), projectName(state.picture.name)),
   ),
 );
 find("annotations-save").addEventListener(
   "click",
-  taking(async ({ annotations: { name } }) =>
+  taking(async ({ annotations: shown }) =>
     save(
       new Blob([JSON.stringify(await annotations.mapped())], { type: "application/geo+json" }),
-      annotationsName(name),
+      annotationsName(known(shown).name),
     ),
   ),
 );
@@ -363,16 +395,18 @@ find("annotations-save").addEventListener(
 // Theme, help, panel
 
 const THEMES = ["auto", "light", "dark"];
+/** @param {string} theme */
 function showTheme(theme) {
   document.body.dataset.theme = theme;
   const button = find("theme");
   button.setAttribute("aria-label", `Theme: ${theme}`);
   button.title = `Theme: ${theme}`;
-  button.querySelector("use").setAttribute("href", `#i-${theme}`);
+  part(button, "use").setAttribute("href", `#i-${theme}`);
 }
-showTheme(THEMES.includes(setting("theme")) ? setting("theme") : "auto");
+const chosen = setting("theme");
+showTheme(chosen && THEMES.includes(chosen) ? chosen : "auto");
 find("theme").addEventListener("click", () => {
-  const next = THEMES[(THEMES.indexOf(document.body.dataset.theme) + 1) % THEMES.length];
+  const next = THEMES[(THEMES.indexOf(document.body.dataset.theme ?? "") + 1) % THEMES.length];
   keepSetting("theme", next);
   showTheme(next);
 });
@@ -383,14 +417,12 @@ find("help").addEventListener(
   "click",
   (event) => event.target === find("help") && find("help").close(),
 );
-for (const [id, name] of [
+for (const [id, name] of /** @type {const} */ ([
   ["keys", "keys"],
   ["loupe-wanted", "loupe"],
-]) {
+])) {
   find(id).checked = setting(name) !== "off";
-  find(id).addEventListener("change", ({ target }) =>
-    keepSetting(name, target.checked ? "on" : "off"),
-  );
+  listen(id, "change", ({ checked }) => keepSetting(name, checked ? "on" : "off"));
 }
 
 // The key
@@ -406,15 +438,18 @@ function showKey() {
 /**
  * Uses a key and retries a request that was rejected without it. Only the server knows whether it
  * accepts the key.
+ *
+ * @param {string | null} key null: none
+ * @param {boolean} remember
  */
 async function takeKey(key, remember) {
   useKey(key, remember);
   find("key").close();
   const { problem } = store.state;
-  if (key === null || !KEYS.has(problem?.code))
+  if (key === null || !KEYS.has(problem?.code ?? ""))
     return toast(key === null ? "Key removed" : "Key saved in this browser");
   store.do("problem", { problem: null });
-  if (problem.opening) await opener.retry();
+  if (problem?.opening) await opener.retry();
   else {
     sync.retry();
     await sync.settled();
@@ -431,9 +466,9 @@ find("key-form").addEventListener("submit", (event) => {
   if (looksLikeKey(key)) takeKey(key, find("key-remember").checked);
 });
 
-find("panel-toggle").addEventListener("click", ({ currentTarget }) => {
+listen("panel-toggle", "click", (button) => {
   const open = document.body.classList.toggle("panel-open");
-  currentTarget.setAttribute("aria-expanded", open);
+  button.setAttribute("aria-expanded", String(open));
 });
 
 // Restore the last state, or open the link in the address.

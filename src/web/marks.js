@@ -4,6 +4,8 @@
 // hovered, focused or faulty. During a drag it is transparent, and the canvas shows these too.
 // Those that are not selected are drawn once.
 
+import { contextOf } from "./dom.js";
+
 /** Up to this many selected handles are drawn by the SVG. */
 export const FEW_SELECTED = 50;
 /** A handle that is nearer to its rest position has no line to it, CSS px. */
@@ -17,29 +19,50 @@ const FONT =
   '650 12px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", "DejaVu Sans", sans-serif';
 const BLUE = "#1a6dff";
 const SHADE = "rgb(0 0 0 / .38)";
+/** @type {Record<string, string>} */
 const FAULTS = { "": "#ff2d4b", warning: "#ffb020" };
 /** The round arrow of the ring, as in the SVG. */
 const ARROW = new Path2D("M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6");
 
+/** @type {(a: unknown[], b: unknown[]) => boolean} */
 const near = (a, b) => a.length === b.length && a.every((part, k) => part === b[k]);
 
-export class Marks {
-  #drawn = null; // what the lower canvas shows: the handles, their looks, and the place of the view
+const PARTS = /** @type {const} */ (["handles", "looks", "place"]);
 
-  /** `upper`: a canvas of what moves, only as large as that. */
+/**
+ * @typedef {{ handle: Page.Handle } & Partial<Page.Mark> & Pick<Page.Mark, "pressed">} MarkedHandle
+ */
+
+export class Marks {
+  /**
+   * What the lower canvas shows: the handles, their looks, and the place of the view.
+   *
+   * @type {Record<(typeof PARTS)[number], unknown[]> | null}
+   */
+  #drawn = null;
+
+  /**
+   * `upper`: a canvas of what moves, only as large as that.
+   * @param {HTMLCanvasElement} lower
+   * @param {HTMLCanvasElement} upper
+   * @param {Page.View} view
+   */
   constructor(lower, upper, view) {
-    const contextOf = (canvas) => canvas.getContext("2d", { willReadFrequently: true });
-    Object.assign(this, {
-      view,
-      lower: contextOf(lower),
-      upper: contextOf(upper),
-      context: contextOf(lower),
-    });
+    const often = { willReadFrequently: true };
+    this.view = view;
+    this.lower = contextOf(lower, often);
+    this.upper = contextOf(upper, often);
+    /** The one that is being drawn. */
+    this.context = this.lower;
   }
 
   /**
    * Draws handles: `plain` ones, and those `moving` in a drag over them, as { handle, pressed,
    * fault, labels }; `ring` as in `Handles.ringAt`, with `degrees`.
+   * @param {MarkedHandle[]} plain
+   * @param {MarkedHandle[] | null} moving
+   * @param {Page.Ring & { degrees: string } | null} ring
+   * @param {boolean} isHidden
    */
   draw(plain, moving, ring, isHidden) {
     const { canvas } = this.lower;
@@ -48,9 +71,10 @@ export class Marks {
     this.upper.canvas.hidden = canvas.hidden || !moves;
     if (canvas.hidden) return;
     this.#drawStill(plain);
-    if (moves) this.#drawMoving(moving, ring);
+    if (moving && moves) this.#drawMoving(moving, ring);
   }
 
+  /** @param {MarkedHandle[]} plain */
   #drawStill(plain) {
     const { zoom, pan, stageSize, scale } = this.view;
     const now = {
@@ -58,13 +82,18 @@ export class Marks {
       looks: plain.map(({ pressed }) => String(pressed)),
       place: [zoom, ...pan, ...stageSize, scale],
     };
-    if (this.#drawn && Object.keys(now).every((name) => near(this.#drawn[name], now[name]))) return;
+    const drawn = this.#drawn;
+    if (drawn && PARTS.every((part) => near(drawn[part], now[part]))) return;
     this.#drawn = now;
     this.#begin(this.lower, [0, 0, ...stageSize]);
     // Their numbers are those of the SVG.
     this.#drawAll(plain.map(({ handle, pressed }) => ({ handle, pressed })));
   }
 
+  /**
+   * @param {MarkedHandle[]} moving
+   * @param {Page.Ring & { degrees: string } | null} ring
+   */
   #drawMoving(moving, ring) {
     const { view } = this;
     const places = moving.flatMap(({ handle: { p, q } }) =>
@@ -75,6 +104,7 @@ export class Marks {
         ...[-1, 1].map((side) => ring.middle.map((c) => c + side * (ring.r + STALK))),
         ring.knob,
       );
+    /** @type {(which: (...numbers: number[]) => number, axis: number) => number} */
     const edge = (which, axis) =>
       places.reduce((most, at) => which(most, at[axis]), places[0][axis]);
     const low = [0, 1].map((axis) => Math.max(0, Math.floor(edge(Math.min, axis) - EDGE)));
@@ -82,12 +112,16 @@ export class Marks {
       Math.min(view.stageSize[axis], Math.ceil(edge(Math.max, axis) + EDGE)),
     );
     const size = [0, 1].map((axis) => Math.max(1, high[axis] - low[axis]));
-    this.#begin(this.upper, [...low, ...size]);
+    this.#begin(this.upper, [low[0], low[1], size[0], size[1]]);
     this.#drawAll(moving);
     if (ring) this.#drawRing(ring);
   }
 
-  /** Prepares a canvas that covers a box of the stage. */
+  /**
+   * Prepares a canvas that covers a box of the stage.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Page.Box} box
+   */
   #begin(context, [left, top, width, height]) {
     const { scale } = this.view;
     this.context = context;
@@ -110,6 +144,7 @@ export class Marks {
     });
   }
 
+  /** @param {MarkedHandle[]} marks */
   #drawAll(marks) {
     const posed = marks.map(({ handle }) => handle.q.map((at) => this.view.toStage(at)));
     this.#drawGhosts(
@@ -119,9 +154,14 @@ export class Marks {
     marks.forEach((mark, k) => this.#drawHandle(posed[k], mark));
   }
 
-  /** From where handles rest to where they are. */
+  /**
+   * From where handles rest to where they are.
+   * @param {Page.Handle[]} handles
+   * @param {Page.Place[][]} posed
+   */
   #drawGhosts(handles, posed) {
     const { context, view } = this;
+    /** @type {[Page.Place, Page.Place][]} */
     const ways = handles.flatMap(({ p }, k) => p.map((at, n) => [view.toStage(at), posed[k][n]]));
     const far = ways.filter(([[x, y], [a, b]]) => Math.hypot(a - x, b - y) > LEAST_WAY);
     context.beginPath();
@@ -142,10 +182,14 @@ export class Marks {
     this.#stroke("rgb(0 0 0 / .63)", 1.2);
   }
 
+  /**
+   * @param {Page.Place[]} places
+   * @param {MarkedHandle} mark
+   */
   #drawHandle(places, { pressed, fault = null, labels = [] }) {
     const { context } = this;
     const isLine = places.length > 1;
-    const colour = FAULTS[fault] ?? BLUE;
+    const colour = fault === null ? BLUE : FAULTS[fault];
     if (isLine) {
       context.beginPath();
       for (const at of places) context.lineTo(...at);
@@ -154,6 +198,7 @@ export class Marks {
       this.#stroke(colour, pressed.every(Boolean) ? 3 : 2);
     }
     places.forEach(([x, y], k) => {
+      /** @type {(half: number, round: number, r: number) => void} */
       const shape = (half, round, r) => {
         context.beginPath();
         if (isLine) context.roundRect(x - half, y - half, 2 * half, 2 * half, round);
@@ -169,6 +214,7 @@ export class Marks {
     });
   }
 
+  /** @param {Page.Ring & { degrees: string }} ring */
   #drawRing({ middle: [x, y], r, knob: [a, b], degrees }) {
     const { context } = this;
     context.beginPath();
@@ -197,6 +243,11 @@ export class Marks {
     if (degrees) this.#write(degrees, a, b - 16);
   }
 
+  /**
+   * @param {string} words
+   * @param {number} x
+   * @param {number} y
+   */
   #write(words, x, y) {
     const { context } = this;
     Object.assign(context, { strokeStyle: "rgb(0 0 0 / .75)", lineWidth: 3, fillStyle: "#fff" });
@@ -204,11 +255,16 @@ export class Marks {
     context.fillText(words, x, y);
   }
 
+  /** @param {string} colour */
   #fill(colour) {
     this.context.fillStyle = colour;
     this.context.fill();
   }
 
+  /**
+   * @param {string} colour
+   * @param {number} width
+   */
   #stroke(colour, width) {
     Object.assign(this.context, { strokeStyle: colour, lineWidth: width });
     this.context.stroke();

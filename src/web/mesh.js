@@ -6,12 +6,18 @@ export class Mesh {
   /**
    * `grid`: columns, rows, width, height, cell [w, h]; `places`: x, y of each vertex, row by row,
    * picture px.
+   * @param {Page.MeshGrid} grid
+   * @param {Float32Array} places
    */
   constructor(grid, places) {
     this.grid = grid;
     this.places = places;
   }
 
+  /**
+   * @param {number} width
+   * @param {number} height
+   */
   static identity(width, height) {
     return new Mesh(
       { columns: 2, rows: 2, width, height, cell: [width, height] },
@@ -19,7 +25,10 @@ export class Mesh {
     );
   }
 
-  /** The undeformed grid. */
+  /**
+   * The undeformed grid.
+   * @param {Page.MeshGrid} grid
+   */
   static atRest(grid) {
     const mesh = new Mesh(grid, new Float32Array(2 * grid.columns * grid.rows));
     for (let j = 0, k = 0; j < grid.rows; j++)
@@ -31,6 +40,8 @@ export class Mesh {
   /**
    * A compact frame of the drag socket: `seq`, the scale of the displacements, and those of each
    * vertex as 16-bit integers.
+   * @param {Page.MeshGrid} grid
+   * @param {ArrayBuffer} frame
    */
   static ofCompact(grid, frame) {
     const data = new DataView(frame);
@@ -42,7 +53,11 @@ export class Mesh {
     );
   }
 
-  /** The mesh between this one (share 0) and another one of the same grid (share 1). */
+  /**
+   * The mesh between this one (share 0) and another one of the same grid (share 1).
+   * @param {Mesh} other
+   * @param {number} share
+   */
   towards(other, share) {
     return new Mesh(
       this.grid,
@@ -50,24 +65,40 @@ export class Mesh {
     );
   }
 
+  /** @param {number} i */
   restX(i) {
     return i === this.grid.columns - 1 ? this.grid.width : i * this.grid.cell[0];
   }
 
+  /** @param {number} j */
   restY(j) {
     return j === this.grid.rows - 1 ? this.grid.height : j * this.grid.cell[1];
   }
 
+  /**
+   * @param {number} i
+   * @param {number} j
+   * @returns {Page.Place}
+   */
   posed(i, j) {
     const k = 2 * (j * this.grid.columns + i);
     return [this.places[k], this.places[k + 1]];
   }
 
+  /**
+   * @param {number} i
+   * @param {number} j
+   */
   corners(i, j) {
     return [this.posed(i, j), this.posed(i + 1, j), this.posed(i + 1, j + 1), this.posed(i, j + 1)];
   }
 
-  /** The posed position of a rest position, or null outside of the picture. */
+  /**
+   * The posed position of a rest position, or null outside of the picture.
+   * @param {number} x
+   * @param {number} y
+   * @returns {Page.Place | null}
+   */
   forward(x, y) {
     const { columns, rows, cell, width, height } = this.grid;
     if (!(x >= 0 && y >= 0 && x <= width && y <= height)) return null;
@@ -80,14 +111,15 @@ export class Mesh {
       (y - this.restY(j)) / (this.restY(j + 1) - this.restY(j)),
     ];
     const [a, b, c, d] = this.corners(i, j);
-    return [0, 1].map(
-      (k) => (1 - t) * ((1 - s) * a[k] + s * b[k]) + t * ((1 - s) * d[k] + s * c[k]),
-    );
+    return a.map((_, k) => (1 - t) * ((1 - s) * a[k] + s * b[k]) + t * ((1 - s) * d[k] + s * c[k]));
   }
 
   /**
    * The source position of (x, y). Outside the posed picture, uses the displacement of the nearest
    * vertex.
+   * @param {number} x
+   * @param {number} y
+   * @returns {Page.Place}
    */
   inverse(x, y) {
     const { columns, rows } = this.grid;
@@ -106,7 +138,14 @@ export class Mesh {
     return this.#carried(x, y);
   }
 
-  /** The cell coordinates (s, t in [0, 1]) of a position, or null. */
+  /**
+   * The cell coordinates (s, t in [0, 1]) of a position, or null.
+   * @param {number} i
+   * @param {number} j
+   * @param {number} x
+   * @param {number} y
+   * @returns {Page.Place | null}
+   */
   #inCell(i, j, x, y) {
     const { columns } = this.grid;
     const m = this.places;
@@ -138,6 +177,11 @@ export class Mesh {
     return [Math.min(1, Math.max(0, s)), Math.min(1, Math.max(0, t))];
   }
 
+  /**
+   * @param {number} x
+   * @param {number} y
+   * @returns {Page.Place}
+   */
   #carried(x, y) {
     let [best, least] = [0, Infinity];
     for (let k = 0; k < this.places.length; k += 2) {
@@ -153,6 +197,7 @@ export class Mesh {
    * Folded cells as [i, j]: their orientation is not that of most of the area at rest, or the cross
    * products at their corners have several signs. The server uses the same rule: a mirror image has
    * no folds.
+   * @returns {Page.Place[]}
    */
   folded() {
     const { columns, rows } = this.grid;
@@ -174,6 +219,7 @@ export class Mesh {
       }
     }
     const whole = areas[0] > areas[2] ? -1 : 1;
+    /** @type {Page.Place[]} */
     const cells = [];
     signs.forEach(
       (sign, k) => sign === whole || cells.push([k % (columns - 1), Math.floor(k / (columns - 1))]),
@@ -184,6 +230,7 @@ export class Mesh {
   /**
    * Divides every cell into n x n: posed positions of (n (columns - 1) + 1) x (n (rows - 1) + 1)
    * vertices.
+   * @param {number} n
    */
   refined(n) {
     if (n === 1) return this.places;
@@ -209,8 +256,13 @@ export class Mesh {
     return fine;
   }
 
-  /** Rest x or y of the lines of `refined(n)`. */
+  /**
+   * Rest x or y of the lines of `refined(n)`.
+   * @param {number} n
+   * @param {0 | 1} along
+   */
   refinedLines(n, along) {
+    /** @type {[number, (k: number) => number]} */
     const [count, rest] =
       along === 0
         ? [this.grid.columns, (k) => this.restX(k)]

@@ -2,19 +2,24 @@
 // place of what has moved, unused files.
 
 import { alignOf } from "./align.js";
+import { find, text } from "./dom.js";
 import { holesOf } from "./edits.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { unusedWords } from "./words.js";
 
-const find = (id) => document.getElementById(id);
-const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
-
+/** @type {(handle: Page.Handle) => boolean} */
 const isPosed = ({ p, q, twist }) =>
   Boolean(twist) || p.some((place, k) => place[0] !== q[k][0] || place[1] !== q[k][1]);
 
 export class Notices {
+  /**
+   * @param {Page.Store} store
+   * @param {Page.UserActions} actions
+   */
   constructor(store, actions) {
+    /** @type {(id: keyof PageElements, act: () => unknown) => void} */
     const click = (id, act) => find(id).addEventListener("click", act);
+    /** @type {(what: Partial<Page.State>) => void} */
     const show = (what) => store.do("show", { what });
     click("sides-swap", () => actions.swap());
     click("sides-align", () => actions.align("similarity"));
@@ -25,6 +30,7 @@ export class Notices {
     store.subscribe((state) => this.#draw(state));
   }
 
+  /** @param {Page.State} state */
   #draw({
     phase,
     document,

@@ -4,6 +4,7 @@
 import { aligned } from "./align.js";
 import { readAnnotations } from "./annotations.js";
 import * as api from "./api.js";
+import { known } from "./dom.js";
 import { alphaOf, restOf, sameRest } from "./edits.js";
 import { sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
@@ -19,24 +20,69 @@ import { bytes, count, deadLinkWords } from "./words.js";
 
 const LOST = new Set(["no_such_session", "session_expired"]);
 
+/** @typedef {{ document: Page.Document, annotations?: Page.Annotations | null }} Completed */
+
+/**
+ * What a picture is opened with, besides its session, document and file; `history` makes the
+ * history of pictures from the state and the picture that was open.
+ *
+ * @typedef {{
+ *   picture: { name: string, sample?: string | null, linked?: boolean },
+ *   past?: Page.Document[],
+ *   future?: Page.Document[],
+ *   annotations?: Page.Annotations | null,
+ *   borrowed?: boolean,
+ *   fileKey?: IDBValidKey | null,
+ *   link?: string | null,
+ *   history?: (now: Page.History, left: Page.Kept) => Page.History,
+ * }} More
+ */
+
+/** @type {(error: unknown) => boolean} */
+const isUnreadable = (error) => error instanceof DOMException && error.name === "EncodingError";
+
 export class Opener {
-  /** Key of the file in IndexedDB, and the link that opened this tab. */
+  /**
+   * Key of the file in IndexedDB, and the link that opened this tab.
+   * @type {IDBValidKey | null}
+   */
   fileKey = null;
+  /** @type {string | null} */
   link = null;
 
+  /** @type {AbortController | null} */
   #cancel = null;
+  /** @type {(() => Promise<void>) | null} */
   #tried = null;
 
-  /** `told` is called when a file has been stored; `toast` shows a message for a short time. */
+  /**
+   * `told` is called when a file has been stored; `toast` shows a message for a short time.
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {Page.View} view
+   * @param {Page.UserActions} actions
+   * @param {Page.Limits} limits
+   * @param {() => void} told
+   * @param {(words: string) => void} toast
+   */
   constructor(store, sync, view, actions, limits, told, toast) {
-    Object.assign(this, { store, sync, view, actions, limits, told, toast });
+    this.store = store;
+    this.sync = sync;
+    this.view = view;
+    this.actions = actions;
+    this.limits = limits;
+    this.told = told;
+    this.toast = toast;
   }
 
   cancel() {
     this.#cancel?.abort();
   }
 
-  /** The open picture with everything that is needed to show it again. */
+  /**
+   * The open picture with everything that is needed to show it again.
+   * @returns {Page.Kept}
+   */
   get current() {
     const { picture, document, before, past, future, annotations } = this.store.state;
     const { session, file } = this.sync;
@@ -47,8 +93,8 @@ export class Opener {
       document: before ?? document,
       past,
       future,
-      session: session.id,
-      borrowed: session.borrowed,
+      session: known(session).id,
+      borrowed: known(session).borrowed,
       ...kept,
     };
   }
@@ -56,6 +102,7 @@ export class Opener {
   /**
    * Opens dropped, pasted or picked files: a picture, handles, annotations, or all of them; or a
    * project.
+   * @param {ArrayLike<File> & Iterable<File>} list
    */
   async files(list) {
     if (!list.length) return;
@@ -66,18 +113,14 @@ export class Opener {
     if (project) await this.#project(project);
     else {
       try {
-        if (handles.length)
-          await this.#take(
-            "handles",
-            await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0])),
-            Boolean(picture),
-          );
-        if (annotations)
-          await this.#take(
-            "annotations",
-            await readAnnotations(annotations, this.limits.body),
-            Boolean(picture),
-          );
+        if (handles.length) {
+          const read = await (handles.length > 1 ? readBoth(handles) : readHandles(handles[0]));
+          await this.#take({ handles: read }, Boolean(picture));
+        }
+        if (annotations) {
+          const read = await readAnnotations(annotations, this.limits.body);
+          await this.#take({ annotations: read }, Boolean(picture));
+        }
       } catch (problem) {
         return this.#refuse(problem);
       }
@@ -91,28 +134,34 @@ export class Opener {
   /**
    * Uses what a file has: now if a picture is open, otherwise (or if one comes with it) on the next
    * picture.
+   * @param {Page.Waiting} content
+   * @param {boolean} waits
    */
-  async #take(what, content, waits) {
-    if (this.store.state.phase === "open" && !waits) await this.#useWaiting({ [what]: content });
-    else this.store.do("waiting", { [what]: content });
+  async #take(content, waits) {
+    if (this.store.state.phase === "open" && !waits) await this.#useWaiting(content);
+    else this.store.do("waiting", content);
   }
 
-  /** Uses what was read for the picture that is open now. */
+  /**
+   * Uses what was read for the picture that is open now.
+   * @param {Page.Waiting} waiting
+   */
   async #useWaiting({ handles, annotations }) {
     if (annotations) this.store.do("annotations", { annotations });
     if (handles) await this.#useHandles(handles);
-    else this.toast(`${annotations.name} follows the warp`);
+    else if (annotations) this.toast(`${annotations.name} follows the warp`);
   }
 
+  /** @param {Page.HandlesFile} file */
   async #useHandles({ name, document, warp, missing }) {
-    const { picture } = this.store.state;
+    const picture = known(this.store.state.picture);
     const placed = warp ? scaled(warp, picture) : document;
     const own = placed.align ? await aligned(placed, placed.align.by, picture) : placed;
     const { picture: now, document: before } = this.store.state;
     if (now !== picture) return;
-    const [mask] = own.region ?? [];
+    const mask = (own.region ?? []).find((part) => part.kind === "mask");
     const size = mask && sizeOfMask(mask);
-    if (mask && (size[0] !== picture.width || size[1] !== picture.height)) {
+    if (size && (size[0] !== picture.width || size[1] !== picture.height)) {
       const detail = `The region in ${name} has ${size.join(" × ")} px, and the picture ${picture.width} × ${picture.height} px: it is for another picture.`;
       return this.#refuse(new api.Problem({ code: "bad_handles_file", detail }, 0));
     }
@@ -131,6 +180,10 @@ export class Opener {
     this.store.do("show", { what: { sidesClosed: false } });
   }
 
+  /**
+   * @param {File} file
+   * @param {string} name
+   */
   file(file, name) {
     return this.#attempt(name, async (signal) => {
       if (file.size > this.limits.body) {
@@ -141,6 +194,7 @@ export class Opener {
     });
   }
 
+  /** @param {File} file */
   #project(file) {
     return this.#attempt(file.name, async (signal) => {
       const { name, blob, document, strength, annotations, animation } = await readProject(
@@ -149,9 +203,9 @@ export class Opener {
       );
       signal.throwIfAborted();
       await this.#fresh(blob, name, document, null, signal, async ({ width, height }) => {
-        const mask = (document.region ?? []).find(({ kind }) => kind === "mask");
+        const mask = (document.region ?? []).find((part) => part.kind === "mask");
         const size = mask && sizeOfMask(mask);
-        if (mask && (size[0] !== width || size[1] !== height)) {
+        if (size && (size[0] !== width || size[1] !== height)) {
           const detail = `In ${file.name}, the mask of the region has ${size.join(" × ")} px, and the picture ${width} × ${height} px.`;
           throw new api.Problem({ code: "bad_project", detail }, 0);
         }
@@ -164,16 +218,26 @@ export class Opener {
     });
   }
 
+  /** @param {keyof typeof SAMPLES} which */
   sample(which) {
     const { file, name, warp } = SAMPLES[which];
     return this.#attempt(name, async (signal) => {
       const response = await fetch(file, { signal }).catch(() => null);
       if (!response?.ok) throw api.Problem.network();
-      await this.#fresh(await response.blob(), name, documentOf(warp), file, signal);
+      await this.#fresh(await response.blob(), name, known(documentOf(warp)), file, signal);
     });
   }
 
-  /** `complete`: makes what is opened with the picture from its size: { document, annotations }. */
+  /**
+   * `complete`: makes what is opened with the picture from its size: { document, annotations }.
+   * @param {Blob} blob
+   * @param {string} name
+   * @param {Page.Document} document
+   * @param {string | null} sample
+   * @param {AbortSignal} signal
+   * @param {(image: { width: number, height: number }) => Completed | Promise<Completed>}
+   * [complete]
+   */
   async #fresh(blob, name, document, sample, signal, complete = () => ({ document })) {
     const object = await this.#upload(blob, name, document, signal);
     const opened = await complete(object.image);
@@ -190,7 +254,14 @@ export class Opener {
       this.toast(`${name} opened. Undo brings back ${left.picture.name}`);
   }
 
+  /**
+   * @param {Blob} blob
+   * @param {string} name
+   * @param {Page.Document} document
+   * @param {AbortSignal} signal
+   */
   #upload(blob, name, document, signal) {
+    /** @type {(percent: number) => void} */
     const progress = (percent) => this.store.do("progress", { percent });
     return api.openSession(blob, name, restOf(document), { progress, signal });
   }
@@ -200,7 +271,11 @@ export class Opener {
     return this.#tried?.();
   }
 
-  /** Opens something; after a failure the page is unchanged and shows the problem. */
+  /**
+   * Opens something; after a failure the page is unchanged and shows the problem.
+   * @param {string} name
+   * @param {(signal: AbortSignal) => Promise<void>} open
+   */
   async #attempt(name, open) {
     this.cancel();
     this.#tried = () => this.#attempt(name, open);
@@ -217,20 +292,27 @@ export class Opener {
     }
   }
 
+  /** @param {unknown} error */
   #refuse(error) {
+    const isUnread = isUnreadable(error);
     const problem =
       error instanceof api.Problem
         ? error
-        : new api.Problem({ code: error?.name === "EncodingError" ? "unreadable" : "internal" }, 0);
+        : new api.Problem({ code: isUnread ? "unreadable" : "internal" }, 0);
     problem.opening = true;
     this.store.do("problem", { problem });
-    if (!(error instanceof api.Problem) && error?.name !== "EncodingError") throw error;
+    if (problem !== error && !isUnread) throw error;
   }
 
   /**
    * Shows a session and its document; returns the picture that was open. If `file` is null, the
    * texture comes from the session. `history` makes the history of pictures from the state and the
    * picture that was open.
+   * @param {Page.SessionObject} object
+   * @param {Page.Document} document
+   * @param {Page.Source | null} file
+   * @param {More} more
+   * @param {AbortSignal} signal
    */
   async #use(
     object,
@@ -254,7 +336,7 @@ export class Opener {
     try {
       isCutout = await this.view.setPicture(source.blob, width, height, signal);
     } catch (error) {
-      if (error?.name !== "EncodingError") throw error;
+      if (!isUnreadable(error)) throw error;
       // The browser cannot decode the file, but the server can: show the server's PNG.
       isCutout = await this.view.setPicture(
         await this.#identity(object, signal),
@@ -292,25 +374,36 @@ export class Opener {
     return left;
   }
 
-  /** A link in the address would open again at the next reload. */
+  /**
+   * A link in the address would open again at the next reload.
+   * @param {string | null} link
+   */
   #leaveLink(link) {
     this.link = link;
     if (!link && readLink(location.hash))
       globalThis.history.replaceState(null, "", location.pathname + location.search);
   }
 
-  /** The unchanged picture of the session: q = p. */
+  /**
+   * The unchanged picture of the session: q = p.
+   * @param {Page.SessionObject} object
+   * @param {AbortSignal} signal
+   */
   async #identity(object, signal) {
     return (await api.picture(object.id, { q: object.p }, signal)).blob;
   }
 
-  /** Opens a link: its session, with its handles. */
+  /**
+   * Opens a link: its session, with its handles.
+   * @param {string} hash
+   */
   openLink(hash) {
-    const { session, warp, name } = readLink(hash);
+    const { session, warp, name } = known(readLink(hash));
     return this.#attempt(name, async (signal) => {
       if (warp === null) throw new api.Problem({ code: "bad_link" }, 0);
-      const object = await api.readSession(session).catch((problem) => {
-        throw LOST.has(problem.code) ? this.#deadLink(name, warp, problem) : problem;
+      const object = await api.readSession(session).catch((error) => {
+        const isLost = error instanceof api.Problem && LOST.has(error.code);
+        throw isLost ? this.#deadLink(name, warp, error) : error;
       });
       signal.throwIfAborted();
       const told = documentOf(warp ?? warpOfSession(object));
@@ -328,7 +421,12 @@ export class Opener {
     });
   }
 
-  /** A link whose session has ended still has the handles: they wait for the picture. */
+  /**
+   * A link whose session has ended still has the handles: they wait for the picture.
+   * @param {string} name
+   * @param {Page.Json} warp
+   * @param {Page.Problem} problem
+   */
   #deadLink(name, warp, { code, status }) {
     const document = warp && documentOf(warp);
     if (document?.handles.length)
@@ -344,9 +442,10 @@ export class Opener {
     const { state } = this.store;
     if (state.phase !== "open") return;
     this.#showStart(replaced(state, this.current));
-    this.toast(`${state.picture.name} closed. Undo brings it back`);
+    this.toast(`${known(state.picture).name} closed. Undo brings it back`);
   }
 
+  /** @param {Page.History} history */
   #showStart(history) {
     this.sync.end();
     this.view.clear();
@@ -356,18 +455,25 @@ export class Opener {
     this.told();
   }
 
-  /** Undo (`back`) or redo of opening or closing a picture. */
+  /**
+   * Undo (`back`) or redo of opening or closing a picture.
+   * @param {boolean} back
+   */
   async step(back) {
     const { state } = this.store;
     const next = back ? state.earlier.at(-1) : state.later[0];
     if (!next || state.phase === "uploading") return;
+    /** @type {(now: Page.History, left: Page.Kept) => Page.History} */
     const history = (now, left) => stepped(now, left, back);
     if (!next.picture) return this.#showStart(history(state, this.current));
     await this.#again(next, history);
     if (!this.store.state.problem) this.toast(`${next.picture.name} is open again`);
   }
 
-  /** Restores the stored state after a reload. */
+  /**
+   * Restores the stored state after a reload.
+   * @param {Page.Json} kept
+   */
   async restore(kept) {
     const history = { earlier: kept.earlier ?? [], later: kept.later ?? [] };
     if (kept.picture) await this.#again(kept, () => history);
@@ -377,20 +483,22 @@ export class Opener {
   /**
    * Shows a kept picture: with its session if it exists, otherwise with a new session from the kept
    * file.
+   * @param {Page.KeptPicture} kept
+   * @param {(now: Page.History, left: Page.Kept) => Page.History} history
    */
   #again(kept, history) {
     return this.#attempt(kept.picture.name, async (signal) => {
       const file = kept.source ?? (await keptFile(kept.file));
-      let object = await api.readSession(kept.session).catch((problem) => {
-        if (LOST.has(problem.code)) return null;
-        throw problem;
+      let object = await api.readSession(kept.session).catch((error) => {
+        if (error instanceof api.Problem && LOST.has(error.code)) return null;
+        throw error;
       });
       if (!object && !file) {
         this.store.do("history", without(this.store.state, kept));
         throw new api.Problem({ code: "session_expired" }, 410);
       }
       const borrowed = kept.borrowed && Boolean(object);
-      object ??= await this.#upload(file.blob, file.name, kept.document, signal);
+      object ??= await this.#upload(known(file).blob, known(file).name, kept.document, signal);
       await this.#use(
         object,
         kept.document,
@@ -402,7 +510,10 @@ export class Opener {
   }
 }
 
-/** Copies a file to memory: the file on disk may change or disappear before it is needed again. */
+/**
+ * Copies a file to memory: the file on disk may change or disappear before it is needed again.
+ * @param {File} file
+ */
 async function copyOf(file) {
   try {
     return new Blob([await file.arrayBuffer()], { type: file.type });
@@ -414,6 +525,7 @@ async function copyOf(file) {
 /**
  * The warp object of a link without handles: those of the session, at rest. An alpha equal to the
  * default counts as automatic.
+ * @param {Page.SessionObject} object
  */
 function warpOfSession({
   p,

@@ -8,9 +8,20 @@ export const STRIDE = 5;
 /** Triangles per fan: the chord of a wide triangle would be too close to the border. */
 const FAN = 4;
 
-/** The border vertices of the grid, as a closed path. */
+/**
+ * A place on the posed border, and its place in the texture.
+ *
+ * @typedef {[place: Page.Place, u: number, v: number]} Vertex
+ */
+
+/**
+ * The border vertices of the grid, as a closed path.
+ * @param {Page.MeshGrid} grid
+ * @returns {Page.Place[]}
+ */
 function around({ columns, rows }) {
   const [right, bottom] = [columns - 1, rows - 1];
+  /** @type {(count: number, place: (k: number) => Page.Place) => Page.Place[]} */
   const along = (count, place) => Array.from({ length: count }, (_, k) => place(k));
   return [
     ...along(right, (i) => [i, 0]),
@@ -20,9 +31,13 @@ function around({ columns, rows }) {
   ];
 }
 
-/** Triangles around the posed border, three vertices each. */
+/**
+ * Triangles around the posed border, three vertices each.
+ * @param {Page.Mesh} mesh
+ */
 export function edgeTriangles(mesh) {
   const { width, height } = mesh.grid;
+  /** @type {Vertex[]} */
   const border = around(mesh.grid).map(([i, j]) => [
     mesh.posed(i, j),
     mesh.restX(i) / width,
@@ -31,14 +46,21 @@ export function edgeTriangles(mesh) {
   // The largest visible distance from the border.
   const reach =
     4 * Math.max(width, height, ...border.map(([[x, y]]) => Math.max(Math.abs(x), Math.abs(y))));
+  /** @type {number[]} */
   const numbers = [];
-  /** `angle` null: a position on the border. */
+  /**
+   * `angle` null: a position on the border.
+   * @type {(vertex: Vertex, angle: number | null) => void}
+   */
   const vertex = ([[x, y], u, v], angle) => {
     if (angle === null) numbers.push(x, y, 0, u, v);
     else numbers.push(x + reach * Math.cos(angle), y + reach * Math.sin(angle), 1, u, v);
   };
+  /** @type {(...corners: [Vertex, number | null][]) => void} */
   const triangle = (...corners) => corners.forEach(([place, angle]) => vertex(place, angle));
+  /** @type {number | null} */
   let before = null;
+  /** @type {[Vertex, number, number][]} */
   const turns = [];
   border.slice(1).forEach((b, k) => {
     const a = border[k];
@@ -53,7 +75,12 @@ export function edgeTriangles(mesh) {
     before = normal;
   });
   // The path is closed: the last segment meets the first.
-  if (turns.length) turns.push([border[0], before, turns[0][1]]);
+  if (turns.length)
+    turns.push([
+      border[0],
+      /** @type {number} a turn has two */ (/** @type {unknown} */ (before)),
+      turns[0][1],
+    ]);
   for (const [place, from, to] of turns) {
     const turn = Math.atan2(Math.sin(to - from), Math.cos(to - from)) / FAN;
     for (const side of [from, from + Math.PI]) {

@@ -3,6 +3,7 @@
 // the later one is visible, as in the server's picture. The outside is drawn first. Alpha is
 // premultiplied.
 
+import { known } from "./dom.js";
 import { STRIDE, edgeTriangles } from "./outside.js";
 import { RegionPainter } from "./regionpaint.js";
 
@@ -24,59 +25,98 @@ const MOST_VERTICES = 300_000;
 /**
  * `transparent`, a colour `#rrggbbaa`, or a value, with premultiplied alpha. The browser does not
  * tell the picture's depth: a value above 255 has 16 bits.
+ * @param {Page.Outside} outside
+ * @returns {[r: number, g: number, b: number, a: number]}
  */
 function premultiplied(outside) {
   if (typeof outside === "object") {
     const samples = [outside.value, outside.value, outside.value].flat().slice(0, 3);
     const largest = samples.some((sample) => sample > 255) ? 65535 : 255;
-    return [...samples.map((sample) => sample / largest), 1];
+    const [r, g, b] = samples.map((sample) => sample / largest);
+    return [r, g, b, 1];
   }
   if (!outside.startsWith("#")) return [0, 0, 0, 0];
   const [r, g, b, a] = [1, 3, 5, 7].map((at) => parseInt(outside.slice(at, at + 2), 16) / 255);
   return [r * a, g * a, b * a, a];
 }
 
+/** @typedef {WebGL2RenderingContext | WebGLRenderingContext} Gl */
+
+/**
+ * The GPU's context and what is prepared in it; `whole` draws without a region, `part` with one.
+ *
+ * @typedef {{
+ *   gl: Gl,
+ *   whole: import("./regionpaint.js").Program,
+ *   part: RegionPainter,
+ *   buffers: Record<"places" | "rest" | "cells" | "edge", WebGLBuffer>,
+ * }} Gpu
+ */
+
+/**
+ * What sets a uniform of so many numbers.
+ *
+ * @type {Record<number, "uniform1fv" | "uniform2fv" | "uniform4fv">}
+ */
+const SETTERS = { 1: "uniform1fv", 2: "uniform2fv", 4: "uniform4fv" };
+
 export class Painter {
-  #gl;
+  /**
+   * null without WebGL: then nothing is called.
+   *
+   * @type {Gpu | null}
+   */
+  #gpu = null;
+  /** @type {WebGLTexture | null} */
   #texture = null;
+  /** @type {ImageBitmap | null} */
   #source = null;
+  /** @type {Page.Size} */
   #size = [1, 1];
-  #buffers = null;
   #shape = "";
   #count = 0;
-  #whole; // the program without a region
-  #part; // RegionPainter
+  /** @type {HTMLCanvasElement | null} */
   #mask = null;
-  #wide;
-  #mipmaps;
+  #wide = false;
+  #mipmaps = false;
 
-  /** `kind`: webgl2, webgl or none. */
+  /**
+   * `kind`: webgl2, webgl or none.
+   * @param {HTMLCanvasElement} canvas
+   */
   constructor(canvas) {
+    /** @type {WebGLContextAttributes} */
     const wish = { alpha: true, premultipliedAlpha: true, antialias: false, depth: true };
     const second = canvas.getContext("webgl2", wish);
-    this.#gl = second ?? canvas.getContext("webgl", wish);
-    this.kind = second ? "webgl2" : this.#gl ? "webgl" : "none";
-    if (!this.#gl) return;
+    const gl = second ?? canvas.getContext("webgl", wish);
+    this.kind = second ? "webgl2" : gl ? "webgl" : "none";
+    if (!gl) return;
     this.#mipmaps = Boolean(second);
-    this.#wide = Boolean(second ?? this.#gl.getExtension("OES_element_index_uint"));
-    this.#build();
+    this.#wide = Boolean(second ?? gl.getExtension("OES_element_index_uint"));
+    this.#build(gl);
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
-      this.#build();
+      this.#build(gl);
       if (this.#source) this.setSource(this.#source, ...this.#size);
-      if (this.#mask) this.#part.setMask(this.#mask);
+      if (this.#mask) this.setMask(this.#mask);
     });
   }
 
-  #build() {
-    const gl = this.#gl;
+  /** @param {Gl} gl */
+  #build(gl) {
+    /** @type {(kind: number, text: string) => WebGLShader} */
     const shader = (kind, text) => {
-      const made = gl.createShader(kind);
+      const made = known(gl.createShader(kind));
       gl.shaderSource(made, text);
       gl.compileShader(made);
       return made;
     };
-    /** Compiles a fragment shader; its samplers read the texture units in this order. */
+    /**
+     * Compiles a fragment shader; its samplers read the texture units in this order.
+     * @param {string} fragment
+     * @param {string[]} samplers
+     * @returns {import("./regionpaint.js").Program}
+     */
     const compile = (fragment, samplers) => {
       const program = gl.createProgram();
       gl.attachShader(program, shader(gl.VERTEX_SHADER, VERTEX));
@@ -84,21 +124,25 @@ export class Painter {
       gl.bindAttribLocation(program, 0, "place");
       gl.bindAttribLocation(program, 1, "texture");
       gl.linkProgram(program);
+      /** @type {(name: string) => WebGLUniformLocation | null} */
       const uniform = (name) => gl.getUniformLocation(program, name);
       gl.useProgram(program);
       samplers.forEach((name, unit) => gl.uniform1i(uniform(name), unit));
       return {
         use: () => gl.useProgram(program),
-        set: (name, ...numbers) => gl[`uniform${numbers.length}f`](uniform(name), ...numbers),
+        set: (name, ...numbers) => gl[SETTERS[numbers.length]](uniform(name), numbers),
       };
     };
-    this.#whole = compile(FRAGMENT, ["source"]);
-    this.#part = new RegionPainter(gl, compile);
-    this.#buffers = {
-      places: gl.createBuffer(),
-      rest: gl.createBuffer(),
-      cells: gl.createBuffer(),
-      edge: gl.createBuffer(),
+    this.#gpu = {
+      gl,
+      whole: compile(FRAGMENT, ["source"]),
+      part: new RegionPainter(gl, compile),
+      buffers: {
+        places: gl.createBuffer(),
+        rest: gl.createBuffer(),
+        cells: gl.createBuffer(),
+        edge: gl.createBuffer(),
+      },
     };
     gl.enableVertexAttribArray(0);
     gl.enableVertexAttribArray(1);
@@ -108,15 +152,19 @@ export class Painter {
 
   /** The largest side of a picture that fits into a texture. */
   get longestSide() {
-    return this.#gl.getParameter(this.#gl.MAX_TEXTURE_SIZE);
+    const { gl } = known(this.#gpu);
+    return gl.getParameter(gl.MAX_TEXTURE_SIZE);
   }
 
   /**
    * Sets the picture: an upright ImageBitmap with premultiplied alpha, and its size in picture px,
    * which may exceed that of the bitmap.
+   * @param {ImageBitmap} bitmap
+   * @param {number} width
+   * @param {number} height
    */
   setSource(bitmap, width, height) {
-    const gl = this.#gl;
+    const { gl } = known(this.#gpu);
     this.#source = bitmap;
     this.#size = [width, height];
     if (this.#texture) gl.deleteTexture(this.#texture);
@@ -130,18 +178,24 @@ export class Painter {
     this.#shape = "";
   }
 
-  /** Sets the mask of the region that moves: a canvas; null: the whole picture. */
+  /**
+   * Sets the mask of the region that moves: a canvas; null: the whole picture.
+   * @param {HTMLCanvasElement | null} canvas
+   */
   setMask(canvas) {
     this.#mask = canvas;
-    if (canvas && this.#gl) this.#part.setMask(canvas);
+    if (canvas) this.#gpu?.part.setMask(canvas);
   }
 
   /**
    * Draws a mesh; `place`: { zoom, x, y } in device px, `crisp`: no smoothing of enlarged pixels,
    * `outside`, `holes`: as in the document, `box`: of the canvas.
+   * @param {Page.Mesh} mesh
+   * @param {Page.Placed} place
+   * @param {{ crisp: boolean, outside: Page.Outside, holes: Page.Holes, box: Page.Box }} how
    */
   paint(mesh, { zoom, x, y }, { crisp, outside, holes, box }) {
-    const gl = this.#gl;
+    const { gl, whole, part } = known(this.#gpu);
     if (!this.#texture || gl.isContextLost()) return;
     const { width, height } = gl.canvas;
     const n = this.#parts(mesh);
@@ -173,35 +227,44 @@ export class Painter {
     ];
     const cells = () => this.#paintCells(mesh, n);
     if (this.#mask)
-      return this.#part.paint(view, { outside, beyond: premultiplied(outside), holes }, cells, () =>
+      return part.paint(view, { outside, beyond: premultiplied(outside), holes }, cells, () =>
         this.#paintBox(box, 2 / zoom),
       );
-    this.#whole.use();
-    this.#whole.set("view", ...view);
+    whole.use();
+    whole.set("view", ...view);
     if (outside === "edge" || outside === "reflect") this.#paintEdge(mesh);
     else this.#paintColour(outside);
     cells();
   }
 
+  /**
+   * @param {Page.Mesh} mesh
+   * @param {number} n
+   */
   #paintCells(mesh, n) {
-    const gl = this.#gl;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.places);
+    const { gl, buffers } = known(this.#gpu);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.places);
     gl.bufferData(gl.ARRAY_BUFFER, mesh.refined(n), gl.DYNAMIC_DRAW);
     gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.rest);
     gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 0, 0);
     gl.drawElements(gl.TRIANGLES, this.#count, this.#wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0);
   }
 
+  /** @param {Page.Outside} outside */
   #paintColour(outside) {
-    const gl = this.#gl;
+    const { gl } = known(this.#gpu);
     gl.clearColor(...premultiplied(outside));
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  /** Draws a box and `more` px around it at rest, also outside of the picture. */
+  /**
+   * Draws a box and `more` px around it at rest, also outside of the picture.
+   * @param {Page.Box} box
+   * @param {number} more
+   */
   #paintBox([x, y, wide, high], more) {
-    const gl = this.#gl;
+    const { gl, buffers } = known(this.#gpu);
     const [width, height] = this.#size;
     const [left, top, right, bottom] = [x - more, y - more, x + wide + more, y + high + more];
     const corners = [
@@ -210,7 +273,7 @@ export class Painter {
       [left, bottom],
       [right, bottom],
     ].flatMap(([a, b]) => [a, b, 0, a / width, b / height]);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.edge);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.edge);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(corners), gl.DYNAMIC_DRAW);
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * STRIDE, 0);
     gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 4 * STRIDE, 12);
@@ -220,11 +283,12 @@ export class Painter {
   /**
    * Draws the extended edge, also in place of a mirrored one, which only the server draws; depth is
    * the distance from the border.
+   * @param {Page.Mesh} mesh
    */
   #paintEdge(mesh) {
-    const gl = this.#gl;
+    const { gl, buffers } = known(this.#gpu);
     const vertices = edgeTriangles(mesh);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.edge);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.edge);
     gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.DYNAMIC_DRAW);
     gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * STRIDE, 0);
     gl.vertexAttribPointer(1, 2, gl.FLOAT, false, 4 * STRIDE, 12);
@@ -234,18 +298,24 @@ export class Painter {
     gl.disable(gl.DEPTH_TEST);
   }
 
+  /** @param {Page.Mesh} mesh */
   #parts({ grid }) {
     const most = this.#wide ? MOST_VERTICES : 1 << 16;
+    /** @type {(n: number) => number} */
     const vertices = (n) => (n * (grid.columns - 1) + 1) * (n * (grid.rows - 1) + 1);
     return [4, 2].find((n) => Math.max(...grid.cell) > (FINE * n) / 2 && vertices(n) <= most) ?? 1;
   }
 
-  /** Triangles and texture coordinates in cell order; they depend on the grid only. */
+  /**
+   * Triangles and texture coordinates in cell order; they depend on the grid only.
+   * @param {Page.Mesh} mesh
+   * @param {number} n
+   */
   #arrange(mesh, n) {
     const { columns, rows, cell, width, height } = mesh.grid;
     const shape = [columns, rows, ...cell, n].join();
     if (shape === this.#shape) return;
-    const gl = this.#gl;
+    const { gl, buffers } = known(this.#gpu);
     const [xs, ys] = [mesh.refinedLines(n, 0), mesh.refinedLines(n, 1)];
     const rest = new Float32Array(2 * xs.length * ys.length);
     let at = 0;
@@ -269,9 +339,9 @@ export class Painter {
         }
       }
     }
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.#buffers.rest);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers.rest);
     gl.bufferData(gl.ARRAY_BUFFER, rest, gl.STATIC_DRAW);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.#buffers.cells);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers.cells);
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, cells, gl.STATIC_DRAW);
     this.#count = end;
     this.#shape = shape;

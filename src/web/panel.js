@@ -2,6 +2,7 @@
 
 import { alignOf } from "./align.js";
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
+import { find, findAll, listen, text } from "./dom.js";
 import {
   alphaOf,
   filterOf,
@@ -35,20 +36,37 @@ import {
   waitingWords,
 } from "./words.js";
 
-const find = (id) => document.getElementById(id);
-const text = (id, words) => find(id).textContent !== words && (find(id).textContent = words);
-const press = (id, pressed) => find(id).setAttribute("aria-pressed", pressed);
+/** @type {(id: keyof PageElements, pressed: boolean) => void} */
+const press = (id, pressed) => find(id).setAttribute("aria-pressed", String(pressed));
 
 /** The fields of a box. */
-const BOX = ["x", "y", "width", "height"];
+const BOX = /** @type {const} */ (["x", "y", "width", "height"]);
+
+const SIDES = /** @type {const} */ (["left", "right", "up", "down"]);
+const TOOLS = /** @type {const} */ (["point", "line", "path", "lasso", "brush"]);
+const METHODS = /** @type {const} */ (["rigid", "similarity", "affine", "tps", "global_affine"]);
 
 export class Panel {
   #timing = "";
-  /** The canvas that the fields show. */
+  /**
+   * The canvas that the fields show.
+   * @type {Page.Canvas | null}
+   */
   #canvas = null;
 
+  /**
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {Page.View} view
+   * @param {Page.UserActions} actions
+   * @param {Page.Does} does
+   */
   constructor(store, sync, view, actions, does) {
-    Object.assign(this, { store, sync, view, actions, does });
+    this.store = store;
+    this.sync = sync;
+    this.view = view;
+    this.actions = actions;
+    this.does = does;
     this.#listen();
     store.subscribe((state) => this.#draw(state));
     sync.subscribe(() => this.#drawPicture());
@@ -58,6 +76,7 @@ export class Panel {
 
   #listen() {
     const { store, view, actions, does } = this;
+    /** @type {(id: keyof PageElements, act: () => unknown) => void} */
     const click = (id, act) => find(id).addEventListener("click", act);
     const state = () => store.state;
     click("undo", () => actions.undo(true));
@@ -72,8 +91,8 @@ export class Panel {
       store.do("waiting", { handles: null, annotations: null });
     });
     click("fit", does.fit);
-    find("fit-arrows").addEventListener("change", ({ target }) =>
-      store.do("show", { what: { fitShown: target.checked } }),
+    listen("fit-arrows", "change", ({ checked }) =>
+      store.do("show", { what: { fitShown: checked } }),
     );
     click("mesh", does.mesh);
     click("compare", does.compare);
@@ -81,12 +100,12 @@ export class Panel {
     click("zoom-out", () => view.zoomTo(view.zoom / 1.25));
     click("zoom-fit", () => view.fit());
     click("zoom-full", does.full);
-    for (const [id, dx, dy] of [
+    for (const [id, dx, dy] of /** @type {const} */ ([
       ["left", 1, 0],
       ["right", -1, 0],
       ["up", 0, 1],
       ["down", 0, -1],
-    ]) {
+    ])) {
       click(`pan-${id}`, () =>
         view.panBy(...view.stageSize.map((side, axis) => Math.round((side / 3) * [dx, dy][axis]))),
       );
@@ -105,43 +124,48 @@ export class Panel {
     click("put-back-all", () => actions.putBack(actions.all));
     click("clear", () => actions.clear());
     click("swap", () => actions.swap());
-    find("align").addEventListener("change", ({ target }) => actions.align(target.value));
+    listen("align", "change", ({ value }) => actions.align(/** @type {Page.AlignClass} */ (value)));
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
-    for (const input of document.querySelectorAll("input[name=tool]"))
-      input.addEventListener("change", () => does.tool(input.value));
-    for (const input of document.querySelectorAll("input[name=method]"))
-      input.addEventListener("change", () => this.#setMethod(input.value));
-    find("grid-size").addEventListener("change", ({ target }) =>
-      this.#set({ grid: target.value === "auto" ? "auto" : JSON.parse(target.value) }),
+    for (const tool of TOOLS) listen(`tool-${tool}`, "change", () => does.tool(tool));
+    for (const method of METHODS)
+      listen(`method-${method}`, "change", () => this.#setMethod(method));
+    listen("grid-size", "change", ({ value }) =>
+      this.#set({ grid: value === "auto" ? "auto" : JSON.parse(value) }),
     );
-    find("alpha").addEventListener("input", ({ target }) =>
-      this.#set({ alpha: Number(target.value) }, "alpha"),
+    listen("alpha", "input", ({ value }) => this.#set({ alpha: Number(value) }, "alpha"));
+    listen("alpha-auto", "change", ({ checked }) =>
+      this.#set({ alpha: checked ? null : alphaOf(state().document) }),
     );
-    find("alpha-auto").addEventListener("change", ({ target }) =>
-      this.#set({ alpha: target.checked ? null : alphaOf(state().document) }),
-    );
-    find("outside").addEventListener("change", ({ target }) =>
-      this.#set({
-        outside: target.value === "colour" ? `${find("outside-colour").value}ff` : target.value,
-      }),
+    listen("outside", "change", ({ value }) =>
+      this.#set({ outside: value === "colour" ? `${find("outside-colour").value}ff` : value }),
     );
     // The colour field has no alpha: keep the alpha of the current value.
-    find("outside-colour").addEventListener("input", ({ target }) =>
-      this.#set({ outside: target.value + outsideOf(state().document).slice(7) }, "outside"),
+    listen("outside-colour", "input", ({ value }) => {
+      const before = outsideOf(state().document);
+      this.#set(
+        { outside: value + (typeof before === "string" ? before.slice(7) : "ff") },
+        "outside",
+      );
+    });
+    listen("filter", "change", ({ value }) =>
+      this.#set({ filter: /** @type {Page.Filter} */ (value) }),
     );
-    find("filter").addEventListener("change", ({ target }) => this.#set({ filter: target.value }));
-    find("canvas").addEventListener("change", ({ target }) =>
-      this.#set({ canvas: target.value === "box" ? this.#box() : target.value }),
+    listen("canvas", "change", ({ value }) =>
+      this.#set({ canvas: value === "box" ? this.#box() : value === "fit" ? "fit" : "same" }),
     );
-    for (const name of BOX) find(`canvas-${name}`).addEventListener("change", () => this.#setBox());
+    for (const name of BOX) listen(`canvas-${name}`, "change", () => this.#setBox());
     click("canvas-all", () => this.#set({ canvas: "fit" }));
-    find("compare-at").addEventListener("input", ({ target }) =>
-      store.do("show", { what: { compareAt: Number(target.value) } }),
+    listen("compare-at", "input", ({ value }) =>
+      store.do("show", { what: { compareAt: Number(value) } }),
     );
     this.#holds(find("before"));
   }
 
+  /**
+   * @param {Partial<Page.Document>} what
+   * @param {string} [tag]
+   */
   #set(what, tag = "") {
     this.actions.edit({ ...this.store.state.document, ...what }, { tag });
   }
@@ -154,22 +178,27 @@ export class Panel {
 
   #setBox() {
     const fields = BOX.map((name) => find(`canvas-${name}`));
-    for (const field of fields) field.setAttribute("aria-invalid", !field.checkValidity());
-    if (fields.every((field) => field.checkValidity()))
-      this.#set({
-        canvas: Object.fromEntries(BOX.map((name, k) => [name, fields[k].valueAsNumber])),
-      });
+    for (const field of fields) field.setAttribute("aria-invalid", String(!field.checkValidity()));
+    if (!fields.every((field) => field.checkValidity())) return;
+    const [x, y, width, height] = fields.map((field) => field.valueAsNumber);
+    this.#set({ canvas: { x, y, width, height } });
   }
 
+  /** @param {Page.Method} method */
   #setMethod(method) {
     this.#set({ method });
     if (takesPinsOnly({ method })) this.does.tool("point");
   }
 
-  /** Shows the original while the button is held by pointer or keyboard. */
+  /**
+   * Shows the original while the button is held by pointer or keyboard.
+   * @param {HTMLElement} button
+   */
   #holds(button) {
+    /** @type {(on: boolean) => () => void} */
     const peek = (on) => () =>
       this.store.state.peek !== on && this.store.do("show", { what: { peek: on } });
+    /** @type {(event: KeyboardEvent) => boolean} */
     const isPress = (event) => event.key === " " || event.key === "Enter";
     button.addEventListener("pointerdown", (event) => {
       button.setPointerCapture(event.pointerId);
@@ -185,9 +214,10 @@ export class Panel {
     button.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
+  /** @param {Page.State} state */
   #draw(state) {
     const open = state.phase === "open";
-    for (const node of document.querySelectorAll("[data-when=open]")) node.hidden = !open;
+    for (const node of findAll("[data-when=open]")) node.hidden = !open;
     find("drop").hidden = state.phase !== "empty";
     find("upload").hidden = state.phase !== "uploading";
     find("work").hidden = find("panel").hidden = !state.picture || state.phase === "empty";
@@ -206,13 +236,20 @@ export class Panel {
     if (state.waiting) text("waiting-text", waitingWords(state.waiting));
     const none = !state.document.handles.length;
     find("handles-none").hidden = !none;
-    for (const id of ["select-all", "put-back-all", "clear", "swap", "align"])
+    for (const id of /** @type {const} */ ([
+      "select-all",
+      "put-back-all",
+      "clear",
+      "swap",
+      "align",
+    ]))
       find(id).disabled = none;
     find("align").value = alignOf(state.document);
     text("align-note", ALIGN[alignOf(state.document)]);
     this.#drawPicture();
   }
 
+  /** @param {Page.State} state */
   #drawUpload({ phase, progress, uploadName }) {
     if (phase !== "uploading") return;
     find("upload-bar").value = progress;
@@ -226,6 +263,7 @@ export class Panel {
     );
   }
 
+  /** @param {Page.State} state */
   #drawFit({ document, fit, fitShown }) {
     const why = noFitWords(document.handles.length, hasPinsOnly(document), LEAST_PINS);
     find("fit").disabled = why !== "";
@@ -234,16 +272,24 @@ export class Panel {
     text("fit-note", fit?.words ?? why);
   }
 
+  /** @param {Page.Document} document */
   #drawBend(document) {
     find(`method-${document.method}`).checked = true;
     const canSpline = hasPinsOnly(document);
-    for (const id of ["method-tps", "method-global_affine"]) find(id).disabled = !canSpline;
+    for (const id of /** @type {const} */ (["method-tps", "method-global_affine"]))
+      find(id).disabled = !canSpline;
     text("method-note", methodWords(document, canSpline));
     const pinsOnly = takesPinsOnly(document);
-    for (const id of ["alpha", "alpha-auto", "tool-line", "tool-path", "pin-border"])
+    for (const id of /** @type {const} */ ([
+      "alpha",
+      "alpha-auto",
+      "tool-line",
+      "tool-path",
+      "pin-border",
+    ]))
       find(id).disabled = pinsOnly;
     const alpha = alphaOf(document);
-    find("alpha").value = alpha;
+    find("alpha").value = String(alpha);
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
     text("alpha-value", `${alpha}`);
     find("alpha-auto").checked = document.alpha === null;
@@ -254,24 +300,27 @@ export class Panel {
       pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus,
     );
     const select = find("grid-size");
-    const { tolerance } = document.grid;
+    const tolerance = typeof document.grid === "object" ? document.grid.tolerance : 0;
     const value = tolerance ? JSON.stringify(document.grid) : String(document.grid);
     if (![...select.options].some((option) => option.value === value))
       select.add(new Option(tolerance ? `Within ${tolerance} px` : `${value} px`, value));
     select.value = value;
     const outside = outsideOf(document);
     const kind = kindOfOutside(outside);
-    this.#offerValue(kind === "value" ? outside : null);
+    this.#offerValue(typeof outside === "object" ? outside : null);
     find("outside").value = kind;
     find("outside-colour").hidden = kind !== "colour";
-    if (kind === "colour") find("outside-colour").value = outside.slice(0, 7);
+    if (kind === "colour") find("outside-colour").value = String(outside).slice(0, 7);
     text("outside-note", OUTSIDE[kind]);
     find("filter").value = filterOf(document);
     text("filter-note", FILTER[filterOf(document)]);
     this.#drawCanvas(document);
   }
 
-  /** A value outside comes from a file of handles; the list has it as long as it is set. */
+  /**
+   * A value outside comes from a file of handles; the list has it as long as it is set.
+   * @param {Page.OutsideValue | null} outside
+   */
   #offerValue(outside) {
     const select = find("outside");
     const option = [...select.options].find(({ value }) => value === "value");
@@ -280,17 +329,18 @@ export class Panel {
     else select.add(new Option(`Value ${outside.value}`, "value"));
   }
 
+  /** @param {Page.Document} document */
   #drawCanvas(document) {
     const canvas = canvasOf(document);
-    const isBox = typeof canvas === "object";
-    find("canvas").value = isBox ? "box" : canvas;
-    find("canvas-box").hidden = !isBox;
-    if (isBox) {
+    const kind = typeof canvas === "object" ? "box" : canvas;
+    find("canvas").value = kind;
+    find("canvas-box").hidden = kind !== "box";
+    if (typeof canvas === "object") {
       for (const name of BOX) {
         const field = find(`canvas-${name}`);
         // What is being typed stays until the canvas itself changes.
         if (field !== window.document.activeElement || canvas !== this.#canvas)
-          field.value = canvas[name];
+          field.value = String(canvas[name]);
       }
     }
     this.#canvas = canvas;
@@ -300,16 +350,17 @@ export class Panel {
         ? cutOff(mesh, boxOf(canvas, size, mesh))
         : null;
     const words = cut ? cutWords(cut) : "";
-    text("canvas-note", words || CANVAS[find("canvas").value]);
+    text("canvas-note", words || CANVAS[kind]);
     find("canvas-all").hidden = !words;
   }
 
+  /** @param {Page.State} state */
   #drawTools(state) {
     find(`tool-${state.tool}`).checked = true;
     press("mesh", state.meshShown);
     press("compare", state.compare);
     find("compare-bar").hidden = !state.compare;
-    find("compare-at").value = state.compareAt;
+    find("compare-at").value = String(state.compareAt);
     find("before").classList.toggle("held", state.peek);
     const {
       selection,
@@ -329,19 +380,25 @@ export class Panel {
       selection.length === 1 &&
       !takesPinsOnly(state.document) &&
       canTwist(handles.find((h) => String(h.id) === selection[0]));
-    for (const id of ["rotate-left", "rotate-right"]) find(id).hidden = places < 2 && !pin;
+    for (const id of /** @type {const} */ (["rotate-left", "rotate-right"]))
+      find(id).hidden = places < 2 && !pin;
     find("draft").hidden = !draft.length;
     find("draft-finish").disabled = draft.length < (state.tool === "lasso" ? 3 : 2);
     text("draft-text", `${toolName(state.tool)}: ${count(draft.length, "point")}`);
     this.#drawHint(state);
   }
 
+  /**
+   * @param {string} key
+   * @param {Page.Handle[]} handles
+   */
   #nameOf(key, handles) {
     const [id, vertex] = key.split(".");
     const index = handles.findIndex((h) => h.id === Number(id));
     return `${kindName(handles[index])} ${index + 1}${vertex === undefined ? "" : `.${Number(vertex) + 1}`}`;
   }
 
+  /** @param {Page.State} state */
   #placesOf({ selection, document: { handles } }) {
     return selection.reduce(
       (n, key) =>
@@ -350,6 +407,7 @@ export class Panel {
     );
   }
 
+  /** @param {Page.State} state */
   #drawHint(state) {
     const which = hintFor(state);
     find("hint").hidden = !which;
@@ -357,6 +415,7 @@ export class Panel {
       text("hint", HINTS[which][matchMedia("(pointer: coarse)").matches ? "touch" : "mouse"]);
   }
 
+  /** @param {Page.Problem | null} problem */
   #drawProblem(problem) {
     find("problem").hidden = !problem;
     if (!problem) return;
@@ -371,7 +430,8 @@ export class Panel {
 
   #drawZoom() {
     text("zoom-value", `${Math.round(100 * this.view.zoom * this.view.scale)} %`);
-    for (const [side, more] of Object.entries(this.view.beyond)) find(`pan-${side}`).hidden = !more;
+    const { beyond } = this.view;
+    for (const side of SIDES) find(`pan-${side}`).hidden = !beyond[side];
   }
 
   /** Shows the figures of the last response. */
@@ -380,14 +440,15 @@ export class Panel {
     text("folds-note", foldWords(shown.folds));
     find("folds").hidden = !shown.folds;
     text("folds", `${count(shown.folds, "cell")} ${shown.folds === 1 ? "folds" : "fold"}`);
-    const { grid } = session ?? {};
+    const grid = session?.grid;
     text(
       "grid-note",
       grid
         ? `${grid.columns} × ${grid.rows} vertices, ${Math.round(grid.cell[0] * 10) / 10} px apart.`
         : "",
     );
-    const rows = timingRows(shown, this.view.size && this.view.box.slice(2));
+    const [, , width, height] = this.view.size ? this.view.box : [0, 0, 0, 0];
+    const rows = timingRows(shown, this.view.size && [width, height]);
     text("status", this.store.state.phase === "open" ? statusWords(shown) : "");
     // Not during a drag: it is read aloud.
     if (this.sync.condition === "ready") this.#drawCanvas(this.store.state.document);
@@ -405,6 +466,7 @@ export class Panel {
     this.#drawBar(shown.report?.timing ?? {});
   }
 
+  /** @param {Record<string, number>} timing */
   #drawBar(timing) {
     const stages = Object.keys(STAGES).filter((name) => timing[name] > 0);
     const bar = find("timing-bar");
@@ -412,21 +474,28 @@ export class Panel {
       ...stages.map((name) => {
         const part = document.createElement("span");
         part.className = name;
-        part.style.flexGrow = 1000 * timing[name];
+        part.style.flexGrow = String(1000 * timing[name]);
         return part;
       }),
     );
   }
 }
 
-/** The warnings about the shown picture, under it. */
+/**
+ * The warnings about the shown picture, under it.
+ * @type {(shown: Page.Shown) => string}
+ */
 const statusWords = ({ warnings }) =>
   warnings
     .map((w) => WARNINGS[w])
     .filter(Boolean)
     .join(" ");
 
-/** The hint for the current state: a key of HINTS, or null. */
+/**
+ * The hint for the current state: a key of HINTS, or null.
+ * @param {Page.State} state
+ * @returns {keyof typeof HINTS | null}
+ */
 function hintFor({
   phase,
   document,
@@ -450,10 +519,17 @@ function hintFor({
   return past.length || selection.length ? null : "sample";
 }
 
+/** @type {(n: number) => string} */
 const ms = (n) => `${n < 10 ? n.toFixed(2) : n.toFixed(1)} ms`;
 
+/**
+ * @param {Page.Shown} shown
+ * @param {Page.Size | null} size
+ * @returns {[id: string, name: string, value: string][]}
+ */
 function timingRows({ report, residual, rate }, size) {
   if (!report) return [];
+  /** @type {[id: string, name: string, value: string][]} */
   const rows = Object.entries(STAGES)
     .filter(([name]) => report.timing[name] !== undefined)
     .map(([name, words]) => [name, words, ms(report.timing[name])]);

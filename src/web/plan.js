@@ -18,10 +18,16 @@ const SPLINE = 64;
  */
 const SAMPLES = 5;
 
+/** @type {(handle: Page.WireHandle) => handle is Page.Place[]} */
+const isLine = (handle) => Array.isArray(handle[0]);
+
 const HEADER = 64;
 const MEMBER = 16;
 
-/** The value of a half-precision number. */
+/**
+ * The value of a half-precision number.
+ * @param {number} bits
+ */
 function half(bits) {
   const [exponent, fraction] = [(bits >> 10) & 31, bits & 1023];
   const size = exponent ? (1024 + fraction) * 2 ** (exponent - 25) : fraction * 2 ** -24;
@@ -30,8 +36,10 @@ function half(bits) {
 
 /** A file of coefficients in half precision. */
 export class Plan {
+  /** @param {ArrayBuffer} bytes */
   constructor(bytes) {
     const data = new DataView(bytes);
+    /** @type {(at: number) => number} */
     const integer = (at) => data.getUint32(at, true);
     const [family, , columns, rows, count, members, width, height] = [
       8, 12, 16, 20, 24, 28, 32, 36,
@@ -39,6 +47,7 @@ export class Plan {
     this.revision = Array.from(new Uint8Array(bytes, 40, 16), (byte) =>
       byte.toString(16).padStart(2, "0"),
     ).join("");
+    /** @type {Page.MeshGrid} */
     this.grid = {
       columns,
       rows,
@@ -46,7 +55,9 @@ export class Plan {
       height,
       cell: [width / (columns - 1), height / (rows - 1)],
     };
-    Object.assign(this, { family, count, bytes: bytes.byteLength });
+    this.family = family;
+    this.count = count;
+    /** @type {(at: number) => [column: number, handle: number, place: number, share: number]} */
     const member = (at) => [
       integer(at),
       integer(at + 4),
@@ -61,18 +72,26 @@ export class Plan {
     this.rest = Mesh.atRest(this.grid);
   }
 
-  /** Positions of the columns: x, y of each. */
+  /**
+   * Positions of the columns: x, y of each.
+   * @param {Page.WireHandle[]} handles
+   */
   #columns(handles) {
     const sums = new Float64Array(2 * this.count);
     for (const [column, handle, place, share] of this.members) {
-      const [x, y] = Array.isArray(handles[handle][0]) ? handles[handle][place] : handles[handle];
+      const places = handles[handle];
+      const [x, y] = isLine(places) ? places[place] : places;
       sums[2 * column] += share * x;
       sums[2 * column + 1] += share * y;
     }
     return sums;
   }
 
-  /** The posed grid, of handles in the server's form. */
+  /**
+   * The posed grid, of handles in the server's form.
+   * @param {Page.WireHandle[]} p
+   * @param {Page.WireHandle[]} q
+   */
   pose(p, q) {
     const { family, count, numbers } = this;
     const [P, Q] = [this.#columns(p), this.#columns(q)];
@@ -112,48 +131,64 @@ export class Plan {
    * The largest distance between a posed handle and where its mesh puts it, px: the lattice is
    * coarser than the grid of the server. Handles outside of the picture do not count; those that
    * coincide at rest count as one at their mean.
+   * @param {Page.Mesh} mesh
+   * @param {Page.WireHandle[]} p
+   * @param {Page.WireHandle[]} q
    */
   residual(mesh, p, q) {
     let worst = 0;
+    /** @type {(rest: Page.Place, posed: Page.Place) => void} */
     const look = (rest, posed) => {
       const drawn = mesh.forward(...rest);
       if (drawn) worst = Math.max(worst, Math.hypot(drawn[0] - posed[0], drawn[1] - posed[1]));
     };
     const [P, Q] = [this.#columns(p), this.#columns(q)];
-    const of = (places, column) => places.subarray(2 * column, 2 * column + 2);
+    /** @type {(places: Float64Array, column: number) => Page.Place} */
+    const of = (places, column) => [places[2 * column], places[2 * column + 1]];
     for (const [column, handle] of this.members)
-      if (!Array.isArray(p[handle][0])) look(of(P, column), of(Q, column));
+      if (!isLine(p[handle])) look(of(P, column), of(Q, column));
     for (const [handle, rest] of p.entries()) {
-      if (!Array.isArray(rest[0])) continue;
+      const posed = q[handle];
+      if (!isLine(rest) || !isLine(posed)) continue;
+      /** @type {(places: Page.Place[], k: number, t: number) => Page.Place} */
       const between = (places, k, t) =>
-        [0, 1].map((axis) => places[k][axis] * (1 - t) + places[k + 1][axis] * t);
+        places[k].map((c, axis) => c * (1 - t) + places[k + 1][axis] * t);
       for (let n = 0; n < SAMPLES * (rest.length - 1); n++) {
         const [k, t] = [Math.floor(n / SAMPLES), (n % SAMPLES) / (SAMPLES - 1)];
-        look(between(rest, k, t), between(q[handle], k, t));
+        look(between(rest, k, t), between(posed, k, t));
       }
     }
     return worst;
   }
 }
 
-/** Bytes of a file. */
+/**
+ * Bytes of a file.
+ * @param {Page.Rest} rest
+ * @param {number} vertices
+ */
 function bytesOf({ p, method }, vertices) {
   const columns = p.reduce(
-    (sum, handle) => sum + (Array.isArray(handle[0]) ? 2 * (handle.length - 1) : 1),
+    (sum, handle) => sum + (isLine(handle) ? 2 * (handle.length - 1) : 1),
     0,
   );
-  const planes = { rigid: 3, similarity: 2 }[method] ?? 1;
+  const planes = method === "rigid" ? 3 : method === "similarity" ? 2 : 1;
   return HEADER + columns * (MEMBER + 2 * planes * vertices);
 }
 
 /** The coefficients of the current session. */
 export class Plans {
+  /** @type {Plan | null} */
   #plan = null;
+  /** @type {AbortController | null} */
   #wanted = null; // AbortController of the requests
   /** Resolves when the first file is here, or none is expected. */
   arrived = Promise.resolve();
 
-  /** The plan of these rest handles, or null. */
+  /**
+   * The plan of these rest handles, or null.
+   * @param {Page.Session | null} session
+   */
   of(session) {
     return session?.rest && this.#plan?.revision === session.revision ? this.#plan : null;
   }
@@ -161,16 +196,20 @@ export class Plans {
   /**
    * Requests the coefficients of a session, unless they are here. `shown`: called when a file
    * arrives.
+   * @param {Page.Session} session
+   * @param {() => void} shown
    */
   want(session, shown) {
     if (this.#plan?.revision === session.revision) return;
     this.drop();
-    const rest = JSON.parse(session.rest);
+    const rest = JSON.parse(session.rest ?? "null");
     // The session of a link may have other rest handles than the document.
     if (!rest || (rest.method === "tps" && rest.p.length > SPLINE)) return;
     const { width, height, columns, rows } = session.grid;
+    /** @type {(side: number) => number} */
     const along = (side) =>
       Math.max(2, Math.round(Math.sqrt((VERTICES * side * side) / (width * height))));
+    /** @type {Page.Size} */
     const first = [along(width), along(height)];
     this.#wanted = new AbortController();
     this.arrived = this.#fetch(session, rest, first, [columns, rows], shown, this.#wanted.signal);
@@ -182,7 +221,16 @@ export class Plans {
     this.arrived = Promise.resolve();
   }
 
+  /**
+   * @param {Page.Session} session
+   * @param {Page.Rest} rest
+   * @param {Page.Size} first
+   * @param {Page.Size} finer
+   * @param {() => void} shown
+   * @param {AbortSignal} signal
+   */
   async #fetch(session, rest, first, finer, shown, signal) {
+    /** @type {(lattice: Page.Size) => number} */
     const bytes = ([columns, rows]) => bytesOf(rest, columns * rows);
     if (bytes(first) > LARGEST) return;
     const begun = performance.now();
@@ -192,7 +240,13 @@ export class Plans {
       this.#take(session, finer, shown, signal);
   }
 
-  /** Whether a file has arrived. Without one, meshes come from the server. */
+  /**
+   * Whether a file has arrived. Without one, meshes come from the server.
+   * @param {Page.Session} session
+   * @param {Page.Size} lattice
+   * @param {() => void} shown
+   * @param {AbortSignal} signal
+   */
   async #take(session, [columns, rows], shown, signal) {
     try {
       const plan = new Plan(await api.plan(session.id, columns, rows, signal));

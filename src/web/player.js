@@ -3,13 +3,17 @@
 // document does not change.
 
 import * as api from "./api.js";
+import { find, known, listen, part } from "./dom.js";
 import { wire } from "./edits.js";
 import { keepSetting, setting } from "./keep.js";
 import { Mesh } from "./mesh.js";
 import { posesOf } from "./strength.js";
 import { PLAY } from "./words.js";
 
-/** The easings of the server: the share of the way as a function of the share of the time. */
+/**
+ * The easings of the server: the share of the way as a function of the share of the time.
+ * @type {Record<Page.Animation["easing"], (t: number) => number>}
+ */
 export const EASINGS = { linear: (t) => t, "ease-in-out": (t) => t * t * (3 - 2 * t) };
 /** The number of equal parts of the way, at whose ends meshes are fetched. */
 const PARTS = 8;
@@ -26,8 +30,12 @@ const STILLS = 5;
 const STORED = "animation";
 export const MOST_FRAMES = 10_000;
 
-/** The stored settings; invalid ones are left out. */
+/**
+ * The stored settings; invalid ones are left out.
+ * @returns {Partial<Page.Animation>}
+ */
 function storedSettings() {
+  /** @type {Record<string, (value: Page.Json) => boolean>} */
   const valid = {
     easing: (v) => v in EASINGS,
     back: (v) => typeof v === "boolean",
@@ -36,32 +44,36 @@ function storedSettings() {
   };
   let stored = {};
   try {
-    stored = JSON.parse(setting(STORED)) ?? {};
+    stored = JSON.parse(setting(STORED) ?? "null") ?? {};
   } catch {
     // Damaged: the defaults apply.
   }
   return Object.fromEntries(Object.entries(stored).filter(([name, value]) => valid[name]?.(value)));
 }
 
-const find = (id) => document.getElementById(id);
-
 export class Player {
-  #meshes = { document: null, list: null };
+  /** @type {{ document: Page.Document | null, list: Page.Mesh[] }} */
+  #meshes = { document: null, list: [] };
 
+  /**
+   * @param {Page.Store} store
+   * @param {Page.Sync} sync
+   * @param {Page.View} view
+   */
   constructor(store, sync, view) {
-    Object.assign(this, {
-      store,
-      sync,
-      view,
-      still: matchMedia("(prefers-reduced-motion: reduce)"),
-    });
+    this.store = store;
+    this.sync = sync;
+    this.view = view;
+    this.still = matchMedia("(prefers-reduced-motion: reduce)");
     store.do("animation", { change: storedSettings() });
     find("play").addEventListener("click", () => this.toggle());
-    find("play-easing").addEventListener("change", ({ target }) =>
-      store.do("animation", { change: { easing: target.value } }),
+    listen("play-easing", "change", ({ value }) =>
+      store.do("animation", {
+        change: { easing: /** @type {Page.Animation["easing"]} */ (value) },
+      }),
     );
-    find("play-back").addEventListener("change", ({ target }) =>
-      store.do("animation", { change: { back: target.checked } }),
+    listen("play-back", "change", ({ checked }) =>
+      store.do("animation", { change: { back: checked } }),
     );
     store.subscribe((state, previous) => this.#follow(state, previous));
     this.#draw(store.state);
@@ -76,7 +88,11 @@ export class Player {
     this.store.do("play", { playing: null });
   }
 
-  /** A change of the document ends the animation. */
+  /**
+   * A change of the document ends the animation.
+   * @param {Page.State} state
+   * @param {Page.State} previous
+   */
   #follow(state, previous) {
     if (state.animation !== previous.animation)
       keepSetting(STORED, JSON.stringify(state.animation));
@@ -95,15 +111,15 @@ export class Player {
       this.store.state.playing !== null && this.store.state.document === document;
     try {
       await this.#fetch(document);
-    } catch (problem) {
+    } catch (error) {
       if (!isMine()) return;
       this.stop();
-      if (!(problem instanceof api.Problem)) throw problem;
-      return this.store.do("problem", { problem });
+      return this.store.do("problem", { problem: api.asProblem(error) });
     }
     const { goal } = posesOf(document);
     let [time, last] = [0, performance.now()];
     // There and back begins and ends at the pose, so that nothing jumps.
+    /** @type {(now: number) => void} */
     const frame = (now) => {
       if (!isMine()) return;
       time += Math.min(LONGEST, Math.max(0, now - last)) / TIME;
@@ -120,12 +136,16 @@ export class Player {
     if (isMine()) frame(last);
   }
 
-  /** Fetches the meshes of a document. */
+  /**
+   * Fetches the meshes of a document.
+   * @param {Page.Document} document
+   */
   async #fetch(document) {
     if (this.#meshes.document === document) return;
     const list = await this.sync.ask(async (id) => {
-      const { grid } = this.sync.session;
+      const { grid } = known(this.sync.session);
       const { at } = posesOf(document);
+      /** @type {(k: number) => Promise<Page.Mesh>} */
       const meshAt = async (k) =>
         new Mesh(grid, (await api.mesh(id, { q: wire(at((k + 1) / PARTS), "q") })).places);
       return [
@@ -136,18 +156,21 @@ export class Player {
     this.#meshes = { document, list };
   }
 
+  /** @param {number} share */
   #meshAt(share) {
     const before = Math.min(PARTS - 1, Math.floor(share * PARTS));
     const { list } = this.#meshes;
     return list[before].towards(list[before + 1], share * PARTS - before);
   }
 
+  /** @param {Page.State} state */
   #draw({ playing, animation, document: { handles } }) {
     const words = playing === null ? "Play" : "Stop";
     const button = find("play");
-    if (button.lastElementChild.textContent !== words) {
-      button.lastElementChild.textContent = words;
-      button.querySelector("use").setAttribute("href", `#i-${words.toLowerCase()}`);
+    const shown = known(button.lastElementChild);
+    if (shown.textContent !== words) {
+      shown.textContent = words;
+      part(button, "use").setAttribute("href", `#i-${words.toLowerCase()}`);
     }
     const canPlay = this.view.webgl !== "none";
     button.disabled = !handles.length || !canPlay;

@@ -1,30 +1,71 @@
 // Mouse, pen and touch on the stage. A gesture begins with pointerdown and owns the pointer until
 // pointerup or pointercancel. A second finger cancels it and begins a pinch.
 
+import { known } from "./dom.js";
 import { circleOf, posedPlaces, rotated, translated } from "./edits.js";
 import { keyOf } from "./handles.js";
 import { isRegionTool } from "./region.js";
 
-/** Maximum movement of a click, CSS px. */
+/**
+ * Maximum movement of a click, CSS px.
+ * @type {Record<string, number>}
+ */
 const STILL = { mouse: 3, pen: 5, touch: 8 };
 /** Maximum time and distance between the clicks of a double click. */
 const DOUBLE = { time: 400, away: 8 };
 /** Zoom factor per notch of the wheel, approximately. */
 const WHEEL = 1.0018;
 
+/**
+ * What a gesture does: `press` at once; `begin`, `move` and `end` if the pointer moves more than
+ * `still` px; otherwise `click`; `cancel` if it is lost.
+ *
+ * @typedef {{
+ *   still?: number,
+ *   press?: (at: Page.Place) => unknown,
+ *   begin?: () => unknown,
+ *   move?: (at: Page.Place, event: PointerEvent) => unknown,
+ *   end?: (at: Page.Place) => unknown,
+ *   click?: (at: Page.Place, event: PointerEvent) => unknown,
+ *   cancel?: () => unknown,
+ * }} Gesture
+ */
+
+/** @typedef {{ still: number, id: number, begun: Page.Place, moved: boolean }} Held */
+
 export class Pointer {
   spaceHeld = false;
   /** Whether a pan happened since Space was pressed. */
   spaceUsed = false;
 
+  /** @type {Gesture & Held | null} */
   #gesture = null;
+  /** @type {DOMRect | null} */
   #box = null;
+  /** @type {Map<number, Page.Place>} */
   #fingers = new Map(); // pointerId to [x, y]
+  /** @type {{ zoom: number, pan: Page.Place, apart: number, middle: Page.Place } | null} */
   #pinch = null;
+  /** @type {{ time: number, at: Page.Place }} */
   #lastClick = { time: 0, at: [0, 0] };
 
+  /**
+   * @param {HTMLElement} stage
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   * @param {Page.Handles} handles
+   * @param {Page.UserActions} actions
+   * @param {import("./loupe.js").Loupe} loupe
+   * @param {import("./regiontool.js").RegionTool} region
+   */
   constructor(stage, store, view, handles, actions, loupe, region) {
-    Object.assign(this, { stage, store, view, handles, actions, loupe, region });
+    this.stage = stage;
+    this.store = store;
+    this.view = view;
+    this.handles = handles;
+    this.actions = actions;
+    this.loupe = loupe;
+    this.region = region;
     stage.addEventListener("pointerdown", (event) => this.#down(event));
     stage.addEventListener("pointermove", (event) => this.#move(event));
     stage.addEventListener("pointerup", (event) => this.#up(event));
@@ -58,6 +99,8 @@ export class Pointer {
 
   /**
    * Position in the stage. The stage cannot move during a gesture, so its rectangle is read once.
+   * @param {MouseEvent} event
+   * @returns {Page.Place}
    */
   #at(event) {
     const { left, top } =
@@ -67,6 +110,7 @@ export class Pointer {
     return [event.clientX - left, event.clientY - top];
   }
 
+  /** @param {PointerEvent} event */
   #down(event) {
     if (!this.view.size || event.button === 2) return;
     if (this.store.state.playing !== null) return this.actions.escape();
@@ -81,16 +125,22 @@ export class Pointer {
     this.store.do("cross", { place: null });
     this.#hover(null);
     const gesture = this.#begin(event, at);
-    this.#gesture = {
+    const held = {
       still: STILL[event.pointerType] ?? STILL.mouse,
       ...gesture,
       id: event.pointerId,
       begun: at,
       moved: false,
     };
-    this.#gesture.press?.(at);
+    this.#gesture = held;
+    held.press?.(at);
   }
 
+  /**
+   * @param {PointerEvent} event
+   * @param {Page.Place} at
+   * @returns {Gesture}
+   */
   #begin(event, at) {
     const { state } = this.store;
     const kind = event.pointerType;
@@ -99,13 +149,13 @@ export class Pointer {
     if (state.arm || state.draft.length) return this.#placing(kind);
     if (isRegionTool(state.tool)) return this.#outlining(kind, state.tool === "brush");
     const hit = this.handles.hit(at, kind);
-    if (hit?.pin) return this.#twisting(hit.pin);
-    if (hit?.knob) return this.#turning();
+    if (hit && "knob" in hit) return hit.pin ? this.#twisting(hit.pin) : this.#turning();
     if (hit) return this.#dragging(hit, event.shiftKey, kind);
     if (event.shiftKey || state.tool === "point") return this.#marquee(event.shiftKey);
     return this.#placing(kind, state.tool === "line");
   }
 
+  /** @param {PointerEvent} event */
   #move(event) {
     const at = this.#at(event);
     if (this.#fingers.has(event.pointerId)) this.#fingers.set(event.pointerId, at);
@@ -122,10 +172,10 @@ export class Pointer {
       gesture.moved = true;
       gesture.begin?.();
     }
-    gesture.last = at;
     gesture.move?.(at, event);
   }
 
+  /** @param {PointerEvent} event */
   #up(event) {
     this.#fingers.delete(event.pointerId);
     if (this.#pinch) {
@@ -139,6 +189,7 @@ export class Pointer {
     else gesture.click?.(this.#at(event), event);
   }
 
+  /** @param {PointerEvent} event */
   #lost(event) {
     this.#fingers.delete(event.pointerId);
     if (this.#pinch && this.#fingers.size < 2) this.#pinch = null;
@@ -157,11 +208,18 @@ export class Pointer {
 
   // Gestures
 
+  /**
+   * @param {Page.Named} hit
+   * @param {boolean} adds
+   * @param {string} kind
+   * @returns {Gesture}
+   */
   #dragging(hit, adds, kind) {
     const key = keyOf(hit.handle, hit.vertex);
     const selected = () =>
       this.store.state.selection.includes(key) ||
       this.store.state.selection.includes(String(hit.handle.id));
+    /** @type {Page.Document} */
     let before;
     return {
       press: () => this.handles.focus(hit.index, hit.handle.p.length === 1 ? null : hit.vertex),
@@ -172,7 +230,9 @@ export class Pointer {
         this.stage.dataset.gesture = "drag";
       },
       move: (at) => {
-        const [dx, dy] = at.map((c, axis) => (c - this.#gesture.begun[axis]) / this.view.zoom);
+        const [dx, dy] = at.map(
+          (c, axis) => (c - known(this.#gesture).begun[axis]) / this.view.zoom,
+        );
         this.store.do("drag", { document: translated(before, this.store.state.selection, dx, dy) });
         const dragged = this.store.state.document.handles[hit.index];
         this.loupe.show(
@@ -194,12 +254,15 @@ export class Pointer {
 
   /**
    * Turns a pin about itself. Turns are counted from the angle that it has, or had without a twist.
+   * @param {Page.Handle} pin
+   * @returns {Gesture}
    */
   #twisting(pin) {
     const { document } = this.store.state;
     const index = document.handles.indexOf(pin);
     const free = this.actions.freeOf(pin); // before the twist changes the mesh
     const middle = this.view.toStage(pin.q[0]);
+    /** @type {(at: Page.Place) => number} */
     const angleOf = (at) => (Math.atan2(at[1] - middle[1], at[0] - middle[0]) * 180) / Math.PI;
     return {
       still: 1,
@@ -209,7 +272,7 @@ export class Pointer {
         this.stage.dataset.gesture = "drag";
       },
       move: (at, { shiftKey }) => {
-        const by = angleOf(at) - angleOf(this.#gesture.begun);
+        const by = angleOf(at) - angleOf(known(this.#gesture).begun);
         const next = this.actions.twistedBy(document, index, by, free, shiftKey ? 15 : 0);
         if (next) this.store.do("drag", { document: next });
       },
@@ -221,9 +284,11 @@ export class Pointer {
     };
   }
 
+  /** @returns {Gesture} */
   #turning() {
     const { document, selection } = this.store.state;
-    const circle = circleOf(posedPlaces(document, selection));
+    const [circle, size] = [circleOf(posedPlaces(document, selection)), known(this.view.size)];
+    /** @type {(at: Page.Place) => number} */
     const angleOf = (at) => {
       const middle = this.view.toStage(circle.centre);
       return Math.atan2(at[1] - middle[1], at[0] - middle[0]);
@@ -233,10 +298,12 @@ export class Pointer {
       press: () => this.handles.knob.focus({ preventScroll: true }),
       begin: () => this.store.do("dragBegin"),
       move: (at, { shiftKey }) => {
-        const turned = angleOf(at) - angleOf(this.#gesture.begun);
+        const turned = angleOf(at) - angleOf(known(this.#gesture).begun);
         const angle = shiftKey ? Math.round(turned / (Math.PI / 12)) * (Math.PI / 12) : turned;
         this.handles.turning = { ...circle, angle };
-        this.store.do("drag", { document: rotated(document, selection, circle.centre, angle) });
+        this.store.do("drag", {
+          document: rotated(document, selection, circle.centre, angle, size),
+        });
       },
       end: () => {
         this.store.do("dragEnd");
@@ -246,14 +313,18 @@ export class Pointer {
     };
   }
 
-  /** At an empty position: a click adds, a drag selects. */
+  /**
+   * At an empty position: a click adds, a drag selects.
+   * @param {boolean} adds
+   * @returns {Gesture}
+   */
   #marquee(adds) {
     const { selection } = this.store.state;
     const kept = adds ? selection : [];
     return {
       press: () => this.stage.focus({ preventScroll: true }),
       move: (at) => {
-        this.handles.marquee = [this.#gesture.begun, at];
+        this.handles.marquee = [known(this.#gesture).begun, at];
         const inside = this.handles.inside(this.handles.marquee);
         this.store.do("select", { keys: [...new Set([...kept, ...inside])] });
         this.handles.draw();
@@ -263,6 +334,10 @@ export class Pointer {
     };
   }
 
+  /**
+   * @param {Page.Place} at
+   * @param {boolean} adds
+   */
   #clickOnNothing(at, adds) {
     const place = this.view.toPicture(at);
     if (adds || !this.actions.inPicture(place))
@@ -270,8 +345,14 @@ export class Pointer {
     this.actions.place(place);
   }
 
-  /** The next vertex of a line or path, or the target of the selection. */
+  /**
+   * The next vertex of a line or path, or the target of the selection.
+   * @param {string} kind
+   * @param {boolean} [drags]
+   * @returns {Gesture}
+   */
   #placing(kind, drags = false) {
+    /** @type {(at: Page.Place) => boolean} */
     const isDouble = (at) => {
       const { time, at: before } = this.#lastClick;
       return (
@@ -279,6 +360,7 @@ export class Pointer {
         Math.hypot(at[0] - before[0], at[1] - before[1]) < DOUBLE.away
       );
     };
+    /** @type {(at: Page.Place) => void} */
     const click = (at) => {
       const { tool, draft, arm } = this.store.state;
       const place = this.view.toPicture(at);
@@ -293,7 +375,7 @@ export class Pointer {
     return {
       press: () => this.stage.focus({ preventScroll: true }),
       // A line may be drawn by one drag.
-      begin: () => drags && this.actions.place(this.view.toPicture(this.#gesture.begun)),
+      begin: () => drags && this.actions.place(this.view.toPicture(known(this.#gesture).begun)),
       move: (at) => this.#hover(at),
       end: (at) => (drags ? this.actions.place(this.view.toPicture(at)) : click(at)),
       cancel: () => drags && this.store.do("draft", { places: [] }),
@@ -304,9 +386,14 @@ export class Pointer {
   /**
    * The brush draws from the press on; the lasso draws if it is dragged, and a click is the first
    * of its corners.
+   * @param {string} kind
+   * @param {boolean} brush
+   * @returns {Gesture}
    */
   #outlining(kind, brush) {
+    /** @type {Page.Place[]} */
     const places = [];
+    /** @type {(at: Page.Place) => void} */
     const put = (at) => {
       places.push(this.view.toPicture(at));
       this.region.draw(places);
@@ -324,13 +411,14 @@ export class Pointer {
         focus();
         if (brush) put(at);
       },
-      begin: () => brush || put(this.#gesture.begun),
+      begin: () => brush || put(known(this.#gesture).begun),
       move: put,
       end,
       cancel: () => this.region.draw([]),
     };
   }
 
+  /** @returns {Gesture} */
   #panning() {
     let from = this.view.pan;
     return {
@@ -341,7 +429,7 @@ export class Pointer {
         this.stage.dataset.gesture = "pan";
       },
       move: (at) => {
-        const { begun } = this.#gesture;
+        const { begun } = known(this.#gesture);
         this.view.panBy(
           from[0] + at[0] - begun[0] - this.view.pan[0],
           from[1] + at[1] - begun[1] - this.view.pan[1],
@@ -350,9 +438,11 @@ export class Pointer {
     };
   }
 
+  /** @returns {Gesture} */
   #comparing() {
+    /** @type {(at: Page.Place) => void} */
     const to = ([x]) => {
-      const share = (100 * (x - this.view.pan[0])) / (this.view.zoom * this.view.size[0]);
+      const share = (100 * (x - this.view.pan[0])) / (this.view.zoom * known(this.view.size)[0]);
       this.store.do("show", { what: { compareAt: Math.min(100, Math.max(0, Math.round(share))) } });
     };
     return { still: 1, press: to, move: to };
@@ -360,6 +450,7 @@ export class Pointer {
 
   // Two fingers
 
+  /** @param {PointerEvent} event */
   #beginPinch(event) {
     event.preventDefault();
     this.cancel();
@@ -376,7 +467,7 @@ export class Pointer {
   #movePinch() {
     const [a, b] = [...this.#fingers.values()];
     if (!b) return;
-    const { zoom, pan, apart, middle } = this.#pinch;
+    const { zoom, pan, apart, middle } = known(this.#pinch);
     const now = middleOf(a, b);
     const next = (zoom * Math.hypot(a[0] - b[0], a[1] - b[1])) / Math.max(1, apart);
     this.view.zoomTo(next, now);
@@ -385,6 +476,7 @@ export class Pointer {
     this.view.panBy(wish[0] - this.view.pan[0], wish[1] - this.view.pan[1]);
   }
 
+  /** @param {WheelEvent} event */
   #wheel(event) {
     if (!this.view.size) return;
     event.preventDefault();
@@ -396,7 +488,10 @@ export class Pointer {
     this.view.zoomTo(this.view.zoom * WHEEL ** -step, this.#at(event));
   }
 
-  /** The preview of the next vertex while a line is drawn. */
+  /**
+   * The preview of the next vertex while a line is drawn.
+   * @param {Page.Place | null} at
+   */
   #hover(at) {
     this.region.hover(at);
     const drawing = at && this.store.state.draft.length > 0;
@@ -407,4 +502,5 @@ export class Pointer {
   }
 }
 
+/** @type {(a: Page.Place, b: Page.Place) => Page.Place} */
 const middleOf = (a, b) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];

@@ -16,19 +16,27 @@ const BASE64 = /^[A-Za-z0-9+/]+={0,2}$/;
 /** The start of a file that this page has written, even if the rest is missing. */
 const START = /^\s*\{\s*"mlswarp_project"/;
 
+/** @type {(text: string) => boolean} */
 export const beginsAsProject = (text) => START.test(text);
 
+/**
+ * @param {Blob} blob
+ * @returns {Promise<string>}
+ */
 function base64Of(blob) {
   return new Promise((resolve, reject) => {
-    const reader = Object.assign(new FileReader(), {
-      onload: () => resolve(reader.result.split(",", 2)[1] ?? ""),
-      onerror: () => reject(reader.error),
-    });
+    const reader = new FileReader();
+    reader.onload = () => resolve(String(reader.result).split(",", 2)[1] ?? "");
+    reader.onerror = () => reject(reader.error);
     reader.readAsDataURL(blob);
   });
 }
 
-/** The open picture with everything about it, as JSON. `file`: { blob, name }. */
+/**
+ * The open picture with everything about it, as JSON. `file`: { blob, name }.
+ * @param {Page.State} state
+ * @param {Page.Source} file
+ */
 export async function projectText({ document, annotations, animation }, { blob, name }) {
   const { parts, feather } = regionOf(document);
   return `${JSON.stringify(
@@ -49,8 +57,11 @@ export async function projectText({ document, annotations, animation }, { blob, 
 /**
  * The parts of a project: { name, blob, document, warp (if its handles are to be aligned),
  * annotations, animation }. Throws a Problem.
+ * @param {File} file
+ * @param {number} most
  */
 export async function readProject(file, most) {
+  /** @type {(detail: string) => Problem} */
   const problem = (detail) =>
     new Problem({ code: "bad_project", detail: `In ${file.name}, ${detail}` }, 0);
   if (file.size > most) throw problem("there are more bytes than this server takes.");
@@ -63,13 +74,16 @@ export async function readProject(file, most) {
       );
     if (error instanceof SyntaxError)
       throw problem("the JSON is damaged: the file may not be complete.");
-    if (error?.name === "NotReadableError" || error?.name === "NotFoundError")
+    const isGone = ["NotReadableError", "NotFoundError"];
+    if (error instanceof DOMException && isGone.includes(error.name))
       throw new Problem({ code: "unreadable_file" }, 0);
     throw error;
   }
 }
 
+/** @param {Page.Json} project */
 async function partsOf(project) {
+  /** @type {(value: unknown) => boolean} */
   const isObject = (value) => value !== null && typeof value === "object" && !Array.isArray(value);
   const {
     mlswarp_project: version,
@@ -96,6 +110,7 @@ async function partsOf(project) {
     "/strength",
     "a number between -10 and 10",
   );
+  /** @type {Partial<ReturnType<typeof regionFrom>>} */
   const drawn = region === undefined ? {} : regionFrom(region);
   await decodeParts(drawn.region ?? []).catch(() =>
     demand(false, "/region/parts", "masks that are PNG in base64"),
@@ -118,7 +133,12 @@ async function partsOf(project) {
   };
 }
 
-/** Reads a part whose messages name members of the whole. */
+/**
+ * Reads a part whose messages name members of the whole.
+ * @template T
+ * @param {string} pointer
+ * @param {() => T} read
+ */
 function within(pointer, read) {
   try {
     return read();
@@ -128,9 +148,14 @@ function within(pointer, read) {
   }
 }
 
+/**
+ * @param {Page.Json} told
+ * @returns {{ region: Page.RegionPart[], feather: number }}
+ */
 function regionFrom({ parts, feather }) {
   demand(Array.isArray(parts), "/region/parts", "a list of parts");
   demand(feather >= 0 && feather <= 100, "/region/feather", "a width in px, 0 to 100,");
+  /** @param {Page.Json} part */
   parts.forEach((part, k) => {
     const at = `/region/parts/${k}`;
     const kinds = ["lasso", "brush", "invert", "mask"];
@@ -148,6 +173,10 @@ function regionFrom({ parts, feather }) {
   return { region: parts, feather };
 }
 
+/**
+ * @param {Page.Json} told
+ * @returns {Page.Animation}
+ */
 function animationFrom({ easing, back, frames, file }) {
   demand(
     easing in EASINGS,

@@ -6,66 +6,100 @@
 // "invert" } or, from a session that another page has made or from a file of handles, { kind:
 // "mask", png (base64) }.
 
+import { contextOf } from "./dom.js";
+
+/** @type {Page.RegionPart[]} */
 const NONE = [];
 
+/** @type {(tool: Page.Tool) => tool is "lasso" | "brush"} */
 export const isRegionTool = (tool) => tool === "lasso" || tool === "brush";
 
-/** Parts and feather of a document. Documents of older pages lack them. */
+/**
+ * Parts and feather of a document. Documents of older pages lack them.
+ * @type {(document: Pick<Page.Document, "region" | "feather">) => Page.Region}
+ */
 export const regionOf = ({ region, feather }) => ({ parts: region ?? NONE, feather: feather ?? 0 });
 
-/** Whether two regions are the same one: parts are never changed, only replaced. */
+/**
+ * Whether two regions are the same one: parts are never changed, only replaced.
+ * @type {(a: Page.Region, b: Page.Region) => boolean}
+ */
 export const sameRegion = (a, b) =>
   (!a.parts.length && !b.parts.length) || (a.parts === b.parts && a.feather === b.feather);
 
 /**
  * The document with one more part. If the whole picture moves, a part that removes begins with the
  * whole picture.
+ * @param {Page.Document} document
+ * @param {Page.RegionPart} part
+ * @returns {Page.Document}
  */
 export function withPart(document, part) {
   const { parts } = regionOf(document);
+  /** @type {Page.RegionPart[]} */
   const before =
     !parts.length && (part.removes || part.kind === "invert") ? [{ kind: "invert" }] : parts;
   return { ...document, region: [...before, part] };
 }
 
+/** @type {(document: Page.Document) => Page.Document} */
 export const withoutRegion = (document) => ({ ...document, region: NONE });
 
-/** The size of the brush, px of the picture. */
+/**
+ * The size of the brush, px of the picture.
+ * @type {(state: Pick<Page.State, "brush" | "picture">) => number}
+ */
 export const brushSizeOf = ({ brush, picture }) =>
   brush ?? (picture ? Math.max(4, Math.round((picture.width + picture.height) / 20)) : 1);
 
 /**
  * The part that the lasso or the brush has drawn along a path; null if it has no area. `most`: the
  * tolerance of its simplification, px.
+ * @param {Page.State} state
+ * @param {Page.Place[]} places
+ * @param {number} [most]
+ * @returns {Page.RegionPart | null}
  */
 export function partOf(state, places, most = 0) {
   const { tool, removes } = state;
   if (tool === "lasso" && isFlat(places, most)) return null;
-  const drawn = { kind: tool, removes, places: simplified(places, most) };
-  return tool === "brush" ? { ...drawn, size: brushSizeOf(state) } : drawn;
+  const drawn = { removes, places: simplified(places, most) };
+  return tool === "brush"
+    ? { kind: "brush", ...drawn, size: brushSizeOf(state) }
+    : { kind: "lasso", ...drawn };
 }
 
-/** Whether places lie on a line, to `most` px. */
+/**
+ * Whether places lie on a line, to `most` px.
+ * @param {Page.Place[]} places
+ * @param {number} most
+ */
 function isFlat(places, most) {
   const [[ax, ay]] = places.length ? places : [[0, 0]];
+  /** @type {(place: Page.Place) => number} */
   const away = ([x, y]) => Math.hypot(x - ax, y - ay);
+  /** @type {Page.Place} */
   const far = places.reduce((a, b) => (away(b) > away(a) ? b : a), [ax, ay]);
   return places.every(
     ([x, y]) => Math.abs((far[0] - ax) * (y - ay) - (far[1] - ay) * (x - ax)) <= most * away(far),
   );
 }
 
+/** @type {(x: number) => number} */
 const tenth = (x) => Math.round(10 * x) / 10;
 
 /**
  * Simplifies a path within a tolerance of `most` px (Ramer, Douglas and Peucker), and rounds it to
  * a tenth.
+ * @param {Page.Place[]} places
+ * @param {number} most
+ * @returns {Page.Place[]}
  */
 export function simplified(places, most) {
   const keep = new Set([0, places.length - 1]);
   const open = [[0, places.length - 1]];
   while (open.length) {
-    const [from, to] = open.pop();
+    const [from, to] = /** @type {number[]} */ (open.pop());
     let [far, at] = [most, -1];
     for (let k = from + 1; k < to; k++) {
       const away = distance(places[k], places[from], places[to]);
@@ -78,6 +112,11 @@ export function simplified(places, most) {
   return places.filter((_, k) => keep.has(k)).map((place) => place.map(tenth));
 }
 
+/**
+ * @param {Page.Place} place
+ * @param {Page.Place} from
+ * @param {Page.Place} to
+ */
 function distance([x, y], [ax, ay], [bx, by]) {
   const [dx, dy] = [bx - ax, by - ay];
   const length = dx * dx + dy * dy;
@@ -87,22 +126,46 @@ function distance([x, y], [ax, ay], [bx, by]) {
 
 // Drawing: white on transparent, at a scale.
 
-/** Decoded masks by their base64. */
+/**
+ * Decoded masks by their base64.
+ * @type {Map<string, HTMLCanvasElement>}
+ */
 const decoded = new Map();
 
-/** Decodes the masks of a region, which `maskOf` needs. */
+/**
+ * Decodes the masks of a region, which `maskOf` needs.
+ * @param {Page.RegionPart[]} parts
+ */
 export async function decodeParts(parts) {
-  for (const { png } of parts.filter(({ kind, png }) => kind === "mask" && !decoded.has(png))) {
-    const image = Object.assign(new Image(), { src: `data:image/png;base64,${png}` });
+  for (const part of parts) {
+    if (part.kind !== "mask" || decoded.has(part.png)) continue;
+    const image = Object.assign(new Image(), { src: `data:image/png;base64,${part.png}` });
     await image.decode();
-    decoded.set(png, whiteByLuma(image));
+    decoded.set(part.png, whiteByLuma(image));
   }
 }
 
-/** The sides of a decoded mask, px. */
-export const sizeOfMask = ({ png }) => [decoded.get(png).width, decoded.get(png).height];
+/**
+ * The sides of a decoded mask, px.
+ * @type {(part: { png: string }) => Page.Size}
+ */
+export const sizeOfMask = (part) => {
+  const { width, height } = drawnMask(part);
+  return [width, height];
+};
 
-/** The part that is a mask of the server. */
+/** @type {(part: { png: string }) => HTMLCanvasElement} */
+function drawnMask({ png }) {
+  const mask = decoded.get(png);
+  if (!mask) throw new Error("the mask is not decoded");
+  return mask;
+}
+
+/**
+ * The part that is a mask of the server.
+ * @param {Blob} blob
+ * @returns {Promise<{ kind: "mask", png: string }>}
+ */
 export async function maskPart(blob) {
   const bytes = new Uint8Array(await blob.arrayBuffer());
   return {
@@ -111,16 +174,26 @@ export async function maskPart(blob) {
   };
 }
 
-/** Whether every mask of a region is decoded. */
+/**
+ * Whether every mask of a region is decoded.
+ * @type {(parts: Page.RegionPart[]) => boolean}
+ */
 export const isDecoded = (parts) =>
-  parts.every(({ kind, png }) => kind !== "mask" || decoded.has(png));
+  parts.every((part) => part.kind !== "mask" || decoded.has(part.png));
 
+/**
+ * @param {number} width
+ * @param {number} height
+ */
 function canvasOf(width, height) {
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
-  return canvas.getContext("2d", { willReadFrequently: true });
+  return contextOf(canvas, { willReadFrequently: true });
 }
 
-/** A grey opaque picture as white, with its brightness as alpha. */
+/**
+ * A grey opaque picture as white, with its brightness as alpha.
+ * @param {HTMLImageElement} image
+ */
 function whiteByLuma(image) {
   const context = canvasOf(image.naturalWidth, image.naturalHeight);
   const { width, height } = context.canvas;
@@ -134,6 +207,7 @@ function whiteByLuma(image) {
   return context.canvas;
 }
 
+/** @type {(context: CanvasRenderingContext2D) => unknown} */
 const prepare = (context) =>
   Object.assign(context, {
     fillStyle: "#fff",
@@ -142,16 +216,21 @@ const prepare = (context) =>
     lineJoin: "round",
   });
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Page.RegionPart} part
+ * @param {Page.Size} size
+ */
 function drawPart(context, part, [width, height]) {
-  const { kind, removes, places } = part;
   context.globalCompositeOperation =
-    kind === "invert" ? "xor" : removes ? "destination-out" : "source-over";
-  if (kind === "invert") context.fillRect(0, 0, width, height);
-  else if (kind === "mask") context.drawImage(decoded.get(part.png), 0, 0);
+    part.kind === "invert" ? "xor" : part.removes ? "destination-out" : "source-over";
+  if (part.kind === "invert") context.fillRect(0, 0, width, height);
+  else if (part.kind === "mask") context.drawImage(drawnMask(part), 0, 0);
   else {
+    const { places } = part;
     context.beginPath();
     for (const place of places) context.lineTo(...place);
-    if (kind === "lasso") return context.fill();
+    if (part.kind === "lasso") return context.fill();
     // A line of no length is not drawn.
     if (places.length === 1) context.lineTo(places[0][0], places[0][1] + 0.01);
     context.lineWidth = part.size;
@@ -159,7 +238,12 @@ function drawPart(context, part, [width, height]) {
   }
 }
 
-/** A canvas with the mask of a region as white and alpha, `scale` times as large as the picture. */
+/**
+ * A canvas with the mask of a region as white and alpha, `scale` times as large as the picture.
+ * @param {Page.Region} region
+ * @param {Page.Size} size
+ * @param {number} [scale]
+ */
 export function maskOf({ parts, feather }, size, scale = 1) {
   const context = canvasOf(...size.map((side) => Math.max(1, Math.round(side * scale))));
   const { width, height } = context.canvas;
@@ -178,6 +262,8 @@ export function maskOf({ parts, feather }, size, scale = 1) {
 /**
  * Two means over 2 radius + 1 pixels in each direction: an edge becomes a smooth transition of
  * about 4 radius px. White stays white.
+ * @param {ImageData} pixels
+ * @param {number} radius
  */
 function blurAlpha({ data, width, height }, radius) {
   let [from, to] = [new Uint8ClampedArray(width * height), new Uint8ClampedArray(width * height)];
@@ -197,8 +283,17 @@ function blurAlpha({ data, width, height }, radius) {
   }
 }
 
-/** The moving mean of a line; the line continues with its ends. */
+/**
+ * The moving mean of a line; the line continues with its ends.
+ * @param {Uint8ClampedArray} from
+ * @param {Uint8ClampedArray} to
+ * @param {number} start
+ * @param {number} length
+ * @param {number} step
+ * @param {number} radius
+ */
 function meanLine(from, to, start, length, step, radius) {
+  /** @type {(k: number) => number} */
   const at = (k) => from[start + step * Math.min(length - 1, Math.max(0, k))];
   let sum = 0;
   for (let k = -radius; k <= radius; k++) sum += at(k);
@@ -208,7 +303,12 @@ function meanLine(from, to, start, length, step, radius) {
   }
 }
 
-/** A copy of a mask with one more part. */
+/**
+ * A copy of a mask with one more part.
+ * @param {HTMLCanvasElement} mask
+ * @param {Page.RegionPart} part
+ * @param {Page.Size} size
+ */
 export function withStroke(mask, part, size) {
   const context = canvasOf(mask.width, mask.height);
   context.drawImage(mask, 0, 0);
@@ -218,11 +318,21 @@ export function withStroke(mask, part, size) {
   return context.canvas;
 }
 
-/** The mask as a file for the server: white on black, of the picture's size. */
+/**
+ * The mask as a file for the server: white on black, of the picture's size.
+ * @param {Page.Region} region
+ * @param {Page.Size} size
+ * @returns {Promise<Blob>}
+ */
 export async function maskFile(region, size) {
   await decodeParts(region.parts);
   const context = canvasOf(...size);
   context.fillRect(0, 0, ...size);
   context.drawImage(maskOf(region, size), 0, 0);
-  return new Promise((resolve) => context.canvas.toBlob(resolve, "image/png"));
+  return new Promise((resolve, reject) =>
+    context.canvas.toBlob(
+      (blob) => (blob ? resolve(blob) : reject(new Error("the mask is too large for a canvas"))),
+      "image/png",
+    ),
+  );
 }

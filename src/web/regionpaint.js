@@ -20,10 +20,20 @@ void main() {
   gl_FragColor = colour * (1.0 - max(texture2D(moved, gl_FragCoord.xy / size).a, taken));
 }`;
 
+/**
+ * A compiled program of the GPU.
+ *
+ * @typedef {{ use: () => void, set: (name: string, ...numbers: number[]) => void }} Program
+ */
+
 export class RegionPainter {
   #size = "";
 
-  /** `program`: compiles a fragment shader; returns { use(), set(name, ...numbers) }. */
+  /**
+   * `program`: compiles a fragment shader; returns { use(), set(name, ...numbers) }.
+   * @param {WebGLRenderingContext | WebGL2RenderingContext} gl
+   * @param {(fragment: string, samplers: string[]) => Program} program
+   */
   constructor(gl, program) {
     this.gl = gl;
     this.moved = program(MOVED, ["source", "mask"]);
@@ -33,7 +43,10 @@ export class RegionPainter {
     this.buffer = gl.createFramebuffer();
   }
 
-  /** Sets the mask, a canvas with alpha. */
+  /**
+   * Sets the mask, a canvas with alpha.
+   * @param {HTMLCanvasElement} canvas
+   */
   setMask(canvas) {
     this.#upload(1, this.texture, () =>
       this.gl.texImage2D(
@@ -47,17 +60,22 @@ export class RegionPainter {
     );
   }
 
-  /** Fills the texture of a unit. */
+  /**
+   * Fills the texture of a unit.
+   * @param {number} unit
+   * @param {WebGLTexture} texture
+   * @param {() => void} fill
+   */
   #upload(unit, texture, fill) {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE0 + unit);
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, true);
     fill();
-    for (const name of ["WRAP_S", "WRAP_T"])
-      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl.CLAMP_TO_EDGE);
-    for (const name of ["MIN", "MAG"])
-      gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}_FILTER`], gl.LINEAR);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T])
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+      gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
     gl.activeTexture(gl.TEXTURE0);
   }
 
@@ -78,6 +96,10 @@ export class RegionPainter {
   /**
    * `drawMesh` draws the posed cells, later ones over earlier ones; `drawBox` a rectangle that
    * covers the canvas; both with `view`.
+   * @param {number[]} view
+   * @param {{ outside: Page.Outside, beyond: number[], holes: Page.Holes }} how
+   * @param {() => void} drawMesh
+   * @param {() => void} drawBox
    */
   paint(view, { outside, beyond, holes }, drawMesh, drawBox) {
     const { gl, moved, rest } = this;

@@ -1,5 +1,6 @@
 // The sample pictures: file, rest handles and posed handles.
 
+/** @type {(width: number, height: number) => Page.Place[]} */
 // prettier-ignore
 const border = (width, height) => [[0, 0], [width, 0], [width, height], [0, height], [0, 0]];
 

@@ -2,29 +2,45 @@
 
 import { hasKey } from "./access.js";
 import * as api from "./api.js";
+import { known } from "./dom.js";
 import { warpOf, wire } from "./edits.js";
 import { maskFile, maskPart, regionOf } from "./region.js";
 
+/** @type {(name: string) => string} */
 const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
+/** @type {(name: string, format?: string) => string} */
 export const pictureName = (name, format = "png") =>
   `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
+/** @type {(name: string, file: Page.Animation["file"]) => string} */
 export const animationName = (name, file) =>
   file === "zip" ? `${stem(name)}-frames.zip` : pictureName(name, file);
+/** @type {(name: string) => string} */
 export const projectName = (name) => `${stem(name)}-project.json`;
+/** @type {(name: string) => string} */
 export const annotationsName = (name) => `${stem(name)}-warped.geojson`;
+/** @type {(name: string) => string} */
 export const handlesName = (name) => `${stem(name)}-handles.json`;
 
+/** @type {(name: string) => string} */
 const regionName = (name) => `${stem(name)}-region.png`;
 
+/** @type {(name: string) => string} */
 export const landmarksName = (name) => `${stem(name)}-landmarks.csv`;
 
-/** The points as CSV, which `POST /landmarks` reads. Lines have no row. */
+/**
+ * The points as CSV, which `POST /landmarks` reads. Lines have no row.
+ * @param {Page.Document} document
+ */
 export function landmarksText({ handles }) {
   const points = handles.filter((handle) => handle.p.length === 1);
   const rows = points.map(({ p: [rest], q: [posed] }) => [...rest, ...posed].join(","));
   return ["px,py,qx,qy", ...rows, ""].join("\n");
 }
 
+/**
+ * @param {Blob} blob
+ * @param {string} name
+ */
 export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
@@ -36,6 +52,11 @@ export function save(blob, name) {
 /**
  * The picture of the current document: the shown PNG, otherwise requested from the server.
  * `output`: fields that differ from its defaults.
+ * @param {Page.Sync} sync
+ * @param {Page.Store} store
+ * @param {Page.Output} [output]
+ * @param {AbortSignal} [signal]
+ * @returns {Promise<Blob>}
  */
 export async function warpedPicture(sync, store, output = {}, signal = undefined) {
   await sync.settled();
@@ -53,13 +74,16 @@ export async function warpedPicture(sync, store, output = {}, signal = undefined
 /**
  * The document as JSON: the warp object with one handle per line, and the mask of the region, if
  * there is one, as `region` (a PNG in base64).
+ * @param {Page.State} state
  */
-export async function handlesText({ picture, document }) {
+export async function handlesText({ picture: open, document }) {
   const region = regionOf(document);
+  const picture = known(open);
   const mask = region.parts.length
     ? { region: (await maskPart(await maskFile(region, [picture.width, picture.height]))).png }
     : {};
   const { p, q, ...others } = { ...warpOf(document), ...mask };
+  /** @type {(handles: Page.WireHandle[]) => string} */
   const list = (handles) =>
     handles.length ? `[\n${handles.map((h) => `    ${JSON.stringify(h)}`).join(",\n")}\n  ]` : "[]";
   const parts = [
@@ -73,22 +97,27 @@ export async function handlesText({ picture, document }) {
 /**
  * Saves the mask of the region, which the curl command reads from a file; returns its name, or null
  * if the command needs none.
+ * @param {Page.State} state
  */
 export async function saveRegion({ picture, document }) {
   const region = regionOf(document);
-  if (!region.parts.length || picture.linked) return null;
+  if (!region.parts.length || !picture || picture.linked) return null;
   const name = regionName(picture.name);
   save(await maskFile(region, [picture.width, picture.height]), name);
   return name;
 }
 
-/** Quotes a word for a POSIX shell. */
+/**
+ * Quotes a word for a POSIX shell.
+ * @type {(words: string) => string}
+ */
 const quoted = (words) =>
   /^[\w@%+=:,./-]+$/.test(words) ? words : `'${words.replaceAll("'", "'\\''")}'`;
 
 /**
  * A file name in a form field of curl: quoted if it has special characters; `-` alone would be
  * standard input.
+ * @type {(name: string) => string}
  */
 const formFile = (name) =>
   name === "-"
@@ -97,27 +126,36 @@ const formFile = (name) =>
       ? `"${name.replace(/[\\"]/g, "\\$&")}"`
       : name;
 
+/** @type {(path: string) => string} */
 const addressOf = (path) => new URL(path, document.baseURI).href;
 const keyHeader = () => (hasKey() ? ' -H "Authorization: Bearer $MLSWARP_KEY"' : "");
 
 /** Characters of JSON that are passed as an argument. Linux limits an argument to 128 KiB. */
 const MOST_ARGUMENT = 100_000;
 
+/** @param {object} value */
 function jsonBody(value) {
   const json = JSON.stringify(value);
   const body = json.length <= MOST_ARGUMENT ? quoted(json) : `@- <<'END'\n${json}\nEND\n`;
   return `-H 'Content-Type: application/json' -d ${body}`;
 }
 
-/** A curl command for a batch of the session. */
+/**
+ * A curl command for a batch of the session.
+ * @type {(sync: Page.Sync, name: string, media: string, body: object) => string}
+ */
 export const batchLine = (sync, name, media, body) =>
-  `curl -sS ${addressOf(`sessions/${sync.session.id}/batch`)} -o ${quoted(name)}${keyHeader()} -H 'Accept: ${media}' ${jsonBody(body)}`;
+  `curl -sS ${addressOf(`sessions/${known(sync.session).id}/batch`)} -o ${quoted(name)}${keyHeader()} -H 'Accept: ${media}' ${jsonBody(body)}`;
 
 /**
  * A curl command with the same result as "Download PNG", or as the export with `output`. It reads
  * the key from a variable; the copied text never contains it.
+ * @param {Page.Sync} sync
+ * @param {Page.State} state
+ * @param {Page.Output} [output]
  */
-export function curlLine(sync, { picture, document: bent }, output = {}) {
+export function curlLine(sync, { picture: open, document: bent }, output = {}) {
+  const picture = known(open);
   const out = quoted(pictureName(picture.name, output.format));
   const object = warpOf(bent);
   const chosen = Object.keys(output).length ? { output: { ...object.output, ...output } } : {};
@@ -125,11 +163,12 @@ export function curlLine(sync, { picture, document: bent }, output = {}) {
   const key = keyHeader();
   if (picture.linked) {
     const body = jsonBody({ q: wire(bent, "q"), ...(chosen.output && { output }) });
-    return `curl -sS ${addressOf(`sessions/${sync.session.id}/warp`)} -o ${out}${key} ${body}`;
+    return `curl -sS ${addressOf(`sessions/${known(sync.session).id}/warp`)} -o ${out}${key} ${body}`;
   }
   const mask = regionOf(bent).parts.length
     ? ` -F ${quoted(`region=@${formFile(regionName(picture.name))}`)}`
     : "";
+  /** @type {(file: string) => string} */
   const form = (file) =>
     `curl -sS ${addressOf("warp")} -o ${out}${key} -F ${quoted(`image=@${file}`)} --form-string ${quoted("warp=").replaceAll("'", "")}${warp}${mask}`;
   if (picture.sample)
@@ -137,6 +176,7 @@ export function curlLine(sync, { picture, document: bent }, output = {}) {
   return form(formFile(picture.name));
 }
 
+/** @type {(text: string) => string} */
 const toBase64Url = (text) => {
   const binary = Array.from(new TextEncoder().encode(text), (byte) =>
     String.fromCharCode(byte),
@@ -144,29 +184,39 @@ const toBase64Url = (text) => {
   return btoa(binary).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
 };
 
+/** @type {(text: string) => string} */
 const fromBase64Url = (text) =>
   new TextDecoder().decode(
     Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (c) => c.charCodeAt(0)),
   );
 
-/** A link that reopens the session with the current pose. */
+/**
+ * A link that reopens the session with the current pose.
+ * @param {Page.Sync} sync
+ * @param {Page.State} state
+ */
 export function linkTo(sync, { picture, document: bent }) {
   const parts = new URLSearchParams({
-    session: sync.session.id,
+    session: known(sync.session).id,
     warp: toBase64Url(JSON.stringify(warpOf(bent))),
-    name: picture.name,
+    name: known(picture).name,
   });
   return `${new URL(".", document.baseURI)}#${parts}`;
 }
 
-/** Parses a link: { session, warp, name }; null if it is none; `warp` is null if it is damaged. */
+/**
+ * Parses a link: { session, warp, name }; null if it is none; `warp` is null if it is damaged.
+ * @param {string} hash
+ * @returns {{ session: string, warp: Page.Json, name: string } | null}
+ */
 export function readLink(hash) {
   const parts = new URLSearchParams(hash.replace(/^#/, ""));
   const session = parts.get("session");
   if (!session) return null;
   let warp = null;
   try {
-    warp = parts.has("warp") ? JSON.parse(fromBase64Url(parts.get("warp"))) : undefined;
+    const told = parts.get("warp");
+    warp = told === null ? undefined : JSON.parse(fromBase64Url(told));
   } catch {
     // Truncated or mistyped: the caller reports it.
   }
@@ -175,6 +225,8 @@ export function readLink(hash) {
 
 /**
  * Copies text to the clipboard; if the browser refuses, shows and selects it for manual copying.
+ * @param {string} text
+ * @param {HTMLTextAreaElement} shown
  */
 export async function copy(text, shown) {
   shown.value = text;

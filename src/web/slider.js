@@ -8,8 +8,17 @@ const SNAP = 0.03;
 export class StrengthSlider {
   #held = false;
 
+  /**
+   * @param {HTMLInputElement} input
+   * @param {HTMLElement} output
+   * @param {Page.Store} store
+   * @param {Page.UserActions} actions
+   */
   constructor(input, output, store, actions) {
-    Object.assign(this, { input, output, store, actions });
+    this.input = input;
+    this.output = output;
+    this.store = store;
+    this.actions = actions;
     input.addEventListener("pointerdown", () => (this.#held = true));
     input.addEventListener("input", () => this.#slide());
     input.addEventListener("change", () => this.#end());
@@ -47,7 +56,7 @@ export class StrengthSlider {
     const { state } = this.store;
     const t = shownStrength(state);
     const words = `${Math.round(100 * t)} %`;
-    if (Number(this.input.value) !== t) this.input.value = t;
+    if (Number(this.input.value) !== t) this.input.value = String(t);
     this.input.disabled = !state.document.handles.length;
     const note = t === 0 ? ", rest" : t === 1 ? ", your pose" : "";
     this.input.setAttribute("aria-valuetext", `${words}${note}`);

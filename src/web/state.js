@@ -4,11 +4,14 @@
 import { isRegionTool } from "./region.js";
 import { settled } from "./strength.js";
 
+/** @typedef {(state: Page.State, previous: Page.State) => void} Subscriber */
+
 /** Maximum number of undo steps. */
 const STEPS = 200;
 /** Steps with the same tag within this time, ms, are merged. */
 const TOGETHER = 800;
 
+/** @type {() => Page.Document} */
 export const emptyDocument = () => ({
   handles: [],
   method: "rigid",
@@ -22,6 +25,7 @@ export const emptyDocument = () => ({
   holes: null,
 });
 
+/** @type {() => Page.State} */
 const initialState = () => ({
   phase: "empty", // empty, uploading, open
   progress: 0,
@@ -61,9 +65,14 @@ const initialState = () => ({
   animation: { easing: "ease-in-out", back: true, frames: 24, file: "apng" },
 });
 
+/** @type {(key: string) => number} */
 const idOf = (key) => Number(key.split(".")[0]);
 
-/** Whether a selection key still exists. */
+/**
+ * Whether a selection key still exists.
+ * @param {Page.Document} document
+ * @param {string} key
+ */
 function exists(document, key) {
   const handle = document.handles.find((h) => h.id === idOf(key));
   if (!handle) return false;
@@ -71,11 +80,16 @@ function exists(document, key) {
   return vertex < handle.p.length;
 }
 
+/**
+ * @param {Page.State} state
+ * @param {Page.Document} document
+ * @returns {Page.State}
+ */
 function withDocument(state, document) {
   if (document === state.document) return state;
   const kept = state.selection.filter((key) => exists(document, key));
   const selection = kept.length === state.selection.length ? state.selection : kept;
-  const isKept = ["handles", "method", "alpha", "smoothing"].every(
+  const isKept = /** @type {const} */ (["handles", "method", "alpha", "smoothing"]).every(
     (name) => document[name] === state.document[name],
   );
   return {
@@ -89,19 +103,30 @@ function withDocument(state, document) {
   };
 }
 
-/** A selection of handles ends the work on the region, which hides them. */
+/**
+ * A selection of handles ends the work on the region, which hides them.
+ * @type {(state: Page.State, selection: string[]) => Page.State}
+ */
 const selecting = (state, selection) => ({
   ...state,
   selection,
   ...(selection.length && isRegionTool(state.tool) && { tool: "point", regionShown: false }),
 });
 
+/**
+ * @type {(state: Page.State, document: Page.Document) => Pick<Page.State, "past" | "future" |
+ * "later">}
+ */
 const remembered = (state, document) => ({
   past: [...state.past, document].slice(-STEPS),
   future: [],
   later: [],
 });
 
+/**
+ * @type {{ [Name in keyof Page.Actions]: (state: Page.State, content: Page.Actions[Name]) =>
+ * Page.State }}
+ */
 const reducers = {
   uploading: (state, { name }) => ({
     ...state,
@@ -185,7 +210,7 @@ const reducers = {
       draft: [],
       tag: "",
     };
-    return withDocument(next, state.past.at(-1));
+    return withDocument(next, /** @type {Page.Document} */ (state.past.at(-1)));
   },
   redo: (state) => {
     if (!state.future.length || state.before) return state;
@@ -220,6 +245,7 @@ const reducers = {
 
   /** The tools for the region show the picture at rest, without handles. */
   tool: (state, { tool }) => {
+    /** @type {Partial<Page.State>} */
     const region = isRegionTool(tool)
       ? { selection: [], arm: "", more: false, compare: false }
       : {};
@@ -245,31 +271,36 @@ const reducers = {
 /**
  * Steps that undo and redo can take: those of the open picture and of the other ones, and one for
  * each change of the picture.
+ * @param {Pick<Page.State, "past" | "future" | "earlier" | "later">} state
  */
 export function steps({ past, future, earlier, later }) {
+  /** @type {(own: unknown[], others: Page.Kept[], which: "past" | "future") => number} */
   const all = (own, others, which) =>
     others.reduce((sum, picture) => sum + 1 + (picture[which]?.length ?? 0), own.length);
   return { undo: all(past, earlier, "past"), redo: all(future, later, "future") };
 }
 
-function reduce(state, action) {
-  return reducers[action.type](state, action);
-}
-
 export class Store {
   #state = initialState();
+  /** @type {Set<Subscriber>} */
   #views = new Set();
   #telling = false;
+  /** @type {Page.State | null} */
   #previous = null;
 
   get state() {
     return this.#state;
   }
 
-  /** Notifies every view; actions of views during the notification cause one more round. */
-  do(type, action = {}) {
+  /**
+   * Notifies every view; actions of views during the notification cause one more round.
+   * @template {keyof Page.Actions} Name
+   * @param {Name} type
+   * @param {Page.Actions[Name]} [content]
+   */
+  do(type, content) {
     const before = this.#state;
-    this.#state = reduce(before, { ...action, type });
+    this.#state = reducers[type](before, /** @type {Page.Actions[Name]} */ (content ?? {}));
     if (this.#state === before) return;
     this.#previous ??= before;
     if (this.#telling) return;
@@ -285,6 +316,7 @@ export class Store {
     }
   }
 
+  /** @param {Subscriber} view */
   subscribe(view) {
     this.#views.add(view);
   }

@@ -4,7 +4,7 @@
 // outdated response is never shown.
 
 import * as api from "./api.js";
-import { boxFrom } from "./canvas.js";
+import { known } from "./dom.js";
 import { movedApart, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
@@ -28,10 +28,16 @@ const TRANSIENT = new Set([
 ]);
 const LOST = new Set(["no_such_session", "session_expired"]);
 
-/** The region of a session without a mask. */
+/**
+ * The region of a session without a mask.
+ * @type {Page.Region}
+ */
 const WHOLE = { parts: [], feather: 0 };
 
-/** What is shown before the first response. */
+/**
+ * What is shown before the first response.
+ * @type {Page.Shown}
+ */
 const NOTHING = {
   revision: null,
   source: "none",
@@ -47,17 +53,27 @@ export class Sync {
    * The session: { id, grid, revision (of the rest handles), rest (JSON that it was created with),
    * region (as in the document; null: unknown), setup (the server's form), borrowed (from a link of
    * another user) }.
+   * @type {Page.Session | null}
    */
   session = null;
-  /** The picture as a file: { blob, name }. */
+  /**
+   * The picture as a file: { blob, name }.
+   * @type {Page.Source | null}
+   */
   file = null;
+  /** @type {Page.Mesh | null} */
   mesh = null;
-  /** The shown PNG of the server: { blob, revision }. */
+  /**
+   * The shown PNG of the server: { blob, revision }.
+   * @type {{ blob: Blob, revision: number, canvas: Page.Box | null } | null}
+   */
   png = null;
+  /** @type {Page.Shown} */
   shown = { ...NOTHING };
 
   #running = false;
   #again = false; // changed since the last step began
+  /** @type {AbortController | null} */
   #cancel = null;
   #refused = -1;
   #stalled = false;
@@ -67,16 +83,29 @@ export class Sync {
   #seq = 0;
   #asked = 0; // when the current step began, which makes the requests
   #changed = 0;
-  #poses = []; // those newer than the shown one: { revision, time }, oldest first
+  /**
+   * Those newer than the shown one, oldest first.
+   *
+   * @type {{ revision: number, time: number }[]}
+   */
+  #poses = [];
   #plans = new Plans();
   #late = 0;
   #burst = false;
   #timer = 0;
   #retries = 0;
   #reopens = 0;
+  /** @type {number[]} */
   #frames = [];
+  /** @type {Set<() => void>} */
   #views = new Set();
 
+  /**
+   * @param {Page.Store} store
+   * @param {Page.View} view
+   * @param {boolean} allowSocket
+   * @param {boolean} allowPlan
+   */
   constructor(store, view, allowSocket, allowPlan) {
     this.store = store;
     this.view = view;
@@ -91,6 +120,7 @@ export class Sync {
     store.subscribe((state, previous) => this.#follow(state, previous));
   }
 
+  /** @param {() => void} view */
   subscribe(view) {
     this.#views.add(view);
   }
@@ -127,7 +157,14 @@ export class Sync {
     return outdated || late ? "picture" : "";
   }
 
-  /** Sets the session and its picture, before the document is set in the store. */
+  /**
+   * Sets the session and its picture, before the document is set in the store.
+   * @param {Page.SessionObject} object
+   * @param {Page.Rest | null} rest
+   * @param {Page.Source} file
+   * @param {Page.Region | null} region
+   * @param {boolean} [borrowed]
+   */
   begin(object, rest, file, region, borrowed = false) {
     this.#cancel?.abort();
     this.file = file;
@@ -153,6 +190,12 @@ export class Sync {
     this.#tell();
   }
 
+  /**
+   * @param {Page.SessionObject} object
+   * @param {Page.Rest | null} rest
+   * @param {Page.Region | null} region
+   * @param {boolean} [borrowed]
+   */
   #adopt(object, rest, region, borrowed = false) {
     this.live.found(this.#asked);
     this.session = {
@@ -181,6 +224,10 @@ export class Sync {
     return this.#seq;
   }
 
+  /**
+   * @param {Page.State} state
+   * @param {Page.State} previous
+   */
   #follow(state, previous) {
     if (state.revision !== previous.revision) {
       const now = performance.now();
@@ -274,8 +321,9 @@ export class Sync {
     return true;
   }
 
+  /** @param {Page.Rest} rest */
   async #putRest(rest) {
-    const { session } = this;
+    const session = known(this.session);
     if (session.borrowed) return this.#reopen(rest);
     session.rest = null; // unknown until the response arrives
     this.#tell();
@@ -283,11 +331,15 @@ export class Sync {
     if (this.session === session) this.#adopt(object, rest, session.region);
   }
 
+  /**
+   * @param {Page.Region} region
+   * @param {Page.Rest} rest
+   */
   async #putRegion(region, rest) {
-    const { session } = this;
+    const session = known(this.session);
     if (session.borrowed) return this.#reopen(rest);
     session.region = null; // unknown until the response arrives
-    const { width, height } = this.store.state.picture;
+    const { width, height } = known(this.store.state.picture);
     const has = region.parts.length > 0;
     const object = await (has
       ? api.putRegion(session.id, await maskFile(region, [width, height]))
@@ -297,6 +349,7 @@ export class Sync {
 
   /**
    * Opens a new session with the same picture: the old one has expired, or belongs to another user.
+   * @param {Page.Rest} rest
    */
   async #reopen(rest) {
     if (!this.file)
@@ -311,6 +364,10 @@ export class Sync {
     this.#meshRevision = -1;
   }
 
+  /**
+   * @param {Page.Document} document
+   * @param {number} revision
+   */
   async #settle(document, revision) {
     this.live.rest();
     const cancel = new AbortController();
@@ -322,7 +379,7 @@ export class Sync {
     ]);
     if (cancel.signal.aborted) return;
     if (this.png?.revision !== revision) this.#poseHere(document, revision);
-    const { id, grid } = this.session;
+    const { id, grid } = known(this.session);
     const body = { q: wire(document, "q"), seq: this.#nextSeq() };
     const meshing =
       this.#meshRevision === revision
@@ -336,7 +393,7 @@ export class Sync {
     if (cancel.signal.aborted) return;
     // Another tab, or another user of the link, may have replaced the handles: then this page opens
     // its own session.
-    if (setupOf(object) !== this.session.setup) return this.#reopen(restOf(document));
+    if (setupOf(object) !== known(this.session).setup) return this.#reopen(restOf(document));
     if (!(await this.view.showPng(blob, report.canvas, cancel.signal)) || cancel.signal.aborted)
       return;
     this.png = { blob, revision, canvas: report.canvas };
@@ -352,36 +409,58 @@ export class Sync {
     });
   }
 
-  /** Draws the pose by the coefficients, if they are here. */
+  /**
+   * Draws the pose by the coefficients, if they are here.
+   * @param {Page.Document} document
+   * @param {number} revision
+   */
   #poseHere(document, revision) {
     const plan = this.#plans.of(this.session);
     if (!plan) return false;
     const { revision: shown, plan: by } = this.shown;
     if (shown === revision && by === plan) return true;
     const [p, q] = [wire(document, "p"), wire(document, "q")];
-    this.mesh = plan.pose(p, q);
-    this.view.showMesh(this.mesh, () => {});
-    const residual = meetsHandles(document) ? plan.residual(this.mesh, p, q) : null;
+    const mesh = plan.pose(p, q);
+    this.mesh = mesh;
+    this.view.showMesh(mesh, () => {});
+    const residual = meetsHandles(document) ? plan.residual(mesh, p, q) : null;
     this.#show(revision, "mesh", { plan, folds: this.view.folds, residual, rate: this.#rate() });
     return true;
   }
 
+  /**
+   * @param {string} id
+   * @param {Page.MeshGrid} grid
+   * @param {Page.Pose} body
+   * @param {number} revision
+   * @param {AbortSignal} signal
+   */
   async #fetchMesh(id, grid, body, revision, signal) {
     const { places, report } = await api.mesh(id, body, signal);
     if (signal.aborted) return;
-    this.#takeMesh(new Mesh(grid, places), revision);
+    const mesh = new Mesh(grid, places);
+    this.#takeMesh(mesh, revision);
     if (this.view.webgl !== "none" && this.png?.revision !== revision) {
-      this.view.showMesh(this.mesh, () => {});
+      this.view.showMesh(mesh, () => {});
       this.#show(revision, "mesh", { folds: this.view.folds, residual: report.residual });
     }
   }
 
+  /**
+   * @param {Page.Mesh} mesh
+   * @param {number} revision
+   */
   #takeMesh(mesh, revision) {
     this.mesh = mesh;
     this.#meshRevision = revision;
     this.view.setMesh(mesh);
   }
 
+  /**
+   * @param {number} revision
+   * @param {Page.Shown["source"]} source
+   * @param {Partial<Page.Shown>} more
+   */
   #show(revision, source, more) {
     this.#poses = this.#poses.filter((pose) => pose.revision > revision);
     this.shown = { ...this.shown, plan: null, revision, source, ...more };
@@ -389,10 +468,18 @@ export class Sync {
     this.#tell();
   }
 
+  /** @param {number} revision */
   #overtaken(revision) {
     return this.shown.revision !== null && revision < this.shown.revision;
   }
 
+  /**
+   * @param {Page.Mesh} mesh
+   * @param {boolean} isCompact
+   * @param {number} revision
+   * @param {Page.FrameReport | null} report
+   * @param {() => void} done
+   */
   #liveMesh(mesh, isCompact, revision, report, done) {
     if (this.#overtaken(revision) || this.#settled === revision) return done();
     // -1: this mesh is only near that of the revision, so the full one is requested at rest.
@@ -405,11 +492,17 @@ export class Sync {
     });
   }
 
+  /**
+   * @param {Blob} blob
+   * @param {number} revision
+   * @param {Page.FrameReport | null} report
+   * @param {() => void} done
+   */
   async #liveFrame(blob, revision, report, done) {
     if (
       !this.#overtaken(revision) &&
       this.#settled !== revision &&
-      (await this.view.showFrame(blob, boxFrom(report?.canvas))) &&
+      (await this.view.showFrame(blob, report?.canvas ?? null)) &&
       this.#settled !== revision
     ) {
       this.#show(revision, "frame", {
@@ -432,6 +525,8 @@ export class Sync {
   /**
    * Reports problems of the newest pose only. The loop handles lost sessions and sessions with
    * replaced handles (`#after`).
+   * @param {Page.Problem} problem
+   * @param {number | undefined} revision
    */
   #liveProblem(problem, revision) {
     if (
@@ -444,13 +539,17 @@ export class Sync {
     if (revision === this.store.state.revision) this.#refuse(problem);
   }
 
+  /** @param {Page.Problem} problem */
   #refuse(problem) {
     this.#refused = this.store.state.revision;
     this.store.do("problem", { problem });
     this.#tell();
   }
 
-  /** Resolves when the newest pose has its picture, or when none is expected. */
+  /**
+   * Resolves when the newest pose has its picture, or when none is expected.
+   * @returns {Promise<void>}
+   */
   settled() {
     const done = () => this.condition === "ready" || this.condition === "error";
     return new Promise((resolve) => {
@@ -467,29 +566,37 @@ export class Sync {
   /**
    * Makes a request to the session of the newest pose. If the session has ended, it is opened again
    * and the request is repeated.
+   * @template T
+   * @param {(id: string) => Promise<T>} act
+   * @returns {Promise<T>}
    */
   async ask(act) {
     await this.settled();
     try {
-      return await act(this.session.id);
+      return await act(known(this.session).id);
     } catch (error) {
-      if (!LOST.has(error.code) || !this.file) throw error;
+      const isLost = error instanceof api.Problem && LOST.has(error.code);
+      if (!isLost || !this.file) throw error;
     }
     this.#settled = -1;
     this.#run();
     await this.settled();
-    return act(this.session.id);
+    return act(known(this.session).id);
   }
 
-  /** Whether to continue after an error. */
+  /**
+   * Whether to continue after an error.
+   * @param {unknown} error
+   * @returns {Promise<boolean>}
+   */
   async #after(error) {
     if (api.wasAborted(error)) return true;
-    if (error?.name === "EncodingError") error = new api.Problem({ code: "unreadable" }, 0);
-    if (!(error instanceof api.Problem)) throw error;
+    const isUnreadable = error instanceof DOMException && error.name === "EncodingError";
+    let problem = isUnreadable ? new api.Problem({ code: "unreadable" }, 0) : api.asProblem(error);
     const { phase, document } = this.store.state;
     if (phase !== "open" || !this.session) return false;
     try {
-      if (error.code === "superseded") {
+      if (problem.code === "superseded") {
         const seq = (await api.readSession(this.session.id)).seq ?? 0;
         if (Number.isSafeInteger(seq) && this.#reopens++ < 3) this.#seq = seq;
         else await this.#reopen(restOf(document));
@@ -497,7 +604,7 @@ export class Sync {
       }
       // The shapes do not match: another client has replaced the handles of the session.
       if (
-        (LOST.has(error.code) || error.code === "shape_mismatch") &&
+        (LOST.has(problem.code) || problem.code === "shape_mismatch") &&
         this.file &&
         this.#reopens++ < 3
       ) {
@@ -505,15 +612,15 @@ export class Sync {
         return true;
       }
     } catch (second) {
-      error = second;
+      problem = api.asProblem(second);
     }
-    if (TRANSIENT.has(error.code)) {
+    if (TRANSIENT.has(problem.code)) {
       this.#stalled = true;
-      this.store.do("problem", { problem: error });
-      const seconds = error.retry_after ?? Math.min(15, 2 ** this.#retries++);
+      this.store.do("problem", { problem });
+      const seconds = problem.retry_after ?? Math.min(15, 2 ** this.#retries++);
       setTimeout(() => this.#stalled && this.retry(), 1000 * seconds);
     } else {
-      this.#refuse(error);
+      this.#refuse(problem);
     }
     return false;
   }
@@ -522,6 +629,8 @@ export class Sync {
 /**
  * A report, and the residual: of a compact mesh at most that of the full one and the distance
  * between both.
+ * @type {(report: Page.FrameReport | Page.Report | null) => Pick<Page.Shown, "report" |
+ * "residual">}
  */
 const figures = (report) => ({
   report,
@@ -530,11 +639,15 @@ const figures = (report) => ({
 
 /**
  * Whether a warp takes its handles to their posed positions, as far as its grid can follow them.
+ * @type {(document: Page.Document) => boolean}
  */
 const meetsHandles = ({ method, smoothing }) =>
   method !== "global_affine" && !(method === "tps" && smoothing);
 
-/** The members of a session object that determine a picture, except q. */
+/**
+ * The members of a session object that determine a picture, except q.
+ * @param {Page.SessionObject} object
+ */
 function setupOf({
   p,
   weights,
@@ -565,7 +678,11 @@ function setupOf({
   ]);
 }
 
-/** The grid of a session object, in the form of a mesh. */
+/**
+ * The grid of a session object, in the form of a mesh.
+ * @param {Page.SessionObject} object
+ * @returns {Page.MeshGrid}
+ */
 function gridOf({ grid, image }) {
   return {
     columns: grid.columns,

@@ -1,46 +1,73 @@
 // The table of handles: every coordinate of p and q can be edited.
 
+import { known } from "./dom.js";
 import { kindName, withNumber } from "./edits.js";
 import { angleOf } from "./twist.js";
 import { marked } from "./words.js";
 
-/** The number of an input; null: a pin that is not twisted. */
+/**
+ * The number of an input; null: a pin that is not twisted.
+ * @type {(handle: Page.Handle, vertex: number, input: HTMLInputElement) => number | null}
+ */
 const valueOf = (handle, vertex, { dataset }) =>
-  dataset.which === "twist" ? angleOf(handle) : handle[dataset.which][vertex][Number(dataset.axis)];
+  dataset.which === "p" || dataset.which === "q"
+    ? handle[dataset.which][vertex][Number(dataset.axis)]
+    : angleOf(handle);
+
+/** What the rows depend on. */
+const SHOWN = /** @type {const} */ (["document", "selection", "problem", "apart"]);
+
+/** @type {(target: EventTarget | null) => target is HTMLInputElement} */
+const isInput = (target) => target instanceof HTMLInputElement;
 
 export class Table {
+  /** @type {string | null} */
   #shape = null;
-  #filled = {}; // the state that the rows show
+  /**
+   * The state that the rows show.
+   *
+   * @type {Pick<Page.State, (typeof SHOWN)[number]> | null}
+   */
+  #filled = null;
   #body;
 
+  /**
+   * @param {HTMLTableElement} table
+   * @param {Page.Store} store
+   * @param {Page.UserActions} actions
+   */
   constructor(table, store, actions) {
-    Object.assign(this, { table, store, actions });
+    this.table = table;
+    this.store = store;
+    this.actions = actions;
     this.#body = table.tBodies[0];
-    table.addEventListener("change", (event) => this.#changed(event.target));
-    table.addEventListener("focusin", (event) => this.#entered(event));
+    table.addEventListener("change", ({ target }) => isInput(target) && this.#changed(target));
+    table.addEventListener("focusin", ({ target }) => isInput(target) && this.#entered(target));
     table.addEventListener("focusout", () => this.#fill(this.store.state));
     table.addEventListener(
       "keydown",
-      (event) =>
-        event.key === "Enter" && event.target.matches("input") && this.#changed(event.target),
+      ({ key, target }) => key === "Enter" && isInput(target) && this.#changed(target),
     );
     store.subscribe((state) => this.#draw(state));
   }
 
+  /** @param {Page.State} state */
   #draw(state) {
     const shape = state.document.handles.map((h) => `${h.id}:${h.p.length}`).join();
     if (shape !== this.#shape) this.#build(state.document, shape);
-    else if (
-      ["document", "selection", "problem", "apart"].every(
-        (name) => state[name] === this.#filled[name],
-      )
-    )
-      return;
-    else if (["selection", "problem", "apart"].every((name) => state[name] === this.#filled[name]))
-      return this.#fill(state, this.#filled.document.handles);
+    else {
+      const filled = this.#filled;
+      const others = filled ? SHOWN.filter((name) => state[name] !== filled[name]) : SHOWN;
+      if (!others.length) return;
+      if (filled && others.join() === "document") return this.#fill(state, filled.document.handles);
+    }
     this.#fill(state);
   }
 
+  /**
+   * @param {Page.Document} document
+   * @param {string} shape
+   */
   #build(document, shape) {
     this.#shape = shape;
     this.#body.replaceChildren(
@@ -48,9 +75,15 @@ export class Table {
         handle.p.map((_, vertex) => this.#row(handle, index, vertex)),
       ),
     );
-    this.table.closest(".scroll").hidden = document.handles.length === 0;
+    /** @type {HTMLElement} */ (known(this.table.closest(".scroll"))).hidden =
+      document.handles.length === 0;
   }
 
+  /**
+   * @param {Page.Handle} handle
+   * @param {number} index
+   * @param {number} vertex
+   */
   #row(handle, index, vertex) {
     const row = document.createElement("tr");
     Object.assign(row.dataset, { handle: index, vertex });
@@ -72,12 +105,13 @@ export class Table {
     );
     head.append(choose);
     row.append(head);
+    /** @type {(input: HTMLInputElement) => void} */
     const cell = (input) => {
       const made = document.createElement("td");
       made.append(input);
       row.append(made);
     };
-    for (const which of ["p", "q"]) {
+    for (const which of /** @type {const} */ (["p", "q"])) {
       for (const axis of [0, 1]) {
         const input = document.createElement("input");
         Object.assign(input, {
@@ -111,16 +145,18 @@ export class Table {
   }
 
   /**
-   * Fills the rows, except those whose handle is among the `known` ones: during a drag most are.
+   * Fills the rows, except those whose handle is among the `told` ones: during a drag most are.
+   * @param {Page.State} state
+   * @param {Page.Handle[]} [told]
    */
-  #fill(state, known = []) {
+  #fill(state, told = []) {
     const { document, selection, problem, apart } = state;
     this.#filled = { document, selection, problem, apart };
     const marks = [...marked(problem), ...apart];
     for (const row of this.#body.rows) {
       const { index, vertex } = this.#where(row);
       const handle = document.handles[index];
-      if (handle === known[index]) continue;
+      if (handle === told[index]) continue;
       row.classList.toggle(
         "selected",
         selection.includes(String(handle.id)) || selection.includes(`${handle.id}.${vertex}`),
@@ -140,33 +176,35 @@ export class Table {
     }
   }
 
+  /** @param {HTMLElement} row */
   #where(row) {
     return { index: Number(row.dataset.handle), vertex: Number(row.dataset.vertex) };
   }
 
+  /** @param {HTMLInputElement} input */
   #changed(input) {
-    if (!input.matches("input")) return;
-    const { index, vertex } = this.#where(input.closest("tr"));
+    const { index, vertex } = this.#where(known(input.closest("tr")));
     const { document } = this.store.state;
     const value = input.value.trim() === "" ? NaN : Number(input.value);
-    if (input.dataset.which === "twist")
+    const { which, axis } = input.dataset;
+    if (which !== "p" && which !== "q")
       this.actions.twistTo(index, Number.isFinite(value) ? value : null);
     else if (Number.isFinite(value))
-      this.actions.edit(
-        withNumber(document, input.dataset.which, index, vertex, Number(input.dataset.axis), value),
-      );
+      this.actions.edit(withNumber(document, which, index, vertex, Number(axis), value));
     // Show the accepted value: the input may have been rejected or rounded.
     this.#fill(this.store.state);
   }
 
-  /** Selects the handle of the focused input. */
-  #entered({ target }) {
-    if (!target.matches("input")) return;
-    const { index, vertex } = this.#where(target.closest("tr"));
+  /**
+   * Selects the handle of the focused input.
+   * @param {HTMLInputElement} input
+   */
+  #entered(input) {
+    const { index, vertex } = this.#where(known(input.closest("tr")));
     const handle = this.store.state.document.handles[index];
-    const value = valueOf(handle, vertex, target);
-    if (value !== null) target.value = value;
-    target.select();
+    const value = valueOf(handle, vertex, input);
+    if (value !== null) input.value = String(value);
+    input.select();
     const key = handle.p.length === 1 ? String(handle.id) : `${handle.id}.${vertex}`;
     const { selection } = this.store.state;
     if (!selection.includes(key) && !selection.includes(String(handle.id)))

@@ -1,23 +1,32 @@
 // User-visible texts: problems, methods, alpha, folds, warnings, hints and limits.
 
 const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
+/** @type {(list: Page.Place[]) => string} */
 export const places = (list) =>
   list.map(([x, y]) => `${number.format(x)}, ${number.format(y)}`).join(" to ");
+/** @type {(n: number, one: string, many?: string) => string} */
 export const count = (n, one, many = `${one}s`) => `${n} ${n === 1 ? one : many}`;
 
+/** @param {number} n */
 export function bytes(n) {
   const [size, unit] =
     n >= 1 << 20 ? [n / (1 << 20), "MiB"] : n >= 1 << 10 ? [n / (1 << 10), "KiB"] : [n, "bytes"];
   return `${size >= 100 || unit === "bytes" ? Math.round(size) : size.toFixed(1).replace(/\.0$/, "")} ${unit}`;
 }
 
-/** What the stage says while the shown picture is not the server's newest. */
+/**
+ * What the stage says while the shown picture is not the server's newest.
+ * @type {Record<string, string>}
+ */
 export const BEHIND = {
   picture: "Preview: the server's picture is late",
   server: "Preview: the server does not respond",
 };
 
-/** Title and advice by problem code. Other codes use the title of the server. */
+/**
+ * Title and advice by problem code. Other codes use the title of the server.
+ * @type {Record<string, [title: string, advice: string]>}
+ */
 const PROBLEMS = {
   network: [
     "The server does not respond",
@@ -125,6 +134,8 @@ const PROBLEMS = {
 /**
  * Indices of the handles that a problem is about: the member `handle`, and those that contradict
  * each other.
+ * @param {Pick<Page.Problem, "handle" | "coincident"> | null | undefined} problem
+ * @returns {number[]}
  */
 export function marked(problem) {
   if (problem?.handle === undefined) return [];
@@ -133,18 +144,24 @@ export function marked(problem) {
   ];
 }
 
+/** @type {(list: (string | number)[]) => string} */
 const series = (list) =>
   list.length > 1 ? `${list.slice(0, -1).join(", ")} and ${list.at(-1)}` : `${list}`;
 
-/** Counts handles from 1 instead of 0, and rounds numbers. */
+/**
+ * Counts handles from 1 instead of 0, and rounds numbers.
+ * @type {(detail: string) => string}
+ */
 const plain = (detail) =>
   detail
     .replace(
       /\b(handles?) (\d+(?:(?:, | and )\d+\b(?! more))*)/gi,
-      (_, word, list) => `${word} ${list.replace(/\d+/g, (index) => Number(index) + 1)}`,
+      (_, word, list) =>
+        `${word} ${list.replace(/\d+/g, (/** @type {string} */ index) => String(Number(index) + 1))}`,
     )
     .replace(/\d+\.\d{3,}/g, (digits) => number.format(Number(digits)));
 
+/** @param {Page.Problem} problem */
 export function problemWords({
   code,
   title,
@@ -199,6 +216,8 @@ export const PINS_ONLY =
 
 /**
  * The note about the method of a document. `canSpline`: whether its handles may have that method.
+ * @param {Page.Document} document
+ * @param {boolean} canSpline
  */
 export function methodWords({ method, smoothing }, canSpline) {
   const near =
@@ -208,7 +227,12 @@ export function methodWords({ method, smoothing }, canSpline) {
   return `${METHODS[method]}${near}${canSpline ? "" : " Spline and Global are for pins only: not with lines, paths and twists."}`;
 }
 
-/** Why no method can be chosen, or an empty text. */
+/**
+ * Why no method can be chosen, or an empty text.
+ * @param {number} pins
+ * @param {boolean} pinsOnly
+ * @param {number} least
+ */
 export function noFitWords(pins, pinsOnly, least) {
   if (!pinsOnly) return "Choosing compares pins: not with lines, paths and twists.";
   return pins < least ? `Choosing takes ${least} pins or more.` : "";
@@ -221,14 +245,20 @@ const NAMES = {
   tps: "Spline",
   global_affine: "Global",
 };
+/** @type {(length: number) => string} */
 const px = (length) => `${length < 9.95 ? length.toFixed(1) : Math.round(length)} px`;
 
+/** @param {Page.FitBest} candidate */
 function candidateName({ method, alpha, smoothing }) {
   const parameter = alpha ? `focus ${alpha}` : smoothing ? `smoothing ${smoothing}` : "";
   return `${NAMES[method]}${parameter && ` (${parameter})`}`;
 }
 
-/** Why a method was chosen. `before`: the method until then. */
+/**
+ * Why a method was chosen. `before`: the method until then.
+ * @param {{ best: Page.FitBest, candidates: Page.FitCandidate[], before: Page.Method, outliers:
+ * number[], scale: number }} told
+ */
 export function fitWords({ best, candidates, before, outliers, scale }) {
   const ranked = candidates.toSorted((a, b) => a.rms - b.rms);
   const other =
@@ -242,7 +272,10 @@ export function fitWords({ best, candidates, before, outliers, scale }) {
   return `${candidateName(best)} predicts left-out pins best: ${px(ranked[0].rms)} on average (RMS)${against}.${wrong}${drawn}`;
 }
 
-/** What is known about a pin whose residual is shown. */
+/**
+ * What is known about a pin whose residual is shown.
+ * @type {(residual: Page.Place, outlier: boolean) => string}
+ */
 export const residualWords = ([x, y], outlier) =>
   `, ${px(Math.hypot(x, y))} from its prediction${outlier ? ", an outlier" : ""}`;
 
@@ -252,16 +285,21 @@ export const CANVAS = {
   box: "Shows this box, in px of the picture; x and y may be negative.",
 };
 
-/** What lies outside the canvas; empty if nothing does. */
+/**
+ * What lies outside the canvas; empty if nothing does.
+ * @param {{ left: number, top: number, right: number, bottom: number }} cut
+ */
 export function cutWords({ left, top, right, bottom }) {
+  /** @type {[number, string][]} */
   const sides = [
     [left, "on the left"],
     [right, "on the right"],
     [top, "above"],
     [bottom, "below"],
-  ].filter(([length]) => length > 0);
-  return sides.length
-    ? `Of the result, ${series(sides.map(([length, where]) => `${length} px ${where}`))} lie outside.`
+  ];
+  const cut = sides.filter(([length]) => length > 0);
+  return cut.length
+    ? `Of the result, ${series(cut.map(([length, where]) => `${length} px ${where}`))} lie outside.`
     : "";
 }
 
@@ -284,6 +322,7 @@ export const FILTER = {
 export const REGION = {
   none: "The whole picture moves. Draw around what may move with Lasso, or paint over it with Brush: everything else then stays as it is.",
   some: "Only the region moves, as it is at rest. Everything else stays as it is.",
+  /** @param {string} name */
   needs: (name) => `The command needs the file ${name}`,
 };
 
@@ -294,6 +333,7 @@ export const HOLES = {
 
 export const PLAY = { noWebgl: "Playing needs WebGL, which this browser does not have." };
 
+/** @param {number} alpha */
 export function focusWords(alpha) {
   if (alpha < 0.95) return "Wide: each handle affects the whole picture.";
   if (alpha < 1.35) return "Balanced: the influence of a handle falls off slowly with distance.";
@@ -301,6 +341,7 @@ export function focusWords(alpha) {
   return "Very tight: each handle affects only its own position, with sharp changes in between.";
 }
 
+/** @param {number} n */
 export function foldWords(n) {
   if (!n) return "";
   return `${count(n, "cell")} of the mesh ${n === 1 ? "folds" : "fold"}: the picture overlaps itself where it is red. Move the handles there less, or add a handle between them.`;
@@ -332,6 +373,7 @@ export const EXPORT = {
 
 /** Texts of the export as an animation. */
 export const ANIMATION = {
+  /** @type {Record<Page.Animation["file"], (back: boolean) => string>} */
   notes: {
     apng: (back) =>
       `${back ? "The frames of the way back are added. " : ""}Browsers show an animated PNG like a picture.`,
@@ -339,9 +381,11 @@ export const ANIMATION = {
       `${back ? "The frames of the way back are added. " : ""}At most 256 colours per frame, and shown everywhere.`,
     zip: (back) => `${back ? "The frames of the way back are added. " : ""}Each frame is a PNG.`,
   },
+  /** @param {number} seconds */
   session: (seconds) => `It works until ${spanOf(seconds)} after the last request`,
 };
 
+/** @type {Record<string, string>} */
 export const WARNINGS = {
   affine_degenerate_used_similarity: "Too few or collinear handles for affine: similarity is used.",
   tps_degenerate_used_similarity:
@@ -373,6 +417,7 @@ export const WARNINGS = {
   file_repaired: "The picture's file is damaged where no pixel is: the picture is complete.",
 };
 
+/** @type {Record<string, string>} */
 export const STAGES = {
   queue: "Queue",
   decode: "Decoding",
@@ -406,19 +451,24 @@ export const HINTS = {
   move: { mouse: "Click the target position", touch: "Tap the target position" },
 };
 
+/** @param {Page.Waiting} waiting */
 export function waitingWords({ handles, annotations }) {
   const parts = [
     handles && `${handles.name} has ${count(handles.document.handles.length, "handle")}.`,
     annotations && `${annotations.name} has annotations.`,
   ];
-  const isOne = !annotations && handles.document.handles.length === 1;
+  const isOne = !annotations && handles?.document.handles.length === 1;
   return `${parts.filter(Boolean).join(" ")} Choose the picture or sample that ${isOne ? "it belongs" : "they belong"} to.`;
 }
 
+/** @type {(name: string, n: number) => string} */
 export const annotationWords = (name, n) =>
   `${name}: ${count(n, "annotation")}, moved with the picture.`;
 
-/** About the files that were opened with others, and not used. */
+/**
+ * About the files that were opened with others, and not used.
+ * @type {(names: string[]) => string}
+ */
 export const unusedWords = (names) =>
   `Not used: ${series(names)}. One picture, two landmark files and one GeoJSON file are opened at a time.`;
 
@@ -432,10 +482,14 @@ export const ALIGN = {
     "The pose is moved, turned, stretched and sheared to fit the rest positions best. Editing a handle applies this.",
 };
 
+/** @type {(seconds: number) => string} */
 const spanOf = (seconds) =>
   seconds < 60 ? count(Math.round(seconds), "second") : count(Math.round(seconds / 60), "minute");
 
-/** Until when a link to a session works. */
+/**
+ * Until when a link to a session works.
+ * @param {{ expires: string }} session
+ */
 export function linkWords({ expires }) {
   const [end, now] = [new Date(expires), new Date()];
   const day =
@@ -443,13 +497,17 @@ export function linkWords({ expires }) {
       ? ""
       : `${end.toLocaleDateString("en", { day: "numeric", month: "long" })}, `;
   const time = end.toLocaleTimeString("en", { hour: "2-digit", minute: "2-digit", hour12: false });
-  return `It works until ${day}${time}, and for ${spanOf((end - now) / 1000)} after each use.`;
+  return `It works until ${day}${time}, and for ${spanOf((Number(end) - Number(now)) / 1000)} after each use.`;
 }
 
-/** A link to a session that has ended. */
+/**
+ * A link to a session that has ended.
+ * @type {(name: string, idle: number) => string}
+ */
 export const deadLinkWords = (name, idle) =>
   `The link to ${name} has ended: the server deletes a picture ${spanOf(idle)} after its last use.`;
 
+/** @param {Page.Limits} limits */
 export function limitWords({ body, pixels, idle, memory }) {
   const minutes = Math.round(idle / 60);
   const time = minutes >= 1 ? count(minutes, "idle minute") : count(idle, "idle second");

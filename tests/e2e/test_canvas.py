@@ -95,6 +95,31 @@ def test_the_preview_shows_the_canvas_too(visits, picture, query):
         assert abs(one.getpixel((int(x), int(y))) - other.getpixel((int(x), int(y)))) <= 12
 
 
+def test_frames_that_are_asked_for_one_by_one_show_the_canvas(visits, picture):
+    visit = visits(query="?webgl=off&socket=off&plan=off").open(picture)
+    visit.click(*RED)
+    choose(visit, "fit")
+    visit.ready()
+    visit.page.evaluate(
+        """() => {
+          window.boxes = [];
+          const { dataset } = document.body;
+          const note = () => dataset.source === "frame" && window.boxes.push(dataset.canvas);
+          new MutationObserver(note).observe(document.body, { attributeFilter: ["data-shown"] });
+        }"""
+    )
+    visit.press(RED, (RED[0] - 60, RED[1]))
+    for step in range(200):
+        visit.page.mouse.move(*visit.at(RED[0] - 60 - step % 2, RED[1]))
+        if visit.page.evaluate("boxes.length > 1"):
+            break
+    visit.page.mouse.up()
+    visit.ready()
+    boxes = [[float(c) for c in box.split(",")] for box in visit.page.evaluate("boxes")]
+    assert boxes and all(box[2:] == [400, 300] for box in boxes), boxes
+    assert boxes[-1][0] < 0, boxes
+
+
 def test_a_box_is_typed_checked_kept_and_exported(shifted):
     choose(shifted, "box")
     assert [shifted.page.input_value(f"#canvas-{name}") for name in FIELDS[:2]] == ["0", "0"]

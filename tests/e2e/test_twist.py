@@ -192,6 +192,22 @@ def test_keys_twist_and_put_back_and_delete(pinned):
     assert pinned.body("[data-handles='2']").ready()["problem"] == ""
 
 
+def test_a_pin_that_is_twisted_already_turns_with_a_selection(pinned):
+    choose(pinned, 0)
+    pinned.keys("]", "]")
+    assert twist(pinned, 0) == 10
+    pinned.page.click("#select-all")
+    pinned.keys("]")
+    assert twist(pinned, 0) == 15 and "Rotated by 5 degrees" in pinned.text("says")
+    knob, centre = knob_at(pinned), pinned.at(*pinned.posed(1))
+    pinned.page.mouse.move(*knob)
+    pinned.page.mouse.down()
+    pinned.page.mouse.move(*centre, steps=5)
+    pinned.page.mouse.up()
+    assert twist(pinned, 0) != 15
+    assert pinned.ready()["problem"] == ""
+
+
 def test_saved_pins_are_pins_again(pinned, visits):
     choose(pinned, 1)
     pinned.keys("]", "]", "]", "]")

@@ -41,7 +41,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "page.css" CSS,
         "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
             "annotations.js" JS, "api.js" JS, "canvas.js" JS,
-        "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "grid.js" JS,
+        "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,
             "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
         "mesh.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS,
