@@ -282,8 +282,10 @@ const BAD: &[(&str, u64, u64, &str)] = &[
         "an array of annotations",
     ),
     (
-        r#"{"annotations": [{"keypoints": [1, 2, 2], "category_id": 1}], "categories": [{"id": 1,
-          "keypoints": ["a", "b"]}]}"#,
+        concat!(
+            r#"{"annotations": [{"keypoints": [1, 2, 2], "category_id": 1}], "#,
+            r#""categories": [{"id": 1, "keypoints": ["a", "b"]}]}"#
+        ),
         1,
         107,
         "1 names",
@@ -394,8 +396,10 @@ const BAD: &[(&str, u64, u64, &str)] = &[
         "`resourceCoords`",
     ),
     (
-        r#"{"type": "Annotation", "body": {"features": [{"properties": {"resourceCoords": [1, 2,
-          3]}}]}}"#,
+        concat!(
+            r#"{"type": "Annotation", "body": {"features": "#,
+            r#"[{"properties": {"resourceCoords": [1, 2, 3]}}]}}"#
+        ),
         1,
         80,
         "more than 2",
