@@ -179,8 +179,12 @@ impl Drop for LimitedBody {
     }
 }
 
-/// Buffers of more bytes are moved on a blocking thread.
-const MAX_COPIED_HERE: usize = 128 << 10;
+/// Buffers of more bytes are moved on a blocking thread. To move as many takes a tenth of a
+/// millisecond, with the pages of the new buffer; the two hand-overs to a thread and back take as
+/// long.
+const MAX_COPIED_HERE: usize = 512 << 10;
+/// One in so many bytes of a buffer that a session keeps may be unused.
+const MAX_UNUSED_SHARE: usize = 64;
 /// Memory of a request beside its body: its head, its task, its stream.
 const REQUEST_BYTES: u64 = 16 << 10;
 
@@ -189,6 +193,8 @@ pub(crate) struct BodyBuffer<'a> {
     app: &'a App,
     bytes: Vec<u8>,
     held: Reservation,
+    /// The client has announced no more bytes than these.
+    announced: usize,
 }
 
 impl<'a> BodyBuffer<'a> {
@@ -196,6 +202,7 @@ impl<'a> BodyBuffer<'a> {
         app: &'a App,
         client: Client,
         purpose: MemoryClass,
+        announced: Option<u64>,
     ) -> Result<Self, Problem> {
         let quota = app.request_quota(client);
         let held = app
@@ -205,6 +212,7 @@ impl<'a> BodyBuffer<'a> {
             app,
             bytes: Vec::new(),
             held,
+            announced: announced.map_or(usize::MAX, |bytes| bytes as usize),
         })
     }
 
@@ -220,17 +228,20 @@ impl<'a> BodyBuffer<'a> {
             return Err(too_large(what, limit, needed as u64));
         }
         if needed > self.bytes.capacity() {
-            let capacity = needed.max(2 * self.bytes.capacity());
+            // Twice as large, so that few bytes are moved often; what a client announces is not
+            // allocated before half of it has come.
+            let capacity = needed.max((2 * self.bytes.capacity()).min(self.announced));
             // While the bytes are moved, both allocations exist.
             self.app
                 .reserve_aside(|_| self.held.grow(capacity as u64))
                 .await?;
             let mut bytes = std::mem::take(&mut self.bytes);
+            let is_long = bytes.len() > MAX_COPIED_HERE;
             let grow = move || {
                 bytes.reserve_exact(capacity - bytes.len());
                 bytes
             };
-            self.bytes = aside(capacity > MAX_COPIED_HERE, grow).await;
+            self.bytes = aside(is_long, grow).await;
             self.held
                 .shrink_to(REQUEST_BYTES + self.bytes.capacity() as u64);
         }
@@ -248,11 +259,16 @@ impl<'a> BodyBuffer<'a> {
     /// The bytes in a buffer of their size, for a session to keep.
     pub(crate) async fn finish_exact(mut self) -> Bytes {
         let mut bytes = std::mem::take(&mut self.bytes);
+        let is_long = bytes.len() > MAX_COPIED_HERE;
+        // A few unused bytes, which are counted, cost less than moving all others.
+        let is_exact = bytes.capacity() - bytes.len() <= bytes.len() / MAX_UNUSED_SHARE;
         let shrink = move || {
-            bytes.shrink_to_fit();
+            if !is_exact {
+                bytes.shrink_to_fit();
+            }
             bytes
         };
-        self.bytes = aside(self.held.bytes() > MAX_COPIED_HERE as u64, shrink).await;
+        self.bytes = aside(is_long && !is_exact, shrink).await;
         self.finish()
     }
 }
@@ -326,11 +342,12 @@ async fn buffered<'a>(
     what: &'static str,
     limit: u64,
 ) -> Result<BodyBuffer<'a>, Problem> {
-    if let Some(length) = content_length(request.headers()).filter(|length| *length > limit) {
+    let announced = content_length(request.headers());
+    if let Some(length) = announced.filter(|length| *length > limit) {
         return Err(too_large(what, limit, length));
     }
     let mut body = request.into_body();
-    let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose).await?;
+    let mut buffer = BodyBuffer::new(&caller.app, caller.client, purpose, announced).await?;
     while let Some(frame) = body.frame().await {
         if let Ok(data) = frame
             .map_err(|error| read_problem(&error, "the body could not be read"))?

@@ -13,7 +13,7 @@ use futures_util::StreamExt as _;
 use futures_util::stream::poll_fn;
 
 use super::body::{self, BodyBuffer, read_problem, sent};
-use super::headers::media_type;
+use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
 use crate::app::warp::Upload;
 use crate::limits::memory::MemoryClass;
@@ -268,6 +268,7 @@ async fn read_parts(
     let _parser = app
         .reserve_aside(|budget| budget.take_for(MemoryClass::Upload, &quota, PARSER_BYTES))
         .await?;
+    let announced = content_length(request.headers());
     let buffered = Arc::new(AtomicU64::new(0));
     let request = request.map(|body| gated(body, Arc::clone(&buffered)));
     let mut parts = Multipart::from_request(request, &())
@@ -302,7 +303,7 @@ async fn read_parts(
             "match" | "item" => ("item_bytes", ITEM_BYTES),
             _ => (NO_LIMIT, u64::MAX),
         };
-        read[index] = Some(read_part(caller, part, what, limit, &buffered).await?);
+        read[index] = Some(read_part(caller, part, what, limit, &buffered, announced).await?);
     }
     Ok(read)
 }
@@ -372,8 +373,10 @@ async fn read_part(
     what: &'static str,
     limit: u64,
     buffered: &AtomicU64,
+    announced: Option<u64>,
 ) -> Result<Bytes, Problem> {
-    let mut buffer = BodyBuffer::new(&caller.app, caller.client, MemoryClass::Upload).await?;
+    let mut buffer =
+        BodyBuffer::new(&caller.app, caller.client, MemoryClass::Upload, announced).await?;
     while let Some(chunk) = part.chunk().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         buffer.push(&chunk, what, limit).await?;

@@ -18,8 +18,10 @@ use crate::limits::connections::ConnectionPermit;
 /// Bytes that the kernel buffers for a slow reader; Linux allocates twice this. Enough for 100
 /// Mbit/s over 40 ms.
 const SEND_BUFFER: usize = 512 << 10;
-/// Maximum size of a write.
-const MAX_WRITE_BYTES: usize = 64 << 10;
+/// Bytes of a write: what one poll may move.
+const MAX_WRITE_BYTES: usize = 128 << 10;
+/// Slices of a write. A body in chunks has three for each, its head, its data and its end.
+const MAX_SLICES: usize = 16;
 /// Bytes that take one unit of a poll's budget, of which tokio gives 128: a poll moves 128 KiB at
 /// most.
 const BYTES_PER_BUDGET_UNIT: usize = 1 << 10;
@@ -140,21 +142,22 @@ fn charge(cx: &mut Context<'_>, bytes: usize) {
     }
 }
 
-/// As many of the slices as have [`MAX_WRITE_BYTES`] bytes together; the first one that is not
-/// empty in any case.
-fn piece<'s, 'b>(slices: &'s [IoSlice<'b>]) -> &'s [IoSlice<'b>] {
-    let slices = &slices[slices.iter().take_while(|slice| slice.is_empty()).count()..];
-    let mut bytes = 0;
-    let fits = |slice: &&IoSlice<'_>| {
-        bytes += slice.len();
-        bytes <= MAX_WRITE_BYTES
-    };
-    &slices[..slices
-        .iter()
-        .take_while(fits)
-        .count()
-        .max(1)
-        .min(slices.len())]
+/// Collects what one write takes: the beginning of the slices, [`MAX_WRITE_BYTES`] bytes at most. The last
+/// one is cut, because its rest would otherwise leave alone, and so would the few bytes before the
+/// next chunk of a body: packets of seven bytes, each a call and a wake-up of the client. Returns
+/// the number of slices.
+fn beginning<'s>(slices: &'s [IoSlice<'_>], into: &mut [IoSlice<'s>; MAX_SLICES]) -> usize {
+    let (mut count, mut left) = (0, MAX_WRITE_BYTES);
+    for slice in slices.iter().filter(|slice| !slice.is_empty()) {
+        if left == 0 || count == MAX_SLICES {
+            break;
+        }
+        let part = &slice[..slice.len().min(left)];
+        into[count] = IoSlice::new(part);
+        left -= part.len();
+        count += 1;
+    }
+    count
 }
 
 impl AsyncWrite for WriteTimeoutStream {
@@ -173,15 +176,14 @@ impl AsyncWrite for WriteTimeoutStream {
     ) -> Poll<io::Result<usize>> {
         // The turn is over, which says nothing of the client.
         drop(ready!(coop::poll_proceed(cx)));
-        let slices = piece(slices);
-        let first = slices
-            .first()
-            .map(|first| &first[..first.len().min(MAX_WRITE_BYTES)]);
-        let written = match (slices, first) {
-            ([_], Some(first)) => Pin::new(&mut self.socket).poll_write(cx, first),
-            _ => Pin::new(&mut self.socket).poll_write_vectored(cx, slices),
+        let mut parts = [IoSlice::new(&[]); MAX_SLICES];
+        let count = beginning(slices, &mut parts);
+        let parts = &parts[..count];
+        let written = match parts {
+            [only] => Pin::new(&mut self.socket).poll_write(cx, only),
+            _ => Pin::new(&mut self.socket).poll_write_vectored(cx, parts),
         };
-        match (written, first) {
+        match (written, parts.first()) {
             (Poll::Pending, Some(first)) => self.poll_blocked(cx, first),
             (written, _) => {
                 self.blocked = None;
@@ -203,5 +205,34 @@ impl AsyncWrite for WriteTimeoutStream {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.socket).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lengths(slices: &[&[u8]]) -> Vec<usize> {
+        let slices: Vec<_> = slices.iter().map(|slice| IoSlice::new(slice)).collect();
+        let mut parts = [IoSlice::new(&[]); MAX_SLICES];
+        let count = beginning(&slices, &mut parts);
+        parts[..count].iter().map(|part| part.len()).collect()
+    }
+
+    #[test]
+    fn a_write_takes_the_beginning_of_what_there_is() {
+        let long = vec![0; 2 * MAX_WRITE_BYTES];
+        assert_eq!(lengths(&[]), []);
+        assert_eq!(lengths(&[b"", b""]), []);
+        assert_eq!(lengths(&[b"7\r\n", b"", b"picture", b"\r\n"]), [3, 7, 2]);
+        assert_eq!(
+            lengths(&[b"head", &long, b"\r\n"]),
+            [4, MAX_WRITE_BYTES - 4]
+        );
+        assert_eq!(
+            lengths(&[&long[..MAX_WRITE_BYTES], b"\r\n"]),
+            [MAX_WRITE_BYTES]
+        );
+        assert_eq!(lengths(&[b"1"; 2 * MAX_SLICES]), [1; MAX_SLICES]);
     }
 }
