@@ -228,9 +228,10 @@ impl<'a> BodyBuffer<'a> {
             return Err(too_large(what, limit, needed as u64));
         }
         if needed > self.bytes.capacity() {
-            // Twice as large, so that few bytes are moved often; what a client announces is not
-            // allocated before half of it has come.
-            let capacity = needed.max((2 * self.bytes.capacity()).min(self.announced));
+            // Several times as large, so that few bytes are moved often, and never larger than what
+            // is announced, of which a quarter must have come.
+            let factor = if self.announced == usize::MAX { 2 } else { 4 };
+            let capacity = needed.max((factor * self.bytes.capacity()).min(self.announced));
             // While the bytes are moved, both allocations exist.
             self.app
                 .reserve_aside(|_| self.held.grow(capacity as u64))
