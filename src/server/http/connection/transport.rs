@@ -233,6 +233,6 @@ mod tests {
             lengths(&[&long[..MAX_WRITE_BYTES], b"\r\n"]),
             [MAX_WRITE_BYTES]
         );
-        assert_eq!(lengths(&[b"1"; 2 * MAX_SLICES]), [1; MAX_SLICES]);
+        assert_eq!(lengths(&[&b"1"[..]; 2 * MAX_SLICES]), [1; MAX_SLICES]);
     }
 }
