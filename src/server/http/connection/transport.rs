@@ -222,8 +222,8 @@ mod tests {
     #[test]
     fn a_write_takes_the_beginning_of_what_there_is() {
         let long = vec![0; 2 * MAX_WRITE_BYTES];
-        assert_eq!(lengths(&[]), []);
-        assert_eq!(lengths(&[b"", b""]), []);
+        assert!(lengths(&[]).is_empty());
+        assert!(lengths(&[b"", b""]).is_empty());
         assert_eq!(lengths(&[b"7\r\n", b"", b"picture", b"\r\n"]), [3, 7, 2]);
         assert_eq!(
             lengths(&[b"head", &long, b"\r\n"]),
