@@ -42,8 +42,9 @@ impl Default for QuantisedBlock {
     }
 }
 
+#[cfg(target_arch = "x86_64")]
 impl QuantisedBlock {
-    /// Coefficients `8 k` to `8 k + 7`.
+    /// Coefficients `8 k` to `8 k + 7`, a vector of the AVX2 kernel.
     #[inline(always)]
     pub(super) fn eight(&mut self, k: usize) -> &mut [i16; 8] {
         &mut self.coefficients.as_chunks_mut().0[k]
