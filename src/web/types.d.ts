@@ -385,3 +385,12 @@ interface Array<T> {
     act: (value: T, index: number) => U,
   ): { [At in keyof Tuple]: U };
 }
+
+// The examples of the guide import this module by its address on the server.
+declare module "*/page/access.js" {
+  export const keyHeaders: typeof import("./access.js").keyHeaders;
+  export const keyProtocols: typeof import("./access.js").keyProtocols;
+}
+
+/** The script of the API reference (docs/reference.js). */
+declare const Scalar: { createApiReference: (selector: string, wish: object) => void };

@@ -4,15 +4,25 @@
 
 import { server, showIn, show } from "./examples/here.js";
 
+/** @type {Record<string, string>} */
 const LANGUAGES = { sh: "curl", py: "Python", js: "JavaScript" };
 const WRITTEN = "http://127.0.0.1:8080";
 const KEPT = "mlswarp.docs.language";
 
+/**
+ * @template {keyof HTMLElementTagNameMap} Name
+ * @param {Name} name
+ * @param {object} [members]
+ * @param {...Node} children
+ */
 const element = (name, members = {}, ...children) => {
   const made = Object.assign(document.createElement(name), members);
   made.append(...children);
   return made;
 };
+
+/** @type {(node: ParentNode) => NodeListOf<HTMLElement>} */
+const tabsOf = (node) => node.querySelectorAll('[role="tab"]');
 
 const kept = () => {
   try {
@@ -22,15 +32,20 @@ const kept = () => {
   }
 };
 
-/** Selects a language in every example that has it. */
+/**
+ * Selects a language in every example that has it.
+ * @param {string} language
+ */
 function select(language) {
-  for (const tab of document.querySelectorAll('[role="tab"]')) {
-    const has = tab.closest(".example").dataset.languages.split(" ").includes(language);
-    if (!has) continue;
+  for (const tab of tabsOf(document)) {
+    /** @type {HTMLElement | null} */
+    const example = tab.closest(".example");
+    if (!example?.dataset.languages?.split(" ").includes(language)) continue;
     const isChosen = tab.dataset.language === language;
-    tab.setAttribute("aria-selected", isChosen);
+    tab.setAttribute("aria-selected", String(isChosen));
     tab.tabIndex = isChosen ? 0 : -1;
-    document.getElementById(tab.getAttribute("aria-controls")).hidden = !isChosen;
+    const panel = document.getElementById(tab.getAttribute("aria-controls") ?? "");
+    if (panel) panel.hidden = !isChosen;
   }
   try {
     localStorage.setItem(KEPT, language);
@@ -39,19 +54,24 @@ function select(language) {
   }
 }
 
+/** @param {KeyboardEvent} event */
 function onKey(event) {
-  const tabs = [...event.currentTarget.querySelectorAll('[role="tab"]')];
-  const at = tabs.indexOf(document.activeElement);
-  const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: tabs.length - 1 }[event.key];
+  const tabs = [...tabsOf(/** @type {Element} */ (event.currentTarget))];
+  const at = tabs.findIndex((tab) => tab === document.activeElement);
+  /** @type {Record<string, number>} */
+  const places = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: tabs.length - 1 };
+  const to = places[event.key];
   if (to === undefined || at < 0) return;
   event.preventDefault();
   const tab = tabs[(to + tabs.length) % tabs.length];
-  keepInPlace(tab, () => select(tab.dataset.language));
+  keepInPlace(tab, () => select(tab.dataset.language ?? "sh"));
   tab.focus();
 }
 
 /**
  * Changes the page without moving what the user looks at: examples above may have another height.
+ * @param {Element} anchor
+ * @param {() => void} change
  */
 function keepInPlace(anchor, change) {
   const before = anchor.getBoundingClientRect().top;
@@ -59,6 +79,11 @@ function keepInPlace(anchor, change) {
   scrollBy(0, anchor.getBoundingClientRect().top - before);
 }
 
+/**
+ * @param {string} name
+ * @param {HTMLButtonElement} button
+ * @param {Element} results
+ */
 async function run(name, button, results) {
   button.disabled = true;
   results.replaceChildren();
@@ -67,13 +92,14 @@ async function run(name, button, results) {
     // Another address each time: a module runs once per address.
     await import(`./examples/${name}.js?run=${Date.now()}`);
   } catch (error) {
-    await show({ error: error.message });
+    await show({ error: error instanceof Error ? error.message : String(error) });
   }
   button.disabled = false;
 }
 
+/** @param {HTMLElement} example */
 async function build(example) {
-  const { name, languages } = example.dataset;
+  const { name = "", languages = "" } = example.dataset;
   const list = element("div", { role: "tablist", onkeydown: onKey, ariaLabel: "Language" });
   const results = element("div", { className: "results", ariaLive: "polite" });
   const copy = element("button", { className: "copy", type: "button", textContent: "Copy" });
@@ -101,7 +127,9 @@ async function build(example) {
     example.append(panel);
   }
   copy.onclick = async () => {
-    await navigator.clipboard?.writeText(example.querySelector("pre:not([hidden])").textContent);
+    await navigator.clipboard?.writeText(
+      example.querySelector("pre:not([hidden])")?.textContent ?? "",
+    );
     copy.textContent = "Copied";
     setTimeout(() => (copy.textContent = "Copy"), 1500);
   };
@@ -117,9 +145,11 @@ async function build(example) {
   example.append(results);
 }
 
-await Promise.all([...document.querySelectorAll(".example")].map(build));
+/** @type {NodeListOf<HTMLElement>} */
+const examples = document.querySelectorAll(".example");
+await Promise.all([...examples].map(build));
 const chosen = kept();
 // For examples that do not have the chosen language.
 select("js");
-select(chosen in LANGUAGES ? chosen : "sh");
+select(chosen && chosen in LANGUAGES ? chosen : "sh");
 document.body.dataset.state = "ready";

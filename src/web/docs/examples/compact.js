@@ -14,12 +14,17 @@ function read(frame, { columns, rows, width, height, cell }) {
 const form = new FormData();
 form.set("image", await (await fetch(`${server}page/cat.jpg`)).blob());
 form.set("warp", JSON.stringify({ p: [[168, 112], [316, 136], [262, 240]] }));
-const created = await fetch(`${server}sessions`, { method: "POST", headers: headers(), body: form });
+const created = await fetch(`${server}sessions`, {
+  method: "POST",
+  headers: headers(),
+  body: form,
+});
 const { id, detail } = await created.json();
 if (!created.ok) throw new Error(detail);
 
 const query = "frames=mesh&mesh=compact&tolerance=1";
-const socket = new WebSocket(`${server.replace("http", "ws")}sessions/${id}/drag?${query}`, protocols());
+const address = `${server.replace("http", "ws")}sessions/${id}/drag?${query}`;
+const socket = new WebSocket(address, protocols());
 socket.binaryType = "arraybuffer";
 await new Promise((done) => {
   let grid;

@@ -3,11 +3,16 @@ import { headers, protocols, server, show } from "./here.js";
 const form = new FormData();
 form.set("image", await (await fetch(`${server}page/cat.jpg`)).blob());
 form.set("warp", JSON.stringify({ p: [[168, 112], [316, 136], [262, 240]] }));
-const created = await fetch(`${server}sessions`, { method: "POST", headers: headers(), body: form });
+const created = await fetch(`${server}sessions`, {
+  method: "POST",
+  headers: headers(),
+  body: form,
+});
 const { id, detail } = await created.json();
 if (!created.ok) throw new Error(detail);
 
-const socket = new WebSocket(`${server.replace("http", "ws")}sessions/${id}/drag?frames=jpeg`, protocols());
+const address = `${server.replace("http", "ws")}sessions/${id}/drag?frames=jpeg`;
+const socket = new WebSocket(address, protocols());
 socket.binaryType = "arraybuffer";
 socket.onopen = () => {
   for (let seq = 0; seq < 10; seq++) {

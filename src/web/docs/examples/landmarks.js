@@ -1,6 +1,7 @@
 import { headers, server, show } from "./here.js";
 
-const rest = "version: 1\nn_points: 3\n{\n168.5 112.5\n316.5 136.5\n262.5 240.5\n}\n"; // ibug .pts counts from 1
+// ibug .pts counts from 1
+const rest = "version: 1\nn_points: 3\n{\n168.5 112.5\n316.5 136.5\n262.5 240.5\n}\n";
 const posed = "x,y\n150,104\n338,126\n262,262\n"; // CSV in px
 
 const form = new FormData();

@@ -4,7 +4,11 @@ const image = await (await fetch(`${server}page/cat.jpg`)).blob();
 const form = new FormData();
 form.set("image", image);
 form.set("warp", JSON.stringify({ p: [[168, 112], [316, 136], [262, 240]] }));
-const created = await fetch(`${server}sessions`, { method: "POST", headers: headers(), body: form });
+const created = await fetch(`${server}sessions`, {
+  method: "POST",
+  headers: headers(),
+  body: form,
+});
 const { id, image: size, detail } = await created.json();
 if (!created.ok) throw new Error(detail);
 
@@ -19,13 +23,15 @@ const body = await mask.convertToBlob();
 
 // As labels, which follow the warp, and as the region, outside of which nothing moves.
 for (const layer of ["face?kind=labels", "region"]) {
-  const stored = await fetch(`${server}sessions/${id}/layers/${layer}`, { method: "PUT", headers: headers(), body });
+  const address = `${server}sessions/${id}/layers/${layer}`;
+  const stored = await fetch(address, { method: "PUT", headers: headers(), body });
   if (!stored.ok) throw new Error((await stored.json()).detail);
 }
 
 for (const layer of [null, "face", "@holes"]) {
   const body = JSON.stringify({ q: [[128, 112], [276, 136], [222, 240]], layer });
-  const options = { method: "POST", headers: { ...headers(), "Content-Type": "application/json" }, body };
+  const json = { ...headers(), "Content-Type": "application/json" };
+  const options = { method: "POST", headers: json, body };
   await show(await fetch(`${server}sessions/${id}/warp`, options), layer ?? "the image");
 }
 await fetch(`${server}sessions/${id}`, { method: "DELETE", headers: headers() });

@@ -11,5 +11,6 @@ for (const method of ["rigid", "similarity", "affine"]) {
     alpha: 1.5,
     output: { format: "jpeg" },
   }));
-  await show(await fetch(`${server}warp`, { method: "POST", headers: headers(), body: form }), method);
+  const options = { method: "POST", headers: headers(), body: form };
+  await show(await fetch(`${server}warp`, options), method);
 }

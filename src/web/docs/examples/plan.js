@@ -4,22 +4,26 @@ import { headers, server, show } from "./here.js";
 function pose(file, p, q) {
   const header = new DataView(file);
   const integer = (at) => header.getUint32(at, true);
-  const [family, , columns, rows, count, members, width, height] = [8, 12, 16, 20, 24, 28, 32, 36].map(integer);
+  const [family, , columns, rows, count, members, width, height] =
+    [8, 12, 16, 20, 24, 28, 32, 36].map(integer);
   const [P, Q] = [p, q].map(() => Array.from({ length: count }, () => [0, 0]));
   for (let at = 64; at < 64 + 16 * members; at += 16) {
-    const [column, handle, place, share] = [integer(at), integer(at + 4), integer(at + 8), header.getFloat32(at + 12, true)];
+    const [column, handle, place] = [at, at + 4, at + 8].map(integer);
+    const share = header.getFloat32(at + 12, true);
     for (const [sum, handles] of [[P, p], [Q, q]]) {
       const position = Array.isArray(handles[handle][0]) ? handles[handle][place] : handles[handle];
       position.forEach((x, axis) => (sum[column][axis] += share * x));
     }
   }
   const table = new Float32Array(file, 64 + 16 * members);
-  const coefficient = (column, plane, vertex) => table[((family + 1) * column + plane) * columns * rows + vertex];
+  const coefficient = (column, plane, vertex) =>
+    table[((family + 1) * column + plane) * columns * rows + vertex];
   return Array.from({ length: columns * rows }, (_, vertex) => {
-    const v = [((vertex % columns) * width) / (columns - 1), (Math.floor(vertex / columns) * height) / (rows - 1)];
+    const [i, j] = [vertex % columns, Math.floor(vertex / columns)];
+    const v = [(i * width) / (columns - 1), (j * height) / (rows - 1)];
     const [moved, pStar, qStar] = [[0, 0], [0, 0], [0, 0]];
     for (let c = 0; c < count; c++) {
-      const [re, im, w] = [coefficient(c, 0, vertex), family > 0 ? coefficient(c, 1, vertex) : 0, family > 1 ? coefficient(c, 2, vertex) : 0];
+      const [re, im, w] = [0, 1, 2].map((k) => (k > family ? 0 : coefficient(c, k, vertex)));
       const [dx, dy] = [Q[c][0] - P[c][0], Q[c][1] - P[c][1]];
       [re * dx - im * dy, re * dy + im * dx].forEach((x, axis) => (moved[axis] += x));
       [0, 1].forEach((axis) => ((pStar[axis] += w * P[c][axis]), (qStar[axis] += w * Q[c][axis])));
@@ -28,12 +32,14 @@ function pose(file, p, q) {
     const e = v.map((x, axis) => x - pStar[axis]);
     const F = e.map((x, axis) => x + moved[axis]);
     const turned = Math.hypot(...F) > 1e-5 * Math.hypot(...e); // without a direction, nothing turns
-    return qStar.map((x, axis) => x + (turned ? (F[axis] * Math.hypot(...e)) / Math.hypot(...F) : e[axis]));
+    const scale = Math.hypot(...e) / Math.hypot(...F);
+    return qStar.map((x, axis) => x + (turned ? F[axis] * scale : e[axis]));
   });
 }
 
 const ask = async (path, options) => {
-  const response = await fetch(`${server}sessions${path}`, { ...options, headers: { ...headers(), ...options?.headers } });
+  const all = { ...headers(), ...options?.headers };
+  const response = await fetch(`${server}sessions${path}`, { ...options, headers: all });
   if (!response.ok) throw new Error((await response.json()).detail);
   return response;
 };
@@ -46,8 +52,13 @@ const file = await (await ask(`/${id}/plan`)).arrayBuffer();
 await show({ bytes: file.byteLength });
 
 const q = [[150, 104], [338, 126], [[60, 270], [390, 240]]];
-const mesh = await ask(`/${id}/mesh`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ q }) });
+const json = { "Content-Type": "application/json" };
+const body = JSON.stringify({ q });
+const mesh = await ask(`/${id}/mesh`, { method: "POST", headers: json, body });
 const { vertices } = await mesh.json();
-const difference = pose(file, p, q).map(([x, y], k) => Math.hypot(x - vertices[k][0], y - vertices[k][1]));
+const difference = pose(file, p, q).map(([x, y], k) => {
+  const [u, v] = vertices[k];
+  return Math.hypot(x - u, y - v);
+});
 await show({ pixelsFromTheMeshOfTheServer: Math.max(...difference) });
 await ask(`/${id}`, { method: "DELETE" });

@@ -6,5 +6,6 @@ const body = JSON.stringify({
   q: [[150, 104], [338, 126], [262, 262]],
   points: [[168, 112], [240, 180]],
 });
-const options = { method: "POST", headers: { ...headers(), "Content-Type": "application/json" }, body };
+const json = { ...headers(), "Content-Type": "application/json" };
+const options = { method: "POST", headers: json, body };
 await show(await fetch(`${server}points`, options));
