@@ -86,7 +86,9 @@ def file(head, each, tail, size):
 
 def ask(body):
     boundary = uuid.uuid4().hex
-    head = f'--{boundary}\r\nContent-Disposition: form-data; name="landmarks_p"; filename="a"\r\n\r\n'
+    head = (
+        f'--{boundary}\r\nContent-Disposition: form-data; name="landmarks_p"; filename="a"\r\n\r\n'
+    )
     body = head.encode() + body + f"\r\n--{boundary}--\r\n".encode()
     connection = http.client.HTTPConnection("127.0.0.1", PORT, timeout=300)
     began = time.perf_counter()
@@ -117,7 +119,9 @@ def main():
                     time.sleep(0.02)
             before = peak(process)
             seconds, status, _ = ask(file(head, each, tail, size))
-            print(f"| {name} | {status} | {seconds:.2f} | {peak(process) - before:.0f} |", flush=True)
+            print(
+                f"| {name} | {status} | {seconds:.2f} | {peak(process) - before:.0f} |", flush=True
+            )
         finally:
             process.terminate()
             process.wait()
