@@ -39,7 +39,7 @@ use harness::pictures::{FULL_HD, UHD, bytes, encode, extent, handles, photograph
 use harness::{Goal, Report, Times, time};
 use mlswarp::pixmap::{Channels, Pixmap};
 use service::{Service, places};
-use socket::{HEAD, PATIENCE, Run, Shown, Socket, text};
+use socket::{HEAD, PATIENCE, Run, ShownFrame, Socket, text};
 
 const SQUARE: (u32, u32) = (512, 512);
 const HANDLES: usize = 12;
@@ -186,7 +186,7 @@ impl DragFigures {
                     .iter()
                     .map(|frame| (frame.at - sent[frame.seq as usize]).as_secs_f64()),
             );
-            widths.extend(first.iter().map(Shown::width));
+            widths.extend(first.iter().map(ShownFrame::width));
             sizes.extend(first.iter().map(|frame| frame.bytes));
         }
         widths.sort_unstable();

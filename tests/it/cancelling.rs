@@ -28,11 +28,11 @@ const BOUNDED: [(&str, &str); 6] = [
 /// Functions of the library that have a twin with an argument for cancellation. The offline tool
 /// may call them.
 const TWINS: [&str; 6] = [
-    "Setup::new(",
+    "ResolvedRest::new(",
     ".plan()",
-    "Plan::of_grid(",
+    "CoefficientTable::of_grid(",
     "Image::decode(",
-    "Warp::new(",
+    "RenderJob::new(",
     ".reduced(",
 ];
 
@@ -112,7 +112,7 @@ fn cancelling_is_forgotten_nowhere_in_the_service() {
 #[test]
 fn cancelling_that_is_forgotten_is_seen() {
     for wrong in [
-        "let setup = Setup::new(&rest, extent, &limits)?;",
+        "let setup = ResolvedRest::new(&rest, extent, &limits)?;",
         "posed.into_report(canvas, &|| false)?;",
         "self.0.pool.run(&ticket, move |_| long_work(&rest)).await?",
         "let work = move |_: &_| { long_work(&rest) };",

@@ -1,5 +1,5 @@
 //! Handles that coincide at rest: points are grouped, crossing lines share the mean, and what is
-//! contradictory is reported.
+//! conflicting is reported.
 
 use mlswarp::deform::{
     CoefficientTable, Coincident, DeformError, Falloff, Handle, Handles, Method, RestDeformation,
@@ -92,8 +92,8 @@ fn points_within_a_distance_are_one_handle_at_the_weighted_mean() {
             grouped.warnings(&grouped.pose(&p).unwrap()).is_empty(),
             "at rest nothing contradicts"
         );
-        let [listed] = pose.contradictions().listed.as_slice() else {
-            panic!("{:?}", pose.contradictions())
+        let [listed] = pose.conflicts().listed.as_slice() else {
+            panic!("{:?}", pose.conflicts())
         };
         assert_eq!(
             (listed.handles.as_slice(), listed.spread),
@@ -117,7 +117,7 @@ proptest! {
             + f64::from(dy))).collect();
         let field = field(p.clone(), None, 0.0, method, alpha).unwrap();
         let pose = field.pose(&q).unwrap();
-        let contradicts = |i: usize| pose.contradictions().listed.iter().any(
+        let contradicts = |i: usize| pose.conflicts().listed.iter().any(
             |group| group.handles.contains(&i));
         for (i, &(x, y, dx, dy)) in places.iter().enumerate() {
             let alike = places.iter().all(|other| (other.0, other.1) != (x, y)
@@ -169,7 +169,7 @@ fn the_position_that_lines_share_moves_by_the_weighted_mean() {
             1e-9,
         );
         let groups: Vec<_> = pose
-            .contradictions()
+            .conflicts()
             .listed
             .iter()
             .map(|group| (group.handles.clone(), group.position.x.round()))
@@ -206,8 +206,8 @@ fn groups_that_meet_only_at_their_means_are_handles_of_one_position() {
     let field = field(p, None, 8.0, Method::Rigid, 1.0).unwrap();
     assert_eq!(field.groups(), [(0..12).collect::<Vec<_>>()]);
     let pose = field.pose(&q).unwrap();
-    let [group] = pose.contradictions().listed.as_slice() else {
-        panic!("{:?}", pose.contradictions())
+    let [group] = pose.conflicts().listed.as_slice() else {
+        panic!("{:?}", pose.conflicts())
     };
     assert_eq!((group.handles.len(), group.total), (13, 13));
     near(

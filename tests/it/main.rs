@@ -92,3 +92,4 @@ mod tls;
 mod traces;
 mod unread;
 mod warnings;
+mod words;

@@ -94,7 +94,7 @@ const CRATES: [(&str, &[&str]); 14] = [
 type Module = Vec<String>;
 
 /// The files of a crate: path below `src`, module, code without comments, strings and unit tests.
-struct Sources {
+struct CrateSources {
     files: BTreeMap<Module, (String, String)>,
 }
 
@@ -142,7 +142,7 @@ fn is_test(file: &Path) -> bool {
     file.iter().any(name)
 }
 
-impl Sources {
+impl CrateSources {
     fn of(krate: &str) -> Self {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(krate);
         let mut found = Vec::new();
@@ -263,7 +263,7 @@ fn open<'a>(base: &[String], text: &'a str, found: &mut Vec<Module>) -> &'a str 
 }
 
 /// What the table forbids of the edges between modules, and modules that it does not list.
-fn offences(sources: &Sources, table: &[(&str, &[&str])]) -> Vec<String> {
+fn offences(sources: &CrateSources, table: &[(&str, &[&str])]) -> Vec<String> {
     let mut offences = Vec::new();
     for (k, (name, below)) in table.iter().enumerate() {
         let is_below = |target: &str| table[k + 1..].iter().any(|(other, _)| *other == target);
@@ -294,7 +294,7 @@ fn offences(sources: &Sources, table: &[(&str, &[&str])]) -> Vec<String> {
 }
 
 /// Files that name each other in a circle; a module and its own children may.
-fn cycles(sources: &Sources) -> Vec<String> {
+fn cycles(sources: &CrateSources) -> Vec<String> {
     let edges = sources.edges();
     let kin = |a: &Module, b: &Module| a.starts_with(b) || b.starts_with(a);
     let reached = |from: &Module| {
@@ -320,7 +320,7 @@ fn cycles(sources: &Sources) -> Vec<String> {
         .collect()
 }
 
-fn forbidden_crates(sources: &Sources) -> Vec<String> {
+fn forbidden_crates(sources: &CrateSources) -> Vec<String> {
     let mut offences = Vec::new();
     for (module, (file, code)) in &sources.files {
         for (krate, places) in CRATES {
@@ -349,7 +349,7 @@ fn forbidden_crates(sources: &Sources) -> Vec<String> {
 fn layers_dependencies_point_one_way() {
     let mut all = Vec::new();
     for (krate, table) in [("engine", &ENGINE[..]), ("server", &SERVER[..])] {
-        let sources = Sources::of(krate);
+        let sources = CrateSources::of(krate);
         assert!(
             sources.files.len() > 50,
             "{} files of {krate}",
@@ -368,7 +368,7 @@ fn layers_dependencies_point_one_way() {
 /// The test itself: a wrong dependency is seen however it is written.
 #[test]
 fn layers_wrong_dependencies_are_seen() {
-    let files = |files: &[(&str, &str)]| Sources {
+    let files = |files: &[(&str, &str)]| CrateSources {
         files: files
             .iter()
             .map(|(file, text)| {

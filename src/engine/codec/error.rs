@@ -22,7 +22,7 @@ pub enum CodecError {
         /// The value in the header.
         actual: u64,
     },
-    /// Truncated or contradictory data.
+    /// Truncated or conflicting data.
     #[error("the {format} file cannot be decoded: {detail}")]
     Bad {
         /// The format that the first bytes indicate.

@@ -17,7 +17,7 @@ use super::groups::coincidence_distance;
 use crate::geometry::{Point, Vec2};
 
 /// Targets further apart than this share of the extent contradict each other.
-const CONTRADICTION_SHARE: f64 = 1e-6;
+const CONFLICT_SHARE: f64 = 1e-6;
 /// Distance below which points are examined for a warning, px.
 const NEAR_POINT_PX: f64 = 1.0;
 /// The ratio of the targets' distance to the rest distance from which a warning is given.
@@ -106,7 +106,7 @@ impl Coincidences {
 
     /// Adds the positions at which the targets of two elements differ. `members`: the handles of an
     /// element, with the displacement that is given for a group.
-    pub(super) fn add_contradictions<M: IntoIterator<Item = Member>>(
+    pub(super) fn add_conflicts<M: IntoIterator<Item = Member>>(
         &self,
         found: &mut Conflicts,
         elements: &[Element],
@@ -174,7 +174,7 @@ impl<'a> CoincidenceSearch<'a> {
     fn new(elements: &'a [Element], extent: f64, cancelled: &'a dyn Fn() -> bool) -> Self {
         let coincident = coincidence_distance(extent);
         let found = Coincidences {
-            tolerance: CONTRADICTION_SHARE * extent.max(1.0),
+            tolerance: CONFLICT_SHARE * extent.max(1.0),
             ..Coincidences::default()
         };
         Self {
@@ -766,7 +766,7 @@ mod tests {
         );
         let displacements: Vec<Vec2> = (0..601).map(|k| Vec2::new(f64::from(k % 7), 0.0)).collect();
         let (mut found, listed) = (Conflicts::new(coincidences.tolerance()), Cell::new(0));
-        coincidences.add_contradictions(
+        coincidences.add_conflicts(
             &mut found,
             &elements,
             &displacements,

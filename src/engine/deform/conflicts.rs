@@ -88,7 +88,7 @@ impl fmt::Display for Short {
     }
 }
 
-/// The contradictions of a pose.
+/// The conflicts of a pose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ConflictingHandles {
     /// The first groups that were found, at most 100.
@@ -230,7 +230,7 @@ impl Conflicts {
         } = self;
         let listed = groups
             .into_iter()
-            .map(|(position, members)| contradiction(position, members, positions.within))
+            .map(|(position, members)| conflict(position, members, positions.within))
             .collect();
         ConflictingHandles {
             listed,
@@ -242,7 +242,7 @@ impl Conflicts {
 }
 
 /// The report of a group.
-fn contradiction(position: Point, mut members: Vec<Member>, within: f64) -> Conflict {
+fn conflict(position: Point, mut members: Vec<Member>, within: f64) -> Conflict {
     members.sort_unstable_by_key(|member| member.element);
     members.dedup_by_key(|member| member.element);
     // Neighbouring segments of a polyline share a position and its target.

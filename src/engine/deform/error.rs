@@ -196,8 +196,8 @@ impl fmt::Display for DeformError {
                 )
             }
             Self::Contradictory { listed, total } => {
-                for (index, contradiction) in listed.iter().take(MOST_DESCRIBED).enumerate() {
-                    write!(f, "{}{contradiction}", if index > 0 { "; " } else { "" })?;
+                for (index, conflict) in listed.iter().take(MOST_DESCRIBED).enumerate() {
+                    write!(f, "{}{conflict}", if index > 0 { "; " } else { "" })?;
                 }
                 match total.saturating_sub(MOST_DESCRIBED) {
                     0 => Ok(()),
@@ -254,7 +254,7 @@ fn counted(n: usize, thing: &str) -> String {
     }
 }
 
-/// Contradictions that the text of an error describes.
+/// Conflicts that the text of an error describes.
 const MOST_DESCRIBED: usize = 3;
 
 /// An unusual property of handles or a pose that does not prevent a result.

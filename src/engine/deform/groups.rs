@@ -195,7 +195,7 @@ impl Groups {
 
     /// Adds the position of each group whose displacements differ from their mean by more than
     /// `tolerance`.
-    pub(super) fn add_contradictions(
+    pub(super) fn add_conflicts(
         &self,
         found: &mut Conflicts,
         grouped: &Handles,
@@ -408,7 +408,7 @@ mod tests {
             [(3.0, 1.0), (1.0, 1.0), (2.0, 1.0), (3.0, 1.0)]
         );
         let mut found = Conflicts::new(1e-6);
-        groups.add_contradictions(&mut found, &grouped, &d, &mean, 1e-6);
+        groups.add_conflicts(&mut found, &grouped, &d, &mean, 1e-6);
         let ConflictingHandles { listed, total, .. } = found.finish();
         assert_eq!(
             (total, listed[0].handles.as_slice(), listed[0].spread),

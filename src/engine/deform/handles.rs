@@ -175,7 +175,7 @@ impl Handles {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pose {
     displacements: Vec<Vec2>,
-    contradictions: ConflictingHandles,
+    conflicts: ConflictingHandles,
 }
 
 impl Pose {
@@ -217,7 +217,7 @@ impl Pose {
         }
         Ok(Self {
             displacements,
-            contradictions: ConflictingHandles::default(),
+            conflicts: ConflictingHandles::default(),
         })
     }
 
@@ -226,25 +226,25 @@ impl Pose {
     pub fn identity(rest: &Handles) -> Self {
         Self {
             displacements: vec![Vec2::ZERO; rest.columns()],
-            contradictions: ConflictingHandles::default(),
+            conflicts: ConflictingHandles::default(),
         }
     }
 
-    /// The pose with these displacements and contradictions.
+    /// The pose with these displacements and conflicts.
     pub(super) const fn of_columns(
         displacements: Vec<Vec2>,
-        contradictions: ConflictingHandles,
+        conflicts: ConflictingHandles,
     ) -> Self {
         Self {
             displacements,
-            contradictions,
+            conflicts,
         }
     }
 
     /// The groups of handles that coincide at rest and move differently.
     #[must_use]
-    pub const fn contradictions(&self) -> &ConflictingHandles {
-        &self.contradictions
+    pub const fn conflicts(&self) -> &ConflictingHandles {
+        &self.conflicts
     }
 
     /// One displacement per column, px.

@@ -106,7 +106,7 @@ impl RestDeformation {
             .copied();
         let mut next = || d.next().expect("one column a point, two a segment");
         let mut look = |p: Point, displacement: Vec2| {
-            if !pose.contradictions().contains(p) {
+            if !pose.conflicts().contains(p) {
                 look(p, displacement);
             }
         };
@@ -144,7 +144,7 @@ impl RestDeformation {
         let d = approximated.as_deref().unwrap_or(pose.displacements());
         for element in &self.elements {
             if let Element::Point { p, column, .. } = element
-                && !pose.contradictions().contains(*p)
+                && !pose.conflicts().contains(*p)
             {
                 groups
                     .handles_of(*column)

@@ -423,30 +423,29 @@ impl RestDeformation {
     /// weighted mean of their displacements.
     ///
     /// # Errors
-    /// Shapes, numbers; contradictory targets, if the policy is to reject them.
+    /// Shapes, numbers; conflicting targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
         let given = Pose::new(self.client_handles(), posed)?;
-        let (displacements, contradictions) = match self.grouped.as_deref() {
+        let (displacements, conflicts) = match self.grouped.as_deref() {
             Some((_, groups)) => {
                 let mean = groups.displacements(given.displacements());
-                let contradictions =
-                    self.contradictions(&mean, Some((groups, given.displacements())));
-                (mean, contradictions)
+                let conflicts = self.conflicts(&mean, Some((groups, given.displacements())));
+                (mean, conflicts)
             }
             None => {
-                let contradictions = self.contradictions(given.displacements(), None);
-                (given.into_displacements(), contradictions)
+                let conflicts = self.conflicts(given.displacements(), None);
+                (given.into_displacements(), conflicts)
             }
         };
-        if self.policy == CoincidentPolicy::Reject && contradictions.total > 0 {
-            let ConflictingHandles { listed, total, .. } = contradictions;
+        if self.policy == CoincidentPolicy::Reject && conflicts.total > 0 {
+            let ConflictingHandles { listed, total, .. } = conflicts;
             return Err(DeformError::Contradictory { listed, total });
         }
-        Ok(Pose::of_columns(displacements, contradictions))
+        Ok(Pose::of_columns(displacements, conflicts))
     }
 
     /// `given`: the groups and the displacements of the client's columns.
-    fn contradictions(
+    fn conflicts(
         &self,
         displacements: &[Vec2],
         given: Option<(&Groups, &[Vec2])>,
@@ -454,9 +453,9 @@ impl RestDeformation {
         let tolerance = self.coincidences.tolerance();
         let mut found = Conflicts::new(tolerance);
         if let Some((groups, given)) = given {
-            groups.add_contradictions(&mut found, &self.handles, given, displacements, tolerance);
+            groups.add_conflicts(&mut found, &self.handles, given, displacements, tolerance);
         }
-        self.coincidences.add_contradictions(
+        self.coincidences.add_conflicts(
             &mut found,
             &self.elements,
             displacements,
@@ -493,7 +492,7 @@ impl RestDeformation {
         {
             warnings.push(Warning::NearDuplicateHandles);
         }
-        if pose.contradictions().total > 0 {
+        if pose.conflicts().total > 0 {
             warnings.push(Warning::CoincidentHandles);
         }
         warnings.sort_unstable();

@@ -32,7 +32,7 @@ pub(super) struct Spline {
     /// Sites in the frame.
     x: Vec<f64>,
     y: Vec<f64>,
-    saddle: TpsSystem,
+    system: TpsSystem,
     /// Sites on a line bend in x only; the polynomials are complex-linear, so that similarities are
     /// reproduced.
     is_complex: bool,
@@ -207,13 +207,13 @@ impl Spline {
             .iter()
             .map(|weight| smoothing / weight)
             .collect();
-        let saddle = TpsSystem::new(kernel, &noise, polynomials, cancelled)?;
+        let system = TpsSystem::new(kernel, &noise, polynomials, cancelled)?;
         Some(Self {
             frame,
             sites,
             x,
             y,
-            saddle,
+            system,
             is_complex: line,
             interpolates: smoothing == 0.0,
         })
@@ -236,7 +236,7 @@ impl Spline {
             if cancelled() {
                 return None;
             }
-            let diagonal = self.saddle.inverse_diagonal(site);
+            let diagonal = self.system.inverse_diagonal(site);
             Some(Vec2::new(w[0] / diagonal, w[1] / diagonal))
         };
         weights.par_iter().enumerate().map(residual).collect()
@@ -291,9 +291,9 @@ impl Spline {
         for (site, u) in re.iter_mut().enumerate() {
             *u = self.r2(site, &at).map(bending);
         }
-        self.saddle.coefficients(re, &[[1.0; N], at[0], at[1]]);
+        self.system.coefficients(re, &[[1.0; N], at[0], at[1]]);
         if self.is_complex {
-            self.saddle.coefficients(im, &[[0.0; N], at[1], [0.0; N]]);
+            self.system.coefficients(im, &[[0.0; N], at[1], [0.0; N]]);
         }
         for (k, site) in self.hits(&at).into_iter().enumerate() {
             if let Some(site) = site {
@@ -316,7 +316,7 @@ impl Spline {
             (sum[0], sum[1]) = (sum[0] + share * x, sum[1] + share * y);
         }
         let mut weights = displacements.clone();
-        let mut polynomials = self.saddle.weights(&mut weights);
+        let mut polynomials = self.system.weights(&mut weights);
         if self.is_complex {
             let [re, im] = polynomials[1];
             polynomials[2] = [-im, re];

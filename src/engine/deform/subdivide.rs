@@ -73,8 +73,8 @@ pub struct Subdivider<'a> {
 /// The result of [`Subdivider::subdivide`].
 #[derive(Clone, Debug)]
 pub struct SubdividedMesh {
-    /// The refined cells.
-    pub refinement: Subdivision,
+    /// The subdivided cells.
+    pub subdivision: Subdivision,
     /// Column and row of the cells that remain over the tolerance.
     pub exceeded: Vec<(u32, u32)>,
 }
@@ -89,7 +89,7 @@ impl Subdivider<'_> {
         cancelled: IsCancelled<'_>,
     ) -> Option<SubdividedMesh> {
         let none = SubdividedMesh {
-            refinement: Subdivision::new(self.drawn_within),
+            subdivision: Subdivision::new(self.drawn_within),
             exceeded: Vec::new(),
         };
         if pose.is_identity() || self.field.handles().columns() == 0 {
@@ -114,7 +114,7 @@ impl Subdivider<'_> {
             SMOOTH_POINTS
         };
         let mut work = PoseMeasurement {
-            refiner: self,
+            subdivider: self,
             mesh,
             even: EvenLines::of(grid),
             samples,
@@ -147,7 +147,7 @@ fn deepest(grid: &Grid) -> u8 {
 
 /// The measurement of one pose.
 struct PoseMeasurement<'a> {
-    refiner: &'a Subdivider<'a>,
+    subdivider: &'a Subdivider<'a>,
     mesh: &'a Mesh,
     even: EvenLines,
     samples: CellSamples,
@@ -172,7 +172,7 @@ enum Decision {
 impl PoseMeasurement<'_> {
     #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
     fn tolerance(&self) -> f32 {
-        self.refiner.tolerance as f32
+        self.subdivider.tolerance as f32
     }
 
     /// The largest error of a cell between the vertices where this one was measured.
@@ -189,18 +189,18 @@ impl PoseMeasurement<'_> {
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
         let mut pending = bent_cells(
             self.mesh,
-            SUSPECT_TOLERANCE_SHARE * self.refiner.tolerance.min(SUSPECT_TOLERANCE),
+            SUSPECT_TOLERANCE_SHARE * self.subdivider.tolerance.min(SUSPECT_TOLERANCE),
         );
         for (cell, samples) in self.samples.by_cell() {
             if sample_error(samples, &self.posed.corners(cell), 0) > self.tolerance() * 0.5 {
                 pending.push(cell);
             }
         }
-        if self.refiner.folds {
+        if self.subdivider.folds {
             let columns = self.mesh.grid().columns() - 1;
             // What the second differences of a cell that is not bent leave room for.
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
-            let split = ((1.0 - SUSPECT_TOLERANCE_SHARE) * self.refiner.tolerance) as f32;
+            let split = ((1.0 - SUSPECT_TOLERANCE_SHARE) * self.subdivider.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
             pending.extend(folded.filter(|&cell| {
                 split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split
@@ -310,7 +310,7 @@ impl PoseMeasurement<'_> {
         let cells = &cells[..cells.len().min(self.left / len)];
         self.left -= cells.len() * len;
         let fresh = self
-            .refiner
+            .subdivider
             .rows
             .displace(posing, depth + 1, cells, cancelled)?;
         for (&cell, fresh) in cells.iter().zip(fresh.chunks_exact(len)) {
@@ -424,8 +424,8 @@ impl PoseMeasurement<'_> {
             ))
         };
         for p in pose
-            .contradictions()
-            .torn(TORN_TOLERANCE_SHARE * self.refiner.tolerance)
+            .conflicts()
+            .torn(TORN_TOLERANCE_SHARE * self.subdivider.tolerance)
         {
             if grid.locate(p).is_none() {
                 continue;
@@ -481,7 +481,7 @@ impl PoseMeasurement<'_> {
 
     fn finish(mut self) -> SubdividedMesh {
         let grid = self.mesh.grid();
-        let mut refinement = Subdivision::new(self.refiner.drawn_within);
+        let mut subdivision = Subdivision::new(self.subdivider.drawn_within);
         self.cells.sort();
         for (cell, known) in &self.cells.known {
             let cell = *cell;
@@ -492,7 +492,7 @@ impl PoseMeasurement<'_> {
                 if !known.is_exact {
                     self.take_exact_edges(cell, level, vertices.to_mut());
                 }
-                refinement.push(i, j, level, &vertices);
+                subdivision.push(i, j, level, &vertices);
             }
         }
         let outer = |cell: &SubdividedCell, edge: usize| {
@@ -507,7 +507,7 @@ impl PoseMeasurement<'_> {
             edge_level(&vertices, cell.side(), edge, self.tolerance())
         };
         // Neighbours decide with the levels of the first pass.
-        refinement.join(grid, outer);
+        subdivision.join(grid, outer);
         self.exceeded.sort_unstable();
         self.exceeded.dedup();
         let exceeded = self
@@ -516,7 +516,7 @@ impl PoseMeasurement<'_> {
             .map(|cell| (cell % (grid.columns() - 1), cell / (grid.columns() - 1)))
             .collect();
         SubdividedMesh {
-            refinement,
+            subdivision,
             exceeded,
         }
     }

@@ -30,7 +30,7 @@ struct TreeLevel {
 }
 
 impl CellTree {
-    /// Builds the tree; the vertices of refined cells count as well.
+    /// Builds the tree; the vertices of subdivided cells count as well.
     #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
         let grid = mesh.grid();
@@ -43,9 +43,9 @@ impl CellTree {
                 }
             }
         }
-        for cell in mesh.refinement().cells() {
+        for cell in mesh.subdivision().cells() {
             let bounds = &mut boxes[cell.row as usize * columns + cell.column as usize];
-            mesh.refinement()
+            mesh.subdivision()
                 .posed(grid, cell)
                 .for_each(|p| include(bounds, p));
         }

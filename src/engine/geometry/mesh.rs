@@ -12,7 +12,7 @@ use super::{Grid, Point, Subdivision, Vec2};
 pub struct Mesh {
     grid: Grid,
     displacement: Vec<[f32; 2]>,
-    refinement: Subdivision,
+    subdivision: Subdivision,
 }
 
 impl Mesh {
@@ -30,7 +30,7 @@ impl Mesh {
         Self {
             grid,
             displacement,
-            refinement: Subdivision::NONE,
+            subdivision: Subdivision::NONE,
         }
     }
 
@@ -40,20 +40,23 @@ impl Mesh {
         Self {
             grid,
             displacement: vec![[0.0; 2]; grid.len()],
-            refinement: Subdivision::NONE,
+            subdivision: Subdivision::NONE,
         }
     }
 
     /// The same mesh, with some of its cells drawn as smaller ones.
     #[must_use]
-    pub fn refined(self, refinement: Subdivision) -> Self {
-        Self { refinement, ..self }
+    pub fn subdivided(self, subdivision: Subdivision) -> Self {
+        Self {
+            subdivision,
+            ..self
+        }
     }
 
     /// The cells that are drawn as smaller ones.
     #[must_use]
-    pub const fn refinement(&self) -> &Subdivision {
-        &self.refinement
+    pub const fn subdivision(&self) -> &Subdivision {
+        &self.subdivision
     }
 
     /// The grid at rest.
@@ -71,7 +74,7 @@ impl Mesh {
     /// Whether every vertex is exactly at rest.
     #[must_use]
     pub fn is_identity(&self) -> bool {
-        self.displacement.iter().all(|d| *d == [0.0; 2]) && self.refinement.is_empty()
+        self.displacement.iter().all(|d| *d == [0.0; 2]) && self.subdivision.is_empty()
     }
 
     /// Displacement of a vertex.
@@ -93,8 +96,8 @@ impl Mesh {
     #[must_use]
     pub fn map(&self, p: Point) -> Option<Point> {
         let (i, j, s, t) = self.grid.locate(p)?;
-        if let Some(cell) = self.refinement.find(i, j) {
-            return Some(p + self.refinement.displaced(cell, s, t));
+        if let Some(cell) = self.subdivision.find(i, j) {
+            return Some(p + self.subdivision.displaced(cell, s, t));
         }
         let top = self.displaced(i, j) * (1.0 - s) + self.displaced(i + 1, j) * s;
         let bottom = self.displaced(i, j + 1) * (1.0 - s) + self.displaced(i + 1, j + 1) * s;
@@ -106,10 +109,10 @@ impl Mesh {
     #[must_use]
     pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
         let mut all = bounds(
-            self.refinement
+            self.subdivision
                 .cells()
                 .iter()
-                .flat_map(|cell| self.refinement.posed(&self.grid, cell)),
+                .flat_map(|cell| self.subdivision.posed(&self.grid, cell)),
         );
         for row in 0..self.grid.rows() {
             if cancelled() {
@@ -132,24 +135,24 @@ impl Mesh {
         let (i, j) = (column, row);
         let corners =
             [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
-        let refined = self
-            .refinement
+        let subdivided = self
+            .subdivision
             .find(i, j)
             .into_iter()
-            .flat_map(|cell| self.refinement.posed(&self.grid, cell));
-        bounds(corners.into_iter().chain(refined))
+            .flat_map(|cell| self.subdivision.posed(&self.grid, cell));
+        bounds(corners.into_iter().chain(subdivided))
     }
 
-    /// The number of vertices, those of refined cells included.
+    /// The number of vertices, those of subdivided cells included.
     #[must_use]
     pub fn vertices(&self) -> u64 {
-        let refined: usize = self
-            .refinement
+        let subdivided: usize = self
+            .subdivision
             .cells()
             .iter()
             .map(|cell| cell.side() * cell.side())
             .sum();
-        (self.grid.len() + refined) as u64
+        (self.grid.len() + subdivided) as u64
     }
 
     /// Whether a posed cell overlaps the rectangle with these edges (left, top, right, bottom);

@@ -28,7 +28,7 @@ impl SubdividedCell {
     }
 }
 
-/// The refined cells of a mesh, row by row, and the displacements of their vertices.
+/// The subdivided cells of a mesh, row by row, and the displacements of their vertices.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Subdivision {
     cells: Vec<SubdividedCell>,
@@ -43,7 +43,7 @@ impl Default for Subdivision {
 }
 
 impl Subdivision {
-    /// No cell is refined.
+    /// No cell is subdivided.
     pub const NONE: Self = Self::new(1.0 / 16.0);
 
     /// No cell yet, and the largest distance between what is drawn and the patch of a cell of any
@@ -148,13 +148,13 @@ impl Subdivision {
         }
     }
 
-    /// Whether no cell is refined.
+    /// Whether no cell is subdivided.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.cells.is_empty()
     }
 
-    /// The refined cells, row by row.
+    /// The subdivided cells, row by row.
     #[must_use]
     pub fn cells(&self) -> &[SubdividedCell] {
         &self.cells
@@ -189,7 +189,7 @@ impl Subdivision {
             })
     }
 
-    /// The refined cell at a column and row.
+    /// The subdivided cell at a column and row.
     #[must_use]
     pub fn find(&self, column: u32, row: u32) -> Option<&SubdividedCell> {
         self.cells
@@ -198,7 +198,7 @@ impl Subdivision {
             .map(|index| &self.cells[index])
     }
 
-    /// The displacement at `(s, t)` of a refined cell, each in [0, 1].
+    /// The displacement at `(s, t)` of a subdivided cell, each in [0, 1].
     #[must_use]
     pub fn displaced(&self, cell: &SubdividedCell, s: f64, t: f64) -> Vec2 {
         Self::displaced_in(self.displacement(cell), cell.side(), s, t)
@@ -238,7 +238,7 @@ mod tests {
     #[test]
     fn neighbours_agree_on_their_edge() {
         let grid = Grid::with_counts(40.0, 20.0, 5, 3);
-        let mut refinement = Subdivision::default();
+        let mut subdivision = Subdivision::default();
         let wave = |x: f32, y: f32| [(x * 0.3 + y).sin(), (x - 0.2 * y).cos()];
         for (column, row, level) in [(0_u8, 0_u8, 1_u8), (1, 0, 3), (2, 1, 2)] {
             let parts = 1_u8 << level;
@@ -246,10 +246,10 @@ mod tests {
             let vertices: Vec<_> = (0..=parts)
                 .flat_map(|b| (0..=parts).map(move |a| wave(at(a, column), at(b, row))))
                 .collect();
-            refinement.push(column.into(), row.into(), level, &vertices);
+            subdivision.push(column.into(), row.into(), level, &vertices);
         }
-        refinement.join(&grid, |cell, _| cell.level);
-        let cells = refinement.cells();
+        subdivision.join(&grid, |cell, _| cell.level);
+        let cells = subdivision.cells();
         assert_eq!(
             cells.iter().map(|cell| cell.edges).collect::<Vec<_>>(),
             [[1, 1, 0, 1], [3, 0, 0, 1], [0, 0, 2, 0]]
@@ -257,18 +257,20 @@ mod tests {
         for k in 0..=100 {
             let t = f64::from(k) / 100.0;
             let (left, right) = (
-                refinement.displaced(&cells[0], 1.0, t),
-                refinement.displaced(&cells[1], 0.0, t),
+                subdivision.displaced(&cells[0], 1.0, t),
+                subdivision.displaced(&cells[1], 0.0, t),
             );
             assert!((left - right).norm() < 1e-6, "{left:?} {right:?}");
         }
-        // An edge beside a cell that is not refined is straight.
+        // An edge beside a cell that is not subdivided is straight.
         let (a, b) = (
-            refinement.displaced(&cells[2], 0.0, 0.0),
-            refinement.displaced(&cells[2], 1.0, 0.0),
+            subdivision.displaced(&cells[2], 0.0, 0.0),
+            subdivision.displaced(&cells[2], 1.0, 0.0),
         );
-        assert!((refinement.displaced(&cells[2], 0.25, 0.0) - (a * 0.75 + b * 0.25)).norm() < 1e-6);
-        assert_eq!(refinement.find(1, 0), Some(&cells[1]));
-        assert_eq!(refinement.find(3, 0), None);
+        assert!(
+            (subdivision.displaced(&cells[2], 0.25, 0.0) - (a * 0.75 + b * 0.25)).norm() < 1e-6
+        );
+        assert_eq!(subdivision.find(1, 0), Some(&cells[1]));
+        assert_eq!(subdivision.find(3, 0), None);
     }
 }

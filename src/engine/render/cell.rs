@@ -67,7 +67,7 @@ pub(super) fn draw_row(
     }
 }
 
-/// Draws a refined cell as smaller ones, in the rows whose bits are set.
+/// Draws a subdivided cell as smaller ones, in the rows whose bits are set.
 fn draw_fine(
     kernel: Kernel,
     lattice: &SnappedGrid,

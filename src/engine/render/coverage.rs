@@ -168,7 +168,7 @@ impl Coverage {
             reason = "columns and rows of a grid are u32"
         )]
         let (i, j) = ((cell % columns) as u32, (cell / columns) as u32);
-        match self.mesh.refinement().find(i, j) {
+        match self.mesh.subdivision().find(i, j) {
             None => quad(
                 [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
                     .map(|(i, j)| self.mesh.posed(i, j)),
@@ -190,7 +190,7 @@ impl Coverage {
 
     fn vertices(&self, cell: &SubdividedCell) -> Vec<Point> {
         self.mesh
-            .refinement()
+            .subdivision()
             .posed(self.mesh.grid(), cell)
             .collect()
     }
@@ -220,7 +220,7 @@ impl Coverage {
                     },
                 );
                 if on_border.contains(&true) {
-                    let (line, side) = match self.mesh.refinement().find(i, j) {
+                    let (line, side) = match self.mesh.subdivision().find(i, j) {
                         Some(cell) => (self.vertices(cell), cell.side()),
                         None => (
                             [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)]

@@ -10,8 +10,8 @@ use std::ops::Range;
 
 use super::Filter;
 use super::kernel::{
-    Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, Kernel, MOST, TOGETHER, jacobian,
-    one_sample_up_to,
+    Alike, BATCH, FootprintBatch, FootprintGrid, GROUP_PIXELS, KINDS, Kernel,
+    MAX_FOOTPRINT_SAMPLES, jacobian, one_sample_up_to,
 };
 use super::sampler;
 use super::snapped_grid::{STEPS_PER_PX, SnappedGrid, YRange};
@@ -222,7 +222,7 @@ impl Footprints {
             let at = |column_of: usize| column_of.saturating_sub(column).min(u.len());
             let (mut start, end) = (at(marked.start), at(marked.end));
             while start < end {
-                let next = end.min(start + TOGETHER);
+                let next = end.min(start + GROUP_PIXELS);
                 kernel.footprints(
                     &self.grid,
                     &u[start..next],
@@ -231,7 +231,7 @@ impl Footprints {
                     &mut samples.batch,
                 );
                 start = next;
-                samples.average(BATCH - TOGETHER + 1, sampled, out);
+                samples.average(BATCH - GROUP_PIXELS + 1, sampled, out);
             }
         }
     }
@@ -247,7 +247,7 @@ impl AveragedSamples {
     /// waiting.
     fn average(&mut self, least: usize, sampled: FootprintSource<'_>, out: &mut [u8]) {
         let depth = sampled.source.pixmap().depth();
-        for (kind, log) in (0..2 * KINDS).zip((1..=MOST.ilog2()).cycle()) {
+        for (kind, log) in (0..2 * KINDS).zip((1..=MAX_FOOTPRINT_SAMPLES.ilog2()).cycle()) {
             while self.batch.alike[kind].len >= least {
                 if kind >= KINDS {
                     self.batch.alike[kind].split(&mut self.rest);
@@ -275,8 +275,8 @@ impl AveragedSamples {
         } = sampled;
         let alike = &self.batch.alike[kind];
         let count = alike.len << log;
-        self.u.resize(BATCH * MOST, 0.0);
-        self.v.resize(BATCH * MOST, 0.0);
+        self.u.resize(BATCH * MAX_FOOTPRINT_SAMPLES, 0.0);
+        self.v.resize(BATCH * MAX_FOOTPRINT_SAMPLES, 0.0);
         kernel.positions(alike, log, &mut self.u, &mut self.v);
         let source = source.level(level + alike.reductions[0]);
         self.bytes.resize(

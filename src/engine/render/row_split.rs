@@ -31,7 +31,7 @@ pub(super) struct RowSplit {
     /// For each column of cells, the rows in which a cell is folded, one bit each.
     folded: Vec<u32>,
     /// For each column of vertices, the rows in which it is not drawn straight, one bit each:
-    /// refined cells beside it differ from crossings.
+    /// subdivided cells beside it differ from crossings.
     bent: Vec<u32>,
     /// Rows that are not split: drawn entirely cell by cell.
     unsplit: u32,

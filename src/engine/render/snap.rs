@@ -124,7 +124,7 @@ impl SnappedGrid {
         } else {
             0
         };
-        let crossing_error = CROSSING_SHARE * mesh.refinement().drawn_within();
+        let crossing_error = CROSSING_SHARE * mesh.subdivision().drawn_within();
         let fine = SnappedSubdividedCells::new(mesh, (scale, origin), &axes, kernel);
         let mut lattice = Self {
             columns,

@@ -1,4 +1,4 @@
-//! Conversion of the refined cells of a mesh to the lattice. Cost: O(their vertices).
+//! Conversion of the subdivided cells of a mesh to the lattice. Cost: O(their vertices).
 
 use super::fixed_point::{BLOCK_COLUMNS, Corner, YRange};
 use super::kernel::Kernel;
@@ -12,16 +12,16 @@ pub(super) trait SamplerCoordinates {
 }
 
 impl SnappedSubdividedCells {
-    /// Snaps the refined cells of a mesh; `scale`: lattice steps per px, `origin`: the position of
-    /// the window, px of the source.
+    /// Snaps the subdivided cells of a mesh; `scale`: lattice steps per px, `origin`: the position
+    /// of the window, px of the source.
     pub(super) fn new(
         mesh: &Mesh,
         (scale, origin): ([f64; 2], [f64; 2]),
         sampled: &impl SamplerCoordinates,
         kernel: Kernel,
     ) -> Self {
-        let refinement = mesh.refinement();
-        if refinement.is_empty() {
+        let subdivision = mesh.subdivision();
+        if subdivision.is_empty() {
             return Self::default();
         }
         let grid = mesh.grid();
@@ -35,7 +35,7 @@ impl SnappedSubdividedCells {
             ..Self::default()
         };
         let (mut rest_x, mut u, mut x, mut y) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for cell in refinement.cells() {
+        for cell in subdivision.cells() {
             let (i, j, side) = (cell.column as usize, cell.row as usize, cell.side());
             fine.rows.resize(j + 1, fine.cells.len());
             fine.bits[j * blocks + i / BLOCK_COLUMNS] |= 1 << (i % BLOCK_COLUMNS);
@@ -48,7 +48,11 @@ impl SnappedSubdividedCells {
             u.extend((0..side).map(|a| sampled.u(at_rest(a))));
             x.resize(side, 0);
             y.resize(side, 0);
-            for (b, displacement) in refinement.displacement(cell).chunks_exact(side).enumerate() {
+            for (b, displacement) in subdivision
+                .displacement(cell)
+                .chunks_exact(side)
+                .enumerate()
+            {
                 let rest_y = between(grid.y(cell.row), grid.y(cell.row + 1), b, side);
                 kernel.snap(
                     &rest_x,

@@ -42,7 +42,7 @@ pub(super) struct SnappedGrid {
 }
 
 impl SnappedGrid {
-    /// Extends the ranges of y to the refined cells.
+    /// Extends the ranges of y to the subdivided cells.
     pub(super) fn cover_fine_cells(&mut self) {
         let blocks = self.pitch / BLOCK_COLUMNS;
         for cell in self.fine.cells() {

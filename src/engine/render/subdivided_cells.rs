@@ -1,11 +1,11 @@
-//! The refined cells of a mesh on the lattice: each is drawn as smaller cells. Neighbours share the
-//! vertices of their common edge, but a vertex that lies on a straight edge of a coarser neighbour
-//! is snapped like any other, at most half a step beside it. The slivers that this leaves are
-//! painted as well.
+//! The subdivided cells of a mesh on the lattice: each is drawn as smaller cells. Neighbours share
+//! the vertices of their common edge, but a vertex that lies on a straight edge of a coarser
+//! neighbour is snapped like any other, at most half a step beside it. The slivers that this leaves
+//! are painted as well.
 
 use super::fixed_point::{BLOCK_COLUMNS, Corner, YRange};
 
-/// A refined cell.
+/// A subdivided cell.
 #[derive(Debug)]
 pub(super) struct SnappedSubdividedCell {
     pub(super) i: usize,
@@ -21,14 +21,14 @@ pub(super) struct SnappedSubdividedCell {
     pub(super) start: usize,
 }
 
-/// The refined cells, row by row.
+/// The subdivided cells, row by row.
 #[derive(Debug, Default)]
 pub(super) struct SnappedSubdividedCells {
     pub(super) cells: Vec<SnappedSubdividedCell>,
     pub(super) corners: Vec<Corner>,
     /// Index of the first cell of each row of cells, and the number of all.
     pub(super) rows: Vec<usize>,
-    /// The refined cells, one bit each, `[rows][pitch / BLOCK_COLUMNS]`.
+    /// The subdivided cells, one bit each, `[rows][pitch / BLOCK_COLUMNS]`.
     pub(super) bits: Vec<u8>,
     pub(super) blocks: usize,
 }
@@ -38,7 +38,7 @@ impl SnappedSubdividedCells {
         &self.cells
     }
 
-    /// The refined cells of a row of cells.
+    /// The subdivided cells of a row of cells.
     pub(super) fn row(&self, j: usize) -> &[SnappedSubdividedCell] {
         if self.cells.is_empty() {
             &[]
@@ -47,7 +47,7 @@ impl SnappedSubdividedCells {
         }
     }
 
-    /// The refined cell at a column and row.
+    /// The subdivided cell at a column and row.
     pub(super) fn find(&self, i: usize, j: usize) -> Option<&SnappedSubdividedCell> {
         if self.cells.is_empty()
             || self.bits[j * self.blocks + i / BLOCK_COLUMNS] >> (i % BLOCK_COLUMNS) & 1 == 0
@@ -60,7 +60,7 @@ impl SnappedSubdividedCells {
             .map(|index| &row[index])
     }
 
-    /// The cells that a refined cell is drawn as, in drawing order, corners in the order 00, 10,
+    /// The cells that a subdivided cell is drawn as, in drawing order, corners in the order 00, 10,
     /// 11, 01.
     pub(super) fn parts(
         &self,
@@ -79,7 +79,7 @@ impl SnappedSubdividedCells {
         })
     }
 
-    /// The slivers between a refined cell and the straight parts of its edges, as triangles of
+    /// The slivers between a subdivided cell and the straight parts of its edges, as triangles of
     /// either orientation. `under`: whether the whole cell is painted under it, which covers those
     /// at edges that are straight as a whole.
     pub(super) fn slivers(

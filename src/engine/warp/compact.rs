@@ -101,7 +101,7 @@ impl CompactLattice {
     }
 
     /// The largest distance between the compact and the full mesh at the reference poses, px;
-    /// `None` if all of them are contradictory.
+    /// `None` if all of them are conflicting.
     #[must_use]
     pub const fn error(&self) -> Option<f64> {
         self.error

@@ -127,7 +127,7 @@ pub enum Task {
     Grid,
     /// Positions, mapped by f or its inverse.
     Positions,
-    /// Outlines that are refined.
+    /// Outlines that are subdivided.
     Outlines,
     /// Methods, compared.
     Comparison,

@@ -58,8 +58,8 @@ pub struct PosedMesh {
 
 impl PosedMesh {
     /// Poses the grid, within its tolerance if it has one. CPU work, microseconds to a millisecond;
-    /// longer only if the grid is large, the plan has no table, or cells are refined for the first
-    /// time. Stops when `cancelled` returns true.
+    /// longer only if the grid is large, the plan has no table, or cells are subdivided for the
+    /// first time. Stops when `cancelled` returns true.
     ///
     /// # Errors
     /// `folds: reject` and the grid folds; cancelled.
@@ -71,13 +71,13 @@ impl PosedMesh {
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
         let mut posed = Self::coarse(setup, plan, pose, folds, cancelled)?;
-        if let Some(refined) =
-            setup.refine(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)?
+        if let Some(subdivided) =
+            setup.subdivide(plan, &posed.mesh, posed.report.folds > 0, pose, cancelled)?
         {
-            posed.mesh = posed.mesh.refined(refined.refinement);
+            posed.mesh = posed.mesh.subdivided(subdivided.subdivision);
             posed.report.residual = residual(setup.field(), pose, &posed.mesh, cancelled)?;
-            posed.report.exceeded = refined.exceeded.len() as u64;
-            posed.exceeded = refined.exceeded;
+            posed.report.exceeded = subdivided.exceeded.len() as u64;
+            posed.exceeded = subdivided.exceeded;
             if !posed.exceeded.is_empty() {
                 posed.report.warn(Warning::ToleranceExceeded);
             }
@@ -107,7 +107,7 @@ impl PosedMesh {
         }
         let residual = residual(setup.field(), pose, &mesh, cancelled)?;
         let warnings = setup.warnings_anywhere(pose);
-        let coincident = pose.contradictions().listed.clone();
+        let coincident = pose.conflicts().listed.clone();
         let mut report = Report {
             warnings,
             folds: cells,

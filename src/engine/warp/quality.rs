@@ -114,7 +114,7 @@ impl Quality {
                 px,
                 exceeded: posed.report().exceeded,
             }),
-            coincident: pose.contradictions().listed.clone(),
+            coincident: pose.conflicts().listed.clone(),
             round_trip: round_trip(setup, pose, to_invert, cancelled)?,
         })
     }

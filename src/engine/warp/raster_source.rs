@@ -136,7 +136,8 @@ impl RasterSource<'_> {
             .any(|source| target.options(output).lacks_copies(source, posed.mesh()))
     }
 
-    /// Makes the copies, for which [`Warp::onto`](super::RenderJob::onto) otherwise takes the time.
+    /// Makes the copies, for which [`RenderJob::onto`](super::RenderJob::onto) otherwise takes the
+    /// time.
     ///
     /// # Errors
     /// Cancelled.

@@ -238,8 +238,8 @@ impl ResolvedRest {
     }
 
     /// Digest of everything that the coefficients depend on: rest handles and weights in px, the
-    /// method and its effective parameters, resolved grid, and whether it is refined. Two pictures
-    /// of one size share one plan.
+    /// method and its effective parameters, resolved grid, and whether it is subdivided. Two
+    /// pictures of one size share one plan.
     #[must_use]
     pub const fn plan_key(&self) -> Digest {
         self.plan_key
@@ -355,7 +355,7 @@ impl ResolvedRest {
     /// Validates posed handles against the rest handles.
     ///
     /// # Errors
-    /// Shapes, numbers, contradictory targets.
+    /// Shapes, numbers, conflicting targets.
     pub fn pose(&self, q: &[Handle]) -> Result<Pose, WarpError> {
         let posed = if self.units == Units::Px {
             self.field.pose(q)
@@ -505,7 +505,7 @@ impl ResolvedRest {
 
     /// The cells of a posed mesh that are drawn as smaller ones to meet the tolerance, if there is
     /// one.
-    pub(super) fn refine(
+    pub(super) fn subdivide(
         &self,
         plan: &CompiledRest,
         mesh: &Mesh,
@@ -513,11 +513,11 @@ impl ResolvedRest {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Result<Option<SubdividedMesh>, WarpError> {
-        let refine = |tolerance: f64| {
+        let subdivide = |tolerance: f64| {
             let drawn_within = DRAWN_WITHIN.min(tolerance / 2.0);
             let (field, rows, vertices) = (&*self.field, &plan.exact, self.fine_vertices());
             #[expect(clippy::cast_possible_truncation, reason = "at most 1/16")]
-            let refiner = Subdivider {
+            let subdivider = Subdivider {
                 field,
                 rows,
                 tolerance: tolerance - drawn_within,
@@ -525,11 +525,11 @@ impl ResolvedRest {
                 folds,
                 vertices,
             };
-            refiner
+            subdivider
                 .subdivide(mesh, pose, cancelled)
                 .ok_or(WarpError::Cancelled)
         };
-        self.tolerance.map(refine).transpose()
+        self.tolerance.map(subdivide).transpose()
     }
 }
 
@@ -666,7 +666,7 @@ pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
         .collect()
 }
 
-fn plan_key(field: &RestDeformation, grid: &Grid, mixed: bool, is_refined: bool) -> Digest {
+fn plan_key(field: &RestDeformation, grid: &Grid, mixed: bool, is_subdivided: bool) -> Digest {
     /// Beside the families of moving least squares.
     const SPLINE: u64 = 3;
     const GLOBAL_AFFINE: u64 = 4;
@@ -690,8 +690,8 @@ fn plan_key(field: &RestDeformation, grid: &Grid, mixed: bool, is_refined: bool)
         .float(grid.cell().1)
         .integer(grid.columns().into())
         .integer(grid.rows().into())
-        // Plans of refined grids may keep more rows.
-        .integer(is_refined.into());
+        // Plans of subdivided grids may keep more rows.
+        .integer(is_subdivided.into());
     for (handle, &weight) in field
         .handles()
         .handles()

@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn contradiction_names_both_handles() {
-        let contradiction = Conflict {
+        let conflict = Conflict {
             handles: vec![2, 9],
             total: 2,
             position: Point::new(1.0, 2.0),
@@ -342,7 +342,7 @@ mod tests {
             apart: Some(3.0),
         };
         let error = DeformError::Contradictory {
-            listed: vec![contradiction],
+            listed: vec![conflict],
             total: 1,
         };
         let problem = expect(

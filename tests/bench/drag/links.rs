@@ -16,7 +16,7 @@ use crate::harness::pictures::{FULL_HD, bytes, extent, photograph, size, tiles};
 use crate::harness::{Goal, Report, Times, filter, time};
 use crate::relay::{Link, Relay};
 use crate::service::Service;
-use crate::socket::{Run, Shown, Socket};
+use crate::socket::{Run, ShownFrame, Socket};
 use crate::{SQUARE, Scene};
 
 /// How filters for this table begin, and where it is saved.
@@ -79,7 +79,7 @@ impl Row {
         let until = last.map_or(sent[sent.len() - 1] + PATIENCE, |last| {
             sent[sent.len() - 1] + last
         });
-        let age = |frame: &Shown| (frame.at - sent[frame.seq as usize]).as_secs_f64();
+        let age = |frame: &ShownFrame| (frame.at - sent[frame.seq as usize]).as_secs_f64();
         let ages: Vec<f64> = first.iter().map(age).collect();
         let mut sizes: Vec<usize> = first.iter().map(|frame| frame.bytes).collect();
         sizes.sort_unstable();
@@ -128,7 +128,7 @@ impl Row {
 /// The median width and the PSNR of some of the frames, evenly spread; `None` if they are no
 /// pictures.
 fn compared(
-    frames: &[Shown],
+    frames: &[ShownFrame],
     scene: &Scene,
     session: &str,
     service: &Service,

@@ -15,7 +15,7 @@ pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A frame that was shown.
 #[derive(Clone)]
-pub struct Shown {
+pub struct ShownFrame {
     pub seq: u64,
     pub at: Instant,
     pub bytes: usize,
@@ -23,7 +23,7 @@ pub struct Shown {
     pub message: Vec<u8>,
 }
 
-impl Shown {
+impl ShownFrame {
     /// Of a PNG, px.
     pub fn width(&self) -> u32 {
         u32::from_be_bytes(self.message[24..28].try_into().expect("the head of a file"))
@@ -33,7 +33,7 @@ impl Shown {
 /// One drag: when each pose was sent, and what was shown.
 pub struct Run {
     pub sent: Vec<Instant>,
-    pub shown: Vec<Shown>,
+    pub shown: Vec<ShownFrame>,
 }
 
 /// A message of the client's: small, and masked with zeros, which masks nothing.
@@ -120,7 +120,11 @@ impl Socket {
             let mut shown = Vec::with_capacity(poses.len());
             let last = poses.len() as u64 - 1;
             let mut end = Ok(());
-            while end.is_ok() && shown.last().is_none_or(|frame: &Shown| frame.seq != last) {
+            while end.is_ok()
+                && shown
+                    .last()
+                    .is_none_or(|frame: &ShownFrame| frame.seq != last)
+            {
                 end = next(&mut reader, keep).and_then(|frame| {
                     let Some(frame) = frame else { return Ok(()) };
                     let ack = text(&format!(r#"{{"ack":{}}}"#, frame.seq));
@@ -140,7 +144,7 @@ impl Socket {
 }
 
 /// The next message, if it is a frame.
-fn next(reader: &mut BufReader<TcpStream>, keep: usize) -> io::Result<Option<Shown>> {
+fn next(reader: &mut BufReader<TcpStream>, keep: usize) -> io::Result<Option<ShownFrame>> {
     let (mut opcode, mut bytes, mut message) = (0, 0, Vec::with_capacity(HEAD));
     loop {
         let mut start = [0; 2];
@@ -173,7 +177,7 @@ fn next(reader: &mut BufReader<TcpStream>, keep: usize) -> io::Result<Option<Sho
     match opcode {
         2 => {
             let seq = u64::from_le_bytes(message[..8].try_into().expect("a number"));
-            Ok(Some(Shown {
+            Ok(Some(ShownFrame {
                 seq,
                 at: Instant::now(),
                 bytes,

@@ -122,7 +122,7 @@ fn table(report: &mut Report, title: &str, extent: Extent, small: bool) {
     }
 }
 
-/// Many handles, between which most cells of `grid: auto` are refined.
+/// Many handles, between which most cells of `grid: auto` are subdivided.
 fn many(report: &mut Report, title: &str) {
     let photo = photograph(extent(SMALL), Channels::Rgba);
     let one = pool(1);

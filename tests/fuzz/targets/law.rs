@@ -124,7 +124,7 @@ pub(super) fn hold(bytes: &[u8]) {
         );
         // Where rotations fit almost equally well, which one is found hangs on the last digit.
         // Beside handles that contradict each other, f has no bound.
-        let is_bounded = quality.least_rotation > 1e-2 && pose.contradictions().total == 0;
+        let is_bounded = quality.least_rotation > 1e-2 && pose.conflicts().total == 0;
         if let Some(gain) = probes.gain(*v).filter(|_| is_bounded) {
             let rounding = 1e-15 * ((*v - Point::default()).norm() + exact.norm());
             let off = (exact - Vec2::new(d[0].into(), d[1].into())).norm();
@@ -180,7 +180,7 @@ impl Probes {
         let poses = poses
             .iter()
             .filter_map(|q| field.pose(q).ok())
-            .filter(|pose| pose.contradictions().total == 0)
+            .filter(|pose| pose.conflicts().total == 0)
             .collect();
         Self {
             field,

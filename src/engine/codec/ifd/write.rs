@@ -1,8 +1,8 @@
 //! Writes directories: values that do not fit into an entry are appended before the directory.
 
 pub(in crate::codec) const BYTE: u16 = 1;
-pub(in crate::codec) const SHORT: u16 = 3;
-pub(in crate::codec) const LONG: u16 = 4;
+pub(in crate::codec) const TYPE_SHORT: u16 = 3;
+pub(in crate::codec) const TYPE_LONG: u16 = 4;
 pub(in crate::codec) const RATIONAL: u16 = 5;
 pub(in crate::codec) const UNDEFINED: u16 = 7;
 
@@ -89,16 +89,16 @@ impl<'a> DirectoryWriter<'a> {
     }
 
     pub(in crate::codec) fn short(&mut self, tag: u16, value: u16) {
-        self.entry(tag, SHORT, 1, &self.two(value));
+        self.entry(tag, TYPE_SHORT, 1, &self.two(value));
     }
 
     pub(in crate::codec) fn long(&mut self, tag: u16, value: u32) {
-        self.entry(tag, LONG, 1, &self.four(value));
+        self.entry(tag, TYPE_LONG, 1, &self.four(value));
     }
 
     pub(in crate::codec) fn longs(&mut self, tag: u16, values: &[u32]) {
         let data: Vec<u8> = values.iter().flat_map(|value| self.four(*value)).collect();
-        self.entry(tag, LONG, values.len(), &data);
+        self.entry(tag, TYPE_LONG, values.len(), &data);
     }
 
     pub(in crate::codec) fn ratio(&mut self, tag: u16, numerator: u32, denominator: u32) {

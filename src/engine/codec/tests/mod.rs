@@ -1,6 +1,6 @@
 //! Tests of reading files: properties of all formats here, and one file per format. Files are built
-//! in `made`, so that every chunk is known; photographs and seeds come from `test_files`, links that
-//! `cargo package` follows.
+//! in `made`, so that every chunk is known; photographs and seeds come from `test_files`, links
+//! that `cargo package` follows.
 
 #![expect(
     clippy::cast_possible_truncation,

@@ -2,7 +2,7 @@
 //! from the top, and a tail with the directory, all of whose values are known before the first row.
 
 use crate::codec::Carried;
-use crate::codec::ifd::write::{DirectoryWriter, SHORT};
+use crate::codec::ifd::write::{DirectoryWriter, TYPE_SHORT};
 use crate::pixmap::Extent;
 
 /// Bytes before the first row.
@@ -83,7 +83,7 @@ impl FloatTiff {
         );
         directory.longs(256, &[self.extent.width()]);
         directory.longs(257, &[self.extent.height()]);
-        directory.entry(258, SHORT, self.samples.into(), &each(32));
+        directory.entry(258, TYPE_SHORT, self.samples.into(), &each(32));
         // Not compressed; 0 is black.
         directory.short(259, 1);
         directory.short(262, 1);
@@ -95,14 +95,14 @@ impl FloatTiff {
             // Samples beyond the first mean nothing to a viewer.
             directory.entry(
                 338,
-                SHORT,
+                TYPE_SHORT,
                 more.into(),
                 &0_u16.to_be_bytes().repeat(more.into()),
             );
         }
         Carried::put_resolution(None, &mut directory);
         // IEEE numbers.
-        directory.entry(339, SHORT, self.samples.into(), &each(3));
+        directory.entry(339, TYPE_SHORT, self.samples.into(), &each(3));
         let at = directory.finish();
         (at as u64, out)
     }

@@ -6,7 +6,7 @@ use std::io::Write as _;
 
 use flate2::write::ZlibEncoder;
 
-use crate::codec::ifd::write::{DirectoryWriter, SHORT, offset};
+use crate::codec::ifd::write::{DirectoryWriter, TYPE_SHORT, offset};
 use crate::codec::png::write::{Compression, PngShape};
 use crate::codec::{Carried, Palette};
 use crate::pixmap::{Channels, Depth};
@@ -67,7 +67,7 @@ pub(in crate::codec) fn write(
     };
     directory.entry(
         258,
-        SHORT,
+        TYPE_SHORT,
         shape.samples(),
         &bits.to_be_bytes().repeat(shape.samples()),
     );
@@ -98,7 +98,7 @@ pub(in crate::codec) fn write(
         let map: Vec<u8> = (0..3)
             .flat_map(|c| (0..256).flat_map(move |k| colour(c, k)))
             .collect();
-        directory.entry(320, SHORT, map.len() / 2, &map);
+        directory.entry(320, TYPE_SHORT, map.len() / 2, &map);
     }
     if shape.channels == Channels::Rgba {
         directory.short(338, 2);

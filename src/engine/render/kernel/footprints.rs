@@ -23,15 +23,15 @@ const FULL_SHRINKING: f32 = 2.0;
 /// Longest side of a footprint, px of the source for a px of the posed plane.
 const LONGEST_SIDE_PX: f32 = 64.0;
 /// Most samples of a pixel.
-pub(in crate::render) const MOST: usize = 16;
+pub(in crate::render) const MAX_FOOTPRINT_SAMPLES: usize = 16;
 /// Largest distance of samples, px of the picture from which they are read.
 const MAX_SAMPLE_DISTANCE_PX: f32 = 1.5;
 /// Pixels that are looked at together.
-pub(in crate::render) const TOGETHER: usize = 64;
+pub(in crate::render) const GROUP_PIXELS: usize = 64;
 /// Pixels with the same number of samples that a batch holds.
-pub(in crate::render) const BATCH: usize = 2 * TOGETHER;
+pub(in crate::render) const BATCH: usize = 2 * GROUP_PIXELS;
 /// Different numbers of samples.
-pub(in crate::render) const KINDS: usize = MOST.ilog2() as usize;
+pub(in crate::render) const KINDS: usize = MAX_FOOTPRINT_SAMPLES.ilog2() as usize;
 /// Pixels that compilers process together: passes are over whole groups, because the rest would be
 /// processed one by one.
 const LANES: usize = 8;
@@ -130,7 +130,7 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     0.999 * (0.5 * POINT_SHRINKING + (0.25 * POINT_SHRINKING * POINT_SHRINKING + share).sqrt())
 }
 
-/// Appends every pixel that needs several samples; at most [`TOGETHER`] pixels, and there must be
+/// Appends every pixel that needs several samples; at most [`GROUP_PIXELS`] pixels, and there must be
 /// room for as many of each kind. `first`: index of the first pixel. Passes over arrays, which
 /// compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
@@ -189,7 +189,7 @@ pub(super) fn footprints(
         );
     }
     let [xx, yx, xy, yy] = &mut *jacobians;
-    let groups = count.next_multiple_of(LANES).min(TOGETHER);
+    let groups = count.next_multiple_of(LANES).min(GROUP_PIXELS);
     for k in 0..groups {
         [xx[k], yx[k], xy[k], yy[k]] = mixed[k];
     }
@@ -247,29 +247,29 @@ pub(super) fn positions(alike: &Alike, log: u32, us: &mut [f32], vs: &mut [f32])
 /// The arrays of [`footprints`].
 #[derive(Debug)]
 struct FootprintArrays {
-    pixels: [usize; TOGETHER],
-    cells: [u32; TOGETHER],
-    shares: [[f32; TOGETHER]; 2],
-    mixed: [[f32; 4]; TOGETHER],
-    jacobians: [[f32; TOGETHER]; 4],
-    several: [u32; TOGETHER],
+    pixels: [usize; GROUP_PIXELS],
+    cells: [u32; GROUP_PIXELS],
+    shares: [[f32; GROUP_PIXELS]; 2],
+    mixed: [[f32; 4]; GROUP_PIXELS],
+    jacobians: [[f32; GROUP_PIXELS]; 4],
+    several: [u32; GROUP_PIXELS],
     shapes: Shapes,
 }
 
 impl Default for FootprintArrays {
     fn default() -> Self {
         let shapes = Shapes {
-            sides: [[0.0; TOGETHER]; 4],
-            across: [0; TOGETHER],
-            down: [0; TOGETHER],
-            distance: [0.0; TOGETHER],
+            sides: [[0.0; GROUP_PIXELS]; 4],
+            across: [0; GROUP_PIXELS],
+            down: [0; GROUP_PIXELS],
+            distance: [0.0; GROUP_PIXELS],
         };
-        let (pixels, cells, several) = ([0; TOGETHER], [0; TOGETHER], [0; TOGETHER]);
-        let (mixed, jacobians) = ([[0.0; 4]; TOGETHER], [[0.0; TOGETHER]; 4]);
+        let (pixels, cells, several) = ([0; GROUP_PIXELS], [0; GROUP_PIXELS], [0; GROUP_PIXELS]);
+        let (mixed, jacobians) = ([[0.0; 4]; GROUP_PIXELS], [[0.0; GROUP_PIXELS]; 4]);
         Self {
             pixels,
             cells,
-            shares: [[0.0; TOGETHER]; 2],
+            shares: [[0.0; GROUP_PIXELS]; 2],
             mixed,
             jacobians,
             several,
@@ -329,17 +329,17 @@ fn squares([xx, yx, xy, yy]: &[f32; 4]) -> (f32, [f32; 2]) {
 /// logarithms of the numbers along both sides, and their distance, px.
 #[derive(Debug)]
 struct Shapes {
-    sides: [[f32; TOGETHER]; 4],
-    across: [u32; TOGETHER],
-    down: [u32; TOGETHER],
-    distance: [f32; TOGETHER],
+    sides: [[f32; GROUP_PIXELS]; 4],
+    across: [u32; GROUP_PIXELS],
+    down: [u32; GROUP_PIXELS],
+    distance: [f32; GROUP_PIXELS],
 }
 
 impl Shapes {
     #[inline(always)]
-    fn fill(&mut self, jacobians: &[[f32; TOGETHER]; 4], count: usize, scale: &[[f32; 2]; 2]) {
+    fn fill(&mut self, jacobians: &[[f32; GROUP_PIXELS]; 4], count: usize, scale: &[[f32; 2]; 2]) {
         let [ax, ay, bx, by] = &mut self.sides;
-        for k in 0..count.next_multiple_of(LANES).min(TOGETHER) {
+        for k in 0..count.next_multiple_of(LANES).min(GROUP_PIXELS) {
             let [xx, yx, xy, yy] = [
                 jacobians[0][k],
                 jacobians[1][k],
@@ -355,10 +355,10 @@ impl Shapes {
             // At most four along the shorter side.
             let few = step(short, 1.0) + step(short, 2.0);
             let many = step(long, 1.0) + step(long, 2.0) + step(long, 4.0) + step(long, 8.0);
-            let many = if many < MOST.ilog2() - few {
+            let many = if many < MAX_FOOTPRINT_SAMPLES.ilog2() - few {
                 many
             } else {
-                MOST.ilog2() - few
+                MAX_FOOTPRINT_SAMPLES.ilog2() - few
             };
             let (apart, beside) = (long * inverse(many), short * inverse(few));
             self.distance[k] = if apart > beside { apart } else { beside };

@@ -31,7 +31,8 @@ use crate::pixmap::Channels;
 
 pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
 pub(super) use footprints::{
-    Alike, BATCH, FootprintBatch, FootprintGrid, KINDS, MOST, TOGETHER, one_sample_up_to,
+    Alike, BATCH, FootprintBatch, FootprintGrid, GROUP_PIXELS, KINDS, MAX_FOOTPRINT_SAMPLES,
+    one_sample_up_to,
 };
 pub(super) use scalar::{
     CellRow, Edges, NOTES, Neighbours, ROUND_SAMPLE, SOUND, STEEP, Spans, UPRIGHT, fixed, jacobian,

@@ -40,15 +40,15 @@ fn meshes() -> Vec<(&'static str, Mesh)> {
         ("swirl", swirl(grid(), 4.0)),
         ("turned", turned),
         ("mirrored", mirrored),
-        ("refined", refined()),
+        ("refined", subdivided()),
     ]
 }
 
 /// Waves, with a few cells that are drawn as smaller ones.
-fn refined() -> Mesh {
+fn subdivided() -> Mesh {
     use crate::geometry::Subdivision;
     let mesh = waves(Grid::with_counts(200.0, 150.0, 21, 16), 8, 0.8);
-    let mut refinement = Subdivision::default();
+    let mut subdivision = Subdivision::default();
     for (column, row, level) in [(3_u32, 2_u32, 2_u8), (4, 2, 1), (10, 7, 3), (19, 14, 2)] {
         let (parts, from) = (1 << level, mesh.grid().vertex(column, row));
         let at = |k: u32| 10.0 * f64::from(k) / f64::from(parts);
@@ -61,10 +61,10 @@ fn refined() -> Mesh {
                 [d.x as f32, d.y as f32]
             })
             .collect();
-        refinement.push(column, row, level, &vertices);
+        subdivision.push(column, row, level, &vertices);
     }
-    refinement.join(mesh.grid(), |cell, _| cell.level);
-    mesh.refined(refinement)
+    subdivision.join(mesh.grid(), |cell, _| cell.level);
+    mesh.subdivided(subdivision)
 }
 
 #[test]

@@ -173,15 +173,15 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
             if error > drawn.error {
                 drawn.error = error;
                 let (i, j) = cell(p);
-                let refined = drawn
+                let subdivided = drawn
                     .posed
                     .mesh()
-                    .refinement()
+                    .subdivision()
                     .find(i, j)
                     .map(|cell| (cell.level, cell.edges));
                 let of_mesh = drawn.posed.mesh().map(p).unwrap().distance(f);
                 drawn.farthest = format!(
-                    "{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) {refined:?}"
+                    "{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) {subdivided:?}"
                 );
             }
         }

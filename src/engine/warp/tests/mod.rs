@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use self::drawn::{Drawn, PoseAs, draw};
 use self::sets::{
-    Case, Kind, MANY, MORE, contours, examples, extent, face, oracle, random, randoms,
+    Case, Kind, MANY_HANDLES, MORE, contours, examples, extent, face, oracle, random, randoms,
 };
 use super::{
     CompiledRest, Folds, GridSpec, Limits, Method, OutputSpec, PosedMesh, ResolvedRest, RestSpec,
@@ -129,7 +129,7 @@ fn the_undivided_grid_is_farther_than_the_tolerance() {
 
 #[test]
 fn kept_rows_do_not_change_a_mesh() {
-    let case = random(extent(240, 200), MANY, Method::Rigid, 2.0, 1);
+    let case = random(extent(240, 200), MANY_HANDLES, Method::Rigid, 2.0, 1);
     let posed = |limits: &Limits, warm: bool| {
         let setup = ResolvedRest::new(&case.rest, case.extent, limits).unwrap();
         let plan = setup.plan();
@@ -150,7 +150,7 @@ fn kept_rows_do_not_change_a_mesh() {
                     extent(240, 200),
                     Kind {
                         reach: 0.04,
-                        ..MANY
+                        ..MANY_HANDLES
                     },
                     Method::Rigid,
                     2.0,
@@ -163,7 +163,7 @@ fn kept_rows_do_not_change_a_mesh() {
     };
     let limits = Limits::default();
     let (cold, bytes) = posed(&limits, false);
-    assert!(!cold.mesh().refinement().is_empty());
+    assert!(!cold.mesh().subdivision().is_empty());
     let tight = Limits {
         plan_bytes: bytes / 5,
         ..limits
@@ -171,7 +171,7 @@ fn kept_rows_do_not_change_a_mesh() {
     let (unkept, unkept_bytes) = posed(&tight, false);
     assert_eq!(unkept_bytes, bytes / 5, "nothing is left for exact rows");
     for other in [posed(&limits, true).0, unkept] {
-        assert_eq!(cold.mesh().refinement(), other.mesh().refinement());
+        assert_eq!(cold.mesh().subdivision(), other.mesh().subdivision());
         assert_eq!(cold.report(), other.report());
     }
 }
@@ -187,7 +187,7 @@ fn rest_handles_and_undefined_rotations() {
         draw(&at_rest, 0.05, 1, PosedMesh::new)
             .posed
             .mesh()
-            .refinement()
+            .subdivision()
             .is_empty()
     );
     // Four points exchanged across the middle: the rotation is undefined there.
@@ -249,7 +249,7 @@ fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted()
     let posed = PosedMesh::new(&setup, &setup.plan(), &pose, Folds::Report, &|| false).unwrap();
     let drawn: usize = posed
         .mesh()
-        .refinement()
+        .subdivision()
         .cells()
         .iter()
         .map(|cell| cell.side() * cell.side() - 4)

@@ -1,6 +1,6 @@
 //! The figures of a pose against maps whose figures are known.
 
-use super::sets::{Case, FEW, LINES, MIXED, extent, random, randoms};
+use super::sets::{Case, FEW_HANDLES, LINES, MIXED, extent, random, randoms};
 use crate::deform::Handle;
 use crate::geometry::{FoldRegions, Orientation, Point};
 use crate::render::Canvas;
@@ -180,7 +180,7 @@ fn the_inverse_returns_outside_folds() {
 /// The grid is what is drawn, not where the inverse is sought.
 #[test]
 fn the_round_trip_does_not_depend_on_the_grid() {
-    for kind in [FEW, LINES, MIXED] {
+    for kind in [FEW_HANDLES, LINES, MIXED] {
         let case = random(extent(160, 120), kind, Method::Rigid, 2.0, 5);
         let on = |grid| {
             quality(&Case {
@@ -271,7 +271,7 @@ fn contradictions_are_listed_and_work_can_be_cancelled() {
     assert!(
         (quality.coincident[0].spread - 4.0).abs() < 1e-9 && quality.residuals[3].unwrap() > 3.9
     );
-    for kind in [FEW, LINES, MIXED] {
+    for kind in [FEW_HANDLES, LINES, MIXED] {
         let case = random(extent(160, 120), kind, Method::Rigid, 2.0, 3);
         let setup = ResolvedRest::new(&case.rest, case.extent, &Limits::default()).unwrap();
         let pose = setup.pose(&case.q).unwrap();

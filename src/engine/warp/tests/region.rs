@@ -2,7 +2,7 @@
 //! wide as the feather.
 
 use super::drawn::shown;
-use super::sets::{Case, FEW, Kind, LINES, MIXED, MORE, Noise, extent, random};
+use super::sets::{Case, FEW_HANDLES, Kind, LINES, MIXED, MORE, Noise, extent, random};
 use crate::codec::{Format, Labels, PngShape};
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
@@ -184,7 +184,7 @@ fn cases() -> Vec<Case> {
         Method::ThinPlateSpline,
     ];
     // Not so far that means over what is shrunk reach into the mask from afar.
-    let kinds = [FEW, MORE, LINES, MIXED].map(|kind| Kind {
+    let kinds = [FEW_HANDLES, MORE, LINES, MIXED].map(|kind| Kind {
         reach: 0.03,
         ..kind
     });
@@ -391,7 +391,7 @@ fn largest_step(disc: Disc, filter: Filter) -> u16 {
         Pixmap::new(size, Channels::Rgb, Samples::Sixteen(ramp)),
         true,
     );
-    let mut case = random(size, FEW, Method::Rigid, 1.0, 1);
+    let mut case = random(size, FEW_HANDLES, Method::Rigid, 1.0, 1);
     // A translation by 6 px, which changes the ramp by 3000.
     case.q = case
         .rest

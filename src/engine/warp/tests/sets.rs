@@ -20,7 +20,7 @@ pub(super) const METHODS: [Method; 3] = [Method::Affine, Method::Similarity, Met
 pub(super) const ALPHAS: [f64; 5] = [0.75, 1.0, 1.5, 2.0, 3.0];
 
 /// Points and lines of [`random`] sets.
-pub(super) const FEW: Kind = Kind {
+pub(super) const FEW_HANDLES: Kind = Kind {
     points: 7,
     lines: 0,
     reach: 0.1,
@@ -30,7 +30,7 @@ pub(super) const MORE: Kind = Kind {
     lines: 0,
     reach: 0.08,
 };
-pub(super) const MANY: Kind = Kind {
+pub(super) const MANY_HANDLES: Kind = Kind {
     points: 40,
     lines: 0,
     reach: 0.025,
@@ -148,7 +148,15 @@ pub(super) fn randoms(extent: Extent, seeds: std::ops::Range<u64>) -> Vec<Case> 
         {
             // Many handles make f so steep at alpha 3 that this would be a test of what is left
             // out.
-            let points = [FEW, MORE, if alpha > 2.0 { FEW } else { MANY }];
+            let points = [
+                FEW_HANDLES,
+                MORE,
+                if alpha > 2.0 {
+                    FEW_HANDLES
+                } else {
+                    MANY_HANDLES
+                },
+            ];
             cases.push(random(
                 extent,
                 points[cases.len() / 2 % 3],
@@ -164,7 +172,12 @@ pub(super) fn randoms(extent: Extent, seeds: std::ops::Range<u64>) -> Vec<Case> 
                 seed,
             ));
         }
-        for (kind, smoothing) in [(FEW, None), (MORE, None), (MORE, Some(0.01)), (MANY, None)] {
+        for (kind, smoothing) in [
+            (FEW_HANDLES, None),
+            (MORE, None),
+            (MORE, Some(0.01)),
+            (MANY_HANDLES, None),
+        ] {
             let mut case = random(extent, kind, Method::ThinPlateSpline, 0.0, seed);
             case.rest.smoothing = smoothing;
             case.name += &format!(", smoothing {smoothing:?}");

@@ -71,13 +71,13 @@ impl TableRow {
 /// The rows of a file, the first of which has been read.
 pub(super) struct Table<'t> {
     pub(super) first: TableRow,
-    pub(super) rows: Rows<'t>,
+    pub(super) rows: TableRows<'t>,
 }
 
 impl<'t> Table<'t> {
     /// Errors: A row that is too long, or none.
     pub(super) fn new(source: SourceText<'t>) -> Result<Self, Bad> {
-        let mut rows = Rows::new(source)?;
+        let mut rows = TableRows::new(source)?;
         let first = rows.next_row()?;
         let missing = || {
             Bad::new(
@@ -93,7 +93,7 @@ impl<'t> Table<'t> {
 }
 
 /// The rows of a text. Empty lines, and comments (`#`) before the first row, are passed over.
-pub(super) struct Rows<'t> {
+pub(super) struct TableRows<'t> {
     source: SourceText<'t>,
     at: usize,
     /// `None` for white space.
@@ -104,7 +104,7 @@ pub(super) struct Rows<'t> {
     field: Box<[u8; LONGEST_FIELD]>,
 }
 
-impl<'t> Rows<'t> {
+impl<'t> TableRows<'t> {
     /// Errors: A comment that is too long.
     pub(super) fn new(source: SourceText<'t>) -> Result<Self, Bad> {
         let mut at = source.start;

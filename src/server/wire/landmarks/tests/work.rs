@@ -8,7 +8,7 @@ use crate::problem::Code;
 use crate::wire::work::{BYTES_PER_CHECK, Work};
 
 /// More than any file here has.
-const MANY: usize = 1 << 22;
+const MANY_BYTES: usize = 1 << 22;
 /// What a file of each kind begins with, repeats, and ends with.
 const GROWING: &[(&str, &str, &str)] = &[
     ("", "1.5,2.5\n", ""),
@@ -165,7 +165,7 @@ fn processor_time() -> u64 {
 fn cost(file: &LandmarkFiles) -> (usize, u64) {
     let attempt = || {
         let (work, began) = (Work::new(&|| false), processor_time());
-        let _ = file.read_counted(MANY, &work);
+        let _ = file.read_counted(MANY_BYTES, &work);
         (work.bytes(), processor_time() - began)
     };
     (0..3)
@@ -206,12 +206,12 @@ fn reading_stops_soon_after_nobody_wants_the_result() {
         let what = start(&file);
         let file = both(file);
         let whole = Work::new(&|| false);
-        let _ = file.read_counted(MANY, &whole);
+        let _ = file.read_counted(MANY_BYTES, &whole);
         for part in 0..4 {
             let asked = Cell::new(0);
             let is_cancelled = || asked.replace(asked.get() + 1) >= part * 8;
             let work = Work::new(&is_cancelled);
-            let read = file.read_counted(MANY, &work);
+            let read = file.read_counted(MANY_BYTES, &work);
             if asked.get() <= part * 8 {
                 break;
             }
