@@ -120,6 +120,22 @@ pub enum DeformError {
     },
 }
 
+/// A parameter that breaks its rule.
+fn outside(f: &mut fmt::Formatter<'_>, name: &str, value: f64, rule: &str) -> fmt::Result {
+    write!(f, "`{name}` is {}; it must {rule}", DisplayNumber(value))
+}
+
+/// The first conflicts, and how many more there are.
+fn write_conflicts(f: &mut fmt::Formatter<'_>, listed: &[Conflict], total: usize) -> fmt::Result {
+    for (index, conflict) in listed.iter().take(MOST_DESCRIBED).enumerate() {
+        write!(f, "{}{conflict}", if index > 0 { "; " } else { "" })?;
+    }
+    match total.saturating_sub(MOST_DESCRIBED) {
+        0 => Ok(()),
+        more => write!(f, "; and {more} more"),
+    }
+}
+
 impl fmt::Display for DeformError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -177,17 +193,11 @@ impl fmt::Display for DeformError {
                 )
             }
             Self::BadPointMass { value } => {
-                write!(
-                    f,
-                    "`point_mass` is {}; it must lie between 1e-9 and 1e9 px",
-                    DisplayNumber(*value)
-                )
+                outside(f, "point_mass", *value, "lie between 1e-9 and 1e9 px")
             }
-            Self::BadWithin { value } => write!(
-                f,
-                "`within` is {}; it must lie between 0 and 1000000 px",
-                DisplayNumber(*value)
-            ),
+            Self::BadWithin { value } => {
+                outside(f, "within", *value, "lie between 0 and 1000000 px")
+            }
             Self::DegenerateLine { handle, segment } => {
                 write!(
                     f,
@@ -195,15 +205,7 @@ impl fmt::Display for DeformError {
                         send a point instead"
                 )
             }
-            Self::Contradictory { listed, total } => {
-                for (index, conflict) in listed.iter().take(MOST_DESCRIBED).enumerate() {
-                    write!(f, "{}{conflict}", if index > 0 { "; " } else { "" })?;
-                }
-                match total.saturating_sub(MOST_DESCRIBED) {
-                    0 => Ok(()),
-                    more => write!(f, "; and {more} more"),
-                }
-            }
+            Self::Contradictory { listed, total } => write_conflicts(f, listed, *total),
             Self::TooManyMeetings { limit } => write!(
                 f,
                 "the handles meet at more than {limit} positions; send fewer handles"
@@ -222,22 +224,16 @@ impl fmt::Display for DeformError {
                         points along the line, or another method"
                 )
             }
-            Self::BadSmoothing { value } => write!(
-                f,
-                "`smoothing` is {}; it must lie between 0 and 1e9",
-                DisplayNumber(*value)
-            ),
+            Self::BadSmoothing { value } => {
+                outside(f, "smoothing", *value, "lie between 0 and 1e9")
+            }
             Self::AlphaOutOfRange { alpha, lines } => {
-                let range = if *lines {
-                    "between 0.5 and 8 if a handle is a line"
+                let rule = if *lines {
+                    "be between 0.5 and 8 if a handle is a line"
                 } else {
-                    "above 0 and at most 8"
+                    "be above 0 and at most 8"
                 };
-                write!(
-                    f,
-                    "`alpha` is {}; it must be {range}",
-                    DisplayNumber(*alpha)
-                )
+                outside(f, "alpha", *alpha, rule)
             }
         }
     }

@@ -37,7 +37,10 @@ const fn weights() -> [[[f32; QUINTIC_NODES]; 3]; CELL_POSITIONS] {
             at / QUINTIC_NODES % 3,
             at % QUINTIC_NODES,
         );
+        // In units of the distance of two vertices, from the first node.
         let x = position as f64 + 0.25 * (quarter + 1) as f64;
+        // Lagrange's formula; in f64, because the factors alternate in sign and are then rounded
+        // once.
         let (mut weight, mut other) = (1.0, 0);
         while other < QUINTIC_NODES {
             if other != node {
@@ -63,11 +66,15 @@ const fn shares() -> [f32; CELL_POSITIONS] {
         let x = (at / 3) as f64 + 0.25 * (at % 3 + 1) as f64;
         let (mut product, mut sum, mut of_middle, mut node) = (1.0 / FACTORIAL, 0.0, 0.0, 0);
         while node < QUINTIC_NODES {
+            // The error of an interpolating polynomial is the product of the distances from its
+            // nodes, times the derivative, over 6!.
             product *= (x - node as f64).abs();
             sum += NODE_WEIGHTS[at / 3][at % 3][node].abs();
             of_middle += NODE_WEIGHTS[MIDDLE_POSITION][at % 3][node].abs();
             node += 1;
         }
+        // A lopsided stencil also enlarges the errors of the second direction, which interpolates
+        // interpolated values: by the ratio of the sums of absolute weights.
         let share = product as f32 * sum / of_middle;
         if share > shares[at / 3] {
             shares[at / 3] = share;
@@ -93,12 +100,16 @@ impl AxisStencil {
     /// cell.
     fn new(cell: usize, lines: usize) -> Option<Self> {
         let first = cell
+            // Centred where there is room, moved inwards at the border of the grid. There is no
+            // extrapolation: eight lines or none.
             .saturating_sub(3)
             .min(lines.checked_sub(STENCIL_VERTICES)?);
         let cell = cell - first;
         let nodes = cell
             .saturating_sub(MIDDLE_POSITION)
             .min(STENCIL_VERTICES - QUINTIC_NODES);
+        // The last column may be narrower than the others; a cell that touches it lies outside of
+        // the even lines.
         (cell + 1 < STENCIL_VERTICES).then_some(Self {
             first,
             nodes,
@@ -120,6 +131,8 @@ impl EvenLines {
         /// Distances that differ by a smaller share of a cell are equal.
         const EQUAL_DISTANCE_CELLS: f64 = 1e-6;
         let even = |count: u32, at: &dyn Fn(u32) -> f64, cell: f64| {
+            // Grids end at the border of the picture, so the last cell is often a part of one.
+            // Quintics need equal distances.
             let is_even = count > 1
                 && (at(count - 1) - at(count - 2) - cell).abs() < EQUAL_DISTANCE_CELLS * cell;
             count as usize - usize::from(!is_even)
@@ -162,6 +175,7 @@ impl<'a> Interpolated<'a> {
     /// The vertices that the first halving adds, in the order of
     /// [`group`](super::subdivision_cache::group), px.
     pub(super) fn halves(&self) -> [[f32; 2]; 5] {
+        // Down first and then across: five vertices share three lines.
         let [above, middle, below] = [0, 2, 4].map(|quarter| self.line(quarter));
         [
             self.at(2, &above),
@@ -189,6 +203,8 @@ impl<'a> Interpolated<'a> {
             line[self.x.nodes..].first_chunk().expect("the nodes")
         };
         match quarter {
+            // On a line of the grid the vertices themselves are taken, not weights of 0 and 1:
+            // shared edges must be equal to the last bit.
             0 => *columns(self.lines[nodes + position]),
             4 => *columns(self.lines[nodes + position + 1]),
             _ => {
@@ -240,6 +256,9 @@ impl<'a> Interpolated<'a> {
             largest(rows.iter().flat_map(|row| &row.0[2..6])),
             largest(rows.iter().flat_map(|row| &row.1[..4])),
         );
+        // Sixth differences estimate the error of a quintic, fourth ones that of a cubic
+        // (mathematics section 12, step 2). If the former are not much smaller, the series does not
+        // converge here.
         // Both columns, one behind the other.
         let mut columns = [0.0; 32];
         for (column, line) in columns.chunks_exact_mut(4).zip(self.lines) {

@@ -76,12 +76,18 @@ impl RowInputs<'_> {
         scratch
             .spans
             .resize(self.sources.segments.len(), SegmentMoments::ZERO);
+        // The steps of mathematics 7.1: ratios first, then the anchor, then the frame in which
+        // everything is fitted. Each keeps exact what the next one would otherwise have to find as
+        // a difference of large numbers.
         let r2min = self.nearest(v, scratch);
         let mut anchor = self.weights(v, &r2min, scratch);
         self.choose_frame(&mut anchor, scratch);
         let at_v = self.in_frame(v, &anchor, scratch);
         fit(self.method, self.sources, &anchor.tau, &at_v, scratch, rows);
         let snap = SNAP_SHARE * self.extent;
+        // Computed for every lane and replaced in few: a branch around the steps above would keep
+        // the lanes from being computed together. What they hold for a vertex on a handle may be
+        // NaN.
         for k in 0..N {
             if r2min[k] <= snap * snap {
                 self.unit(k, v, rows);
@@ -106,6 +112,8 @@ impl RowInputs<'_> {
         }
         for (s, span) in self.sources.segments.iter().zip(&mut scratch.spans) {
             span.view = View::new(s, v);
+            // The whole segment counts, not its line: beyond an end that is the distance from the
+            // end.
             lower(&mut nearest, &span.view.r2);
         }
         nearest
@@ -134,10 +142,15 @@ impl RowInputs<'_> {
             self.sources.points.iter().zip(&mut scratch.places)
         {
             for k in 0..N {
+                // The quotient first and then the power (mathematics 7.1, step 2): every weight
+                // lies in (0, 1] times its mass, so nothing overflows at any alpha. On a handle
+                // this is 0/0; `unit` replaces that lane.
                 w[k] = r2min[k] / w[k];
             }
             self.falloff.of_lanes(w);
             for k in 0..N {
+                // The mass comes after the power: it is the weight of the handle, not part of its
+                // distance.
                 w[k] *= mass;
             }
             anchor.take_point(index, w, *p);
@@ -154,6 +167,8 @@ impl RowInputs<'_> {
             },
         ) in self.sources.segments.iter().zip(&mut scratch.spans)
         {
+            // A segment weighs as the integral of w along it (mathematics 3.2), and its first and
+            // second moments stand for the positions along it.
             Moments([place.w, *first, *second]) =
                 view.moments(s, v, (self.falloff, self.beta), r2min, self.exact);
             anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
@@ -170,6 +185,8 @@ impl RowInputs<'_> {
         anchor: &mut Anchor<N>,
         scratch: &CoefficientScratch<N>,
     ) {
+        // The search runs for all lanes and is used where a point is the anchor: which kind the
+        // anchor is differs from lane to lane, and a choice of values costs less than a branch.
         let mut axis = DirectionSearch {
             moment: [0.0; N],
             x: [1.0; N],
@@ -182,11 +199,15 @@ impl RowInputs<'_> {
             axis.consider(*p, &anchor.o, &place.w, index);
         }
         for (s, span) in self.sources.segments.iter().zip(&scratch.spans) {
+            // The ends stand for a segment. Neither defines the frame, because its coordinates are
+            // computed from moments and would not lie on the axis exactly.
             axis.consider(s.a, &anchor.o, &span.place.w, NO_SOURCE);
             axis.consider(s.b, &anchor.o, &span.place.w, NO_SOURCE);
         }
         for k in 0..N {
             let reach = (axis.x[k] * axis.x[k] + axis.y[k] * axis.y[k]).sqrt();
+            // The direction of a segment has length 1, so zero means that no segment has become the
+            // anchor.
             let is_point = anchor.tau[0][k] == 0.0 && anchor.tau[1][k] == 0.0;
             anchor.tau[0][k] = if is_point {
                 axis.x[k] / reach
@@ -220,7 +241,12 @@ impl RowInputs<'_> {
         let mut index = 0;
         for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
             for k in 0..N {
+                // From the handles as the client gave them, not from v: differences of whole
+                // numbers are exact, and next to a handle v - p has lost the digits that matter.
                 let (x, y) = turned(p.x - o.x[k], p.y - o.y[k], tx[k], ty[k]);
+                // The anchor is 0 and this point lies on the axis by definition; rounding of the
+                // rotation would put it beside the axis, where the affine fit divides by what is
+                // left across (step 5).
                 let defines = anchor.defining[k] == index;
                 place.x[k] = if defines { anchor.reach[k] } else { x + sx[k] };
                 place.y[k] = if defines { 0.0 } else { y + sy[k] };
@@ -238,6 +264,8 @@ impl RowInputs<'_> {
             },
         ) in self.sources.segments.iter().zip(&mut scratch.spans)
         {
+            // A segment is a mass at its position nearest to v, and a vector along which that mass
+            // is spread.
             let along = s.tau * s.length;
             for k in 0..N {
                 let (a, b) = (view.share_a[k], view.share_b[k]);
@@ -247,6 +275,8 @@ impl RowInputs<'_> {
                 );
                 let (x, y) = turned(nearest.0, nearest.1, tx[k], ty[k]);
                 let (ahead, aside) = turned(along.x, along.y, tx[k], ty[k]);
+                // The segment that is the anchor defines origin and axis, so its coordinates are
+                // known without computing them.
                 let own = anchor.source[k] == index;
                 place.x[k] = if own { 0.0 } else { x + sx[k] };
                 place.y[k] = if own { 0.0 } else { y + sy[k] };
@@ -255,6 +285,8 @@ impl RowInputs<'_> {
             }
             index += 1;
         }
+        // v itself in the frame. Where a segment is the anchor, o is v, and `shift` alone places
+        // it: so v's distance from the line keeps all of its digits.
         let mut at_v = [[0.0; N]; 2];
         for k in 0..N {
             let (x, y) = turned(v.x[k] - o.x[k], v.y[k] - o.y[k], tx[k], ty[k]);
@@ -268,6 +300,8 @@ impl RowInputs<'_> {
     fn unit<const N: usize>(&self, k: usize, v: &Vertices<N>, rows: &mut Coefficients<N>) {
         let v = Point::new(v.x[k], v.y[k]);
         let snap = SNAP_SHARE * self.extent;
+        // Everything that the lane holds is replaced, since 0/0 may have spread to each of its
+        // numbers (mathematics section 6).
         for (h, wn) in rows.h.iter_mut().zip(&mut rows.wn) {
             (h[0][k], h[1][k], wn[k]) = (0.0, 0.0, 0.0);
         }
@@ -278,6 +312,9 @@ impl RowInputs<'_> {
             .iter()
             .filter(|mark| (mark.p - v).norm2() <= snap * snap);
         let mut hits: Vec<_> = points
+            // Point and line handles share a position by their weights, as in the limit of the
+            // formulas; the mass of a point is its weight times `point_mass`, which only compares
+            // points with lines.
             .map(|mark| (mark.mass / self.point_mass, mark.column, [1.0, 0.0]))
             .collect();
         let mut before: Option<&RestSegment> = None;
@@ -299,6 +336,8 @@ impl RowInputs<'_> {
             Method::Rigid => rows.wn[column][k] = share,
         };
         for (weight, column, [a, b]) in hits {
+            // Rigid keeps wn apart, and H = 0 leaves only the mean of the moved handles: no
+            // rotation is left to choose.
             put(column, weight / total * a);
             if b != 0.0 {
                 put(column + 1, weight / total * b);
@@ -313,6 +352,8 @@ impl<const N: usize> Anchor<N> {
     #[inline(always)]
     fn take_point(&mut self, index: u64, w: &[f64; N], p: Point) {
         for k in 0..N {
+            // Strictly heavier, so that the first of equal handles wins whatever the number of
+            // lanes is.
             let heavier = w[k] > self.weight[k];
             self.weight[k] = if heavier { w[k] } else { self.weight[k] };
             self.source[k] = if heavier { index } else { self.source[k] };

@@ -60,6 +60,9 @@ impl<const N: usize> View<N> {
         for k in 0..N {
             let (ax, ay) = (v.x[k] - s.a.x, v.y[k] - s.a.y);
             let (bx, by) = (v.x[k] - s.b.x, v.y[k] - s.b.y);
+            // Where the ends are from v's foot on the line, in lengths. Each is computed from its
+            // own end, so that next to one end nothing is the difference of two lengths of a
+            // segment (mathematics 3.3).
             let (u1, u2) = (
                 -(ax * s.tau.x + ay * s.tau.y) * per_length,
                 -(bx * s.tau.x + by * s.tau.y) * per_length,
@@ -68,6 +71,8 @@ impl<const N: usize> View<N> {
             // The nearer end gives the offset with the smaller rounding error.
             let (nx, ny) = if a2 <= b2 { (ax, ay) } else { (bx, by) };
             let off = s.tau.x * ny - s.tau.y * nx;
+            // Before a, beyond b, or beside the segment: choices of values instead of branches, so
+            // that the lanes stay together. The extension is no case of its own.
             let (before, after) = (u1 >= 0.0, u2 <= 0.0);
             view.beyond[k] = if before {
                 u1
@@ -91,6 +96,8 @@ impl<const N: usize> View<N> {
                 -u1
             };
             view.off[k] = off;
+            // Beside the segment the distance is that from the line: on the line it is exactly 0,
+            // which a sum of squares from an end would not give.
             view.r2[k] = if before {
                 a2
             } else if after {
@@ -123,6 +130,8 @@ impl<const N: usize> View<N> {
         exact: bool,
     ) -> Moments<N> {
         let square = |lengths: f64| (lengths * s.length) * (lengths * s.length);
+        // Three ways, each where it is accurate (mathematics 3.2): a closed form between `near` and
+        // `far`, and the nodes elsewhere. Without a closed form everything is nearer than `near`.
         let (mut m, near, far) = match beta {
             _ if exact => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
             _ if falloff.power() == Power::Two => (
@@ -157,6 +166,8 @@ impl<const N: usize> View<N> {
     ) -> Moments<N> {
         let (mut a, mut b, mut h, mut ratio) = ([0.0; N], [0.0; N], [0.0; N], [0.0; N]);
         for k in 0..N {
+            // From the foot of v: the closed form integrates along the line, on which the foot is
+            // the origin.
             a[k] = self.beyond[k] - self.share_b[k];
             b[k] = self.beyond[k] + self.share_a[k];
             h[k] = self.off[k].abs() / s.length;
@@ -172,6 +183,7 @@ impl<const N: usize> View<N> {
             falloff,
         );
         for m in m.as_flattened_mut() {
+            // The integral was in lengths of the segment.
             *m *= s.weight * s.length;
         }
         Moments(m)
@@ -186,6 +198,8 @@ impl<const N: usize> View<N> {
         r2min: f64,
         many: bool,
     ) -> [f64; 3] {
+        // The two sides of the nearest position are integrated apart, away from it: panels grow
+        // with the distance, so that no panel is longer than its distance from v.
         let h = self.off[k] / s.length;
         let sight = Sight {
             beyond: self.beyond[k].abs(),
@@ -198,6 +212,8 @@ impl<const N: usize> View<N> {
         let scale = s.weight * s.length;
         [
             scale * (a[0] + b[0]),
+            // The first moments point to opposite sides. This is the one difference; both parts are
+            // sums of positive terms, so its error is small beside m0 and m2, which weigh it.
             scale * (b[1] - a[1]),
             scale * (a[2] + b[2]),
         ]
@@ -207,6 +223,8 @@ impl<const N: usize> View<N> {
     /// branch on the extension (mathematics 3.2).
     #[inline(always)]
     fn moments_alpha_two(&self, s: &RestSegment, v: &Vertices<N>, r2min: &[f64; N]) -> Moments<N> {
+        // The formulas of mathematics 3.2 for d00, d01 and d11, from the angle phi under which v
+        // sees the segment.
         let half = 0.5 * s.weight * s.length;
         let mut m = Moments([[0.0; N]; 3]);
         for k in 0..N {
@@ -215,12 +233,18 @@ impl<const N: usize> View<N> {
             let (a2, b2) = (ax * ax + ay * ay, bx * bx + by * by);
             let per_ab = 1.0 / (a2 * b2).sqrt();
             let (cross, dot) = (self.off[k].abs() * s.length, ax * bx + ay * by);
+            // The cross product is |off| L: `off` was computed at the nearer end, so phi keeps its
+            // digits next to the line and on the extension, where it is 0.
             let phi = angle(cross, dot);
             let (near, far) = (
                 g_series(phi * phi),
                 g_closed(phi, cross * per_ab, dot * per_ab),
             );
+            // Both are computed and one is chosen: the closed form is 0/0 at phi = 0, and the
+            // series ends too early for large angles.
             let (g1, g2) = if phi < 0.3 { near } else { far };
+            // Ratios of squared distances, each at most 1: the products of R1 and R2 in the
+            // formulas would overflow far away and vanish next to an end.
             let q12 = r2min[k] * per_ab;
             let (q1, q2) = (r2min[k] / a2, r2min[k] / b2);
             let (d00, d01, d11) = (
@@ -228,6 +252,8 @@ impl<const N: usize> View<N> {
                 half * g2 * q12 * q12,
                 half * g1 * q2 * q12,
             );
+            // From the shares of the two ends to moments about the nearest position, where b is the
+            // distance from a. What is used later cancels nowhere there.
             let (of_a, of_b) = (d00 + d01, d01 + d11);
             let b = self.share_b[k];
             m.0[0][k] = of_a + of_b;
@@ -240,6 +266,8 @@ impl<const N: usize> View<N> {
 
 #[inline(always)]
 fn g_closed(phi: f64, sin: f64, cos: f64) -> (f64, f64) {
+    // phi / sin is near 1 and cos as well: for small angles the digits cancel, and at 0 nothing is
+    // left. `g_series` takes over.
     let s2 = sin * sin;
     ((phi / sin - cos) / s2, (1.0 - phi * cos / sin) / s2)
 }

@@ -93,11 +93,15 @@ impl Subdivider<'_> {
             exceeded: Vec::new(),
         };
         if pose.is_identity() || self.field.handles().columns() == 0 {
+            // f is then bilinear in every cell, exactly; and the picture has to stay as it is to
+            // the last bit.
             return Some(none);
         }
         let grid = mesh.grid();
         let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
         let bytes = CoefficientTable::bytes_for(self.field, grid.len());
+        // Coefficients inside cells are kept for the next poses of a drag. For large sets they
+        // would take more memory and time than f itself, which is then computed at each vertex.
         let f = (!CoefficientTable::rows_inside_cells_pay(self.field))
             .then(|| self.field.deformation(pose));
         let posing = Posing {
@@ -108,6 +112,8 @@ impl Subdivider<'_> {
             serial: CoefficientTable::is_posed_on_one_thread(bytes),
         };
         let samples = CellSamples::of_handles(self.field, grid, pose, cancelled)?;
+        // Below these alphas f has cusps at points or creases along lines (mathematics 2.4, 3.4),
+        // of which differences of vertices say nothing.
         let smooth = if self.field.handles().has_lines() {
             SMOOTH_LINES
         } else {
@@ -129,6 +135,7 @@ impl Subdivider<'_> {
                 .is_none_or(|falloff| falloff.alpha() >= smooth),
         };
         work.run(&posing, cancelled)?;
+        // Two targets at one position: no subdivision helps, and the client is told where.
         work.exceed_torn(pose);
         Some(work.finish())
     }
@@ -138,6 +145,7 @@ impl Subdivider<'_> {
 fn deepest(grid: &Grid) -> u8 {
     let mut cell = grid.cell().0.max(grid.cell().1);
     let mut level = 0;
+    // A cell of half a pixel moves no sample by more than the tolerance that can be asked for.
     while cell > SMALLEST_CELL && usize::from(level) < MAX_SUBDIVISION_DEPTH {
         cell /= 2.0;
         level += 1;
@@ -179,6 +187,8 @@ impl PoseMeasurement<'_> {
     fn between(&self, cell: u32, error: f32) -> f32 {
         let [width, height] = self.posed.size(cell);
         error
+            // Where f is resolved, its largest error lies next to where it was measured; elsewhere
+            // it may peak between the vertices (mathematics section 12, step 3).
             * if self.is_smooth && error <= RESOLVED_CELL_SHARE * width.max(height) {
                 BETWEEN_SMOOTH
             } else {
@@ -187,11 +197,15 @@ impl PoseMeasurement<'_> {
     }
 
     fn run(&mut self, posing: &Posing<'_>, cancelled: IsCancelled<'_>) -> Option<()> {
+        // Step 1 of mathematics section 12. Three kinds of cells are suspect: bent ones by their
+        // second differences, those with a handle that is off, and folded ones.
         let mut pending = bent_cells(
             self.mesh,
             SUSPECT_TOLERANCE_SHARE * self.subdivider.tolerance.min(SUSPECT_TOLERANCE),
         );
         for (cell, samples) in self.samples.by_cell() {
+            // At a handle f is known without computing it. Half of the tolerance, because what is
+            // found at one position is not the largest error of the cell.
             if sample_error(samples, &self.posed.corners(cell), 0) > self.tolerance() * 0.5 {
                 pending.push(cell);
             }
@@ -202,14 +216,20 @@ impl PoseMeasurement<'_> {
             #[expect(clippy::cast_possible_truncation, reason = "errors are f32")]
             let split = ((1.0 - SUSPECT_TOLERANCE_SHARE) * self.subdivider.tolerance) as f32;
             let folded = self.mesh.folded_cells().map(|(i, j)| j * columns + i);
+            // A folded cell is drawn as two triangles, not as its patch: their difference is a
+            // quarter of the twist, and second differences do not show it.
             pending.extend(folded.filter(|&cell| {
                 split_error(&self.posed.corners(cell), 2, self.posed.size(cell)) > split
             }));
         }
         while !pending.is_empty() {
+            // In the order of the grid, so that the result does not depend on which neighbour asked
+            // first.
             pending.sort_unstable();
             pending.dedup();
             pending.retain(|&cell| !self.interpolate(cell));
+            // Cells of one depth are computed together, as one block of vertices: that is what the
+            // kernels are fast at.
             let mut by_depth = vec![Vec::new(); self.deepest.into()];
             for &cell in &pending {
                 by_depth[usize::from(self.cells.get(&cell).map_or(0, |known| known.depth))]
@@ -222,6 +242,8 @@ impl PoseMeasurement<'_> {
             for &cell in &pending {
                 self.judge(cell, &mut next);
             }
+            // Edges come last: which cell is the coarser one is known only when no cell needs
+            // measuring for its own sake. They may begin new rounds.
             if next.is_empty() {
                 self.judge_edges(&mut next);
             }
@@ -235,9 +257,13 @@ impl PoseMeasurement<'_> {
     fn interpolate(&mut self, cell: u32) -> bool {
         let corners = self.posed.corners(cell);
         if let Some(known) = self.cells.get_mut(cell) {
+            // Measured once by exact vertices: interpolation has failed here before.
             if known.is_exact {
                 return false;
             }
+            // Interpolated before, and now a neighbour or a handle wants more: the cell begins
+            // again with exact vertices, because two kinds in one cell would leave a step between
+            // them.
             if known.depth > 0 {
                 *known = Measured {
                     least: known.least,
@@ -249,6 +275,7 @@ impl PoseMeasurement<'_> {
         }
         let (tolerance, size) = (self.tolerance(), self.posed.size(cell));
         let columns = self.mesh.grid().columns() - 1;
+        // A handle or a fold in the cell is what a polynomial through the neighbours cannot see.
         let is_open = self.is_smooth
             && self.samples.of(cell).is_empty()
             && split_error(&corners, 2, size) == 0.0;
@@ -262,6 +289,8 @@ impl PoseMeasurement<'_> {
             .filter(|(_, off)| *off <= INTERPOLATED_TOLERANCE_SHARE * tolerance);
         if let Some((halved, off)) = halved {
             let halves = halved.halves();
+            // It needs no halving: neither its own error nor what the interpolation may be off
+            // exceeds the tolerance. Nothing is kept of it.
             if self.cells.get(&cell).is_none()
                 && self.between(cell, Interpolated::error(corners, &halves) + off) <= tolerance
             {
@@ -289,6 +318,8 @@ impl PoseMeasurement<'_> {
             return false;
         }
         known.deepen(vertices, size);
+        // `decide` relies on a part of this error for the next level; divided by that part, `off`
+        // counts there in full.
         known.errors[usize::from(known.depth) - 1] += off / HALVED_ERROR_SHARE;
         let known = self.cells.get(&cell).expect("is there");
         let suffices = matches!(self.decide(cell, known), Decision::Draw(_));
@@ -307,6 +338,8 @@ impl PoseMeasurement<'_> {
         cancelled: IsCancelled<'_>,
     ) -> Option<()> {
         let len = group_len(depth + 1);
+        // The budget is spent in the order of the grid. What does not fit stays at its depth, and
+        // `judge` reports it as exceeded.
         let cells = &cells[..cells.len().min(self.left / len)];
         self.left -= cells.len() * len;
         let fresh = self
@@ -343,6 +376,9 @@ impl PoseMeasurement<'_> {
         // The grid may not resolve f there.
         if depth == 1 && self.between(cell, known.errors[0]) > self.tolerance() {
             next.extend(
+                // A bend that passes between the vertices of the neighbours looks flat there
+                // (mathematics section 12, step 5). One ring is enough: each cell that exceeds asks
+                // its own neighbours.
                 self.posed
                     .around(cell, |_, _| true)
                     .filter(|other| self.cells.get(other).is_none()),
@@ -353,6 +389,8 @@ impl PoseMeasurement<'_> {
             && sample_error(samples, &known.vertices, depth - 1) > self.tolerance()
         {
             let beside = |di: i32, dj: i32| {
+                // A handle near a side bends the cell beyond as well. Halving one side alone would
+                // leave the handle at the edge of a coarse cell.
                 let near = |x: f64, side: i32| {
                     side == 0 || (if side < 0 { x } else { 1.0 - x }) < NEIGHBOUR_HANDLE_CELLS
                 };
@@ -376,6 +414,7 @@ impl PoseMeasurement<'_> {
     /// measured for it go to `next`.
     fn judge_edges(&mut self, next: &mut Vec<u32>) {
         let mut wanted = Vec::new();
+        // All levels before any is changed: so the order of the cells is no matter.
         let levels: Vec<u8> = self
             .cells
             .known
@@ -396,6 +435,9 @@ impl PoseMeasurement<'_> {
                 if vertices.is_empty() {
                     vertices = known.at_level(level);
                 }
+                // On a common edge both cells use the vertices of the finer one; where these lie on
+                // the straight line of the coarser one, within the tolerance, nothing is to be
+                // done.
                 let least = edge_level(&vertices, (1 << level) + 1, edge, self.tolerance());
                 if least > other_level {
                     wanted.push((other, least));
@@ -430,6 +472,7 @@ impl PoseMeasurement<'_> {
             if grid.locate(p).is_none() {
                 continue;
             }
+            // The four cells that meet near the position: it may lie on an edge or on a vertex.
             let around = [-1.0, 1.0].map(|x| {
                 [-1.0, 1.0].map(|y| beside(p.x + x * SMALLEST_CELL, p.y + y * SMALLEST_CELL))
             });

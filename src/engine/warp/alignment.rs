@@ -2,7 +2,7 @@
 //! anything else (mathematics 8.1). So two shapes of different size and place can be compared,
 //! averaged and exaggerated.
 
-use super::resolved_rest::to_px;
+use super::rest_parameters::to_px;
 use super::{Align, RestSpec, Units};
 use crate::deform::{Class, Fitted, Handle, MAX_COORDINATE, PlaneMap, fitted};
 use crate::geometry::Point;

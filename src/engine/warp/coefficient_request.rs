@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::digest::Collector;
-use super::resolved_rest::resolve_grid;
+use super::rest_parameters::resolve_grid;
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, ResolvedRest, Units, WarpError};
 use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, Method, RestDeformation};

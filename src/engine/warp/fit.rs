@@ -1,7 +1,7 @@
 //! Which method fits a set of points: each candidate predicts every point from all others
 //! (`deform`'s leave one out; mathematics 10.4).
 
-use super::resolved_rest::{check_parameters, field, to_px};
+use super::rest_parameters::{check_parameters, field, to_px};
 use super::spec::at_most;
 use super::{Limits, Method, RestSpec, Task, WarpError, work};
 use crate::deform::{DeformError, Handle, Handles, IsCancelled, RestDeformation};

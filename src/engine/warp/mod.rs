@@ -26,6 +26,7 @@ mod raster_source;
 mod region;
 mod render_job;
 mod resolved_rest;
+mod rest_parameters;
 mod spec;
 mod strip_scheduler;
 mod summary;

@@ -2,7 +2,7 @@
 //! positions, where it folds, how much it distorts, what it covers, and the error of the round trip
 //! through the inverse. Distances are in px. Cost: O(cells), and a bounded number of positions.
 
-use super::resolved_rest::to_px;
+use super::rest_parameters::to_px;
 use super::{PosedMesh, ResolvedRest, Target, WarpError};
 use crate::deform::{Conflict, Handle, IsCancelled, MAX_COORDINATE, Pose};
 use crate::geometry::{Distortion, FoldRegions, Mesh, Orientation, Point, Summary};

@@ -158,6 +158,22 @@ impl App {
         self.report(&ticket, job).await
     }
 
+    /// The grid on which the inverse is sought, if it is another one: `/points` seeks it there too,
+    /// because cells of the report's grid may be too large or too small.
+    async fn plan_to_invert(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        setup: &HeldSetup,
+    ) -> Result<Option<Planned>, Problem> {
+        let to_invert = self.to_invert(ticket, setup).await?;
+        if to_invert.plan_key() == setup.plan_key() {
+            return Ok(None);
+        }
+        let planned = self.plan(client, ticket, &to_invert, Timing::default());
+        planned.await.map(Some)
+    }
+
     async fn report(&self, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
         let ReportJob {
             client,
@@ -180,17 +196,7 @@ impl App {
             is_built,
             ..
         } = self.plan(client, ticket, &setup, timing).await?;
-        // The inverse is sought where `/points` seeks it: on the same grid, unless its cells are
-        // too large or too small.
-        let to_invert = self.to_invert(ticket, &setup).await?;
-        let to_invert = if to_invert.plan_key() == setup.plan_key() {
-            None
-        } else {
-            Some(
-                self.plan(client, ticket, &to_invert, Timing::default())
-                    .await?,
-            )
-        };
+        let to_invert = self.plan_to_invert(client, ticket, &setup).await?;
         let app = self.clone();
         let measure = move |cancel: &Cancel| {
             let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());

@@ -34,6 +34,16 @@ enum Out {
     Directory,
 }
 
+impl Out {
+    /// What the use case makes; the files of a directory come in an archive.
+    fn form(self) -> BatchForm {
+        match self {
+            Self::File(form) => form,
+            Self::Directory => BatchForm::Zip,
+        }
+    }
+}
+
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
 pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure> {
@@ -66,14 +76,7 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
     output::require_directory(out)?;
     output::require_other(out, &read)?;
     let merged = input::merge(&sources(config, args)?)?;
-    if !["steps", "frames", "jitter"]
-        .iter()
-        .any(|poses| merged.has(poses))
-    {
-        let detail =
-            "the poses are missing: give --steps N, or `steps`, `frames` or `jitter` in the JSON";
-        return Err(Problem::new(Code::BadValue, detail).into());
-    }
+    require_poses(&merged)?;
     let located = |problem| input::located(&merged, problem);
     let (format, cure) = format_of(kind, &merged);
     require_quality_of_jpeg(&args.file, format, cure)?;
@@ -85,24 +88,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         .as_deref()
         .map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from))
         .transpose()?;
-    let layers = layers
-        .into_iter()
-        .filter_map(|layer| Some((layer.name, layer.kind, layer.file?)));
-    let layers = layers.map(|(name, kind, path)| {
-        Ok((
-            name,
-            kind,
-            input::read("layer", &path, Limit::body(config))?,
-        ))
-    });
-    let layers = layers.collect::<Result<Vec<_>, Failure>>()?;
+    let layers = read_layers(config, layers)?;
     let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
-    let form = if let Out::File(form) = kind {
-        form
-    } else {
-        BatchForm::Zip
-    };
+    let form = kind.form();
     let landmarks = match files {
         Some(files) => {
             let read = service.run(app.read_landmarks(client, files, whole.clone()));
@@ -126,17 +115,10 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
     let id = shown.session.record.id;
     let made = service.run(async {
-        for (name, kind, file) in layers {
-            let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
-            app.put_layer(client, id, &name, kind, file.into())
-                .await
-                .map_err(|mut problem| {
-                    problem
-                        .detail
-                        .insert_str(0, &format!("--layer {}: ", name.as_str()));
-                    problem
-                })?;
-        }
+        let put = async |name: &LayerName, kind, file| {
+            app.put_layer(client, id, name, kind, file).await.map(drop)
+        };
+        put_layers(layers, put).await?;
         app.batch(client, id, batch.into(), form, |_| u64::MAX)
             .await
     });
@@ -162,9 +144,56 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
             })?;
         }
     }
+    Ok(Some(number_of(frames, summary(method, &warnings))))
+}
+
+/// The number of frames, and what else is to be said.
+fn number_of(frames: u32, more: Option<String>) -> String {
     let what = if frames == 1 { "frame" } else { "frames" };
-    let more = summary(method, &warnings).map_or_else(String::new, |more| format!(", {more}"));
-    Ok(Some(format!("{frames} {what}{more}")))
+    let more = more.map_or_else(String::new, |more| format!(", {more}"));
+    format!("{frames} {what}{more}")
+}
+
+/// Errors: Neither a number of in-betweens, nor frames, nor a jitter.
+fn require_poses(merged: &Merged) -> Result<(), Failure> {
+    let kinds = ["steps", "frames", "jitter"];
+    if kinds.iter().any(|poses| merged.has(poses)) {
+        return Ok(());
+    }
+    let detail =
+        "the poses are missing: give --steps N, or `steps`, `frames` or `jitter` in the JSON";
+    Err(Problem::new(Code::BadValue, detail).into())
+}
+
+/// Layers that have a file, with its content.
+type LayerFiles = Vec<(String, LayerKind, Vec<u8>)>;
+
+fn read_layers(config: &Config, layers: Vec<LayerOption>) -> Result<LayerFiles, Failure> {
+    layers
+        .into_iter()
+        .filter_map(|layer| Some((layer.name, layer.kind, layer.file?)))
+        .map(|(name, kind, path)| {
+            let file = input::read("layer", &path, Limit::body(config))?;
+            Ok((name, kind, file))
+        })
+        .collect()
+}
+
+/// Adds layers to a session by `put`. Errors name the option.
+async fn put_layers(
+    layers: LayerFiles,
+    put: impl AsyncFn(&LayerName, LayerKind, Bytes) -> Result<(), Problem>,
+) -> Result<(), Problem> {
+    for (name, kind, file) in layers {
+        let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
+        put(&name, kind, file.into()).await.map_err(|mut problem| {
+            problem
+                .detail
+                .insert_str(0, &format!("--layer {}: ", name.as_str()));
+            problem
+        })?;
+    }
+    Ok(())
 }
 
 /// The files and options with fields of the request.

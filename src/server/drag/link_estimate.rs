@@ -103,6 +103,8 @@ impl FrameTime {
 impl LinkEstimate {
     /// A frame is sent. `is_alone`: every earlier one was acknowledged.
     pub fn sent(&mut self, now: Instant, bytes: u64, is_alone: bool) -> SendMark {
+        // After a pause the interval begins when the frame is sent: the pause is not the link's.
+        // This is how BBR samples a delivery rate.
         let delivered_at = self.delivered_at.filter(|_| !is_alone).unwrap_or(now);
         SendMark {
             at: now,
@@ -119,6 +121,8 @@ impl LinkEstimate {
         let seconds = |from: Instant| now.saturating_duration_since(from).as_secs_f64().max(1e-6);
         let size = newest.bytes.max(1) as f64;
         let sample =
+            // Everything that arrived between sending and acknowledging this frame, over that time:
+            // a rate, whether one frame was under way or many.
             (self.delivered - newest.delivered).max(1) as f64 / seconds(newest.delivered_at);
         self.rates.push_back((now, sample));
         while self.rates.len() > MAX_RATE_SAMPLES
@@ -130,6 +134,8 @@ impl LinkEstimate {
             self.rates.pop_front();
         }
         let rate = self
+            // The maximum, because an idle link shows too little and no sample can show too much
+            // for long.
             .rates
             .iter()
             .fold(sample, |most, (_, rate)| most.max(*rate));
@@ -141,10 +147,14 @@ impl LinkEstimate {
         self.keep(time, rate);
         self.by_size = self.compare(size).or(self.by_size);
         let base = self
+            // What the fastest frame of the memory would have taken at this size. The excess is
+            // time behind other frames, or jitter; the mean difference below tells which.
             .times
             .iter()
             .fold(time.took, |least, kept| least.min(kept.of(size, rate)));
         let queue = time.took - base;
+        // The mean deviation of successive frames, as RFC 3550 measures it: a standing queue is
+        // long but changes little.
         self.jitter += NEWEST_WEIGHT * ((queue - self.queue).abs() - self.jitter);
         self.queue = queue;
         Measured {
@@ -158,6 +168,8 @@ impl LinkEstimate {
 
     fn keep(&mut self, time: FrameTime, rate: f64) {
         let recent = self
+            // One sample for each interval and size: otherwise a minute of small frames would push
+            // out the large ones, and the memory of the fastest would be short.
             .times
             .iter_mut()
             .rev()
@@ -166,6 +178,8 @@ impl LinkEstimate {
             kept.bytes.min(time.bytes) > SMALLER_SIZE_RATIO * kept.bytes.max(time.bytes)
         });
         match equal.next() {
+            // The time of the interval stays that of its first frame, so that fast frames do not
+            // keep an old interval alive for ever.
             Some(kept) if time.took <= kept.of(time.bytes, rate) => {
                 *kept = FrameTime {
                     at: kept.at,
@@ -191,6 +205,8 @@ impl LinkEstimate {
                 .filter(|kept| kept.bytes >= least && kept.bytes <= most);
             of_size.min_by(|a, b| a.took.total_cmp(&b.took))
         };
+        // The difference of two fastest frames contains no latency: what remains is what the bytes
+        // took.
         let (small, same) = (
             fastest(0.0, SMALLER_SIZE_RATIO * size)?,
             fastest(
@@ -198,6 +214,8 @@ impl LinkEstimate {
                 (1.0 + EQUAL_SIZE_SHARE) * size,
             )?,
         );
+        // If the larger one was not slower, bytes cost nothing that can be seen: the rate is as
+        // good as infinite.
         Some((same.bytes - small.bytes) / (same.took - small.took).max(1e-9))
     }
 

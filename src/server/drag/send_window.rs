@@ -164,15 +164,20 @@ impl SendWindow {
             if number < self.reduced {
                 return Advice::Same;
             }
+            // The queue is twice what one may be: waiting for the end of the round trip would make
+            // every pose of it older. All frames that are under way were sent before this change.
             self.reduced = next;
             self.is_start = false;
             self.drained = None;
             self.step(self.fitting(link), next);
             return Advice::MuchSmaller;
         }
+        // Frames of the earlier round trip were sent with the earlier window.
         if number < self.round {
             return Advice::Same;
         }
+        // The least queue of the round trip: a single frame may have been delayed by jitter, but a
+        // queue that no frame escapes is real.
         let queue = self.least.map_or(link.queue, |least| least.min(link.queue));
         self.least = Some(queue);
         // The last frame of the round trip is the last that was sent before the first was
@@ -180,6 +185,8 @@ impl SendWindow {
         if number + 1 < self.round + self.frames as u64 && self.is_limit {
             return Advice::Same;
         }
+        // The round trip with half of the window has measured the latency; the window goes back to
+        // what it was.
         if let Some(frames) = self.drained.take() {
             self.step(frames, next);
             return Advice::Same;
@@ -191,12 +198,16 @@ impl SendWindow {
             link,
             possible,
         };
+        // Less before more, and the measurement of the latency in between: a queue that may be old
+        // must not be answered by growth.
         let followed = self
             .shrink(&round)
             .or_else(|| self.drain(&round))
             .or_else(|| self.grow(&round));
         followed.unwrap_or_else(|| {
             if self.is_trial {
+                // The step up has passed a round trip without a queue: the next failure begins with
+                // a short pause again.
                 self.pause = STEP_UP_PAUSE;
             }
             self.step(self.frames, next);
@@ -207,6 +218,8 @@ impl SendWindow {
     /// After a round trip with a queue: smaller pictures, or a smaller window.
     fn shrink(&mut self, round: &RoundTrip) -> Option<Advice> {
         let enough = round.frames_of(picture_ladder::TARGET_FRAME_RATE, 0.0);
+        // Quality goes first: with just enough frames for fluent motion, each must be smaller. With
+        // more than enough, one frame fewer costs nothing that is seen.
         if round.possible.smaller
             && self.frames as f64 <= enough
             && round.queue > length(round.link, SMALL_QUEUE)
@@ -216,6 +229,8 @@ impl SendWindow {
             return Some(Advice::Smaller);
         }
         let adapts = round.possible.larger || round.possible.smaller;
+        // While pictures can adapt, rate beyond the target is given up at a shorter queue: it buys
+        // age.
         let most = if adapts && self.frames as f64 > enough {
             SMALL_QUEUE
         } else {
@@ -225,9 +240,12 @@ impl SendWindow {
             return None;
         }
         if self.is_trial {
+            // The step was one too many. Each failure doubles the pause, because each trial makes a
+            // few frames older.
             self.not_before = Some(round.now + self.pause);
             self.pause = (2 * self.pause).min(MAX_PAUSE);
         }
+        // At the start the window doubles, so it may be far too large; later it is off by one.
         let frames = if self.is_start {
             self.fitting(round.link)
         } else {
@@ -249,6 +267,8 @@ impl SendWindow {
         }
         self.alone = Some(round.now);
         self.drained = Some(self.frames);
+        // Half empties the queue within a round trip and still keeps the link busy most of the
+        // time.
         self.step(self.frames / 2, round.next);
         Some(Advice::Same)
     }
@@ -257,6 +277,8 @@ impl SendWindow {
     /// window.
     fn grow(&mut self, round: &RoundTrip) -> Option<Advice> {
         if !self.is_limit || round.queue >= length(round.link, EMPTY_QUEUE) {
+            // If no pose waited, the window was not what limits the rate, and an empty queue says
+            // nothing of a larger one.
             return None;
         }
         if round.possible.larger
@@ -266,6 +288,8 @@ impl SendWindow {
             return Some(Advice::Larger);
         }
         let most = round
+            // Rate times latency is what can be under way; more than a screen shows only makes
+            // frames wait.
             .frames_of(MAX_FRAME_RATE, LATE_FRAME_SHARE)
             .clamp(1.0, MAX_WINDOW as f64);
         let frame = round.link.frame;
@@ -275,6 +299,7 @@ impl SendWindow {
         {
             return None;
         }
+        // Doubling, as TCP's slow start, until a queue is seen for the first time.
         let steps = if self.is_start { self.frames } else { 1 };
         let is_short = |steps: &usize| {
             *steps as f64 * frame <= MAX_STEPS && (self.frames + steps) as f64 <= most
@@ -289,12 +314,14 @@ impl SendWindow {
     /// A smaller window, at the rate of the newest frame almost without a queue.
     fn fitting(&self, link: Measured) -> usize {
         (1..self.frames)
+            // At least one less, at least one in all.
             .rev()
             .find(|frames| *frames as f64 <= link.fits + EXCESS_FRAME_SHARE)
             .unwrap_or(1)
     }
 
     fn step(&mut self, frames: usize, next: u64) {
+        // A fixed window measures as well, for the advice to pictures, but keeps its size.
         let frames = if self.is_auto { frames } else { self.frames };
         *self = Self {
             frames,

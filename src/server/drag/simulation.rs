@@ -236,6 +236,35 @@ fn picture_bytes(width: u32, encoding: Option<Encoding>, noise: &mut Noise) -> u
     (bytes * (0.9 + 0.2 * noise.next())) as u64
 }
 
+/// Sends what the link takes in a step. The result: the longest time that a frame waited before its
+/// first byte was sent, ms; time in an outage at the end does not count.
+fn transmit(
+    link: Link,
+    step: u64,
+    wire: &mut VecDeque<(Parcel, f64)>,
+    down: &mut Path<u64>,
+) -> u64 {
+    let mut queue = 0;
+    let mut budget = link.bytes(step);
+    while let Some((parcel, left)) = wire.front_mut() {
+        if *left == parcel.bytes as f64
+            && budget > 0.0
+            && !(link.outage.1 > 0 && step > link.outage.0 * STEPS_PER_MS)
+        {
+            queue = queue.max((step - parcel.sent) / STEPS_PER_MS);
+        }
+        let part = left.min(budget);
+        *left -= part;
+        budget -= part;
+        if *left > 0.0 {
+            break;
+        }
+        down.send(step, parcel.seq);
+        wire.pop_front();
+    }
+    queue
+}
+
 /// Drags for [`MOVING_MS`], then rests for a while.
 fn drag(link: Link, window: Window, content: SimulatedFrame) -> Observed {
     let pictures =
@@ -316,23 +345,7 @@ fn drag(link: Link, window: Window, content: SimulatedFrame) -> Observed {
                 Step::Wait(_) => break,
             }
         }
-        let mut budget = link.bytes(step);
-        while let Some((parcel, left)) = wire.front_mut() {
-            if *left == parcel.bytes as f64
-                && budget > 0.0
-                && !(link.outage.1 > 0 && step > link.outage.0 * STEPS_PER_MS)
-            {
-                seen.queue = seen.queue.max((step - parcel.sent) / STEPS_PER_MS);
-            }
-            let part = left.min(budget);
-            *left -= part;
-            budget -= part;
-            if *left > 0.0 {
-                break;
-            }
-            down.send(step, parcel.seq);
-            wire.pop_front();
-        }
+        seen.queue = seen.queue.max(transmit(link, step, &mut wire, &mut down));
         to_show.extend(std::iter::from_fn(|| down.arrived(step)));
         if link.refresh == 0 || step % (link.refresh * STEPS_PER_MS) == 0 {
             for seq in to_show.drain(..) {

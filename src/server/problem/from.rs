@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn contradiction_names_both_handles() {
+    fn conflict_names_both_handles() {
         let conflict = Conflict {
             handles: vec![2, 9],
             total: 2,

@@ -70,6 +70,38 @@ pub(in crate::codec) struct TiffFile<'a> {
     pub(in crate::codec) labels: bool,
 }
 
+/// Refuses depths and numbers of samples that no reader here knows.
+fn check_samples(
+    (bits, stored): (u32, u32),
+    colour: Photometric,
+    compression: TiffCompression,
+    has_alpha: bool,
+    width: u32,
+) -> Result<(), CodecError> {
+    let is_jpeg = compression == TiffCompression::Jpeg;
+    let is_known = match (bits, stored, colour) {
+        (8, ..) => true,
+        (16, _, Photometric::Grey { .. } | Photometric::Rgb) | (1 | 2 | 4, 1, _) => !is_jpeg,
+        // Labels.
+        (32 | 64, 1, Photometric::Grey { .. }) => !is_jpeg,
+        _ => false,
+    };
+    if !is_known
+        || compression == TiffCompression::Group4 && (bits, stored) != (1, 1)
+        || is_jpeg && has_alpha
+    {
+        return Err(unsupported(format_args!(
+            "whose bits per sample are {bits} and samples per pixel {stored}"
+        )));
+    }
+    if compression == TiffCompression::Group4 && width > WIDEST_FAX {
+        return Err(unsupported(format_args!(
+            "of group 4 with lines of {width} pixels"
+        )));
+    }
+    Ok(())
+}
+
 impl<'a> TiffFile<'a> {
     pub(in crate::codec) fn parse(
         bytes: &'a [u8],
@@ -106,26 +138,7 @@ impl<'a> TiffFile<'a> {
             return Err(unsupported("of samples with a sign"));
         }
         let is_jpeg = compression == TiffCompression::Jpeg;
-        let is_known = match (bits, stored, colour) {
-            (8, ..) => true,
-            (16, _, Photometric::Grey { .. } | Photometric::Rgb) | (1 | 2 | 4, 1, _) => !is_jpeg,
-            // Labels.
-            (32 | 64, 1, Photometric::Grey { .. }) => !is_jpeg,
-            _ => false,
-        };
-        if !is_known
-            || compression == TiffCompression::Group4 && (bits, stored) != (1, 1)
-            || is_jpeg && alpha.is_some()
-        {
-            return Err(unsupported(format_args!(
-                "whose bits per sample are {bits} and samples per pixel {stored}"
-            )));
-        }
-        if compression == TiffCompression::Group4 && width > WIDEST_FAX {
-            return Err(unsupported(format_args!(
-                "of group 4 with lines of {width} pixels"
-            )));
-        }
+        check_samples((bits, stored), colour, compression, alpha.is_some(), width)?;
         let is_planar = stored > 1 && number(284, 1)? == 2;
         if is_planar && is_jpeg {
             return Err(unsupported("of JPEG whose channels are in separate planes"));

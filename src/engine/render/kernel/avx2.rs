@@ -415,6 +415,16 @@ unsafe fn store<const CHANNELS: usize>(pixels: __m256i, out: *mut u8) {
     }
 }
 
+/// The two bytes from `a` on and those from `b` on of each half, four times each: the weights of
+/// two pixels beside each of their four samples.
+#[inline]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2")]
+fn spread(weights: __m256i, a: i8, b: i8) -> __m256i {
+    let (a1, b1) = (a + 1, b + 1);
+    let both = _mm_setr_epi8(a, a1, a, a1, a, a1, a, a1, b, b1, b, b1, b, b1, b, b1);
+    _mm256_shuffle_epi8(weights, _mm256_broadcastsi128_si256(both))
+}
+
 /// Eight pixels, RGBA.
 ///
 /// # Safety
@@ -484,29 +494,8 @@ unsafe fn group<const OPAQUE: bool>(packed: &Packed, places: &Places) -> __m256i
     // Per pixel: bytes 128 - fx and fx, from 255 fx + 128, and 256 fy in 16 bits.
     let weights = _mm256_mullo_epi16(fractions, _mm256_set1_epi32(256 << 16 | 255));
     let weights = _mm256_add_epi16(weights, _mm256_set1_epi32(128));
-    let spread = |a: i8, b: i8| {
-        let both = _mm_setr_epi8(
-            a,
-            a + 1,
-            a,
-            a + 1,
-            a,
-            a + 1,
-            a,
-            a + 1,
-            b,
-            b + 1,
-            b,
-            b + 1,
-            b,
-            b + 1,
-            b,
-            b + 1,
-        );
-        _mm256_shuffle_epi8(weights, _mm256_broadcastsi128_si256(both))
-    };
-    let (wx_a, wx_b) = (spread(0, 4), spread(8, 12));
-    let (wy_a, wy_b) = (spread(2, 6), spread(10, 14));
+    let (wx_a, wx_b) = (spread(weights, 0, 4), spread(weights, 8, 12));
+    let (wy_a, wy_b) = (spread(weights, 2, 6), spread(weights, 10, 14));
     let beside = _mm256_broadcastsi128_si256(_mm_setr_epi8(
         0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15,
     ));

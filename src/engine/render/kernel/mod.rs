@@ -14,6 +14,8 @@ mod avx2_cells;
 #[expect(unsafe_code, reason = "AVX-512 intrinsics behind run-time detection")]
 mod avx512;
 #[forbid(unsafe_code)]
+mod bilinear;
+#[forbid(unsafe_code)]
 mod cells;
 #[forbid(unsafe_code)]
 mod footprints;

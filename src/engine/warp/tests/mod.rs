@@ -271,7 +271,7 @@ fn the_vertices_of_a_hostile_pose_are_bounded_and_what_is_left_over_is_counted()
 }
 
 #[test]
-fn refinement_that_nobody_waits_for_is_given_up_at_the_next_look() {
+fn subdivision_that_is_no_longer_wanted_ends_at_the_next_look() {
     let case = hostile();
     let rest = RestSpec {
         grid: GridSpec::Tolerance(1.0),

@@ -256,7 +256,7 @@ fn residuals_are_those_of_the_drawn_mesh() {
 }
 
 #[test]
-fn contradictions_are_listed_and_work_can_be_cancelled() {
+fn conflicts_are_listed_and_work_can_be_cancelled() {
     let mut case = affine(|x, y| (x, y));
     case.rest.p.extend(points(&[(80.0, 60.0), (80.0, 60.0)]));
     case.q.extend(points(&[(84.0, 60.0), (76.0, 60.0)]));

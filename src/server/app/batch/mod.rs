@@ -30,7 +30,7 @@ use crate::session::SessionId;
 use crate::store::{Record, StoreError};
 use crate::wire::formats::Formats;
 use crate::wire::{BatchObject, BatchPoses, Reserved};
-use frame::BatchJob;
+use frame::{BatchJob, Survey};
 pub use package::BatchForm;
 use package::DEFAULT_DELAY_MS;
 use poses::Rest;
@@ -53,6 +53,40 @@ pub(crate) struct Batch {
 }
 
 impl App {
+    /// Checks the poses of a batch, and looks at all of its frames if the file needs it: one part
+    /// for each time on a compute thread, so that others are served in between.
+    async fn survey(
+        &self,
+        client: Client,
+        mut job: BatchJob,
+    ) -> Result<(BatchJob, Survey), Problem> {
+        let ticket = self
+            .0
+            .pool
+            .admit(WorkClass::Upload, QueueKey::client(client))
+            .await?;
+        let mut survey;
+        (job, survey) = self
+            .0
+            .pool
+            .run(&ticket, move |cancel| {
+                job.check(cancel).map(|survey| (job, survey))
+            })
+            .await??;
+        drop(ticket);
+        while !job.is_surveyed(&survey) {
+            let ticket = self
+                .0
+                .pool
+                .admit(WorkClass::Upload, QueueKey::client(client))
+                .await?;
+            let surveyed =
+                move |cancel: &Cancel| job.survey(&mut survey, cancel).map(|()| (job, survey));
+            (job, survey) = self.0.pool.run(&ticket, surveyed).await??;
+        }
+        Ok((job, survey))
+    }
+
     /// Draws the first frame of a batch, and the others as they are taken. `most_frame_bytes`: as
     /// of the JSON of a drag, by the columns of the session. Errors: Unknown session, a wrong pose
     /// in any frame, or too little capacity.
@@ -103,7 +137,7 @@ impl App {
             grid,
             setup: planned.setup,
         };
-        let mut job = BatchJob {
+        let job = BatchJob {
             app: self.clone(),
             client,
             quota,
@@ -118,30 +152,7 @@ impl App {
             form,
             force_alpha: false,
         };
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::client(client))
-            .await?;
-        let mut survey;
-        (job, survey) = self
-            .0
-            .pool
-            .run(&ticket, move |cancel| {
-                job.check(cancel).map(|survey| (job, survey))
-            })
-            .await??;
-        drop(ticket);
-        while !job.is_surveyed(&survey) {
-            let ticket = self
-                .0
-                .pool
-                .admit(WorkClass::Upload, QueueKey::client(client))
-                .await?;
-            let surveyed =
-                move |cancel: &Cancel| job.survey(&mut survey, cancel).map(|()| (job, survey));
-            (job, survey) = self.0.pool.run(&ticket, surveyed).await??;
-        }
+        let (mut job, survey) = self.survey(client, job).await?;
         job.decide(&survey)?;
         let canvas = match job.output.canvas {
             CanvasSpec::Box(canvas) if form.is_animation() => Some(canvas),

@@ -9,7 +9,7 @@ use mlswarp::deform::Handle;
 use mlswarp::warp::{
     Align, CanvasSpec, CompactLattice, CoordinateFrame as PictureFrame, OutputSpec, Report,
 };
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::same;
 use crate::app::App;
@@ -155,6 +155,130 @@ pub(crate) async fn draw_frame(
     frame
 }
 
+/// What a frame is drawn from, for whom, and the right to be the next one to be admitted.
+struct FrameSession {
+    client: Client,
+    record: Arc<Record>,
+    quota: ClientQuota,
+    permit: OwnedSemaphorePermit,
+}
+
+async fn picture_frame(
+    app: App,
+    session: FrameSession,
+    format: Option<Format>,
+    request: FrameRequest,
+) -> Result<DragFrame, Problem> {
+    let FrameSession {
+        client,
+        record,
+        quota,
+        permit,
+    } = session;
+    let seq = request.pose.seq;
+    let (record, content, plan) = app.admit_newest(client, record, None).await?;
+    drop(permit);
+    let strength = request.pose.q.strength(record.pose.as_ref());
+    let q = read_handles(
+        &app,
+        client,
+        &plan.ticket,
+        Arc::clone(&request.pose.q),
+        &record,
+    )
+    .await?;
+    let shape = plan.shape(record.extent);
+    let (output, preview) = output(&record, format, &request);
+    let AdmittedPlan { ticket, planned } = plan;
+    let job = DrawJob {
+        content,
+        planned,
+        q,
+        folds: record.folds,
+        output,
+        preview,
+        force_alpha: false,
+        quota,
+    };
+    let drawn = app.draw(ticket, job).await?;
+    let Drawn {
+        report,
+        target,
+        timing,
+        picture,
+        format,
+        ..
+    } = drawn;
+    let quality = (format == Format::Jpeg).then_some(output.quality);
+    let (pieces, cost) = collect(picture).await?;
+    let file = (format.media_type().trim_start_matches("image/"), quality);
+    let picture = PictureFrame::of_target(target, record.extent, record.rest.units);
+    let head = ReportHead {
+        seq,
+        strength,
+        picture,
+        full: preview.is_none(),
+    };
+    let report = report_json(head, file, (&report, None), timing, cost);
+    Ok(DragFrame {
+        seq,
+        record,
+        shape,
+        pieces,
+        report,
+    })
+}
+
+async fn mesh_frame(
+    app: App,
+    session: FrameSession,
+    (form, known): (FrameContent, KnownLattice),
+    request: FrameRequest,
+) -> Result<DragFrame, Problem> {
+    let FrameSession {
+        client,
+        record,
+        quota,
+        permit,
+    } = session;
+    let seq = request.pose.seq;
+    // The lattice is chosen after admission; only JSON has a limit of its own.
+    let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
+    drop(permit);
+    let strength = request.pose.q.strength(record.pose.as_ref());
+    let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
+    let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
+    let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
+    let SessionMesh {
+        report,
+        timing,
+        body,
+        error,
+        ..
+    } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
+    let picture = PictureFrame::of_source(record.extent, record.rest.units);
+    let head = ReportHead {
+        seq,
+        strength,
+        picture,
+        full: true,
+    };
+    let report = report_json(
+        head,
+        ("mesh", None),
+        (&report, error),
+        timing,
+        Cost::default(),
+    );
+    Ok(DragFrame {
+        seq,
+        record,
+        shape,
+        pieces: vec![body],
+        report,
+    })
+}
+
 async fn try_draw_frame(
     app: App,
     client: Client,
@@ -171,102 +295,17 @@ async fn try_draw_frame(
     // Once per frame, not once per pose: the store knows whether the session still exists and has
     // changed.
     let record = app.touch(id, None).await?.record;
-    let seq = request.pose.seq;
+    let session = FrameSession {
+        client,
+        record,
+        quota,
+        permit,
+    };
     match form {
-        FrameContent::Picture(_) | FrameContent::Auto => {
-            let format = if let FrameContent::Picture(format) = form {
-                format
-            } else {
-                None
-            };
-            let (record, content, plan) = app.admit_newest(client, record, None).await?;
-            drop(permit);
-            let strength = request.pose.q.strength(record.pose.as_ref());
-            let q = read_handles(
-                &app,
-                client,
-                &plan.ticket,
-                Arc::clone(&request.pose.q),
-                &record,
-            )
-            .await?;
-            let shape = plan.shape(record.extent);
-            let (output, preview) = output(&record, format, &request);
-            let AdmittedPlan { ticket, planned } = plan;
-            let job = DrawJob {
-                content,
-                planned,
-                q,
-                folds: record.folds,
-                output,
-                preview,
-                force_alpha: false,
-                quota,
-            };
-            let drawn = app.draw(ticket, job).await?;
-            let Drawn {
-                report,
-                target,
-                timing,
-                picture,
-                format,
-                ..
-            } = drawn;
-            let quality = (format == Format::Jpeg).then_some(output.quality);
-            let (pieces, cost) = collect(picture).await?;
-            let file = (format.media_type().trim_start_matches("image/"), quality);
-            let picture = PictureFrame::of_target(target, record.extent, record.rest.units);
-            let head = ReportHead {
-                seq,
-                strength,
-                picture,
-                full: preview.is_none(),
-            };
-            let report = report_json(head, file, (&report, None), timing, cost);
-            Ok(DragFrame {
-                seq,
-                record,
-                shape,
-                pieces,
-                report,
-            })
-        }
+        FrameContent::Picture(format) => picture_frame(app, session, format, request).await,
+        FrameContent::Auto => picture_frame(app, session, None, request).await,
         FrameContent::Mesh | FrameContent::CompactMesh(_) => {
-            // The lattice is chosen after admission; only JSON has a limit of its own.
-            let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
-            drop(permit);
-            let strength = request.pose.q.strength(record.pose.as_ref());
-            let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
-            let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
-            let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
-            let SessionMesh {
-                report,
-                timing,
-                body,
-                error,
-                ..
-            } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
-            let picture = PictureFrame::of_source(record.extent, record.rest.units);
-            let head = ReportHead {
-                seq,
-                strength,
-                picture,
-                full: true,
-            };
-            let report = report_json(
-                head,
-                ("mesh", None),
-                (&report, error),
-                timing,
-                Cost::default(),
-            );
-            Ok(DragFrame {
-                seq,
-                record,
-                shape,
-                pieces: vec![body],
-                report,
-            })
+            mesh_frame(app, session, (form, known), request).await
         }
     }
 }

@@ -188,6 +188,7 @@ impl<F> FrameScheduler<F> {
     /// A pose arrived.
     pub fn pose(&mut self, pose: QueuedPose) {
         self.last_pose = Some(pose.at);
+        // Only the newest pose is drawn: an older one would show where the pointer no longer is.
         if self.waiting.replace(pose).is_some() {
             self.superseded += 1;
         }
@@ -196,12 +197,15 @@ impl<F> FrameScheduler<F> {
     /// The client acknowledged a frame, and all earlier ones.
     /// Errors: No frame with this or a higher number was sent.
     pub fn ack(&mut self, seq: u64, now: Instant) -> Result<(), NotSent> {
+        // An acknowledgement of what was never sent would let a client open its window at will.
         if self.newest_sent.is_none_or(|newest| seq > newest) {
             return Err(NotSent);
         }
         let (mut newest, mut bytes) = (None, 0);
         while self
             .sent
+            // Acknowledgements are cumulative: a lost one costs nothing, since the next includes
+            // it.
             .front()
             .is_some_and(|sent| sent.request.pose.seq <= seq)
         {
@@ -216,6 +220,8 @@ impl<F> FrameScheduler<F> {
 
     /// `sent`: the newest acknowledged frame; `bytes`: those of all acknowledged frames.
     fn acknowledged(&mut self, sent: Sent, bytes: u64, now: Instant) {
+        // The order matters: the link is measured first, then the window decides, and pictures
+        // follow its advice.
         let measured = self.link.acknowledged(now, sent.mark, bytes);
         let possible = self
             .pictures
@@ -235,6 +241,8 @@ impl<F> FrameScheduler<F> {
         }
         if let Some(width) = sent.request.width {
             let ack_time = now.saturating_duration_since(sent.mark.at());
+            // With chosen encodings the size is the ladder's matter, and the controller only
+            // averages times.
             let averaged = if self.pictures.is_some() {
                 self.previews.width()
             } else {
@@ -248,6 +256,8 @@ impl<F> FrameScheduler<F> {
                 sent.unacknowledged,
             );
             let is_full =
+                // A narrow or lossy frame is owed a full one when the pointer rests; which pose it
+                // shows is kept for that.
                 width >= self.full && !matches!(sent.request.encoding, Some(Encoding::Jpeg(_)));
             if !is_full && self.ready.is_none() {
                 self.preview = Some(sent.request.pose);

@@ -135,6 +135,8 @@ impl Usage {
 
     /// Recently used worker time, as of now.
     fn used(&self, now: Instant) -> f64 {
+        // An exponential decay needs no list of past jobs and no clock that ticks: only the last
+        // value and its time.
         let half_lives = now.saturating_duration_since(self.at).as_secs_f64() / HALF_LIFE;
         let kept = (-half_lives).exp2();
         // The integral of what the running requests have added since, each moment weighted by its
@@ -196,6 +198,8 @@ impl<W> FairQueue<W> {
     /// The key that loses a request when the queue is full and a request with `key` arrives.
     fn victim(&self, key: QueueKey) -> Option<QueueKey> {
         let waiting = |tenant: &Tenant| self.usage.get(tenant).map_or(0, |usage| usage.waiting);
+        // Whoever fills the queue gives up a place for those who have few in it; with one request
+        // more than the newcomer there is nothing to level.
         let most = self.order.iter().map(waiting).max().unwrap_or(0);
         if most > waiting(&key.tenant) + 1 {
             // Among equals, the client that got a permit last.
@@ -206,9 +210,12 @@ impl<W> FairQueue<W> {
                 .find(|tenant| waiting(tenant) == most)?;
             return self.longest(*tenant).map(|(key, _)| key);
         }
+        // Within the newcomer's own client the same rule holds between its keys, so that one
+        // session does not push out the others.
         let own = self.waiters.get(&key).map_or(0, VecDeque::len);
         match self.longest(key.tenant) {
             Some((longest, length)) if length > own + 1 => Some(longest),
+            // The newest pose of a session makes its older one useless.
             _ => (key.is_newest_first() && own > 0).then_some(key),
         }
     }
@@ -235,13 +242,19 @@ impl<W> FairQueue<W> {
     }
 
     /// The client with the least is next: recently used worker time, running requests.
+    // The spare permit goes to clients that hold none: with all workers in long jobs of one client,
+    // another one still begins at once.
     fn rank(&self, tenant: Tenant, now: Instant) -> (f64, usize) {
         self.usage
             .get(&tenant)
+            // The number of running requests decides between equals: at the start nobody has used
+            // anything yet.
             .map_or((0.0, 0), |usage| (usage.used(now), usage.running))
     }
 
     fn usage(&mut self, tenant: Tenant, now: Instant) -> &mut Usage {
+        // At powers of two, so that a sweep over all costs each newcomer a constant time on
+        // average.
         if self.usage.len() >= MANY_CLIENTS && self.usage.len().is_power_of_two() {
             self.usage.retain(|_, usage| !usage.is_negligible(now));
         }
@@ -252,6 +265,7 @@ impl<W> FairQueue<W> {
         self.running += 1;
         let usage = self.usage(tenant, now);
         usage.update(now);
+        // What has run until now is charged at the old number, what follows at the new one.
         usage.running += 1;
     }
 
@@ -264,6 +278,8 @@ impl<W> FairQueue<W> {
         }
         let mut rejected = None;
         if self.waiting >= self.max_waiting {
+            // Rejecting now is better than a wait that ends in a rejection: the client learns at
+            // once when to retry.
             let Some(victim) = self.victim(key) else {
                 return Arrival::Rejected;
             };
@@ -278,6 +294,8 @@ impl<W> FairQueue<W> {
         let usage = self.usage(key.tenant, now);
         usage.waiting += 1;
         if is_first {
+            // Keys of a client take turns; a key that was empty goes to the end, so that none gains
+            // by coming and going.
             usage.keys.push_back(key);
         }
         if usage.waiting == 1 {
@@ -310,6 +328,8 @@ impl<W> FairQueue<W> {
             if usage.waiting == 0 {
                 self.order.retain(|other| *other != key.tenant);
             }
+            // As of the last change: the map must not keep an entry for each address that has ever
+            // waited and left.
             if usage.is_negligible(usage.at) {
                 self.usage.remove(&key.tenant);
             }

@@ -1,0 +1,196 @@
+//! What a client states of handles at rest, turned into the engine's terms: parameters that fit the
+//! method, positions in pixels, the grid, and the key by which caches know the result.
+
+use super::digest::Collector;
+use super::spec::{MOST_SPLINE_HANDLES, at_most};
+use super::{Digest, GridSpec, Limits, Method, RestSpec, Units, WarpError};
+use crate::deform::{self, DeformError, Falloff, Handle, Handles, IsCancelled, RestDeformation};
+use crate::geometry::{DisplayNumber, Grid, Point};
+
+/// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics
+/// section 12, step 1).
+pub(super) const AUTO_CELL: (f64, f64) = (4.0, 8.0);
+/// A mesh has two f32 per vertex.
+const MESH_BYTES_PER_VERTEX: u64 = 8;
+/// Largest number of grid lines per px along each axis (finer cells are smaller than pixels), and
+/// the number that a small picture may always have.
+const LINES_PER_PX: f64 = 4.0;
+const LINES_ALWAYS: f64 = 4096.0;
+
+/// Errors: A parameter of another method, too many handles.
+pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
+    let is_spline = rest.method == Method::ThinPlateSpline;
+    let given = [
+        (
+            "alpha",
+            rest.alpha.is_some() && rest.method.family().is_none(),
+        ),
+        ("point_mass", rest.point_mass.is_some() && is_spline),
+        ("smoothing", rest.smoothing.is_some() && !is_spline),
+    ];
+    if let Some((parameter, _)) = given.into_iter().find(|(_, is_foreign)| *is_foreign) {
+        return Err(WarpError::ForeignParameter { parameter });
+    }
+    if is_spline {
+        at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64)
+    } else {
+        Ok(())
+    }
+}
+
+pub(super) fn field(
+    handles: Handles,
+    rest: &RestSpec,
+    cancelled: IsCancelled<'_>,
+) -> Result<RestDeformation, DeformError> {
+    let coincident = rest.coincident;
+    let point_mass = rest
+        .point_mass
+        .unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
+    let family = match rest.method {
+        Method::ThinPlateSpline => {
+            return RestDeformation::spline_unless(
+                handles,
+                coincident,
+                rest.smoothing.unwrap_or(0.0),
+                cancelled,
+            );
+        }
+        Method::GlobalAffine => {
+            return RestDeformation::global_affine_unless(
+                handles, coincident, point_mass, cancelled,
+            );
+        }
+        Method::Rigid => deform::Method::Rigid,
+        Method::Similarity => deform::Method::Similarity,
+        Method::Affine => deform::Method::Affine,
+    };
+    let alpha = rest
+        .alpha
+        .unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
+    let falloff = Falloff::new(alpha, handles.has_lines())?;
+    RestDeformation::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
+}
+
+pub(super) fn resolve_grid(
+    spec: GridSpec,
+    width: f64,
+    height: f64,
+    limits: &Limits,
+) -> Result<Grid, WarpError> {
+    // Per axis too, because the working memory of a row, one per thread, grows with its columns.
+    let along = |what, length: f64, count: u32| {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a side is at most 2^32"
+        )]
+        let limit = (length * LINES_PER_PX).max(LINES_ALWAYS) as u64 + 1;
+        at_most(what, limit, count.into())
+    };
+    let check = |columns: u32, rows: u32| {
+        along("grid_columns", width, columns)?;
+        along("grid_rows", height, rows)?;
+        at_most(
+            "grid_vertices",
+            limits.plan_bytes / MESH_BYTES_PER_VERTEX,
+            u64::from(columns) * u64::from(rows),
+        )
+    };
+    let with_cell = |cell: f64| {
+        check(
+            1 + Grid::cells_along(width, cell),
+            1 + Grid::cells_along(height, cell),
+        )?;
+        Ok(Grid::with_cell(width, height, cell))
+    };
+    match spec {
+        GridSpec::Tolerance(tolerance) if !GridSpec::TOLERANCE_RANGE_PX.contains(&tolerance) => {
+            let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
+            Err(WarpError::BadGrid(format!(
+                "the tolerance of a grid must be {least} to {most} px; found {}",
+                DisplayNumber(tolerance)
+            )))
+        }
+        GridSpec::Auto | GridSpec::Tolerance(_) => {
+            with_cell((width.min(height) / 100.0).clamp(AUTO_CELL.0, AUTO_CELL.1))
+        }
+        GridSpec::Pixel => with_cell(1.0),
+        GridSpec::Cell(cell) if cell.is_finite() && cell > 0.0 => with_cell(cell),
+        GridSpec::Cell(cell) => Err(WarpError::BadGrid(format!(
+            "the cell of a grid must be a positive number of pixels; found {}",
+            DisplayNumber(cell)
+        ))),
+        GridSpec::Counts { columns, rows } if columns >= 2 && rows >= 2 => {
+            check(columns, rows)?;
+            Ok(Grid::with_counts(width, height, columns, rows))
+        }
+        GridSpec::Counts { columns, rows } => Err(WarpError::BadGrid(format!(
+            "a grid needs at least 2 columns and 2 rows of vertices; found {columns} x {rows}"
+        ))),
+    }
+}
+
+pub(super) fn unit(units: Units, grid: &Grid) -> (f64, f64) {
+    match units {
+        Units::Px => (1.0, 1.0),
+        Units::Normalized => (grid.width(), grid.height()),
+    }
+}
+
+pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
+    let px = |p: &Point| Point::new(p.x * ux, p.y * uy);
+    handles
+        .iter()
+        .map(|h| match h {
+            Handle::Point(p) => Handle::Point(px(p)),
+            Handle::Polyline(places) => Handle::Polyline(places.iter().map(px).collect()),
+            Handle::Missing => Handle::Missing,
+        })
+        .collect()
+}
+
+pub(super) fn plan_key(
+    field: &RestDeformation,
+    grid: &Grid,
+    mixed: bool,
+    is_subdivided: bool,
+) -> Digest {
+    /// Beside the families of moving least squares.
+    const SPLINE: u64 = 3;
+    const GLOBAL_AFFINE: u64 = 4;
+    let family = match field.family() {
+        deform::Method::Affine => 0,
+        deform::Method::Similarity => 1,
+        deform::Method::Rigid => 2,
+    };
+    let key = Collector::new("mlswarp plan 2");
+    let key = match (field.falloff(), field.smoothing()) {
+        (Some(falloff), _) => key.integer(family).float(falloff.alpha()),
+        (None, Some(smoothing)) => key.integer(SPLINE).float(smoothing),
+        (None, None) => key.integer(GLOBAL_AFFINE),
+    };
+    let mut key = key
+        // A mass that all points share cancels without lines.
+        .float(field.point_mass().filter(|_| mixed).unwrap_or(1.0))
+        .float(grid.width())
+        .float(grid.height())
+        .float(grid.cell().0)
+        .float(grid.cell().1)
+        .integer(grid.columns().into())
+        .integer(grid.rows().into())
+        // Plans of subdivided grids may keep more rows.
+        .integer(is_subdivided.into());
+    for (handle, &weight) in field
+        .handles()
+        .handles()
+        .iter()
+        .zip(field.handles().weights())
+    {
+        key = key.float(weight).integer(handle.places().len() as u64);
+        for p in handle.places() {
+            key = key.float(p.x).float(p.y);
+        }
+    }
+    key.finish()
+}
