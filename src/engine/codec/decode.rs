@@ -67,6 +67,14 @@ pub(super) fn open_any<'a>(
 ///
 /// # Errors
 /// Those of [`open`] and [`Opened::decode`].
+///
+/// ```
+/// use mlswarp::codec::{ImageLimits, decode};
+/// let file = include_bytes!("../test_files/images/chelsea.png");
+/// let image = decode(file, &ImageLimits::default(), &|| false)?;
+/// assert_eq!(image.pixmap.extent().width(), 451);
+/// # Ok::<(), mlswarp::codec::CodecError>(())
+/// ```
 pub fn decode(
     bytes: &[u8],
     limits: &ImageLimits,

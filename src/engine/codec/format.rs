@@ -94,6 +94,13 @@ impl SourceFormat {
     ///
     /// # Errors
     /// [`CodecError::Unsupported`], which names what the bytes look like.
+    ///
+    /// ```
+    /// use mlswarp::codec::{Format, SourceFormat};
+    /// let found = SourceFormat::of(b"\x89PNG\r\n\x1a\n").unwrap();
+    /// assert_eq!(found, SourceFormat::Written(Format::Png));
+    /// assert_eq!(found.media_type(), "image/png");
+    /// ```
     pub fn of(bytes: &[u8]) -> Result<Self, CodecError> {
         Ok(match bytes {
             [0x89, b'P', b'N', b'G', b'\r', b'\n', 0x1A, b'\n', ..] => Self::Written(Format::Png),

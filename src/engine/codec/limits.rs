@@ -26,6 +26,13 @@ impl ImageLimits {
     ///
     /// # Errors
     /// [`CodecError::TooLarge`] naming `image_side` or `image_pixels`.
+    ///
+    /// ```
+    /// use mlswarp::codec::ImageLimits;
+    /// use mlswarp::pixmap::Extent;
+    /// let limits = ImageLimits { max_side: 1000, ..ImageLimits::default() };
+    /// assert!(limits.check(Extent::new(1001, 1).unwrap()).is_err());
+    /// ```
     pub fn check(&self, extent: Extent) -> Result<(), CodecError> {
         let side = extent.width().max(extent.height());
         if side > self.max_side {

@@ -34,6 +34,13 @@ impl Falloff {
     ///
     /// # Errors
     /// [`DeformError::AlphaOutOfRange`], also for NaN.
+    ///
+    /// ```
+    /// use mlswarp::deform::Falloff;
+    /// assert!(Falloff::new(1.5, true).is_ok());
+    /// // With lines, a smaller exponent would not interpolate.
+    /// assert!(Falloff::new(0.4, true).is_err());
+    /// ```
     pub fn new(alpha: f64, lines: bool) -> Result<Self, DeformError> {
         if !(alpha > 0.0 && alpha <= MAX_EXPONENT) || lines && alpha < LEAST_WITH_LINES {
             return Err(DeformError::AlphaOutOfRange { alpha, lines });

@@ -27,6 +27,14 @@ pub enum Handle {
 
 impl Handle {
     /// The positions of the handle.
+    ///
+    /// ```
+    /// use mlswarp::deform::Handle;
+    /// use mlswarp::geometry::Point;
+    /// let line = Handle::Polyline(vec![Point::new(0.0, 0.0), Point::new(9.0, 0.0)]);
+    /// assert_eq!(line.places().len(), 2);
+    /// assert!(Handle::Missing.places().is_empty());
+    /// ```
     #[must_use]
     pub fn places(&self) -> &[Point] {
         match self {
@@ -70,6 +78,16 @@ impl Handles {
     ///
     /// # Errors
     /// The first handle that fails, by index.
+    ///
+    /// ```
+    /// use mlswarp::deform::{Handle, Handles};
+    /// use mlswarp::geometry::Point;
+    /// let nose = Handle::Point(Point::new(262.0, 240.0));
+    /// let handles = Handles::new(vec![nose], None)?;
+    /// assert_eq!(handles.weights(), [1.0]);
+    /// assert!(Handles::new(vec![Handle::Point(Point::new(f64::NAN, 0.0))], None).is_err());
+    /// # Ok::<(), mlswarp::deform::DeformError>(())
+    /// ```
     pub fn new(handles: Vec<Handle>, weights: Option<Vec<f64>>) -> Result<Self, DeformError> {
         check_places(&handles)?;
         let weights = weights.unwrap_or_else(|| vec![1.0; handles.len()]);
@@ -186,6 +204,16 @@ impl Pose {
     /// # Errors
     /// A coordinate that is not finite or out of range, a handle that is missing in this pose only,
     /// or a shape that differs, by handle.
+    ///
+    /// ```
+    /// use mlswarp::deform::{Handle, Handles, Pose};
+    /// use mlswarp::geometry::{Point, Vec2};
+    /// let point = |x, y| Handle::Point(Point::new(x, y));
+    /// let rest = Handles::new(vec![point(1.0, 2.0)], None)?;
+    /// let pose = Pose::new(&rest, &[point(4.0, 2.0)])?;
+    /// assert_eq!(pose.displacements(), [Vec2::new(3.0, 0.0)]);
+    /// # Ok::<(), mlswarp::deform::DeformError>(())
+    /// ```
     pub fn new(rest: &Handles, posed: &[Handle]) -> Result<Self, DeformError> {
         if posed.len() != rest.handles.len() {
             return Err(DeformError::CountMismatch {

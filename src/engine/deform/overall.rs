@@ -64,6 +64,17 @@ pub struct Fitted {
 
 /// The best map of a class from the handles `from` to the handles `to` of the same shapes;
 /// `weights`: one for each, default 1. `None` without handles. O(positions), without memory.
+///
+/// ```
+/// use mlswarp::deform::{Class, Handle, fitted};
+/// use mlswarp::geometry::Point;
+/// let points = |places: [(f64, f64); 3]| places.map(|(x, y)| Handle::Point(Point::new(x, y)));
+/// let from = points([(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)]);
+/// let to = points([(5.0, 0.0), (25.0, 0.0), (5.0, 20.0)]);
+/// let best = fitted(Class::Similarity, &from, &to, None).unwrap();
+/// let mapped = best.map.map(Point::new(10.0, 10.0));
+/// assert!(mapped.distance(Point::new(25.0, 20.0)) < 1e-9);
+/// ```
 #[must_use]
 pub fn fitted(
     class: Class,

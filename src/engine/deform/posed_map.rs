@@ -84,6 +84,21 @@ impl RestDeformation {
     }
 
     /// f at a position; [`RestDeformation::deformation`] is for many.
+    ///
+    /// ```
+    /// use mlswarp::deform::{Falloff, Handle, Handles, Method, RestDeformation};
+    /// use mlswarp::geometry::Point;
+    /// let point = |x, y| Handle::Point(Point::new(x, y));
+    /// let p = vec![point(10.0, 10.0), point(90.0, 10.0), point(50.0, 80.0)];
+    /// let q = [point(10.0, 10.0), point(90.0, 10.0), point(50.0, 60.0)];
+    /// let rest = Handles::new(p, None)?;
+    /// let f = RestDeformation::new(rest, Method::Rigid, Falloff::new(1.0, false)?, 1.0)?;
+    /// // f(p) = q; a position between the handles follows smoothly.
+    /// let pose = f.pose(&q)?;
+    /// assert_eq!(f.map(&pose, Point::new(50.0, 80.0)), Point::new(50.0, 60.0));
+    /// assert!(f.map(&pose, Point::new(50.0, 50.0)).y < 50.0);
+    /// # Ok::<(), mlswarp::deform::DeformError>(())
+    /// ```
     #[must_use]
     pub fn map(&self, pose: &Pose, place: Point) -> Point {
         self.deformation(pose).map(place)

@@ -4,6 +4,12 @@ use std::fmt;
 
 /// A number with all its digits, and an exponent if it is very large or very small: `1e300` has 300
 /// digits otherwise.
+///
+/// ```
+/// use mlswarp::geometry::DisplayNumber;
+/// assert_eq!(DisplayNumber(0.25).to_string(), "0.25");
+/// assert_eq!(DisplayNumber(1e300).to_string(), "1e300");
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct DisplayNumber(pub f64);
 

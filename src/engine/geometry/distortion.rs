@@ -28,6 +28,12 @@ pub struct Summary {
 
 impl Summary {
     /// The summary of the finite values; `None` if there are none. O(values), which are reordered.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Summary;
+    /// let summary = Summary::of(&mut vec![4.0, 1.0, f64::NAN, 2.0]);
+    /// assert_eq!(summary, Some(Summary { min: 1.0, median: 2.0, max: 4.0 }));
+    /// ```
     #[must_use]
     pub fn of(values: &mut Vec<f64>) -> Option<Self> {
         values.retain(|value| value.is_finite());

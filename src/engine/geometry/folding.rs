@@ -54,6 +54,15 @@ pub struct Folding {
 impl Mesh {
     /// The orientation of most of the area at rest, and the number of folded cells, equal to
     /// `folded_cells().count()`. `None` when cancelled, which is checked for each row.
+    ///
+    /// ```
+    /// use mlswarp::geometry::{Grid, Mesh};
+    /// // The middle column passes beyond the right one.
+    /// let grid = Grid::with_counts(20.0, 10.0, 3, 2);
+    /// let row = [[0.0; 2], [15.0, 0.0], [0.0; 2]];
+    /// let mesh = Mesh::new(grid, [row, row].concat());
+    /// assert_eq!(mesh.folding(&|| false).map(|folding| folding.cells), Some(1));
+    /// ```
     #[must_use]
     pub fn folding(&self, cancelled: &dyn Fn() -> bool) -> Option<Folding> {
         let (mut upright, all) = (

@@ -22,6 +22,13 @@ const LAST_CELL_AT_LEAST: f64 = 1e-3;
 impl Grid {
     /// Cells of `cell` px; the last column and row may be narrower. `width`, `height`, `cell` are
     /// positive and finite.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Grid;
+    /// let grid = Grid::with_cell(100.0, 50.0, 20.0);
+    /// // Vertices: one more than cells. The last row of cells has 10 px.
+    /// assert_eq!((grid.columns(), grid.rows()), (6, 4));
+    /// ```
     #[must_use]
     pub fn with_cell(width: f64, height: f64, cell: f64) -> Self {
         Self {
@@ -148,6 +155,13 @@ impl Grid {
 
     /// The cell (its column and row) that contains `p`, and the position in it:
     /// `(column, row, s, t)` with s, t in [0, 1]; `None` outside the rectangle.
+    ///
+    /// ```
+    /// use mlswarp::geometry::{Grid, Point};
+    /// let grid = Grid::with_cell(100.0, 50.0, 20.0);
+    /// assert_eq!(grid.locate(Point::new(25.0, 10.0)), Some((1, 0, 0.25, 0.5)));
+    /// assert_eq!(grid.locate(Point::new(101.0, 10.0)), None);
+    /// ```
     #[must_use]
     pub fn locate(&self, p: Point) -> Option<(u32, u32, f64, f64)> {
         if !(0.0..=self.width).contains(&p.x) || !(0.0..=self.height).contains(&p.y) {

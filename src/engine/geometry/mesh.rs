@@ -20,6 +20,13 @@ impl Mesh {
     ///
     /// # Panics
     /// If `displacement` does not hold one entry per vertex.
+    ///
+    /// ```
+    /// use mlswarp::geometry::{Grid, Mesh, Point};
+    /// let grid = Grid::with_counts(100.0, 50.0, 3, 2);
+    /// let mesh = Mesh::new(grid, vec![[10.0, 0.0]; 6]);
+    /// assert_eq!(mesh.map(Point::new(25.0, 25.0)), Some(Point::new(35.0, 25.0)));
+    /// ```
     #[must_use]
     pub fn new(grid: Grid, displacement: Vec<[f32; 2]>) -> Self {
         assert_eq!(
@@ -72,6 +79,11 @@ impl Mesh {
     }
 
     /// Whether every vertex is exactly at rest.
+    ///
+    /// ```
+    /// use mlswarp::geometry::{Grid, Mesh};
+    /// assert!(Mesh::identity(Grid::with_cell(64.0, 64.0, 8.0)).is_identity());
+    /// ```
     #[must_use]
     pub fn is_identity(&self) -> bool {
         self.displacement.iter().all(|d| *d == [0.0; 2]) && self.subdivision.is_empty()

@@ -30,6 +30,12 @@ impl Point {
     }
 
     /// The position a fraction `t` of the way to `other`; exactly `self` at 0 and `other` at 1.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Point;
+    /// let (a, b) = (Point::new(0.0, 0.0), Point::new(4.0, 2.0));
+    /// assert_eq!(a.lerp(b, 0.5), Point::new(2.0, 1.0));
+    /// ```
     #[must_use]
     pub fn lerp(self, other: Self, t: f64) -> Self {
         Self::new(
@@ -39,6 +45,11 @@ impl Point {
     }
 
     /// Distance to `other`, px.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Point;
+    /// assert_eq!(Point::new(1.0, 1.0).distance(Point::new(4.0, 5.0)), 5.0);
+    /// ```
     #[must_use]
     pub fn distance(self, other: Self) -> f64 {
         (other - self).norm()
@@ -80,6 +91,12 @@ impl Vec2 {
     }
 
     /// `Im(conj(self) other) = x1 y2 - y1 x2`.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Vec2;
+    /// // Positive from right to down: y points down.
+    /// assert!(Vec2::new(1.0, 0.0).cross(Vec2::new(0.0, 1.0)) > 0.0);
+    /// ```
     #[must_use]
     pub fn cross(self, other: Self) -> f64 {
         self.x * other.y - self.y * other.x
@@ -92,6 +109,13 @@ impl Vec2 {
     }
 
     /// The complex product.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Vec2;
+    /// // A quarter turn, and twice as long.
+    /// let turned = Vec2::new(0.0, 2.0).complex_mul(Vec2::new(3.0, 0.0));
+    /// assert_eq!(turned, Vec2::new(0.0, 6.0));
+    /// ```
     #[must_use]
     pub fn complex_mul(self, other: Self) -> Self {
         Self::new(

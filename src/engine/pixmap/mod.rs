@@ -16,6 +16,12 @@ pub struct Extent {
 
 impl Extent {
     /// `None` when a side is zero.
+    ///
+    /// ```
+    /// use mlswarp::pixmap::Extent;
+    /// assert_eq!(Extent::new(640, 480).map(Extent::pixels), Some(307_200));
+    /// assert_eq!(Extent::new(640, 0), None);
+    /// ```
     #[must_use]
     pub const fn new(width: u32, height: u32) -> Option<Self> {
         match (NonZeroU32::new(width), NonZeroU32::new(height)) {
@@ -118,6 +124,13 @@ pub struct Pixmap {
 impl Pixmap {
     /// # Panics
     /// If the number of samples is not `width * height * channels`.
+    ///
+    /// ```
+    /// use mlswarp::pixmap::{Channels, Extent, Pixmap, Samples};
+    /// let extent = Extent::new(2, 1).unwrap();
+    /// let samples = Samples::Eight(vec![255, 0, 0, 255, 0, 0, 255, 128]);
+    /// assert!(!Pixmap::new(extent, Channels::Rgba, samples).is_opaque());
+    /// ```
     #[must_use]
     pub fn new(extent: Extent, channels: Channels, samples: Samples) -> Self {
         let opaque = channels == Channels::Rgb

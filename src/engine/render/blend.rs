@@ -14,6 +14,15 @@ pub const FULL_WEIGHT: u16 = u16::MAX;
 ///
 /// # Panics
 /// If the shapes differ, or `over` has alpha and `under` has none.
+///
+/// ```
+/// use mlswarp::pixmap::{Channels, Depth};
+/// use mlswarp::render::{FULL_WEIGHT, blend};
+/// let mut under = [10, 20, 30];
+/// let (over, rgb) = ([1, 2, 3], Channels::Rgb);
+/// blend(&mut under, rgb, &over, rgb, Depth::Eight, &[[FULL_WEIGHT, 0]]);
+/// assert_eq!(under, [1, 2, 3]);
+/// ```
 pub fn blend(
     under: &mut [u8],
     channels: Channels,

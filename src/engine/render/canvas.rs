@@ -32,6 +32,14 @@ impl Canvas {
 
     /// The smallest box that contains both. Boxes beyond the range of their coordinates are cut
     /// off.
+    ///
+    /// ```
+    /// use mlswarp::pixmap::Extent;
+    /// use mlswarp::render::Canvas;
+    /// let image = Canvas::of(Extent::new(100, 50).unwrap());
+    /// let both = image.union(Canvas { x: -10, y: 20, extent: image.extent });
+    /// assert_eq!(both.edges(), [-10.0, 0.0, 100.0, 70.0]);
+    /// ```
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         let end = |at: i32, length: u32| i64::from(at) + i64::from(length);

@@ -21,6 +21,13 @@ pub enum Easing {
 impl Easing {
     /// The share of the way from rest to pose of one of `steps` frames: 0 for the first, 1 for the
     /// last; 1 if there is one frame.
+    ///
+    /// ```
+    /// use mlswarp::warp::Easing;
+    /// let shares: Vec<f64> = (0..5).map(|frame| Easing::Linear.at(frame, 5)).collect();
+    /// assert_eq!(shares, [0.0, 0.25, 0.5, 0.75, 1.0]);
+    /// assert!(Easing::EaseInOut.at(1, 5) < 0.25);
+    /// ```
     #[must_use]
     pub fn at(self, frame: u32, steps: u32) -> f64 {
         if frame.saturating_add(1) >= steps {
@@ -39,6 +46,12 @@ const HANDLES_PER_SIDE: u32 = 5;
 
 /// The handles by which a picture without handles is jittered: 5 x 5 points from corner to corner,
 /// row by row.
+///
+/// ```
+/// use mlswarp::pixmap::Extent;
+/// use mlswarp::warp::{Units, jitter_grid};
+/// assert_eq!(jitter_grid(Units::Px, Extent::new(640, 480).unwrap()).len(), 25);
+/// ```
 #[must_use]
 pub fn jitter_grid(units: Units, extent: Extent) -> Vec<Handle> {
     let (width, height) = match units {

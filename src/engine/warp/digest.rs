@@ -10,6 +10,11 @@ pub struct Digest(pub [u8; 32]);
 
 impl Digest {
     /// The digest of bytes.
+    ///
+    /// ```
+    /// use mlswarp::warp::Digest;
+    /// assert!(Digest::of(b"abc").to_string().starts_with("ba7816bf"));
+    /// ```
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())

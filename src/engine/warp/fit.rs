@@ -76,6 +76,13 @@ impl Candidate {
     }
 
     /// `rest` with this method.
+    ///
+    /// ```
+    /// use mlswarp::warp::{Candidate, Method, RestSpec};
+    /// let (method, smoothing) = (Method::ThinPlateSpline, Some(0.1));
+    /// let smooth = Candidate { method, alpha: None, smoothing };
+    /// assert_eq!(smooth.applied_to(RestSpec::default()).smoothing, Some(0.1));
+    /// ```
     #[must_use]
     pub fn applied_to(&self, rest: RestSpec) -> RestSpec {
         RestSpec {

@@ -86,6 +86,15 @@ impl CoordinateFrame {
     }
 
     /// The place of a position in the plane, px.
+    ///
+    /// ```
+    /// use mlswarp::geometry::Point;
+    /// use mlswarp::pixmap::Extent;
+    /// use mlswarp::warp::{CoordinateFrame, Units};
+    /// let image = Extent::new(640, 480).unwrap();
+    /// let frame = CoordinateFrame::of_source(image, Units::Normalized);
+    /// assert_eq!(frame.to_plane(Point::new(0.5, 0.5)), Point::new(320.0, 240.0));
+    /// ```
     #[must_use]
     pub fn to_plane(&self, position: Point) -> Point {
         let [across, down] = self.unit();

@@ -45,6 +45,14 @@ impl Image {
     ///
     /// # Errors
     /// See [`codec::CodecError`].
+    ///
+    /// ```
+    /// use mlswarp::warp::{Image, ImageLimits};
+    /// let file = include_bytes!("../test_files/images/chelsea.png");
+    /// let image = Image::decode(file, &ImageLimits::default())?;
+    /// assert_eq!((image.extent().width(), image.extent().height()), (451, 300));
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
     pub fn decode(file: &[u8], limits: &ImageLimits) -> Result<Self, WarpError> {
         Self::decode_as(
             Self::digest_of(file),

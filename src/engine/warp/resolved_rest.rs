@@ -82,6 +82,20 @@ impl ResolvedRest {
     ///
     /// # Errors
     /// Invalid handles, parameters or grid, or too many of them.
+    ///
+    /// ```
+    /// use mlswarp::deform::Handle;
+    /// use mlswarp::geometry::Point;
+    /// use mlswarp::pixmap::Extent;
+    /// use mlswarp::warp::{Limits, ResolvedRest, RestSpec};
+    /// let p = vec![Handle::Point(Point::new(100.0, 100.0))];
+    /// let rest = RestSpec { p, ..RestSpec::default() };
+    /// let extent = Extent::new(640, 480).unwrap();
+    /// let resolved = ResolvedRest::new(&rest, extent, &Limits::default())?;
+    /// // The fall-off that holds for points alone.
+    /// assert_eq!(resolved.alpha(), Some(1.0));
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
     pub fn new(rest: &RestSpec, extent: Extent, limits: &Limits) -> Result<Self, WarpError> {
         Self::new_unless(rest, extent, limits, &|| false)
     }
