@@ -147,6 +147,8 @@ impl<const N: usize> View<N> {
             None => (Moments([[0.0; N]; 3]), f64::INFINITY, 0.0),
         };
         for k in 0..N {
+            // Lane by lane, because few vertices are so near or so far. Exact rows and large alphas
+            // take sixteen nodes, the others eight: what is stored in f32 needs no more.
             if self.r2[k] <= near || self.r2[k] > far {
                 let [m0, m1, m2] =
                     self.by_nodes(k, s, falloff, r2min[k], exact || falloff.alpha() > 2.0);

@@ -79,6 +79,8 @@ impl Sites {
         let mut members = Vec::with_capacity(points.len());
         for PointSource { p, mass, column } in points {
             let site = first
+                // Compared with the first position of each site, in the order of the client.
+                // Quadratic, for at most as many points as a spline may have.
                 .iter()
                 .position(|other| (*p - *other).norm2() <= within * within)
                 .unwrap_or_else(|| {
@@ -87,6 +89,8 @@ impl Sites {
                     weights.push(0.0);
                     first.len() - 1
                 });
+            // The mean as a correction of the first position: for a single point it is that
+            // position to the last bit, as interpolation requires.
             moved[site] += (*p - first[site]) * *mass;
             weights[site] += mass;
             members.push((site, *mass, *column));
@@ -118,6 +122,8 @@ impl SplineFrame {
         let (first, count) = (sites[0], sites.len() as f64);
         let origin =
             first + sites.iter().fold(Vec2::ZERO, |sum, p| sum + (*p - first)) * (1.0 / count);
+        // The root mean square distance from the centre: the kernel r^2 log r is of order 1 there,
+        // and so is the condition of the system (mathematics 10.1).
         let unit = (sites.iter().map(|p| (*p - origin).norm2()).sum::<f64>() / count).sqrt();
         let farthest = sites
             .iter()
@@ -126,6 +132,8 @@ impl SplineFrame {
                 Vec2::ZERO,
                 |far, d| if d.norm2() > far.norm2() { d } else { far },
             );
+        // On a line only the direction matters: y is then 0 at every site, and the polynomial y
+        // would be dependent.
         let tau = if line {
             farthest * (1.0 / farthest.norm())
         } else {
@@ -174,6 +182,8 @@ impl Spline {
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
         let frame = SplineFrame {
+            // The smoothing has the unit of the kernel: another unit would make it another
+            // smoothing.
             unit: self.frame.unit,
             ..SplineFrame::of(&sites.positions, line)
         };
@@ -202,6 +212,7 @@ impl Spline {
         let kernel = |i: usize, j: usize| {
             bending((x[i] - x[j]) * (x[i] - x[j]) + (y[i] - y[j]) * (y[i] - y[j]))
         };
+        // A handle of twice the weight may be missed by half as much.
         let noise: Vec<f64> = sites
             .weights
             .iter()
@@ -236,6 +247,8 @@ impl Spline {
             if cancelled() {
                 return None;
             }
+            // The residual of leaving one out is w_i / (Lm^-1)_ii (mathematics 10.4): no system is
+            // solved again.
             let diagonal = self.system.inverse_diagonal(site);
             Some(Vec2::new(w[0] / diagonal, w[1] / diagonal))
         };
@@ -289,12 +302,17 @@ impl Spline {
         scratch.resize(2 * n, [0.0; N]);
         let (re, im) = scratch.split_at_mut(n);
         for (site, u) in re.iter_mut().enumerate() {
+            // The right side of the row: the kernel towards each site, and the polynomials at v.
+            // The solution is the row of coefficients.
             *u = self.r2(site, &at).map(bending);
         }
         self.system.coefficients(re, &[[1.0; N], at[0], at[1]]);
         if self.is_complex {
+            // All on one line: the similarity across it is a complex number times the position,
+            // whose imaginary part has a right side of its own.
             self.system.coefficients(im, &[[0.0; N], at[1], [0.0; N]]);
         }
+        // On a site its own row, without the rounding of a solved system: f(p) = q to the last bit.
         for (k, site) in self.hits(&at).into_iter().enumerate() {
             if let Some(site) = site {
                 re.iter_mut()
@@ -319,6 +337,8 @@ impl Spline {
         let mut polynomials = self.system.weights(&mut weights);
         if self.is_complex {
             let [re, im] = polynomials[1];
+            // The coefficient of y follows from that of x: a similarity, because the line says
+            // nothing of the direction across.
             polynomials[2] = [-im, re];
         }
         PosedSpline {

@@ -145,7 +145,7 @@ impl Subdivider<'_> {
 fn deepest(grid: &Grid) -> u8 {
     let mut cell = grid.cell().0.max(grid.cell().1);
     let mut level = 0;
-    // A cell of half a pixel moves no sample by more than the tolerance that can be asked for.
+    // Smaller cells than pixels show nothing; what then exceeds the tolerance is counted.
     while cell > SMALLEST_CELL && usize::from(level) < MAX_SUBDIVISION_DEPTH {
         cell /= 2.0;
         level += 1;

@@ -66,6 +66,8 @@ impl Triangle {
     fn reflect(&mut self, Reflection { v, beta }: &Reflection) {
         let mut q = self.times(v);
         q.iter_mut().for_each(|q| *q *= beta);
+        // H T H as a symmetric update of rank two: half of the work of two products, and the
+        // triangle stays a triangle.
         let half = 0.5 * beta * dot(&q, v);
         q.iter_mut().zip(v).for_each(|(q, v)| *q -= half * v);
         for i in 0..v.len() {
@@ -83,6 +85,7 @@ impl Triangle {
             .0
             .iter()
             .fold(f64::MIN_POSITIVE, |largest, entry| largest.max(entry.abs()));
+        // Exact pivots are positive; rounding may leave 0 or less where sites nearly coincide.
         let least = (f64::EPSILON * largest).max(f64::MIN_POSITIVE);
         for first in (head..rows).step_by(PANEL_ROWS) {
             if cancelled() {
@@ -90,6 +93,8 @@ impl Triangle {
             }
             let (done, panel) = self.0.split_at_mut(start(first));
             let last = rows.min(first + PANEL_ROWS);
+            // The rows before the panel are read once for all of its rows: this is where the time
+            // of a large system goes.
             for j in head..first {
                 let (above, pivot) = done[start(j) + head..start(j + 1)].split_at(j - head);
                 for i in first..last {
@@ -128,6 +133,8 @@ impl TpsSystem {
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
         let n = noise.len();
+        // With a noise of 1e9 the kernel would vanish beside the diagonal; scaled, every diagonal
+        // entry is at most 1.
         let scale: Vec<f64> = noise
             .iter()
             .map(|noise| (1.0 + noise).sqrt().recip())
@@ -142,6 +149,7 @@ impl TpsSystem {
                 return None;
             }
             factor.extend((0..i).map(|j| scale[i] * scale[j] * kernel(i, j)));
+            // The kernel is 0 at distance 0, so the diagonal is the noise alone.
             factor.push(noise[i] / (1.0 + noise[i]));
         }
         let mut factor = Triangle(factor);
@@ -169,6 +177,8 @@ impl TpsSystem {
             .iter()
             .for_each(|reflection| reflect(reflection, u));
         let head = self.reflections.len();
+        // The head solves P^T c = m, a triangle; what it says of c is subtracted from the rest
+        // before the block beyond is solved.
         let mut y = [[0.0; N]; MAX_POLYNOMIALS];
         for c in 0..head {
             y[c] = m[c];
@@ -288,6 +298,8 @@ fn reflections(
         let mut v = column.clone();
         v[..c].fill(0.0);
         let norm = dot(&v, &v).sqrt();
+        // Away from the entry, so that their difference does not cancel: Householder's choice of
+        // the sign.
         let pivot = if v[c] > 0.0 { -norm } else { norm };
         v[c] -= pivot;
         let norm2 = dot(&v, &v);

@@ -213,7 +213,7 @@ mod tests {
                 mesh.folded_cells().count() as u64,
                 "{columns} x {rows}, {reach}"
             );
-            // A number that is none folds what it touches.
+            // NaN folds what it touches.
             let mut displacement = mesh.displacement().to_vec();
             displacement[0][1] = f32::NAN;
             mesh = Mesh::new(*mesh.grid(), displacement);

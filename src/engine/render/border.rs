@@ -76,6 +76,8 @@ impl Border {
         #[expect(clippy::cast_possible_wrap, reason = "a window has few columns")]
         let (left, right) = (centre(columns.start as i64), centre(columns.end as i64 - 1));
         let (top, bottom) = (centre(rows.start.into()), centre(i64::from(rows.end) - 1));
+        // A polygon that no segment of which meets the rectangle winds around all of it alike, so
+        // one position decides.
         let mut winding = 0;
         for (a, b) in self.segments() {
             if meets(a, b, [left, top, right, bottom]) {
@@ -83,12 +85,14 @@ impl Border {
             }
             // Rays from the first centre to the right.
             let crosses =
+                // Half open in y: a vertex on the ray counts for one of its two segments.
                 |low: Corner, high: Corner| i64::from(low.y) <= top && i64::from(high.y) > top;
             let side = || {
                 let (dx, dy) = (
                     i128::from(b.x) - i128::from(a.x),
                     i128::from(b.y) - i128::from(a.y),
                 );
+                // In 128 bits: corners reach 2^29 and the rectangle may lie anywhere.
                 dx * (i128::from(top) - i128::from(a.y)) - dy * (i128::from(left) - i128::from(a.x))
             };
             if crosses(a, b) && side() > 0 {
@@ -105,6 +109,8 @@ impl Border {
         let leaves = (self.vertices.len() - 1)
             .div_ceil(LEAF_SEGMENTS)
             .next_power_of_two();
+        // A complete tree in an array needs no pointers; neighbours along the border lie near each
+        // other, so boxes of successive segments are small.
         let mut boxes = vec![
             [
                 f64::INFINITY,
@@ -155,6 +161,8 @@ impl Border {
         if a == b {
             return segment < other;
         }
+        // Up to the children of the common parent: which of them is searched first decides. Equal
+        // distances happen at every convex vertex, and bands must agree on them.
         while (a - 1) / 2 != (b - 1) / 2 {
             (a, b) = ((a - 1) / 2, (b - 1) / 2);
         }
@@ -230,6 +238,8 @@ impl<'a> BorderSearch<'a> {
     pub(super) fn fill(&mut self, rows: &mut UncoveredRows<'_>) {
         let (side, _) = SQUARE_SIZES[0];
         let before = self.work;
+        // Squares at multiples of their side, not from the first row: the division into bands must
+        // not change which candidates a pixel has.
         for y in (rows.first as usize / side * side..rows.end()).step_by(side) {
             for x in (rows.left / side * side..rows.width).step_by(side) {
                 self.square(0, x, y, rows);
@@ -275,6 +285,8 @@ impl<'a> BorderSearch<'a> {
             column_centre(corner) + 0.5 * (side as f64 - 1.0) * f64::from(STEPS_PER_PX)
         };
         let centre = Point::new(half(x0), half(y0));
+        // A segment that is the nearest of some pixel of the square is at most a diagonal farther
+        // from the centre than the nearest one: half for the pixel, half for the segment.
         let diagonal = side as f64 * f64::from(STEPS_PER_PX) * std::f64::consts::SQRT_2
             + ROUNDING_MARGIN_STEPS;
         let (above, below) = self.lists.split_at_mut(level);
@@ -292,6 +304,8 @@ impl<'a> BorderSearch<'a> {
             }
         };
         list.retain(|candidate| candidate.0 <= nearest + diagonal);
+        // Around the centre of a circle everything is as near. Without this bound a hostile pose
+        // would cost pixels times segments.
         if list.len() > most {
             list.select_nth_unstable_by(most - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             list.truncate(most);
@@ -349,6 +363,7 @@ impl Border {
             depth -= 1;
             let (node, distance2) = pending[depth];
             *work += 1;
+            // The nearest distance has become smaller since the box was put aside.
             if distance2.sqrt() > nearest + beyond {
                 continue;
             }
@@ -390,6 +405,8 @@ impl Border {
             let (a, b) = self.segment(index);
             let (distance, coordinates) = nearest_on(a, b, place);
             if distance < best.0 || (distance == best.0 && self.comes_first(index, best.2, place)) {
+                // Among equals the order of the tree, not that of the list: lists of different
+                // squares hold different segments.
                 best = (distance, coordinates, index);
             }
         }

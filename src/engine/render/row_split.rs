@@ -86,6 +86,8 @@ impl RowSplit {
         if mixed == 0 {
             return;
         }
+        // The rows of a range as bits. `before(x)` has those above x; a shift by 32 has no bits
+        // left, which `checked_shl` says.
         let rows_of = |range: YRange| {
             let rows = range.rows(strip);
             let before = |row: u32| !u32::MAX.checked_shl(row - strip.start).unwrap_or(0);
@@ -97,6 +99,8 @@ impl RowSplit {
                 while left != 0 {
                     let i = b * BLOCK_COLUMNS + left.trailing_zeros() as usize;
                     left &= left - 1;
+                    // A folded cell hides others or is hidden: only drawing in order decides, so
+                    // these rows are drawn by cells there.
                     self.folded[i] |= rows_of(lattice.cell_range(i, j));
                 }
             }
@@ -104,6 +108,8 @@ impl RowSplit {
                 let [_, right, _, left] = cell
                     .edges
                     .map(|level| if level > 0 { rows_of(cell.y) } else { 0 });
+                // The side of a subdivided cell is a chain of chords, while a crossing knows one
+                // straight column: a part may not end there.
                 self.bent[cell.i] |= left;
                 self.bent[cell.i + 1] |= right;
             }
@@ -120,6 +126,8 @@ impl RowSplit {
                 if !lattice.block_touches(j, i / BLOCK_COLUMNS, strip) {
                     continue;
                 }
+                // Every cell of the column counts, not only the folded ones: in these rows all of
+                // them are drawn by cells, and all must lie inside of the part.
                 let mut rows = rows_of(lattice.cell_range(i, j)) & self.folded[i];
                 if rows == 0 {
                     continue;
@@ -147,6 +155,8 @@ impl RowSplit {
         }
         let px = |place: i32| place as f32 * PX_PER_STEP;
         let folded = |n: &usize| self.folded[self.columns[*n]] & bit != 0;
+        // From left to right. A part grows until its end columns lie outside of everything that is
+        // drawn in it; parts that then touch become one.
         let mut next = (0..self.columns.len()).find(folded);
         while let Some(n) = next {
             next = (n + 1..self.columns.len()).find(folded);
@@ -168,6 +178,7 @@ impl RowSplit {
                         self.parts.extend(last);
                         break;
                     }
+                    // No straight column is left of the fold: the part before joins it.
                     (None, Some(last)) => {
                         part.cells.start = last.cells.start;
                         part.across = last.across.start.min(part.across.start)
@@ -180,6 +191,8 @@ impl RowSplit {
                 }
             }
             let last = next.map_or(cells, |next| self.columns[next]);
+            // To the right up to the next fold only: if no column is free before it, the next turn
+            // of the loop joins the two.
             let end = (part.cells.end..last).find(|c| {
                 x[*c] - CROSSING_ERROR_PX >= px(part.across.end) && self.bent[*c] & bit == 0
             });

@@ -254,7 +254,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     }
 }
 
-/// Checks the work of comparing candidates on so many points.
+/// Checks the work of comparing candidates on this number of points.
 ///
 /// # Errors
 /// More than the limit.

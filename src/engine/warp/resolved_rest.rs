@@ -259,7 +259,7 @@ impl ResolvedRest {
         self.table_bytes.map(|bytes| bytes + self.exact_bytes)
     }
 
-    /// Checks the work of posing so many frames, and of drawing their grids.
+    /// Checks the work of posing this number of frames, and of drawing their grids.
     ///
     /// # Errors
     /// More than the limit.

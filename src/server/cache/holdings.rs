@@ -12,7 +12,7 @@ use lru::LruCache;
 use super::CacheKey;
 use crate::client::Tenant;
 
-/// A value that has not been used for this long goes before all others, whoever holds it.
+/// A value that has not been used for this long goes before all others, whichever client holds it.
 const UNUSED_TIME: Duration = Duration::from_secs(60);
 
 /// A value, and who holds it.

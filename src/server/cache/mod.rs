@@ -259,7 +259,7 @@ impl<V> Cache<V> {
 }
 
 impl<V: Send + Sync + 'static> Cache<V> {
-    /// Evicts a value that nobody uses now. `false`: there is none.
+    /// Evicts a value that nobody uses now. `false`: all are in use.
     pub fn evict_idle(&self) -> bool {
         // Dropped without the lock.
         let evicted = self.lock().evict(|_, value| Arc::strong_count(value) == 1);

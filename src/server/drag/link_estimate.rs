@@ -168,8 +168,8 @@ impl LinkEstimate {
 
     fn keep(&mut self, time: FrameTime, rate: f64) {
         let recent = self
-            // One sample for each interval and size: otherwise a minute of small frames would push
-            // out the large ones, and the memory of the fastest would be short.
+            // One sample for each interval and size: otherwise many small frames would push out the
+            // large ones, and the memory of the fastest would be short.
             .times
             .iter_mut()
             .rev()

@@ -229,14 +229,14 @@ mod tests {
 
     const UHD: (u32, u32) = (3840, 2160);
 
-    /// A machine and a way to the client: seconds that a frame of so many pixels takes to be made
-    /// and to be shown.
+    /// A machine and a way to the client: seconds that a frame of a number of pixels takes to be
+    /// made and to be shown.
     struct World {
         make: fn(f64) -> f64,
         ack: fn(f64) -> f64,
     }
 
-    /// Widths over the frames of so many seconds.
+    /// Widths over the frames of a number of seconds.
     fn run(pace: &mut PreviewController, start: Instant, seconds: f64, world: &World) -> Vec<u32> {
         let mut widths = Vec::new();
         let mut time = 0.0;

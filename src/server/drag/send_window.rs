@@ -156,6 +156,8 @@ impl SendWindow {
         link: Measured,
         possible: PossibleSteps,
     ) -> Advice {
+        // A frame that was alone has shown the time without a queue. When none has for long, a
+        // standing queue would pass for the latency of the link.
         if is_alone || self.alone.is_none() {
             self.alone = Some(now);
         }
@@ -164,8 +166,8 @@ impl SendWindow {
             if number < self.reduced {
                 return Advice::Same;
             }
-            // The queue is twice what one may be: waiting for the end of the round trip would make
-            // every pose of it older. All frames that are under way were sent before this change.
+            // Two sending times and more: waiting for the end of the round trip would make every
+            // pose of it older. All frames that are under way were sent before this change.
             self.reduced = next;
             self.is_start = false;
             self.drained = None;
@@ -267,8 +269,8 @@ impl SendWindow {
         }
         self.alone = Some(round.now);
         self.drained = Some(self.frames);
-        // Half empties the queue within a round trip and still keeps the link busy most of the
-        // time.
+        // With half of the window the queue drains, and the link is not idle for all of the round
+        // trip.
         self.step(self.frames / 2, round.next);
         Some(Advice::Same)
     }

@@ -183,7 +183,7 @@ impl Drop for LimitedBody {
 /// millisecond, with the pages of the new buffer; the two hand-overs to a thread and back take as
 /// long.
 const MAX_COPIED_HERE: usize = 512 << 10;
-/// One in so many bytes of a buffer that a session keeps may be unused.
+/// A buffer that a session keeps may have this share of unused bytes: one in this number.
 const MAX_UNUSED_SHARE: usize = 64;
 /// Memory of a request beside its body: its head, its task, its stream.
 const REQUEST_BYTES: u64 = 16 << 10;

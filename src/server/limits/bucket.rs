@@ -22,7 +22,7 @@ impl Bucket {
         }
     }
 
-    /// Takes a token; false if there is none.
+    /// Takes a token; false if the bucket is empty.
     pub fn take(&mut self, now: Instant) -> bool {
         self.tokens = self.tokens(now);
         self.updated = self.updated.max(now);

@@ -7,7 +7,8 @@ use tokio::runtime::Handle;
 /// take longer.
 const MIN_ASIDE: u64 = 2 << 20;
 
-/// Drops a value of so many bytes: on a blocking thread, if this may be a thread of the runtime.
+/// Drops a value of this number of bytes: on a blocking thread, if this may be a thread of the
+/// runtime.
 pub fn free<T: Send + 'static>(value: T, bytes: u64) {
     match Handle::try_current() {
         Ok(runtime) if bytes >= MIN_ASIDE => drop(runtime.spawn_blocking(move || drop(value))),

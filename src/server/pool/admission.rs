@@ -274,7 +274,7 @@ impl AdmissionPermit {
 
     /// Called by a job between parts of its work: if its turn is over and another client that has
     /// used less waits, that client gets the permit, and this thread sleeps until the job is next
-    /// or cancelled. Costs nothing while nobody waits.
+    /// or cancelled. Costs nothing while no request waits.
     #[inline]
     pub(crate) fn give_way(&self, is_cancelled: &dyn Fn() -> bool) {
         if self.queue.waiting.load(Ordering::Relaxed) > 0 && self.queue.gives_way {

@@ -131,7 +131,7 @@ impl Index {
         }
     }
 
-    /// The living session, or why there is none.
+    /// The living session, or why it does not exist.
     fn living(&self, id: SessionId) -> Result<(&Entry, &Arc<Record>), StoreError> {
         let until = match self.sessions.get(&id) {
             Some(entry) => {

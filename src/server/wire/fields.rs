@@ -149,7 +149,8 @@ pub(crate) fn is_unsupported(name: &str, known: &[&str]) -> bool {
 /// The problem of a name that [`is_unsupported`].
 pub(crate) fn unsupported(name: &str, known: &[&str]) -> Problem {
     let supported = list(&useful(known));
-    // The page saves the mask with the handles: whoever sends such a file must not lose it unseen.
+    // The page saves the mask with the handles: a client that sends such a file must not lose it
+    // unseen.
     let instead = ". A region is a mask of its own: the part `region` of an upload, --region \
         FILE, or the layer `region` of a session. A file \
                    that the page has saved holds it as base64: `jq -r .region FILE | base64 -d > \

@@ -208,7 +208,7 @@ fn misplaced_or_misspelt(name: &str, known: &[&str]) -> Option<String> {
 const OF_SESSION: &str =
     "the session has `p`; send only `q`, or replace `p` with PUT /sessions/{id}/handles";
 
-/// The name that was probably meant by a value that is none of `names`.
+/// The name that was probably meant by a value that is not in `names`.
 pub(crate) fn value<'a>(text: &str, names: &[&'a str]) -> Option<&'a str> {
     let other = in_table(&OTHER_VALUES, text)
         .and_then(|meant| names.iter().copied().find(|name| *name == meant));

@@ -10,7 +10,7 @@ use serde::de::IgnoredAny;
 pub(crate) const BYTES_PER_CHECK: usize = 4096;
 
 /// The work of one request on one thread. A reader adds the bytes that it looks at. Once the work
-/// is cancelled, every scan ends early, and whoever began it must not believe the result.
+/// is cancelled, every scan ends early, and the caller must not believe the result.
 pub(crate) struct Work<'c> {
     is_cancelled: &'c dyn Fn() -> bool,
     bytes: Cell<usize>,

@@ -36,7 +36,7 @@ impl TiffCompression {
         })
     }
 
-    /// The name of a number that is none of these.
+    /// The name of a compression that is not read.
     pub(super) fn name_of(number: u32) -> String {
         match number {
             2 | 3 => "the compression CCITT group 3".to_owned(),

@@ -6,7 +6,8 @@ use std::arch::x86_64::*;
 use std::ops::Range;
 
 use super::Kernel;
-use super::cells::{CellBlock, Raster};
+use super::cell_block::CellBlock;
+use super::cells::Raster;
 use super::footprints::{Alike, FootprintBatch, FootprintGrid};
 use super::scalar::{self, CellRow, Edges, NOTES, Neighbours, Spans};
 use crate::level::SimdLevel;

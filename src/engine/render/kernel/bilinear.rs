@@ -1,7 +1,7 @@
 //! The reference of a bilinear sample, in integers: with U = floor(128 (u - 1/2) + 1/2),
 //! x0 = U >> 7 and fx = U & 127 (likewise for v), the value is `(sum of w t + 8256) >> 14` over the
-//! four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 rounds in two
-//! steps of 7 bits, which 16-bit lanes can do). With alpha it is
+//! four texels t and their weights w = (128 - fx)(128 - fy), ... (8256 = 128 * 64 + 64 rounds in
+//! two steps of 7 bits, which 16-bit lanes can do). With alpha it is
 //! `round(sum of w a t / sum of w a)`, so colours under alpha 0 never show.
 
 #![expect(

@@ -17,9 +17,7 @@
 
 use std::ops::Range;
 
-use crate::render::snapped_grid::{
-    BLOCK_COLUMNS, Corner, HALF_PX, PX_PER_STEP, STEPS_PER_PX, SnappedGrid, row_centre,
-};
+use crate::render::snapped_grid::{Corner, HALF_PX, PX_PER_STEP, STEPS_PER_PX, row_centre};
 
 /// Pixels that are processed together.
 pub(in crate::render) const LANES: usize = 8;
@@ -56,6 +54,7 @@ impl Raster<'_> {
         if self.over {
             return;
         }
+        // The ranges only shrink, so each pixel is stepped over once in all calls together.
         let mut left = self.open;
         while left != 0 {
             let row = left.trailing_zeros() as usize;
@@ -106,7 +105,7 @@ pub(super) struct Near {
     pub(super) t: [f32; 3],
     pub(super) twist: [f32; 2],
     /// The angle between the sides is large enough for single precision.
-    is_wide: bool,
+    pub(super) is_wide: bool,
 }
 
 /// The root of the quadratic of `patch`; e, f and d in px, `area = e x f`, `bend = -f x d`.
@@ -128,47 +127,6 @@ const NARROWEST_SQUARED_SINE: f32 = 1e-6;
 const LARGEST_TWIST: f32 = 0.5;
 
 impl Piece {
-    /// Cell `k` of a classified block; it must be convex there.
-    #[inline(always)]
-    pub(in crate::render) fn cell(seen: &CellBlock, k: usize, corners: &[Corner; 4]) -> Self {
-        let [a, b, c, d] = corners;
-        let (du, dv) = (b.u - a.u, d.v - a.v);
-        let (map, u, v) = if seen.is_near[k] {
-            let [s0, s1, s2, t0, t1, t2, ds, dt] = std::array::from_fn(|n| seen.near[n][k]);
-            (
-                CellMap::Near(Near {
-                    s: [s0, s1, s2],
-                    t: [t0, t1, t2],
-                    twist: [ds, dt],
-                    is_wide: true,
-                }),
-                a.u + 0.5 * du,
-                a.v + 0.5 * dv,
-            )
-        } else {
-            let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
-            (
-                CellMap::Root(Root::new(
-                    e,
-                    f,
-                    [e1[0] - e[0], e1[1] - e[1]],
-                    seen.convex[k],
-                )),
-                a.u,
-                a.v,
-            )
-        };
-        Self {
-            x: a.x,
-            y: a.y,
-            pixels: [seen.pixels[0][k], seen.pixels[1][k]],
-            edges: std::array::from_fn(|e| std::array::from_fn(|n| seen.edges[e][n][k])),
-            map,
-            u: [u, du, 0.0],
-            v: [v, 0.0, dv],
-        }
-    }
-
     /// The patch of a single cell; `None` if it is not strictly convex, or has a side longer than
     /// `longest_side`.
     #[inline(always)]
@@ -186,12 +144,15 @@ impl Piece {
             a.y.min(b.y).min(c.y.min(d.y)),
             a.y.max(b.y).max(c.y.max(d.y)),
         );
+        // Longer sides would overflow the products of two differences in 32 bits.
         if (right - left).max(bottom - top) > longest_side {
             return None;
         }
         let turn = |a: &Corner, b: &Corner, c: &Corner| {
             (b.x - a.x) * (c.y - b.y) - (b.y - a.y) * (c.x - b.x)
         };
+        // Strictly convex if all four turns have one sign; only then has each position one pair of
+        // s and t, and four edges bound the cell.
         let turns = [turn(d, a, b), turn(a, b, c), turn(b, c, d), turn(c, d, a)];
         let sign = i32::from(turns.iter().all(|&turn| turn > 0))
             - i32::from(turns.iter().all(|&turn| turn < 0));
@@ -202,6 +163,8 @@ impl Piece {
         let twist = [e1[0] - e[0], e1[1] - e[1]];
         let near = Near::new(e, f, twist);
         let (du, dv) = (b.u - a.u, d.v - a.v);
+        // `Near` counts from the middle of the cell, where its error is smallest; `Root` from the
+        // first corner.
         let (map, off) = if near.is_accurate(du, dv, unit) {
             (CellMap::Near(near), 0.5)
         } else {
@@ -228,6 +191,7 @@ impl Piece {
     pub(in crate::render) fn triangle(corners: &[Corner; 4], sign: i32) -> Self {
         let [a, b, c, _] = corners;
         let (e, f, flat) = (side(a, b), side(a, c), [0.0, 0.0]);
+        // A triangle is a patch without twist: the same code, and exactly affine.
         let near = Near::new(e, f, flat);
         let (map, off) = if near.is_wide {
             (CellMap::Near(near), 0.5)
@@ -264,7 +228,7 @@ fn edge(from: &Corner, to: &Corner, origin: &Corner, sign: i32) -> [i32; 3] {
 }
 
 #[inline(always)]
-fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i32; 3] {
+pub(super) fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i32; 3] {
     let (dx, dy) = (
         (to[0].wrapping_sub(from[0])).wrapping_mul(sign),
         (to[1].wrapping_sub(from[1])).wrapping_mul(sign),
@@ -275,6 +239,8 @@ fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i
         from[0].wrapping_sub(origin[0]),
         from[1].wrapping_sub(origin[1]),
     );
+    // Two cells that share an edge must give each pixel on it to one of them: the left and upper
+    // edge belong to a cell. One less makes `>= 0` strict on the others.
     // Pixels on a right edge are outside.
     [
         dy.wrapping_neg(),
@@ -287,13 +253,13 @@ fn edge_between(from: [i32; 2], to: [i32; 2], origin: [i32; 2], sign: i32) -> [i
 
 /// The first pixel whose centre is not left of x.
 #[inline(always)]
-fn first_pixel(x: i32) -> i32 {
+pub(super) fn first_pixel(x: i32) -> i32 {
     x.wrapping_add(STEPS_PER_PX - 1 - HALF_PX) >> STEPS_PER_PX.trailing_zeros()
 }
 
 /// The vector between two corners, px.
 #[inline(always)]
-fn side(from: &Corner, to: &Corner) -> [f32; 2] {
+pub(super) fn side(from: &Corner, to: &Corner) -> [f32; 2] {
     [
         (to.x - from.x) as f32 * PX_PER_STEP,
         (to.y - from.y) as f32 * PX_PER_STEP,
@@ -302,7 +268,7 @@ fn side(from: &Corner, to: &Corner) -> [f32; 2] {
 
 impl Root {
     #[inline(always)]
-    fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2], sign: i32) -> Self {
+    pub(super) fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2], sign: i32) -> Self {
         Self {
             e,
             f,
@@ -326,7 +292,9 @@ fn cross(a: [f32; 2], b: [f32; 2]) -> f32 {
 
 impl Near {
     #[inline(always)]
-    fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2]) -> Self {
+    pub(super) fn new(e: [f32; 2], f: [f32; 2], d: [f32; 2]) -> Self {
+        // The sides in the middle of the patch: there the affine map agrees with the patch in value
+        // and first derivative.
         let [middle_e, middle_f] = [e, f].map(|side| [side[0] + 0.5 * d[0], side[1] + 0.5 * d[1]]);
         let middle = [
             0.5 * (e[0] + f[0]) + 0.25 * d[0],
@@ -347,136 +315,13 @@ impl Near {
     /// Whether two substitutions suffice for a cell that spans `du` and `dv`; false if the area
     /// vanishes.
     #[inline(always)]
-    fn is_accurate(&self, du: f32, dv: f32, unit: f32) -> bool {
+    pub(super) fn is_accurate(&self, du: f32, dv: f32, unit: f32) -> bool {
         let [ds, dt] = self.twist.map(f32::abs);
         let (off_u, off_v, both) = (ds * du.abs(), dt * dv.abs(), ds + dt);
+        // Each substitution multiplies the error by the twist; two leave its third power, in the
+        // units of the larger coordinate.
         let off = (if off_u > off_v { off_u } else { off_v }) * (both * both);
         self.is_wide & (both < LARGEST_TWIST) & (off < NEAR_ERROR * unit)
-    }
-}
-
-/// The classification of a block of cells.
-#[derive(Clone, Copy, Debug, Default)]
-pub(in crate::render) struct CellBlock {
-    /// The open rows of the raster that each cell meets, one bit each.
-    pub(in crate::render) rows: [u32; BLOCK_COLUMNS],
-    /// The sign of the area if a cell is strictly convex and its sides are short enough for lanes,
-    /// else 0.
-    pub(in crate::render) convex: [i32; BLOCK_COLUMNS],
-    /// Input of convex cells' pieces: [`Near`] if it is accurate, the pixels that they can reach,
-    /// and their edges.
-    near: [[f32; BLOCK_COLUMNS]; 8],
-    is_near: [bool; BLOCK_COLUMNS],
-    pixels: [[i32; BLOCK_COLUMNS]; 2],
-    edges: [[[i32; BLOCK_COLUMNS]; 3]; 4],
-}
-
-/// Classifies the cells of block `b` of row `j`.
-#[inline(always)]
-pub(super) fn classify(
-    lattice: &SnappedGrid,
-    j: usize,
-    b: usize,
-    raster: &Raster<'_>,
-    seen: &mut CellBlock,
-) {
-    let at = j * lattice.pitch + b * BLOCK_COLUMNS;
-    let line = |places: &[i32], at: usize| -> ([i32; BLOCK_COLUMNS], [i32; BLOCK_COLUMNS]) {
-        let places = &places[at..=at + BLOCK_COLUMNS];
-        (
-            places[..BLOCK_COLUMNS].try_into().expect("a block"),
-            places[1..].try_into().expect("a block"),
-        )
-    };
-    let ((ax, bx), (dx, cx)) = (line(&lattice.x, at), line(&lattice.x, at + lattice.pitch));
-    let ((ay, by), (dy, cy)) = (line(&lattice.y, at), line(&lattice.y, at + lattice.pitch));
-    // Of the centres of the raster's first row and of the column behind its last.
-    let (first, right_end) = (
-        raster.first as i32 * STEPS_PER_PX + HALF_PX,
-        raster.width as i32 * STEPS_PER_PX,
-    );
-    for k in 0..BLOCK_COLUMNS {
-        let (left, right_side) = (
-            ax[k].min(bx[k]).min(cx[k].min(dx[k])),
-            ax[k].max(bx[k]).max(cx[k].max(dx[k])),
-        );
-        let (top, bottom) = (
-            ay[k].min(by[k]).min(cy[k].min(dy[k])),
-            ay[k].max(by[k]).max(cy[k].max(dy[k])),
-        );
-        // The first row whose centre is not above y, relative to the raster's first.
-        let row = |y: i32| {
-            ((y - first + (STEPS_PER_PX - 1)) >> STEPS_PER_PX.trailing_zeros()).clamp(0, 32) as u64
-        };
-        let below = |row: u64| (0xffff_ffff_u64 << row) as u32;
-        let rows = below(row(top)) & !below(row(bottom)) & raster.open;
-        seen.rows[k] = if (right_side > 0) & (left < right_end) {
-            rows
-        } else {
-            0
-        };
-        let small = (right_side - left).max(bottom - top) <= lattice.longest_side;
-        // Meaningless if the cell is not small.
-        let turn = |ax: i32, ay: i32, bx: i32, by: i32, cx: i32, cy: i32| {
-            let (px, py, qx, qy) = (
-                bx.wrapping_sub(ax),
-                by.wrapping_sub(ay),
-                cx.wrapping_sub(bx),
-                cy.wrapping_sub(by),
-            );
-            px.wrapping_mul(qy).wrapping_sub(py.wrapping_mul(qx))
-        };
-        let turns = [
-            turn(dx[k], dy[k], ax[k], ay[k], bx[k], by[k]),
-            turn(ax[k], ay[k], bx[k], by[k], cx[k], cy[k]),
-            turn(bx[k], by[k], cx[k], cy[k], dx[k], dy[k]),
-            turn(cx[k], cy[k], dx[k], dy[k], ax[k], ay[k]),
-        ];
-        let right = (turns[0] > 0) & (turns[1] > 0) & (turns[2] > 0) & (turns[3] > 0) & small;
-        let flipped = (turns[0] < 0) & (turns[1] < 0) & (turns[2] < 0) & (turns[3] < 0) & small;
-        seen.convex[k] = i32::from(right) - i32::from(flipped);
-        seen.pixels[0][k] = first_pixel(left);
-        seen.pixels[1][k] = first_pixel(right_side);
-    }
-    if seen.rows.iter().all(|&rows| rows == 0) {
-        return;
-    }
-    let (u, dv) = (
-        &lattice.u[b * BLOCK_COLUMNS..=(b + 1) * BLOCK_COLUMNS],
-        (lattice.v[j + 1] - lattice.v[j]).abs(),
-    );
-    for k in 0..BLOCK_COLUMNS {
-        let (a, b, c, d) = (
-            [ax[k], ay[k]],
-            [bx[k], by[k]],
-            [cx[k], cy[k]],
-            [dx[k], dy[k]],
-        );
-        let side = |a: [i32; 2], b: [i32; 2]| {
-            [
-                b[0].wrapping_sub(a[0]) as f32 * PX_PER_STEP,
-                b[1].wrapping_sub(a[1]) as f32 * PX_PER_STEP,
-            ]
-        };
-        let (e, f, e1) = (side(a, b), side(a, d), side(d, c));
-        let near = Near::new(e, f, [e1[0] - e[0], e1[1] - e[1]]);
-        seen.is_near[k] = near.is_accurate(u[k + 1] - u[k], dv, lattice.unit);
-        let [s, t, twist] = [near.s, near.t, [near.twist[0], near.twist[1], 0.0]];
-        for (lanes, value) in seen
-            .near
-            .iter_mut()
-            .zip([s[0], s[1], s[2], t[0], t[1], t[2], twist[0], twist[1]])
-        {
-            lanes[k] = value;
-        }
-        for (lanes, (from, to)) in seen.edges.iter_mut().zip([(a, b), (b, c), (c, d), (d, a)]) {
-            for (lanes, value) in lanes
-                .iter_mut()
-                .zip(edge_between(from, to, a, seen.convex[k]))
-            {
-                lanes[k] = value;
-            }
-        }
     }
 }
 
@@ -485,6 +330,8 @@ pub(super) fn classify(
 #[inline(always)]
 pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
     let (from, to) = reach(piece, raster.width);
+    // Relative to the corner of the cell: within `longest_side` of it nothing overflows, and
+    // farther pixels, where the functions wrap, are never reached.
     let x0 = column(from).wrapping_sub(piece.x);
     let mut left = rows;
     while left != 0 {
@@ -502,6 +349,7 @@ pub(super) fn fill(piece: &Piece, rows: u32, raster: &mut Raster<'_>) {
             .iter_mut()
             .zip(&mut raster.v[pixels])
         {
+            // The sign bit of the union: inside if none of the four is negative.
             if inside[0] | inside[1] | inside[2] | inside[3] >= 0
                 && (raster.over || *u == UNCOVERED)
             {
@@ -544,6 +392,8 @@ impl Piece {
             CellMap::Near(near) => {
                 let s0 = (near.s[1] * y + near.s[2]) + near.s[0] * x;
                 let t0 = (near.t[1] * y + near.t[2]) + near.t[0] * x;
+                // Two substitutions of the product s t into the equations of the patch (`Near`),
+                // from the affine solution.
                 let once = s0 * t0;
                 let (s1, t1) = (s0 - once * near.twist[0], t0 - once * near.twist[1]);
                 let twice = s1 * t1;
@@ -551,10 +401,13 @@ impl Piece {
             }
             CellMap::Root(root) => {
                 let ([ex, ey], [fx, fy], [dx, dy]) = (root.e, root.f, root.d);
+                // The quadratic for t, which `patch` derives.
                 let b = (root.area - y * dx) + x * dy;
                 let c = x * ey - y * ex;
                 let under = b * b - (4.0 * root.bend) * c;
                 let m = (if under > 0.0 { under } else { 0.0 }).sqrt() * root.sign;
+                // The form of the root in which b and m have the same sign, so that nothing
+                // cancels; also right where the quadratic term vanishes.
                 let same = b * m >= 0.0;
                 let t = within(
                     (if same { -2.0 * c } else { m - b })
@@ -562,6 +415,7 @@ impl Piece {
                 );
                 let (along_x, along_y) = (ex + dx * t, ey + dy * t);
                 let (rest_x, rest_y) = (x - fx * t, y - fy * t);
+                // Divided by the larger component: the other one may be 0.
                 let wide = along_x.abs() > along_y.abs();
                 (
                     within(

@@ -130,8 +130,8 @@ pub(in crate::render) fn one_sample_up_to(scale: f32) -> f32 {
     0.999 * (0.5 * POINT_SHRINKING + (0.25 * POINT_SHRINKING * POINT_SHRINKING + share).sqrt())
 }
 
-/// Appends every pixel that needs several samples; at most [`GROUP_PIXELS`] pixels, and there must be
-/// room for as many of each kind. `first`: index of the first pixel. Passes over arrays, which
+/// Appends every pixel that needs several samples; at most [`GROUP_PIXELS`] pixels, and there must
+/// be room for as many of each kind. `first`: index of the first pixel. Passes over arrays, which
 /// compilers vectorise; each keeps fewer pixels.
 #[inline(always)]
 pub(super) fn footprints(

@@ -16,6 +16,8 @@ mod avx512;
 #[forbid(unsafe_code)]
 mod bilinear;
 #[forbid(unsafe_code)]
+mod cell_block;
+#[forbid(unsafe_code)]
 mod cells;
 #[forbid(unsafe_code)]
 mod footprints;
@@ -31,7 +33,8 @@ use super::source::Packed;
 use crate::level::SimdLevel;
 use crate::pixmap::Channels;
 
-pub(super) use cells::{CellBlock, LANES, Piece, Raster, UNCOVERED};
+pub(super) use cell_block::CellBlock;
+pub(super) use cells::{LANES, Piece, Raster, UNCOVERED};
 pub(super) use footprints::{
     Alike, BATCH, FootprintBatch, FootprintGrid, GROUP_PIXELS, KINDS, MAX_FOOTPRINT_SAMPLES,
     one_sample_up_to,

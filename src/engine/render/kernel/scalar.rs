@@ -16,7 +16,8 @@ use std::ops::Range;
 
 pub(in crate::render) use super::bilinear::{ROUND_SAMPLE, fixed};
 pub(super) use super::bilinear::{blend, sample};
-pub(super) use super::cells::{classify, fill};
+pub(super) use super::cell_block::classify;
+pub(super) use super::cells::fill;
 pub(super) use super::footprints::{footprints, positions};
 pub(super) use super::rounding::ROUND_F32;
 use super::rounding::ROUNDING_SUMMAND;
@@ -36,9 +37,13 @@ pub(super) fn snap(
 ) {
     let limit = f64::from(MAX_STEPS);
     let snapped = |rest: f64, displacement: f32, scale: f64| {
+        // Clamped, because a fold may throw a vertex anywhere; an edge to it keeps nearly its
+        // direction.
         let place = ((rest + f64::from(displacement)) * scale)
             .max(-limit)
             .min(limit);
+        // The summand moves the integer to the lowest bits of the f64: rounding to nearest even
+        // without a conversion, alike at all levels.
         (place + ROUNDING_SUMMAND).to_bits() as i32
     };
     for (((x, y), rest), d) in x.iter_mut().zip(y).zip(rest_x).zip(displacement) {
@@ -52,6 +57,7 @@ pub(super) fn snap(
 pub(super) fn y_ranges(y: &[i32], y_ranges: &mut [YRange]) {
     for (b, range) in y_ranges.iter_mut().enumerate() {
         let block = block(&y[b * BLOCK_COLUMNS..]);
+        // The last cell of a block ends at the first vertex of the next one.
         let right = y[(b * BLOCK_COLUMNS + BLOCK_COLUMNS).min(y.len() - 1)];
         let (top, bottom) = block.iter().fold((right, right), |(top, bottom), &y| {
             (top.min(y), bottom.max(y))
@@ -101,6 +107,8 @@ pub(super) fn bends(above: &CellRow<'_>, below: &CellRow<'_>, bends: &mut [f32])
     for c in 0..n {
         let jump =
             |a: i32, b: i32, c: i32| (px(c) - px(b)) * per_below - (px(b) - px(a)) * per_above;
+        // By how much the direction of a column changes at this line, per px of height: chords that
+        // cross the line bend by it.
         let (x, y) = (jump(x0[c], x1[c], x2[c]), jump(y0[c], y1[c], y2[c]));
         bends[c] = x * x + y * y;
     }
@@ -137,6 +145,8 @@ pub(super) fn shrinks(
             per,
         );
         let det = xx * yy - xy * yx;
+        // Compared by squares and multiplied by the determinant: no root, no division, and a folded
+        // cell, where it is 0, counts as shrinking.
         let limit = least * least * det * det;
         // A side of the parallelogram of the source that a px of the target shows.
         *shrinking = u8::from((yy * yy + yx * yx > limit) | (xx * xx + xy * xy > limit));
@@ -243,6 +253,7 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
             2.0 * least_bottom + (areas_bottom.0 + areas_bottom.1),
         );
         let width = (u[c + 1] - u[c]) * cells.unit;
+        // All lengths in px of the sampled picture; the columns are per px of height already.
         let fall = least(left.1, right.1);
         let slant = most(top.1.abs(), bottom.1.abs());
         let least_fall = least(
@@ -284,10 +295,14 @@ pub(super) fn soundness(cells: &Neighbours<'_>, soundness: &mut [u8]) {
                 off(top, bottom, across_bottom),
             ),
         );
+        // The bound of the comment above, multiplied by its denominators: they are positive for
+        // upright cells, and the others are dropped below.
         let near = slant * most(off_u * width, off_v) <= cells.tolerance * middle * least_fall;
         let upright = (least(least_top, least_bottom)
             > LEAST_AREA / (PX_PER_STEP * PX_PER_STEP) * width)
             & (fall > 0.0);
+        // Its chords cross at most one line of the grid, also in the rows above and below: what the
+        // bound requires.
         let flat = most_slant < least_fall * cells.height;
         soundness[c] = u8::from(upright)
             + u8::from(upright & flat & near)

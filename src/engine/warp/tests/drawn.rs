@@ -181,7 +181,8 @@ pub(super) fn draw(case: &Case, tolerance: f64, each: usize, pose_as: PoseAs) ->
                     .map(|cell| (cell.level, cell.edges));
                 let of_mesh = drawn.posed.mesh().map(p).unwrap().distance(f);
                 drawn.farthest = format!(
-                    "{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) {subdivided:?}"
+                    "{target:?} shows {p:?}, of the mesh {of_mesh:.3}, cell ({i}, {j}) \
+                     {subdivided:?}"
                 );
             }
         }

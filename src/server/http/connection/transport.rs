@@ -142,10 +142,10 @@ fn charge(cx: &mut Context<'_>, bytes: usize) {
     }
 }
 
-/// Collects what one write takes: the beginning of the slices, [`MAX_WRITE_BYTES`] bytes at most. The last
-/// one is cut, because its rest would otherwise leave alone, and so would the few bytes before the
-/// next chunk of a body: packets of seven bytes, each a call and a wake-up of the client. Returns
-/// the number of slices.
+/// Collects what one write takes: the beginning of the slices, [`MAX_WRITE_BYTES`] bytes at most.
+/// The last one is cut, because its rest would otherwise leave alone, and so would the few bytes
+/// before the next chunk of a body: packets of seven bytes, each a call and a wake-up of the
+/// client. Returns the number of slices.
 fn beginning<'s>(slices: &'s [IoSlice<'_>], into: &mut [IoSlice<'s>; MAX_SLICES]) -> usize {
     let (mut count, mut left) = (0, MAX_WRITE_BYTES);
     for slice in slices.iter().filter(|slice| !slice.is_empty()) {

@@ -266,8 +266,8 @@ mod tests {
         }
     }
 
-    /// Runs so many busy tasks of an address beside one of another, until that was polled a hundred
-    /// times; how often the others were.
+    /// Runs this number of busy tasks of an address beside one of another, until that was polled a
+    /// hundred times; how often the others were.
     async fn beside(tasks: usize, time: Duration) -> usize {
         let (turns, polls, own) = (
             Turns::default(),

@@ -180,6 +180,8 @@ impl RedisStoreState {
     }
 
     async fn put(&self, record: Arc<Record>, files: Vec<NamedFile>) -> Result<Put, StoreError> {
+        // Another process may store the same session between the question and the transaction: then
+        // its revision is another one, and everything begins again.
         for _ in 0..PUT_ATTEMPTS {
             // A file that is there is not sent, and an unreadable record is not replaced.
             let (status, bytes, seq, revision): (i64, Vec<u8>, String, String) =
@@ -204,6 +206,7 @@ impl RedisStoreState {
                 .send(&files, &script::put(&record, &files, &replaces, self.idle))
                 .await?;
             match (status, old) {
+                // Not the revision that was looked at: look again.
                 (status::OTHER, _) => {}
                 // Only the file was missing.
                 (status::FOUND, Some(old)) => return self.same(old, &seq),

@@ -234,6 +234,8 @@ pub(crate) fn put(
     let mut transaction = redis::pipe();
     transaction.atomic();
     for file in files {
+        // To a key of its own: the script moves it to its place or deletes it, so a `put` that
+        // loses the race leaves the other one's file alone.
         if file.digest == record.image {
             transaction
                 .cmd("SET")
@@ -248,6 +250,8 @@ pub(crate) fn put(
             .values()
             .any(|layer| layer.digest == file.digest)
         {
+            // The same file may be picture and layer; each has its own copy, because they may be
+            // replaced one by one.
             set_layer(&mut transaction, record.id, file);
         }
     }

@@ -125,7 +125,7 @@ async fn a_server_that_is_slow_is_heard_all_the_same() {
         assert!(rounds < 5, "what others did is never seen");
     };
     assert_eq!(other.touch(a.id, None).await.unwrap().record, c);
-    // Nor does whoever drags go on with what has been replaced.
+    // Nor does a client that drags go on with what has been replaced.
     let d = made_anew(&a, 2);
     other.put(Arc::clone(&d), files(2)).await.unwrap();
     let began = Instant::now();
@@ -663,7 +663,7 @@ async fn one_of_those_who_put_at_the_same_time_is_there() {
     );
 }
 
-/// A way to the server that closes so many connections in the middle of a file.
+/// A way to the server that closes this number of connections in the middle of a file.
 async fn way_that_breaks(server: &Redis, breaks: Arc<AtomicU64>) -> RedisStore {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();

@@ -92,7 +92,7 @@ pub(crate) fn with_layer(record: &Record, name: &str, picture: Option<u8>) -> Ar
     })
 }
 
-/// The same session, made anew from another picture.
+/// The same session, made again from another picture.
 pub(crate) fn made_anew(record: &Record, picture: u8) -> Arc<Record> {
     let (image, layers) = (Digest::of(&file(picture)), BTreeMap::new());
     Arc::new(Record {
@@ -285,7 +285,7 @@ async fn handles_are_revised_once_a_revision_and_numbers_go_on(store: &impl Stor
         store.revise(gone.revision, gone, None).await.unwrap_err(),
         StoreError::NoSuchSession
     );
-    // What it was made from has changed with it: the first body makes it anew.
+    // What it was made from has changed with it: the first body makes it again.
     let first = Arc::new(Record {
         revision: Revision::random(),
         ..(*a).clone()

@@ -180,7 +180,7 @@ fn unnamed(first: &TableRow) -> Result<Columns, Bad> {
     })
 }
 
-/// What probably is the matter with a row of so many fields.
+/// What is probably wrong with a row of this number of fields.
 fn hint(first: &TableRow) -> &'static str {
     let is_number = |text: &str| text.trim().parse::<f64>().is_ok();
     // `1,5 2,5`: a field between two commas that is two numbers.

@@ -56,7 +56,7 @@ impl Choice {
             .find_map(|(name, is_given)| is_given.then_some(name))
     }
 
-    /// The fields of a warp object. A text that is none is left to its parser.
+    /// The fields of a warp object. A text that is no object is left to its parser.
     /// Errors: A field with another value.
     pub(crate) fn of_warp(json: &[u8]) -> Result<Self, Problem> {
         let Ok(root) = json::root(json) else {

@@ -115,7 +115,7 @@ async fn sessions_are_there_after_the_store_was_opened_again() {
         store.0.disk.change(|change| change.files()).unwrap() == [a.image],
         "the deleted picture's file has gone"
     );
-    // Made anew, its numbers start anew, also on the disk.
+    // A session that is made again has numbers from the beginning, also on the disk.
     store.put(made_anew(&a, 3), files(3)).await.unwrap();
     drop(store);
     assert_eq!(place.open().peek(a.id).await.unwrap().seq, None);

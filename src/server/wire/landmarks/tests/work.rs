@@ -138,7 +138,7 @@ const GROWING: &[(&str, &str, &str)] = &[
 ];
 const LINE_ENDS: [&str; 4] = ["\n", "\r", "\r\n", "\n\r\r\n\r"];
 
-/// Each file at about so many bytes, with each line end.
+/// Each file at about this number of bytes, with each line end.
 fn files(size: usize) -> impl Iterator<Item = String> {
     GROWING.iter().flat_map(move |(start, row, end)| {
         let file = format!("{start}{}{end}", row.repeat(size / row.len()));
