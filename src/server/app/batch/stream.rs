@@ -42,7 +42,7 @@ pub(crate) struct BatchStream {
     begun: u32,
     /// The number of frames that have been appended.
     done: u32,
-    /// See [`Frame::of_file`].
+    /// See [`FinishedFrame::of_file`].
     pub(crate) of_file: Vec<Warning>,
     /// `None` after the end.
     file: Option<BatchFile>,
