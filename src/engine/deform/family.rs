@@ -41,7 +41,8 @@ fn pull<const N: usize>(rows: &Coefficients<N>, k: usize, d: &[Vec2]) -> Vec2 {
     })
 }
 
-/// |m| of the fitted rotation for rigid, 1 for the other families; near 0 all rotations fit equally.
+/// The length |m| of the fitted rotation for rigid, 1 for the other families; near 0 all
+/// rotations fit equally.
 #[expect(
     clippy::cast_possible_truncation,
     reason = "a quality number, compared with 0.1"
