@@ -212,7 +212,9 @@ impl<'a> BodyBuffer<'a> {
             app,
             bytes: Vec::new(),
             held,
-            announced: announced.map_or(usize::MAX, |bytes| bytes as usize),
+            announced: announced.map_or(usize::MAX, |bytes| {
+                usize::try_from(bytes).unwrap_or(usize::MAX)
+            }),
         })
     }
 

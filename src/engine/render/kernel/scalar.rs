@@ -4,7 +4,6 @@
 
 #![expect(
     clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
     reason = "values are clamped to their range before they are narrowed"
 )]
 #![expect(
