@@ -169,6 +169,18 @@ fn bookstein(set: &Set, smoothing: f64, places: &[Point]) -> Vec<Point> {
     places.iter().map(map).collect()
 }
 
+/// The sum of the lengths of the terms whose sum is the displacement at `v`: a coefficient, which
+/// is the displacement when one point alone moves by 1 px, times how far its point moves.
+fn size_of_terms(field: &RestDeformation, set: &Set, v: Point) -> f64 {
+    let term = |(j, (p, q)): (usize, (&Point, &Point))| {
+        let mut moved = set.p.clone();
+        moved[j] = *p + Vec2::new(1.0, 0.0);
+        let alone = field.pose(&handles(&moved)).unwrap();
+        (field.map(&alone, v) - v).norm() * (*q - *p).norm()
+    };
+    set.p.iter().zip(&set.q).enumerate().map(term).sum()
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None,
         ..ProptestConfig::default() })]
@@ -251,8 +263,10 @@ proptest! {
         let (displacement, _) = table.displace(&pose);
         for (v, d) in at.iter().zip(displacement) {
             let off = (field.map(&pose, *v) - *v - Vec2::new(d[0].into(), d[1].into())).norm();
-            // Of two near points the coefficients are large.
-            prop_assert!(off <= 1e-2, "off by {off:e} at {v:?}, smoothing {smoothing}");
+            // Single precision rounds each term, and those of near points, or of points that are
+            // almost on a line, are much larger than their sum.
+            let most = 1e-3 + 1e-6 * size_of_terms(&field, &set, *v);
+            prop_assert!(off <= most, "off by {off:e} of {most:e} at {v:?}, smoothing {smoothing}");
         }
     }
 
