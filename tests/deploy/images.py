@@ -224,7 +224,7 @@ def copied(place):
     )
     for name in filter(None, names):
         (place / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / name, place / name)
+        shutil.copy2(ROOT / name, place / name, follow_symlinks=False)
     return place
 
 
