@@ -186,7 +186,7 @@ fn busy_time(program: &Program) -> u64 {
     10 * (fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap())
 }
 
-/// A profile that is none is dropped, and every picture that is drawn from its file says so.
+/// A profile that cannot be read is dropped, and every picture that is drawn from its file says so.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_dropped_profile_is_a_warning_of_every_picture() {
     let server = Server::start(&[]).await;

@@ -1,5 +1,5 @@
 //! `deploy/env.example` is the program's own declaration of its variables, written as a file of the
-//! environment. `MLSWARP_BLESS=1` writes it anew.
+//! environment. `MLSWARP_BLESS=1` rewrites it.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -96,7 +96,7 @@ fn environment_example_is_what_the_program_declares() {
     let written = std::fs::read_to_string(path()).unwrap();
     assert!(
         written == expected,
-        "deploy/env.example is not what the program declares; MLSWARP_BLESS=1 writes it anew"
+        "deploy/env.example is not what the program declares; MLSWARP_BLESS=1 rewrites it"
     );
     assert!(written.lines().all(|line| line.is_empty()
         || line.starts_with("# ")

@@ -1,5 +1,5 @@
-//! Keys: who has none is told so, who has another's learns nothing of what is not its own, and none
-//! of them is ever written down.
+//! Keys: a request without a key gets an error that says so, a key of another owner reveals
+//! nothing, and no key is ever written to a log.
 
 use std::time::{Duration, Instant};
 

@@ -90,8 +90,8 @@ async fn uploads_do_not_keep_drags_out() {
     }
 }
 
-/// A request and the reading of its answer, dropped after so many polls; whether it came to its end
-/// before.
+/// A request and the reading of its answer, dropped after a number of polls; whether it came to its
+/// end before.
 async fn dropped_after(polls: u32, request: impl Future<Output = ()>) -> bool {
     let mut request = Box::pin(request);
     let mut polled = 0;

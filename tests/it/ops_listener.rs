@@ -1,5 +1,5 @@
-//! Numbers and health on a listener of their own: open to whoever reaches it, never behind the
-//! crowd, and there until the end.
+//! Numbers and health on a listener of their own: open to every client that reaches it, never
+//! behind the crowd, and there until the end.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};

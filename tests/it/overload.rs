@@ -1,5 +1,5 @@
-//! More requests than places: refused at once, with a time to come back; health is told the truth
-//! and is never refused.
+//! More requests than places: refused at once, with a time to come back; health requests
+//! get the true state and are never refused.
 
 use std::sync::mpsc;
 use std::time::Duration;

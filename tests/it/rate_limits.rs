@@ -1,4 +1,4 @@
-//! Doors: rates, places, addresses behind proxies, what browsers are told; and that nothing here
+//! Rates, places, addresses behind proxies, headers for browsers; and that nothing here
 //! asks anybody else, but a collector of traces.
 
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! One id from the request to whatever is told of it: log lines, problems, the messages of a
+//! One id from the request to everything that reports it: log lines, problems, the messages of a
 //! socket.
 
 use serde_json::{Value, json};

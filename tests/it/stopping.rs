@@ -1,5 +1,5 @@
-//! A program that is told to stop: first it is not ready but serves, then it finishes what it has
-//! begun.
+//! A program that gets the signal to stop: first it is not ready but serves, then it finishes what
+//! it has begun.
 
 use std::time::{Duration, Instant};
 

@@ -23,8 +23,8 @@ const SIZES: Sizes = Sizes {
     body: 2 << 20,
 };
 
-/// Sends a request so many times at once, from so many addresses; the statuses of the answers, in
-/// order.
+/// Sends a request a number of times at once, from several addresses; the statuses of the answers,
+/// in order.
 fn send(program: &Program, request: &Request, addresses: usize) -> Vec<u16> {
     let begun = Barrier::new(COUNT);
     let one = |k: usize| {

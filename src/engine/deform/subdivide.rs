@@ -135,7 +135,7 @@ impl Subdivider<'_> {
                 .is_none_or(|falloff| falloff.alpha() >= smooth),
         };
         work.run(&posing, cancelled)?;
-        // Two targets at one position: no subdivision helps, and the client is told where.
+        // Two targets at one position: no subdivision helps, and the report says where.
         work.exceed_torn(pose);
         Some(work.finish())
     }

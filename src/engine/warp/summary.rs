@@ -1,4 +1,4 @@
-//! What a client is told about handles at rest.
+//! What a session object says about handles at rest.
 
 use super::{Digest, Limits, ResolvedRest, RestSpec, Warning, WarpError};
 use crate::deform::IsCancelled;

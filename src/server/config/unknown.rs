@@ -1,5 +1,6 @@
 //! Names that the program does not have: variables of the environment, and options of the command
-//! line. Each is told with the name that was probably meant, of those that have an effect there.
+//! line. The message names the one that was probably meant for each, of those that have an effect
+//! there.
 
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};
 use clap::{Arg, Command};

@@ -95,8 +95,8 @@ impl WorkerThreads {
         Ok(())
     }
 
-    /// Makes sure that so many threads may sleep in the middle of their jobs, and as many as before
-    /// work. Returns false if the operating system refuses to start a thread.
+    /// Makes sure that this number of threads may sleep in the middle of their jobs, and as many as
+    /// before work. Returns false if the operating system refuses to start a thread.
     pub(crate) fn reserve(&self, sleeping: usize) -> bool {
         // No code panics under the lock.
         let mut more = self.more.lock().unwrap_or_else(PoisonError::into_inner);

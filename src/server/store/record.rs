@@ -565,7 +565,7 @@ mod tests {
     }
 
     /// What the first version of the program computed. A program that computes anything else would
-    /// make a session anew that a replica has.
+    /// create a session again that a replica has.
     #[test]
     fn the_digest_of_what_a_session_was_made_from_is_the_first_programs() {
         let digest = |record: &Record, warp: &str| {

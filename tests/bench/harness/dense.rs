@@ -4,8 +4,8 @@
 use mlswarp::geometry::{Mesh, Point};
 use mlswarp::pixmap::Extent;
 
-/// A cell is divided into so many parts along each side; two triangles of a part are its bilinear
-/// patch to a few hundredths of a pixel.
+/// A cell is divided into this number of parts along each side; two triangles of a part are its
+/// bilinear patch to a few hundredths of a pixel.
 const PARTS: u32 = 4;
 /// What the map says where nothing is drawn.
 pub const OUTSIDE: [f32; 2] = [-1.0; 2];

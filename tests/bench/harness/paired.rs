@@ -1,6 +1,6 @@
 //! Two processes that are timed in turn. The one that is asked says `ready`, reads names of
-//! contenders, one a line, and answers each with the seconds of a call; whoever asks runs its own
-//! contenders in between, so that medians of both come from the same minutes.
+//! contenders, one a line, and answers each with the seconds of a call; the process that asks runs
+//! its own contenders in between, so that medians of both come from the same minutes.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;

@@ -3,8 +3,11 @@
 #![no_main]
 
 #[path = "../mutation.rs"]
-#[expect(dead_code, clippy::cast_possible_truncation, reason = "only the mending of pictures is \
-    wanted here")]
+#[expect(
+    dead_code,
+    clippy::cast_possible_truncation,
+    reason = "only the mending of pictures is wanted here"
+)]
 mod mutation;
 #[path = "../targets/mod.rs"]
 mod targets;
@@ -18,8 +21,10 @@ static TARGET: LazyLock<targets::Target> = LazyLock::new(|| {
     // it begins. What gets out of a target still does.
     drop(std::panic::take_hook());
     let name = std::env::var("MLSWARP_FUZZ").unwrap_or_default();
-    targets::TARGETS.into_iter().find(|(known, _)| *known == name).expect("MLSWARP_FUZZ names a \
-        target")
+    targets::TARGETS
+        .into_iter()
+        .find(|(known, _)| *known == name)
+        .expect("MLSWARP_FUZZ names a target")
 });
 
 fuzz_target!(|bytes: &[u8]| (TARGET.1)(bytes));

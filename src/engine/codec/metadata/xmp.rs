@@ -87,7 +87,7 @@ fn element_end(behind: &str, end_tag: &str) -> Option<usize> {
     Some(close + behind[close..].find('>')? + 1)
 }
 
-/// The end of an attribute whose name has been read: 0 if it is none.
+/// The end of an attribute whose name has been read: 0 if it is no attribute.
 fn attribute_end(before: &str, behind: &str) -> Option<usize> {
     let value = behind.trim_start().strip_prefix('=').map(str::trim_start);
     let Some(value) = value.filter(|_| before.ends_with(|c: char| c.is_ascii_whitespace())) else {

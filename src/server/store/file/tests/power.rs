@@ -33,7 +33,7 @@ impl Recorded {
         self.0.lock().unwrap().1.len()
     }
 
-    /// What may be found after the power went when so many steps had been taken.
+    /// What may be found when the power goes after this number of steps.
     fn after_power_cut(&self, steps: usize, random: &mut impl FnMut() -> bool) -> Vec<u8> {
         let all = &self.0.lock().unwrap().1[..steps];
         let kept = all
