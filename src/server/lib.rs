@@ -16,11 +16,10 @@ pub mod client;
 pub mod config;
 pub mod drag;
 pub mod http;
-pub mod layer;
 pub mod limits;
 pub mod observe;
 pub mod pool;
-pub mod problem;
 pub mod session;
 pub mod store;
-pub mod wire;
+
+pub use mlswarp_contract::{layer, problem, wire};

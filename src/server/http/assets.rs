@@ -16,6 +16,7 @@ use sha2::{Digest as _, Sha256};
 use crate::app::App;
 use crate::config::Config;
 use crate::http::headers::sends_tag;
+use crate::http::response::Refusal;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::store::StoreUrl;
@@ -114,8 +115,8 @@ pub(crate) fn routes(app: &App) -> Router<App> {
         .route("/page/{file}", get(file))
 }
 
-async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    find(&ASSETS, &name, &headers)
+async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Refusal> {
+    Ok(find(&ASSETS, &name, &headers)?)
 }
 
 /// Serves one of a page's files.

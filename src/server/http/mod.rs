@@ -26,6 +26,7 @@ pub use middleware::authentication::Access;
 use middleware::authentication::{Caller, authenticate};
 
 use crate::app::App;
+use crate::http::response::Refusal;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 
@@ -165,7 +166,7 @@ fn ops_router(app: &App) -> Router {
             "nothing is served at {}; this port serves /healthz, /readyz and /metrics",
             quote(uri.path())
         );
-        Problem::new(Code::NotFound, detail)
+        Refusal(Problem::new(Code::NotFound, detail))
     };
     middleware::apply(
         with_fallbacks(router).fallback(fallback),
@@ -177,10 +178,10 @@ fn ops_router(app: &App) -> Router {
 /// Answers plain HTTP on a TLS listener.
 fn tls_required_router(app: &App) -> Router {
     let fallback = async || {
-        Problem::new(
+        Refusal(Problem::new(
             Code::MalformedRequest,
             "this port serves HTTPS: use https://",
-        )
+        ))
     };
     middleware::apply(Router::new().fallback(fallback), app, None)
 }
@@ -192,7 +193,7 @@ fn with_fallbacks(router: Router<App>) -> Router<App> {
 }
 
 /// Rejects the query of a `POST` or `PUT` without fields in its query: none is ignored.
-async fn reject_query(request: Request, next: Next) -> Result<Response, Problem> {
+async fn reject_query(request: Request, next: Next) -> Result<Response, Refusal> {
     if matches!(*request.method(), Method::POST | Method::PUT) {
         let [] = headers::query_fields(request.uri().query(), [])?;
     }
@@ -206,7 +207,7 @@ async fn reject_if_queue_full(
     caller: Caller,
     request: Request,
     next: Next,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     app.require_queue_place(caller.client)?;
     Ok(next.run(request).await)
 }

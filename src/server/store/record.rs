@@ -413,7 +413,7 @@ mod tests {
 
     use super::*;
     use crate::store::tests::suite;
-    use crate::wire::tests::warp_object;
+    use crate::wire::arbitrary::warp_object;
     use mlswarp::codec::Subsampling;
     use mlswarp::deform::Handle;
     use mlswarp::geometry::Point;

@@ -18,6 +18,7 @@ use data_encoding::BASE64URL_NOPAD;
 use crate::app::App;
 use crate::client::Client;
 use crate::http::headers::elements;
+use crate::http::response::Refusal;
 use crate::limits::networks::client_ip;
 use crate::problem::Code;
 
@@ -94,7 +95,7 @@ pub(crate) async fn authenticate(
             if let Some(field) = authorization {
                 problem.detail = unreadable(field.as_bytes()).to_owned();
             }
-            ([(WWW_AUTHENTICATE, BEARER)], problem).into_response()
+            ([(WWW_AUTHENTICATE, BEARER)], Refusal(problem)).into_response()
         }
         Err(mut problem) => {
             // Nothing of the key is repeated.
@@ -105,7 +106,7 @@ pub(crate) async fn authenticate(
                     .detail
                     .push_str("; send the key without quotes or brackets");
             }
-            problem.into_response()
+            Refusal(problem).into_response()
         }
     }
 }

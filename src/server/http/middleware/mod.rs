@@ -32,6 +32,7 @@ use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
 use crate::auth::hosts::Hosts;
+use crate::http::response::Refusal;
 use crate::observe::metrics::known_method;
 use crate::observe::{RequestInfo, Scope};
 use crate::pool::panic_text;
@@ -116,7 +117,7 @@ async fn outermost(
     let answered = async {
         let response = match host {
             Ok(()) => next.run(request).await,
-            Err(problem) => problem.into_response(),
+            Err(problem) => Refusal(problem).into_response(),
         };
         let code = response.extensions().get::<Problem>().map(|problem| {
             app.metrics().refused(problem);
@@ -176,7 +177,7 @@ fn set_security_headers(app: &App, headers: &mut HeaderMap, policy: HeaderValue)
 /// tower-http's `limit` and `timeout` cannot replace this: they cannot tell a slow client (408)
 /// from a slow server (503 with `Retry-After`), give no actual size, and do not drain the rest of a
 /// body after an early response.
-async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<Response, Problem> {
+async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<Response, Refusal> {
     let (timeouts, max_bytes) = (app.config().timeouts, app.config().max_body_bytes);
     cross_origin::check(&app.config().auth, &request)?;
     let length = content_length(request.headers());
@@ -192,7 +193,7 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
         )
     });
     if let Some(length) = length.filter(|length| *length > max_bytes) {
-        return Err(too_large("body_bytes", max_bytes, length));
+        return Err(too_large("body_bytes", max_bytes, length).into());
     }
     // Not dropped before `waits` is read: dropping the body resets it.
     let mut response = pin!(next.run(request));
@@ -200,7 +201,7 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
         return Ok(response);
     }
     let seconds = timeouts.request.as_secs_f64();
-    Err(if waits.load(Ordering::Relaxed) {
+    let problem = if waits.load(Ordering::Relaxed) {
         Problem::new(
             Code::Timeout,
             format!("the body was not complete after {seconds} s, the time limit of a request"),
@@ -209,12 +210,13 @@ async fn limit(State(app): State<App>, request: Request, next: Next) -> Result<R
         let detail =
             format!("the server did not finish within {seconds} s, the time limit of a request");
         Problem::new(Code::Overloaded, detail).retry_after(RETRY_LATE)
-    })
+    };
+    Err(problem.into())
 }
 
 fn on_panic(panic: Box<dyn Any + Send>) -> Response {
     tracing::error!(message = panic_text(panic.as_ref()), "a handler panicked");
-    Problem::new(Code::Internal, "internal error").into_response()
+    Refusal(Problem::new(Code::Internal, "internal error")).into_response()
 }
 
 /// The client's id where it is a short plain word, otherwise a new one. tower-http's `request_id`

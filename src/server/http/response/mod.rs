@@ -3,6 +3,8 @@
 
 pub(crate) mod problem;
 
+pub(crate) use problem::Refusal;
+
 use std::convert::Infallible;
 use std::io;
 use std::task::{Poll, ready};

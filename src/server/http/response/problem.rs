@@ -7,12 +7,26 @@ use axum::response::{IntoResponse, Response};
 
 use crate::problem::{Code, Problem};
 
-impl IntoResponse for Problem {
+/// A problem as the error of a handler, of which axum makes a response.
+#[derive(Debug)]
+pub(crate) struct Refusal(pub(crate) Problem);
+
+impl<E> From<E> for Refusal
+where
+    Problem: From<E>,
+{
+    fn from(error: E) -> Self {
+        Self(error.into())
+    }
+}
+
+impl IntoResponse for Refusal {
     fn into_response(self) -> Response {
-        let mut response = StatusCode::from_u16(self.status())
+        let Self(problem) = self;
+        let mut response = StatusCode::from_u16(problem.status())
             .unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
             .into_response();
-        response.extensions_mut().insert(self);
+        response.extensions_mut().insert(problem);
         response
     }
 }

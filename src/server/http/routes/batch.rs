@@ -9,15 +9,15 @@ use super::warp::drag_limit;
 use crate::app::batch::BatchForm;
 use crate::http::accept::choose;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::{batch_headers, streamed};
 use crate::http::upload::{large_json_or_form, pose_of};
-use crate::problem::Problem;
 
 pub(crate) async fn batch(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let form =
         BatchForm::ALL[choose(request.headers(), BatchForm::ALL.map(BatchForm::media_type))?];
     let id = session_id(caller.client, &id)?;

@@ -17,6 +17,7 @@ use flate2::write::GzEncoder;
 
 use crate::app::App;
 use crate::http::assets::{Asset, CSS, HTML, JS, find};
+use crate::http::response::Refusal;
 use crate::problem::{Code, Problem};
 
 /// Scalar writes its styles into the page. The page shows only our document, and scripts come from
@@ -99,17 +100,17 @@ async fn reference(headers: HeaderMap) -> Response {
     response
 }
 
-async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    find(&*FILES, &name, &headers)
+async fn file(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Refusal> {
+    Ok(find(&*FILES, &name, &headers)?)
 }
 
-async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    find(&*EXAMPLES, &format!("examples/{name}"), &headers)
+async fn example(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Refusal> {
+    Ok(find(&*EXAMPLES, &format!("examples/{name}"), &headers)?)
 }
 
 /// Always compressed: without `Accept-Encoding` any coding is acceptable, browsers accept gzip, and
 /// nothing else reads this file.
-async fn scalar(headers: HeaderMap) -> Result<Response, Problem> {
+async fn scalar(headers: HeaderMap) -> Result<Response, Refusal> {
     // Compressing takes some tenths of a second, once.
     let asset = tokio::task::spawn_blocking(|| SCALAR.as_ref())
         .await

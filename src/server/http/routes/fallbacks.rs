@@ -11,6 +11,7 @@ use serde::de::IgnoredAny;
 
 use super::service::OPENAPI;
 use crate::app::App;
+use crate::http::response::Refusal;
 use crate::problem::words::{quote, series, similarity};
 use crate::problem::{Code, Problem};
 
@@ -44,7 +45,7 @@ static CONTRACT: LazyLock<Contract<'static>> = LazyLock::new(|| {
 });
 
 /// Answers a path that no route has.
-pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) -> Problem {
+pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) -> Refusal {
     let (path, public) = (uri.path(), app.config().public_path.as_str());
     let reference = if cfg!(feature = "docs") {
         "/docs"
@@ -59,7 +60,8 @@ pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) 
                 "nothing is served at {}; {detail} {public}{reference}",
                 quote(path)
             ),
-        );
+        )
+        .into();
     }
     let is_public = path
         .strip_prefix(public)
@@ -81,11 +83,12 @@ pub(crate) async fn not_found(State(app): State<App>, method: Method, uri: Uri) 
             quote(path)
         ),
     )
+    .into()
 }
 
 /// Answers a method that a path does not have. axum adds `Allow`.
-pub(crate) async fn method_not_allowed(State(app): State<App>, request: Request) -> Problem {
-    not_allowed(&request, &app.config().public_path)
+pub(crate) async fn method_not_allowed(State(app): State<App>, request: Request) -> Refusal {
+    not_allowed(&request, &app.config().public_path).into()
 }
 
 /// See [`method_not_allowed`]. `public` precedes the paths that it names.

@@ -5,12 +5,12 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::{json_text, with_warnings};
 use crate::http::upload::{pose_of, warp_json_or_form};
-use crate::problem::Problem;
 use crate::wire::landmarks::Target;
 
-pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let body = warp_json_or_form(&caller, request, Target::Request).await?;
     let (json, warnings) = caller.app.fit_once(caller.client, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
@@ -20,7 +20,7 @@ pub(crate) async fn of_session(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;

@@ -7,6 +7,7 @@ use axum::response::Response;
 
 use crate::http::headers::query_fields;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::json_text;
 use crate::http::{body, upload};
 use crate::limits::memory::MemoryClass;
@@ -16,7 +17,7 @@ use crate::wire::landmarks::{Choice, LandmarkFiles, extent};
 const FIELDS: [&str; 4] = ["extent_p", "extent_q", "match", "item"];
 
 /// The body is one file of any media type, or a form.
-pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let given = query_fields(request.uri().query(), FIELDS)?;
     let [extent_p, extent_q, matching, item] = given.map(|text| text.map(decoded));
     let read = |name: &str, text: Option<String>| text.map(|text| extent(name, &text)).transpose();
@@ -49,7 +50,8 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
             return Err(Problem::new(
                 Code::BadValue,
                 format!("`{name}` is given twice: in the query and as a part"),
-            ));
+            )
+            .into());
         }
         *of_part = of_part.or(of_query);
     }

@@ -11,6 +11,7 @@ use crate::app::layers::bad_name;
 use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::session;
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::{Code, Problem};
@@ -21,7 +22,7 @@ pub(crate) async fn put(
     caller: Caller,
     Path((id, name)): Path<(String, String)>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
     app.peek_session(id).await?;
@@ -33,7 +34,8 @@ pub(crate) async fn put(
             "kind",
             kind.as_str(),
             "`image` for the layer `region`, which is a mask",
-        ));
+        )
+        .into());
     }
     let file = body::file(&caller, request).await?;
     let put = app.put_layer(*client, id, &name, kind, file).await?;
@@ -49,7 +51,7 @@ pub(crate) async fn put(
 pub(crate) async fn read(
     caller: Caller,
     Path((id, name)): Path<(String, String)>,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let file = caller
         .app
         .layer_file(caller.client, session_id(caller.client, &id)?, &name)
@@ -68,7 +70,7 @@ pub(crate) async fn read(
 pub(crate) async fn delete(
     caller: Caller,
     Path((id, name)): Path<(String, String)>,
-) -> Result<StatusCode, Problem> {
+) -> Result<StatusCode, Refusal> {
     caller
         .app
         .delete_layer(caller.client, session_id(caller.client, &id)?, &name)

@@ -7,12 +7,13 @@ use mlswarp::warp::MapFormat;
 use super::sessions::session_id;
 use crate::http::accept;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::{map, with_method};
 use crate::http::upload::{pose_of, warp_json_or_form};
 use crate::problem::Problem;
 use crate::wire::landmarks::Target;
 
-pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let format = format(&request)?;
     let body = warp_json_or_form(&caller, request, Target::Request).await?;
     let (file, method) = caller.app.map_once(caller.client, body, format).await?;
@@ -23,7 +24,7 @@ pub(crate) async fn of_session(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let format = format(&request)?;
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;

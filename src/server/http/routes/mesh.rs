@@ -7,8 +7,8 @@ use super::sessions::session_id;
 use super::warp::read_drag;
 use crate::app::session_warp::{DragRoute, MeshForm};
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::{accept, response};
-use crate::problem::Problem;
 
 const FORMS: [&str; 2] = ["application/json", "application/octet-stream"];
 
@@ -17,7 +17,7 @@ pub(crate) async fn mesh(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let chosen = accept::choose(request.headers(), FORMS)?;
     let (media_type, form) = (
         FORMS[chosen],

@@ -9,6 +9,7 @@ use super::sessions::session_id;
 use crate::http::headers::{bad_query_value, query_fields, sends_tag};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response;
+use crate::http::response::Refusal;
 use crate::problem::Problem;
 use crate::wire::{PlanQuery, Precision};
 
@@ -20,7 +21,7 @@ pub(crate) async fn plan(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
     let (
         Parts {

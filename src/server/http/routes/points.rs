@@ -6,13 +6,13 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::mapped;
 use crate::http::upload::{large_json_or_form, pose_of};
-use crate::problem::Problem;
 use crate::wire::Cursor;
 use crate::wire::landmarks::Target;
 
-pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let body = large_json_or_form(&caller, request, Target::Request).await?;
     Ok(mapped(
         caller
@@ -26,7 +26,7 @@ pub(crate) async fn of_session(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
     let session = caller.app.peek_session(id).await?;
     let body = large_json_or_form(&caller, request, pose_of(&session.record)).await?;

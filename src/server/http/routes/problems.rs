@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use crate::app::App;
 use crate::http::accept;
 use crate::http::assets::{Asset, HTML};
+use crate::http::response::Refusal;
 use crate::problem::words::{did_you_mean, nearest, quote};
 use crate::problem::{Code, Problem};
 
@@ -30,7 +31,7 @@ pub(crate) async fn section(
     State(app): State<App>,
     Path(name): Path<String>,
     headers: HeaderMap,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let Some(&code) = Code::ALL.iter().find(|code| code.as_str() == name) else {
         let meant = nearest(&name, Code::ALL.iter().map(|code| code.as_str()));
         return Err(Problem::new(
@@ -40,7 +41,8 @@ pub(crate) async fn section(
                 quote(&name),
                 did_you_mean(meant)
             ),
-        ));
+        )
+        .into());
     };
     let form = FORMS[accept::choose(&headers, FORMS)?];
     Ok((

@@ -9,7 +9,7 @@ use serde_json::json;
 use crate::app::{App, Readiness};
 use crate::http::assets::Asset;
 use crate::http::response;
-use crate::problem::Problem;
+use crate::http::response::Refusal;
 
 pub(super) const OPENAPI: &str = include_str!("../../../../api/openapi.json");
 /// The address of the service in the document.
@@ -22,7 +22,7 @@ pub(crate) async fn healthz() -> Response {
 
 /// `GET /readyz`: work would be admitted now. 503 while the queue is full, until the store has been
 /// reachable, and while the server stops.
-pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Problem> {
+pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Refusal> {
     let store = match app.ready().await? {
         Readiness::Whole => "available",
         Readiness::WithoutStore => "unavailable",

@@ -9,6 +9,7 @@ use crate::app::App;
 use crate::app::session_object::ShownSession;
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::{json_head, session, with_method};
 use crate::http::upload;
 use crate::limits::memory::MemoryClass;
@@ -20,7 +21,7 @@ use crate::wire::landmarks::Target;
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 
 /// Creates a session. Its picture is decoded and its table filled before the first drag.
-pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let upload = upload::read(&caller, request).await?;
     let (shown, method) = caller.app.create_session(caller.client, upload).await?;
     Ok(with_method(created(&caller, shown), method))
@@ -32,7 +33,7 @@ pub(crate) async fn put(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let id = SessionId::parse(caller.client.owner, &id)
         .ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
     let upload = upload::read(&caller, request).await?;
@@ -50,7 +51,7 @@ pub(crate) async fn handles(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
     let target = Target::Session(app.peek_session(id).await?.record.extent);
@@ -66,7 +67,7 @@ pub(crate) async fn read(
     caller: Caller,
     Path(id): Path<String>,
     method: Method,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let found = caller
         .app
         .peek_session(session_id(caller.client, &id)?)
@@ -80,7 +81,7 @@ pub(crate) async fn read(
 }
 
 /// Deletes a session.
-pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<StatusCode, Refusal> {
     caller
         .app
         .delete_session(session_id(caller.client, &id)?)

@@ -11,6 +11,7 @@ use crate::app::session_warp::DragRoute;
 use crate::app::warp::columns;
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
+use crate::http::response::Refusal;
 use crate::http::response::{picture, takes_trailers, with_method};
 use crate::http::upload::{json_or_form, pose_of};
 use crate::http::{accept, upload};
@@ -24,7 +25,7 @@ const WARP_SESSION: HeaderName = HeaderName::from_static("warp-session");
 const DRAG_BYTES: (u64, u64) = (64 << 10, 64);
 
 /// A picture of an upload.
-pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, Problem> {
+pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let keeps_session = keeps_session(request.uri().query())?;
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
@@ -52,7 +53,7 @@ pub(crate) async fn session_warp(
     caller: Caller,
     Path(id): Path<String>,
     request: Request,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refusal> {
     let formats = accept::formats(request.headers())?;
     let trailers = takes_trailers(request.headers());
     let id = session_id(caller.client, &id)?;

@@ -16,6 +16,7 @@ use crate::auth::cors::Origins;
 use crate::http::headers::elements;
 use crate::http::middleware::authentication::{PROTOCOL, protocols};
 use crate::http::middleware::cross_origin::{is_listed, is_same_origin};
+use crate::http::response::Refusal;
 use crate::http::routes::fallbacks::not_allowed;
 use crate::problem::{Code, Problem};
 
@@ -31,7 +32,7 @@ pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, R
     let headers = request.headers();
     if request.method() != Method::GET {
         let problem = not_allowed(request, "");
-        return Err(([(ALLOW, HeaderValue::from_static("GET"))], problem).into_response());
+        return Err(([(ALLOW, HeaderValue::from_static("GET"))], Refusal(problem)).into_response());
     }
     let has = |name: HeaderName, element: &str| {
         elements(headers, name).any(|other| other.eq_ignore_ascii_case(element))
@@ -50,7 +51,7 @@ pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, R
             "this route is a WebSocket of version 13: send `Sec-WebSocket-Version: 13`",
         ));
     }
-    let malformed = |detail| Problem::new(Code::MalformedRequest, detail).into_response();
+    let malformed = |detail| Refusal(Problem::new(Code::MalformedRequest, detail)).into_response();
     let mut keys = headers
         .get_all(SEC_WEBSOCKET_KEY)
         .iter()
@@ -62,7 +63,8 @@ pub(crate) fn accept(request: &Request, origins: &Origins) -> Result<Response, R
     if !request.body().is_end_stream() {
         return Err(malformed("a request that opens a WebSocket has no body"));
     }
-    check_origin(headers, request.uri().authority(), origins).map_err(Problem::into_response)?;
+    check_origin(headers, request.uri().authority(), origins)
+        .map_err(|problem| Refusal(problem).into_response())?;
     let accept = HeaderValue::from_str(&derive_accept_key(key)).expect("base64 is visible ASCII");
     let upgrade = [
         (CONNECTION, HeaderValue::from_static("upgrade")),
@@ -84,7 +86,11 @@ fn upgrade_required(detail: &str) -> Response {
         (CONNECTION, HeaderValue::from_static("upgrade")),
         (SEC_WEBSOCKET_VERSION, VERSION),
     ];
-    (headers, Problem::new(Code::UpgradeRequired, detail)).into_response()
+    (
+        headers,
+        Refusal(Problem::new(Code::UpgradeRequired, detail)),
+    )
+        .into_response()
 }
 
 /// Browsers let a page of any site open a WebSocket to any other site, and send the page's origin.

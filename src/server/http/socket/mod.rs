@@ -24,6 +24,7 @@ use crate::app::drag_socket::{Drag, Outgoing};
 use crate::app::warp::columns;
 use crate::auth::keys::Credential;
 use crate::config::Config;
+use crate::http::response::Refusal;
 use crate::limits::bucket::Bucket;
 use crate::observe::Scope;
 use crate::problem::{Code, Problem};
@@ -40,12 +41,12 @@ pub(crate) async fn drag_socket(
 ) -> Result<Response, Response> {
     let response = handshake::accept(&request, &app.config().auth.cors_origin)?;
     let options = query::options(request.uri().query(), app.config().limits().image.max_side)
-        .map_err(Problem::into_response)?;
-    let id = session_id(client, &id).map_err(Problem::into_response)?;
+        .map_err(|problem| Refusal(problem).into_response())?;
+    let id = session_id(client, &id).map_err(|problem| Refusal(problem).into_response())?;
     let drag = app
         .open_drag(client, id, options)
         .await
-        .map_err(Problem::into_response)?;
+        .map_err(|problem| Refusal(problem).into_response())?;
     let credential = request
         .extensions()
         .get::<Credential>()

@@ -1,0 +1,135 @@
+//! Random values for the laws of this crate and of those above it.
+
+use std::fmt::Debug;
+
+use mlswarp::deform::{Coincident, Handle};
+use mlswarp::geometry::Point;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::{Canvas, Outside};
+use mlswarp::warp::{CanvasSpec, GridSpec, OutputSpec, RestSpec};
+use proptest::prelude::*;
+
+use super::{EnumName, WarpObject};
+
+fn coordinate() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        (-2e6..2e6),
+        prop::num::f64::NORMAL | prop::num::f64::ZERO | prop::num::f64::SUBNORMAL
+    ]
+}
+
+fn place() -> impl Strategy<Value = Point> {
+    (coordinate(), coordinate()).prop_map(|(x, y)| Point::new(x, y))
+}
+
+fn handle() -> impl Strategy<Value = Handle> {
+    let line = prop::collection::vec(place(), 2..5).prop_map(Handle::Polyline);
+    prop_oneof![4 => place().prop_map(Handle::Point), 4 => line, 1 => Just(Handle::Missing)]
+}
+
+fn all<T: EnumName + Debug>() -> impl Strategy<Value = T> {
+    prop::sample::select(T::ALL)
+}
+
+/// Any warp object that the parser may give.
+pub fn warp_object() -> impl Strategy<Value = WarpObject> {
+    let grid = prop_oneof![
+        Just(GridSpec::Auto),
+        Just(GridSpec::Pixel),
+        (1e-9..1e9).prop_map(GridSpec::Cell),
+        (0.05..=4.0).prop_map(GridSpec::Tolerance),
+        (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
+    ];
+    let outside = prop_oneof![
+        Just(Outside::Transparent),
+        Just(Outside::Edge),
+        Just(Outside::Reflect),
+        any::<[u8; 4]>().prop_map(Outside::Colour),
+        any::<u16>().prop_map(|value| Outside::Value([value; 3])),
+        any::<[u16; 3]>().prop_map(Outside::Value)
+    ];
+    let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
+    let numbers = (
+        prop::option::of(0.5..8.0),
+        prop::option::of(1e-3..1e9),
+        prop::option::of(0.0..1e9),
+    );
+    let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
+    let rest = (
+        prop::collection::vec(handle(), 0..6),
+        weights,
+        all(),
+        numbers,
+        coincident,
+        (all(), grid, all()),
+    )
+        .prop_map(
+            |(
+                p,
+                weights,
+                method,
+                (alpha, point_mass, smoothing),
+                coincident,
+                (units, grid, align),
+            )| RestSpec {
+                p,
+                weights,
+                method,
+                alpha,
+                point_mass,
+                smoothing,
+                coincident,
+                units,
+                grid,
+                align,
+                has_unmatched: false,
+            },
+        );
+    let place = || -1_000_000..=1_000_000;
+    let boxes =
+        (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
+            x,
+            y,
+            extent: Extent::new(w, h).unwrap(),
+        });
+    let canvas = prop_oneof![
+        Just(CanvasSpec::Same),
+        Just(CanvasSpec::Fit),
+        boxes.prop_map(CanvasSpec::Box)
+    ];
+    let output = (
+        all(),
+        1_u8..=100,
+        prop::option::of(all()),
+        all(),
+        prop::option::of(1_u32..),
+        all(),
+        outside,
+        canvas,
+        all(),
+    );
+    let output = output.prop_map(
+        |(format, quality, subsampling, compression, width, filter, outside, canvas, holes)| {
+            OutputSpec {
+                format,
+                quality,
+                subsampling,
+                compression,
+                canvas,
+                width,
+                filter,
+                outside,
+                holes,
+            }
+        },
+    );
+    let q = prop::option::of(prop::collection::vec(handle(), 0..6));
+    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject {
+        rest,
+        q,
+        folds,
+        output,
+        strength: 1.0,
+        is_auto: false,
+    })
+}

@@ -1,0 +1,321 @@
+//! The warp object: rest handles, parameters and output. Every field has a default.
+
+use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
+use mlswarp::geometry::DisplayNumber;
+use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
+
+use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
+use super::handles::{handles, weights};
+use super::json::{Kind, Node, optional};
+use super::landmarks::{Choice, Item, is_format, without_files};
+use super::number::{count, number, number_in, positive};
+use super::output::OutputPatch;
+use super::{WarpObject, fields, json, suggest};
+use crate::problem::words::advice;
+use crate::problem::{Code, Problem};
+
+const COINCIDENT: &str = "an object, {\"policy\": \"mean\" or \"reject\", \"within\": px}";
+const WITHIN: &str = "a distance in pixels, 0 to 1000000";
+const GRID: &str =
+    "`auto`, `pixel`, {\"tolerance\": px}, {\"cell\": px}, {\"columns\": n, \"rows\": m}";
+
+/// The fields that a warp object gives. They replace the defaults, or the values of a session.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WarpPatch {
+    /// Handles at rest.
+    pub p: Option<Vec<Handle>>,
+    /// Posed handles.
+    pub q: Option<Vec<Handle>>,
+    /// What of the motion is taken out of q first.
+    pub align: Option<Align>,
+    /// How much of the way from p to q the handles are moved.
+    pub strength: Option<f64>,
+    /// One for each handle.
+    pub weights: Option<Vec<f64>>,
+    /// The method.
+    pub method: Option<RequestedMethod>,
+    /// Exponent of the fall-off.
+    pub alpha: Option<f64>,
+    /// Mass of a point beside lines, px.
+    pub point_mass: Option<f64>,
+    /// Smoothing of a spline.
+    pub smoothing: Option<f64>,
+    /// What becomes of coincident handles.
+    pub coincident: Option<Coincident>,
+    /// Units of positions.
+    pub units: Option<Units>,
+    /// The grid of the mesh.
+    pub grid: Option<GridSpec>,
+    /// The treatment of folds.
+    pub folds: Option<Folds>,
+    /// How the image is made.
+    pub output: OutputPatch,
+    /// Whether landmarks were left out because one side does not have them.
+    pub has_unmatched: bool,
+    /// What is read from landmark files.
+    pub choice: Choice,
+}
+
+impl WarpPatch {
+    pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
+        Self::read(json::root(json)?.fields(&fields::WARP)?)
+    }
+
+    pub(crate) fn read(
+        [
+            p,
+            q,
+            align,
+            strength_,
+            weights_,
+            method,
+            alpha,
+            point_mass,
+            smoothing,
+            coincident_,
+            units,
+            grid_,
+            folds,
+            metric,
+            output,
+            names,
+            format,
+            unmatched,
+            matching,
+            item,
+        ]: [Option<Node<'_, '_>>; fields::WARP.len()],
+    ) -> Result<Self, Problem> {
+        optional(metric, enum_name::<Metric>)?;
+        let p = optional(p, handles)?;
+        let has_unmatched = of_landmarks([names, format, unmatched], p.as_deref())?;
+        Ok(Self {
+            p,
+            q: optional(q, handles)?,
+            align: optional(align, enum_name)?,
+            strength: optional(strength_, strength)?,
+            weights: optional(weights_, weights)?,
+            method: optional(method, enum_name)?,
+            alpha: optional(alpha, |n| number(n, "a number"))?,
+            point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
+            smoothing: optional(smoothing, |n| number(n, "a number"))?,
+            coincident: optional(coincident_, coincident)?,
+            units: optional(units, enum_name)?,
+            grid: optional(grid_, grid)?,
+            folds: optional(folds, enum_name)?,
+            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            has_unmatched,
+            choice: Choice {
+                matching: optional(matching, enum_name)?,
+                item: optional(item, Item::read)?,
+            },
+        })
+    }
+
+    /// For a request whose handles are in landmark files, from which the chosen ones have been
+    /// read. Errors: `bad_value` at the first field that says the same.
+    pub fn require_no_handles(&mut self) -> Result<(), Problem> {
+        self.choice = Choice::default();
+        let given = [
+            ("p", self.p.is_some()),
+            ("q", self.q.is_some()),
+            ("units", self.units.is_some()),
+        ];
+        require_no_handles(|name| given.contains(&(name, true)))
+    }
+
+    /// Errors: `bad_value` at a field that belongs to landmark files, of which there are none.
+    pub fn without_files(self) -> Result<Self, Problem> {
+        match self.choice.given_item() {
+            Some(name) => Err(without_files(name).pointer(format!("/{name}"))),
+            None => Ok(self),
+        }
+    }
+
+    /// The object of a request that is not about a session.
+    /// Errors: `bad_value` at `/p` if there are posed handles only; as [`Self::without_files`].
+    pub fn into_object(self) -> Result<WarpObject, Problem> {
+        let patch = self.without_files()?;
+        match (&patch.p, &patch.q) {
+            (None, Some(q)) if !q.is_empty() => Err(Problem::new(
+                Code::BadValue,
+                "`p` is missing: where do the handles start?",
+            )
+            .pointer("/p")),
+            _ => Ok(patch.merge_onto(WarpObject::default())),
+        }
+    }
+
+    /// `base` with the given fields replaced. Weights and pose belong to their handles: other `p`
+    /// without them have none. Parameters belong to their method: another method that does not have
+    /// them drops them.
+    pub fn merge_onto(self, base: WarpObject) -> WarpObject {
+        let weights = if self.p.is_some() {
+            self.weights
+        } else {
+            self.weights.or(base.rest.weights)
+        };
+        let has_unmatched = self.has_unmatched || self.p.is_none() && base.rest.has_unmatched;
+        let is_auto = self.method == Some(RequestedMethod::Auto);
+        let method = self
+            .method
+            .and_then(RequestedMethod::method)
+            .unwrap_or(if is_auto {
+                Method::default()
+            } else {
+                base.rest.method
+            });
+        let kept = |parameter: Option<f64>| {
+            parameter.filter(|_| !is_auto && method.is_like(base.rest.method))
+        };
+        // A pose belongs to its handles, and a strength to its pose.
+        let is_posed_so = self.p.as_ref().is_none_or(|p| *p == base.rest.p);
+        let kept_strength = if self.q.is_none() && is_posed_so {
+            base.strength
+        } else {
+            1.0
+        };
+        WarpObject {
+            rest: RestSpec {
+                p: self.p.unwrap_or(base.rest.p),
+                weights,
+                method,
+                alpha: self.alpha.or(kept(base.rest.alpha)),
+                point_mass: self.point_mass.or(kept(base.rest.point_mass)),
+                smoothing: self.smoothing.or(kept(base.rest.smoothing)),
+                coincident: self.coincident.unwrap_or(base.rest.coincident),
+                units: self.units.unwrap_or(base.rest.units),
+                grid: self.grid.unwrap_or(base.rest.grid),
+                align: self.align.unwrap_or(base.rest.align),
+                has_unmatched,
+            },
+            q: self.q.or(base.q.filter(|_| is_posed_so)),
+            strength: self.strength.unwrap_or(kept_strength),
+            folds: self.folds.unwrap_or(base.folds),
+            output: self.output.merge_onto(&base.output),
+            is_auto,
+        }
+    }
+}
+
+/// For a request whose handles are in landmark files.
+/// Errors: `bad_value` at the first given field that says the same.
+pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), Problem> {
+    match ["p", "q", "units"].into_iter().find(|name| is_given(name)) {
+        Some(name) => {
+            let detail = format!(
+                "both `{name}` and landmark files are given: the files say it already; leave \
+                    `{name}` out"
+            );
+            Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say
+/// nothing more; the result: whether landmarks are `unmatched`.
+pub(crate) fn of_landmarks(
+    [names, format, unmatched]: [Option<Node<'_, '_>>; 3],
+    p: Option<&[Handle]>,
+) -> Result<bool, Problem> {
+    const NAMES: &str = "an array of names, one for each handle";
+    // None of them is kept.
+    let count = |node: &Node<'_, '_>| {
+        let mut count = 0;
+        node.items(NAMES, |_, item| item.string("a name").map(|_| count += 1))
+            .map(|()| count)
+    };
+    if let Some(node) = names {
+        let (found, handles) = (count(&node)?, p.map(<[_]>::len));
+        if handles.is_some_and(|handles| handles != found) {
+            return Err(node.problem(
+                Code::ShapeMismatch,
+                format!(
+                    "`names` has {found}, but `p` has {}",
+                    handles.unwrap_or_default()
+                ),
+            ));
+        }
+    }
+    if let Some(node) = format
+        && !(node.kind() == Kind::String && is_format(&node.string("a format")?))
+    {
+        // The format of a picture stands elsewhere.
+        let hint = suggest::field("format", &fields::useful(&fields::WARP));
+        let detail = format!(
+            "unknown field: `format`{}",
+            advice(hint, "the format of a landmark file is its only value")
+        );
+        return Err(Problem::new(Code::UnknownField, detail).pointer("/format"));
+    }
+    optional(unmatched, |node| {
+        let [p, q] = node.fields(&["p", "q"])?;
+        Ok(optional(p, count)?.unwrap_or_default() + optional(q, count)?.unwrap_or_default() > 0)
+    })
+    .map(Option::unwrap_or_default)
+}
+
+/// How much of the way from p to q the handles are moved.
+pub(crate) fn strength(node: &Node<'_, '_>) -> Result<f64, Problem> {
+    number_in(
+        node,
+        RestSpec::STRENGTHS,
+        "a number between -10 and 10, where 1 is 100 %",
+    )
+}
+
+fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {
+    if node.kind() != Kind::Object {
+        return Err(node.unexpected(COINCIDENT, node.kind().name()));
+    }
+    let [policy, within] = node.fields(&fields::COINCIDENT)?;
+    let distance = |node: &Node<'_, '_>| match number(node, WITHIN)? {
+        value if (0.0..=MAX_COORDINATE).contains(&value) => Ok(value),
+        value => Err(node.unexpected(WITHIN, DisplayNumber(value)).actual(value)),
+    };
+    Ok(Coincident {
+        policy: optional(policy, enum_name)?.unwrap_or_default(),
+        within: optional(within, distance)?.unwrap_or_default(),
+    })
+}
+
+fn grid(node: &Node<'_, '_>) -> Result<GridSpec, Problem> {
+    match node.kind() {
+        Kind::String => match node.string(GRID)?.as_str() {
+            "auto" => Ok(GridSpec::Auto),
+            "pixel" => Ok(GridSpec::Pixel),
+            other => Err(unknown_name(node, other, &[], &["auto", "pixel"], GRID)),
+        },
+        Kind::Object => {
+            let vertices = "a whole number of vertices, at least 2";
+            match node.fields(&fields::GRID)? {
+                [None, None, None, Some(tolerance)] => {
+                    let (least, most) = GridSpec::TOLERANCE_RANGE_PX.into_inner();
+                    let expected = format!("a number of pixels between {least} and {most}");
+                    Ok(GridSpec::Tolerance(number_in(
+                        &tolerance,
+                        GridSpec::TOLERANCE_RANGE_PX,
+                        &expected,
+                    )?))
+                }
+                [Some(cell), None, None, None] => Ok(GridSpec::Cell(positive(
+                    &cell,
+                    "a positive \
+                    number of pixels",
+                )?)),
+                [None, Some(columns), Some(rows), None] => Ok(GridSpec::Counts {
+                    columns: count(&columns, 2, vertices)?,
+                    rows: count(&rows, 2, vertices)?,
+                }),
+                _ => Err(node.problem(
+                    Code::BadValue,
+                    format!(
+                        "expected `tolerance` or `cell` alone, or `columns` and `rows`; a \
+                        grid is one of {GRID}"
+                    ),
+                )),
+            }
+        }
+        _ => Err(node.wrong_kind(&format!("one of {GRID}"))),
+    }
+}
