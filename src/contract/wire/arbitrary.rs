@@ -31,22 +31,13 @@ fn all<T: EnumName + Debug>() -> impl Strategy<Value = T> {
     prop::sample::select(T::ALL)
 }
 
-/// Any warp object that the parser may give.
-pub fn warp_object() -> impl Strategy<Value = WarpObject> {
+fn rest() -> impl Strategy<Value = RestSpec> {
     let grid = prop_oneof![
         Just(GridSpec::Auto),
         Just(GridSpec::Pixel),
         (1e-9..1e9).prop_map(GridSpec::Cell),
         (0.05..=4.0).prop_map(GridSpec::Tolerance),
         (2_u32.., 2_u32..).prop_map(|(columns, rows)| GridSpec::Counts { columns, rows }),
-    ];
-    let outside = prop_oneof![
-        Just(Outside::Transparent),
-        Just(Outside::Edge),
-        Just(Outside::Reflect),
-        any::<[u8; 4]>().prop_map(Outside::Colour),
-        any::<u16>().prop_map(|value| Outside::Value([value; 3])),
-        any::<[u16; 3]>().prop_map(Outside::Value)
     ];
     let weights = prop::option::of(prop::collection::vec(1e-9..1e9, 0..5));
     let numbers = (
@@ -55,7 +46,7 @@ pub fn warp_object() -> impl Strategy<Value = WarpObject> {
         prop::option::of(0.0..1e9),
     );
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
-    let rest = (
+    (
         prop::collection::vec(handle(), 0..6),
         weights,
         all(),
@@ -84,7 +75,18 @@ pub fn warp_object() -> impl Strategy<Value = WarpObject> {
                 align,
                 has_unmatched: false,
             },
-        );
+        )
+}
+
+fn output() -> impl Strategy<Value = OutputSpec> {
+    let outside = prop_oneof![
+        Just(Outside::Transparent),
+        Just(Outside::Edge),
+        Just(Outside::Reflect),
+        any::<[u8; 4]>().prop_map(Outside::Colour),
+        any::<u16>().prop_map(|value| Outside::Value([value; 3])),
+        any::<[u16; 3]>().prop_map(Outside::Value)
+    ];
     let place = || -1_000_000..=1_000_000;
     let boxes =
         (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
@@ -108,7 +110,7 @@ pub fn warp_object() -> impl Strategy<Value = WarpObject> {
         canvas,
         all(),
     );
-    let output = output.prop_map(
+    output.prop_map(
         |(format, quality, subsampling, compression, width, filter, outside, canvas, holes)| {
             OutputSpec {
                 format,
@@ -122,9 +124,13 @@ pub fn warp_object() -> impl Strategy<Value = WarpObject> {
                 holes,
             }
         },
-    );
+    )
+}
+
+/// Any warp object that the parser may give.
+pub fn warp_object() -> impl Strategy<Value = WarpObject> {
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
-    (rest, q, all(), output).prop_map(|(rest, q, folds, output)| WarpObject {
+    (rest(), q, all(), output()).prop_map(|(rest, q, folds, output)| WarpObject {
         rest,
         q,
         folds,
