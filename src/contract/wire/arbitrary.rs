@@ -92,7 +92,7 @@ fn output() -> impl Strategy<Value = OutputSpec> {
         (place(), place(), 1_u32..=2_000_000, 1_u32..=2_000_000).prop_map(|(x, y, w, h)| Canvas {
             x,
             y,
-            extent: Extent::new(w, h).unwrap(),
+            extent: Extent::new(w, h).expect("at least one pixel"),
         });
     let canvas = prop_oneof![
         Just(CanvasSpec::Same),

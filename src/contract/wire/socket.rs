@@ -102,8 +102,8 @@ impl<H> Reserved<DragMessage, H> {
 }
 
 impl UnreadHandles {
-    /// Bytes.
-    pub const fn len(&self) -> usize {
+    /// How many bytes of the message they are.
+    pub const fn byte_count(&self) -> usize {
         match self {
             Self::Json { text, .. } => text.len(),
             Self::OfSession { .. } => 0,

@@ -338,7 +338,7 @@ async fn read_handles(
     q: Arc<UnreadHandles>,
     record: &Arc<Record>,
 ) -> Result<Arc<Held<Vec<Handle>>>, Problem> {
-    let is_short = q.len() <= MAX_INLINE
+    let is_short = q.byte_count() <= MAX_INLINE
         && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
     let (record, reserve) = (
         Arc::clone(record),
