@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::annotations::Annotations;
 use super::enum_name::enum_name;
+use super::fields::BatchFields;
 use super::handles::handles_bytes;
 use super::json::{At, Kind, Node, optional};
 use super::number::{count, number_in, whole};
@@ -150,9 +151,6 @@ impl BatchPoses {
     }
 }
 
-/// The fields of the object.
-type BatchFields<'j, 'p> = [Option<Node<'j, 'p>>; fields::BATCH.len()];
-
 impl<H> Reserved<BatchObject, H> {
     /// Reads the object in memory that `reserve` takes before. `most_bytes`: the most bytes of
     /// everything but frames and annotations; `most_frame_bytes`: the most of one frame; `source`:
@@ -165,12 +163,12 @@ impl<H> Reserved<BatchObject, H> {
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let fields = root.fields(&fields::BATCH)?;
-        let [frames, .., points, polygons, boxes, geojson, _] = fields;
-        let rest = body.len() - text_bytes([frames, points, polygons, boxes, geojson]);
+        let fields = BatchFields::from(root.fields(&fields::BATCH)?);
+        let rest =
+            body.len() - text_bytes([fields.frames]) - text_bytes(fields.mapped().annotations());
         require_length(rest, most_bytes, "its frames and annotations")?;
         // Frames are not read before they are drawn.
-        let places = if frames.is_some() {
+        let places = if fields.frames.is_some() {
             u64::from(MOST_FRAMES) * PLACE_BYTES
         } else {
             0
@@ -189,21 +187,16 @@ impl BatchObject {
         most_frame_bytes: u64,
         source: CoordinateFrame,
     ) -> Result<Self, Problem> {
-        let [
+        let BatchFields {
             frames,
             q,
             strength,
             steps,
             easing,
             jitter,
-            delay,
-            loop_,
             and_back,
-            layers_,
-            output,
-            annotations @ ..,
-        ] = fields;
-        let [points, polygons, boxes, geojson, refine] = annotations;
+            ..
+        } = fields;
         let poses = match (frames, steps, jitter) {
             (Some(frames), ..) if frames.kind() == Kind::Number => {
                 let meant = frames
@@ -264,14 +257,11 @@ impl BatchObject {
                 );
             }
         };
-        let layers = optional(layers_, layers)?.unwrap_or_default();
-        let annotations = Annotations::read(
-            body,
-            [points, polygons, boxes, geojson, None, refine],
-            |_| source,
-        )?;
-        let output = optional(output, OutputPatch::read)?.unwrap_or_default();
-        let (delay, plays) = (optional(delay, read_delay)?, optional(loop_, read_plays)?);
+        let layers = optional(fields.layers, layers)?.unwrap_or_default();
+        let annotations = Annotations::read(body, fields.mapped(), |_| source)?;
+        let output = optional(fields.output, OutputPatch::read)?.unwrap_or_default();
+        let delay = optional(fields.delay, read_delay)?;
+        let plays = optional(fields.plays, read_plays)?;
         let object = Self {
             poses,
             layers,

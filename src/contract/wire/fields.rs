@@ -1,37 +1,83 @@
 //! The names of the fields of the warp object and of the objects in it.
 
+use super::json::Node;
 use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
-/// The fields of the warp object, in the order of `WarpPatch::read`.
-pub const WARP: [&str; 20] = [
-    "p",
-    "q",
-    "align",
-    "strength",
-    "weights",
-    "method",
-    "alpha",
-    "point_mass",
-    "smoothing",
-    "coincident",
-    "units",
-    "grid",
-    "folds",
-    "metric",
-    "output",
-    "names",
-    "format",
-    "unmatched",
-    "match",
-    "item",
-];
+/// A field of an object, if the client gave it.
+pub(crate) type Field<'j, 'p> = Option<Node<'j, 'p>>;
+
+/// Names the fields of an object once: a list for whoever looks for a name, and a struct with a
+/// value for each, made of the array that [`Node::fields`] gives for the list.
+macro_rules! object_fields {
+    ($(#[$doc:meta])* $list:ident, $fields:ident { $($field:ident = $name:literal),+ $(,)? }) => {
+        $(#[$doc])*
+        pub const $list: [&str; [$($name),+].len()] = [$($name),+];
+
+        $(#[$doc])*
+        #[derive(Clone, Copy, Default)]
+        pub(crate) struct $fields<'j, 'p> {
+            $(pub(crate) $field: Field<'j, 'p>),+
+        }
+
+        impl<'j, 'p> From<[Field<'j, 'p>; $list.len()]> for $fields<'j, 'p> {
+            fn from([$($field),+]: [Field<'j, 'p>; $list.len()]) -> Self {
+                Self { $($field),+ }
+            }
+        }
+    };
+}
+
+object_fields! {
+    /// The fields of the warp object.
+    WARP, WarpFields {
+        p = "p",
+        q = "q",
+        align = "align",
+        strength = "strength",
+        weights = "weights",
+        method = "method",
+        alpha = "alpha",
+        point_mass = "point_mass",
+        smoothing = "smoothing",
+        coincident = "coincident",
+        units = "units",
+        grid = "grid",
+        folds = "folds",
+        metric = "metric",
+        output = "output",
+        names = "names",
+        format = "format",
+        unmatched = "unmatched",
+        matching = "match",
+        item = "item",
+    }
+}
 
 /// Fields of the warp object that only the response of `POST /landmarks` has.
 pub const OF_LANDMARKS: [&str; 3] = ["names", "format", "unmatched"];
 
 /// The annotations of a request.
 pub const ANNOTATIONS: [&str; 4] = ["points", "polygons", "boxes", "geojson"];
+
+object_fields! {
+    /// The fields of `/points` beside its handles: annotations, and how they are mapped.
+    MAPPED, AnnotationFields {
+        points = "points",
+        polygons = "polygons",
+        boxes = "boxes",
+        geojson = "geojson",
+        inverse = "inverse",
+        refine = "refine",
+    }
+}
+
+impl<'j, 'p> AnnotationFields<'j, 'p> {
+    /// The values that may be large.
+    pub(crate) const fn annotations(&self) -> [Field<'j, 'p>; ANNOTATIONS.len()] {
+        [self.points, self.polygons, self.boxes, self.geojson]
+    }
+}
 
 /// The fields of `/points`: those of the warp object, then its own.
 pub const WARP_WITH_POINTS: [&str; WARP.len() + 7] = {
@@ -68,28 +114,60 @@ pub const WARP_WITH_MAP: [&str; WARP.len() + 4] = {
 /// The fields of `/sessions/{id}/map`.
 pub const MAP_OF_SESSION: [&str; 5] = ["q", "strength", "direction", "canvas", "width"];
 
-/// The fields of `/fit` and of `/sessions/{id}/fit`.
-pub const FIT: [&str; 11] = [
-    "p",
-    "q",
-    "align",
-    "weights",
-    "coincident",
-    "units",
-    "extent",
-    "candidates",
-    "names",
-    "format",
-    "unmatched",
-];
+object_fields! {
+    /// The fields of `/fit`.
+    FIT, FitFields {
+        p = "p",
+        q = "q",
+        align = "align",
+        weights = "weights",
+        coincident = "coincident",
+        units = "units",
+        extent = "extent",
+        candidates = "candidates",
+        names = "names",
+        format = "format",
+        unmatched = "unmatched",
+    }
+}
 /// The fields of `/sessions/{id}/fit`.
 pub const FIT_OF_SESSION: [&str; 2] = ["q", "candidates"];
 
-/// The fields of `/sessions/{id}/batch`, of a frame and of `jitter`.
-pub const BATCH: [&str; 16] = [
-    "frames", "q", "strength", "steps", "easing", "jitter", "delay", "loop", "and_back", "layers",
-    "output", "points", "polygons", "boxes", "geojson", "refine",
-];
+object_fields! {
+    /// The fields of `/sessions/{id}/batch`.
+    BATCH, BatchFields {
+        frames = "frames",
+        q = "q",
+        strength = "strength",
+        steps = "steps",
+        easing = "easing",
+        jitter = "jitter",
+        delay = "delay",
+        plays = "loop",
+        and_back = "and_back",
+        layers = "layers",
+        output = "output",
+        points = "points",
+        polygons = "polygons",
+        boxes = "boxes",
+        geojson = "geojson",
+        refine = "refine",
+    }
+}
+impl<'j, 'p> BatchFields<'j, 'p> {
+    /// The annotations of every frame.
+    pub(crate) const fn mapped(&self) -> AnnotationFields<'j, 'p> {
+        AnnotationFields {
+            points: self.points,
+            polygons: self.polygons,
+            boxes: self.boxes,
+            geojson: self.geojson,
+            inverse: None,
+            refine: self.refine,
+        }
+    }
+}
+
 /// The fields of a frame of a batch.
 pub const BATCH_FRAME: [&str; 2] = ["q", "strength"];
 /// The fields of a batch's `jitter`.
@@ -104,18 +182,20 @@ pub const COINCIDENT: [&str; 2] = ["policy", "within"];
 /// The fields of `grid`.
 pub const GRID: [&str; 4] = ["cell", "columns", "rows", "tolerance"];
 
-/// The fields of `output`, in the order of `OutputPatch::read`.
-pub const OUTPUT: [&str; 9] = [
-    "format",
-    "quality",
-    "subsampling",
-    "compression",
-    "width",
-    "filter",
-    "outside",
-    "canvas",
-    "holes",
-];
+object_fields! {
+    /// The fields of `output`.
+    OUTPUT, OutputFields {
+        format = "format",
+        quality = "quality",
+        subsampling = "subsampling",
+        compression = "compression",
+        width = "width",
+        filter = "filter",
+        outside = "outside",
+        canvas = "canvas",
+        holes = "holes",
+    }
+}
 
 /// The fields of `outside` as a value.
 pub const OUTSIDE: [&str; 1] = ["value"];

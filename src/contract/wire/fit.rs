@@ -6,6 +6,7 @@ use mlswarp::warp::{Candidate, Method, Prediction, RestSpec};
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
 use super::enum_name::{EnumName as _, enum_name};
+use super::fields::{FitFields, WarpFields};
 use super::json::{Node, optional};
 use super::number::number;
 use super::rest::WarpPatch;
@@ -33,42 +34,26 @@ impl FitObject {
     /// Reads the body of `/fit`.
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        let [
-            p,
-            q,
-            align,
-            weights,
-            coincident,
-            units,
-            extent,
-            candidates,
-            names,
-            format,
-            unmatched,
-        ] = root.fields(&fields::FIT)?;
-        let given = [
-            ("p", p),
-            ("q", q),
-            ("align", align),
-            ("weights", weights),
-            ("coincident", coincident),
-            ("units", units),
-        ];
-        let given = given.into_iter().chain([
-            ("names", names),
-            ("format", format),
-            ("unmatched", unmatched),
-        ]);
-        let given: Vec<_> = given.collect();
-        let of_warp = fields::WARP.map(|name| {
-            given
-                .iter()
-                .find(|(other, _)| *other == name)
-                .and_then(|(_, node)| *node)
-        });
+        let fields = FitFields::from(root.fields(&fields::FIT)?);
+        let of_warp = WarpFields {
+            p: fields.p,
+            q: fields.q,
+            align: fields.align,
+            weights: fields.weights,
+            coincident: fields.coincident,
+            units: fields.units,
+            names: fields.names,
+            format: fields.format,
+            unmatched: fields.unmatched,
+            ..WarpFields::default()
+        };
         let mut warp = WarpPatch::read(of_warp)?.into_object()?;
         warp.leave_out_missing();
-        let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
+        let extent = size(
+            &fields
+                .extent
+                .ok_or_else(|| root.missing("extent", EXTENT))?,
+        )?;
         let pose = PosePatch {
             q: Some(warp.posed()?.to_vec()),
             strength: None,
@@ -76,7 +61,7 @@ impl FitObject {
         Ok(Self {
             rest: Some((warp.rest, extent)),
             pose,
-            candidates: read_candidates(candidates)?,
+            candidates: read_candidates(fields.candidates)?,
         })
     }
 

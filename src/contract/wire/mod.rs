@@ -49,6 +49,7 @@ pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, ReserveMo
 pub use batch::{BatchFrame, BatchIndex, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub use enum_name::EnumName;
+use fields::{AnnotationFields, Field};
 pub use fit::FitObject;
 pub use fit::{FitAnswer, in_candidate, method_text};
 pub use handles::handles_bytes;
@@ -213,35 +214,39 @@ impl DragObject {
     /// Reads the object. `at_rest`: the number of handles at rest.
     fn parse(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
-        Self::read(
-            root.fields(&["q", "strength", "seq", "layer", "output"])?,
-            at_rest,
-        )
+        let [q, strength, seq, layer_, output] =
+            root.fields(&["q", "strength", "seq", "layer", "output"])?;
+        Ok(Self {
+            layer: optional(layer_, layer)?,
+            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            ..Self::step([q, strength], seq, at_rest)?
+        })
     }
 
     /// Reads the object of a request for the mesh: `q`, `strength` and `seq`.
     fn parse_posed(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, seq] = root.fields(&["q", "strength", "seq"])?;
-        Self::read([q, strength, seq, None, None], at_rest)
+        Self::step([q, strength], seq, at_rest)
     }
 
     /// Reads the body of `/sessions/{id}/report`: `q`, `strength` and `output`.
     fn parse_for_report(json: &[u8], at_rest: usize) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [q, strength, output] = root.fields(&["q", "strength", "output"])?;
-        Self::read([q, strength, None, None, output], at_rest)
+        Ok(Self {
+            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            ..Self::step([q, strength], None, at_rest)?
+        })
     }
 
-    fn read(
-        [q, strength, seq, layer_, output]: [Option<Node<'_, '_>>; 5],
-        at_rest: usize,
-    ) -> Result<Self, Problem> {
+    /// A step of the picture in the session's output.
+    fn step(pose: [Field<'_, '_>; 2], seq: Field<'_, '_>, at_rest: usize) -> Result<Self, Problem> {
         Ok(Self {
-            pose: PosePatch::read([q, strength], at_rest)?,
+            pose: PosePatch::read(pose, at_rest)?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,
-            layer: optional(layer_, layer)?,
-            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            layer: None,
+            output: OutputPatch::default(),
         })
     }
 }
@@ -282,17 +287,26 @@ impl PointsObject {
     /// bytes of everything but annotations.
     fn parse(body: &Bytes, most_bytes: u64) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [warp @ .., extent, a, b, c, d, e, f] = root.fields(&fields::WARP_WITH_POINTS)?;
+        let [
+            warp @ ..,
+            extent,
+            points,
+            polygons,
+            boxes,
+            geojson,
+            inverse,
+            refine,
+        ] = root.fields(&fields::WARP_WITH_POINTS)?;
+        let mapped = AnnotationFields::from([points, polygons, boxes, geojson, inverse, refine]);
         require_length(
-            body.len() - text_bytes([a, b, c, d]),
+            body.len() - text_bytes(mapped.annotations()),
             most_bytes,
             "its annotations",
         )?;
-        let warp = WarpPatch::read(warp)?.into_object()?;
+        let warp = WarpPatch::read(warp.into())?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let (output, units) = (warp.output, warp.rest.units);
-        let annotations =
-            Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
+        let annotations = Annotations::read(body, mapped, image_of(&output, extent, units))?;
         warp.posed()?;
         Ok(Self {
             warp: Some((warp, extent)),
@@ -311,17 +325,17 @@ impl PointsObject {
         output: &OutputSpec,
     ) -> Result<Self, Problem> {
         let root = json::root(body)?;
-        let [q, strength, output_, a, b, c, d, e, f] = root.fields(&fields::POINTS_OF_SESSION)?;
+        let [q, strength, output_, mapped @ ..] = root.fields(&fields::POINTS_OF_SESSION)?;
+        let mapped = AnnotationFields::from(mapped);
         require_length(
-            body.len() - text_bytes([a, b, c, d]),
+            body.len() - text_bytes(mapped.annotations()),
             most_bytes,
             "its annotations",
         )?;
         let output = optional(output_, OutputPatch::read)?
             .unwrap_or_default()
             .merge_onto(output);
-        let annotations =
-            Annotations::read(body, [a, b, c, d, e, f], image_of(&output, extent, units))?;
+        let annotations = Annotations::read(body, mapped, image_of(&output, extent, units))?;
         Ok(Self {
             warp: None,
             pose: PosePatch::read([q, strength], usize::MAX)?,

@@ -9,6 +9,7 @@ use mlswarp::warp::{CanvasSpec, FARTHEST_EDGE_PX, Holes, OutputSpec};
 
 use super::enum_name::{enum_name, unknown_name};
 use super::fields;
+use super::fields::OutputFields;
 use super::json::{Kind, Node, optional};
 use super::number::{count, integer, whole};
 use super::suggest;
@@ -66,27 +67,17 @@ impl OutputPatch {
         if node.kind() == Kind::String {
             return Err(node.wrong_kind("an object, such as {\"format\": \"jpeg\"}"));
         }
-        let [
-            format,
-            quality_,
-            subsampling,
-            compression,
-            width_,
-            filter,
-            outside_,
-            canvas_,
-            holes,
-        ] = node.fields(&fields::OUTPUT)?;
+        let fields = OutputFields::from(node.fields(&fields::OUTPUT)?);
         Ok(Self {
-            format: optional(format, enum_name)?,
-            quality: optional(quality_, quality)?,
-            subsampling: optional(subsampling, enum_name)?,
-            compression: optional(compression, enum_name)?,
-            canvas: optional(canvas_, canvas)?,
-            width: optional(width_, width)?,
-            filter: optional(filter, enum_name)?,
-            outside: optional(outside_, outside)?,
-            holes: optional(holes, enum_name)?,
+            format: optional(fields.format, enum_name)?,
+            quality: optional(fields.quality, quality)?,
+            subsampling: optional(fields.subsampling, enum_name)?,
+            compression: optional(fields.compression, enum_name)?,
+            canvas: optional(fields.canvas, canvas)?,
+            width: optional(fields.width, width)?,
+            filter: optional(fields.filter, enum_name)?,
+            outside: optional(fields.outside, outside)?,
+            holes: optional(fields.holes, enum_name)?,
         })
     }
 }

@@ -5,6 +5,7 @@ use mlswarp::geometry::DisplayNumber;
 use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
 
 use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
+use super::fields::WarpFields;
 use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
 use super::landmarks::{Choice, Item, is_format, without_files};
@@ -58,55 +59,32 @@ pub struct WarpPatch {
 
 impl WarpPatch {
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
-        Self::read(json::root(json)?.fields(&fields::WARP)?)
+        Self::read(json::root(json)?.fields(&fields::WARP)?.into())
     }
 
-    pub(crate) fn read(
-        [
-            p,
-            q,
-            align,
-            strength_,
-            weights_,
-            method,
-            alpha,
-            point_mass,
-            smoothing,
-            coincident_,
-            units,
-            grid_,
-            folds,
-            metric,
-            output,
-            names,
-            format,
-            unmatched,
-            matching,
-            item,
-        ]: [Option<Node<'_, '_>>; fields::WARP.len()],
-    ) -> Result<Self, Problem> {
-        optional(metric, enum_name::<Metric>)?;
-        let p = optional(p, handles)?;
-        let has_unmatched = of_landmarks([names, format, unmatched], p.as_deref())?;
+    pub(crate) fn read(fields: WarpFields<'_, '_>) -> Result<Self, Problem> {
+        optional(fields.metric, enum_name::<Metric>)?;
+        let p = optional(fields.p, handles)?;
+        let has_unmatched = of_landmarks(&fields, p.as_deref())?;
         Ok(Self {
             p,
-            q: optional(q, handles)?,
-            align: optional(align, enum_name)?,
-            strength: optional(strength_, strength)?,
-            weights: optional(weights_, weights)?,
-            method: optional(method, enum_name)?,
-            alpha: optional(alpha, |n| number(n, "a number"))?,
-            point_mass: optional(point_mass, |n| number(n, "a number of pixels"))?,
-            smoothing: optional(smoothing, |n| number(n, "a number"))?,
-            coincident: optional(coincident_, coincident)?,
-            units: optional(units, enum_name)?,
-            grid: optional(grid_, grid)?,
-            folds: optional(folds, enum_name)?,
-            output: optional(output, OutputPatch::read)?.unwrap_or_default(),
+            q: optional(fields.q, handles)?,
+            align: optional(fields.align, enum_name)?,
+            strength: optional(fields.strength, strength)?,
+            weights: optional(fields.weights, weights)?,
+            method: optional(fields.method, enum_name)?,
+            alpha: optional(fields.alpha, |n| number(n, "a number"))?,
+            point_mass: optional(fields.point_mass, |n| number(n, "a number of pixels"))?,
+            smoothing: optional(fields.smoothing, |n| number(n, "a number"))?,
+            coincident: optional(fields.coincident, coincident)?,
+            units: optional(fields.units, enum_name)?,
+            grid: optional(fields.grid, grid)?,
+            folds: optional(fields.folds, enum_name)?,
+            output: optional(fields.output, OutputPatch::read)?.unwrap_or_default(),
             has_unmatched,
             choice: Choice {
-                matching: optional(matching, enum_name)?,
-                item: optional(item, Item::read)?,
+                matching: optional(fields.matching, enum_name)?,
+                item: optional(fields.item, Item::read)?,
             },
         })
     }
@@ -214,10 +192,7 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
 
 /// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say
 /// nothing more; the result: whether landmarks are `unmatched`.
-pub(crate) fn of_landmarks(
-    [names, format, unmatched]: [Option<Node<'_, '_>>; 3],
-    p: Option<&[Handle]>,
-) -> Result<bool, Problem> {
+fn of_landmarks(fields: &WarpFields<'_, '_>, p: Option<&[Handle]>) -> Result<bool, Problem> {
     const NAMES: &str = "an array of names, one for each handle";
     // None of them is kept.
     let count = |node: &Node<'_, '_>| {
@@ -225,7 +200,7 @@ pub(crate) fn of_landmarks(
         node.items(NAMES, |_, item| item.string("a name").map(|_| count += 1))
             .map(|()| count)
     };
-    if let Some(node) = names {
+    if let Some(node) = fields.names {
         let (found, handles) = (count(&node)?, p.map(<[_]>::len));
         if handles.is_some_and(|handles| handles != found) {
             return Err(node.problem(
@@ -237,7 +212,7 @@ pub(crate) fn of_landmarks(
             ));
         }
     }
-    if let Some(node) = format
+    if let Some(node) = fields.format
         && !(node.kind() == Kind::String && is_format(&node.string("a format")?))
     {
         // The format of a picture stands elsewhere.
@@ -248,7 +223,7 @@ pub(crate) fn of_landmarks(
         );
         return Err(Problem::new(Code::UnknownField, detail).pointer("/format"));
     }
-    optional(unmatched, |node| {
+    optional(fields.unmatched, |node| {
         let [p, q] = node.fields(&["p", "q"])?;
         Ok(optional(p, count)?.unwrap_or_default() + optional(q, count)?.unwrap_or_default() > 0)
     })

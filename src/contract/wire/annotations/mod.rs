@@ -14,6 +14,7 @@ use bytes::Bytes;
 use mlswarp::geometry::Point;
 use mlswarp::warp::{CoordinateFrame, Edges, Seen, Warning};
 
+use super::fields::AnnotationFields;
 use super::handles::{PLACE, place};
 use super::json::{At, Kind, Node, optional};
 use super::number::number;
@@ -85,20 +86,19 @@ pub fn is_geojson(file: &[u8]) -> bool {
 }
 
 impl Annotations {
-    /// Reads the fields in the order of `fields::ANNOTATIONS`, `inverse`, `refine`. `image`: that
-    /// of the positions, of the inverse or not.
+    /// Reads the fields. `image`: that of the positions, of the inverse or not.
     pub(super) fn read(
         body: &Bytes,
-        [points, polygons, boxes, geojson, inverse, refine]: [Option<Node<'_, '_>>; 6],
+        fields: AnnotationFields<'_, '_>,
         image: impl FnOnce(bool) -> CoordinateFrame,
     ) -> Result<Self, Problem> {
-        let is_inverse = optional(inverse, Node::bool)?.unwrap_or(false);
-        let is_refined = optional(refine, Node::bool)?.unwrap_or(true);
+        let is_inverse = optional(fields.inverse, Node::bool)?.unwrap_or(false);
+        let is_refined = optional(fields.refine, Node::bool)?.unwrap_or(true);
         let fields = [
-            (AnnotationKind::Points, points),
-            (AnnotationKind::Polygons, polygons),
-            (AnnotationKind::Boxes, boxes),
-            (AnnotationKind::GeoJson, geojson),
+            (AnnotationKind::Points, fields.points),
+            (AnnotationKind::Polygons, fields.polygons),
+            (AnnotationKind::Boxes, fields.boxes),
+            (AnnotationKind::GeoJson, fields.geojson),
         ];
         let mut given: Vec<_> = fields
             .into_iter()
