@@ -45,11 +45,12 @@
 //! ```
 //!
 //! Where to read next: [`warp`] has the steps of this example and their options. [`deform`] is the
-//! mathematics alone, [`geometry`] the grids and meshes that it moves, [`render`] draws a deformed
-//! mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
+//! mathematics alone, [`geometry`] the grids and meshes that it moves, [`topology`] the shape of what
+//! an image shows, [`render`] draws a deformed mesh, [`pixmap`] holds pixels, and [`codec`] reads and writes files.
 //!
 //! Modules depend on each other in one direction only:
-//! `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }`; [`level`] chooses
+//! `warp -> { codec -> pixmap; render -> pixmap, geometry; deform -> geometry }` and
+//! `topology -> geometry`; [`level`] chooses
 //! the vector instructions of all of them.
 //!
 //! The feature `codec` (default) brings [`codec`] and [`warp`]. Without it the crate has the
@@ -65,6 +66,9 @@ pub mod level;
 
 #[forbid(unsafe_code)]
 pub mod geometry;
+
+#[forbid(unsafe_code)]
+pub mod topology;
 
 pub mod deform;
 

@@ -39,7 +39,7 @@ const CONTRACT: [(&str, &[&str]); 3] = [
     ("problem", &[]),
     ("layer", &[]),
 ];
-const ENGINE: [(&str, &[&str]); 7] = [
+const ENGINE: [(&str, &[&str]); 8] = [
     (
         "warp",
         &["codec", "render", "deform", "pixmap", "geometry", "level"],
@@ -48,6 +48,7 @@ const ENGINE: [(&str, &[&str]); 7] = [
     ("render", &["pixmap", "geometry", "level"]),
     ("deform", &["geometry", "level"]),
     ("pixmap", &[]),
+    ("topology", &["geometry"]),
     ("geometry", &[]),
     ("level", &[]),
 ];

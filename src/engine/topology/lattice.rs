@@ -1,0 +1,352 @@
+//! The cut lattice: one quad for each connected component of the subject in a cell, so that parts
+//! that do not touch share no vertex (mathematics 11.1).
+
+use super::Mask;
+
+/// A quad of the lattice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Quad {
+    /// Column and row of its cell.
+    pub cell: [u32; 2],
+    /// Its vertices: top left, top right, bottom right, bottom left.
+    pub vertices: [u32; 4],
+    /// Quads are of one part if edges that they share connect them.
+    pub part: u32,
+    /// Which component of its cell it is, in the order of their first pixels.
+    pub component: u16,
+}
+
+/// The cut lattice of a mask.
+#[derive(Debug)]
+pub struct CutLattice {
+    spacing: u32,
+    /// Cells along each axis.
+    cells: [usize; 2],
+    quads: Vec<Quad>,
+    /// The first quad of each cell, cells row by row.
+    first_quad: Vec<u32>,
+    /// Lines of the lattice that each vertex lies on: its position divided by the spacing.
+    vertices: Vec<[u32; 2]>,
+    parts: u32,
+    /// Of each cell with several components: its index, and the component of each pixel, row by
+    /// row; ascending.
+    split: Vec<(u32, Box<[u16]>)>,
+}
+
+/// A pixel that no component has.
+pub(super) const NO_COMPONENT: u16 = u16::MAX;
+/// Cells have at most this many pixels a side, so that components have numbers.
+pub const MAX_SPACING: u32 = 128;
+
+/// Sets that are merged.
+struct Merged(Vec<u32>);
+
+impl Merged {
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "CutLattice::new limits the number"
+    )]
+    fn new(count: usize) -> Self {
+        Self((0..count as u32).collect())
+    }
+
+    fn find(&mut self, mut k: u32) -> u32 {
+        while self.0[k as usize] != k {
+            let up = self.0[self.0[k as usize] as usize];
+            self.0[k as usize] = up;
+            k = up;
+        }
+        k
+    }
+
+    /// The smaller number names the set, so that names do not depend on the order of merging.
+    fn merge(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.find(a), self.find(b));
+        self.0[a.max(b) as usize] = a.min(b);
+    }
+
+    /// Numbers the sets in the order of their first members; returns how many there are.
+    fn number(mut self) -> (Vec<u32>, u32) {
+        let mut count = 0;
+        let mut numbers = vec![0; self.0.len()];
+        for k in 0..self.0.len() {
+            #[expect(clippy::cast_possible_truncation, reason = "as in `new`")]
+            let root = self.find(k as u32) as usize;
+            numbers[k] = if root == k {
+                count += 1;
+                count - 1
+            } else {
+                numbers[root]
+            };
+        }
+        (numbers, count)
+    }
+}
+
+impl CutLattice {
+    /// Bytes that a lattice of this many quads takes, with what its construction needs.
+    #[must_use]
+    pub const fn bytes_for(quads: u64) -> u64 {
+        quads * 96
+    }
+
+    /// The lattice with cells of `spacing` px, 1 to [`MAX_SPACING`]; `None` when cancelled or if it
+    /// has more than `max_quads`.
+    #[must_use]
+    pub fn new(
+        mask: &Mask,
+        spacing: u32,
+        max_quads: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<Self> {
+        let side = spacing.clamp(1, MAX_SPACING) as usize;
+        let (width, height) = mask.size();
+        let cells = [width.div_ceil(side), height.div_ceil(side)];
+        let mut lattice = Self {
+            spacing,
+            cells,
+            quads: Vec::new(),
+            first_quad: Vec::with_capacity(cells[0] * cells[1] + 1),
+            vertices: Vec::new(),
+            parts: 0,
+            split: Vec::new(),
+        };
+        let mut components = Components::new(side);
+        for row in 0..cells[1] {
+            if cancelled() {
+                return None;
+            }
+            for column in 0..cells[0] {
+                lattice.add_cell(mask, column, row, &mut components);
+                if lattice.quads.len() > max_quads.min(u32::MAX as usize / 8) {
+                    return None;
+                }
+            }
+        }
+        lattice.first_quad.push(index(lattice.quads.len()));
+        lattice.connect(mask, cancelled)?;
+        Some(lattice)
+    }
+
+    fn add_cell(&mut self, mask: &Mask, column: usize, row: usize, components: &mut Components) {
+        self.first_quad.push(index(self.quads.len()));
+        let count = components.find(mask, column, row);
+        let cell = [index(column), index(row)];
+        for component in 0..count {
+            self.quads.push(Quad {
+                cell,
+                vertices: [0; 4],
+                part: 0,
+                component,
+            });
+        }
+        if count > 1 {
+            let labels = components.labels.clone().into_boxed_slice();
+            self.split
+                .push((index(row * self.cells[0] + column), labels));
+        }
+    }
+
+    /// Merges the vertices on common edges of quads that the subject connects.
+    fn connect(&mut self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<()> {
+        let mut corners = Merged::new(4 * self.quads.len());
+        let mut parts = Merged::new(self.quads.len());
+        let (width, height) = mask.size();
+        let side = self.spacing as usize;
+        for down in [false, true] {
+            let (long, short) = if down {
+                (height, width)
+            } else {
+                (width, height)
+            };
+            for line in (side..long).step_by(side) {
+                if cancelled() {
+                    return None;
+                }
+                for along in 0..short {
+                    let (x, y) = if down {
+                        (along, line - 1)
+                    } else {
+                        (line - 1, along)
+                    };
+                    if !mask.are_joined(x, y, down) {
+                        continue;
+                    }
+                    let beyond = (x + usize::from(!down), y + usize::from(down));
+                    let [Some(a), Some(b)] =
+                        [(x, y), beyond].map(|(x, y)| self.quad_at(mask, x, y))
+                    else {
+                        continue;
+                    };
+                    let (a, b) = (index(a), index(b));
+                    parts.merge(a, b);
+                    // Right edge and left edge, or lower edge and upper edge.
+                    let pairs = if down {
+                        [(3, 0), (2, 1)]
+                    } else {
+                        [(1, 0), (2, 3)]
+                    };
+                    for (of_a, of_b) in pairs {
+                        corners.merge(4 * a + of_a, 4 * b + of_b);
+                    }
+                }
+            }
+        }
+        let (numbers, count) = corners.number();
+        self.vertices = vec![[0; 2]; count as usize];
+        let (of_part, part_count) = parts.number();
+        self.parts = part_count;
+        for (k, quad) in self.quads.iter_mut().enumerate() {
+            quad.part = of_part[k];
+            for (corner, vertex) in quad.vertices.iter_mut().enumerate() {
+                *vertex = numbers[4 * k + corner];
+                self.vertices[*vertex as usize] = [
+                    quad.cell[0] + u32::from(corner == 1 || corner == 2),
+                    quad.cell[1] + u32::from(corner >= 2),
+                ];
+            }
+        }
+        Some(())
+    }
+
+    /// The quad that draws a pixel; `None` if it is not visible.
+    #[must_use]
+    pub fn quad_at(&self, mask: &Mask, x: usize, y: usize) -> Option<usize> {
+        if !mask.is_visible(x, y) {
+            return None;
+        }
+        let side = self.spacing as usize;
+        let cell = (y / side) * self.cells[0] + x / side;
+        let first = self.first_quad[cell] as usize;
+        if self.first_quad[cell + 1] as usize == first + 1 {
+            return Some(first);
+        }
+        let at = self
+            .split
+            .binary_search_by_key(&cell, |(cell, _)| *cell as usize);
+        let component = self.split[at.ok()?].1[(y % side) * side + x % side];
+        (component != NO_COMPONENT).then_some(first + component as usize)
+    }
+
+    /// Side of a cell, px.
+    #[must_use]
+    pub const fn spacing(&self) -> u32 {
+        self.spacing
+    }
+
+    /// The quads: cells row by row, and in each by the first pixel of the component.
+    #[must_use]
+    pub fn quads(&self) -> &[Quad] {
+        &self.quads
+    }
+
+    /// The quads of a cell.
+    #[must_use]
+    pub fn quads_of(&self, column: usize, row: usize) -> std::ops::Range<usize> {
+        let cell = row * self.cells[0] + column;
+        self.first_quad[cell] as usize..self.first_quad[cell + 1] as usize
+    }
+
+    /// Cells along x and y.
+    #[must_use]
+    pub const fn cells(&self) -> [usize; 2] {
+        self.cells
+    }
+
+    /// The lines of the lattice on which each vertex lies: its position divided by the spacing.
+    #[must_use]
+    pub fn vertices(&self) -> &[[u32; 2]] {
+        &self.vertices
+    }
+
+    /// Number of parts.
+    #[must_use]
+    pub const fn parts(&self) -> u32 {
+        self.parts
+    }
+
+    /// Memory of the lattice, bytes.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let split: usize = self
+            .split
+            .iter()
+            .map(|(_, labels)| size_of_val(&**labels))
+            .sum();
+        (size_of_val(&*self.quads)
+            + size_of_val(&*self.first_quad)
+            + size_of_val(&*self.vertices)
+            + split) as u64
+    }
+}
+
+/// The connected components of one cell.
+struct Components {
+    side: usize,
+    labels: Vec<u16>,
+    stack: Vec<(usize, usize)>,
+}
+
+impl Components {
+    fn new(side: usize) -> Self {
+        Self {
+            side,
+            labels: vec![NO_COMPONENT; side * side],
+            stack: Vec::new(),
+        }
+    }
+
+    /// Labels the pixels of a cell; returns the number of components.
+    fn find(&mut self, mask: &Mask, column: usize, row: usize) -> u16 {
+        let (side, (width, height)) = (self.side, mask.size());
+        let (x0, y0) = (column * side, row * side);
+        let (wide, high) = (side.min(width - x0), side.min(height - y0));
+        self.labels.fill(NO_COMPONENT);
+        let mut count = 0;
+        for y in 0..high {
+            for x in 0..wide {
+                if self.labels[y * side + x] == NO_COMPONENT && mask.is_visible(x0 + x, y0 + y) {
+                    self.labels[y * side + x] = count;
+                    self.stack.push((x, y));
+                    self.flood(mask, [x0, y0], [wide, high], count);
+                    count += 1;
+                }
+            }
+        }
+        count
+    }
+
+    fn flood(&mut self, mask: &Mask, [x0, y0]: [usize; 2], [wide, high]: [usize; 2], label: u16) {
+        while let Some((x, y)) = self.stack.pop() {
+            let mut reach = |joined: bool, x: usize, y: usize| {
+                let at = y * self.side + x;
+                if joined && self.labels[at] == NO_COMPONENT {
+                    self.labels[at] = label;
+                    self.stack.push((x, y));
+                }
+            };
+            let joined = |x: usize, y: usize, down| mask.are_joined(x0 + x, y0 + y, down);
+            if x + 1 < wide {
+                reach(joined(x, y, false), x + 1, y);
+            }
+            if x > 0 {
+                reach(joined(x - 1, y, false), x - 1, y);
+            }
+            if y + 1 < high {
+                reach(joined(x, y, true), x, y + 1);
+            }
+            if y > 0 {
+                reach(joined(x, y - 1, true), x, y - 1);
+            }
+        }
+    }
+}
+
+/// An index of a quad, a cell or a line: `CutLattice::new` limits their number.
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "limited by CutLattice::new"
+)]
+const fn index(k: usize) -> u32 {
+    k as u32
+}

@@ -1,0 +1,16 @@
+//! The shape of what an image shows: its mask, a lattice that is cut where the mask is not
+//! connected, and distances inside the mask (mathematics 11).
+
+mod distance;
+mod lattice;
+mod mask;
+mod nodes;
+mod taut;
+
+pub use distance::{Distances, OutsideMask, PathOrigin};
+pub use lattice::{CutLattice, MAX_SPACING, Quad};
+pub use mask::{Mask, Membership};
+pub use nodes::{NoNodes, Nodes};
+
+#[cfg(test)]
+mod tests;
