@@ -146,7 +146,7 @@ impl Distances {
         true
     }
 
-    fn reach(&mut self, node: u32, length: f64, turn: u32, queue: &mut Queue) {
+    fn reach(&mut self, node: u32, length: f64, turn: u32, queue: &mut NodeQueue) {
         let at = node as usize;
         if length < self.length[at] {
             (self.length[at], self.turn[at]) = (length, turn);
@@ -167,7 +167,7 @@ impl Distances {
     }
 
     /// A path to `node` goes on to its neighbour `next`.
-    fn relax(&mut self, node: u32, next: u32, corners: &mut Vec<u32>, queue: &mut Queue) {
+    fn relax(&mut self, node: u32, next: u32, corners: &mut Vec<u32>, queue: &mut NodeQueue) {
         let (here, to) = (self.nodes.position(node), self.nodes.position(next));
         let turn = self.turn[node as usize];
         let Some((from, seen_from, length)) = self.piece(turn, to) else {
@@ -261,7 +261,7 @@ impl Distances {
     }
 }
 
-type Queue = BinaryHeap<Reverse<(u64, u32)>>;
+type NodeQueue = BinaryHeap<Reverse<(u64, u32)>>;
 
 /// A handle is not inside the mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

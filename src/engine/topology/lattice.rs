@@ -111,7 +111,7 @@ impl CutLattice {
             parts: 0,
             split: Vec::new(),
         };
-        let mut components = Components::new(side);
+        let mut components = CellComponents::new(side);
         for row in 0..cells[1] {
             if cancelled() {
                 return None;
@@ -128,7 +128,13 @@ impl CutLattice {
         Some(lattice)
     }
 
-    fn add_cell(&mut self, mask: &Mask, column: usize, row: usize, components: &mut Components) {
+    fn add_cell(
+        &mut self,
+        mask: &Mask,
+        column: usize,
+        row: usize,
+        components: &mut CellComponents,
+    ) {
         self.first_quad.push(index(self.quads.len()));
         let count = components.find(mask, column, row);
         let cell = [index(column), index(row)];
@@ -281,13 +287,13 @@ impl CutLattice {
 }
 
 /// The connected components of one cell.
-struct Components {
+struct CellComponents {
     side: usize,
     labels: Vec<u16>,
     stack: Vec<(usize, usize)>,
 }
 
-impl Components {
+impl CellComponents {
     fn new(side: usize) -> Self {
         Self {
             side,
