@@ -42,6 +42,8 @@ pub struct Client {
     pub owner: Owner,
     /// Its address.
     pub address: IpAddr,
+    /// With a token instead of the owner's key: the UUID of the only session that it may use.
+    pub visit: Option<[u8; 16]>,
 }
 
 /// Low bits of an IPv6 address that are ignored: every customer of a provider gets at least a /64.
@@ -54,6 +56,8 @@ pub enum Tenant {
     Key(Owner),
     /// Without keys: an IPv4 address, or the /64 of an IPv6 address.
     Address(IpAddr),
+    /// Below a key: whoever has tokens for this session of it.
+    Visitor(Owner, [u8; 16]),
 }
 
 impl Tenant {
@@ -66,16 +70,29 @@ impl Tenant {
             v4 @ IpAddr::V4(_) => v4,
         })
     }
+
+    /// Who answers for it: the key of a visitor, otherwise itself.
+    pub const fn payer(self) -> Self {
+        match self {
+            Self::Visitor(owner, _) => Self::Key(owner),
+            Self::Key(_) | Self::Address(_) => self,
+        }
+    }
 }
 
 impl Client {
-    /// The tenant that it counts as.
+    /// The tenant that it counts as: a visitor is one of its own below its key.
     pub fn tenant(self) -> Tenant {
-        if self.owner == Owner::ANYBODY {
-            Tenant::of_address(self.address)
-        } else {
-            Tenant::Key(self.owner)
+        match self.visit {
+            _ if self.owner == Owner::ANYBODY => Tenant::of_address(self.address),
+            Some(session) => Tenant::Visitor(self.owner, session),
+            None => Tenant::Key(self.owner),
         }
+    }
+
+    /// The tenant that answers for it.
+    pub fn payer(self) -> Tenant {
+        self.tenant().payer()
     }
 }
 
@@ -84,6 +101,7 @@ impl Default for Client {
         Self {
             owner: Owner::ANYBODY,
             address: IpAddr::V4(Ipv4Addr::UNSPECIFIED),
+            visit: None,
         }
     }
 }
@@ -98,6 +116,7 @@ mod tests {
             Client {
                 owner: Owner::from_bytes([owner; 16]),
                 address: address.parse().unwrap(),
+                visit: None,
             }
             .tenant()
         };

@@ -35,6 +35,11 @@ impl SessionId {
         self.owner
     }
 
+    /// The UUID.
+    pub(crate) const fn uuid(&self) -> [u8; 16] {
+        self.uuid.into_bytes()
+    }
+
     /// Owner and UUID.
     pub fn to_bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];

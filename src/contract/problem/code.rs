@@ -40,6 +40,7 @@ macro_rules! codes {
 codes! {
     MalformedRequest = 400, "malformed_request", "Malformed request";
     Unauthorized = 401, "unauthorized", "API key required";
+    TokenExpired = 401, "token_expired", "Token expired";
     Forbidden = 403, "forbidden", "Forbidden";
     NotFound = 404, "not_found", "No such route";
     NoSuchSession = 404, "no_such_session", "No such session";

@@ -32,6 +32,7 @@ mod shape;
 mod socket;
 mod suggest;
 mod syntax;
+mod token;
 mod warning;
 mod work;
 mod write;
@@ -74,6 +75,7 @@ pub use session::{
 };
 pub use socket::UnreadHandles;
 pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
+pub use token::{MAX_TOKEN_TTL, TokenOp, TokenRequest};
 pub use warning::WarningEntry;
 
 const HANDLES: &str = "an array of handles";

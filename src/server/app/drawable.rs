@@ -277,7 +277,7 @@ impl App {
         Ok(self
             .0
             .files
-            .get(key, client.tenant(), fetch, build_aborted)
+            .get(key, client.payer(), fetch, build_aborted)
             .await?
             .value)
     }
@@ -369,7 +369,7 @@ impl App {
                 Ok(Drawable::Labels(
                     self.0
                         .labels
-                        .get(key, client.tenant(), build, build_aborted)
+                        .get(key, client.payer(), build, build_aborted)
                         .await?
                         .value,
                 ))
@@ -401,7 +401,7 @@ impl App {
         );
         self.0
             .images
-            .get(key, client.tenant(), build, build_aborted)
+            .get(key, client.payer(), build, build_aborted)
             .await
     }
 

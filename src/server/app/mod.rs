@@ -21,6 +21,7 @@ pub mod sequence;
 pub(crate) mod session;
 pub(crate) mod session_object;
 pub mod session_warp;
+mod tokens;
 pub mod warp;
 
 use std::sync::Arc;
@@ -31,7 +32,7 @@ use mlswarp::warp::{CompiledRest, Image, LabelImage, ResolvedRest};
 use thiserror::Error;
 
 use crate::app::sequence::Sequencer;
-use crate::auth::AccessControl;
+use crate::auth::{AccessControl, Rates};
 use crate::cache::Cache;
 use crate::client::Client;
 use crate::config::{Config, WorkConfig};
@@ -129,8 +130,12 @@ impl App {
         let (work, auth, clients) = (config.work, &config.auth, &config.clients);
         let access = AccessControl::new(
             auth.keys.as_ref().map(|keys| keys.all.clone()),
-            clients.rate_per_address,
-            clients.rate_per_key,
+            auth.token_secrets(&config.store.url),
+            Rates {
+                address: clients.rate_per_address,
+                visitor: clients.rate_per_visitor,
+                key: clients.rate_per_key,
+            },
             ConnectionLimiter::new(clients.max_connections, clients.max_connections_per_address),
         );
         let of_client =

@@ -113,7 +113,7 @@ impl App {
     ) -> ShownSession {
         self.0
             .texts
-            .put(revision_key(record), client.tenant(), shown.text());
+            .put(revision_key(record), client.payer(), shown.text());
         shown.of(session)
     }
 
@@ -133,7 +133,7 @@ impl App {
         let claim = self
             .0
             .client_sessions
-            .claim(client.tenant(), &record, &files)?;
+            .claim(client.payer(), &record, &files)?;
         // If this future is dropped while the store works, the session may have been stored: it
         // stays counted.
         let put = in_stage("store", self.0.store.put(record, files)).await;
@@ -274,7 +274,7 @@ impl App {
     pub(super) fn cache_setup(&self, client: Client, record: &Record, setup: &HeldSetup) {
         self.0
             .setups
-            .put(revision_key(record), client.tenant(), setup);
+            .put(revision_key(record), client.payer(), setup);
     }
 
     /// Evicts what was cached for a revision that no session has any more; returns its setup.
@@ -398,6 +398,7 @@ mod tests {
         let client = Client {
             owner: Owner::ANYBODY,
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            visit: None,
         };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30)
@@ -434,6 +435,7 @@ mod tests {
         let client = Client {
             owner: Owner::ANYBODY,
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            visit: None,
         };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30)
@@ -482,6 +484,7 @@ mod tests {
         let client = Client {
             owner: Owner::ANYBODY,
             address: IpAddr::V4(Ipv4Addr::LOCALHOST),
+            visit: None,
         };
         let mut file = std::io::Cursor::new(Vec::new());
         image::DynamicImage::new_rgb8(40, 30)

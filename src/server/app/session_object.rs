@@ -146,7 +146,7 @@ impl App {
         };
         let texts = &self.0.texts;
         Ok(texts
-            .get(revision_key(record), client.tenant(), write, build_aborted)
+            .get(revision_key(record), client.payer(), write, build_aborted)
             .await?
             .value)
     }
@@ -281,7 +281,7 @@ fn text(
 
 /// `2026-11-21T09:30:00.125Z`. A time outside the years 1970 to 9999, which humantime cannot write,
 /// becomes the nearest one inside.
-fn rfc3339(time: SystemTime) -> String {
+pub(crate) fn rfc3339(time: SystemTime) -> String {
     let last = SystemTime::UNIX_EPOCH + Duration::from_secs(253_402_300_799);
     humantime::format_rfc3339_millis(time.clamp(SystemTime::UNIX_EPOCH, last)).to_string()
 }

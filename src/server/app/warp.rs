@@ -250,7 +250,7 @@ impl App {
         let setup = self
             .0
             .setups
-            .get(revision_key(record), client.tenant(), build, build_aborted)
+            .get(revision_key(record), client.payer(), build, build_aborted)
             .await?;
         Ok(setup.value)
     }
@@ -389,7 +389,7 @@ impl App {
         let Fetched { value: plan, built } = self
             .0
             .plans
-            .get(key, client.tenant(), build, build_aborted)
+            .get(key, client.payer(), build, build_aborted)
             .await?;
         timing.plan = began.elapsed();
         stage("plan", began);

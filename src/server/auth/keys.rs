@@ -6,6 +6,7 @@ use std::fmt;
 use sha2::{Digest as _, Sha256};
 use subtle::{Choice, ConditionallySelectable as _, ConstantTimeEq as _};
 
+use super::tokens::Grant;
 use crate::client::Owner;
 
 const MIN_KEY: usize = 16;
@@ -14,25 +15,53 @@ const MAX_KEY: usize = 512;
 const MAX_KEYS: usize = 1000;
 const MAX_NAME: usize = 64;
 
-/// The key that a request was admitted by, or none where no keys are configured.
+/// The key that a request was admitted by, or none where no keys are configured; and what a token
+/// allows that was made with the key.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Credential(Option<ApiKey>);
+pub struct Credential {
+    key: Option<ApiKey>,
+    grant: Option<Grant>,
+}
 
 impl Credential {
-    pub(crate) const ANYBODY: Self = Self(None);
+    pub(crate) const ANYBODY: Self = Self {
+        key: None,
+        grant: None,
+    };
 
     pub(crate) fn owner(self) -> Owner {
-        self.0.map_or(Owner::ANYBODY, |key| key.owner)
+        self.key.map_or(Owner::ANYBODY, |key| key.owner)
+    }
+
+    /// `None`: the key itself, which may do everything.
+    pub(crate) const fn grant(self) -> Option<Grant> {
+        self.grant
+    }
+
+    /// The digest of the key itself; none of a token, and where no keys are configured.
+    pub(crate) fn key_digest(self) -> Option<[u8; 32]> {
+        self.key
+            .filter(|_| self.grant.is_none())
+            .map(|key| key.digest)
+    }
+
+    /// This key's credential for who has a token.
+    pub(super) const fn limited_to(self, grant: Grant) -> Self {
+        Self {
+            grant: Some(grant),
+            ..self
+        }
     }
 }
 
 impl fmt::Debug for Credential {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "Credential({})",
-            if self.0.is_some() { "a key" } else { "anybody" }
-        )
+        let what = match (self.key, self.grant) {
+            (_, Some(_)) => "a token",
+            (Some(_), None) => "a key",
+            (None, None) => "anybody",
+        };
+        write!(f, "Credential({what})")
     }
 }
 
@@ -112,12 +141,31 @@ impl Keys {
             digest,
             owner: Owner::from_bytes(owner),
         };
-        bool::from(found).then_some(Credential(Some(key)))
+        let credential = Credential {
+            key: Some(key),
+            grant: None,
+        };
+        bool::from(found).then_some(credential)
+    }
+
+    /// The credential of the owner's key that a property of its digest tells. Not in constant time:
+    /// who asks has shown a signature.
+    pub(super) fn find(
+        &self,
+        owner: Owner,
+        is_it: impl Fn(&[u8; 32]) -> bool,
+    ) -> Option<Credential> {
+        let mut own = self.0.iter().filter(|key| key.owner == owner);
+        let key = own.find(|key| is_it(&key.digest)).copied()?;
+        Some(Credential {
+            key: Some(key),
+            grant: None,
+        })
     }
 
     /// Whether the credential's key is still configured, for the same owner.
     pub(crate) fn is_valid(&self, credential: Credential) -> bool {
-        credential.0.is_none_or(|key| self.0.contains(&key))
+        credential.key.is_none_or(|key| self.0.contains(&key))
     }
 
     fn search(&self, digest: &[u8; 32]) -> Search {

@@ -1,5 +1,7 @@
-//! Access control: keys, rates and the number of connections; the syntax of hosts and origins; TLS.
+//! Access control: keys and session tokens, rates and the number of connections; the syntax of hosts
+//! and origins; TLS.
 
+pub mod clock;
 pub mod cors;
 pub mod hosts;
 pub mod keys;
@@ -8,6 +10,7 @@ pub mod tls;
 #[cfg(not(feature = "tls"))]
 #[path = "no_tls.rs"]
 pub mod tls;
+pub mod tokens;
 
 use std::future::pending;
 use std::io::Read as _;
@@ -23,14 +26,40 @@ use crate::limits::client_limit::SoleClient;
 use crate::limits::connections::ConnectionLimiter;
 use crate::limits::rate_limit::RateLimit;
 use crate::problem::{Code, Problem};
+use clock::Clock;
 use keys::{Credential, Keys};
+use tokens::{Secrets, TokenName, Wanted};
+
+/// Requests per second; `None`: no limit.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Rates {
+    /// Of one address.
+    pub address: Option<u32>,
+    /// Of one visitor below a key.
+    pub visitor: Option<u32>,
+    /// Of one name of keys, with all its visitors.
+    pub key: Option<u32>,
+}
+
+/// Who was admitted.
+#[derive(Debug)]
+pub struct Admitted {
+    /// By what.
+    pub credential: Credential,
+    /// What logs show of the token, if it was one.
+    pub(crate) token: Option<TokenName>,
+}
 
 /// Decides which requests are admitted.
 #[derive(Debug)]
 pub struct AccessControl {
     /// None if no keys are configured.
     keys: Option<watch::Sender<Arc<Keys>>>,
+    /// None if tokens are neither made nor accepted.
+    secrets: Option<watch::Sender<Arc<Secrets>>>,
+    clock: Clock,
     by_address: Option<RateLimit<Tenant>>,
+    by_visitor: Option<RateLimit<Tenant>>,
     by_owner: Option<RateLimit<Tenant>>,
     sole: SoleClient,
     connections: ConnectionLimiter,
@@ -40,8 +69,8 @@ impl AccessControl {
     /// Access control with these limits.
     pub fn new(
         keys: Option<Keys>,
-        rate_per_address: Option<u32>,
-        rate_per_key: Option<u32>,
+        secrets: Option<Secrets>,
+        rates: Rates,
         connections: ConnectionLimiter,
     ) -> Self {
         let sole = SoleClient::default();
@@ -49,8 +78,11 @@ impl AccessControl {
         Self {
             sole,
             keys: keys.map(|keys| watch::Sender::new(Arc::new(keys))),
-            by_address: rate_per_address.map(RateLimit::new),
-            by_owner: rate_per_key.map(RateLimit::new),
+            secrets: secrets.map(|secrets| watch::Sender::new(Arc::new(secrets))),
+            clock: Clock::default(),
+            by_address: rates.address.map(RateLimit::new),
+            by_visitor: rates.visitor.map(RateLimit::new),
+            by_owner: rates.key.map(RateLimit::new),
             connections,
         }
     }
@@ -73,42 +105,128 @@ impl AccessControl {
         }
     }
 
-    /// Waits until the credential is no longer valid.
+    /// Replaces the secrets of tokens.
+    pub fn replace_secrets(&self, new: Secrets) {
+        if let Some(secrets) = &self.secrets {
+            secrets.send_replace(Arc::new(new));
+        }
+    }
+
+    /// The secrets of tokens, if they are made here.
+    pub(crate) fn secrets(&self) -> Option<Arc<Secrets>> {
+        Some(Arc::clone(&self.secrets.as_ref()?.borrow()))
+    }
+
+    /// The time of day by which tokens begin and end.
+    pub const fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// Waits until the credential's key, or the secret of its token, is no longer configured.
     pub async fn revoked(&self, credential: Credential) {
-        match &self.keys {
-            // The wait cannot fail: `self` owns the sender.
-            Some(keys) => drop(
-                keys.subscribe()
-                    .wait_for(|keys| !keys.is_valid(credential))
-                    .await,
-            ),
+        let key = async {
+            match &self.keys {
+                // The wait cannot fail: `self` owns the sender.
+                Some(keys) => drop(
+                    keys.subscribe()
+                        .wait_for(|keys| !keys.is_valid(credential))
+                        .await,
+                ),
+                None => pending().await,
+            }
+        };
+        let secret = async {
+            match (credential.grant(), &self.secrets) {
+                (Some(grant), Some(secrets)) => drop(
+                    secrets
+                        .subscribe()
+                        .wait_for(|secrets| !secrets.have(&grant))
+                        .await,
+                ),
+                _ => pending().await,
+            }
+        };
+        tokio::select! {
+            () = key => {}
+            () = secret => {}
+        }
+    }
+
+    /// Waits until the credential's token has expired.
+    pub async fn expired(&self, credential: Credential) {
+        match credential.grant() {
+            Some(grant) => self.clock.reached(grant.ends(self.clock.now())).await,
             None => pending().await,
         }
     }
 
-    /// The credential of a request from this address with this key.
-    /// Errors: [`Code::Unauthorized`], [`Code::Forbidden`], [`Code::RateLimited`].
-    pub fn admit(&self, address: IpAddr, key: Option<&str>) -> Result<Credential, Problem> {
+    /// The credential of a request from this address with this key or token. Errors:
+    /// [`Code::Unauthorized`], [`Code::TokenExpired`], [`Code::Forbidden`], [`Code::RateLimited`].
+    pub fn admit(
+        &self,
+        address: IpAddr,
+        bearer: Option<&str>,
+        wanted: Wanted<'_>,
+    ) -> Result<Admitted, Problem> {
         let now = Instant::now();
         // Before the key, so that guesses count.
         take(self.by_address.as_ref(), Tenant::of_address(address), now)?;
         let Some(keys) = &self.keys else {
-            return Ok(Credential::ANYBODY);
+            return Ok(Admitted {
+                credential: Credential::ANYBODY,
+                token: None,
+            });
         };
         let keys = Arc::clone(&keys.borrow());
-        let key = key.ok_or_else(|| {
+        let bearer = bearer.ok_or_else(|| {
             Problem::new(
                 Code::Unauthorized,
                 "API key required: send `Authorization: Bearer <key>`",
             )
         })?;
+        let admitted = match keys.look_up(bearer) {
+            Some(credential) => Admitted {
+                credential,
+                token: None,
+            },
+            None if tokens::is_token(bearer) => self.admit_token(&keys, bearer, wanted)?,
+            None => return Err(Problem::new(Code::Forbidden, "invalid API key")),
+        };
+        let owner = admitted.credential.owner();
+        if let Some(grant) = admitted.credential.grant() {
+            let visitor = Tenant::Visitor(owner, grant.session());
+            take(self.by_visitor.as_ref(), visitor, now)?;
+        }
+        take(self.by_owner.as_ref(), Tenant::Key(owner), now)?;
+        Ok(admitted)
+    }
+
+    fn admit_token(
+        &self,
+        keys: &Keys,
+        token: &str,
+        wanted: Wanted<'_>,
+    ) -> Result<Admitted, Problem> {
+        let Some(secrets) = self.secrets() else {
+            return Err(Problem::new(Code::Unauthorized, NO_TOKENS));
+        };
+        let signed = secrets.check(token, self.clock.seconds())?;
+        signed.grant.allow(wanted)?;
+        let is_it = |digest: &[u8; 32]| secrets.mark(&signed.grant, digest) == Some(signed.key);
         let credential = keys
-            .look_up(key)
-            .ok_or_else(|| Problem::new(Code::Forbidden, "invalid API key"))?;
-        take(self.by_owner.as_ref(), Tenant::Key(credential.owner()), now)?;
-        Ok(credential)
+            .find(signed.owner, is_it)
+            .ok_or_else(tokens::revoked)?
+            .limited_to(signed.grant);
+        Ok(Admitted {
+            credential,
+            token: Some(signed.name),
+        })
     }
 }
+
+/// Why a server with keys and a shared store makes no tokens.
+pub(crate) const NO_TOKENS: &str = "this server has no secret for session tokens: replicas that \
+    share a store need --token-secrets-file (MLSWARP_TOKEN_SECRETS_FILE)";
 
 fn take(rate: Option<&RateLimit<Tenant>>, tenant: Tenant, now: Instant) -> Result<(), Problem> {
     let too_fast = |seconds| {

@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, Args};
 
@@ -12,7 +12,9 @@ use crate::auth::hosts::Hosts;
 use crate::auth::keys::Keys;
 use crate::auth::read_bounded;
 use crate::auth::tls::TlsFiles;
+use crate::auth::tokens::Secrets;
 use crate::limits::networks::Network;
+use crate::store::StoreUrl;
 
 const MAX_KEYS_FILE_BYTES: u64 = 1 << 20;
 
@@ -33,6 +35,13 @@ pub struct AuthConfig {
         value_parser = Checked(given_keys))]
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
+    /// File of secrets that sign session tokens, one `KID SECRET` per line; at least 32 random bytes
+    /// as text each (`openssl rand -hex 32`). The first signs, all verify. The file is read again
+    /// when it changes. Needed for tokens with `--store redis://...`; otherwise, without a file,
+    /// tokens are valid until the server stops.
+    #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true,
+        value_parser = Checked(unless("", path)))]
+    token_secrets_file: Maybe<PathBuf>,
     /// Allow a listen address that other machines can reach without keys. Anyone who can reach it
     /// can use the service.
     #[arg(long, value_name = "BOOL", default_value = "false", value_parser = Checked(boolean))]
@@ -57,6 +66,11 @@ pub struct AuthConfig {
     #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true,
         value_parser = Checked(Origins::parse))]
     pub(crate) cors_origin: Origins,
+    /// Origins whose pages may show this server's page in a frame, and give it a session token,
+    /// separated by commas; `*` allows every origin.
+    #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true,
+        value_parser = Checked(Origins::parse))]
+    pub(crate) frame_ancestors: Origins,
     /// Host names that requests may use besides localhost and IP addresses, separated by commas;
     /// others are answered 421. Without a list, hosts are checked only by a server without keys on
     /// a loopback address.
@@ -71,6 +85,9 @@ pub struct AuthConfig {
     /// The keys; `None`: no key is needed.
     #[arg(skip)]
     pub(crate) keys: Option<KeysConfig>,
+    /// The secrets of tokens, if they are in a file.
+    #[arg(skip)]
+    pub(crate) secrets: Option<SecretsConfig>,
     /// Certificate and key; `None`: plain HTTP.
     #[arg(skip)]
     pub tls: Option<TlsFiles>,
@@ -86,6 +103,32 @@ pub(crate) struct KeysConfig {
     pub(crate) all: Keys,
 }
 
+/// The secrets of tokens and the file that they are read from.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SecretsConfig {
+    pub(crate) file: PathBuf,
+    /// The secrets at the start of the program.
+    all: Secrets,
+}
+
+impl SecretsConfig {
+    /// Reads the file.
+    pub(crate) fn read(&self) -> Result<Secrets, String> {
+        read_secrets(&self.file)
+    }
+}
+
+fn read_secrets(path: &Path) -> Result<Secrets, String> {
+    Secrets::parse(&text_of(path)?).map_err(|why| format!("{}: {why}", path.display()))
+}
+
+/// The text of a small file.
+fn text_of(path: &Path) -> Result<String, String> {
+    let in_file = |why: String| format!("{}: {why}", path.display());
+    let bytes = read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?;
+    String::from_utf8(bytes).map_err(|_| in_file("not UTF-8".to_owned()))
+}
+
 impl KeysConfig {
     /// Reads the file and returns all keys.
     pub(crate) fn read(&self) -> Result<Keys, String> {
@@ -93,9 +136,7 @@ impl KeysConfig {
             return Ok(self.fixed.clone());
         };
         let in_file = |why: String| format!("{}: {why}", path.display());
-        let bytes = read_bounded(path, MAX_KEYS_FILE_BYTES).map_err(in_file)?;
-        let text = String::from_utf8(bytes).map_err(|_| in_file("not UTF-8".to_owned()))?;
-        let keys = Keys::parse(&text).map_err(in_file)?;
+        let keys = Keys::parse(&text_of(path)?).map_err(in_file)?;
         if keys.is_empty() && self.fixed.is_empty() {
             return Err(in_file("there is no key in it".to_owned()));
         }
@@ -119,6 +160,17 @@ impl AuthConfig {
         })
     }
 
+    /// The secrets of session tokens. Without a file a process has one of its own, unless replicas
+    /// share the store: they would not accept each other's tokens.
+    pub(crate) fn token_secrets(&self, store: &StoreUrl) -> Option<Secrets> {
+        self.keys.as_ref()?;
+        match (&self.secrets, store) {
+            (Some(secrets), _) => Some(secrets.all.clone()),
+            (None, StoreUrl::Memory | StoreUrl::File(_)) => Some(Secrets::random()),
+            (None, StoreUrl::Redis(_)) => None,
+        }
+    }
+
     /// Whether keys travel unencrypted to a listener that other machines can reach.
     pub(crate) fn has_keys_in_plain(&self, listen: SocketAddr) -> bool {
         self.keys.is_some() && self.tls.is_none() && !is_loopback(listen)
@@ -138,6 +190,10 @@ impl AuthConfig {
                 all: Keys::default(),
             };
             self.keys = report(flag, keys.read()).map(|all| KeysConfig { all, ..keys });
+        }
+        if let Some(file) = self.token_secrets_file.clone() {
+            self.secrets = report("token-secrets-file", read_secrets(&file))
+                .map(|all| SecretsConfig { file, all });
         }
         match (self.tls_cert.clone(), self.tls_key.clone()) {
             (None, None) => {}

@@ -15,6 +15,11 @@ pub struct ClientLimits {
     #[arg(long, value_name = "N|off", default_value = "off",
         value_parser = Checked(unless("off", whole::<u32>(1, 1_000_000))))]
     pub rate_per_key: Maybe<u32>,
+    /// Requests per second of one visitor: of all tokens for one session, with bursts of twice as
+    /// many; further requests are answered 429. They also count for the key.
+    #[arg(long, value_name = "N|off", default_value = "off",
+        value_parser = Checked(unless("off", whole::<u32>(1, 1_000_000))))]
+    pub rate_per_visitor: Maybe<u32>,
     /// Requests per second of one address (IPv6: one /64), with bursts of twice as many; further
     /// requests are answered 429.
     #[arg(long, value_name = "N|off", default_value = "off",

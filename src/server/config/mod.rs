@@ -22,7 +22,7 @@ use mlswarp::warp::{ImageLimits, Limits};
 use option::{Checked, clear_mistakes, keep_final, size, take_mistakes, whole};
 
 pub use auth::AuthConfig;
-pub(crate) use auth::KeysConfig;
+pub(crate) use auth::{KeysConfig, SecretsConfig};
 pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use command::{
     BatchArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions,

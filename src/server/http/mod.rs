@@ -24,6 +24,7 @@ use axum::routing::{MethodRouter, any, get, post, put};
 
 pub use middleware::authentication::Access;
 use middleware::authentication::{Caller, authenticate};
+pub use middleware::token_routes::rows as token_routes;
 
 use crate::app::App;
 use crate::http::response::Refusal;
@@ -75,6 +76,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
         ("/sessions/{id}/mesh", Keyed, post(routes::mesh::mesh)),
         ("/sessions/{id}/plan", Keyed, get(routes::plan::plan)),
         ("/sessions/{id}/drag", Keyed, any(socket::drag_socket)),
+        ("/sessions/{id}/tokens", Keyed, post(routes::tokens::mint)),
         (
             "/sessions/{id}/batch",
             Keyed,

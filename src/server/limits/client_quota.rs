@@ -118,6 +118,7 @@ mod tests {
         Client {
             owner: Owner::from_bytes([owner; 16]),
             address: IpAddr::from([127, 0, 0, last]),
+            visit: None,
         }
     }
 
@@ -147,6 +148,7 @@ mod tests {
             shares.of(Client {
                 owner: Owner::ANYBODY,
                 address: address.parse().unwrap(),
+                visit: None,
             })
         };
         v6("2001:db8::1").reserve(0, 50).unwrap();
@@ -179,6 +181,7 @@ mod tests {
                 let _ = shares.of(Client {
                     owner: Owner::ANYBODY,
                     address: IpAddr::from([10, 0, owner, n]),
+                    visit: None,
                 });
             }
         }

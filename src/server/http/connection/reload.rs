@@ -1,5 +1,5 @@
-//! Reloads keys, certificate and private key while the server runs: after a change of their files,
-//! and after SIGHUP.
+//! Reloads keys, the secrets of tokens, certificate and private key while the server runs: after a
+//! change of their files, and after SIGHUP.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use super::signals::Signals;
 use super::unless;
 use crate::app::App;
 use crate::auth::tls::{ServerConfig, TlsFiles};
-use crate::config::KeysConfig;
+use crate::config::{KeysConfig, SecretsConfig};
 
 /// Pause between two looks at the files.
 const POLL_PAUSE: Duration = Duration::from_secs(1);
@@ -24,6 +24,7 @@ type Stamp = Option<(SystemTime, u64)>;
 pub(crate) struct Reloader {
     app: App,
     keys: Option<KeysConfig>,
+    secrets: Option<SecretsConfig>,
     tls: Option<(TlsFiles, watch::Sender<Arc<ServerConfig>>)>,
     stamps: Vec<Stamp>,
 }
@@ -34,6 +35,7 @@ impl Reloader {
         let mut reloader = Self {
             app: app.clone(),
             keys: access.keys.clone(),
+            secrets: access.secrets.clone(),
             tls: access.tls.clone().zip(tls),
             stamps: Vec::new(),
         };
@@ -64,12 +66,7 @@ impl Reloader {
     /// usual: Kubernetes mounts secrets so.
     pub(crate) fn warn_of_readable_secrets(&self) {
         let key = self.tls.iter().map(|(files, _)| &files.key);
-        for path in self
-            .keys
-            .iter()
-            .filter_map(|keys| keys.file.as_ref())
-            .chain(key)
-        {
+        for path in self.secret_files().chain(key) {
             if let Some(mode) = mode(path).filter(|mode| mode & OTHER_USERS_BITS != 0) {
                 let path = path.display();
                 tracing::warn!(
@@ -80,19 +77,22 @@ impl Reloader {
         }
     }
 
+    /// The files of keys and of the secrets of tokens.
+    fn secret_files(&self) -> impl Iterator<Item = &PathBuf> {
+        let keys = self.keys.iter().filter_map(|keys| keys.file.as_ref());
+        keys.chain(self.secrets.iter().map(|secrets| &secrets.file))
+    }
+
     fn stamps(&self) -> Vec<Stamp> {
         let stamp = |path: &PathBuf| {
             let metadata = std::fs::metadata(path).ok()?;
             Some((metadata.modified().ok()?, metadata.len()))
         };
-        let keys = self.keys.iter().filter_map(|keys| keys.file.as_ref());
-        keys.chain(
-            self.tls
-                .iter()
-                .flat_map(|(files, _)| [&files.cert, &files.key]),
-        )
-        .map(stamp)
-        .collect()
+        let tls = self.tls.iter();
+        self.secret_files()
+            .chain(tls.flat_map(|(files, _)| [&files.cert, &files.key]))
+            .map(stamp)
+            .collect()
     }
 
     /// Reloads the files if one has changed. A file that cannot be used leaves everything as it
@@ -111,6 +111,14 @@ impl Reloader {
                 }
                 Err(mistake) => tracing::error!("keys not reloaded: {mistake}"),
             }
+        }
+        match self.secrets.as_ref().map(SecretsConfig::read) {
+            Some(Ok(new)) => {
+                tracing::info!(secrets = new.len(), "secrets of tokens reloaded");
+                self.app.access().replace_secrets(new);
+            }
+            Some(Err(mistake)) => tracing::error!("secrets of tokens not reloaded: {mistake}"),
+            None => {}
         }
         if let Some((files, config)) = &self.tls {
             match files.load() {

@@ -1,11 +1,11 @@
-//! Authentication: the client's address and key, and the owner whose sessions it may use. A browser
-//! cannot give a WebSocket a header, so its key travels as a subprotocol that is offered beside
+//! Authentication: the client's address, key or token, and the owner whose sessions it may use. A
+//! browser cannot give a WebSocket a header, so both travel as a subprotocol that is offered beside
 //! `mlswarp`, never in the address.
 
 use std::convert::Infallible;
 use std::net::SocketAddr;
 
-use axum::extract::{ConnectInfo, FromRequestParts, Request, State};
+use axum::extract::{ConnectInfo, FromRequestParts, MatchedPath, RawPathParams, Request, State};
 use axum::http::header::{
     AUTHORIZATION, HeaderName, SEC_WEBSOCKET_PROTOCOL, UPGRADE, WWW_AUTHENTICATE,
 };
@@ -15,12 +15,16 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 use data_encoding::BASE64URL_NOPAD;
 
+use super::token_routes::operation;
 use crate::app::App;
+use crate::auth::Admitted;
+use crate::auth::tokens::Wanted;
 use crate::client::Client;
-use crate::http::headers::elements;
+use crate::http::body::{CappedBody, too_large};
+use crate::http::headers::{content_length, elements};
 use crate::http::response::Refusal;
 use crate::limits::networks::client_ip;
-use crate::problem::Code;
+use crate::problem::{Code, Problem};
 
 /// The subprotocol of the drag socket.
 pub(crate) const PROTOCOL: &str = "mlswarp";
@@ -77,22 +81,44 @@ pub(super) fn client(app: &App, request: &Request) -> Client {
 pub(crate) async fn authenticate(
     State(app): State<App>,
     Caller { client, .. }: Caller,
+    path: RawPathParams,
     mut request: Request,
     next: Next,
 ) -> Response {
     let key = key(request.headers());
     let authorization = request.headers_mut().remove(AUTHORIZATION);
-    match app.access().admit(client.address, key.as_deref()) {
-        Ok(credential) => {
+    let route = request.extensions().get::<MatchedPath>();
+    let wanted = Wanted {
+        op: route.and_then(|route| operation(request.method(), route.as_str())),
+        session: path
+            .iter()
+            .find(|(name, _)| *name == "id")
+            .map(|(_, id)| id),
+    };
+    match app.access().admit(client.address, key.as_deref(), wanted) {
+        Ok(Admitted { credential, token }) => {
+            let grant = credential.grant();
             request.extensions_mut().insert(Client {
                 owner: credential.owner(),
+                visit: grant.map(|grant| grant.session()),
                 ..client
             });
             request.extensions_mut().insert(credential);
-            next.run(request).await
+            let limited = match grant.and_then(|grant| grant.max_bytes) {
+                Some(max_bytes) => limit_body(request, max_bytes),
+                None => Ok(request),
+            };
+            let mut response = match limited {
+                Ok(request) => next.run(request).await,
+                Err(problem) => Refusal(problem).into_response(),
+            };
+            if let Some(token) = token {
+                response.extensions_mut().insert(token);
+            }
+            response
         }
-        Err(mut problem) if problem.code == Code::Unauthorized => {
-            if let Some(field) = authorization {
+        Err(mut problem) if matches!(problem.code, Code::Unauthorized | Code::TokenExpired) => {
+            if let Some(field) = authorization.filter(|_| key.is_none()) {
                 problem.detail = unreadable(field.as_bytes()).to_owned();
             }
             ([(WWW_AUTHENTICATE, BEARER)], Refusal(problem)).into_response()
@@ -108,6 +134,15 @@ pub(crate) async fn authenticate(
             }
             Refusal(problem).into_response()
         }
+    }
+}
+
+/// A request whose body may have at most as many bytes as its token allows.
+fn limit_body(request: Request, max_bytes: u64) -> Result<Request, Problem> {
+    const WHAT: &str = "token_max_bytes";
+    match content_length(request.headers()).filter(|length| *length > max_bytes) {
+        Some(length) => Err(too_large(WHAT, max_bytes, length)),
+        None => Ok(request.map(|body| CappedBody::wrap(body, WHAT, max_bytes))),
     }
 }
 

@@ -4,6 +4,7 @@
 pub(crate) mod authentication;
 pub(crate) mod cross_origin;
 pub(crate) mod host;
+pub(crate) mod token_routes;
 
 use std::any::Any;
 use std::pin::pin;
@@ -32,6 +33,7 @@ use super::headers::content_length;
 use super::response::problem::finish;
 use crate::app::App;
 use crate::auth::hosts::Hosts;
+use crate::auth::tokens::TokenName;
 use crate::http::response::Refusal;
 use crate::observe::metrics::known_method;
 use crate::observe::{RequestInfo, Scope};
@@ -149,8 +151,10 @@ async fn outermost(
         let ms = began.elapsed().as_secs_f64() * 1e3;
         // A client may send any word as its method, as long as a head may be.
         let method = known_method(method.as_str()).unwrap_or("other");
+        let token = response.extensions().get::<TokenName>();
+        let (kid, jti) = (token.map(|t| &*t.kid), token.map(|t| &*t.jti));
         tracing::info!(target: "mlswarp::http", method, route, status, ms = format_args!("{ms:.1}"),
-            "answered");
+            kid, jti, "answered");
         response
     };
     // A proxy's connection has the requests of many clients.

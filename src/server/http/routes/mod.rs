@@ -18,4 +18,5 @@ pub(crate) mod problems;
 pub(crate) mod report;
 pub(crate) mod service;
 pub(crate) mod sessions;
+pub(crate) mod tokens;
 pub(crate) mod warp;

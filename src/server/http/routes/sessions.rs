@@ -34,8 +34,7 @@ pub(crate) async fn put(
     Path(id): Path<String>,
     request: Request,
 ) -> Result<Response, Refusal> {
-    let id = SessionId::parse(caller.client.owner, &id)
-        .ok_or_else(|| Problem::new(Code::BadValue, not_an_id(&id)))?;
+    let id = uploaded_id(caller.client, &id)?;
     let upload = upload::read(&caller, request).await?;
     let (is_new, (shown, method)) = caller.app.put_session(caller.client, id, upload).await?;
     let response = if is_new {
@@ -112,6 +111,12 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
         )
     };
     SessionId::parse(client.owner, text).ok_or_else(none)
+}
+
+/// The name that a client has chosen for a session.
+pub(super) fn uploaded_id(client: Client, text: &str) -> Result<SessionId, Problem> {
+    SessionId::parse(client.owner, text)
+        .ok_or_else(|| Problem::new(Code::BadValue, not_an_id(text)))
 }
 
 fn not_an_id(text: &str) -> String {

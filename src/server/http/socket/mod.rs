@@ -106,8 +106,12 @@ async fn exchange(
     let mut heard = Instant::now();
     let mut pinged = None;
     let mut bucket = Bucket::new(MESSAGE_RATE_AND_BURST.0, MESSAGE_RATE_AND_BURST.1, heard);
-    let (mut stopping, mut revoked) =
-        (pin!(app.stopping()), pin!(app.access().revoked(credential)));
+    let access = app.access();
+    let (mut stopping, mut revoked, mut expired) = (
+        pin!(app.stopping()),
+        pin!(access.revoked(credential)),
+        pin!(access.expired(credential)),
+    );
     loop {
         let due = drag.act(Instant::now());
         while let Some(outgoing) = drag.next_outgoing() {
@@ -141,13 +145,13 @@ async fn exchange(
                 "the service is stopping"),
             () = &mut revoked => {
                 let detail = "the key of this socket was revoked";
-                drag.send_problem(None, &Problem::new(Code::Forbidden, detail));
-                while let Some(outgoing) = drag.next_outgoing() {
-                    if let Outgoing::Text(text) = outgoing {
-                        socket.send_before_close(text);
-                    }
-                }
-                return Ending::Close(CloseCode::Policy, "the key was revoked");
+                return refused(drag, socket, Code::Forbidden, detail, "the key was revoked");
+            }
+            () = &mut expired => {
+                let detail = "the session token of this socket has expired: open another socket \
+                    with a new one";
+                let code = Code::TokenExpired;
+                return refused(drag, socket, code, detail, code.as_str());
             }
             () = tokio::time::sleep_until(wake.into()) => {
                 let now = Instant::now();
@@ -164,6 +168,23 @@ async fn exchange(
             }
         }
     }
+}
+
+/// The end of a socket whose client may no longer use it; a problem is the last message.
+fn refused(
+    drag: &mut Drag,
+    socket: &mut WebSocketConnection,
+    code: Code,
+    detail: &str,
+    reason: &'static str,
+) -> Ending {
+    drag.send_problem(None, &Problem::new(code, detail));
+    while let Some(outgoing) = drag.next_outgoing() {
+        if let Outgoing::Text(text) = outgoing {
+            socket.send_before_close(text);
+        }
+    }
+    Ending::Close(CloseCode::Policy, reason)
 }
 
 /// What to do when a deadline has passed.

@@ -1,0 +1,54 @@
+//! The time of day by which tokens begin and end. Tests move it instead of waiting.
+
+use std::time::{Duration, SystemTime};
+
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+
+/// The longest sleep: the time of day may be set meanwhile.
+const LONGEST_SLEEP: Duration = Duration::from_secs(60);
+
+/// The time of day, and how far tests have moved it.
+#[derive(Debug)]
+pub struct Clock(watch::Sender<Duration>);
+
+impl Default for Clock {
+    fn default() -> Self {
+        Self(watch::Sender::new(Duration::ZERO))
+    }
+}
+
+impl Clock {
+    /// The time now.
+    pub fn now(&self) -> SystemTime {
+        SystemTime::now() + *self.0.borrow()
+    }
+
+    /// Seconds since 1970.
+    pub fn seconds(&self) -> u64 {
+        self.now()
+            .duration_since(SystemTime::UNIX_EPOCH)
+            .map_or(0, |since| since.as_secs())
+    }
+
+    /// Moves the clock, for tests.
+    pub fn advance(&self, by: Duration) {
+        self.0.send_modify(|ahead| *ahead += by);
+    }
+
+    /// Waits until a time of day.
+    pub(super) async fn reached(&self, at: SystemTime) {
+        let mut moved = self.0.subscribe();
+        while let Ok(left) = at.duration_since(self.now()) {
+            // Without the smallest step, the last look would come a moment before the time.
+            let left = left.min(LONGEST_SLEEP) + Duration::from_millis(1);
+            // A sleep that ends and a clock that moves both lead to another look.
+            if timeout(left, moved.changed())
+                .await
+                .is_ok_and(|moved| moved.is_err())
+            {
+                sleep(left).await;
+            }
+        }
+    }
+}
