@@ -42,6 +42,7 @@ impl Party {
         Who {
             owner: Owner::ANYBODY,
             address: self.address,
+            visit: None,
         }
     }
 

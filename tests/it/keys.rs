@@ -62,7 +62,7 @@ async fn operations(server: &Server) -> Vec<(Method, String, Access)> {
 }
 
 /// A request of this route that would succeed for whoever owns the session.
-fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuilder {
+pub(crate) fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuilder {
     let request = server.client.request(
         method.clone(),
         server.url(&path.replace("{id}", id).replace("{name}", "depth")),
@@ -78,6 +78,7 @@ fn asked(server: &Server, method: &Method, path: &str, id: &str) -> RequestBuild
         ("POST", "/sessions/{id}/warp" | "/sessions/{id}/mesh") => {
             request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]}))
         }
+        ("POST", "/sessions/{id}/tokens") => request.json(&json!({})),
         ("POST", "/sessions/{id}/batch") => {
             request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]], "steps": 2}))
         }

@@ -89,6 +89,7 @@ mod strength;
 mod support;
 mod tenants;
 mod tls;
+mod tokens;
 mod traces;
 mod unread;
 mod warnings;

@@ -14,7 +14,9 @@ use crate::support::server::form;
 /// The image of all examples.
 const PICTURE: &[u8] = include_bytes!("../images/rocket.jpg");
 /// Members that no two responses share; the document shows their form.
-const VARYING: [&str; 3] = ["id", "created", "expires"];
+const VARYING: [&str; 4] = ["id", "created", "expires", "token"];
+/// A key, of a server that makes tokens with it.
+const KEY: &str = "a-key-of-the-examples";
 
 /// A value of the document and its JSON pointer. References are followed.
 #[derive(Clone)]
@@ -262,6 +264,20 @@ async fn compare(
     status
 }
 
+/// A server with a key, and a client that sends it.
+async fn with_key() -> Server {
+    let mut server = Server::start(&["--keys", &format!("ann {KEY}")]).await;
+    let key = format!("Bearer {KEY}").parse().unwrap();
+    let headers = [(reqwest::header::AUTHORIZATION, key)]
+        .into_iter()
+        .collect();
+    server.client = reqwest::Client::builder()
+        .default_headers(headers)
+        .build()
+        .unwrap();
+    server
+}
+
 /// The requests of an operation, each sent twice to a server of its own, which has the session of
 /// the examples.
 async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<String>) {
@@ -309,7 +325,11 @@ async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<S
     assert!(!requests.is_empty(), "{route}: the body has no example");
     let mut statuses = BTreeSet::new();
     for example in requests {
-        let server = Server::start(&[]).await;
+        let server = if path.ends_with("/tokens") {
+            with_key().await
+        } else {
+            Server::start(&[]).await
+        };
         if path.starts_with("/sessions/{id}") && (method, path) != ("put", "/sessions/{id}") {
             let id = filled.split('/').nth(2).unwrap();
             // Methods are compared on points.

@@ -491,6 +491,15 @@ async fn the_page_shows_what_is_said() {
             .header("authorization", "Bearer fedcba9876543210"),
     )
     .await;
+    let keyed = "0123456789abcdef";
+    let tokens = format!("/sessions/{}/tokens", uuid::Uuid::new_v4());
+    let minted = server.post(&tokens).bearer_auth(keyed);
+    let minted = minted.json(&json!({"ops": ["upload"]})).send().await;
+    let minted: Value = minted.unwrap().json().await.unwrap();
+    let hour = std::time::Duration::from_secs(3600);
+    server.app.access().clock().advance(hour);
+    let expired = minted["token"].as_str().unwrap();
+    same("token_expired", server.post("/points").bearer_auth(expired)).await;
     let server = Server::start(&["--rate-per-address", "1"]).await;
     for _ in 0..100 {
         let said = said(server.get("/sessions/x")).await;

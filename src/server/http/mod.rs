@@ -7,6 +7,7 @@
 mod accept;
 pub(crate) mod assets;
 mod body;
+mod capped_body;
 pub mod connection;
 mod headers;
 pub(crate) mod middleware;

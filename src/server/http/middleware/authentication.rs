@@ -20,7 +20,7 @@ use crate::app::App;
 use crate::auth::Admitted;
 use crate::auth::tokens::Wanted;
 use crate::client::Client;
-use crate::http::body::{CappedBody, too_large};
+use crate::http::capped_body::{CappedBody, too_large};
 use crate::http::headers::{content_length, elements};
 use crate::http::response::Refusal;
 use crate::limits::networks::client_ip;
