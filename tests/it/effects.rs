@@ -576,10 +576,11 @@ async fn every_route_with_a_json_object_is_tried() {
         .iter()
         .map(|route| format!("{} {}", route.method, route.path))
         .collect();
-    let of_sessions = "PUT /sessions/{id}".to_owned();
+    // The same object as that of `POST`; and the fields of a token are tried in `tokens.rs`.
+    let elsewhere = ["PUT /sessions/{id}", "POST /sessions/{id}/tokens"];
     let untried: Vec<&String> = with_object
         .difference(&tried)
-        .filter(|route| **route != of_sessions)
+        .filter(|route| !elsewhere.contains(&route.as_str()))
         .collect();
     assert!(
         untried.is_empty(),

@@ -15,8 +15,6 @@ use crate::support::server::form;
 const PICTURE: &[u8] = include_bytes!("../images/rocket.jpg");
 /// Members that no two responses share; the document shows their form.
 const VARYING: [&str; 4] = ["id", "created", "expires", "token"];
-/// A key, of a server that makes tokens with it.
-const KEY: &str = "a-key-of-the-examples";
 
 /// A value of the document and its JSON pointer. References are followed.
 #[derive(Clone)]
@@ -264,20 +262,6 @@ async fn compare(
     status
 }
 
-/// A server with a key, and a client that sends it.
-async fn with_key() -> Server {
-    let mut server = Server::start(&["--keys", &format!("ann {KEY}")]).await;
-    let key = format!("Bearer {KEY}").parse().unwrap();
-    let headers = [(reqwest::header::AUTHORIZATION, key)]
-        .into_iter()
-        .collect();
-    server.client = reqwest::Client::builder()
-        .default_headers(headers)
-        .build()
-        .unwrap();
-    server
-}
-
 /// The requests of an operation, each sent twice to a server of its own, which has the session of
 /// the examples.
 async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<String>) {
@@ -326,7 +310,7 @@ async fn replay(path: &str, item: &Node<'_>, method: &str, done: &mut BTreeSet<S
     let mut statuses = BTreeSet::new();
     for example in requests {
         let server = if path.ends_with("/tokens") {
-            with_key().await
+            Server::with_key().await
         } else {
             Server::start(&[]).await
         };

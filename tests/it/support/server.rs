@@ -61,6 +61,18 @@ impl Server {
         }
     }
 
+    /// A server with a key, which its client sends.
+    pub(crate) async fn with_key() -> Self {
+        const KEY: &str = "a-key-of-the-tests";
+        let key = format!("Bearer {KEY}").parse().unwrap();
+        let headers = [(reqwest::header::AUTHORIZATION, key)];
+        let client = Client::builder().default_headers(headers.into_iter().collect());
+        Self {
+            client: client.build().unwrap(),
+            ..Self::start(&["--keys", &format!("ann {KEY}")]).await
+        }
+    }
+
     pub(crate) fn url(&self, path: &str) -> String {
         format!("http://{}{path}", self.address)
     }
