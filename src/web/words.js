@@ -98,6 +98,10 @@ const PROBLEMS = {
     "The server does not accept this key",
     "Enter another key, or ask the operator of the server.",
   ],
+  token_expired: [
+    "The permission to use this page has expired",
+    "Reload the page of the site that shows it.",
+  ],
   unauthorized: ["API key required", "Enter the key that you got from the operator of the server."],
   internal: ["Internal server error", "Undo the last step, or try again."],
   unreadable: [

@@ -84,3 +84,29 @@ async fn nothing_else_is_served_beside_it() {
     }
     assert_eq!(server.post("/").send().await.unwrap().status(), 405);
 }
+
+#[tokio::test]
+async fn only_listed_sites_may_show_the_page_in_a_frame() {
+    for (options, ancestors) in [
+        (&[][..], "'none'"),
+        (
+            &[
+                "--frame-ancestors",
+                "https://a.example, http://127.0.0.1:3000",
+            ],
+            "https://a.example http://127.0.0.1:3000",
+        ),
+        (&["--frame-ancestors", "*"], "*"),
+    ] {
+        let server = Server::start(options).await;
+        let policy = async |path: &str| {
+            let answer = server.get(path).send().await.unwrap();
+            let policy = answer.headers()["content-security-policy"].to_str();
+            let policy = policy.unwrap().to_owned();
+            policy.split("frame-ancestors ").nth(1).unwrap().to_owned()
+        };
+        assert_eq!(policy("/").await, ancestors);
+        // The guide is a page of its own, which nobody has a reason to frame.
+        assert_eq!(policy("/docs").await, "'none'");
+    }
+}

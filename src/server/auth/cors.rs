@@ -32,6 +32,15 @@ impl Origins {
         }
     }
 
+    /// The value of the directive `frame-ancestors` of a content security policy.
+    pub(crate) fn frame_ancestors(&self) -> String {
+        match self {
+            Self::Own => "'none'".to_owned(),
+            Self::Listed(listed) => listed.join(" "),
+            Self::Any => "*".to_owned(),
+        }
+    }
+
     pub(crate) fn has(&self, origin: &str) -> bool {
         match self {
             Self::Own => false,

@@ -1,5 +1,5 @@
 //! `GET /` and `GET /page/{file}`: the embedded drag page. Its content security policy permits
-//! nothing from other sites.
+//! nothing from other sites; those of `--frame-ancestors` may show the page in a frame.
 
 use std::sync::LazyLock;
 
@@ -14,6 +14,7 @@ use data_encoding::HEXLOWER;
 use sha2::{Digest as _, Sha256};
 
 use crate::app::App;
+use crate::auth::cors::Origins;
 use crate::config::Config;
 use crate::http::headers::sends_tag;
 use crate::http::response::Refusal;
@@ -24,6 +25,8 @@ use crate::store::StoreUrl;
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' \
     blob: data:; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+/// The directive that says which sites may show a page in a frame.
+const FRAMES: &str = "frame-ancestors";
 pub(crate) const HTML: &str = "text/html; charset=utf-8";
 pub(crate) const CSS: &str = "text/css; charset=utf-8";
 pub(crate) const JS: &str = "text/javascript; charset=utf-8";
@@ -70,6 +73,7 @@ pub(crate) struct Asset {
     media: HeaderValue,
     pub(crate) bytes: Bytes,
     tag: HeaderValue,
+    policy: HeaderValue,
 }
 
 impl Asset {
@@ -79,6 +83,17 @@ impl Asset {
             media: HeaderValue::from_static(media),
             bytes,
             tag: HeaderValue::try_from(tag).expect("hex is visible ASCII"),
+            policy: HeaderValue::from_static(POLICY),
+        }
+    }
+
+    /// The same for a page that those may show in a frame.
+    fn framed_by(self, ancestors: &Origins) -> Self {
+        let framed = format!("{FRAMES} {}", ancestors.frame_ancestors());
+        let policy = POLICY.replacen(&format!("{FRAMES} 'none'"), &framed, 1);
+        Self {
+            policy: HeaderValue::try_from(policy).expect("origins are visible ASCII"),
+            ..self
         }
     }
 
@@ -87,7 +102,7 @@ impl Asset {
         let headers = [
             (ETAG, self.tag.clone()),
             (CACHE_CONTROL, HeaderValue::from_static("no-cache")),
-            (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),
+            (CONTENT_SECURITY_POLICY, self.policy.clone()),
         ];
         if self.tag.to_str().is_ok_and(|tag| sends_tag(request, tag)) {
             return (StatusCode::NOT_MODIFIED, headers).into_response();
@@ -106,7 +121,8 @@ pub(crate) fn routes(app: &App) -> Router<App> {
     let index = Asset::new(
         HTML,
         Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)),
-    );
+    )
+    .framed_by(&app.config().auth.frame_ancestors);
     Router::new()
         .route(
             "/",
