@@ -13,7 +13,7 @@ use crate::pixmap::Extent;
 const AT_REST: f64 = 1e-9;
 
 impl Align {
-    const fn class(self) -> Option<Class> {
+    pub(super) const fn class(self) -> Option<Class> {
         match self {
             Self::None => None,
             Self::Rigid => Some(Class::Rigid),

@@ -29,6 +29,7 @@ impl fmt::Display for Digest {
 
 /// Digests numbers bit for bit, each with a fixed width, so that different lists have different
 /// inputs.
+#[derive(Debug, Default)]
 pub(super) struct Collector(Sha256);
 
 impl Collector {

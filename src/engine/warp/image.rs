@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 use super::region::occupied_words;
 use super::{Digest, Target, WarpError};
 use crate::codec::{self, Carried, ImageLimits, Metadata, Opened, Repairs, StepCounter};
-use crate::pixmap::{Channels, Depth, Extent};
+use crate::pixmap::{Channels, Depth, Extent, Pixmap};
 use crate::render::Source;
 
 /// A decoded, upright picture with its derived copies for sampling, and its metadata for every
@@ -78,7 +78,7 @@ impl Image {
 
     /// A picture that no file has. `name`: of its digest.
     #[cfg(test)]
-    pub(super) fn of_pixmap(name: &str, pixmap: crate::pixmap::Pixmap, grey: bool) -> Self {
+    pub(super) fn of_pixmap(name: &str, pixmap: Pixmap, grey: bool) -> Self {
         let (digest, metadata, repairs) = (
             Digest::of(name.as_bytes()),
             Arc::default(),
@@ -92,6 +92,28 @@ impl Image {
             repairs,
             grey,
         }
+    }
+
+    /// A picture that was made of others, with the metadata of one of them.
+    pub(super) fn of_parts(
+        digest: Digest,
+        pixmap: Pixmap,
+        metadata: Arc<Metadata>,
+        grey: bool,
+    ) -> Self {
+        Self {
+            digest,
+            source: Arc::new(Source::new(pixmap)),
+            occupied: Arc::default(),
+            metadata,
+            repairs: Repairs::default(),
+            grey,
+        }
+    }
+
+    /// The metadata of the file.
+    pub(super) const fn metadata(&self) -> &Arc<Metadata> {
+        &self.metadata
     }
 
     /// What an output has of the file's metadata.

@@ -9,6 +9,7 @@
 
 mod alignment;
 mod batch;
+pub mod blend;
 mod coefficient_request;
 mod compact;
 mod coordinate_map;

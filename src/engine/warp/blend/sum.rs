@@ -1,0 +1,345 @@
+//! The target image J: warped images are added pixel by pixel with their colour weights, and the
+//! sum is rounded once.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
+use super::super::digest::Collector;
+use super::super::{Image, OutputSpec, PosedMesh, RasterSource, Target, WarpError};
+use crate::codec::Metadata;
+use crate::deform::IsCancelled;
+use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
+use crate::render::Canvas;
+
+/// Rows that are drawn before cancellation is asked for again.
+const ROWS_PER_CHECK: usize = 16;
+/// Bytes of a pixel of the sum.
+const PIXEL_BYTES: u64 = 16;
+
+/// The values that are added.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum BlendSpace {
+    /// Samples as files have them.
+    #[default]
+    Srgb,
+    /// Intensities of light, by the curve of sRGB.
+    Linear,
+}
+
+/// How pixels are added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Rule {
+    /// No weight is negative: colours weigh as much as they cover, so what an image does not cover
+    /// does not darken the sum. Sums: `b alpha c` and `b alpha`.
+    Coverage,
+    /// A difference of colours, or one image alone: nothing is divided. Sums: `b c`, and the least
+    /// alpha.
+    Difference,
+}
+
+/// The sum of warped images.
+#[derive(Debug)]
+pub struct ImageSum {
+    target: Target,
+    space: BlendSpace,
+    rule: Rule,
+    /// Shape `[height][width]`.
+    pixels: Vec<[f32; 4]>,
+    depth: Depth,
+    is_grey: bool,
+    has_alpha: bool,
+    digest: Collector,
+    /// That of the first image.
+    metadata: Option<Arc<Metadata>>,
+}
+
+/// The target image, and what was lost by rounding it.
+#[derive(Debug)]
+pub struct BlendedImage {
+    /// The image.
+    pub image: Image,
+    /// Samples that were below 0 or above the largest value, and were cut off.
+    pub clamped: u64,
+}
+
+impl ImageSum {
+    /// Memory of a sum of this size with the image that is made of it, bytes.
+    #[must_use]
+    pub fn bytes(extent: Extent) -> u64 {
+        extent.pixels().saturating_mul(PIXEL_BYTES + 12)
+    }
+
+    /// An empty sum. `canvas`: the part of the reference frame that it shows; `extent`: its size in
+    /// pixels; `weights`: the colour weights of all images that will be added.
+    #[must_use]
+    pub fn new(canvas: Canvas, extent: Extent, space: BlendSpace, weights: &[f64]) -> Self {
+        let is_negative = weights.iter().any(|weight| *weight < 0.0);
+        let is_single = weights.iter().filter(|weight| **weight != 0.0).count() == 1;
+        let rule = if is_negative || is_single {
+            Rule::Difference
+        } else {
+            Rule::Coverage
+        };
+        let empty = match rule {
+            Rule::Coverage => [0.0; 4],
+            Rule::Difference => [0.0, 0.0, 0.0, 1.0],
+        };
+        let pixels = usize::try_from(extent.pixels()).expect("checked against the limit of images");
+        let digest = Collector::new("mlswarp blend 1")
+            .integer(u64::from(space == BlendSpace::Linear))
+            .integer(extent.width().into())
+            .integer(extent.height().into())
+            .bytes(format!("{canvas:?}").as_bytes());
+        Self {
+            target: Target::of(Some(canvas), extent),
+            space,
+            rule,
+            pixels: vec![empty; pixels],
+            depth: Depth::Eight,
+            is_grey: true,
+            has_alpha: false,
+            digest,
+            metadata: None,
+        }
+    }
+
+    /// Adds an image, posed by its mesh, with a weight. `is_mirrored`: the mesh is that of the
+    /// mirrored target in the image's own frame, and what is drawn is mirrored; so an image and its
+    /// mirror image differ by nothing but the side. An image of weight 0 adds nothing but the
+    /// metadata of the result, if it is the first.
+    ///
+    /// # Errors
+    /// Cancelled; the sum is then incomplete.
+    pub fn add(
+        &mut self,
+        image: &Image,
+        posed: &PosedMesh,
+        (weight, is_mirrored): (f64, bool),
+        output: &OutputSpec,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<(), WarpError> {
+        self.metadata
+            .get_or_insert_with(|| Arc::clone(image.metadata()));
+        let drawn = format!("{:?} {:?}", output.filter, output.outside);
+        self.digest = std::mem::take(&mut self.digest)
+            .bytes(&image.digest().0)
+            .bytes(&posed.digest().0)
+            .float(weight)
+            .integer(u64::from(is_mirrored))
+            .bytes(drawn.as_bytes());
+        if weight == 0.0 {
+            return Ok(());
+        }
+        let subject = RasterSource::Image(image);
+        let target = self.target_of(image.extent(), is_mirrored);
+        subject.make_copies(target, posed, output, cancelled)?;
+        let drawer = subject.drawer(target, posed, output);
+        let (width, depth) = (self.target.extent.width() as usize, subject.depth());
+        let pixel_bytes = drawer.pixel_bytes();
+        let channels = pixel_bytes / depth.bytes();
+        let curve = decoding_curve(self.space, depth);
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "sums are in single precision"
+        )]
+        let (weight, rule) = (weight as f32, self.rule);
+        let bands = self
+            .pixels
+            .par_chunks_mut(ROWS_PER_CHECK * width)
+            .enumerate();
+        bands.for_each(|(band, pixels)| {
+            if cancelled() {
+                return;
+            }
+            let rows = rows_of(band, pixels.len() / width);
+            let mut samples = vec![0; pixels.len() * pixel_bytes];
+            drawer.band(rows, &mut samples);
+            let lines = samples.chunks_exact(width * pixel_bytes);
+            for (sums, line) in pixels.chunks_exact_mut(width).zip(lines) {
+                for (x, sum) in sums.iter_mut().enumerate() {
+                    let at = if is_mirrored { width - 1 - x } else { x };
+                    let pixel = &line[at * pixel_bytes..][..pixel_bytes];
+                    let (colour, alpha) = read(pixel, depth, channels, &curve);
+                    rule.add(sum, colour, alpha, weight);
+                }
+            }
+        });
+        if cancelled() {
+            return Err(WarpError::Cancelled);
+        }
+        self.is_grey &= image.grey && output.outside.is_grey();
+        self.has_alpha |= image.has_alpha();
+        if depth == Depth::Sixteen {
+            self.depth = depth;
+        }
+        Ok(())
+    }
+
+    /// What is drawn of an image.
+    fn target_of(&self, source: Extent, is_mirrored: bool) -> Target {
+        let canvas = self.target.canvas.map(|canvas| {
+            let right = i64::from(canvas.x) + i64::from(canvas.extent.width());
+            let x = i32::try_from(i64::from(source.width()) - right).unwrap_or(i32::MAX);
+            if is_mirrored {
+                Canvas { x, ..canvas }
+            } else {
+                canvas
+            }
+        });
+        Target {
+            canvas,
+            ..self.target
+        }
+    }
+
+    /// The sum as an image, with the metadata of the first one. `None` if nothing was added.
+    #[must_use]
+    pub fn finish(self) -> Option<BlendedImage> {
+        let metadata = Arc::clone(self.metadata.as_ref()?);
+        let clamped = AtomicU64::new(0);
+        let is_opaque = || {
+            self.pixels
+                .par_iter()
+                .all(|sum| sum[3] >= 1.0 - ALPHA_ROUNDING)
+        };
+        let channels = if self.has_alpha || !is_opaque() {
+            Channels::Rgba
+        } else {
+            Channels::Rgb
+        };
+        let write = |depth: Depth, put: &(dyn Fn(&[[f32; 4]], &mut [u16]) + Sync)| {
+            let count = channels.count();
+            let mut samples = vec![0_u16; self.pixels.len() * count];
+            let width = self.target.extent.width() as usize;
+            samples
+                .par_chunks_mut(ROWS_PER_CHECK * width * count)
+                .zip(self.pixels.par_chunks(ROWS_PER_CHECK * width))
+                .for_each(|(out, sums)| put(sums, out));
+            match depth {
+                Depth::Eight => {
+                    Samples::Eight(samples.into_iter().map(|v| v.to_le_bytes()[0]).collect())
+                }
+                Depth::Sixteen => Samples::Sixteen(samples),
+            }
+        };
+        let samples = write(self.depth, &|sums, out| {
+            let mut lost = 0;
+            for (sum, out) in sums.iter().zip(out.chunks_exact_mut(channels.count())) {
+                lost += self.put(*sum, out);
+            }
+            clamped.fetch_add(lost, Ordering::Relaxed);
+        });
+        let pixmap = Pixmap::new(self.target.extent, channels, samples);
+        let image = Image::of_parts(self.digest.finish(), pixmap, metadata, self.is_grey);
+        Some(BlendedImage {
+            image,
+            clamped: clamped.into_inner(),
+        })
+    }
+
+    /// Writes a pixel; returns how many of its colours were cut off.
+    fn put(&self, sum: [f32; 4], out: &mut [u16]) -> u64 {
+        let [r, g, b, alpha] = sum.map(f64::from);
+        let share = match self.rule {
+            Rule::Coverage if alpha > 0.0 => 1.0 / alpha,
+            Rule::Coverage => 0.0,
+            Rule::Difference => 1.0,
+        };
+        let largest = f64::from(self.depth.largest());
+        let mut lost = 0;
+        for (value, out) in [r, g, b].into_iter().zip(out.iter_mut()) {
+            let value = encoded(self.space, value * share) * largest;
+            let rounded = value.round().clamp(0.0, largest);
+            // A pixel that nobody sees loses nothing.
+            lost += u64::from(alpha > 0.0 && (value.round() - rounded).abs() > 0.5);
+            *out = to_sample(rounded);
+        }
+        if let Some(out) = out.get_mut(3) {
+            *out = to_sample((alpha * largest).round().clamp(0.0, largest));
+        }
+        lost
+    }
+}
+
+/// Weights add up to 1 but for rounding.
+const ALPHA_ROUNDING: f32 = 1e-5;
+
+impl Rule {
+    fn add(self, sum: &mut [f32; 4], colour: [f32; 3], alpha: f32, weight: f32) {
+        match self {
+            Self::Coverage => {
+                let share = weight * alpha;
+                for (sum, value) in sum.iter_mut().zip(colour) {
+                    *sum += share * value;
+                }
+                sum[3] += share;
+            }
+            Self::Difference => {
+                for (sum, value) in sum.iter_mut().zip(colour) {
+                    *sum += weight * value;
+                }
+                sum[3] = sum[3].min(alpha);
+            }
+        }
+    }
+}
+
+fn rows_of(band: usize, rows: usize) -> Range<u32> {
+    let row = |row: usize| u32::try_from(row).expect("rows of an image");
+    row(band * ROWS_PER_CHECK)..row(band * ROWS_PER_CHECK + rows)
+}
+
+/// The colour of a pixel, 0 to 1 in the space of the curve, and its alpha, 0 to 1. Samples of 16
+/// bits are big-endian.
+fn read(pixel: &[u8], depth: Depth, channels: usize, curve: &[f32]) -> ([f32; 3], f32) {
+    let sample = |index: usize| match depth {
+        Depth::Eight => usize::from(pixel[index]),
+        Depth::Sixteen => usize::from(u16::from_be_bytes([pixel[2 * index], pixel[2 * index + 1]])),
+    };
+    let colour = [0, 1, 2].map(|index| curve[sample(index)]);
+    #[expect(clippy::cast_precision_loss, reason = "16 bits")]
+    let alpha = if channels == 4 {
+        sample(3) as f32 / f32::from(depth.largest())
+    } else {
+        1.0
+    };
+    (colour, alpha)
+}
+
+/// The value of each sample.
+fn decoding_curve(space: BlendSpace, depth: Depth) -> Vec<f32> {
+    let largest = f64::from(depth.largest());
+    let value = |sample: u16| match (space, f64::from(sample) / largest) {
+        (BlendSpace::Srgb, share) => share,
+        (BlendSpace::Linear, share) if share <= 0.04045 => share / 12.92,
+        (BlendSpace::Linear, share) => ((share + 0.055) / 1.055).powf(2.4),
+    };
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "sums are in single precision"
+    )]
+    let single = |sample| value(sample) as f32;
+    (0..=depth.largest()).map(single).collect()
+}
+
+/// A value of the space as the share of the largest sample.
+fn encoded(space: BlendSpace, value: f64) -> f64 {
+    match space {
+        BlendSpace::Srgb => value,
+        BlendSpace::Linear if value <= 0.003_130_8 => value * 12.92,
+        BlendSpace::Linear => 1.055 * value.powf(1.0 / 2.4) - 0.055,
+    }
+}
+
+fn to_sample(rounded: f64) -> u16 {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a whole number within the depth"
+    )]
+    let sample = rounded as u16;
+    sample
+}
