@@ -1,7 +1,7 @@
 //! Leave one out: the residuals are those of refitting to all other points, and `/fit` and
 //! `method: auto` say what they say.
 
-use mlswarp::deform::{Coincident, Falloff, Handle, Handles, Method as Family, RestDeformation};
+use mlswarp::deform::{Coincident, Handle, Handles, Parameters, RestDeformation};
 use mlswarp::geometry::{Point, Vec2};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{Candidate, Fit, Method, RestSpec};
@@ -31,25 +31,18 @@ fn unit(points: &[Point]) -> f64 {
 /// The field of a candidate; `scale`: of the smoothing.
 fn field(candidate: Candidate, p: &[Point], weights: &[f64], scale: f64) -> RestDeformation {
     let set = Handles::new(handles(p), Some(weights.to_vec())).unwrap();
-    let family = match candidate.method {
-        Method::ThinPlateSpline => {
-            return RestDeformation::spline(set, scale * candidate.smoothing.unwrap()).unwrap();
-        }
-        Method::GlobalAffine => {
-            return RestDeformation::global_affine_unless(set, Coincident::default(), 1.0, &|| {
-                false
-            })
-            .unwrap();
-        }
-        Method::Affine => Family::Affine,
-        Method::Similarity => Family::Similarity,
-        Method::Rigid => Family::Rigid,
-    };
-    RestDeformation::new(
+    let given = Parameters::default()
+        .with_some("alpha", candidate.alpha)
+        .with_some(
+            "smoothing",
+            candidate.smoothing.map(|smoothing| scale * smoothing),
+        );
+    RestDeformation::of(
         set,
-        family,
-        Falloff::new(candidate.alpha.unwrap(), false).unwrap(),
-        1.0,
+        Coincident::default(),
+        candidate.method,
+        &given,
+        &|| false,
     )
     .unwrap()
 }
@@ -173,10 +166,11 @@ fn the_global_affine_map_is_that_of_least_squares() {
         Handle::Point(places[0].1),
         Handle::Point(places[1].1),
     ];
-    let field = RestDeformation::global_affine_unless(
+    let field = RestDeformation::of(
         Handles::new(p, None).unwrap(),
         Coincident::default(),
-        point_mass,
+        Method::GlobalAffine,
+        &Parameters::default().with("point_mass", point_mass),
         &|| false,
     )
     .unwrap();

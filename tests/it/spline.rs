@@ -444,12 +444,16 @@ fn spline_refuses_what_it_does_not_take() {
     for value in [-1e-9, 1.1e9, f64::INFINITY] {
         assert_eq!(
             RestDeformation::spline(points(), value).unwrap_err(),
-            DeformError::BadSmoothing { value }
+            DeformError::BadParameter {
+                path: "smoothing",
+                value,
+                rule: "lie between 0 and 1e9"
+            }
         );
     }
     assert!(matches!(
         RestDeformation::spline(points(), f64::NAN),
-        Err(DeformError::BadSmoothing { .. })
+        Err(DeformError::BadParameter { .. })
     ));
     let line = Handle::Polyline(vec![Point::new(1.0, 2.0), Point::new(3.0, 4.0)]);
     let mixed = Handles::new(
@@ -459,7 +463,10 @@ fn spline_refuses_what_it_does_not_take() {
     .unwrap();
     assert_eq!(
         RestDeformation::spline(mixed, 0.0).unwrap_err(),
-        DeformError::LineInSpline { handle: 1 }
+        DeformError::LineNotTaken {
+            handle: 1,
+            method: "tps"
+        }
     );
 }
 

@@ -35,7 +35,9 @@ impl From<WarpError> for Problem {
             } => {
                 let problem = Self::new(Code::TooLarge, detail).limit(what, limit, actual);
                 match what {
-                    "handle_columns" | "spline_handles" | "fit_handles" => problem.pointer("/p"),
+                    handles if handles.ends_with("_handles") || handles == "handle_columns" => {
+                        problem.pointer("/p")
+                    }
                     "grid_vertices" | "grid_columns" | "grid_rows" => problem.pointer("/grid"),
                     "outline_samples" => problem.pointer("/polygons"),
                     output if output.starts_with("output_") || output == "scaled_source_side" => {
@@ -52,7 +54,7 @@ impl From<WarpError> for Problem {
             } => {
                 let problem = Self::new(Code::TooLarge, detail).limit("work", limit, actual);
                 match task {
-                    Task::Spline => problem.pointer("/p"),
+                    Task::System(_) => problem.pointer("/p"),
                     Task::Grid | Task::Quality => problem.pointer("/grid"),
                     Task::Comparison => problem.pointer("/candidates"),
                     Task::Positions | Task::Outlines | Task::Survey => problem,
@@ -67,7 +69,7 @@ impl From<WarpError> for Problem {
             WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail)
                 .pointer("/p")
                 .actual(actual),
-            WarpError::NoTable => Self::new(Code::NoTable, detail),
+            WarpError::NoTable { .. } => Self::new(Code::NoTable, detail),
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::LabelFormat { .. } => {
                 Self::new(Code::BadValue, detail).pointer("/output/format")
@@ -137,17 +139,15 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             .pointer(format!("/weights/{handle}"))
             .handle(handle)
             .actual(number(value)),
-        DeformError::BadPointMass { value } => new(Code::BadValue)
-            .pointer("/point_mass")
+        DeformError::BadParameter { path, value, .. } => new(Code::BadValue)
+            .pointer(format!("/{path}"))
             .actual(number(value)),
         DeformError::BadWithin { value } => new(Code::BadValue)
             .pointer("/coincident/within")
             .actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
-        DeformError::LineInSpline { handle } => at_handle(Code::BadValue, handle),
-        DeformError::BadSmoothing { value } => new(Code::BadValue)
-            .pointer("/smoothing")
-            .actual(number(value)),
+        DeformError::LineNotTaken { handle, .. } => at_handle(Code::BadValue, handle),
+        DeformError::PointNotTaken { handle, .. } => at_handle(Code::NotSupported, handle),
         DeformError::Contradictory { ref listed, .. } => {
             let first = listed.first().and_then(|group| group.handles.first());
             let problem = first.map_or_else(
@@ -248,13 +248,20 @@ mod tests {
         };
         expect(q(shape), Code::ShapeMismatch, Some("/q/2"), Some(2));
         expect(
-            p(D::LineInSpline { handle: 3 }),
+            p(D::LineNotTaken {
+                handle: 3,
+                method: "tps",
+            }),
             Code::BadValue,
             Some("/p/3"),
             Some(3),
         );
         expect(
-            p(D::BadSmoothing { value: -1.0 }),
+            p(D::BadParameter {
+                path: "smoothing",
+                value: -1.0,
+                rule: "lie between 0 and 1e9",
+            }),
             Code::BadValue,
             Some("/smoothing"),
             None,
@@ -307,9 +314,13 @@ mod tests {
             Some(5),
         );
         expect(
-            p(D::BadPointMass { value: 0.0 }),
+            p(D::BadParameter {
+                path: "x/a",
+                value: 0.0,
+                rule: "be above 0",
+            }),
             Code::BadValue,
-            Some("/point_mass"),
+            Some("/x/a"),
             None,
         );
         expect(
@@ -322,8 +333,10 @@ mod tests {
             None,
         );
         let infinite = expect(
-            p(D::BadPointMass {
+            p(D::BadParameter {
+                path: "point_mass",
                 value: f64::INFINITY,
+                rule: "be finite",
             }),
             Code::BadValue,
             Some("/point_mass"),

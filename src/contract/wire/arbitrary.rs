@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use mlswarp::deform::{Coincident, Handle};
+use mlswarp::deform::{Coincident, Handle, METHODS, Parameter, Parameters};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Canvas, Outside};
@@ -27,6 +27,22 @@ fn handle() -> impl Strategy<Value = Handle> {
     prop_oneof![4 => place().prop_map(Handle::Point), 4 => line, 1 => Just(Handle::Missing)]
 }
 
+/// Parameters in the objects of methods.
+fn own() -> impl Strategy<Value = Parameters> {
+    let parameters = METHODS.iter().flat_map(|info| info.parameters);
+    let nested: Vec<&Parameter> = parameters.filter(|own| own.object().is_some()).collect();
+    let count = nested.len();
+    prop::collection::vec(prop::option::of(0.0..=1.0), count).prop_map(move |shares| {
+        nested
+            .iter()
+            .zip(shares)
+            .fold(Parameters::default(), |own, (parameter, share)| {
+                let value = share.map(|t: f64| parameter.least + t * (1.0 - parameter.least));
+                own.with_some(parameter.path, value)
+            })
+    })
+}
+
 fn all<T: EnumName + Debug>() -> impl Strategy<Value = T> {
     prop::sample::select(T::ALL)
 }
@@ -44,6 +60,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
         prop::option::of(0.5..8.0),
         prop::option::of(1e-3..1e9),
         prop::option::of(0.0..1e9),
+        own(),
     );
     let coincident = (all(), 0.0..1e6).prop_map(|(policy, within)| Coincident { policy, within });
     (
@@ -52,16 +69,16 @@ fn rest() -> impl Strategy<Value = RestSpec> {
         all(),
         numbers,
         coincident,
-        (all(), grid, all()),
+        (all(), grid, all(), all()),
     )
         .prop_map(
             |(
                 p,
                 weights,
                 method,
-                (alpha, point_mass, smoothing),
+                (alpha, point_mass, smoothing, own),
                 coincident,
-                (units, grid, align),
+                (units, grid, align, metric),
             )| RestSpec {
                 p,
                 weights,
@@ -69,6 +86,9 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                 alpha,
                 point_mass,
                 smoothing,
+                own,
+                metric,
+                mask: None,
                 coincident,
                 units,
                 grid,

@@ -2,9 +2,9 @@
 //! serves reading, writing and the OpenAPI document (tested).
 
 use mlswarp::codec::{Compression, Format, Subsampling};
-use mlswarp::deform::CoincidentPolicy;
+use mlswarp::deform::{CoincidentPolicy, METHODS};
 use mlswarp::render::Filter;
-use mlswarp::warp::{Align, Easing, Folds, Holes, MapDirection, Method, Units};
+use mlswarp::warp::{Align, Easing, Folds, Holes, MapDirection, Method, Metric, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -82,11 +82,9 @@ macro_rules! enum_names {
 /// A method, or that one is to be chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RequestedMethod {
-    Rigid,
-    Similarity,
-    Affine,
-    ThinPlateSpline,
-    GlobalAffine,
+    /// This one.
+    Named(Method),
+    /// The one that fits best.
     Auto,
 }
 
@@ -94,13 +92,52 @@ impl RequestedMethod {
     /// `None` of `auto`.
     pub const fn method(self) -> Option<Method> {
         match self {
-            Self::Rigid => Some(Method::Rigid),
-            Self::Similarity => Some(Method::Similarity),
-            Self::Affine => Some(Method::Affine),
-            Self::ThinPlateSpline => Some(Method::ThinPlateSpline),
-            Self::GlobalAffine => Some(Method::GlobalAffine),
+            Self::Named(method) => Some(method),
             Self::Auto => None,
         }
+    }
+}
+
+/// Methods that the contract has and this version does not.
+const LATER_METHODS: [&str; 2] = ["beier_neely", "arap"];
+
+impl EnumName for Method {
+    const ALL: &'static [Self] = &{
+        let mut all = [METHODS[0].method; METHODS.len()];
+        let mut k = 0;
+        while k < all.len() {
+            all[k] = METHODS[k].method;
+            k += 1;
+        }
+        all
+    };
+    const UNSUPPORTED: &'static [&'static str] = &LATER_METHODS;
+
+    fn as_str(self) -> &'static str {
+        self.info().name
+    }
+}
+
+impl EnumName for RequestedMethod {
+    const ALL: &'static [Self] = &{
+        let mut all = [Self::Auto; METHODS.len() + 1];
+        let mut k = 0;
+        while k < METHODS.len() {
+            all[k] = Self::Named(METHODS[k].method);
+            k += 1;
+        }
+        all
+    };
+    const UNSUPPORTED: &'static [&'static str] = &LATER_METHODS;
+
+    fn as_str(self) -> &'static str {
+        self.method().map_or("auto", Method::as_str)
+    }
+}
+
+impl Serialize for AsJson<Method> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(self.0.as_str())
     }
 }
 
@@ -113,24 +150,6 @@ pub enum Matching {
     Order,
 }
 
-/// How distances between places are measured.
-#[derive(Clone, Copy, Debug)]
-pub enum Metric {
-    Euclidean,
-}
-
-enum_names!(
-    Method, unsupported ["beier_neely", "arap"],
-    Method::Rigid = "rigid", Method::Similarity = "similarity", Method::Affine = "affine",
-    Method::ThinPlateSpline = "tps", Method::GlobalAffine = "global_affine"
-);
-enum_names!(
-    RequestedMethod, unsupported ["beier_neely", "arap"],
-    RequestedMethod::Rigid = "rigid", RequestedMethod::Similarity = "similarity",
-        RequestedMethod::Affine = "affine",
-    RequestedMethod::ThinPlateSpline = "tps", RequestedMethod::GlobalAffine = "global_affine",
-        RequestedMethod::Auto = "auto"
-);
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean",
     CoincidentPolicy::Reject = "reject");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");

@@ -1,5 +1,7 @@
 //! The names of the fields of the warp object and of the objects in it.
 
+use mlswarp::deform::METHODS;
+
 use super::json::Node;
 use crate::problem::words::list;
 use crate::problem::{Code, Problem};
@@ -28,9 +30,40 @@ macro_rules! object_fields {
     };
 }
 
+/// The fields of the warp object: those of every method, then the objects of some methods.
+pub const WARP: [&str; OF_EVERY_METHOD.len() + METHOD_OBJECTS.len()] = {
+    let mut fields = [""; OF_EVERY_METHOD.len() + METHOD_OBJECTS.len()];
+    let (every, objects) = fields.split_at_mut(OF_EVERY_METHOD.len());
+    every.copy_from_slice(&OF_EVERY_METHOD);
+    objects.copy_from_slice(&METHOD_OBJECTS);
+    fields
+};
+
+const OBJECT_COUNT: usize = {
+    let (mut count, mut k) = (0, 0);
+    while k < METHODS.len() {
+        count += METHODS[k].has_object as usize;
+        k += 1;
+    }
+    count
+};
+
+/// The objects in which methods have parameters, by the names of the methods.
+pub const METHOD_OBJECTS: [&str; OBJECT_COUNT] = {
+    let (mut objects, mut count, mut k) = ([""; OBJECT_COUNT], 0, 0);
+    while k < METHODS.len() {
+        if METHODS[k].has_object {
+            objects[count] = METHODS[k].name;
+            count += 1;
+        }
+        k += 1;
+    }
+    objects
+};
+
 object_fields! {
-    /// The fields of the warp object.
-    WARP, WarpFields {
+    /// The fields of the warp object that do not depend on the method.
+    OF_EVERY_METHOD, WarpFields {
         p = "p",
         q = "q",
         align = "align",
@@ -51,6 +84,17 @@ object_fields! {
         unmatched = "unmatched",
         matching = "match",
         item = "item",
+    }
+}
+
+impl<'j, 'p> WarpFields<'j, 'p> {
+    /// The values of the fields of [`WARP`]: those of every method, and the objects of methods.
+    pub(crate) fn split(
+        nodes: [Field<'j, 'p>; WARP.len()],
+    ) -> (Self, [Field<'j, 'p>; OBJECT_COUNT]) {
+        let every: [_; OF_EVERY_METHOD.len()] = std::array::from_fn(|k| nodes[k]);
+        let objects = std::array::from_fn(|k| nodes[OF_EVERY_METHOD.len() + k]);
+        (every.into(), objects)
     }
 }
 

@@ -47,7 +47,7 @@ impl FitObject {
             unmatched: fields.unmatched,
             ..WarpFields::default()
         };
-        let mut warp = WarpPatch::read(of_warp)?.into_object()?;
+        let mut warp = WarpPatch::read(of_warp, &[])?.into_object()?;
         warp.leave_out_missing();
         let extent = size(
             &fields

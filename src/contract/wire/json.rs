@@ -281,6 +281,20 @@ impl<'j, 'p> Node<'j, 'p> {
         unknown.map_or(Ok(given), |name| Err(self.unknown(&name, known)))
     }
 
+    /// As [`Node::fields`], of names that a table has: one at least, and eight at most.
+    pub(crate) fn fields_of<'q>(
+        &'q self,
+        known: &[&'static str],
+    ) -> Result<Vec<Option<Node<'j, 'q>>>, Problem> {
+        let padded: [&'static str; 8] =
+            std::array::from_fn(|k| known.get(k).or(known.first()).copied().unwrap_or_default());
+        let (given, unknown) = self.split_fields(&padded)?;
+        match unknown {
+            Some(name) => Err(self.unknown(&name, known)),
+            None => Ok(given[..known.len()].to_vec()),
+        }
+    }
+
     /// As [`Node::fields`], but other fields are ignored.
     pub(crate) fn find<'q, const N: usize>(
         &'q self,

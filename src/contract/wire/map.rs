@@ -27,7 +27,7 @@ impl MapObject {
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent, direction, canvas, width] = root.fields(&fields::WARP_WITH_MAP)?;
-        let warp = WarpPatch::read(warp.into())?.into_object()?;
+        let warp = WarpPatch::read_all(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
         Self::read(

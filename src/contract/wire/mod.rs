@@ -77,6 +77,7 @@ pub use socket::UnreadHandles;
 pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
 pub use token::{MAX_TOKEN_TTL, TokenOp, TokenRequest};
 pub use warning::WarningEntry;
+pub use write::serialize_own;
 
 const HANDLES: &str = "an array of handles";
 
@@ -129,7 +130,14 @@ impl WarpObject {
             ("alpha", self.rest.alpha),
             ("smoothing", self.rest.smoothing),
         ];
-        if let Some((name, _)) = given.into_iter().find(|(_, value)| value.is_some()) {
+        let own = self.rest.own.iter().next();
+        let own =
+            own.map(|(path, value)| (path.split_once('/').map_or(path, |(o, _)| o), Some(value)));
+        if let Some((name, _)) = given
+            .into_iter()
+            .chain(own)
+            .find(|(_, value)| value.is_some())
+        {
             let detail = format!("`{name}` does not apply: the method `auto` chooses it");
             return Err(Problem::new(Code::BadValue, detail).pointer(format!("/{name}")));
         }
@@ -305,7 +313,7 @@ impl PointsObject {
             most_bytes,
             "its annotations",
         )?;
-        let warp = WarpPatch::read(warp.into())?.into_object()?;
+        let warp = WarpPatch::read_all(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         let (output, units) = (warp.output, warp.rest.units);
         let annotations = Annotations::read(body, mapped, image_of(&output, extent, units))?;

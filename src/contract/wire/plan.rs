@@ -2,7 +2,7 @@
 //! coefficients, all little-endian. `/docs` has the layout and the code that poses it.
 
 use half::f16;
-use mlswarp::deform::{CoefficientTable, Method};
+use mlswarp::deform::CoefficientTable;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{CoefficientRequest, WarpError};
 
@@ -87,11 +87,6 @@ pub fn plan_file(
     extent: Extent,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<Option<Vec<u8>>, WarpError> {
-    let family = match table.family() {
-        Method::Affine => 0,
-        Method::Similarity => 1,
-        Method::Rigid => 2,
-    };
     let (grid, members) = (table.grid(), table.members());
     let counts = [
         table.columns() as u32,
@@ -101,9 +96,14 @@ pub fn plan_file(
     ];
     let mut out = Vec::with_capacity(plan_file_bytes(table, precision) as usize);
     out.extend(MAGIC);
-    for number in [family, precision.bytes(), grid.columns(), grid.rows()]
-        .iter()
-        .chain(&counts)
+    for number in [
+        table.layout(),
+        precision.bytes(),
+        grid.columns(),
+        grid.rows(),
+    ]
+    .iter()
+    .chain(&counts)
     {
         out.extend(number.to_le_bytes());
     }

@@ -28,7 +28,7 @@ impl ReportObject {
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let [warp @ .., extent] = root.fields(&fields::WARP_WITH_EXTENT)?;
-        let warp = WarpPatch::read(warp.into())?.into_object()?;
+        let warp = WarpPatch::read_all(warp)?.into_object()?;
         let extent = size(&extent.ok_or_else(|| root.missing("extent", EXTENT))?)?;
         warp.posed()?;
         Ok(Self { warp, extent })

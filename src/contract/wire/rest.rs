@@ -1,11 +1,11 @@
 //! The warp object: rest handles, parameters and output. Every field has a default.
 
-use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE};
+use mlswarp::deform::{Coincident, Handle, MAX_COORDINATE, METHODS, Parameter, Parameters};
 use mlswarp::geometry::DisplayNumber;
-use mlswarp::warp::{Align, Folds, GridSpec, Method, RestSpec, Units};
+use mlswarp::warp::{Align, Folds, GridSpec, Method, Metric, RestSpec, Units};
 
-use super::enum_name::{Metric, RequestedMethod, enum_name, unknown_name};
-use super::fields::WarpFields;
+use super::enum_name::{RequestedMethod, enum_name, unknown_name};
+use super::fields::{Field, WarpFields};
 use super::handles::{handles, weights};
 use super::json::{Kind, Node, optional};
 use super::landmarks::{Choice, Item, is_format, without_files};
@@ -41,6 +41,10 @@ pub struct WarpPatch {
     pub point_mass: Option<f64>,
     /// Smoothing of a spline.
     pub smoothing: Option<f64>,
+    /// Parameters in the objects of methods.
+    pub own: Option<Parameters>,
+    /// The metric.
+    pub metric: Option<Metric>,
     /// What becomes of coincident handles.
     pub coincident: Option<Coincident>,
     /// Units of positions.
@@ -59,11 +63,20 @@ pub struct WarpPatch {
 
 impl WarpPatch {
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
-        Self::read(json::root(json)?.fields(&fields::WARP)?.into())
+        Self::read_all(json::root(json)?.fields(&fields::WARP)?)
     }
 
-    pub(crate) fn read(fields: WarpFields<'_, '_>) -> Result<Self, Problem> {
-        optional(fields.metric, enum_name::<Metric>)?;
+    /// Reads the fields of the list `WARP`.
+    pub(crate) fn read_all(nodes: [Field<'_, '_>; fields::WARP.len()]) -> Result<Self, Problem> {
+        let (fields, objects) = WarpFields::split(nodes);
+        Self::read(fields, &objects)
+    }
+
+    /// `objects`: those of methods, in the order of `METHOD_OBJECTS`.
+    pub(crate) fn read(
+        fields: WarpFields<'_, '_>,
+        objects: &[Field<'_, '_>],
+    ) -> Result<Self, Problem> {
         let p = optional(fields.p, handles)?;
         let has_unmatched = of_landmarks(&fields, p.as_deref())?;
         Ok(Self {
@@ -76,6 +89,8 @@ impl WarpPatch {
             alpha: optional(fields.alpha, |n| number(n, "a number"))?,
             point_mass: optional(fields.point_mass, |n| number(n, "a number of pixels"))?,
             smoothing: optional(fields.smoothing, |n| number(n, "a number"))?,
+            own: own_parameters(objects)?,
+            metric: optional(fields.metric, enum_name)?,
             coincident: optional(fields.coincident, coincident)?,
             units: optional(fields.units, enum_name)?,
             grid: optional(fields.grid, grid)?,
@@ -142,9 +157,9 @@ impl WarpPatch {
             } else {
                 base.rest.method
             });
-        let kept = |parameter: Option<f64>| {
-            parameter.filter(|_| !is_auto && method.is_like(base.rest.method))
-        };
+        let is_like = method.info().has_parameters_of(base.rest.method.info());
+        let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && is_like);
+        let kept_own = Some(base.rest.own).filter(|_| !is_auto && is_like);
         // A pose belongs to its handles, and a strength to its pose.
         let is_posed_so = self.p.as_ref().is_none_or(|p| *p == base.rest.p);
         let kept_strength = if self.q.is_none() && is_posed_so {
@@ -160,6 +175,9 @@ impl WarpPatch {
                 alpha: self.alpha.or(kept(base.rest.alpha)),
                 point_mass: self.point_mass.or(kept(base.rest.point_mass)),
                 smoothing: self.smoothing.or(kept(base.rest.smoothing)),
+                own: self.own.or(kept_own).unwrap_or_default(),
+                metric: self.metric.unwrap_or(base.rest.metric),
+                mask: base.rest.mask,
                 coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
@@ -173,6 +191,23 @@ impl WarpPatch {
             is_auto,
         }
     }
+}
+
+/// The parameters in the objects of methods; `None` if there is no object.
+fn own_parameters(objects: &[Option<Node<'_, '_>>]) -> Result<Option<Parameters>, Problem> {
+    let mut own: Option<Parameters> = None;
+    for (node, name) in objects.iter().zip(fields::METHOD_OBJECTS) {
+        let Some(node) = node else { continue };
+        let owner = METHODS.iter().find(|info| info.name == name);
+        let parameters = owner.map_or(&[][..], |info| info.parameters);
+        let names: Vec<&str> = parameters.iter().map(Parameter::name).collect();
+        let given = node.fields_of(&names)?;
+        for (parameter, node) in parameters.iter().zip(given) {
+            let value = optional(node, |node| number(node, "a number"))?;
+            own = Some(own.unwrap_or_default().with_some(parameter.path, value));
+        }
+    }
+    Ok(own)
 }
 
 /// For a request whose handles are in landmark files.

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use mlswarp::deform::{Coincident, Handle};
+use mlswarp::deform::{Coincident, Handle, Parameters};
 use mlswarp::warp::{Align, Digest, Folds, GridSpec, Method, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
@@ -31,15 +31,18 @@ pub struct SessionObject<'a> {
     pub weights: Option<&'a [f64]>,
     /// The method.
     pub method: AsJson<Method>,
-    /// Not of `tps`.
+    /// Of methods that have it, as the following ones.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alpha: Option<f64>,
     /// Mass of a point, px; mixed sets only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub point_mass: Option<f64>,
-    /// `tps` only.
+    /// Smoothing of a spline.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub smoothing: Option<f64>,
+    /// The object of the method, if it has one.
+    #[serde(flatten)]
+    pub own: AsJson<Parameters>,
     /// The groups of points that are one handle.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub coincident: Vec<CoincidentGroup>,

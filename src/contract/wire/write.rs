@@ -2,7 +2,7 @@
 //! read back to the same bits. Defaults are written, so that a client sees them; an option without
 //! a default is left out.
 
-use mlswarp::deform::{Coincident, Conflict, Handle};
+use mlswarp::deform::{Coincident, Conflict, Handle, METHODS, Parameters};
 use mlswarp::geometry::Point;
 use mlswarp::render::{Canvas, Outside};
 use mlswarp::warp::{CanvasSpec, GridSpec, OutputSpec};
@@ -29,6 +29,40 @@ impl Serialize for AsJson<&[Point]> {
 impl Serialize for AsJson<&[Handle]> {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
         s.collect_seq(self.0.iter().map(AsJson))
+    }
+}
+
+/// The objects of methods with the parameters in them, as fields of an object.
+///
+/// # Errors
+/// Those of the serializer.
+pub fn serialize_own<M: SerializeMap>(object: &mut M, own: Parameters) -> Result<(), M::Error> {
+    for info in METHODS.iter().filter(|info| info.has_object) {
+        let values = info.parameters.iter().filter_map(|parameter| {
+            let value = own.get(parameter.path)?;
+            Some((parameter.name(), value))
+        });
+        let values: Vec<_> = values.collect();
+        if !values.is_empty() {
+            object.serialize_entry(info.name, &Named(&values))?;
+        }
+    }
+    Ok(())
+}
+
+struct Named<'a>(&'a [(&'static str, f64)]);
+
+impl Serialize for Named<'_> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_map(self.0.iter().copied())
+    }
+}
+
+impl Serialize for AsJson<Parameters> {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let mut object = s.serialize_map(None)?;
+        serialize_own(&mut object, self.0)?;
+        object.end()
     }
 }
 

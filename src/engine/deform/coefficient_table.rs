@@ -1,17 +1,21 @@
 //! The plan: the coefficients A_j of every vertex of a grid, computed once in f64 and stored as
 //! f32, so that each later q costs two to six multiplications per vertex and handle.
 //!
-//! Shapes: blocks of [`LANES`] vertices; per block and column one [`CoefficientLanes`] (affine),
-//! two (similarity: re, im of C) or three (rigid: re, im of H, wn), and two more per block for
-//! rigid (e). A block is read from front to back.
+//! Shapes: blocks of [`LANES`] vertices; per block and term one [`CoefficientLanes`] (real), two
+//! (complex: re, im of C) or three (rigid: re, im of H, wn), and two more per block for rigid (e).
+//! A term is a column, unless the method says otherwise. A block is read from front to back.
+
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::kernel::{self, CoefficientLanes, LANES, lanes_per_block};
-use super::lanes::{Coefficients, gather};
+use super::Pose;
+use super::form::Form;
+use super::kernel::{self, CoefficientLanes, lanes_per_block};
+use super::lanes::{Coefficients, LANES, gather};
+use super::point_map::PointMap;
 use super::rest_deformation::RestDeformation;
-use super::segment_moments::Workspace;
-use super::{Method, Pose};
+use super::workspace::Workspace;
 use crate::geometry::{Grid, Mesh, Point, Vec2};
 
 /// Blocks that one task computes: about a hundred rows, which makes the cost of a task negligible.
@@ -29,8 +33,11 @@ pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 /// The A_j table of a set of vertices.
 #[derive(Debug)]
 pub struct CoefficientTable {
-    family: Method,
+    map: Arc<dyn PointMap>,
+    form: Form,
     columns: usize,
+    /// Vectors that the coefficients of a vertex multiply.
+    terms: usize,
     vertices: usize,
     table: Vec<CoefficientLanes>,
 }
@@ -38,38 +45,36 @@ pub struct CoefficientTable {
 /// Quality of a pose, measured while it is computed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseQuality {
-    /// Least |m| over the vertices for rigid (1 for the other families): near 0 the rotation is
-    /// undefined.
+    /// Least |m| over the vertices for rigid (1 for other forms): near 0 the rotation is undefined.
     pub least_rotation: f32,
 }
 
 impl CoefficientTable {
-    /// A spline of more sites has no table: a drag of this many frames takes about as long as its
-    /// table alone.
-    pub const MOST_SITES: usize = 64;
-
     /// Memory that the table of `vertices` vertices takes, bytes; known before anything is
     /// allocated.
     #[must_use]
     pub fn bytes_for(field: &RestDeformation, vertices: usize) -> u64 {
-        let lanes = lanes_per_block(field.family(), field.handles().columns()) as u64;
+        let lanes = lanes_per_block(field.form(), field.terms()) as u64;
         vertices.div_ceil(LANES) as u64 * lanes * size_of::<CoefficientLanes>() as u64
     }
 
-    /// Whether a table is worth its time. Its rows take O(sites^2) of a spline; what a table saves
-    /// of each pose is O(sites).
+    /// Whether a table is worth its time: what it saves of each pose may be small beside what its
+    /// coefficients take.
     #[must_use]
     pub fn is_worthwhile(field: &RestDeformation) -> bool {
-        field
-            .solved()
-            .is_none_or(|spline| spline.len() <= Self::MOST_SITES)
+        Self::reason_against(field).is_none()
     }
 
-    /// Whether rows inside cells are worth keeping. Of many points they exceed any memory, and
-    /// moments take little longer than reading them.
+    /// Why there is no table, if it is not worth its time.
+    #[must_use]
+    pub fn reason_against(field: &RestDeformation) -> Option<&'static str> {
+        field.map.without_table()
+    }
+
+    /// Whether rows inside cells are worth keeping.
     #[must_use]
     pub fn rows_inside_cells_pay(field: &RestDeformation) -> bool {
-        Self::is_worthwhile(field) && !field.prefers_moments()
+        Self::is_worthwhile(field) && field.map.keeps_coefficients(&field.set)
     }
 
     /// Whether a table of this size is posed on one thread, whatever the current rayon pool.
@@ -118,8 +123,8 @@ impl CoefficientTable {
         vertex: impl Fn(usize) -> Point + Sync,
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
-        let (family, columns) = (field.family(), field.handles().columns());
-        let per_block = lanes_per_block(family, columns);
+        let (form, terms) = (field.form(), field.terms());
+        let per_block = lanes_per_block(form, terms);
         let blocks = vertices.div_ceil(LANES);
         let mut table = Vec::with_capacity(blocks * per_block);
         let per_piece = blocks_per_piece(per_block);
@@ -135,7 +140,7 @@ impl CoefficientTable {
                 .par_chunks_mut(per_block * BLOCKS_PER_TASK)
                 .enumerate()
                 .try_for_each_init(
-                    || Workspace::<LANES>::new(columns),
+                    || Workspace::<LANES>::new(terms),
                     |workspace, (task, blocks)| {
                         for (k, block) in blocks.chunks_exact_mut(per_block).enumerate() {
                             if cancelled() {
@@ -148,15 +153,17 @@ impl CoefficientTable {
                                 false,
                                 workspace,
                             );
-                            store(family, &workspace.rows, block);
+                            store(form, &workspace.rows, block);
                         }
                         Some(())
                     },
                 )?;
         }
         Some(Self {
-            family,
-            columns,
+            map: Arc::clone(&field.map),
+            form,
+            columns: field.handles().columns(),
+            terms,
             vertices,
             table,
         })
@@ -185,8 +192,10 @@ impl CoefficientTable {
         if pose.is_identity() || self.columns == 0 {
             return Some((vec![[0.0; 2]; self.vertices], quality));
         }
-        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
-        let per_block = lanes_per_block(self.family, self.columns);
+        let terms = self.map.terms_of(pose.displacements());
+        let terms = terms.as_deref().unwrap_or(pose.displacements());
+        let d: Vec<[f32; 2]> = terms.iter().map(|d| to_f32(*d)).collect();
+        let per_block = lanes_per_block(self.form, self.terms);
         let blocks = self.vertices.div_ceil(LANES);
         let mut out = Vec::with_capacity(blocks);
         let threads = rayon::current_num_threads();
@@ -196,10 +205,9 @@ impl CoefficientTable {
                 if cancelled() {
                     return None;
                 }
-                quality.least_rotation =
-                    quality
-                        .least_rotation
-                        .min(kernel::displace(self.family, table, &d, &mut out));
+                quality.least_rotation = quality
+                    .least_rotation
+                    .min(kernel::displace(self.form, table, &d, &mut out));
             }
         } else {
             let parts: Option<Vec<_>> = self
@@ -207,8 +215,7 @@ impl CoefficientTable {
                 .par_chunks((blocks.div_ceil(4 * threads) * per_block).min(piece))
                 .map(|table| {
                     let mut out = Vec::new();
-                    (!cancelled())
-                        .then(|| (kernel::displace(self.family, table, &d, &mut out), out))
+                    (!cancelled()).then(|| (kernel::displace(self.form, table, &d, &mut out), out))
                 })
                 .collect();
             for (least, part) in parts? {
@@ -225,18 +232,18 @@ impl CoefficientTable {
     /// Numbers per vertex in [`CoefficientTable::planes`].
     #[must_use]
     pub fn planes_for(field: &RestDeformation) -> usize {
-        field.handles().columns() * lanes_per_block(field.family(), 1).min(3)
+        field.terms() * lanes_per_block(field.form(), 1).min(3)
     }
 
     /// The coefficients for clients that pose by themselves, plane by plane: each plane has one
-    /// number per vertex. A column has one plane (affine: C), two (similarity: re and im of C) or
-    /// three (rigid: re and im of `B = e H`, and wn). With the position of each column at rest (P)
+    /// number per vertex. A term, which is a column unless the method says otherwise, has one plane
+    /// (real: C), two (complex: re and im of C) or three (rigid: re and im of `B = e H`, and wn). With the position of each column at rest (P)
     /// and posed (Q), `p* = sum wn P`, `q* = sum wn Q` and `e = v - p*`, rigid is
     /// `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
     pub fn planes(&self) -> impl Iterator<Item = impl Iterator<Item = f32> + '_> + '_ {
-        let per_block = lanes_per_block(self.family, self.columns);
-        let per_column = lanes_per_block(self.family, 1).min(3);
-        (0..self.columns * per_column).map(move |plane| {
+        let per_block = lanes_per_block(self.form, self.terms);
+        let per_term = lanes_per_block(self.form, 1).min(3);
+        (0..self.terms * per_term).map(move |plane| {
             let blocks = self.table.chunks_exact(per_block);
             blocks
                 .flat_map(move |block| self.plane_of_block(block, plane).0)
@@ -245,7 +252,7 @@ impl CoefficientTable {
     }
 
     fn plane_of_block(&self, block: &[CoefficientLanes], plane: usize) -> CoefficientLanes {
-        let (Method::Rigid, [.., ex, ey]) = (self.family, block) else {
+        let (Form::Rigid, [.., ex, ey]) = (self.form, block) else {
             return block[plane];
         };
         let first = plane - plane % 3;
@@ -311,7 +318,7 @@ pub fn pose_without_table(
             .par_chunks_mut(LANES * BLOCKS_PER_TASK)
             .enumerate()
             .map_init(
-                || Workspace::<LANES>::new(field.handles().columns()),
+                || Workspace::<LANES>::new(field.terms()),
                 |workspace, (task, out)| {
                     let mut least = f32::INFINITY;
                     for (k, out) in out.chunks_mut(LANES).enumerate() {
@@ -355,25 +362,25 @@ pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
 }
 
 /// Writes the rows of a block.
-pub(super) fn store(family: Method, rows: &Coefficients<LANES>, block: &mut [CoefficientLanes]) {
+pub(super) fn store(form: Form, rows: &Coefficients<LANES>, block: &mut [CoefficientLanes]) {
     #[expect(
         clippy::cast_possible_truncation,
         reason = "f32 is the precision of the table"
     )]
     let put = |lanes: &mut CoefficientLanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
-    match family {
-        Method::Affine => {
+    match form {
+        Form::Real => {
             for (lanes, c) in block.iter_mut().zip(&rows.h) {
                 put(lanes, &c[0]);
             }
         }
-        Method::Similarity => {
+        Form::Complex => {
             for (lanes, c) in block.chunks_exact_mut(2).zip(&rows.h) {
                 put(&mut lanes[0], &c[0]);
                 put(&mut lanes[1], &c[1]);
             }
         }
-        Method::Rigid => {
+        Form::Rigid => {
             for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&rows.h).zip(&rows.wn) {
                 put(&mut lanes[0], &h[0]);
                 put(&mut lanes[1], &h[1]);
@@ -392,7 +399,7 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::deform::{Falloff, Handle, Handles};
+    use crate::deform::{Falloff, Handle, Handles, Method};
 
     fn field(count: u32) -> (RestDeformation, Pose) {
         let place = |k: u32| {

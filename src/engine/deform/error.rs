@@ -64,11 +64,6 @@ pub enum DeformError {
         /// The weight.
         value: f64,
     },
-    /// The mass of a point is not a positive finite number within range.
-    BadPointMass {
-        /// The mass, px.
-        value: f64,
-    },
     /// The distance of coincidence is negative or beyond the range of coordinates.
     BadWithin {
         /// The distance, px.
@@ -100,15 +95,28 @@ pub enum DeformError {
     },
     /// Cancelled.
     Cancelled,
-    /// A thin-plate spline has points only.
-    LineInSpline {
+    /// A line, and the method takes points only.
+    LineNotTaken {
         /// Index of the handle.
         handle: usize,
+        /// Name of the method.
+        method: &'static str,
     },
-    /// The smoothing of a spline is not a number from 0 to 1e9.
-    BadSmoothing {
-        /// The smoothing.
+    /// A point, and the method takes lines only.
+    PointNotTaken {
+        /// Index of the handle.
+        handle: usize,
+        /// Name of the method.
+        method: &'static str,
+    },
+    /// A parameter is not a number within its range.
+    BadParameter {
+        /// Where it stands in a warp object: see `Parameter`.
+        path: &'static str,
+        /// The value.
         value: f64,
+        /// What it must do.
+        rule: &'static str,
     },
     /// alpha outside `(0, 8]`, or below 1/2 with lines (mathematics: the line would not be
     /// interpolated).
@@ -192,8 +200,8 @@ impl fmt::Display for DeformError {
                     DisplayNumber(*value)
                 )
             }
-            Self::BadPointMass { value } => {
-                outside(f, "point_mass", *value, "lie between 1e-9 and 1e9 px")
+            Self::BadParameter { path, value, rule } => {
+                outside(f, &path.replace('/', "."), *value, rule)
             }
             Self::BadWithin { value } => {
                 outside(f, "within", *value, "lie between 0 and 1000000 px")
@@ -217,15 +225,19 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
-            Self::LineInSpline { handle } => {
+            Self::LineNotTaken { handle, method } => {
                 write!(
                     f,
-                    "handle {handle} is a line, but the method `tps` takes points only; send \
+                    "handle {handle} is a line, but the method `{method}` takes points only; send \
                         points along the line, or another method"
                 )
             }
-            Self::BadSmoothing { value } => {
-                outside(f, "smoothing", *value, "lie between 0 and 1e9")
+            Self::PointNotTaken { handle, method } => {
+                write!(
+                    f,
+                    "handle {handle} is a point, but the method `{method}` takes lines only: a \
+                        point has no direction; send a line, or another method"
+                )
             }
             Self::AlphaOutOfRange { alpha, lines } => {
                 let rule = if *lines {

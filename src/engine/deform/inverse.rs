@@ -7,9 +7,9 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::kernel::LANES;
+use super::lanes::LANES;
 use super::posed_map::PosedMap;
-use super::segment_moments::Workspace;
+use super::workspace::Workspace;
 use super::{IsCancelled, Pose, RestDeformation};
 use crate::geometry::{CellTree, Mesh, Point, Vec2};
 
@@ -117,7 +117,7 @@ impl<'a> Inverse<'a> {
     #[must_use]
     pub fn map(&self, posed: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Option<Point>>> {
         let mut search = InverseSearch {
-            workspace: Workspace::new(self.f.columns()),
+            workspace: Workspace::new(self.f.terms()),
             cancelled,
         };
         let mut found = Vec::with_capacity(posed.len());

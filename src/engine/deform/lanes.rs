@@ -3,6 +3,9 @@
 
 use crate::geometry::Point;
 
+/// Vertices in a block.
+pub(super) const LANES: usize = 16;
+
 /// N vertices, px.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Vertices<const N: usize> {

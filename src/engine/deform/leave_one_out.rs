@@ -9,23 +9,13 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::columns::{HandleElements, PointSource, Rank, rank};
-use super::family::displacement;
-use super::global_affine::GlobalAffine;
-use super::groups::coincidence_distance;
-use super::kernel;
+use super::form::{Form, displacement};
 use super::lanes::Vertices;
-use super::rest_deformation::{Model, RestDeformation};
-use super::row::RowInputs;
-use super::segment_moments::Workspace;
-use super::spline::Sites;
-use super::{Handle, Handles, IsCancelled, Method, Pose};
+use super::point_map::RestSet;
+use super::rest_deformation::RestDeformation;
+use super::workspace::Workspace;
+use super::{Handle, Handles, IsCancelled, Pose};
 use crate::geometry::{Point, Vec2};
-
-/// The points of a set without one.
-struct Rest {
-    sources: HandleElements,
-    rank: Rank,
-}
 
 impl RestDeformation {
     /// The column of the grouped set to which each of the client's points belongs.
@@ -50,35 +40,24 @@ impl RestDeformation {
             !self.handles.has_lines() && d.len() > 1,
             "at least two points"
         );
-        let closed = match &self.model {
-            Model::ThinPlateSpline {
-                spline: Some(spline),
-                ..
-            } => {
-                let of_sites = spline.left_out(d, cancelled)?;
-                let mut closed = vec![Vec2::ZERO; d.len()];
-                spline
-                    .members()
-                    .for_each(|(column, site)| closed[column] = of_sites[site]);
-                Some(closed)
-            }
-            _ => None,
-        };
+        let closed = self.map.left_out(d, cancelled)?;
         let residual = |index: usize| {
             if cancelled() {
                 return None;
             }
             let rest = self.without(index);
             match &closed {
-                Some(closed) if rest.rank == self.rank => Some(closed[index]),
+                Some(closed) if rest.rank == self.set.rank => Some(closed[index]),
                 _ => Some(d[index] - self.predicted(&rest, index, d, cancelled)?),
             }
         };
         (0..d.len()).into_par_iter().map(residual).collect()
     }
 
-    fn without(&self, index: usize) -> Rest {
+    /// The points without one.
+    fn without(&self, index: usize) -> RestSet {
         let points: Vec<PointSource> = self
+            .set
             .sources
             .points
             .iter()
@@ -90,79 +69,55 @@ impl RestDeformation {
             .map(|source| Handle::Point(source.p))
             .collect();
         let rank = rank(&Handles::of_valid(handles, vec![1.0; points.len()]));
-        Rest {
+        let form = match (rank, self.set.form) {
+            (Rank::Collinear, Form::Real) => Form::Complex,
+            (_, form) => form,
+        };
+        RestSet {
             sources: HandleElements {
                 points,
                 segments: Vec::new(),
             },
             rank,
+            form,
+            // Lengths are measured as in the whole set.
+            extent: self.set.extent,
         }
     }
 
     /// The displacement of a point by the map of the rest, px. `None` when cancelled.
     fn predicted(
         &self,
-        Rest { sources, rank }: &Rest,
+        rest: &RestSet,
         index: usize,
         d: &[Vec2],
         cancelled: IsCancelled<'_>,
     ) -> Option<Vec2> {
-        let place = self.place(index);
-        let line = match rank {
-            Rank::Empty | Rank::OnePlace => return Some(mean(&sources.points, d)),
-            Rank::Collinear => true,
-            Rank::Full => false,
-        };
-        let family = if line && self.family == Method::Affine {
-            Method::Similarity
-        } else {
-            self.family
-        };
-        if let Model::ThinPlateSpline {
-            smoothing,
-            spline: Some(spline),
-        } = &self.model
-        {
-            let sites = Sites::of(&sources.points, coincidence_distance(self.handles.extent()));
-            let [[x], [y]] = spline
-                .of_part(sites, line, *smoothing, cancelled)?
-                .posed(d)
-                .displacements(&Vertices::all(place));
+        if let Rank::Empty | Rank::OnePlace = rest.rank {
+            return Some(mean(&rest.sources.points, d));
+        }
+        let (v, map) = (
+            Vertices::<1>::all(self.place(index)),
+            self.map.of_part(rest, cancelled)?,
+        );
+        let direct = map.posed(rest, d, true);
+        if let Some(([[x], [y]], _)) = direct.and_then(|posed| posed.displacements(&v, true)) {
             return Some(Vec2::new(x, y));
         }
         thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
-        WORKSPACE.with_borrow_mut(|Workspace { rows, scratch }| {
+        WORKSPACE.with_borrow_mut(|workspace| {
+            let rows = &mut workspace.rows;
             rows.h.resize(d.len(), [[0.0]; 2]);
             rows.wn.resize(d.len(), [0.0]);
             (rows.h[index], rows.wn[index]) = ([[0.0]; 2], [0.0]);
-            match &self.model {
-                Model::MovingLeastSquares {
-                    falloff,
-                    point_mass,
-                    ..
-                } => {
-                    let (extent, falloff, point_mass) =
-                        (self.handles.extent(), *falloff, *point_mass);
-                    let inputs = RowInputs {
-                        sources,
-                        extent,
-                        falloff,
-                        beta: None,
-                        point_mass,
-                        method: family,
-                        exact: true,
-                    };
-                    kernel::rows(&inputs, &Vertices::all(place), scratch, rows);
-                }
-                _ => GlobalAffine::new(sources, line).rows(&Vertices::all(place), rows),
-            }
-            Some(displacement(family, rows, 0, d))
+            map.coefficients(rest, &v, true, workspace);
+            Some(displacement(rest.form, &workspace.rows, 0, d))
         })
     }
 
     fn place(&self, index: usize) -> Point {
         // Of points alone, in the order of their columns: handles that are missing have none.
-        self.sources.points[index].p
+        self.set.sources.points[index].p
     }
 }
 

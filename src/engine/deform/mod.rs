@@ -17,19 +17,11 @@ mod demand;
 #[forbid(unsafe_code)]
 mod error;
 #[forbid(unsafe_code)]
-mod falloff;
-#[forbid(unsafe_code)]
-mod family;
-#[forbid(unsafe_code)]
-mod fit;
-#[forbid(unsafe_code)]
-mod global_affine;
+mod form;
 #[forbid(unsafe_code)]
 mod groups;
 #[forbid(unsafe_code)]
 mod handles;
-#[forbid(unsafe_code)]
-mod incomplete_beta;
 #[forbid(unsafe_code)]
 mod interpolated;
 #[forbid(unsafe_code)]
@@ -46,57 +38,43 @@ mod measured;
 #[forbid(unsafe_code)]
 mod members;
 #[forbid(unsafe_code)]
-mod moments;
+mod methods;
 #[forbid(unsafe_code)]
 mod overall;
+#[forbid(unsafe_code)]
+mod parameters;
+#[forbid(unsafe_code)]
+mod point_map;
 #[forbid(unsafe_code)]
 mod posed_cells;
 #[forbid(unsafe_code)]
 mod posed_map;
 #[forbid(unsafe_code)]
-mod quadrature;
-#[forbid(unsafe_code)]
 mod rest_deformation;
 #[forbid(unsafe_code)]
-mod row;
-#[forbid(unsafe_code)]
 mod samples;
-#[forbid(unsafe_code)]
-mod segment_moments;
-#[forbid(unsafe_code)]
-mod segments;
-#[forbid(unsafe_code)]
-mod spline;
 #[forbid(unsafe_code)]
 mod subdivide;
 #[forbid(unsafe_code)]
 mod subdivision_cache;
 #[forbid(unsafe_code)]
-mod tps_system;
+mod workspace;
 
 pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality, pose_without_table};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, Warning};
-pub use falloff::Falloff;
+pub use form::Form;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;
 pub use members::ColumnMember;
+pub use methods::mls::falloff::Falloff;
+pub use methods::{AcceptedHandles, Interpolation, METHODS, Method, MethodInfo, MethodSystem};
 pub use overall::{Class, Fitted, PlaneMap, fitted};
+pub use parameters::{Parameter, Parameters};
+pub use point_map::Identity;
 pub use posed_map::PosedMap;
 pub use rest_deformation::RestDeformation;
 pub use subdivide::{SubdividedMesh, Subdivider};
 pub use subdivision_cache::SubdivisionCache;
-
-/// The class of maps that is fitted at every position.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Method {
-    /// `xM + T`, eq. (5).
-    Affine,
-    /// Rotation and uniform scale, eqs. (6), (7).
-    Similarity,
-    /// Rotation alone, eq. (8).
-    #[default]
-    Rigid,
-}

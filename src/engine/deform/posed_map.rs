@@ -1,24 +1,18 @@
 //! f of one pose at many positions, and the positions at which it is known.
 
+use std::borrow::Cow;
 use std::cell::RefCell;
 
-use super::columns::{Element, PointSource, Rank, RestSegment};
-use super::falloff::Falloff;
-use super::family::{displacement, rotation};
-use super::kernel::{self, LANES};
-use super::lanes::{Vertices, gather};
-use super::moments::MomentInputs;
-use super::rest_deformation::Model;
-use super::segment_moments::Workspace;
-use super::spline::PosedSpline;
-use super::{Handle, IsCancelled, Method, Pose, RestDeformation};
+use super::columns::{Element, Rank, RestSegment};
+use super::form::{displacement, rotation};
+use super::lanes::{LANES, Vertices, gather};
+use super::point_map::{
+    CoefficientsOf, Displacements, DisplacementsOf, PointMap, PosedWithoutCoefficients,
+};
+use super::workspace::Workspace;
+use super::{Handle, IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Point, Vec2};
 
-/// Sets of more points are posed by moments where rows are used once.
-const MANY_POINTS: usize = 128;
-/// The largest alpha at which affine moments are accurate: above it, the weights at most positions
-/// differ by more than numbers hold.
-const MOST_AFFINE: f64 = 2.0;
 /// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some
 /// microseconds, with lines a millisecond.
 const COLUMNS_BETWEEN_CHECKS: usize = 256;
@@ -29,58 +23,24 @@ const SEGMENT_SAMPLES: u32 = 5;
 #[derive(Debug)]
 pub struct PosedMap<'a> {
     field: &'a RestDeformation,
-    pose: &'a Pose,
-    spline: Option<PosedSpline<'a>>,
-    moments: Option<MomentInputs<'a>>,
+    /// What coefficients multiply.
+    terms: Cow<'a, [Vec2]>,
+    without_coefficients: Option<Box<dyn PosedWithoutCoefficients + 'a>>,
 }
 
 impl RestDeformation {
     /// f of a pose, for many positions.
     #[must_use]
     pub fn deformation<'a>(&'a self, pose: &'a Pose) -> PosedMap<'a> {
-        let spline = self
-            .solved()
-            .map(|spline| spline.posed(pose.displacements()));
-        let moments = if self.prefers_moments() {
-            self.moments(pose)
-        } else {
-            None
-        };
+        let displacements = pose.displacements();
         PosedMap {
             field: self,
-            pose,
-            spline,
-            moments,
+            terms: self.terms_of(displacements),
+            without_coefficients: match self.set.rank {
+                Rank::Empty | Rank::OnePlace => None,
+                Rank::Collinear | Rank::Full => self.map.posed(&self.set, displacements, false),
+            },
         }
-    }
-
-    /// The moments, if they suffice: points alone, and moving least squares.
-    pub(super) fn moments<'a>(&'a self, pose: &'a Pose) -> Option<MomentInputs<'a>> {
-        let falloff = self.falloff().filter(|_| self.has_moments())?;
-        Some(MomentInputs::new(
-            &self.sources.points,
-            pose.displacements(),
-            falloff,
-            self.family,
-        ))
-    }
-
-    fn has_moments(&self) -> bool {
-        // Affine moments of points on nearly one line are accurate only if none of them is much
-        // lighter than the others.
-        let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
-        let is_accurate = |falloff: Falloff| {
-            falloff.alpha() <= MOST_AFFINE && self.sources.points.windows(2).all(is_equal)
-        };
-        self.falloff()
-            .is_some_and(|falloff| self.family != Method::Affine || is_accurate(falloff))
-            && self.sources.segments.is_empty()
-            && matches!(self.rank, Rank::Collinear | Rank::Full)
-    }
-
-    /// Whether moments take less time than a row that is used once.
-    pub(super) fn prefers_moments(&self) -> bool {
-        self.handles.columns() > MANY_POINTS && self.has_moments()
     }
 
     /// f at a position; [`RestDeformation::deformation`] is for many.
@@ -177,12 +137,9 @@ impl RestDeformation {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<Option<Vec<Vec2>>> {
-        let interpolates = match &self.model {
-            Model::MovingLeastSquares { .. } => true,
-            Model::ThinPlateSpline { spline, .. } => {
-                spline.as_ref().is_none_or(|spline| spline.interpolates())
-            }
-            Model::GlobalAffine { map, .. } => map.is_none(),
+        let interpolates = match self.set.rank {
+            Rank::Empty | Rank::OnePlace => true,
+            Rank::Collinear | Rank::Full => self.method().info().interpolates(self.parameters()),
         };
         if interpolates {
             return Some(None);
@@ -203,9 +160,14 @@ impl RestDeformation {
     }
 }
 
-impl PosedMap<'_> {
+impl<'a> PosedMap<'a> {
     pub(super) fn columns(&self) -> usize {
         self.field.handles.columns()
+    }
+
+    /// The number of coefficients of a position.
+    pub(super) fn terms(&self) -> usize {
+        self.terms.len()
     }
 
     /// f at a position, in f64 by the quadrature nodes: the definition, not the grid.
@@ -213,9 +175,9 @@ impl PosedMap<'_> {
     pub fn map(&self, place: Point) -> Point {
         thread_local!(static WORKSPACE: RefCell<Workspace<1>> = RefCell::new(Workspace::new(0)));
         WORKSPACE.with_borrow_mut(|workspace| {
-            let columns = self.field.handles.columns();
-            workspace.rows.h.resize(columns, [[0.0]; 2]);
-            workspace.rows.wn.resize(columns, [0.0]);
+            let terms = self.field.terms();
+            workspace.rows.h.resize(terms, [[0.0]; 2]);
+            workspace.rows.wn.resize(terms, [0.0]);
             let [[x], [y]] = self.displacements(&Vertices::all(place), true, workspace).0;
             place + Vec2::new(x, y)
         })
@@ -225,7 +187,7 @@ impl PosedMap<'_> {
     /// when cancelled.
     #[must_use]
     pub fn map_all(&self, places: &[Point], cancelled: IsCancelled<'_>) -> Option<Vec<Point>> {
-        let mut workspace = Workspace::new(self.columns());
+        let mut workspace = Workspace::new(self.terms());
         let mut mapped = Vec::with_capacity(places.len());
         for places in places.chunks(LANES * (COLUMNS_BETWEEN_CHECKS / self.columns().max(1)).max(1))
         {
@@ -261,30 +223,24 @@ impl PosedMap<'_> {
         v: &Vertices<N>,
         exact: bool,
         workspace: &mut Workspace<N>,
-    ) -> ([[f64; N]; 2], f32) {
-        if let Some(spline) = &self.spline {
-            return (spline.displacements(v), 1.0);
-        }
-        if let (false, Some(moments)) = (exact, &self.moments) {
-            let (moved, rotation) = kernel::moments(moments, v);
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "a quality number, compared with 0.1"
-            )]
-            let least = rotation.into_iter().fold(f64::INFINITY, f64::min) as f32;
-            return (moved, least);
+    ) -> Displacements<N>
+    where
+        dyn PointMap: CoefficientsOf<N>,
+        dyn PosedWithoutCoefficients + 'a: DisplacementsOf<N>,
+    {
+        let direct = self.without_coefficients.as_deref();
+        if let Some(displacements) =
+            direct.and_then(|posed| DisplacementsOf::<N>::displacements(posed, v, exact))
+        {
+            return displacements;
         }
         self.field.rows(v, exact, workspace);
-        let (family, d, rows) = (
-            self.field.family,
-            self.pose.displacements(),
-            &workspace.rows,
-        );
+        let (form, d, rows) = (self.field.set.form, &*self.terms, &workspace.rows);
         let ([mut x, mut y], mut least) = ([[0.0; N]; 2], f32::INFINITY);
         for (k, (x, y)) in x.iter_mut().zip(&mut y).enumerate() {
-            let moved = displacement(family, rows, k, d);
+            let moved = displacement(form, rows, k, d);
             (*x, *y) = (moved.x, moved.y);
-            least = least.min(rotation(family, rows, k, d));
+            least = least.min(rotation(form, rows, k, d));
         }
         ([x, y], least)
     }

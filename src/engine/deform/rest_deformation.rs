@@ -1,29 +1,24 @@
 //! The deformation f of one set of handles at rest: exact at any position, for any pose. Everything
 //! that does not depend on a position is decided once here: degenerate sets, coincidences, the
-//! effective family.
+//! effective form.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::coincidences::Coincidences;
-use super::columns::{Element, HandleElements, Rank, elements, rank};
+use super::columns::{Element, HandleElements, Rank, elements};
 use super::conflicts::{Conflicts, Member};
-use super::falloff::Falloff;
-use super::global_affine::GlobalAffine;
+use super::form::Form;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
-use super::incomplete_beta::IncompleteBeta;
-use super::kernel;
 use super::lanes::{Coefficients, Vertices};
-use super::row::RowInputs;
-use super::segment_moments::Workspace;
-use super::spline::{Sites, Spline};
-use super::{ConflictingHandles, DeformError, Handle, IsCancelled, Method, Pose, Warning};
+use super::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
+use super::workspace::Workspace;
+use super::{
+    ConflictingHandles, DeformError, Falloff, Handle, IsCancelled, Method, Parameters, Pose,
+    Warning,
+};
 use crate::geometry::Vec2;
-
-/// Masses outside of this range would overflow or underflow the ratios in f64, px.
-const POINT_MASS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
-/// Smoothing of a spline.
-const SMOOTHING_RANGE: std::ops::RangeInclusive<f64> = 0.0..=1e9;
 
 /// Handles at rest with the parameters of their method: everything that f depends on except the
 /// pose.
@@ -34,38 +29,18 @@ pub struct RestDeformation {
     /// The client's handles, if some of their points coincide.
     pub(super) grouped: Option<Box<(Handles, Groups)>>,
     policy: CoincidentPolicy,
-    pub(super) model: Model,
-    /// The family whose rows are used: affine on a line falls back to similarity; the rows of a
-    /// spline are real, on a line complex.
-    pub(super) family: Method,
-    pub(super) rank: Rank,
+    method: Method,
+    /// Effective values.
+    parameters: Parameters,
+    pub(super) map: Arc<dyn PointMap>,
+    /// The form of the coefficients is that which the handles determine: affine on a line falls
+    /// back to similarity; the coefficients of a spline are real, on a line complex.
+    pub(super) set: RestSet,
     pub(super) elements: Vec<Element>,
-    pub(super) sources: HandleElements,
     /// The client's handle of each element; the first one of a group.
     owners: Vec<usize>,
     coincidences: Coincidences,
     warnings: Vec<Warning>,
-}
-
-/// How f is computed.
-#[derive(Clone, Debug)]
-pub(super) enum Model {
-    /// A map is fitted at every position.
-    MovingLeastSquares {
-        falloff: Falloff,
-        point_mass: f64,
-        beta: Option<Arc<IncompleteBeta>>,
-    },
-    /// One map; no spline is needed for handles at one position.
-    ThinPlateSpline {
-        smoothing: f64,
-        spline: Option<Arc<Spline>>,
-    },
-    /// One affine map; none is needed for handles at one position.
-    GlobalAffine {
-        point_mass: f64,
-        map: Option<Arc<GlobalAffine>>,
-    },
 }
 
 /// Handles whose coincident points are one.
@@ -116,21 +91,9 @@ impl Grouped {
     }
 }
 
-/// The family that handles of this rank determine, and the warnings.
-fn determined(method: Method, rank: Rank) -> (Method, Vec<Warning>) {
-    match (method, rank) {
-        (Method::Affine, Rank::Collinear) => (
-            Method::Similarity,
-            vec![Warning::AffineDegenerateUsedSimilarity],
-        ),
-        (_, Rank::OnePlace) => (method, vec![Warning::TranslationOnly]),
-        _ => (method, vec![]),
-    }
-}
-
 impl RestDeformation {
-    /// `point_mass`: the length whose pull equals a point's from afar, px; matters only where
-    /// points and lines are mixed.
+    /// Moving least squares, with a fall-off that fits the handles. `point_mass`: the length whose
+    /// pull equals a point's from afar, px; matters only where points and lines are mixed.
     ///
     /// # Errors
     /// A mass or a distance out of range, too many coincidences of handles, or too many lines close
@@ -161,50 +124,12 @@ impl RestDeformation {
         method: Method,
         falloff: Falloff,
         point_mass: f64,
-        cancelled: &dyn Fn() -> bool,
+        cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        if !POINT_MASS.contains(&point_mass) {
-            return Err(DeformError::BadPointMass { value: point_mass });
-        }
-        let Grouped {
-            handles,
-            grouped,
-            elements,
-            owners,
-            coincidences,
-        } = Grouped::new(handles, coincident, point_mass, cancelled)?;
-        let policy = coincident.policy;
-        let rank = rank(&handles);
-        let (family, mut warnings) = determined(method, rank);
-        if handles.has_lines() && falloff.alpha() < 1.0 {
-            warnings.push(Warning::LineAlphaBelowOne);
-        }
-        let beta = if handles.has_lines() {
-            IncompleteBeta::new(falloff.alpha()).map(Arc::new)
-        } else {
-            None
-        };
-        let (model, sources) = (
-            Model::MovingLeastSquares {
-                falloff,
-                point_mass,
-                beta,
-            },
-            HandleElements::of(&elements),
-        );
-        Ok(Self {
-            handles,
-            grouped,
-            policy,
-            model,
-            family,
-            rank,
-            sources,
-            elements,
-            owners,
-            coincidences,
-            warnings,
-        })
+        let given = Parameters::default()
+            .with("alpha", falloff.alpha())
+            .with("point_mass", point_mass);
+        Self::of(handles, coincident, method, &given, cancelled)
     }
 
     /// The thin-plate spline of points. `smoothing`: 0 goes through the posed handles; more bends
@@ -228,97 +153,60 @@ impl RestDeformation {
         smoothing: f64,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        Self::spline_of(handles, coincident, smoothing, true, cancelled)
+        let given = Parameters::default().with("smoothing", smoothing);
+        Self::of(
+            handles,
+            coincident,
+            Method::ThinPlateSpline,
+            &given,
+            cancelled,
+        )
     }
 
-    /// The handles and parameters of [`RestDeformation::spline`] without its system, which takes
-    /// nearly all of the time: it is described by this, and cannot be evaluated.
-    #[cfg(feature = "codec")]
-    pub(crate) fn spline_without_system(
+    /// The deformation of a method with its parameters; those that are not given have their
+    /// defaults, and those of other methods are not used. Stops when `cancelled` returns true.
+    ///
+    /// # Errors
+    /// Handles that the method does not take, a parameter or a distance out of range, too many
+    /// coincidences of handles, too many lines close to each other; cancelled.
+    pub fn of(
         handles: Handles,
         coincident: Coincident,
-        smoothing: f64,
+        method: Method,
+        given: &Parameters,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        Self::spline_of(handles, coincident, smoothing, false, cancelled)
+        Self::build(handles, coincident, method, given, true, cancelled)
     }
 
-    fn spline_of(
+    /// Like [`RestDeformation::of`] without the linear system of the method, which takes nearly all
+    /// of the time: it is described by this, and cannot be evaluated.
+    ///
+    /// # Errors
+    /// Those of [`RestDeformation::of`].
+    #[cfg(feature = "codec")]
+    pub(crate) fn without_system(
         handles: Handles,
         coincident: Coincident,
-        smoothing: f64,
+        method: Method,
+        given: &Parameters,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        Self::build(handles, coincident, method, given, false, cancelled)
+    }
+
+    fn build(
+        handles: Handles,
+        coincident: Coincident,
+        method: Method,
+        given: &Parameters,
         is_solved: bool,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
-        if let Some(handle) = handles
-            .handles()
-            .iter()
-            .position(|handle| matches!(handle, Handle::Polyline(_)))
-        {
-            return Err(DeformError::LineInSpline { handle });
-        }
-        if !SMOOTHING_RANGE.contains(&smoothing) {
-            return Err(DeformError::BadSmoothing { value: smoothing });
-        }
-        let Grouped {
-            handles,
-            grouped,
-            elements,
-            owners,
-            coincidences,
-        } = Grouped::new(handles, coincident, 1.0, cancelled)?;
-        let (policy, sources) = (coincident.policy, HandleElements::of(&elements));
-        let sites = Sites::of(&sources.points, coincidence_distance(handles.extent()));
-        let rank = rank(&Handles::new(
-            sites.positions.iter().copied().map(Handle::Point).collect(),
-            None,
-        )?);
-        let (family, warnings) = match rank {
-            Rank::Empty | Rank::Full => (Method::Affine, vec![]),
-            Rank::OnePlace => (Method::Affine, vec![Warning::TranslationOnly]),
-            Rank::Collinear => (
-                Method::Similarity,
-                vec![Warning::TpsDegenerateUsedSimilarity],
-            ),
-        };
-        let spline = match rank {
-            _ if !is_solved => None,
-            Rank::Empty | Rank::OnePlace => None,
-            Rank::Collinear | Rank::Full => {
-                let spline = Spline::new(sites, rank == Rank::Collinear, smoothing, cancelled);
-                Some(Arc::new(spline.ok_or(DeformError::Cancelled)?))
-            }
-        };
-        let model = Model::ThinPlateSpline { smoothing, spline };
-        Ok(Self {
-            handles,
-            grouped,
-            policy,
-            model,
-            family,
-            rank,
-            sources,
-            elements,
-            owners,
-            coincidences,
-            warnings,
-        })
-    }
-
-    /// One affine map, of least squares over all handles; `point_mass` as in
-    /// [`RestDeformation::new`].
-    ///
-    /// # Errors
-    /// Those of [`RestDeformation::new_unless`].
-    pub fn global_affine_unless(
-        handles: Handles,
-        coincident: Coincident,
-        point_mass: f64,
-        cancelled: IsCancelled<'_>,
-    ) -> Result<Self, DeformError> {
-        if !POINT_MASS.contains(&point_mass) {
-            return Err(DeformError::BadPointMass { value: point_mass });
-        }
+        let info = method.info();
+        info.check(&handles)?;
+        let parameters = info.resolve(&handles, given)?;
+        let point_mass = parameters.get("point_mass").unwrap_or(1.0);
         let Grouped {
             handles,
             grouped,
@@ -326,40 +214,38 @@ impl RestDeformation {
             owners,
             coincidences,
         } = Grouped::new(handles, coincident, point_mass, cancelled)?;
-        let (policy, sources, rank) = (
-            coincident.policy,
-            HandleElements::of(&elements),
-            rank(&handles),
-        );
-        let (family, warnings) = determined(Method::Affine, rank);
-        let map = match rank {
-            Rank::Empty | Rank::OnePlace => None,
-            Rank::Collinear | Rank::Full => Some(Arc::new(GlobalAffine::new(
-                &sources,
-                rank == Rank::Collinear,
-            ))),
+        let sources = HandleElements::of(&elements);
+        let BuiltMap {
+            map,
+            rank,
+            form,
+            warnings,
+        } = (info.map)(&MapInput {
+            handles: &handles,
+            sources: &sources,
+            parameters: &parameters,
+            is_solved,
+            cancelled,
+        })?;
+        let set = RestSet {
+            sources,
+            rank,
+            form,
+            extent: handles.extent(),
         };
-        let model = Model::GlobalAffine { point_mass, map };
         Ok(Self {
             handles,
             grouped,
-            policy,
-            model,
-            family,
-            rank,
-            sources,
+            policy: coincident.policy,
+            method,
+            parameters,
+            map,
+            set,
             elements,
             owners,
             coincidences,
             warnings,
         })
-    }
-
-    /// Bytes that [`RestDeformation::spline`] of this number of points takes; known before anything
-    /// is allocated.
-    #[must_use]
-    pub const fn spline_bytes(points: u64) -> u64 {
-        Spline::bytes(points)
     }
 
     /// The handles at rest; coincident points are one handle.
@@ -376,38 +262,52 @@ impl RestDeformation {
             .map_or(&self.handles, |grouped| &grouped.0)
     }
 
-    /// The fall-off of moving least squares.
+    /// The method.
     #[must_use]
-    pub const fn falloff(&self) -> Option<Falloff> {
-        match self.model {
-            Model::MovingLeastSquares { falloff, .. } => Some(falloff),
-            Model::ThinPlateSpline { .. } | Model::GlobalAffine { .. } => None,
-        }
+    pub const fn method(&self) -> Method {
+        self.method
     }
 
-    /// The mass of a point, px; none of a spline.
+    /// The effective values of the method's parameters.
     #[must_use]
-    pub const fn point_mass(&self) -> Option<f64> {
-        match self.model {
-            Model::MovingLeastSquares { point_mass, .. }
-            | Model::GlobalAffine { point_mass, .. } => Some(point_mass),
-            Model::ThinPlateSpline { .. } => None,
-        }
+    pub const fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
-    /// The smoothing of a spline.
+    /// The form of the coefficients.
     #[must_use]
-    pub const fn smoothing(&self) -> Option<f64> {
-        match self.model {
-            Model::MovingLeastSquares { .. } | Model::GlobalAffine { .. } => None,
-            Model::ThinPlateSpline { smoothing, .. } => Some(smoothing),
-        }
+    pub const fn form(&self) -> Form {
+        self.set.form
     }
 
-    /// The family whose rows are used.
+    /// What caches and digests know the map by, beside its handles.
     #[must_use]
-    pub const fn family(&self) -> Method {
-        self.family
+    pub fn identity(&self) -> Identity {
+        self.map.identity(self.set.form)
+    }
+
+    /// How a table of coefficients is laid out for clients that pose by themselves.
+    #[must_use]
+    pub fn layout(&self) -> u32 {
+        self.map.layout(self.set.form)
+    }
+
+    /// Operations for the coefficients of a position, beyond those of weighing each handle once.
+    #[must_use]
+    pub fn operations(&self) -> u64 {
+        self.map.operations(self.handles.columns() as u64)
+    }
+
+    /// The number of vectors that coefficients multiply.
+    #[must_use]
+    pub fn terms(&self) -> usize {
+        self.map.terms(self.handles.columns())
+    }
+
+    /// The vectors that coefficients multiply, px.
+    pub(super) fn terms_of<'a>(&self, displacements: &'a [Vec2]) -> Cow<'a, [Vec2]> {
+        let terms = self.map.terms_of(displacements);
+        terms.map_or(Cow::Borrowed(displacements), Cow::Owned)
     }
 
     /// The client's handles of each group of coincident points, ascending.
@@ -499,70 +399,35 @@ impl RestDeformation {
         warnings
     }
 
-    pub(super) fn solved(&self) -> Option<&Spline> {
-        match &self.model {
-            Model::ThinPlateSpline { spline, .. } => spline.as_deref(),
-            Model::MovingLeastSquares { .. } | Model::GlobalAffine { .. } => None,
-        }
-    }
-
     /// The rows of N vertices into the workspace. `exact`: quadrature nodes throughout.
     pub(super) fn rows<const N: usize>(
         &self,
         v: &Vertices<N>,
         exact: bool,
         workspace: &mut Workspace<N>,
-    ) {
-        let Workspace { rows, scratch } = workspace;
-        match self.rank {
-            Rank::Empty => rows.clear(),
-            Rank::OnePlace => self.translation(rows),
-            Rank::Collinear | Rank::Full => match &self.model {
-                Model::MovingLeastSquares {
-                    falloff,
-                    point_mass,
-                    beta,
-                } => {
-                    let (sources, extent, method) =
-                        (&self.sources, self.handles.extent(), self.family);
-                    let (falloff, point_mass, beta) = (*falloff, *point_mass, beta.as_deref());
-                    kernel::rows(
-                        &RowInputs {
-                            sources,
-                            extent,
-                            falloff,
-                            beta,
-                            point_mass,
-                            method,
-                            exact,
-                        },
-                        v,
-                        scratch,
-                        rows,
-                    );
-                }
-                Model::ThinPlateSpline { spline, .. } => spline
-                    .as_ref()
-                    .expect("has an extent")
-                    .rows(v, &mut scratch.sides, rows),
-                Model::GlobalAffine { map, .. } => {
-                    map.as_ref().expect("has an extent").rows(v, rows)
-                }
-            },
+    ) where
+        dyn PointMap: CoefficientsOf<N>,
+    {
+        match self.set.rank {
+            Rank::Empty => workspace.rows.clear(),
+            Rank::OnePlace => self.translation(&mut workspace.rows),
+            Rank::Collinear | Rank::Full => {
+                let map: &dyn PointMap = &*self.map;
+                CoefficientsOf::<N>::coefficients(map, &self.set, v, exact, workspace);
+            }
         }
     }
 
-    /// All handles at one position: the mass-weighted mean of their displacements, for every
-    /// family.
+    /// All handles at one position: the mass-weighted mean of their displacements, whatever the
+    /// method.
     fn translation<const N: usize>(&self, rows: &mut Coefficients<N>) {
         rows.clear();
-        let total: f64 = self.sources.points.iter().map(|mark| mark.mass).sum();
-        for mark in &self.sources.points {
-            match self.family {
-                Method::Affine | Method::Similarity => {
-                    rows.h[mark.column][0] = [mark.mass / total; N]
-                }
-                Method::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
+        let points = &self.set.sources.points;
+        let total: f64 = points.iter().map(|mark| mark.mass).sum();
+        for mark in points {
+            match self.set.form {
+                Form::Real | Form::Complex => rows.h[mark.column][0] = [mark.mass / total; N],
+                Form::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }
     }

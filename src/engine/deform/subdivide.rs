@@ -36,9 +36,6 @@ const HALVED_ERROR_SHARE: f32 = 0.5;
 const RESOLVED_CELL_SHARE: f32 = 0.1;
 /// Vertices may be interpolated if they are off by at most this share of the tolerance.
 const INTERPOLATED_TOLERANCE_SHARE: f32 = 0.35;
-/// The least alpha of points and of lines at which f is smooth enough for that.
-const SMOOTH_POINTS: f64 = 1.0;
-const SMOOTH_LINES: f64 = 1.5;
 /// The largest difference of two targets at one position that counts as one, as a share of the
 /// tolerance.
 const TORN_TOLERANCE_SHARE: f64 = 0.5;
@@ -98,7 +95,8 @@ impl Subdivider<'_> {
             return Some(none);
         }
         let grid = mesh.grid();
-        let d: Vec<[f32; 2]> = pose.displacements().iter().map(|d| to_f32(*d)).collect();
+        let terms = self.field.terms_of(pose.displacements());
+        let d: Vec<[f32; 2]> = terms.iter().map(|d| to_f32(*d)).collect();
         let bytes = CoefficientTable::bytes_for(self.field, grid.len());
         // Coefficients inside cells are kept for the next poses of a drag. For large sets they
         // would take more memory and time than f itself, which is then computed at each vertex.
@@ -112,13 +110,6 @@ impl Subdivider<'_> {
             serial: CoefficientTable::is_posed_on_one_thread(bytes),
         };
         let samples = CellSamples::of_handles(self.field, grid, pose, cancelled)?;
-        // Below these alphas f has cusps at points or creases along lines (mathematics 2.4, 3.4),
-        // of which differences of vertices say nothing.
-        let smooth = if self.field.handles().has_lines() {
-            SMOOTH_LINES
-        } else {
-            SMOOTH_POINTS
-        };
         let mut work = PoseMeasurement {
             subdivider: self,
             mesh,
@@ -129,10 +120,7 @@ impl Subdivider<'_> {
             left: self.vertices,
             exceeded: Vec::new(),
             deepest: deepest(grid),
-            is_smooth: self
-                .field
-                .falloff()
-                .is_none_or(|falloff| falloff.alpha() >= smooth),
+            is_smooth: self.field.map.is_smooth(&self.field.set),
         };
         work.run(&posing, cancelled)?;
         // Two targets at one position: no subdivision helps, and the report says where.

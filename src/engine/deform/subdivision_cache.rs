@@ -13,11 +13,11 @@ use std::sync::{Arc, PoisonError, RwLock};
 use rayon::prelude::*;
 
 use super::coefficient_table::{IsCancelled, store, to_f32};
-use super::kernel::{self, BlockDisplacements, CoefficientLanes, LANES, lanes_per_block};
-use super::lanes::gather;
+use super::kernel::{self, BlockDisplacements, CoefficientLanes, lanes_per_block};
+use super::lanes::{LANES, gather};
 use super::posed_map::PosedMap;
 use super::rest_deformation::RestDeformation;
-use super::segment_moments::Workspace;
+use super::workspace::Workspace;
 use crate::geometry::{Grid, Point, Vec2};
 
 /// Memory to find a group, bytes: its entry in a hash map that is half full, and a share of the
@@ -42,6 +42,7 @@ pub(super) struct Posing<'a> {
     /// Gives displacements without rows, where rows take longer than they save.
     pub(super) f: Option<&'a PosedMap<'a>>,
     pub(super) grid: &'a Grid,
+    /// What coefficients multiply, px.
     pub(super) d: &'a [[f32; 2]],
     /// Whether rows are computed on this thread alone.
     pub(super) serial: bool,
@@ -117,7 +118,7 @@ impl SubdivisionCache {
                     return None;
                 }
                 posed.1.clear();
-                kernel::displace(posing.field.family(), unit, posing.d, &mut posed.1);
+                kernel::displace(posing.field.form(), unit, posing.d, &mut posed.1);
                 posed.0 = Some(Arc::clone(unit));
             }
             out.copy_from_slice(&posed.1.as_flattened()[group * len..][..len]);
@@ -134,9 +135,9 @@ impl SubdivisionCache {
             let unit_cells: Vec<u32> = indices.iter().map(|&k| cells[k]).collect();
             Some(self.unit(posing, level, &unit_cells, workspace))
         };
-        let columns = posing.field.handles().columns();
+        let terms = posing.field.terms();
         let units: Option<Vec<(Vec<BlockDisplacements>, Option<CachedBlocks>)>> = if posing.serial {
-            let mut workspace = Workspace::new(columns);
+            let mut workspace = Workspace::new(terms);
             missing
                 .chunks(per_unit)
                 .map(|indices| compute(&mut workspace, indices))
@@ -144,7 +145,7 @@ impl SubdivisionCache {
         } else {
             missing
                 .par_chunks(per_unit)
-                .map_init(|| Workspace::new(columns), compute)
+                .map_init(|| Workspace::new(terms), compute)
                 .collect()
         };
         let mut fresh = Vec::new();
@@ -179,7 +180,7 @@ impl SubdivisionCache {
             };
             return (places.chunks(LANES).map(displaced).collect(), None);
         }
-        let per_block = lanes_per_block(field.family(), field.handles().columns());
+        let per_block = lanes_per_block(field.form(), field.terms());
         let blocks = places.len().div_ceil(LANES);
         let bytes =
             (blocks * per_block * size_of::<CoefficientLanes>() + cells.len() * ENTRY_BYTES) as u64;
@@ -205,8 +206,8 @@ impl SubdivisionCache {
             } else {
                 &mut table[..]
             };
-            store(field.family(), &workspace.rows, block);
-            kernel::displace(field.family(), block, d, &mut pairs);
+            store(field.form(), &workspace.rows, block);
+            kernel::displace(field.form(), block, d, &mut pairs);
         }
         (pairs, is_kept.then(|| table.into()))
     }

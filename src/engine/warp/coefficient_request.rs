@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use super::digest::Collector;
-use super::rest_parameters::resolve_grid;
+use super::rest_parameters::{resolve_grid, with_mask};
 use super::spec::at_most;
 use super::{Digest, GridSpec, Limits, ResolvedRest, Units, WarpError};
-use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, Method, RestDeformation};
+use crate::deform::{CoefficientTable, ColumnMember, IsCancelled, RestDeformation};
 use crate::geometry::Grid;
 
 /// A lattice of vertices at equal distances over the picture, and the deformation of a
@@ -28,11 +28,14 @@ impl ResolvedRest {
             .float(width)
             .float(height)
             .integer((units == Units::Normalized).into())
-            .integer(field.family() as u64);
+            .integer(field.identity().rest);
         for parameter in [self.alpha(), self.point_mass(), self.smoothing()] {
             key = key
                 .integer(parameter.is_some().into())
                 .float(parameter.unwrap_or_default());
+        }
+        for (_, value) in self.own_parameters().iter() {
+            key = key.float(value);
         }
         for (handle, &weight) in field
             .client_handles()
@@ -46,11 +49,11 @@ impl ResolvedRest {
             }
         }
         // Handles are grouped by a distance that the client may choose.
-        field
+        let key = field
             .column_members()
             .iter()
-            .fold(key, |key, member| key.integer(member.column as u64))
-            .finish()
+            .fold(key, |key, member| key.integer(member.column as u64));
+        with_mask(key, self.mask()).finish()
     }
 }
 
@@ -72,8 +75,8 @@ impl CoefficientRequest {
             grid,
             rest: setup.rest_digest(),
         };
-        if !CoefficientTable::is_worthwhile(&table.field) {
-            return Err(WarpError::NoTable);
+        if let Some(reason) = CoefficientTable::reason_against(&table.field) {
+            return Err(WarpError::NoTable { reason });
         }
         at_most("plan_bytes", limits.plan_bytes, table.bytes())?;
         Ok(table)
@@ -101,10 +104,11 @@ impl CoefficientRequest {
         &self.grid
     }
 
-    /// The family of maps.
+    /// How the coefficients are laid out: 0, 1 and 2 are the numbers of
+    /// [`Form`](crate::deform::Form), others those of their method.
     #[must_use]
-    pub fn family(&self) -> Method {
-        self.field.family()
+    pub fn layout(&self) -> u32 {
+        self.field.layout()
     }
 
     /// Columns of the table.

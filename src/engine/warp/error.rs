@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 use thiserror::Error;
 
 use crate::codec::{CodecError, Dropped, Format, Repairs};
-use crate::deform::{self, DeformError};
+use crate::deform::{self, DeformError, METHODS, Method, MethodInfo, Parameter};
 use crate::geometry::DisplayNumber;
 
 /// Why an image was not warped.
@@ -61,7 +61,7 @@ pub enum WarpError {
     /// A parameter of another method.
     #[error("{}", foreign(parameter))]
     ForeignParameter {
-        /// The field: `alpha`, `point_mass`, `smoothing`.
+        /// The field: `alpha`, or the object of a method.
         parameter: &'static str,
     },
     /// A line where points are compared.
@@ -78,12 +78,12 @@ pub enum WarpError {
         /// The number of distinct points.
         actual: usize,
     },
-    /// A thin-plate spline of too many points.
-    #[error(
-        "a thin-plate spline of more than {} points is evaluated without a table of coefficients",
-        deform::CoefficientTable::MOST_SITES
-    )]
-    NoTable,
+    /// A table of coefficients is not worth its time.
+    #[error("{reason}")]
+    NoTable {
+        /// A sentence.
+        reason: &'static str,
+    },
     /// An invalid grid.
     #[error("{0}")]
     BadGrid(String),
@@ -121,8 +121,8 @@ pub enum WarpError {
 /// Work that is a product or a power by nature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// The system of a spline.
-    Spline,
+    /// The linear system of a method.
+    System(Method),
     /// The coefficients of a grid, or posing one without a table.
     Grid,
     /// Positions, mapped by f or its inverse.
@@ -138,9 +138,12 @@ pub enum Task {
 }
 
 impl Task {
-    const fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
-            Self::Spline => "the spline of the handles",
+            Self::System(method) => {
+                let system = method.info().system.as_ref();
+                system.map_or("the system of the method", |system| system.name)
+            }
             Self::Grid => "the grid with these handles",
             Self::Positions => "mapping the positions with these handles",
             Self::Outlines => "refining the outlines with these handles",
@@ -151,9 +154,12 @@ impl Task {
     }
 
     /// What to send instead.
-    const fn advice(self) -> &'static str {
-        match self {
-            Self::Spline => "send fewer handles, or another method than `tps`",
+    fn advice(self) -> String {
+        let advice = match self {
+            Self::System(method) => {
+                let name = method.info().name;
+                return format!("send fewer handles, or another method than `{name}`");
+            }
             Self::Grid => "send fewer handles or a coarser `grid`",
             Self::Positions => "send fewer positions in a request, or fewer handles",
             Self::Outlines => {
@@ -164,7 +170,8 @@ impl Task {
             Self::Survey => {
                 "send fewer frames in a request, fewer handles, or an opaque `output.outside`"
             }
-        }
+        };
+        advice.to_owned()
     }
 }
 
@@ -306,10 +313,16 @@ impl From<CodecError> for WarpError {
 
 /// Says which methods a parameter belongs to.
 fn foreign(parameter: &str) -> String {
-    let reason = match parameter {
-        "smoothing" => "it belongs to the method `tps`",
-        "alpha" => "it belongs to the methods `rigid`, `similarity` and `affine`",
-        _ => "the method `tps` has no such parameter",
+    let has_it = |info: &&&MethodInfo| {
+        let named = |own: &Parameter| own.path == parameter || own.object() == Some(parameter);
+        info.parameters.iter().any(named)
+    };
+    let owners = METHODS.iter().filter(has_it).map(|info| info.name);
+    let owners: Vec<String> = owners.map(|name| format!("`{name}`")).collect();
+    let reason = match owners.as_slice() {
+        [] => "no method has it".to_owned(),
+        [one] => format!("it belongs to the method {one}"),
+        [all @ .., last] => format!("it belongs to the methods {} and {last}", all.join(", ")),
     };
     format!("`{parameter}` does not apply: {reason}")
 }
@@ -320,7 +333,6 @@ fn measured(what: &str, actual: u64) -> String {
         "handle_columns" => {
             format!("the handles need {actual} columns (1 for each point, 2 for each segment)")
         }
-        "spline_handles" => format!("the method `tps` would have {actual} handles"),
         "fit_handles" => format!("methods would be compared on {actual} handles"),
         "outline_samples" => {
             format!("the outlines would be examined at {actual} positions or more")
@@ -339,6 +351,15 @@ fn measured(what: &str, actual: u64) -> String {
         "canvas_edge" => format!("the canvas would reach {actual} px from the corner of the image"),
         "plan_bytes" => format!("the coefficients would take {actual} bytes"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
-        _ => format!("{what}: {actual}"),
+        _ => {
+            let is_meant = |info: &&&MethodInfo| {
+                let system = info.system.as_ref();
+                system.is_some_and(|system| system.most_handles.0 == what)
+            };
+            match METHODS.iter().find(is_meant) {
+                Some(info) => format!("the method `{}` would have {actual} handles", info.name),
+                None => format!("{what}: {actual}"),
+            }
+        }
     }
 }

@@ -4,7 +4,9 @@
 use super::rest_parameters::{check_parameters, field, to_px};
 use super::spec::at_most;
 use super::{Limits, Method, RestSpec, Task, WarpError, work};
-use crate::deform::{DeformError, Handle, Handles, IsCancelled, RestDeformation};
+use crate::deform::{
+    DeformError, Handle, Handles, IsCancelled, METHODS, MethodInfo, Parameters, RestDeformation,
+};
 use crate::geometry::Vec2;
 use crate::pixmap::Extent;
 
@@ -17,12 +19,6 @@ const NORMAL_DEVIATIONS: f64 = 1.4826;
 /// this length, px.
 const OUTLIER_DEVIATIONS: f64 = 3.5;
 const LEAST_FAR: f64 = 1e-3;
-/// The fall-off of a candidate that gives none.
-const DEFAULT_ALPHA: f64 = 1.0;
-/// Default candidates.
-const DEFAULT_ALPHAS: [f64; 4] = [0.75, 1.0, 1.5, 2.0];
-const DEFAULT_SMOOTHINGS: [f64; 4] = [0.0, 0.001, 0.01, 0.1];
-
 /// A method with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -35,44 +31,46 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Moving least squares at four fall-offs, splines of four smoothings, one affine map.
+    /// The candidates of all methods.
     #[must_use]
     pub fn defaults() -> Vec<Self> {
-        let families = [Method::Affine, Method::Similarity, Method::Rigid];
-        let families = families.into_iter().flat_map(|method| {
-            DEFAULT_ALPHAS.map(|alpha| Self {
-                method,
-                alpha: Some(alpha),
-                smoothing: None,
-            })
-        });
-        let spline = |smoothing| Self {
-            method: Method::ThinPlateSpline,
-            alpha: None,
-            smoothing: Some(smoothing),
+        let mut methods = METHODS.to_vec();
+        methods.sort_by_key(|info| info.candidate_order);
+        let candidates = |info: &'static MethodInfo| {
+            let with = |parameters: &&[(&str, f64)]| {
+                let value = |name: &str| {
+                    let given = parameters.iter().find(|(path, _)| *path == name);
+                    given.map(|(_, value)| *value)
+                };
+                Self {
+                    method: info.method,
+                    alpha: value("alpha"),
+                    smoothing: value("smoothing"),
+                }
+            };
+            info.candidates.iter().map(with)
         };
-        let affine = Self {
-            method: Method::GlobalAffine,
-            alpha: None,
-            smoothing: None,
-        };
-        families
-            .chain(DEFAULT_SMOOTHINGS.map(spline))
-            .chain([affine])
-            .collect()
+        methods.into_iter().flat_map(candidates).collect()
     }
 
-    /// With the defaults of its parameters.
-    fn resolved(self) -> Self {
+    /// Without parameters.
+    const fn of(method: Method) -> Self {
         Self {
-            alpha: self
-                .alpha
-                .or_else(|| self.method.family().map(|_| DEFAULT_ALPHA)),
-            smoothing: self
-                .smoothing
-                .or((self.method == Method::ThinPlateSpline).then_some(0.0)),
-            ..self
+            method,
+            alpha: None,
+            smoothing: None,
         }
+    }
+
+    /// With the effective values of its parameters.
+    fn resolved(self, handles: &Handles) -> Result<Self, DeformError> {
+        let given = self.applied_to(RestSpec::default()).parameters();
+        let effective = self.method.info().resolve(handles, &given)?;
+        Ok(Self {
+            method: self.method,
+            alpha: effective.get("alpha"),
+            smoothing: effective.get("smoothing"),
+        })
     }
 
     /// `rest` with this method.
@@ -89,6 +87,7 @@ impl Candidate {
             method: self.method,
             alpha: self.alpha,
             smoothing: self.smoothing,
+            own: Parameters::default(),
             ..rest
         }
     }
@@ -144,12 +143,7 @@ impl Fit {
         let unit = rest.unit(extent);
         let handles =
             Handles::new(to_px(&rest.p, unit), rest.weights.clone()).map_err(WarpError::Rest)?;
-        let rest = Candidate {
-            method: Method::GlobalAffine,
-            alpha: None,
-            smoothing: None,
-        }
-        .applied_to(RestSpec {
+        let rest = Candidate::of(Method::default()).applied_to(RestSpec {
             p: Vec::new(),
             ..rest.clone()
         });
@@ -185,7 +179,7 @@ impl Fit {
         rest: &RestSpec,
         cancelled: IsCancelled<'_>,
     ) -> Result<RestDeformation, WarpError> {
-        field(self.handles.clone(), rest, cancelled).map_err(|error| match error {
+        field(self.handles.clone(), rest, true, cancelled).map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
         })
@@ -203,7 +197,7 @@ impl Fit {
     ) -> Result<Prediction, WarpError> {
         let rest = candidate.applied_to(self.rest.clone());
         check_parameters(&rest)?;
-        let candidate = candidate.resolved();
+        let candidate = candidate.resolved(&self.handles).map_err(WarpError::Rest)?;
         let field = self.field(&candidate.applied_to(rest), cancelled)?;
         let pose = field.pose(&self.q).map_err(WarpError::Posed)?;
         let distinct = field
@@ -282,21 +276,20 @@ pub fn choose(
     most: u64,
     cancelled: IsCancelled<'_>,
 ) -> Result<Candidate, WarpError> {
-    let rigid = Candidate {
-        method: Method::Rigid,
-        alpha: None,
-        smoothing: None,
-    }
-    .resolved();
+    let fallback = || {
+        let handles = Handles::new(Vec::new(), None).map_err(WarpError::Rest)?;
+        let rigid = Candidate::of(Method::default());
+        rigid.resolved(&handles).map_err(WarpError::Rest)
+    };
     let fit = match Fit::new(rest, q, extent, most, cancelled) {
-        Err(WarpError::TooFewPoints { .. }) => return Ok(rigid),
+        Err(WarpError::TooFewPoints { .. }) => return fallback(),
         fit => fit?,
     };
     let predictions: Result<Vec<_>, _> = Candidate::defaults()
         .into_iter()
         .map(|candidate| fit.predict(candidate, cancelled))
         .collect();
-    Ok(best(&predictions?).map_or(rigid, |best| best.candidate))
+    best(&predictions?).map_or_else(fallback, |best| Ok(best.candidate))
 }
 
 /// The prediction with the least RMS; of equal ones the first.

@@ -8,9 +8,9 @@ use super::rest_parameters::{
     AUTO_CELL, check_parameters, field, plan_key, resolve_grid, to_px, unit,
 };
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, Method, RestSpec, Task, Units, Warning, WarpError, work};
+use super::{Digest, GridSpec, Limits, Mask, RestSpec, Task, Units, Warning, WarpError, work};
 use crate::deform::{
-    self, DeformError, Demand, Falloff, Handle, Handles, IsCancelled, Pose, PoseQuality,
+    self, DeformError, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality,
     RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh};
@@ -42,8 +42,8 @@ pub struct ResolvedRest {
     grid: Grid,
     /// Of the client's coordinates.
     units: Units,
-    method: Method,
     mixed: bool,
+    mask: Option<Mask>,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
     /// Of the drawn picture, px.
@@ -113,7 +113,8 @@ impl ResolvedRest {
         Self::resolve(rest, extent, limits, true, cancelled)
     }
 
-    /// `is_solved`: whether the system of a spline is computed, without which nothing can be posed.
+    /// `is_solved`: whether the linear system of the method is computed, without which nothing can
+    /// be posed.
     pub(super) fn resolve(
         rest: &RestSpec,
         extent: Extent,
@@ -132,25 +133,14 @@ impl ResolvedRest {
         )
         .map_err(WarpError::Rest)?;
         let mixed = handles.has_points() && handles.has_lines();
-        if rest.method == Method::ThinPlateSpline && is_solved {
+        if let Some(system) = rest.method.info().system.as_ref().filter(|_| is_solved) {
             work::at_most(
-                Task::Spline,
+                Task::System(rest.method),
                 limits.work,
-                work::of_spline(rest.p.len() as u64),
+                (system.operations)(rest.p.len() as u64),
             )?;
         }
-        let field = match rest.method {
-            Method::ThinPlateSpline if !is_solved => {
-                let smoothing = rest.smoothing.unwrap_or_default();
-                RestDeformation::spline_without_system(
-                    handles,
-                    rest.coincident,
-                    smoothing,
-                    cancelled,
-                )
-            }
-            _ => field(handles, rest, cancelled),
-        };
+        let field = field(handles, rest, is_solved, cancelled);
         let field = field.map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
@@ -166,7 +156,7 @@ impl ResolvedRest {
             Arc::new(field),
             grid,
             rest.grid,
-            (rest.units, rest.method, mixed, warnings),
+            (rest.units, mixed, rest.mask.clone(), warnings),
             limits,
         ))
     }
@@ -176,12 +166,12 @@ impl ResolvedRest {
         field: Arc<RestDeformation>,
         grid: Grid,
         spec: GridSpec,
-        rest: (Units, Method, bool, Vec<Warning>),
+        rest: (Units, bool, Option<Mask>, Vec<Warning>),
         limits: &Limits,
     ) -> Self {
-        let (units, method, mixed, warnings) = rest;
+        let (units, mixed, mask, warnings) = rest;
         let tolerance = spec.tolerance();
-        let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some());
+        let plan_key = plan_key(&field, &grid, mixed, tolerance.is_some(), mask.as_ref());
         let bytes = deform::CoefficientTable::bytes_for(&field, grid.len());
         let table_bytes = (bytes <= limits.plan_bytes
             && deform::CoefficientTable::is_worthwhile(&field))
@@ -199,8 +189,8 @@ impl ResolvedRest {
             field,
             grid,
             units,
-            method,
             mixed,
+            mask,
             warnings,
             tolerance,
             plan_key,
@@ -234,7 +224,8 @@ impl ResolvedRest {
             limits.work,
             (grid.len() as u64).saturating_mul(work::of_vertex(&self.field)),
         )?;
-        let rest = (self.units, self.method, self.mixed, self.warnings.clone());
+        let (mask, warnings) = (self.mask.clone(), self.warnings.clone());
+        let rest = (self.units, self.mixed, mask, warnings);
         Ok(Self::on_grid(
             Arc::clone(&self.field),
             grid,
@@ -378,22 +369,39 @@ impl ResolvedRest {
         self.field.groups()
     }
 
-    /// Effective alpha of moving least squares.
+    /// Effective alpha, if the method has one.
     #[must_use]
     pub fn alpha(&self) -> Option<f64> {
-        self.field.falloff().map(Falloff::alpha)
+        self.field.parameters().get("alpha")
     }
 
     /// Effective point mass, px; `None` unless points and lines are mixed.
     #[must_use]
     pub fn point_mass(&self) -> Option<f64> {
-        self.field.point_mass().filter(|_| self.mixed)
+        let mass = self.field.parameters().get("point_mass");
+        mass.filter(|_| self.mixed)
     }
 
-    /// Effective smoothing of a spline.
+    /// Effective smoothing, if the method has one.
     #[must_use]
     pub fn smoothing(&self) -> Option<f64> {
-        self.field.smoothing()
+        self.field.parameters().get("smoothing")
+    }
+
+    /// Effective parameters that stand in an object of their method.
+    #[must_use]
+    pub fn own_parameters(&self) -> Parameters {
+        let all = self.field.parameters().iter();
+        all.filter(|(path, _)| path.contains('/'))
+            .fold(Parameters::default(), |own, (path, value)| {
+                own.with(path, value)
+            })
+    }
+
+    /// The mask of the rest handles.
+    #[must_use]
+    pub const fn mask(&self) -> Option<&Mask> {
+        self.mask.as_ref()
     }
 
     /// Columns and rows of vertices of the resolved grid.
@@ -448,15 +456,16 @@ impl ResolvedRest {
 
     /// What the pose asks for and the method cannot do.
     fn unmet(&self, pose: &Pose) -> Option<Warning> {
-        if self.method.can_mirror() && self.method.can_scale() {
+        let info = self.field.method().info();
+        if info.can_mirror && info.can_scale {
             return None;
         }
         match self.field.demand(pose)? {
             Demand::Mirrored { determinant } => {
-                (!self.method.can_mirror()).then_some(Warning::MirroredUseAffine { determinant })
+                (!info.can_mirror).then_some(Warning::MirroredUseAffine { determinant })
             }
             Demand::Scaled { scale } => {
-                (!self.method.can_scale()).then_some(Warning::ScaledUseSimilarity { scale })
+                (!info.can_scale).then_some(Warning::ScaledUseSimilarity { scale })
             }
         }
     }

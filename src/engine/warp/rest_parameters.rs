@@ -2,9 +2,9 @@
 //! method, positions in pixels, the grid, and the key by which caches know the result.
 
 use super::digest::Collector;
-use super::spec::{MOST_SPLINE_HANDLES, at_most};
-use super::{Digest, GridSpec, Limits, Method, RestSpec, Units, WarpError};
-use crate::deform::{self, DeformError, Falloff, Handle, Handles, IsCancelled, RestDeformation};
+use super::spec::at_most;
+use super::{Digest, GridSpec, Limits, Mask, RestSpec, Units, WarpError};
+use crate::deform::{DeformError, Handle, Handles, Identity, IsCancelled, RestDeformation};
 use crate::geometry::{DisplayNumber, Grid, Point};
 
 /// `grid: auto`: cells of a hundredth of the shorter side within this range, px (mathematics
@@ -19,57 +19,43 @@ const LINES_ALWAYS: f64 = 4096.0;
 
 /// Errors: A parameter of another method, too many handles.
 pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
-    let is_spline = rest.method == Method::ThinPlateSpline;
-    let given = [
-        (
-            "alpha",
-            rest.alpha.is_some() && rest.method.family().is_none(),
-        ),
-        ("point_mass", rest.point_mass.is_some() && is_spline),
-        ("smoothing", rest.smoothing.is_some() && !is_spline),
-    ];
-    if let Some((parameter, _)) = given.into_iter().find(|(_, is_foreign)| *is_foreign) {
+    let info = rest.method.info();
+    let given = rest.parameters();
+    if let Some((path, _)) = given
+        .iter()
+        .find(|(path, _)| info.parameter(path).is_none())
+    {
+        let parameter = path.split_once('/').map_or(path, |(object, _)| object);
         return Err(WarpError::ForeignParameter { parameter });
     }
-    if is_spline {
-        at_most("spline_handles", MOST_SPLINE_HANDLES, rest.p.len() as u64)
-    } else {
-        Ok(())
+    match &info.system {
+        Some(system) => {
+            let (what, most) = system.most_handles;
+            at_most(what, most, rest.p.len() as u64)
+        }
+        None => Ok(()),
     }
 }
 
+/// The deformation of handles in px. `is_solved`: whether it will be evaluated.
 pub(super) fn field(
     handles: Handles,
     rest: &RestSpec,
+    is_solved: bool,
     cancelled: IsCancelled<'_>,
 ) -> Result<RestDeformation, DeformError> {
-    let coincident = rest.coincident;
-    let point_mass = rest
-        .point_mass
-        .unwrap_or_else(|| handles.mean_segment_length().unwrap_or(1.0));
-    let family = match rest.method {
-        Method::ThinPlateSpline => {
-            return RestDeformation::spline_unless(
-                handles,
-                coincident,
-                rest.smoothing.unwrap_or(0.0),
-                cancelled,
-            );
-        }
-        Method::GlobalAffine => {
-            return RestDeformation::global_affine_unless(
-                handles, coincident, point_mass, cancelled,
-            );
-        }
-        Method::Rigid => deform::Method::Rigid,
-        Method::Similarity => deform::Method::Similarity,
-        Method::Affine => deform::Method::Affine,
+    let make = if is_solved {
+        RestDeformation::of
+    } else {
+        RestDeformation::without_system
     };
-    let alpha = rest
-        .alpha
-        .unwrap_or_else(|| Falloff::default_alpha(handles.has_lines()));
-    let falloff = Falloff::new(alpha, handles.has_lines())?;
-    RestDeformation::new_unless(handles, coincident, family, falloff, point_mass, cancelled)
+    make(
+        handles,
+        rest.coincident,
+        rest.method,
+        &rest.parameters(),
+        cancelled,
+    )
 }
 
 pub(super) fn resolve_grid(
@@ -150,29 +136,26 @@ pub(super) fn to_px(handles: &[Handle], (ux, uy): (f64, f64)) -> Vec<Handle> {
         .collect()
 }
 
+/// `mixed`: whether there are points and lines.
 pub(super) fn plan_key(
     field: &RestDeformation,
     grid: &Grid,
     mixed: bool,
     is_subdivided: bool,
+    mask: Option<&Mask>,
 ) -> Digest {
-    /// Beside the families of moving least squares.
-    const SPLINE: u64 = 3;
-    const GLOBAL_AFFINE: u64 = 4;
-    let family = match field.family() {
-        deform::Method::Affine => 0,
-        deform::Method::Similarity => 1,
-        deform::Method::Rigid => 2,
-    };
-    let key = Collector::new("mlswarp plan 2");
-    let key = match (field.falloff(), field.smoothing()) {
-        (Some(falloff), _) => key.integer(family).float(falloff.alpha()),
-        (None, Some(smoothing)) => key.integer(SPLINE).float(smoothing),
-        (None, None) => key.integer(GLOBAL_AFFINE),
-    };
+    let Identity { plan, numbers, .. } = field.identity();
+    let key = Collector::new("mlswarp plan 2").integer(plan);
+    let key = numbers.into_iter().fold(key, Collector::float);
     let mut key = key
         // A mass that all points share cancels without lines.
-        .float(field.point_mass().filter(|_| mixed).unwrap_or(1.0))
+        .float(
+            field
+                .parameters()
+                .get("point_mass")
+                .filter(|_| mixed)
+                .unwrap_or(1.0),
+        )
         .float(grid.width())
         .float(grid.height())
         .float(grid.cell().0)
@@ -192,5 +175,13 @@ pub(super) fn plan_key(
             key = key.float(p.x).float(p.y);
         }
     }
-    key.finish()
+    with_mask(key, mask).finish()
+}
+
+/// A key that knows the mask, if there is one.
+pub(super) fn with_mask(key: Collector, mask: Option<&Mask>) -> Collector {
+    match mask {
+        Some(mask) => key.bytes(&mask.digest().0),
+        None => key,
+    }
 }

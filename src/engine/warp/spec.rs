@@ -2,9 +2,9 @@
 
 use std::ops::RangeInclusive;
 
-use super::{CanvasSpec, Warning, WarpError};
+use super::{CanvasSpec, Mask, Warning, WarpError};
 use crate::codec::{Compression, Encoding, Format, ImageLimits, Subsampling};
-use crate::deform::{self, Coincident, Handle};
+use crate::deform::{Coincident, Handle, Method, Parameters};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
 
@@ -34,72 +34,13 @@ impl Default for Limits {
     }
 }
 
-/// How the image follows the handles.
+/// How the distance of a handle from a position is measured, which its weight falls off with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Method {
-    /// Moving least squares: rotations.
+pub enum Metric {
+    /// In the plane.
     #[default]
-    Rigid,
-    /// Moving least squares: rotations with a uniform scale.
-    Similarity,
-    /// Moving least squares: affine maps.
-    Affine,
-    /// The thin-plate spline; points only.
-    ThinPlateSpline,
-    /// One affine map, of least squares; it does not interpolate the handles.
-    GlobalAffine,
+    Euclidean,
 }
-
-impl Method {
-    /// The class of maps that moving least squares fits; none of the other methods.
-    #[must_use]
-    pub const fn family(self) -> Option<deform::Method> {
-        match self {
-            Self::Rigid => Some(deform::Method::Rigid),
-            Self::Similarity => Some(deform::Method::Similarity),
-            Self::Affine => Some(deform::Method::Affine),
-            Self::ThinPlateSpline | Self::GlobalAffine => None,
-        }
-    }
-
-    /// Whether a pose can mirror the picture as a whole.
-    #[must_use]
-    pub const fn can_mirror(self) -> bool {
-        match self {
-            Self::Rigid | Self::Similarity => false,
-            Self::Affine | Self::ThinPlateSpline | Self::GlobalAffine => true,
-        }
-    }
-
-    /// Whether a pose can give the picture as a whole another size.
-    #[must_use]
-    pub const fn can_scale(self) -> bool {
-        match self {
-            Self::Rigid => false,
-            Self::Similarity | Self::Affine | Self::ThinPlateSpline | Self::GlobalAffine => true,
-        }
-    }
-
-    /// Memory of the deformation of this number of handles, bytes, beyond that of the handles.
-    #[must_use]
-    pub fn field_bytes(self, handles: u64) -> u64 {
-        match self {
-            Self::ThinPlateSpline => {
-                deform::RestDeformation::spline_bytes(handles.min(MOST_SPLINE_HANDLES))
-            }
-            Self::Rigid | Self::Similarity | Self::Affine | Self::GlobalAffine => 0,
-        }
-    }
-
-    /// Whether both have the same parameters.
-    #[must_use]
-    pub fn is_like(self, other: Self) -> bool {
-        self == other || self.family().is_some() && other.family().is_some()
-    }
-}
-
-/// Handles of a spline: its system takes about a second, and 16 MB.
-pub(super) const MOST_SPLINE_HANDLES: u64 = 2000;
 
 /// The class of maps by which q is aligned; never mirrored except by `Affine`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -183,13 +124,19 @@ pub struct RestSpec {
     pub weights: Option<Vec<f64>>,
     /// The method.
     pub method: Method,
-    /// Fall-off; default 1 for points alone, 2 with any line. Not of a spline.
+    /// Fall-off; default 1 for points alone, 2 with any line. Whether a method has this parameter
+    /// and the following ones: [`MethodInfo`](crate::deform::MethodInfo).
     pub alpha: Option<f64>,
-    /// Mass of a point in a mixed set, px; default the mean length of the segments. Not of a
-    /// spline.
+    /// Mass of a point in a mixed set, px; default the mean length of the segments.
     pub point_mass: Option<f64>,
-    /// Of a spline alone: 0, the default, goes through the posed handles.
+    /// 0, the default, goes through the posed handles.
     pub smoothing: Option<f64>,
+    /// Parameters that stand in an object of their method.
+    pub own: Parameters,
+    /// The metric.
+    pub metric: Metric,
+    /// The pixels that handles can act through, if the metric or the method needs to know them.
+    pub mask: Option<Mask>,
     /// The treatment of handles that coincide at rest.
     pub coincident: Coincident,
     /// Unit of p and q.
@@ -230,12 +177,30 @@ impl RestSpec {
             .chain(self.has_unmatched.then_some(Warning::LandmarksUnmatched))
     }
 
+    /// All parameters that are given.
+    #[must_use]
+    pub fn parameters(&self) -> Parameters {
+        self.own
+            .with_some("alpha", self.alpha)
+            .with_some("point_mass", self.point_mass)
+            .with_some("smoothing", self.smoothing)
+    }
+
     /// Memory of the deformation that [`ResolvedRest::new`](super::ResolvedRest::new) computes,
     /// bytes, beyond that of the handles; known before anything is allocated.
     #[must_use]
     pub fn field_bytes(&self) -> u64 {
-        self.method.field_bytes(self.p.len() as u64)
+        system_bytes(self.method, self.p.len() as u64)
     }
+}
+
+/// Memory of the linear system of a method for this number of handles, bytes.
+#[must_use]
+pub fn system_bytes(method: Method, handles: u64) -> u64 {
+    method.info().system.as_ref().map_or(0, |system| {
+        let (_, most) = system.most_handles;
+        (system.bytes)(handles.min(most))
+    })
 }
 
 /// What a region shows where its content moved away and nothing covers it.

@@ -1,7 +1,7 @@
 //! What a session object says about handles at rest.
 
 use super::{Digest, Limits, ResolvedRest, RestSpec, Warning, WarpError};
-use crate::deform::IsCancelled;
+use crate::deform::{IsCancelled, Parameters};
 use crate::pixmap::Extent;
 
 /// The effective values of rest handles and their parameters on a picture. They cost little beside
@@ -18,6 +18,8 @@ pub struct RestSummary {
     pub point_mass: Option<f64>,
     /// See [`ResolvedRest::smoothing`].
     pub smoothing: Option<f64>,
+    /// See [`ResolvedRest::own_parameters`].
+    pub own: Parameters,
     /// See [`ResolvedRest::groups`].
     pub groups: Vec<Vec<usize>>,
     /// See [`ResolvedRest::rest_digest`].
@@ -49,6 +51,7 @@ impl RestSummary {
             alpha: setup.alpha(),
             point_mass: setup.point_mass(),
             smoothing: setup.smoothing(),
+            own: setup.own_parameters(),
             groups: setup.groups(),
             rest_digest: setup.rest_digest(),
             warnings: setup.rest_warnings().to_vec(),
@@ -59,9 +62,8 @@ impl RestSummary {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::deform::Handle;
+    use crate::deform::{AcceptedHandles, Handle, METHODS};
     use crate::geometry::Point;
-    use crate::warp::Method;
 
     #[test]
     fn a_summary_without_the_system_of_a_spline_says_the_same() {
@@ -80,7 +82,10 @@ mod tests {
             vec![Handle::Point(place(1)); 4],
             vec![],
         ] {
-            for method in [Method::ThinPlateSpline, Method::Rigid, Method::GlobalAffine] {
+            for method in METHODS.map(|info| info.method) {
+                if method.info().handles == AcceptedHandles::Lines {
+                    continue;
+                }
                 let rest = RestSpec {
                     p: p.clone(),
                     method,

@@ -3,17 +3,15 @@
 //! position in a table of coefficients: some nanoseconds. What is a product or a power by nature is
 //! compared with [`Limits::work`](super::Limits::work).
 
+use super::Candidate;
 use super::error::{Task, WarpError};
-use super::{Candidate, Method};
-use crate::deform::{CoefficientTable, Handle, RestDeformation};
+use crate::deform::{Handle, RestDeformation};
 
 /// Operations for weighing a point or a segment at a position.
 const POINT_OPERATIONS: u64 = 2;
 const SEGMENT_OPERATIONS: u64 = 64;
-/// Coefficients of a table, and multiplications of a linear system, that an operation poses or
-/// takes.
+/// Coefficients of a table that an operation poses.
 const COEFFICIENTS_PER_OPERATION: u64 = 16;
-const MULTIPLICATIONS_PER_OPERATION: u64 = 16;
 /// Times that f is computed to find the inverse of a position, on the average.
 pub(super) const EVALUATIONS_PER_INVERSE: u64 = 8;
 /// Operations for measuring a cell of a posed grid.
@@ -44,32 +42,19 @@ pub(super) fn of_position(field: &RestDeformation) -> u64 {
 
 /// Operations of the coefficients of a vertex, or, of a grid without a table, of posing one.
 pub(super) fn of_vertex(field: &RestDeformation) -> u64 {
-    let columns = field.handles().columns() as u64;
-    // The rows of a spline take the square of its sites.
-    let solved = if field.smoothing().is_some() && CoefficientTable::is_worthwhile(field) {
-        columns * columns / MULTIPLICATIONS_PER_OPERATION
-    } else {
-        0
-    };
-    of_position(field) + solved
+    of_position(field) + field.operations()
 }
 
 /// Operations of posing a vertex by a table.
 pub(super) fn of_table(field: &RestDeformation) -> u64 {
-    1 + field.handles().columns() as u64 / COEFFICIENTS_PER_OPERATION
-}
-
-/// Operations of the system of a spline.
-pub(super) const fn of_spline(points: u64) -> u64 {
-    points.saturating_mul(points).saturating_mul(points) / (6 * MULTIPLICATIONS_PER_OPERATION)
+    1 + field.terms() as u64 / COEFFICIENTS_PER_OPERATION
 }
 
 /// Operations of leaving out each point in turn, for each candidate.
 pub(super) fn of_comparison(points: u64, candidates: &[Candidate]) -> u64 {
-    let of = |candidate: &Candidate| match candidate.method {
-        // A factorisation, and a substitution for each point.
-        Method::ThinPlateSpline => of_spline(points).saturating_mul(4),
-        _ => points
+    let of = |candidate: &Candidate| match &candidate.method.info().system {
+        Some(system) => (system.operations_of_comparison)(points),
+        None => points
             .saturating_mul(points)
             .saturating_mul(POINT_OPERATIONS),
     };

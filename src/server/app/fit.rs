@@ -9,6 +9,7 @@ use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
     Candidate, Fit, Prediction, RestSpec, Warning, WarpError, check_comparison, choose,
+    system_bytes,
 };
 
 use super::App;
@@ -188,7 +189,7 @@ impl App {
         let count = (rest.p.len() as u64).min(self.0.config.max_fit_handles as u64);
         let system = candidates
             .iter()
-            .map(|candidate| candidate.method.field_bytes(count))
+            .map(|candidate| system_bytes(candidate.method, count))
             .max()
             .unwrap_or_default();
         self.reserve(

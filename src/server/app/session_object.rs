@@ -255,6 +255,7 @@ fn text(
         alpha: summary.alpha,
         point_mass: summary.point_mass,
         smoothing: summary.smoothing,
+        own: AsJson(summary.own),
         coincident_policy: (rest.coincident != Coincident::default())
             .then_some(AsJson(rest.coincident)),
         coincident: groups.collect(),

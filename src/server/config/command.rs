@@ -1,5 +1,6 @@
 //! The commands of the program, their arguments, and the options that have an effect on them.
 
+use mlswarp::deform::METHODS;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -75,8 +76,8 @@ pub struct WarpInput {
 /// over JSON.
 #[derive(Args, Clone, Debug)]
 pub struct PoseOptions {
-    /// rigid (default), similarity, affine, tps, global_affine, or auto (the one that fits best).
-    #[arg(long, value_name = "NAME", display_order = 5)]
+    /// The method.
+    #[arg(long, value_name = "NAME", display_order = 5, help = methods())]
     pub method: Option<String>,
     /// How quickly the influence of a handle falls off with distance, up to 8.
     #[arg(long, value_name = "N", allow_hyphen_values = true, display_order = 5)]
@@ -87,6 +88,13 @@ pub struct PoseOptions {
     /// Bring q to the frame of p first, by the best map of this class: rigid, similarity or affine.
     #[arg(long, value_name = "CLASS", display_order = 5)]
     pub align: Option<String>,
+}
+
+/// The names of all methods.
+fn methods() -> String {
+    let names: Vec<&str> = METHODS.iter().map(|info| info.name).collect();
+    let names = names.join(", ").replacen(',', " (default),", 1);
+    format!("{names}, or auto (the one that fits best)")
 }
 
 /// What a picture shows; fields of the same names in `output`.

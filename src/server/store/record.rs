@@ -24,11 +24,11 @@ use std::time::{Duration, SystemTime};
 
 use data_encoding::HEXLOWER;
 use mlswarp::codec::{Compression, Format};
-use mlswarp::deform::{Coincident, CoincidentPolicy};
+use mlswarp::deform::{Coincident, CoincidentPolicy, Parameters};
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
 use mlswarp::warp::{
-    Align, CanvasSpec, Digest, Folds, GridSpec, Holes, Method, OutputSpec, RestSpec, Units,
+    Align, CanvasSpec, Digest, Folds, GridSpec, Holes, Method, Metric, OutputSpec, RestSpec, Units,
 };
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde::{Deserialize, Serialize as Derived};
@@ -37,7 +37,7 @@ use serde_json::value::RawValue;
 use super::{Record, StoredLayer};
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::session::{Revision, SessionId};
-use crate::wire::{AsJson, EnumName as _, Pose, Reserved, WarpObject, WarpPatch};
+use crate::wire::{AsJson, EnumName as _, Pose, Reserved, WarpObject, WarpPatch, serialize_own};
 
 /// The version of the form. It changes when older programs would misunderstand a record.
 const RECORD_VERSION: u32 = 1;
@@ -65,6 +65,9 @@ fn base() -> WarpObject {
             alpha: None,
             point_mass: None,
             smoothing: None,
+            own: Parameters::default(),
+            metric: Metric::Euclidean,
+            mask: None,
             coincident: Coincident {
                 policy: CoincidentPolicy::Mean,
                 within: 0.0,
@@ -133,6 +136,10 @@ impl Serialize for Warp<'_> {
             alpha,
             point_mass,
             smoothing,
+            own,
+            metric,
+            // It is made from files that the record names.
+            mask: _,
             coincident,
             units,
             grid,
@@ -157,9 +164,7 @@ impl Serialize for Warp<'_> {
         defaults.field(&mut object, "units", *units, &base.rest.units)?;
         defaults.field(&mut object, "grid", *grid, &base.rest.grid)?;
         defaults.field(&mut object, "folds", record.folds, &base.folds)?;
-        if defaults == Defaults::Written {
-            object.serialize_entry("metric", "euclidean")?;
-        }
+        defaults.field(&mut object, "metric", *metric, &base.rest.metric)?;
         if defaults == Defaults::Written || record.output != base.output {
             object.serialize_entry("output", &Output(&record.output, defaults))?;
         }
@@ -171,6 +176,7 @@ impl Serialize for Warp<'_> {
             &base.rest.coincident,
         )?;
         Defaults::LeftOut.field(&mut object, "align", *align, &base.rest.align)?;
+        serialize_own(&mut object, *own)?;
         if let Some(Pose { q, strength }) = &record.pose {
             object.serialize_entry("q", &AsJson(q.as_slice()))?;
             if strength.to_bits() != base.strength.to_bits() {

@@ -3,7 +3,9 @@
 //! row and cross far more often than numbers by chance would, and now and then a hair beside it.
 //! Two laws: everything is finite, and the plan says what the exact function says.
 
-use mlswarp::deform::{CoefficientTable, Falloff, Handle, Handles, Method, Pose, RestDeformation};
+use mlswarp::deform::{
+    CoefficientTable, Falloff, Form, Handle, Handles, Method, Pose, RestDeformation,
+};
 use mlswarp::geometry::{Point, Vec2};
 
 /// Bytes as choices; zeros when there are no more.
@@ -151,10 +153,9 @@ struct Probes {
 impl Probes {
     fn new(field: &RestDeformation, falloff: &Falloff, point_mass: f64) -> Self {
         // A rotation is the direction of the similarity that fits.
-        let family = if field.family() == Method::Rigid {
-            Method::Similarity
-        } else {
-            field.family()
+        let family = match field.form() {
+            Form::Real => Method::Affine,
+            Form::Complex | Form::Rigid => Method::Similarity,
         };
         let rest = field.handles().clone();
         let stepped = |seed: u64| -> Vec<Handle> {

@@ -87,6 +87,8 @@ pub(super) fn written(warp: &WarpObject) -> Value {
         alpha,
         point_mass,
         smoothing,
+        own,
+        metric,
         coincident,
         units,
         grid,
@@ -97,13 +99,13 @@ pub(super) fn written(warp: &WarpObject) -> Value {
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights,
             "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
-        "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid),
+        "units": AsJson(*units), "metric": AsJson(*metric), "align": AsJson(*align), "grid": AsJson(*grid),
             "folds": AsJson(*folds), "output": AsJson(output)
     });
-    object
-        .as_object_mut()
-        .unwrap()
-        .retain(|_, value| !value.is_null());
+    let fields = object.as_object_mut().unwrap();
+    let own = serde_json::to_value(AsJson(*own)).unwrap();
+    fields.extend(own.as_object().unwrap().clone());
+    fields.retain(|_, value| !value.is_null());
     object
 }
 

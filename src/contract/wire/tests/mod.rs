@@ -13,11 +13,11 @@ mod syntax;
 mod values;
 
 use mlswarp::codec::{Compression, Format, Subsampling};
-use mlswarp::deform::{Coincident, CoincidentPolicy};
+use mlswarp::deform::{Coincident, CoincidentPolicy, Parameters};
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::Extent;
 use mlswarp::render::{Filter, Outside};
-use mlswarp::warp::{Align, Candidate, CanvasSpec, Digest, GridSpec, Holes, Method, Units};
+use mlswarp::warp::{Align, Candidate, CanvasSpec, Digest, GridSpec, Holes, Method, Metric, Units};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 

@@ -23,6 +23,9 @@ fn warp_reads_the_example_of_the_contract() {
             alpha: Some(1.0),
             point_mass: Some(12.0),
             smoothing: Some(0.5),
+            own: Parameters::default(),
+            metric: Metric::Euclidean,
+            mask: None,
             coincident: Coincident {
                 policy: CoincidentPolicy::Reject,
                 within: 0.5,

@@ -25,6 +25,7 @@ fn session_object_is_written_in_wire_form() {
         alpha: Some(2.0),
         point_mass: Some(2.5),
         smoothing: None,
+        own: AsJson(Parameters::default()),
         coincident: vec![CoincidentGroup {
             handles: vec![0, 4],
         }],

@@ -11,15 +11,13 @@ mod scalar;
 )]
 mod x86;
 
-use super::Method;
-use super::lanes::{Coefficients, Vertices};
-use super::moments::MomentInputs;
-use super::row::RowInputs;
-use super::segment_moments::CoefficientScratch;
+use super::form::Form;
+use super::lanes::{Coefficients, LANES, Vertices};
+use super::methods::mls::metric::Metric;
+use super::methods::mls::moments::MomentInputs;
+use super::methods::mls::row::RowInputs;
+use super::workspace::CoefficientScratch;
 use crate::level::SimdLevel;
-
-/// Vertices in a block.
-pub(super) const LANES: usize = 16;
 
 /// One coefficient of the vertices of a block.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,47 +27,47 @@ pub(super) struct CoefficientLanes(pub(super) [f32; LANES]);
 /// The displacements of a block, px.
 pub(super) type BlockDisplacements = [[f32; 2]; LANES];
 
-/// Lanes in a block of this family.
-pub(super) const fn lanes_per_block(family: Method, columns: usize) -> usize {
-    match family {
-        Method::Affine => columns,
-        Method::Similarity => 2 * columns,
-        Method::Rigid => 3 * columns + 2,
+/// Lanes in a block of this form.
+pub(super) const fn lanes_per_block(form: Form, terms: usize) -> usize {
+    match form {
+        Form::Real => terms,
+        Form::Complex => 2 * terms,
+        Form::Rigid => 3 * terms + 2,
     }
 }
 
 /// Appends the displacements `f(v_k) - v_k` of the vertices of all blocks, px. Shapes:
-/// `table: [blocks][lanes per block]`, `d: [columns]`, `out: [blocks]`. Returns the least |m|
+/// `table: [blocks][lanes per block]`, `d: [terms]`, `out: [blocks]`. Returns the least |m|
 /// (rigid), else 1.
 pub(super) fn displace(
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
-    displace_at(SimdLevel::detect(), family, table, d, out)
+    displace_at(SimdLevel::detect(), form, table, d, out)
 }
 
 /// Like [`displace`], at a level; scalar if the processor lacks it.
 pub(super) fn displace_at(
     level: SimdLevel,
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     match level {
         #[cfg(target_arch = "x86_64")]
-        SimdLevel::Avx512 if level.is_supported() => x86::displace_avx512(family, table, d, out),
+        SimdLevel::Avx512 if level.is_supported() => x86::displace_avx512(form, table, d, out),
         #[cfg(target_arch = "x86_64")]
-        SimdLevel::Avx2 if level.is_supported() => x86::displace_avx2(family, table, d, out),
-        _ => scalar::displace(family, table, d, out),
+        SimdLevel::Avx2 if level.is_supported() => x86::displace_avx2(form, table, d, out),
+        _ => scalar::displace(form, table, d, out),
     }
 }
 
 /// The rows of N vertices, for whole plans and single places.
 pub(super) fn rows<const N: usize>(
-    inputs: &RowInputs<'_>,
+    inputs: &RowInputs<'_, impl Metric>,
     v: &Vertices<N>,
     scratch: &mut CoefficientScratch<N>,
     rows: &mut Coefficients<N>,
@@ -80,7 +78,7 @@ pub(super) fn rows<const N: usize>(
 /// Like [`rows`], at a level; scalar if the processor lacks it.
 pub(super) fn rows_at<const N: usize>(
     level: SimdLevel,
-    inputs: &RowInputs<'_>,
+    inputs: &RowInputs<'_, impl Metric>,
     v: &Vertices<N>,
     scratch: &mut CoefficientScratch<N>,
     rows: &mut Coefficients<N>,
@@ -122,7 +120,8 @@ mod tests {
     use super::*;
     use crate::deform::Falloff;
     use crate::deform::columns::{HandleElements, PointSource, RestSegment};
-    use crate::deform::incomplete_beta::IncompleteBeta;
+    use crate::deform::methods::mls::incomplete_beta::IncompleteBeta;
+    use crate::deform::methods::mls::metric::Euclidean;
     use crate::geometry::Point;
 
     /// Every level gives the bits of the reference, for every family.
@@ -133,10 +132,10 @@ mod tests {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / 8_388_608.0 - 1.0
         };
-        for (family, per_column, extra) in [
-            (Method::Affine, 1, 0),
-            (Method::Similarity, 2, 0),
-            (Method::Rigid, 3, 2),
+        for (form, per_column, extra) in [
+            (Form::Real, 1, 0),
+            (Form::Complex, 2, 0),
+            (Form::Rigid, 3, 2),
         ] {
             for (columns, blocks) in [(1, 1), (7, 7), (3, 2), (11, 3)] {
                 let table: Vec<CoefficientLanes> = (0..blocks * (per_column * columns + extra))
@@ -144,15 +143,15 @@ mod tests {
                     .collect();
                 let d: Vec<[f32; 2]> = (0..columns).map(|_| [next(), next()]).collect();
                 let mut reference = Vec::new();
-                let least = displace_at(SimdLevel::Scalar, family, &table, &d, &mut reference);
+                let least = displace_at(SimdLevel::Scalar, form, &table, &d, &mut reference);
                 for &level in SimdLevel::available() {
                     let mut out = Vec::new();
                     assert_eq!(
-                        displace_at(level, family, &table, &d, &mut out).to_bits(),
+                        displace_at(level, form, &table, &d, &mut out).to_bits(),
                         least.to_bits()
                     );
                     assert_eq!(out.len(), blocks);
-                    assert_eq!(out, reference, "{family:?} {level:?}");
+                    assert_eq!(out, reference, "{form:?} {level:?}");
                 }
             }
         }
@@ -198,24 +197,25 @@ mod tests {
         for (points, segments, columns) in [(points.clone(), vec![], 3), (points, segments, 7)] {
             let sources = HandleElements { points, segments };
             for alpha in [0.5, 1.0, 1.3, 1.5, 2.0, 3.0, 7.9] {
-                for (method, exact) in [
-                    (Method::Affine, false),
-                    (Method::Similarity, false),
-                    (Method::Rigid, false),
-                    (Method::Affine, true),
-                    (Method::Rigid, true),
+                for (form, exact) in [
+                    (Form::Real, false),
+                    (Form::Complex, false),
+                    (Form::Rigid, false),
+                    (Form::Real, true),
+                    (Form::Rigid, true),
                 ] {
                     let (falloff, beta) = (
                         Falloff::new(alpha, true).unwrap(),
                         IncompleteBeta::new(alpha),
                     );
                     let inputs = RowInputs {
+                        metric: Euclidean,
                         sources: &sources,
                         extent: 400.0,
                         falloff,
                         beta: beta.as_ref(),
                         point_mass: 1.0,
-                        method,
+                        form,
                         exact,
                     };
                     let bits = |rows: &Coefficients<LANES>, k: usize| -> Vec<u64> {
@@ -240,7 +240,7 @@ mod tests {
                             assert_eq!(
                                 bits(&rows, k),
                                 bits(&reference, k),
-                                "{level:?} {method:?} {alpha} {k}"
+                                "{level:?} {form:?} {alpha} {k}"
                             );
                             let mut one = Coefficients::<1>::zeroed(columns);
                             let at = Vertices::all(Point::new(v.x[k], v.y[k]));
@@ -262,7 +262,7 @@ mod tests {
                             assert_eq!(
                                 single,
                                 bits(&reference, k),
-                                "{level:?} {method:?} {alpha} {k}, alone"
+                                "{level:?} {form:?} {alpha} {k}, alone"
                             );
                             assert!(single.iter().all(|x| f64::from_bits(*x).is_finite()));
                         }
@@ -282,7 +282,7 @@ mod tests {
         for &level in SimdLevel::available() {
             let mut out = Vec::new();
             assert_eq!(
-                displace_at(level, Method::Rigid, &block, &[[1.0, 0.0]], &mut out),
+                displace_at(level, Form::Rigid, &block, &[[1.0, 0.0]], &mut out),
                 0.0
             );
             assert_eq!(out, [[[1.0, 0.0]; LANES]], "{level:?}");

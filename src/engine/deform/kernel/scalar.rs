@@ -2,25 +2,25 @@
 //! the width it is allowed. Functions, not closures: a closure may stay a function of its own,
 //! which then has the reference's vectors in every level.
 
-use super::{BlockDisplacements, CoefficientLanes, LANES, Method, lanes_per_block};
+use super::{BlockDisplacements, CoefficientLanes, Form, LANES, lanes_per_block};
 
 /// Below this |m| no rotation is better than another (f32).
 const UNDEFINED_ROTATION: f32 = 1e-5;
 
 /// See [`super::displace`].
 pub(super) fn displace(
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
-    displace_inline(family, table, d, out)
+    displace_inline(form, table, d, out)
 }
 
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
 pub(super) fn displace_inline(
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
@@ -28,10 +28,10 @@ pub(super) fn displace_inline(
     // The unused lanes of a last block repeat its last vertex. A least per lane keeps the loops
     // free of a horizontal step.
     let mut least = [1.0f32; LANES];
-    out.reserve(table.len() / lanes_per_block(family, d.len()));
-    for block in table.chunks_exact(lanes_per_block(family, d.len())) {
+    out.reserve(table.len() / lanes_per_block(form, d.len()));
+    for block in table.chunks_exact(lanes_per_block(form, d.len())) {
         // Pushed, not stored into zeros: writing the zeros took 5 % of a small table's time.
-        out.push(pose(family, block, d, &mut least));
+        out.push(pose(form, block, d, &mut least));
     }
     let mut all = 1.0;
     for n in least {
@@ -43,15 +43,15 @@ pub(super) fn displace_inline(
 /// The displacements of a block.
 #[inline(always)]
 fn pose(
-    family: Method,
+    form: Form,
     block: &[CoefficientLanes],
     d: &[[f32; 2]],
     least: &mut [f32; LANES],
 ) -> BlockDisplacements {
-    let [x, y] = match family {
-        Method::Affine => affine(block, d),
-        Method::Similarity => similarity(block, d),
-        Method::Rigid => turn(block, &pull(block, d), least),
+    let [x, y] = match form {
+        Form::Real => affine(block, d),
+        Form::Complex => similarity(block, d),
+        Form::Rigid => turn(block, &pull(block, d), least),
     };
     let mut pairs = [[0.0; 2]; LANES];
     for k in 0..LANES {

@@ -2,60 +2,60 @@
 //! processor that has the level.
 
 use super::{
-    BlockDisplacements, CoefficientLanes, CoefficientScratch, Coefficients, Method, MomentInputs,
-    RowInputs, Vertices, scalar,
+    BlockDisplacements, CoefficientLanes, CoefficientScratch, Coefficients, Form, Metric,
+    MomentInputs, RowInputs, Vertices, scalar,
 };
 
 /// See [`super::displace`].
 pub(super) fn displace_avx2(
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx2")]
     fn body(
-        family: Method,
+        form: Form,
         table: &[CoefficientLanes],
         d: &[[f32; 2]],
         out: &mut Vec<BlockDisplacements>,
     ) -> f32 {
-        scalar::displace_inline(family, table, d, out)
+        scalar::displace_inline(form, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(family, table, d, out) }
+    unsafe { body(form, table, d, out) }
 }
 
 /// See [`super::displace`].
 pub(super) fn displace_avx512(
-    family: Method,
+    form: Form,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body(
-        family: Method,
+        form: Form,
         table: &[CoefficientLanes],
         d: &[[f32; 2]],
         out: &mut Vec<BlockDisplacements>,
     ) -> f32 {
-        scalar::displace_inline(family, table, d, out)
+        scalar::displace_inline(form, table, d, out)
     }
     // SAFETY: the one caller asks `Level::is_here` first.
-    unsafe { body(family, table, d, out) }
+    unsafe { body(form, table, d, out) }
 }
 
 /// See [`super::rows`].
 pub(super) fn rows_avx2<const N: usize>(
-    inputs: &RowInputs<'_>,
+    inputs: &RowInputs<'_, impl Metric>,
     v: &Vertices<N>,
     scratch: &mut CoefficientScratch<N>,
     rows: &mut Coefficients<N>,
 ) {
     #[target_feature(enable = "avx2")]
     fn body<const N: usize>(
-        inputs: &RowInputs<'_>,
+        inputs: &RowInputs<'_, impl Metric>,
         v: &Vertices<N>,
         scratch: &mut CoefficientScratch<N>,
         rows: &mut Coefficients<N>,
@@ -68,14 +68,14 @@ pub(super) fn rows_avx2<const N: usize>(
 
 /// See [`super::rows`].
 pub(super) fn rows_avx512<const N: usize>(
-    inputs: &RowInputs<'_>,
+    inputs: &RowInputs<'_, impl Metric>,
     v: &Vertices<N>,
     scratch: &mut CoefficientScratch<N>,
     rows: &mut Coefficients<N>,
 ) {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body<const N: usize>(
-        inputs: &RowInputs<'_>,
+        inputs: &RowInputs<'_, impl Metric>,
         v: &Vertices<N>,
         scratch: &mut CoefficientScratch<N>,
         rows: &mut Coefficients<N>,

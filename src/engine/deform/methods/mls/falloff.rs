@@ -1,8 +1,8 @@
 //! The fall-off `w = |p - v|^(-2 alpha)`, always computed as a power of a ratio of squared
 //! distances, so that it never overflows.
 
-use super::DeformError;
-use super::lane_math::pow;
+use crate::deform::DeformError;
+use crate::deform::lane_math::pow;
 
 /// The validated exponent alpha: `0 < alpha <= 8`, and at least 1/2 with lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,7 +13,7 @@ pub struct Falloff {
 
 /// Powers that need only multiplications and roots; all others need a logarithm and an exponential.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Power {
+pub(in crate::deform) enum Power {
     Half,
     One,
     OneAndHalf,
@@ -68,14 +68,14 @@ impl Falloff {
         self.alpha
     }
 
-    pub(super) const fn power(self) -> Power {
+    pub(in crate::deform) const fn power(self) -> Power {
         self.power
     }
 
     /// Replaces every squared distance, px^2, by the weight of a unit mass at it; infinite at no
     /// distance.
     #[inline(always)]
-    pub(super) fn apply_to_squared(self, squares: &mut [f64]) {
+    pub(in crate::deform) fn apply_to_squared(self, squares: &mut [f64]) {
         match self.power {
             Power::Half => {
                 for r2 in squares {
@@ -117,7 +117,7 @@ impl Falloff {
 
     /// Replaces every ratio in [0, 1] by `ratio^alpha`.
     #[inline(always)]
-    pub(super) fn of_lanes<const N: usize>(self, ratios: &mut [f64; N]) {
+    pub(in crate::deform) fn of_lanes<const N: usize>(self, ratios: &mut [f64; N]) {
         // A loop per power: one loop around the match is not vectorised on AVX2.
         match self.power {
             Power::Half => {

@@ -54,15 +54,15 @@ const fn batch(half: [(f64, f64); NODES_PER_BATCH / 2]) -> Batch {
 }
 
 /// The parameters that the nodes on both sides of the nearest position share.
-pub(super) struct Sight {
+pub(in crate::deform) struct Sight {
     /// |beyond|, and the squared distance from the line, in lengths.
-    pub(super) beyond: f64,
-    pub(super) h2: f64,
+    pub(in crate::deform) beyond: f64,
+    pub(in crate::deform) h2: f64,
     /// r2min in squared lengths.
-    pub(super) ratio: f64,
-    pub(super) falloff: Falloff,
+    pub(in crate::deform) ratio: f64,
+    pub(in crate::deform) falloff: Falloff,
     /// Use all 16 nodes per panel, not 8.
-    pub(super) many: bool,
+    pub(in crate::deform) many: bool,
 }
 
 impl Sight {
@@ -70,7 +70,7 @@ impl Sight {
     /// Panels: [0, end / 2^n], then each as long as all before it, so none is longer than its
     /// distance from v.
     #[inline(always)]
-    pub(super) fn side(&self, end: f64) -> [f64; 3] {
+    pub(in crate::deform) fn side(&self, end: f64) -> [f64; 3] {
         let mut sums = [[0.0; NODES_PER_BATCH]; 3];
         if end > 0.0 {
             let nearest = self.beyond * self.beyond + self.h2;

@@ -10,7 +10,7 @@
 //! length of the segment.
 
 use super::falloff::Falloff;
-use super::lane_math::pow;
+use crate::deform::lane_math::pow;
 
 /// Coefficients of a polynomial: the functions are singular at 1, so those of Chebyshev polynomials
 /// on [0, 1/2] fall by 5.8 each.
@@ -33,7 +33,7 @@ const FROM_LOGARITHM: f64 = 1e-3;
 
 /// The functions of one alpha.
 #[derive(Clone, Debug)]
-pub(super) struct IncompleteBeta {
+pub(in crate::deform) struct IncompleteBeta {
     alpha: f64,
     /// Polynomials in `4 y - 1`.
     from_foot: [f64; CHEBYSHEV_TERMS],
@@ -43,19 +43,19 @@ pub(super) struct IncompleteBeta {
 }
 
 /// Segments relative to N vertices.
-pub(super) struct RelativeSegments<'a, const N: usize> {
+pub(in crate::deform) struct RelativeSegments<'a, const N: usize> {
     /// The foot coordinates of the ends and of the position nearest to v, lengths.
-    pub(super) ends: [[f64; N]; 2],
-    pub(super) nearest: &'a [f64; N],
+    pub(in crate::deform) ends: [[f64; N]; 2],
+    pub(in crate::deform) nearest: &'a [f64; N],
     /// Distance from the line, lengths.
-    pub(super) h: [f64; N],
+    pub(in crate::deform) h: [f64; N],
     /// r2min in squared lengths.
-    pub(super) ratio: [f64; N],
+    pub(in crate::deform) ratio: [f64; N],
 }
 
 impl IncompleteBeta {
     /// `None` if the moments need a logarithm.
-    pub(super) fn new(alpha: f64) -> Option<Self> {
+    pub(in crate::deform) fn new(alpha: f64) -> Option<Self> {
         if [1.0, 2.0, 3.0]
             .iter()
             .any(|pole| (2.0 * alpha - pole).abs() < FROM_LOGARITHM)
@@ -80,7 +80,7 @@ impl IncompleteBeta {
     /// `sum w y^m`, m = 0, 1, 2, with density 1, y from the nearest position; weights relative to
     /// r2min's.
     #[inline(always)]
-    pub(super) fn moments<const N: usize>(
+    pub(in crate::deform) fn moments<const N: usize>(
         &self,
         along: &RelativeSegments<'_, N>,
         falloff: Falloff,

@@ -8,11 +8,11 @@
 //! of all others, so every sum consists of relatively exact terms (mathematics 7.1), at several
 //! times the cost.
 
-use super::Method;
-use super::columns::PointSource;
 use super::falloff::Falloff;
-use super::family::rho;
-use super::lanes::Vertices;
+use crate::deform::columns::PointSource;
+use crate::deform::form::Form;
+use crate::deform::form::rho;
+use crate::deform::lanes::Vertices;
 use crate::geometry::{Point, Vec2};
 
 /// Vertices that are anchored at once.
@@ -35,12 +35,12 @@ const MOST_CANCELLED_PX: f64 = 3e7;
 
 /// The input that does not depend on the vertices.
 #[derive(Clone, Debug)]
-pub(super) struct MomentInputs<'a> {
+pub(in crate::deform) struct MomentInputs<'a> {
     points: &'a [PointSource],
     /// Displacements of the points, px.
     d: &'a [Vec2],
     falloff: Falloff,
-    method: Method,
+    form: Form,
     /// The origins of positions and displacements.
     origin: Point,
     shift: Vec2,
@@ -84,17 +84,17 @@ struct Means {
 
 impl<'a> MomentInputs<'a> {
     /// `d`: the displacements of the points, px.
-    pub(super) fn new(
+    pub(in crate::deform) fn new(
         points: &'a [PointSource],
         d: &'a [Vec2],
         falloff: Falloff,
-        method: Method,
+        form: Form,
     ) -> Self {
         let sum = points
             .iter()
             .fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
         let (origin, shift) = (points[0].p + sum * (1.0 / points.len() as f64), d[0]);
-        let terms = if method == Method::Affine {
+        let terms = if form == Form::Real {
             let factors = |p: Vec2, d: Vec2| {
                 [
                     1.0,
@@ -121,7 +121,7 @@ impl<'a> MomentInputs<'a> {
             points,
             d,
             falloff,
-            method,
+            form,
             origin,
             shift,
             terms,
@@ -131,7 +131,7 @@ impl<'a> MomentInputs<'a> {
     /// `f(v) - v`, px, and |m| (rigid), else 1. The body of every instruction set's function in
     /// `kernel`; `LANES`: vertices whose sums fit into its registers.
     #[inline(always)]
-    pub(super) fn displacements<const LANES: usize, const N: usize>(
+    pub(in crate::deform) fn displacements<const LANES: usize, const N: usize>(
         &self,
         v: &Vertices<N>,
     ) -> ([[f64; N]; 2], [f64; N]) {
@@ -220,9 +220,9 @@ impl<'a> MomentInputs<'a> {
 
     /// The family's map of similarity `1 + u` at e, beyond e.
     fn turned(&self, e: Vec2, d: Vec2, u: Vec2) -> (Vec2, f64) {
-        match self.method {
-            Method::Rigid => (d + e.complex_mul(rho(u)), (1.0 + u.x).hypot(u.y)),
-            Method::Affine | Method::Similarity => (d + e.complex_mul(u), 1.0),
+        match self.form {
+            Form::Rigid => (d + e.complex_mul(rho(u)), (1.0 + u.x).hypot(u.y)),
+            Form::Real | Form::Complex => (d + e.complex_mul(u), 1.0),
         }
     }
 
@@ -297,7 +297,7 @@ impl<'a> MomentInputs<'a> {
     /// The displacement beyond that of the anchor of a vertex at `v` from it; and |m|.
     fn anchored(&self, v: Vec2, means: &Means) -> (Vec2, f64) {
         let (e, spread) = (v - means.p, means.xx + means.yy);
-        if self.method == Method::Affine {
+        if self.form == Form::Real {
             let is_singular =
                 means.determinant() <= SINGULAR_DETERMINANT_SHARE * means.xx * means.yy;
             return (
@@ -406,9 +406,9 @@ fn squared_distances<const LANES: usize>(
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::kernel::moments_at;
-    use super::super::{Handle, Handles, Pose, RestDeformation};
     use super::*;
+    use crate::deform::kernel::moments_at;
+    use crate::deform::{Handle, Handles, Method, Pose, RestDeformation};
     use crate::level::SimdLevel;
 
     const METHODS: [Method; 3] = [Method::Affine, Method::Similarity, Method::Rigid];
@@ -449,7 +449,11 @@ mod tests {
         for (k, place) in places.iter().enumerate() {
             (v.x[k], v.y[k]) = (place.x, place.y);
         }
-        moments_at(level, &field.moments(pose).unwrap(), &v)
+        let points = &field.set.sources.points;
+        let alpha = field.parameters().get("alpha").unwrap();
+        let falloff = Falloff::new(alpha, false).unwrap();
+        let moments = MomentInputs::new(points, pose.displacements(), falloff, field.form());
+        moments_at(level, &moments, &v)
     }
 
     proptest! {

@@ -8,7 +8,7 @@
 //! Everything is scaled by `S = (1 + N)^(-1/2)` on both sides, so that no amount of noise drowns
 //! the kernel.
 
-use super::IsCancelled;
+use crate::deform::IsCancelled;
 
 /// Polynomials, at most: 1, x, y.
 pub(super) const MAX_POLYNOMIALS: usize = 3;

@@ -2,13 +2,93 @@
 //! It does not interpolate the handles. Handles on a line determine a similarity only. A segment
 //! counts with the integral over its length. O(columns) for a position.
 
-use super::columns::{HandleElements, PointSource, RestSegment};
-use super::lanes::{Coefficients, Vertices};
+use std::sync::Arc;
+
+use super::mls::{POINT_MASS, determined};
+use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
+use crate::deform::columns::{HandleElements, PointSource, Rank, RestSegment, rank};
+use crate::deform::form::Form;
+use crate::deform::lanes::{Coefficients, Vertices};
+use crate::deform::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
+use crate::deform::workspace::Workspace;
+use crate::deform::{DeformError, IsCancelled, Parameter};
 use crate::geometry::{Point, Vec2};
+
+/// In keys of plans.
+const PLAN_IDENTITY: u64 = 4;
+
+static PARAMETERS: [Parameter; 1] = [POINT_MASS];
+
+/// The row of the table.
+pub(super) static INFO: MethodInfo = MethodInfo {
+    method: Method::GlobalAffine,
+    name: "global_affine",
+    title: "Global",
+    sentence: "Moves, turns, stretches and shears the whole picture as one: it passes near the \
+        handles, not through them.",
+    handles: AcceptedHandles::All,
+    parameters: &PARAMETERS,
+    has_object: false,
+    interpolation: Interpolation::Never,
+    can_mirror: true,
+    can_scale: true,
+    candidates: &[&[]],
+    candidate_order: 4,
+    system: None,
+    resolve: |handles, given| given.resolved(&PARAMETERS, handles),
+    map,
+};
+
+fn map(input: &MapInput<'_>) -> Result<BuiltMap, DeformError> {
+    let rank = rank(input.handles);
+    let (form, warnings) = determined(Form::Real, rank);
+    let map = Arc::new(OneMap(GlobalAffine::of(input.sources, rank)));
+    Ok(BuiltMap {
+        map,
+        rank,
+        form,
+        warnings,
+    })
+}
+
+/// The map of a set; none is needed for handles at one position.
+#[derive(Debug)]
+struct OneMap(Option<GlobalAffine>);
+
+impl<const N: usize> CoefficientsOf<N> for OneMap {
+    fn coefficients(
+        &self,
+        _: &RestSet,
+        v: &Vertices<N>,
+        _exact: bool,
+        workspace: &mut Workspace<N>,
+    ) {
+        let map = self.0.as_ref().expect("has an extent");
+        map.rows(v, &mut workspace.rows);
+    }
+}
+
+impl PointMap for OneMap {
+    fn identity(&self, form: Form) -> Identity {
+        Identity {
+            plan: PLAN_IDENTITY,
+            rest: form as u64,
+            numbers: vec![],
+        }
+    }
+
+    fn is_smooth(&self, _set: &RestSet) -> bool {
+        true
+    }
+
+    fn of_part(&self, part: &RestSet, _cancelled: IsCancelled<'_>) -> Option<Arc<dyn PointMap>> {
+        Some(Arc::new(Self(GlobalAffine::of(&part.sources, part.rank))))
+    }
+}
 
 /// The coefficients of all columns: affine functions of the position.
 #[derive(Clone, Debug)]
-pub(super) struct GlobalAffine {
+struct GlobalAffine {
     /// The mean of the handles at rest; the frame's origin.
     centre: Point,
     /// Direction of the frame: the one in which the handles extend farthest.
@@ -53,8 +133,15 @@ impl Piece {
 }
 
 impl GlobalAffine {
+    fn of(sources: &HandleElements, rank: Rank) -> Option<Self> {
+        match rank {
+            Rank::Empty | Rank::OnePlace => None,
+            Rank::Collinear | Rank::Full => Some(Self::new(sources, rank == Rank::Collinear)),
+        }
+    }
+
     /// At least two positions. `line`: all lie on one.
-    pub(super) fn new(sources: &HandleElements, line: bool) -> Self {
+    fn new(sources: &HandleElements, line: bool) -> Self {
         let first = sources
             .points
             .first()
@@ -134,7 +221,7 @@ impl GlobalAffine {
     }
 
     /// The coefficients of N vertices.
-    pub(super) fn rows<const N: usize>(&self, v: &Vertices<N>, rows: &mut Coefficients<N>) {
+    fn rows<const N: usize>(&self, v: &Vertices<N>, rows: &mut Coefficients<N>) {
         let (mut ex, mut ey) = ([0.0; N], [0.0; N]);
         for k in 0..N {
             let e = turned(Point::new(v.x[k], v.y[k]) - self.centre, self.tau);

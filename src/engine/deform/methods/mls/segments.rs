@@ -8,12 +8,12 @@
     reason = "loops over lanes are written alike, whatever they index"
 )]
 
-use super::columns::RestSegment;
 use super::falloff::{Falloff, Power};
 use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
-use super::lane_math::angle;
-use super::lanes::Vertices;
 use super::quadrature::Sight;
+use crate::deform::columns::RestSegment;
+use crate::deform::lane_math::angle;
+use crate::deform::lanes::Vertices;
 
 /// The closed form replaces the nodes for a segment further away than this share of its length:
 /// nearer, its second moment cancels by (L/h)^2.
@@ -24,28 +24,28 @@ const CLOSED_TO: f64 = 32.0;
 
 /// The position of a segment relative to N vertices.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct View<const N: usize> {
+pub(in crate::deform) struct View<const N: usize> {
     /// Distance of v's foot on the line from the nearest position of the segment, lengths: 0 beside
     /// it, positive before a, negative beyond b.
     beyond: [f64; N],
     /// Shares of the ends a and b at the nearest position, `1 - t` and `t`: also its distances from
     /// b and a.
-    pub(super) share_a: [f64; N],
-    pub(super) share_b: [f64; N],
+    pub(in crate::deform) share_a: [f64; N],
+    pub(in crate::deform) share_b: [f64; N],
     /// Signed distance of v from the line, px, positive to the left of `tau` in y-up terms.
     off: [f64; N],
     /// Squared distance of v from the segment, px^2.
-    pub(super) r2: [f64; N],
+    pub(in crate::deform) r2: [f64; N],
 }
 
 /// `sum w y^m` over the positions of a segment, y from the position nearest to v towards b,
 /// lengths. Sums of terms of one sign, or about the position of the largest weight: nothing cancels
 /// however near v is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Moments<const N: usize>(pub(super) [[f64; N]; 3]);
+pub(in crate::deform) struct Moments<const N: usize>(pub(in crate::deform) [[f64; N]; 3]);
 
 impl<const N: usize> View<N> {
-    pub(super) const ZERO: Self = Self {
+    pub(in crate::deform) const ZERO: Self = Self {
         beyond: [0.0; N],
         share_a: [0.0; N],
         share_b: [0.0; N],
@@ -54,7 +54,7 @@ impl<const N: usize> View<N> {
     };
 
     #[inline(always)]
-    pub(super) fn new(s: &RestSegment, v: &Vertices<N>) -> Self {
+    pub(in crate::deform) fn new(s: &RestSegment, v: &Vertices<N>) -> Self {
         let mut view = Self::ZERO;
         let per_length = 1.0 / s.length;
         for k in 0..N {
@@ -111,7 +111,7 @@ impl<const N: usize> View<N> {
 
     /// v from the position nearest to it, px, in the frame of `tau`.
     #[inline(always)]
-    pub(super) fn off_nearest(&self, s: &RestSegment) -> [[f64; N]; 2] {
+    pub(in crate::deform) fn off_nearest(&self, s: &RestSegment) -> [[f64; N]; 2] {
         let mut along = self.beyond;
         for u in &mut along {
             *u *= -s.length;
@@ -121,7 +121,7 @@ impl<const N: usize> View<N> {
 
     /// The moments, with weights relative to `r2min`. `exact`: by the nodes, at their full number.
     #[inline(always)]
-    pub(super) fn moments(
+    pub(in crate::deform) fn moments(
         &self,
         s: &RestSegment,
         v: &Vertices<N>,

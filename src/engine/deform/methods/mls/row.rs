@@ -13,14 +13,16 @@
     reason = "loops over lanes are written alike, whatever they index"
 )]
 
-use super::Method;
-use super::columns::{HandleElements, PointSource, RestSegment};
 use super::falloff::Falloff;
 use super::fit::fit;
 use super::incomplete_beta::IncompleteBeta;
-use super::lanes::{Coefficients, PointMass, Vertices};
-use super::segment_moments::{CoefficientScratch, SegmentMoments};
+use super::metric::Metric;
+use super::segment_moments::SegmentMoments;
 use super::segments::{Moments, View};
+use crate::deform::columns::{HandleElements, PointSource, RestSegment};
+use crate::deform::form::Form;
+use crate::deform::lanes::{Coefficients, PointMass, Vertices};
+use crate::deform::workspace::CoefficientScratch;
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the set's extent v lies on a handle.
@@ -30,17 +32,18 @@ const NO_SOURCE: u64 = u64::MAX;
 
 /// The input of a row that depends on the set.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RowInputs<'a> {
-    pub(super) sources: &'a HandleElements,
-    pub(super) extent: f64,
-    pub(super) falloff: Falloff,
+pub(in crate::deform) struct RowInputs<'a, M> {
+    pub(in crate::deform) metric: M,
+    pub(in crate::deform) sources: &'a HandleElements,
+    pub(in crate::deform) extent: f64,
+    pub(in crate::deform) falloff: Falloff,
     /// The closed form of segments, if alpha has one.
-    pub(super) beta: Option<&'a IncompleteBeta>,
+    pub(in crate::deform) beta: Option<&'a IncompleteBeta>,
     /// The mass of a point of weight 1, px.
-    pub(super) point_mass: f64,
-    pub(super) method: Method,
+    pub(in crate::deform) point_mass: f64,
+    pub(in crate::deform) form: Form,
     /// Always use the quadrature nodes, at their full number.
-    pub(super) exact: bool,
+    pub(in crate::deform) exact: bool,
 }
 
 /// The heaviest source of each vertex, and the frame of all positions:
@@ -61,10 +64,10 @@ struct Anchor<const N: usize> {
     reach: [f64; N],
 }
 
-impl RowInputs<'_> {
+impl<M: Metric> RowInputs<'_, M> {
     /// The rows of `v`. The body of every instruction set's function in `kernel`.
     #[inline(always)]
-    pub(super) fn rows<const N: usize>(
+    pub(in crate::deform) fn rows<const N: usize>(
         &self,
         v: &Vertices<N>,
         scratch: &mut CoefficientScratch<N>,
@@ -83,7 +86,7 @@ impl RowInputs<'_> {
         let mut anchor = self.weights(v, &r2min, scratch);
         self.choose_frame(&mut anchor, scratch);
         let at_v = self.in_frame(v, &anchor, scratch);
-        fit(self.method, self.sources, &anchor.tau, &at_v, scratch, rows);
+        fit(self.form, self.sources, &anchor.tau, &at_v, scratch, rows);
         let snap = SNAP_SHARE * self.extent;
         // Computed for every lane and replaced in few: a branch around the steps above would keep
         // the lanes from being computed together. What they hold for a vertex on a handle may be
@@ -103,15 +106,14 @@ impl RowInputs<'_> {
         scratch: &mut CoefficientScratch<N>,
     ) -> [f64; N] {
         let mut nearest = [f64::INFINITY; N];
-        for (PointSource { p, .. }, place) in self.sources.points.iter().zip(&mut scratch.places) {
-            for k in 0..N {
-                let (x, y) = (p.x - v.x[k], p.y - v.y[k]);
-                place.w[k] = x * x + y * y;
-            }
+        let points = self.sources.points.iter().zip(&mut scratch.places);
+        for (index, (PointSource { p, .. }, place)) in points.enumerate() {
+            place.w = self.metric.squared(index, *p, v);
             lower(&mut nearest, &place.w);
         }
-        for (s, span) in self.sources.segments.iter().zip(&mut scratch.spans) {
-            span.view = View::new(s, v);
+        let segments = self.sources.segments.iter().zip(&mut scratch.spans);
+        for (index, (s, span)) in segments.enumerate() {
+            span.view = self.metric.view(index, s, v);
             // The whole segment counts, not its line: beyond an end that is the distance from the
             // end.
             lower(&mut nearest, &span.view.r2);
@@ -331,9 +333,9 @@ impl RowInputs<'_> {
             }
         }
         let total: f64 = hits.iter().map(|(weight, ..)| weight).sum();
-        let mut put = |column: usize, share: f64| match self.method {
-            Method::Affine | Method::Similarity => rows.h[column][0][k] = share,
-            Method::Rigid => rows.wn[column][k] = share,
+        let mut put = |column: usize, share: f64| match self.form {
+            Form::Real | Form::Complex => rows.h[column][0][k] = share,
+            Form::Rigid => rows.wn[column][k] = share,
         };
         for (weight, column, [a, b]) in hits {
             // Rigid keeps wn apart, and H = 0 leaves only the mean of the moved handles: no

@@ -14,11 +14,11 @@
 
 use rayon::prelude::*;
 
-use super::IsCancelled;
-use super::columns::PointSource;
-use super::lane_math::ln;
-use super::lanes::{Coefficients, Vertices};
-use super::tps_system::{MAX_POLYNOMIALS, TpsSystem};
+use super::system::{MAX_POLYNOMIALS, TpsSystem};
+use crate::deform::IsCancelled;
+use crate::deform::columns::PointSource;
+use crate::deform::lane_math::ln;
+use crate::deform::lanes::{Coefficients, Vertices};
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the sites' unit v lies on a handle.
@@ -260,10 +260,6 @@ impl Spline {
         self.x.len()
     }
 
-    pub(super) const fn interpolates(&self) -> bool {
-        self.interpolates
-    }
-
     /// The squared distances of N vertices from a site.
     #[inline(always)]
     fn r2<const N: usize>(&self, site: usize, at: &[[f64; N]; 2]) -> [f64; N] {
@@ -352,7 +348,7 @@ impl Spline {
 
 impl PosedSpline<'_> {
     /// `f(v) - v` of N vertices, px.
-    pub(super) fn displacements<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
+    pub(super) fn displaced<const N: usize>(&self, v: &Vertices<N>) -> [[f64; N]; 2] {
         let at = self.spline.frame.take(v);
         let [a, ax, ay] = self.polynomials;
         let mut moved = [[0.0; N]; 2];

@@ -1,29 +1,39 @@
-//! The families of maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`, and for
-//! rigid `v + e rho(u) + sum wn_j d_j` with `u = sum H_j d_j`. Identity is exact: d = 0 gives f = v
-//! bit for bit.
+//! The forms of coefficients: maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`,
+//! and for rigid `v + e rho(u) + sum wn_j d_j` with `u = sum H_j d_j`. Identity is exact: d = 0
+//! gives f = v bit for bit.
 
-use super::Method;
 use super::lanes::Coefficients;
 use crate::geometry::Vec2;
+
+/// What the coefficients of a position are, and how they make f of a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// A real number for each vector: `sum C_j d_j`.
+    Real,
+    /// A complex number for each vector: `sum C_j d_j`.
+    Complex,
+    /// Complex and real ones, and a vector: `e rho(sum H_j d_j) + sum wn_j d_j`.
+    Rigid,
+}
 
 /// Below this |m| the rotation is undefined (f64).
 const UNDEFINED_ROTATION: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
 pub(super) fn displacement<const N: usize>(
-    family: Method,
+    form: Form,
     rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> Vec2 {
-    match family {
-        Method::Affine => rows
+    match form {
+        Form::Real => rows
             .h
             .iter()
             .zip(d)
             .fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
-        Method::Similarity => pull(rows, k, d),
-        Method::Rigid => {
+        Form::Complex => pull(rows, k, d),
+        Form::Rigid => {
             let shift = rows
                 .wn
                 .iter()
@@ -48,14 +58,14 @@ fn pull<const N: usize>(rows: &Coefficients<N>, k: usize, d: &[Vec2]) -> Vec2 {
     reason = "a quality number, compared with 0.1"
 )]
 pub(super) fn rotation<const N: usize>(
-    family: Method,
+    form: Form,
     rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> f32 {
-    match family {
-        Method::Affine | Method::Similarity => 1.0,
-        Method::Rigid => {
+    match form {
+        Form::Real | Form::Complex => 1.0,
+        Form::Rigid => {
             let u = pull(rows, k, d);
             (1.0 + u.x).hypot(u.y) as f32
         }

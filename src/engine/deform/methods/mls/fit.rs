@@ -2,16 +2,17 @@
 //! rows of the family, rotated back from the frame. The mass of a segment is distributed along its
 //! direction; sums need only its moments, so it adds a few terms to those of a point.
 
-use super::Method;
-use super::columns::{HandleElements, PointSource, RestSegment};
-use super::lanes::{Coefficients, PointMass};
-use super::segment_moments::{CoefficientScratch, SegmentMoments};
+use super::segment_moments::SegmentMoments;
+use crate::deform::columns::{HandleElements, PointSource, RestSegment};
+use crate::deform::form::Form;
+use crate::deform::lanes::{Coefficients, PointMass};
+use crate::deform::workspace::CoefficientScratch;
 
 /// `tau`: direction of the frame, `at_v`: v in it. Leaves positions relative to p* and masses that
 /// add up to 1.
 #[inline(always)]
-pub(super) fn fit<const N: usize>(
-    method: Method,
+pub(in crate::deform) fn fit<const N: usize>(
+    form: Form,
     sources: &HandleElements,
     tau: &[[f64; N]; 2],
     at_v: &[[f64; N]; 2],
@@ -19,11 +20,11 @@ pub(super) fn fit<const N: usize>(
     rows: &mut Coefficients<N>,
 ) {
     let (e, per_mu) = centre(at_v, scratch);
-    if method == Method::Affine {
+    if form == Form::Real {
         return affine(sources, &e, &per_mu, scratch, rows);
     }
     let turn = Rotation {
-        rigid: method == Method::Rigid,
+        rigid: form == Form::Rigid,
         tau,
         e: &e,
     };

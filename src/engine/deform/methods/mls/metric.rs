@@ -1,0 +1,39 @@
+//! The distance in front of the fall-off: how far a handle is from a vertex when its weight is
+//! computed. Positions and displacements are those of the plane under any metric.
+
+use super::segments::View;
+use crate::deform::columns::RestSegment;
+use crate::deform::lanes::Vertices;
+use crate::geometry::Point;
+
+/// A metric, which is a type and not a choice at run time: the loops over vertices are compiled for
+/// each. One that knows distances of the vertices of a mesh only is made for each block of them.
+pub(in crate::deform) trait Metric: Copy {
+    /// The squared distances of N vertices from point number `index` of the set, which lies at `p`,
+    /// px^2.
+    fn squared<const N: usize>(&self, index: usize, p: Point, v: &Vertices<N>) -> [f64; N];
+
+    /// How N vertices see segment number `index` of the set.
+    fn view<const N: usize>(&self, index: usize, s: &RestSegment, v: &Vertices<N>) -> View<N>;
+}
+
+/// The distance in the plane.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::deform) struct Euclidean;
+
+impl Metric for Euclidean {
+    #[inline(always)]
+    fn squared<const N: usize>(&self, _index: usize, p: Point, v: &Vertices<N>) -> [f64; N] {
+        let mut squared = [0.0; N];
+        for k in 0..N {
+            let (x, y) = (p.x - v.x[k], p.y - v.y[k]);
+            squared[k] = x * x + y * y;
+        }
+        squared
+    }
+
+    #[inline(always)]
+    fn view<const N: usize>(&self, _index: usize, s: &RestSegment, v: &Vertices<N>) -> View<N> {
+        View::new(s, v)
+    }
+}

@@ -1,0 +1,154 @@
+//! What a method must be able to do, and may do better than others. A method is one file below
+//! `methods`; everybody else asks it through these traits and never which one it is.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use super::columns::{HandleElements, Rank};
+use super::form::Form;
+use super::lanes::{LANES, Vertices};
+use super::workspace::Workspace;
+use super::{DeformError, Handles, IsCancelled, Parameters, Warning};
+use crate::geometry::Vec2;
+
+/// Handles at rest as a map sees them, coincident points as one.
+#[derive(Clone, Debug)]
+pub(super) struct RestSet {
+    pub(super) sources: HandleElements,
+    pub(super) rank: Rank,
+    pub(super) form: Form,
+    /// Of all handles, px: lengths of the set are measured by it.
+    pub(super) extent: f64,
+}
+
+/// What a method makes a map from.
+pub(super) struct MapInput<'a> {
+    pub(super) handles: &'a Handles,
+    pub(super) sources: &'a HandleElements,
+    /// Effective values of all parameters of the method.
+    pub(super) parameters: &'a Parameters,
+    /// Whether the map will be evaluated; else it is only described, and needs no system.
+    pub(super) is_solved: bool,
+    pub(super) cancelled: IsCancelled<'a>,
+}
+
+/// The map of a set, and what was decided for all positions.
+pub(super) struct BuiltMap {
+    pub(super) map: Arc<dyn PointMap>,
+    pub(super) rank: Rank,
+    pub(super) form: Form,
+    pub(super) warnings: Vec<Warning>,
+}
+
+/// How a method makes its map.
+pub(super) type MakeMap = fn(&MapInput<'_>) -> Result<BuiltMap, DeformError>;
+
+/// What caches and digests know a map by, beside the handles. No two methods may have the same.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Identity {
+    /// In the key of a plan.
+    pub plan: u64,
+    /// In the digest of handles at rest.
+    pub rest: u64,
+    /// Parameters, other than the mass of points, on which coefficients depend.
+    pub numbers: Vec<f64>,
+}
+
+/// The coefficients of N positions. Implemented once for every N.
+pub(super) trait CoefficientsOf<const N: usize> {
+    /// The coefficients of all terms into `workspace.rows`; only of sets with an extent. `exact`:
+    /// as precise as the definition, whatever it takes.
+    fn coefficients(
+        &self,
+        set: &RestSet,
+        v: &Vertices<N>,
+        exact: bool,
+        workspace: &mut Workspace<N>,
+    );
+}
+
+/// `f(v) - v` of N positions, px, and the least |m| (rigid), else 1.
+pub(super) type Displacements<const N: usize> = ([[f64; N]; 2], f32);
+
+/// f of one pose at N positions without their coefficients. Implemented once for every N.
+pub(super) trait DisplacementsOf<const N: usize> {
+    /// `None`: not in this precision; coefficients are.
+    fn displacements(&self, v: &Vertices<N>, exact: bool) -> Option<Displacements<N>>;
+}
+
+/// f of one pose, for positions that are used once.
+pub(super) trait PosedWithoutCoefficients:
+    DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync
+{
+}
+
+impl<T: DisplacementsOf<1> + DisplacementsOf<LANES> + Debug + Send + Sync> PosedWithoutCoefficients
+    for T
+{
+}
+
+/// A map whose value is known at any position.
+pub(super) trait PointMap:
+    CoefficientsOf<1> + CoefficientsOf<LANES> + Debug + Send + Sync
+{
+    /// See [`Identity`].
+    fn identity(&self, form: Form) -> Identity;
+
+    /// Whether f has neither cusps nor creases, of which vertices nearby say nothing.
+    fn is_smooth(&self, set: &RestSet) -> bool;
+
+    /// The map of some of the handles, with the parameters and lengths of this one; for comparing
+    /// methods. `None` when cancelled.
+    fn of_part(&self, part: &RestSet, cancelled: IsCancelled<'_>) -> Option<Arc<dyn PointMap>>;
+
+    /// The number of vectors that coefficients multiply.
+    fn terms(&self, columns: usize) -> usize {
+        columns
+    }
+
+    /// These vectors, if they are not the displacements of the columns.
+    fn terms_of(&self, _displacements: &[Vec2]) -> Option<Vec<Vec2>> {
+        None
+    }
+
+    /// How the coefficients are laid out for clients that pose by themselves.
+    fn layout(&self, form: Form) -> u32 {
+        form as u32
+    }
+
+    /// Why there is no table of coefficients, if there is none.
+    fn without_table(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Whether coefficients inside cells are worth keeping.
+    fn keeps_coefficients(&self, _set: &RestSet) -> bool {
+        true
+    }
+
+    /// Operations for the coefficients of a position, beyond those of weighing each handle once.
+    fn operations(&self, _columns: u64) -> u64 {
+        0
+    }
+
+    /// f of a pose, where that takes less time than coefficients that are used once. `exact`:
+    /// whether only exact displacements will be asked for.
+    fn posed<'a>(
+        &'a self,
+        _set: &'a RestSet,
+        _displacements: &'a [Vec2],
+        _exact: bool,
+    ) -> Option<Box<dyn PosedWithoutCoefficients + 'a>> {
+        None
+    }
+
+    /// For each column its displacement less the one that the map of all others predicts, px, if
+    /// there is a closed form. The outer `None`: cancelled.
+    fn left_out(
+        &self,
+        _displacements: &[Vec2],
+        _cancelled: IsCancelled<'_>,
+    ) -> Option<Option<Vec<Vec2>>> {
+        Some(None)
+    }
+}
