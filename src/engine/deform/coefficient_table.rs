@@ -10,7 +10,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::Pose;
-use super::form::Form;
+use super::form::CoefficientForm;
 use super::kernel::{self, CoefficientLanes, lanes_per_block};
 use super::lanes::{Coefficients, LANES, gather};
 use super::point_map::PointMap;
@@ -34,7 +34,7 @@ pub type IsCancelled<'a> = &'a (dyn Fn() -> bool + Sync);
 #[derive(Debug)]
 pub struct CoefficientTable {
     map: Arc<dyn PointMap>,
-    form: Form,
+    form: CoefficientForm,
     columns: usize,
     /// Vectors that the coefficients of a vertex multiply.
     terms: usize,
@@ -252,7 +252,7 @@ impl CoefficientTable {
     }
 
     fn plane_of_block(&self, block: &[CoefficientLanes], plane: usize) -> CoefficientLanes {
-        let (Form::Rigid, [.., ex, ey]) = (self.form, block) else {
+        let (CoefficientForm::Rigid, [.., ex, ey]) = (self.form, block) else {
             return block[plane];
         };
         let first = plane - plane % 3;
@@ -362,25 +362,29 @@ pub(super) fn to_f32(d: Vec2) -> [f32; 2] {
 }
 
 /// Writes the rows of a block.
-pub(super) fn store(form: Form, rows: &Coefficients<LANES>, block: &mut [CoefficientLanes]) {
+pub(super) fn store(
+    form: CoefficientForm,
+    rows: &Coefficients<LANES>,
+    block: &mut [CoefficientLanes],
+) {
     #[expect(
         clippy::cast_possible_truncation,
         reason = "f32 is the precision of the table"
     )]
     let put = |lanes: &mut CoefficientLanes, row: &[f64; LANES]| lanes.0 = row.map(|x| x as f32);
     match form {
-        Form::Real => {
+        CoefficientForm::Real => {
             for (lanes, c) in block.iter_mut().zip(&rows.h) {
                 put(lanes, &c[0]);
             }
         }
-        Form::Complex => {
+        CoefficientForm::Complex => {
             for (lanes, c) in block.chunks_exact_mut(2).zip(&rows.h) {
                 put(&mut lanes[0], &c[0]);
                 put(&mut lanes[1], &c[1]);
             }
         }
-        Form::Rigid => {
+        CoefficientForm::Rigid => {
             for ((lanes, h), wn) in block.chunks_exact_mut(3).zip(&rows.h).zip(&rows.wn) {
                 put(&mut lanes[0], &h[0]);
                 put(&mut lanes[1], &h[1]);

@@ -7,7 +7,7 @@ use crate::geometry::Vec2;
 
 /// What the coefficients of a position are, and how they make f of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
+pub enum CoefficientForm {
     /// A real number for each vector: `sum C_j d_j`.
     Real,
     /// A complex number for each vector: `sum C_j d_j`.
@@ -21,19 +21,19 @@ const UNDEFINED_ROTATION: f64 = 1e-9;
 
 /// `f(v) - v` of vertex `k` of the rows, px.
 pub(super) fn displacement<const N: usize>(
-    form: Form,
+    form: CoefficientForm,
     rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> Vec2 {
     match form {
-        Form::Real => rows
+        CoefficientForm::Real => rows
             .h
             .iter()
             .zip(d)
             .fold(Vec2::ZERO, |sum, (c, d)| sum + *d * c[0][k]),
-        Form::Complex => pull(rows, k, d),
-        Form::Rigid => {
+        CoefficientForm::Complex => pull(rows, k, d),
+        CoefficientForm::Rigid => {
             let shift = rows
                 .wn
                 .iter()
@@ -58,14 +58,14 @@ fn pull<const N: usize>(rows: &Coefficients<N>, k: usize, d: &[Vec2]) -> Vec2 {
     reason = "a quality number, compared with 0.1"
 )]
 pub(super) fn rotation<const N: usize>(
-    form: Form,
+    form: CoefficientForm,
     rows: &Coefficients<N>,
     k: usize,
     d: &[Vec2],
 ) -> f32 {
     match form {
-        Form::Real | Form::Complex => 1.0,
-        Form::Rigid => {
+        CoefficientForm::Real | CoefficientForm::Complex => 1.0,
+        CoefficientForm::Rigid => {
             let u = pull(rows, k, d);
             (1.0 + u.x).hypot(u.y) as f32
         }

@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::columns::{HandleElements, PointSource, Rank, rank};
-use super::form::{Form, displacement};
+use super::form::{CoefficientForm, displacement};
 use super::lanes::Vertices;
 use super::point_map::RestSet;
 use super::rest_deformation::RestDeformation;
@@ -70,7 +70,7 @@ impl RestDeformation {
             .collect();
         let rank = rank(&Handles::of_valid(handles, vec![1.0; points.len()]));
         let form = match (rank, self.set.form) {
-            (Rank::Collinear, Form::Real) => Form::Complex,
+            (Rank::Collinear, CoefficientForm::Real) => CoefficientForm::Complex,
             (_, form) => form,
         };
         RestSet {

@@ -64,7 +64,7 @@ pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality, pose_wit
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
 pub use error::{DeformError, Warning};
-pub use form::Form;
+pub use form::CoefficientForm;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};
 pub use inverse::Inverse;

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use std::sync::Arc;
 
 use super::columns::{HandleElements, Rank};
-use super::form::Form;
+use super::form::CoefficientForm;
 use super::lanes::{LANES, Vertices};
 use super::workspace::Workspace;
 use super::{DeformError, Handles, IsCancelled, Parameters, Warning};
@@ -16,7 +16,7 @@ use crate::geometry::Vec2;
 pub(super) struct RestSet {
     pub(super) sources: HandleElements,
     pub(super) rank: Rank,
-    pub(super) form: Form,
+    pub(super) form: CoefficientForm,
     /// Of all handles, px: lengths of the set are measured by it.
     pub(super) extent: f64,
 }
@@ -36,7 +36,7 @@ pub(super) struct MapInput<'a> {
 pub(super) struct BuiltMap {
     pub(super) map: Arc<dyn PointMap>,
     pub(super) rank: Rank,
-    pub(super) form: Form,
+    pub(super) form: CoefficientForm,
     pub(super) warnings: Vec<Warning>,
 }
 
@@ -92,7 +92,7 @@ pub(super) trait PointMap:
     CoefficientsOf<1> + CoefficientsOf<LANES> + Debug + Send + Sync
 {
     /// See [`Identity`].
-    fn identity(&self, form: Form) -> Identity;
+    fn identity(&self, form: CoefficientForm) -> Identity;
 
     /// Whether f has neither cusps nor creases, of which vertices nearby say nothing.
     fn is_smooth(&self, set: &RestSet) -> bool;
@@ -112,7 +112,7 @@ pub(super) trait PointMap:
     }
 
     /// How the coefficients are laid out for clients that pose by themselves.
-    fn layout(&self, form: Form) -> u32 {
+    fn layout(&self, form: CoefficientForm) -> u32 {
         form as u32
     }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::coincidences::Coincidences;
 use super::columns::{Element, HandleElements, Rank, elements};
 use super::conflicts::{Conflicts, Member};
-use super::form::Form;
+use super::form::CoefficientForm;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::lanes::{Coefficients, Vertices};
@@ -276,7 +276,7 @@ impl RestDeformation {
 
     /// The form of the coefficients.
     #[must_use]
-    pub const fn form(&self) -> Form {
+    pub const fn form(&self) -> CoefficientForm {
         self.set.form
     }
 
@@ -426,8 +426,10 @@ impl RestDeformation {
         let total: f64 = points.iter().map(|mark| mark.mass).sum();
         for mark in points {
             match self.set.form {
-                Form::Real | Form::Complex => rows.h[mark.column][0] = [mark.mass / total; N],
-                Form::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
+                CoefficientForm::Real | CoefficientForm::Complex => {
+                    rows.h[mark.column][0] = [mark.mass / total; N]
+                }
+                CoefficientForm::Rigid => rows.wn[mark.column] = [mark.mass / total; N],
             }
         }
     }

@@ -105,7 +105,7 @@ impl CoefficientRequest {
     }
 
     /// How the coefficients are laid out: 0, 1 and 2 are the numbers of
-    /// [`Form`](crate::deform::Form), others those of their method.
+    /// [`CoefficientForm`](crate::deform::CoefficientForm), others those of their method.
     #[must_use]
     pub fn layout(&self) -> u32 {
         self.field.layout()

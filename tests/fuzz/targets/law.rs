@@ -4,7 +4,7 @@
 //! Two laws: everything is finite, and the plan says what the exact function says.
 
 use mlswarp::deform::{
-    CoefficientTable, Falloff, Form, Handle, Handles, Method, Pose, RestDeformation,
+    CoefficientForm, CoefficientTable, Falloff, Handle, Handles, Method, Pose, RestDeformation,
 };
 use mlswarp::geometry::{Point, Vec2};
 
@@ -154,8 +154,8 @@ impl Probes {
     fn new(field: &RestDeformation, falloff: &Falloff, point_mass: f64) -> Self {
         // A rotation is the direction of the similarity that fits.
         let family = match field.form() {
-            Form::Real => Method::Affine,
-            Form::Complex | Form::Rigid => Method::Similarity,
+            CoefficientForm::Real => Method::Affine,
+            CoefficientForm::Complex | CoefficientForm::Rigid => Method::Similarity,
         };
         let rest = field.handles().clone();
         let stepped = |seed: u64| -> Vec<Handle> {

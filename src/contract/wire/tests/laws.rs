@@ -99,12 +99,16 @@ pub(super) fn written(warp: &WarpObject) -> Value {
         "p": AsJson(p.as_slice()), "q": q.as_deref().map(AsJson), "weights": weights,
             "method": AsJson(*method), "alpha": alpha,
         "point_mass": point_mass, "smoothing": smoothing, "coincident": AsJson(*coincident),
-        "units": AsJson(*units), "metric": AsJson(*metric), "align": AsJson(*align), "grid": AsJson(*grid),
+        "units": AsJson(*units), "align": AsJson(*align), "grid": AsJson(*grid),
             "folds": AsJson(*folds), "output": AsJson(output)
     });
     let fields = object.as_object_mut().unwrap();
     let own = serde_json::to_value(AsJson(*own)).unwrap();
     fields.extend(own.as_object().unwrap().clone());
+    // Nobody needs to send the default, so it is not described.
+    if *metric != Metric::default() {
+        fields.insert("metric".to_owned(), json!(AsJson(*metric)));
+    }
     fields.retain(|_, value| !value.is_null());
     object
 }

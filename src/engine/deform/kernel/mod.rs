@@ -11,7 +11,7 @@ mod scalar;
 )]
 mod x86;
 
-use super::form::Form;
+use super::form::CoefficientForm;
 use super::lanes::{Coefficients, LANES, Vertices};
 use super::methods::mls::metric::Metric;
 use super::methods::mls::moments::MomentInputs;
@@ -28,11 +28,11 @@ pub(super) struct CoefficientLanes(pub(super) [f32; LANES]);
 pub(super) type BlockDisplacements = [[f32; 2]; LANES];
 
 /// Lanes in a block of this form.
-pub(super) const fn lanes_per_block(form: Form, terms: usize) -> usize {
+pub(super) const fn lanes_per_block(form: CoefficientForm, terms: usize) -> usize {
     match form {
-        Form::Real => terms,
-        Form::Complex => 2 * terms,
-        Form::Rigid => 3 * terms + 2,
+        CoefficientForm::Real => terms,
+        CoefficientForm::Complex => 2 * terms,
+        CoefficientForm::Rigid => 3 * terms + 2,
     }
 }
 
@@ -40,7 +40,7 @@ pub(super) const fn lanes_per_block(form: Form, terms: usize) -> usize {
 /// `table: [blocks][lanes per block]`, `d: [terms]`, `out: [blocks]`. Returns the least |m|
 /// (rigid), else 1.
 pub(super) fn displace(
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
@@ -51,7 +51,7 @@ pub(super) fn displace(
 /// Like [`displace`], at a level; scalar if the processor lacks it.
 pub(super) fn displace_at(
     level: SimdLevel,
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
@@ -133,9 +133,9 @@ mod tests {
             (state >> 8) as f32 / 8_388_608.0 - 1.0
         };
         for (form, per_column, extra) in [
-            (Form::Real, 1, 0),
-            (Form::Complex, 2, 0),
-            (Form::Rigid, 3, 2),
+            (CoefficientForm::Real, 1, 0),
+            (CoefficientForm::Complex, 2, 0),
+            (CoefficientForm::Rigid, 3, 2),
         ] {
             for (columns, blocks) in [(1, 1), (7, 7), (3, 2), (11, 3)] {
                 let table: Vec<CoefficientLanes> = (0..blocks * (per_column * columns + extra))
@@ -198,11 +198,11 @@ mod tests {
             let sources = HandleElements { points, segments };
             for alpha in [0.5, 1.0, 1.3, 1.5, 2.0, 3.0, 7.9] {
                 for (form, exact) in [
-                    (Form::Real, false),
-                    (Form::Complex, false),
-                    (Form::Rigid, false),
-                    (Form::Real, true),
-                    (Form::Rigid, true),
+                    (CoefficientForm::Real, false),
+                    (CoefficientForm::Complex, false),
+                    (CoefficientForm::Rigid, false),
+                    (CoefficientForm::Real, true),
+                    (CoefficientForm::Rigid, true),
                 ] {
                     let (falloff, beta) = (
                         Falloff::new(alpha, true).unwrap(),
@@ -282,7 +282,13 @@ mod tests {
         for &level in SimdLevel::available() {
             let mut out = Vec::new();
             assert_eq!(
-                displace_at(level, Form::Rigid, &block, &[[1.0, 0.0]], &mut out),
+                displace_at(
+                    level,
+                    CoefficientForm::Rigid,
+                    &block,
+                    &[[1.0, 0.0]],
+                    &mut out
+                ),
                 0.0
             );
             assert_eq!(out, [[[1.0, 0.0]; LANES]], "{level:?}");

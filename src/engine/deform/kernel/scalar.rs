@@ -2,14 +2,14 @@
 //! the width it is allowed. Functions, not closures: a closure may stay a function of its own,
 //! which then has the reference's vectors in every level.
 
-use super::{BlockDisplacements, CoefficientLanes, Form, LANES, lanes_per_block};
+use super::{BlockDisplacements, CoefficientForm, CoefficientLanes, LANES, lanes_per_block};
 
 /// Below this |m| no rotation is better than another (f32).
 const UNDEFINED_ROTATION: f32 = 1e-5;
 
 /// See [`super::displace`].
 pub(super) fn displace(
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
@@ -20,7 +20,7 @@ pub(super) fn displace(
 /// The body, inlined into one function per instruction set.
 #[inline(always)]
 pub(super) fn displace_inline(
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
@@ -43,15 +43,15 @@ pub(super) fn displace_inline(
 /// The displacements of a block.
 #[inline(always)]
 fn pose(
-    form: Form,
+    form: CoefficientForm,
     block: &[CoefficientLanes],
     d: &[[f32; 2]],
     least: &mut [f32; LANES],
 ) -> BlockDisplacements {
     let [x, y] = match form {
-        Form::Real => affine(block, d),
-        Form::Complex => similarity(block, d),
-        Form::Rigid => turn(block, &pull(block, d), least),
+        CoefficientForm::Real => affine(block, d),
+        CoefficientForm::Complex => similarity(block, d),
+        CoefficientForm::Rigid => turn(block, &pull(block, d), least),
     };
     let mut pairs = [[0.0; 2]; LANES];
     for k in 0..LANES {

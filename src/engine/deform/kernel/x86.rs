@@ -2,20 +2,20 @@
 //! processor that has the level.
 
 use super::{
-    BlockDisplacements, CoefficientLanes, CoefficientScratch, Coefficients, Form, Metric,
-    MomentInputs, RowInputs, Vertices, scalar,
+    BlockDisplacements, CoefficientForm, CoefficientLanes, CoefficientScratch, Coefficients,
+    Metric, MomentInputs, RowInputs, Vertices, scalar,
 };
 
 /// See [`super::displace`].
 pub(super) fn displace_avx2(
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx2")]
     fn body(
-        form: Form,
+        form: CoefficientForm,
         table: &[CoefficientLanes],
         d: &[[f32; 2]],
         out: &mut Vec<BlockDisplacements>,
@@ -28,14 +28,14 @@ pub(super) fn displace_avx2(
 
 /// See [`super::displace`].
 pub(super) fn displace_avx512(
-    form: Form,
+    form: CoefficientForm,
     table: &[CoefficientLanes],
     d: &[[f32; 2]],
     out: &mut Vec<BlockDisplacements>,
 ) -> f32 {
     #[target_feature(enable = "avx512f,avx512bw,avx512cd,avx512dq,avx512vl,avx512vbmi")]
     fn body(
-        form: Form,
+        form: CoefficientForm,
         table: &[CoefficientLanes],
         d: &[[f32; 2]],
         out: &mut Vec<BlockDisplacements>,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::mls::{POINT_MASS, determined};
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
 use crate::deform::columns::{HandleElements, PointSource, Rank, RestSegment, rank};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::lanes::{Coefficients, Vertices};
 use crate::deform::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
 use crate::deform::workspace::Workspace;
@@ -41,7 +41,7 @@ pub(super) static INFO: MethodInfo = MethodInfo {
 
 fn map(input: &MapInput<'_>) -> Result<BuiltMap, DeformError> {
     let rank = rank(input.handles);
-    let (form, warnings) = determined(Form::Real, rank);
+    let (form, warnings) = determined(CoefficientForm::Real, rank);
     let map = Arc::new(OneMap(GlobalAffine::of(input.sources, rank)));
     Ok(BuiltMap {
         map,
@@ -69,7 +69,7 @@ impl<const N: usize> CoefficientsOf<N> for OneMap {
 }
 
 impl PointMap for OneMap {
-    fn identity(&self, form: Form) -> Identity {
+    fn identity(&self, form: CoefficientForm) -> Identity {
         Identity {
             plan: PLAN_IDENTITY,
             rest: form as u64,

@@ -4,7 +4,7 @@
 
 use super::segment_moments::SegmentMoments;
 use crate::deform::columns::{HandleElements, PointSource, RestSegment};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::lanes::{Coefficients, PointMass};
 use crate::deform::workspace::CoefficientScratch;
 
@@ -12,7 +12,7 @@ use crate::deform::workspace::CoefficientScratch;
 /// add up to 1.
 #[inline(always)]
 pub(in crate::deform) fn fit<const N: usize>(
-    form: Form,
+    form: CoefficientForm,
     sources: &HandleElements,
     tau: &[[f64; N]; 2],
     at_v: &[[f64; N]; 2],
@@ -20,11 +20,11 @@ pub(in crate::deform) fn fit<const N: usize>(
     rows: &mut Coefficients<N>,
 ) {
     let (e, per_mu) = centre(at_v, scratch);
-    if form == Form::Real {
+    if form == CoefficientForm::Real {
         return affine(sources, &e, &per_mu, scratch, rows);
     }
     let turn = Rotation {
-        rigid: form == Form::Rigid,
+        rigid: form == CoefficientForm::Rigid,
         tau,
         e: &e,
     };

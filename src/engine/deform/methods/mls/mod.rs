@@ -20,7 +20,7 @@ use self::moments::MomentInputs;
 use self::row::RowInputs;
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo};
 use crate::deform::columns::{PointSource, Rank, rank};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::kernel;
 use crate::deform::lanes::Vertices;
 use crate::deform::point_map::{
@@ -96,7 +96,7 @@ const fn info(method: Method, name: &'static str, title: &'static str) -> Method
 pub(super) static RIGID: MethodInfo = MethodInfo {
     sentence: "Rotation and translation only, without scaling, like cardboard.",
     candidate_order: 2,
-    map: |input| map(input, Form::Rigid),
+    map: |input| map(input, CoefficientForm::Rigid),
     ..info(Method::Rigid, "rigid", "Rigid")
 };
 
@@ -105,7 +105,7 @@ pub(super) static SIMILARITY: MethodInfo = MethodInfo {
     sentence: "Allows scaling and keeps angles: use it to make something larger or smaller.",
     can_scale: true,
     candidate_order: 1,
-    map: |input| map(input, Form::Complex),
+    map: |input| map(input, CoefficientForm::Complex),
     ..info(Method::Similarity, "similarity", "Similarity")
 };
 
@@ -114,7 +114,7 @@ pub(super) static AFFINE: MethodInfo = MethodInfo {
     sentence: "Also allows stretching and shear: follows the handles most freely.",
     can_mirror: true,
     can_scale: true,
-    map: |input| map(input, Form::Real),
+    map: |input| map(input, CoefficientForm::Real),
     ..info(Method::Affine, "affine", "Affine")
 };
 
@@ -127,7 +127,7 @@ fn resolve(handles: &Handles, given: &Parameters) -> Result<Parameters, DeformEr
     given.resolved(&PARAMETERS, handles)
 }
 
-fn map(input: &MapInput<'_>, form: Form) -> Result<BuiltMap, DeformError> {
+fn map(input: &MapInput<'_>, form: CoefficientForm) -> Result<BuiltMap, DeformError> {
     let (handles, rank) = (input.handles, rank(input.handles));
     let value = |path| input.parameters.get(path).unwrap_or(1.0);
     let (falloff, point_mass) = (
@@ -156,11 +156,12 @@ fn map(input: &MapInput<'_>, form: Form) -> Result<BuiltMap, DeformError> {
 }
 
 /// The form that handles of this rank determine, and the warnings.
-pub(super) fn determined(form: Form, rank: Rank) -> (Form, Vec<Warning>) {
+pub(super) fn determined(form: CoefficientForm, rank: Rank) -> (CoefficientForm, Vec<Warning>) {
     match (form, rank) {
-        (Form::Real, Rank::Collinear) => {
-            (Form::Complex, vec![Warning::AffineDegenerateUsedSimilarity])
-        }
+        (CoefficientForm::Real, Rank::Collinear) => (
+            CoefficientForm::Complex,
+            vec![Warning::AffineDegenerateUsedSimilarity],
+        ),
         (_, Rank::OnePlace) => (form, vec![Warning::TranslationOnly]),
         _ => (form, vec![]),
     }
@@ -183,7 +184,7 @@ impl MovingLeastSquares {
         let is_equal = |pair: &[PointSource]| pair[0].mass == pair[1].mass;
         let is_accurate =
             || self.falloff.alpha() <= MOST_AFFINE && set.sources.points.windows(2).all(is_equal);
-        (set.form != Form::Real || is_accurate())
+        (set.form != CoefficientForm::Real || is_accurate())
             && set.sources.segments.is_empty()
             && matches!(set.rank, Rank::Collinear | Rank::Full)
     }
@@ -218,7 +219,7 @@ impl<const N: usize> CoefficientsOf<N> for MovingLeastSquares {
 }
 
 impl PointMap for MovingLeastSquares {
-    fn identity(&self, form: Form) -> Identity {
+    fn identity(&self, form: CoefficientForm) -> Identity {
         let (plan, rest) = (form as u64, form as u64);
         Identity {
             plan,

@@ -10,7 +10,7 @@
 
 use super::falloff::Falloff;
 use crate::deform::columns::PointSource;
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::form::rho;
 use crate::deform::lanes::Vertices;
 use crate::geometry::{Point, Vec2};
@@ -40,7 +40,7 @@ pub(in crate::deform) struct MomentInputs<'a> {
     /// Displacements of the points, px.
     d: &'a [Vec2],
     falloff: Falloff,
-    form: Form,
+    form: CoefficientForm,
     /// The origins of positions and displacements.
     origin: Point,
     shift: Vec2,
@@ -88,13 +88,13 @@ impl<'a> MomentInputs<'a> {
         points: &'a [PointSource],
         d: &'a [Vec2],
         falloff: Falloff,
-        form: Form,
+        form: CoefficientForm,
     ) -> Self {
         let sum = points
             .iter()
             .fold(Vec2::ZERO, |sum, source| sum + (source.p - points[0].p));
         let (origin, shift) = (points[0].p + sum * (1.0 / points.len() as f64), d[0]);
-        let terms = if form == Form::Real {
+        let terms = if form == CoefficientForm::Real {
             let factors = |p: Vec2, d: Vec2| {
                 [
                     1.0,
@@ -221,8 +221,8 @@ impl<'a> MomentInputs<'a> {
     /// The family's map of similarity `1 + u` at e, beyond e.
     fn turned(&self, e: Vec2, d: Vec2, u: Vec2) -> (Vec2, f64) {
         match self.form {
-            Form::Rigid => (d + e.complex_mul(rho(u)), (1.0 + u.x).hypot(u.y)),
-            Form::Real | Form::Complex => (d + e.complex_mul(u), 1.0),
+            CoefficientForm::Rigid => (d + e.complex_mul(rho(u)), (1.0 + u.x).hypot(u.y)),
+            CoefficientForm::Real | CoefficientForm::Complex => (d + e.complex_mul(u), 1.0),
         }
     }
 
@@ -297,7 +297,7 @@ impl<'a> MomentInputs<'a> {
     /// The displacement beyond that of the anchor of a vertex at `v` from it; and |m|.
     fn anchored(&self, v: Vec2, means: &Means) -> (Vec2, f64) {
         let (e, spread) = (v - means.p, means.xx + means.yy);
-        if self.form == Form::Real {
+        if self.form == CoefficientForm::Real {
             let is_singular =
                 means.determinant() <= SINGULAR_DETERMINANT_SHARE * means.xx * means.yy;
             return (

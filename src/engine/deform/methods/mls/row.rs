@@ -20,7 +20,7 @@ use super::metric::Metric;
 use super::segment_moments::SegmentMoments;
 use super::segments::{Moments, View};
 use crate::deform::columns::{HandleElements, PointSource, RestSegment};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::lanes::{Coefficients, PointMass, Vertices};
 use crate::deform::workspace::CoefficientScratch;
 use crate::geometry::{Point, Vec2};
@@ -41,7 +41,7 @@ pub(in crate::deform) struct RowInputs<'a, M> {
     pub(in crate::deform) beta: Option<&'a IncompleteBeta>,
     /// The mass of a point of weight 1, px.
     pub(in crate::deform) point_mass: f64,
-    pub(in crate::deform) form: Form,
+    pub(in crate::deform) form: CoefficientForm,
     /// Always use the quadrature nodes, at their full number.
     pub(in crate::deform) exact: bool,
 }
@@ -334,8 +334,8 @@ impl<M: Metric> RowInputs<'_, M> {
         }
         let total: f64 = hits.iter().map(|(weight, ..)| weight).sum();
         let mut put = |column: usize, share: f64| match self.form {
-            Form::Real | Form::Complex => rows.h[column][0][k] = share,
-            Form::Rigid => rows.wn[column][k] = share,
+            CoefficientForm::Real | CoefficientForm::Complex => rows.h[column][0][k] = share,
+            CoefficientForm::Rigid => rows.wn[column][k] = share,
         };
         for (weight, column, [a, b]) in hits {
             // Rigid keeps wn apart, and H = 0 leaves only the mean of the moved handles: no

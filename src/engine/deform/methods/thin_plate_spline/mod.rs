@@ -9,7 +9,7 @@ use std::sync::Arc;
 use self::spline::{PosedSpline, Sites, Spline};
 use super::{AcceptedHandles, Interpolation, Method, MethodInfo, MethodSystem};
 use crate::deform::columns::{Rank, rank};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::groups::coincidence_distance;
 use crate::deform::lanes::Vertices;
 use crate::deform::point_map::{
@@ -86,9 +86,12 @@ fn map(input: &MapInput<'_>) -> Result<BuiltMap, DeformError> {
     let positions = sites.positions.iter().copied().map(Handle::Point);
     let rank = rank(&Handles::new(positions.collect(), None)?);
     let (form, warnings) = match rank {
-        Rank::Empty | Rank::Full => (Form::Real, vec![]),
-        Rank::OnePlace => (Form::Real, vec![Warning::TranslationOnly]),
-        Rank::Collinear => (Form::Complex, vec![Warning::TpsDegenerateUsedSimilarity]),
+        Rank::Empty | Rank::Full => (CoefficientForm::Real, vec![]),
+        Rank::OnePlace => (CoefficientForm::Real, vec![Warning::TranslationOnly]),
+        Rank::Collinear => (
+            CoefficientForm::Complex,
+            vec![Warning::TpsDegenerateUsedSimilarity],
+        ),
     };
     let spline = match rank {
         Rank::Collinear | Rank::Full if input.is_solved => {
@@ -133,7 +136,7 @@ impl<const N: usize> CoefficientsOf<N> for ThinPlateSpline {
 }
 
 impl PointMap for ThinPlateSpline {
-    fn identity(&self, form: Form) -> Identity {
+    fn identity(&self, form: CoefficientForm) -> Identity {
         Identity {
             plan: PLAN_IDENTITY,
             rest: form as u64,
