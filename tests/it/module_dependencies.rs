@@ -42,7 +42,9 @@ const CONTRACT: [(&str, &[&str]); 3] = [
 const ENGINE: [(&str, &[&str]); 8] = [
     (
         "warp",
-        &["codec", "render", "deform", "pixmap", "geometry", "level"],
+        &[
+            "codec", "render", "deform", "pixmap", "topology", "geometry", "level",
+        ],
     ),
     ("codec", &["pixmap", "level"]),
     ("render", &["pixmap", "geometry", "level"]),

@@ -49,7 +49,7 @@ pub use self::fit::{Candidate, Fit, Prediction, best, check_comparison, choose};
 pub use self::frame::CoordinateFrame;
 pub use self::image::Image;
 pub use self::label_image::LabelImage;
-pub use self::mask::Mask;
+pub use self::mask::RestMask;
 pub use self::plausibility::Seen;
 pub use self::posed_mesh::{PosedMesh, Report};
 pub use self::quality::{Quality, RoundTrip, ToleranceQuality};

@@ -8,7 +8,7 @@ use super::rest_parameters::{
     AUTO_CELL, check_parameters, field, plan_key, resolve_grid, to_px, unit,
 };
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, Mask, RestSpec, Task, Units, Warning, WarpError, work};
+use super::{Digest, GridSpec, Limits, RestMask, RestSpec, Task, Units, Warning, WarpError, work};
 use crate::deform::{
     self, DeformError, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality,
     RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
@@ -43,7 +43,7 @@ pub struct ResolvedRest {
     /// Of the client's coordinates.
     units: Units,
     mixed: bool,
-    mask: Option<Mask>,
+    mask: Option<RestMask>,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
     /// Of the drawn picture, px.
@@ -166,7 +166,7 @@ impl ResolvedRest {
         field: Arc<RestDeformation>,
         grid: Grid,
         spec: GridSpec,
-        rest: (Units, bool, Option<Mask>, Vec<Warning>),
+        rest: (Units, bool, Option<RestMask>, Vec<Warning>),
         limits: &Limits,
     ) -> Self {
         let (units, mixed, mask, warnings) = rest;
@@ -400,7 +400,7 @@ impl ResolvedRest {
 
     /// The mask of the rest handles.
     #[must_use]
-    pub const fn mask(&self) -> Option<&Mask> {
+    pub const fn mask(&self) -> Option<&RestMask> {
         self.mask.as_ref()
     }
 

@@ -3,7 +3,7 @@
 
 use super::digest::Collector;
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, Mask, RestSpec, Units, WarpError};
+use super::{Digest, GridSpec, Limits, RestMask, RestSpec, Units, WarpError};
 use crate::deform::{DeformError, Handle, Handles, Identity, IsCancelled, RestDeformation};
 use crate::geometry::{DisplayNumber, Grid, Point};
 
@@ -142,7 +142,7 @@ pub(super) fn plan_key(
     grid: &Grid,
     mixed: bool,
     is_subdivided: bool,
-    mask: Option<&Mask>,
+    mask: Option<&RestMask>,
 ) -> Digest {
     let Identity { plan, numbers, .. } = field.identity();
     let key = Collector::new("mlswarp plan 2").integer(plan);
@@ -179,9 +179,9 @@ pub(super) fn plan_key(
 }
 
 /// A key that knows the mask, if there is one.
-pub(super) fn with_mask(key: Collector, mask: Option<&Mask>) -> Collector {
+pub(super) fn with_mask(key: Collector, mask: Option<&RestMask>) -> Collector {
     match mask {
-        Some(mask) => key.bytes(&mask.digest().0),
+        Some(mask) => key.bytes(&mask.digest.0),
         None => key,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{CanvasSpec, Mask, Warning, WarpError};
+use super::{CanvasSpec, RestMask, Warning, WarpError};
 use crate::codec::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::deform::{Coincident, Handle, Method, Parameters};
 use crate::pixmap::Depth;
@@ -136,7 +136,7 @@ pub struct RestSpec {
     /// The metric.
     pub metric: Metric,
     /// The pixels that handles can act through, if the metric or the method needs to know them.
-    pub mask: Option<Mask>,
+    pub mask: Option<RestMask>,
     /// The treatment of handles that coincide at rest.
     pub coincident: Coincident,
     /// Unit of p and q.
