@@ -114,13 +114,11 @@ fn cancelling_that_is_forgotten_is_seen() {
     for wrong in [
         "let setup = ResolvedRest::new(&rest, extent, &limits)?;",
         "posed.into_report(canvas, &|| false)?;",
-        "self.0.pool.run(&ticket, move |_| long_work(&rest)).await?",
+        "ticket.run(move |_| long_work(&rest)).await?",
         "let work = move |_: &_| { long_work(&rest) };",
     ] {
         assert_eq!(offences(wrong).len(), 1, "{wrong}");
     }
-    assert!(
-        offences("self.0.pool.run(&ticket, move |_| FitObject::parse(&json)).await?").is_empty()
-    );
-    assert!(offences("pool.run(&ticket, move |cancel| work(cancel))").is_empty());
+    assert!(offences("ticket.run(move |_| FitObject::parse(&json)).await?").is_empty());
+    assert!(offences("ticket.run(move |cancel| work(cancel))").is_empty());
 }

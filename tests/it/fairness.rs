@@ -597,7 +597,7 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     let server = Server::start(&["--memory-bytes", "32MiB"]).await;
     let (one, other) = (Party::new(&server, 2), Party::new(&server, 3));
     let id = other.session(&photo(64, 48)).await;
-    let limit = server.app.request_quota(one.who()).limit();
+    let limit = server.app.admission.request_quota(one.who()).limit();
     assert_eq!(limit, 12 << 20);
     // Uploads of which two megabytes come and no more.
     let part = "--x\r\nContent-Disposition: form-data; name=\"image\"; filename=\"a\"\r\n\r\n";
@@ -609,14 +609,14 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     let (mut held, mut refused) = (Vec::new(), 0);
     for _ in 0..12 {
         let mut stream = one.connect().await;
-        let before = server.app.request_quota(one.who()).held();
+        let before = server.app.admission.request_quota(one.who()).held();
         // Refused while it sends: what it writes then may find nobody.
         let _ = stream
             .write_all(&[head.as_bytes(), &vec![0; 2_000_000]].concat())
             .await;
         let mut status = [0; 12];
         let counted = eventually("its bytes have come", || {
-            server.app.request_quota(one.who()).held() >= before + 2_000_000
+            server.app.admission.request_quota(one.who()).held() >= before + 2_000_000
         });
         tokio::select! {
             read = stream.read_exact(&mut status) => {
@@ -627,7 +627,7 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
             () = counted => {}
         }
         held.push(stream);
-        assert!(server.app.request_quota(one.who()).held() <= limit);
+        assert!(server.app.admission.request_quota(one.who()).held() <= limit);
     }
     let taken = server.app.budget().taken_for(MemoryClass::Upload);
     eprintln!(
@@ -652,7 +652,7 @@ async fn one_client_has_half_of_the_memory_for_uploads() {
     }
     drop(held);
     eventually("it is given back", || {
-        server.app.request_quota(one.who()).held() == 0
+        server.app.admission.request_quota(one.who()).held() == 0
     })
     .await;
 }

@@ -84,6 +84,7 @@ mod socket;
 mod socket_abuse;
 mod spline;
 mod stopping;
+mod store_lookups;
 mod stores;
 mod strength;
 mod support;

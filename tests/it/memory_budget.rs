@@ -10,7 +10,7 @@ use axum::http::{Method, Request};
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use http_body_util::BodyExt as _;
-use mlswarp_server::app::App;
+use mlswarp_server::app::{App, metrics_text};
 use mlswarp_server::client::Client;
 use mlswarp_server::http::router;
 use mlswarp_server::limits::memory::MemoryClass;
@@ -77,7 +77,11 @@ async fn uploads_do_not_keep_drags_out() {
         .await;
     eventually("nothing runs", || server.app.pool().running() == 0).await;
     let left = (12 << 20) - server.app.budget().taken();
-    let _uploads = server.app.reserve(MemoryClass::Upload, left).unwrap();
+    let _uploads = server
+        .app
+        .admission
+        .reserve(MemoryClass::Upload, left)
+        .unwrap();
     for _ in 0..2 {
         let drag = server
             .post(&format!("/sessions/{id}/warp"))
@@ -163,7 +167,7 @@ fn send(
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_request_that_is_dropped_anywhere_leaves_nothing() {
     let app = App::new(config(&["--workers", "2", "--session-idle", "2s"])).unwrap();
-    app.spawn_sweeper();
+    app.sessions.spawn_sweeper();
     let form = "multipart/form-data; boundary=x";
     let upload = multipart(
         &photo(400, 300),
@@ -279,7 +283,7 @@ async fn objects_of_new_sessions_are_in_the_account() {
     let held = || app.budget().taken_for(MemoryClass::Frame);
     let named = "/sessions/8f3b1c1e-6f0a-4c8e-9d53-0f1a2b3c4d5e";
     let sessions = || {
-        app.metrics_text()
+        metrics_text::text(&app)
             .lines()
             .find_map(|line| line.strip_prefix("mlswarp_store_sessions "))
             .unwrap()
@@ -305,8 +309,9 @@ async fn objects_of_new_sessions_are_in_the_account() {
         eventually("what was read is given back", || held() == 0).await;
     }
     assert_eq!(sessions(), "2");
-    let share = app.response_quota(Client::default());
+    let share = app.admission.response_quota(Client::default());
     let _unread = app
+        .admission
         .reserve_for(MemoryClass::Frame, &share, share.limit())
         .unwrap();
     let other = multipart(&photo(300, 20), r#"{"p": [[1, 2]]}"#);

@@ -307,7 +307,7 @@ async fn memory_is_refused_before_it_is_taken_and_what_is_idle_gives_way() {
 #[tokio::test]
 async fn a_stopping_server_is_not_ready() {
     let server = Server::start(&[]).await;
-    server.app.leave();
+    server.app.lifecycle.leave();
     problem(
         server.get("/readyz").send().await.unwrap(),
         503,
@@ -322,7 +322,7 @@ async fn a_computation_that_panics_takes_nothing_with_it() {
     let server = Server::start(&["--workers", "1"]).await;
     let ticket = busy(&server, WorkClass::Drag).await;
     let (sender, receiver) = mpsc::channel::<()>();
-    server.app.pool().start(&ticket, move || {
+    ticket.start(move || {
         let _held = sender;
         panic!("on purpose");
     });

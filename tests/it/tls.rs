@@ -7,7 +7,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt as _, StreamExt as _};
-use mlswarp_server::app::warp::Upload;
+use mlswarp_server::app::sessions;
+use mlswarp_server::app::upload::Upload;
 use mlswarp_server::auth::tls::TlsFiles;
 use mlswarp_server::client::Client;
 use serde_json::{Value, json};
@@ -150,12 +151,8 @@ async fn http_1_and_2_and_the_drag_socket_go_through_it() {
     stream.read_exact(&mut frame).await.unwrap();
     assert_eq!(frame[3], 4, "SETTINGS");
 
-    let (shown, _) = server
-        .app
-        .create_session(
-            Client::default(),
-            Upload::new(photo(16, 12), r#"{"p": [[2, 2]]}"#),
-        )
+    let upload = Upload::new(photo(16, 12), r#"{"p": [[2, 2]]}"#);
+    let (shown, _) = sessions::create(&server.app, Client::default(), upload)
         .await
         .unwrap();
     let url = format!(

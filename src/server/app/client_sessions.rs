@@ -150,6 +150,11 @@ impl ClientSessions {
         }))
     }
 
+    /// The time without use after which a session expires.
+    pub(crate) fn idle(&self) -> Duration {
+        self.0.idle
+    }
+
     fn lock(&self) -> MutexGuard<'_, Counted> {
         // No change panics half-way.
         self.0

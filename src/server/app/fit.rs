@@ -18,9 +18,8 @@ use super::reading::{Held, part};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
-use crate::pool::{Cancel, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
-use crate::session::SessionId;
 use crate::store::Record;
 use crate::wire::{FitAnswer, FitObject, Pose, Reserved, WarpObject, in_candidate};
 
@@ -68,163 +67,149 @@ impl FitRest {
     }
 }
 
-impl App {
-    /// Compares methods on the points of the body.
-    /// Errors: Wrong points or candidates, or too little capacity.
-    pub async fn fit_once(&self, client: Client, json: Bytes) -> Result<ComparedFit, Problem> {
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::client(client))
-            .await?;
-        let reserve = self.reserving(MemoryClass::Upload, client);
-        let mut object = self
-            .0
-            .pool
-            .run(&ticket, move |_| {
-                Reserved::<FitObject, _>::parse(&json, reserve)
-            })
-            .await??;
-        let rest = part(&mut object, |object| object.rest.take());
-        let rest = rest.try_map(|rest| {
-            rest.ok_or_else(|| Problem::new(Code::Internal, "a fit without points"))
-        })?;
-        self.fit(
-            &ticket,
-            self.response_quota(client),
-            FitRest::Request(rest),
-            object,
-        )
-        .await
-    }
+/// Compares methods on the points of the body.
+/// Errors: Wrong points or candidates, or too little capacity.
+pub(crate) async fn once(app: &App, client: Client, json: Bytes) -> Result<ComparedFit, Problem> {
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let mut object = ticket
+        .run(move |_| Reserved::<FitObject, _>::parse(&json, reserve))
+        .await??;
+    let rest = part(&mut object, |object| object.rest.take());
+    let rest = rest
+        .try_map(|rest| rest.ok_or_else(|| Problem::new(Code::Internal, "a fit without points")))?;
+    compare(
+        app,
+        &ticket,
+        app.admission.response_quota(client),
+        FitRest::Request(rest),
+        object,
+    )
+    .await
+}
 
-    /// Compares methods on the points of a session.
-    /// Errors: Unknown session, wrong `q` or candidates, lines, or too little capacity.
-    pub async fn fit_session(
-        &self,
-        client: Client,
-        id: SessionId,
-        json: Bytes,
-    ) -> Result<ComparedFit, Problem> {
-        let record = self.touch(id, None).await?.record;
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::session(client, id))
-            .await?;
-        let reserve = self.reserving_pose(MemoryClass::Upload, client, &record);
-        let object = self
-            .0
-            .pool
-            .run(&ticket, move |_| {
-                Reserved::<FitObject, _>::parse_posed(&json, reserve)
-            })
-            .await??;
-        self.fit(
-            &ticket,
-            self.response_quota(client),
-            FitRest::Session(record),
-            object,
-        )
-        .await
-    }
+/// Compares methods on the points of a session.
+/// Errors: Wrong `q` or candidates, lines, or too little capacity.
+pub(crate) async fn of_session(
+    app: &App,
+    client: Client,
+    record: Arc<Record>,
+    json: Bytes,
+) -> Result<ComparedFit, Problem> {
+    let key = QueueKey::session(client, record.id);
+    let ticket = app.admission.upload(key).await?;
+    let reserve = app
+        .admission
+        .reserving_pose(MemoryClass::Upload, client, &record);
+    let object = ticket
+        .run(move |_| Reserved::<FitObject, _>::parse_posed(&json, reserve))
+        .await??;
+    compare(
+        app,
+        &ticket,
+        app.admission.response_quota(client),
+        FitRest::Session(record),
+        object,
+    )
+    .await
+}
 
-    async fn fit(
-        &self,
-        ticket: &Ticket,
-        quota: ClientQuota,
-        rest: FitRest,
-        object: Held<FitObject>,
-    ) -> Result<ComparedFit, Problem> {
-        let (app, warnings) = (self.clone(), rest.parts().0.left_out().collect());
-        let work = move |cancel: &Cancel| {
-            let (rest, extent, session) = rest.parts();
-            let FitObject {
-                pose, candidates, ..
-            } = &*object;
-            let (q, _) = rest.posed(pose.clone().onto(session)?.q, 1.0, extent);
-            let text = candidates.len()
-                * (CANDIDATE_TEXT
-                    + (RESIDUAL_TEXT + OUTLIER_TEXT)
-                        * rest.p.len().min(app.0.config.max_fit_handles));
-            let mut reservation = app.reserve_for(MemoryClass::Frame, &quota, text as u64)?;
-            let predictions = app.predict(rest, &q, extent, candidates, cancel)?;
-            let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
-            // The client may read it slowly.
-            body.shrink_to_fit();
-            reservation.shrink_to(body.len() as u64);
-            Ok::<_, Problem>(reservation.attach(body))
-        };
-        Ok((self.0.pool.run(ticket, work).await??, warnings))
-    }
+async fn compare(
+    app: &App,
+    ticket: &Ticket,
+    quota: ClientQuota,
+    rest: FitRest,
+    object: Held<FitObject>,
+) -> Result<ComparedFit, Problem> {
+    let (app, warnings) = (app.clone(), rest.parts().0.left_out().collect());
+    let work = move |cancel: &Cancel| {
+        let (rest, extent, session) = rest.parts();
+        let FitObject {
+            pose, candidates, ..
+        } = &*object;
+        let (q, _) = rest.posed(pose.clone().onto(session)?.q, 1.0, extent);
+        let text = candidates.len()
+            * (CANDIDATE_TEXT
+                + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.config().max_fit_handles));
+        let mut reservation = app
+            .admission
+            .reserve_for(MemoryClass::Frame, &quota, text as u64)?;
+        let predictions = predict(&app, rest, &q, extent, candidates, cancel)?;
+        let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
+        // The client may read it slowly.
+        body.shrink_to_fit();
+        reservation.shrink_to(body.len() as u64);
+        Ok::<_, Problem>(reservation.attach(body))
+    };
+    Ok((ticket.run(work).await??, warnings))
+}
 
-    /// Runs on the pool, and uses all of its threads.
-    fn predict(
-        &self,
-        rest: &RestSpec,
-        q: &[Handle],
-        extent: Extent,
-        candidates: &[Candidate],
-        cancel: &Cancel,
-    ) -> Result<Vec<Prediction>, Problem> {
+/// Runs on the pool, and uses all of its threads.
+fn predict(
+    app: &App,
+    rest: &RestSpec,
+    q: &[Handle],
+    extent: Extent,
+    candidates: &[Candidate],
+    cancel: &Cancel,
+) -> Result<Vec<Prediction>, Problem> {
+    check_comparison(
+        rest.p.len().min(app.config().max_fit_handles),
+        candidates,
+        &app.plans.limits,
+    )?;
+    let _held = reserve_comparison(app, rest, candidates)?;
+    let is_cancelled = || cancel.is_cancelled();
+    let most = app.config().max_fit_handles as u64;
+    app.admission
+        .pool
+        .run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
+}
+
+/// The memory of a comparison: one system at a time, and all residuals.
+fn reserve_comparison(
+    app: &App,
+    rest: &RestSpec,
+    candidates: &[Candidate],
+) -> Result<Reservation, Problem> {
+    let count = (rest.p.len() as u64).min(app.config().max_fit_handles as u64);
+    let system = candidates
+        .iter()
+        .map(|candidate| system_bytes(candidate.method, count))
+        .max()
+        .unwrap_or_default();
+    app.admission.reserve(
+        MemoryClass::Plan,
+        system + candidates.len() as u64 * count * size_of::<Vec2>() as u64,
+    )
+}
+
+/// Replaces the method `auto` by the one that fits best. Runs on the pool.
+/// Errors: No `q`, lines, too many points, or too little memory.
+pub(crate) fn choose_method(
+    app: &App,
+    object: &mut WarpObject,
+    extent: Extent,
+    cancel: &Cancel,
+) -> Result<(), Problem> {
+    if object.is_auto {
+        object.require_choice()?;
         check_comparison(
-            rest.p.len().min(self.0.config.max_fit_handles),
-            candidates,
-            &self.0.config.limits(),
+            object.rest.p.len().min(app.config().max_fit_handles),
+            &Candidate::defaults(),
+            &app.plans.limits,
         )?;
-        let _held = self.reserve_comparison(rest, candidates)?;
-        let is_cancelled = || cancel.is_cancelled();
-        let most = self.0.config.max_fit_handles as u64;
-        self.0
+        let _held = reserve_comparison(app, &object.rest, &Candidate::defaults())?;
+        let (rest, q, most) = (
+            &object.rest,
+            object.posed()?,
+            app.config().max_fit_handles as u64,
+        );
+        let chosen = app
+            .admission
             .pool
-            .run_parallel(|| predictions(rest, q, extent, candidates, most, &is_cancelled))
+            .run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;
+        object.choose(chosen);
     }
-
-    /// The memory of a comparison: one system at a time, and all residuals.
-    fn reserve_comparison(
-        &self,
-        rest: &RestSpec,
-        candidates: &[Candidate],
-    ) -> Result<Reservation, Problem> {
-        let count = (rest.p.len() as u64).min(self.0.config.max_fit_handles as u64);
-        let system = candidates
-            .iter()
-            .map(|candidate| system_bytes(candidate.method, count))
-            .max()
-            .unwrap_or_default();
-        self.reserve(
-            MemoryClass::Plan,
-            system + candidates.len() as u64 * count * size_of::<Vec2>() as u64,
-        )
-    }
-
-    /// Replaces the method `auto` by the one that fits best. Runs on the pool.
-    /// Errors: No `q`, lines, too many points, or too little memory.
-    pub(crate) fn choose_method(
-        &self,
-        object: &mut WarpObject,
-        extent: Extent,
-        cancel: &Cancel,
-    ) -> Result<(), Problem> {
-        if object.is_auto {
-            object.require_choice()?;
-            check_comparison(
-                object.rest.p.len().min(self.0.config.max_fit_handles),
-                &Candidate::defaults(),
-                &self.0.config.limits(),
-            )?;
-            let _held = self.reserve_comparison(&object.rest, &Candidate::defaults())?;
-            let (rest, q, most) = (
-                &object.rest,
-                object.posed()?,
-                self.0.config.max_fit_handles as u64,
-            );
-            let chosen = self
-                .0
-                .pool
-                .run_parallel(|| choose(rest, q, extent, most, &|| cancel.is_cancelled()))?;
-            object.choose(chosen);
-        }
-        Ok(())
-    }
+    Ok(())
 }

@@ -1,6 +1,8 @@
 //! `POST /landmarks`, and the landmark files of uploads: they are read on the pool, in memory that
 //! counts for the client.
 
+use std::sync::Arc;
+
 use bytes::Bytes;
 
 use super::App;
@@ -8,7 +10,7 @@ use super::json_text::json_unless;
 use super::reading::Held;
 use crate::client::Client;
 use crate::limits::memory::MemoryClass;
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey};
 use crate::problem::Problem;
 use crate::wire::Reserved;
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
@@ -18,99 +20,80 @@ use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target};
 const NUMBER_TEXT: usize = 30;
 const EMPTY_TEXT: usize = 256;
 
-impl App {
-    /// Reads landmark files. `warp`: the warp object of the request, which may choose what is read
-    /// of them. Errors: A file that cannot be read, or too little capacity.
-    pub(crate) async fn read_landmarks(
-        &self,
-        client: Client,
-        mut files: LandmarkFiles,
-        warp: Bytes,
-    ) -> Result<Held<Landmarks>, Problem> {
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::client(client))
-            .await?;
-        let columns = self.0.config.limits().columns;
-        let reserve = self.reserving(MemoryClass::Upload, client);
-        let read = move |cancel: &Cancel| {
-            files.choice.add(Choice::of_warp(&warp)?)?;
-            Reserved::of_files(&files, columns, &|| cancel.is_cancelled(), reserve)
-        };
-        self.0.pool.run(&ticket, read).await?
-    }
+/// Reads landmark files. `warp`: the warp object of the request, which may choose what is read
+/// of them. Errors: A file that cannot be read, or too little capacity.
+pub(crate) async fn read(
+    app: &App,
+    client: Client,
+    mut files: LandmarkFiles,
+    warp: Bytes,
+) -> Result<Held<Landmarks>, Problem> {
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let columns = app.plans.limits.columns;
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let read = move |cancel: &Cancel| {
+        files.choice.add(Choice::of_warp(&warp)?)?;
+        Reserved::of_files(&files, columns, &|| cancel.is_cancelled(), reserve)
+    };
+    ticket.run(read).await?
+}
 
-    /// The JSON of a request with the handles of its landmark files as fields.
-    /// Errors: As [`App::read_landmarks`]; a field that the files give, too.
-    pub async fn with_landmarks(
-        &self,
-        client: Client,
-        mut files: LandmarkFiles,
-        json: Bytes,
-        target: Target,
-    ) -> Result<Bytes, Problem> {
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::client(client))
-            .await?;
-        let (app, quota, columns) = (
-            self.clone(),
-            self.request_quota(client),
-            self.0.config.limits().columns,
-        );
-        let reserve = self.reserving(MemoryClass::Upload, client);
-        let write = move |cancel: &Cancel| {
-            files.choice.add(Choice::of_warp(&json)?)?;
-            let landmarks = Reserved::of_files_for(
-                &files,
-                target,
-                columns,
-                &|| cancel.is_cancelled(),
-                reserve,
-            )?;
-            // The handles alone, and among the other fields.
-            let length = json.len()
-                + EMPTY_TEXT
-                + 4 * NUMBER_TEXT * landmarks.numbers()
-                + landmarks.names_length();
-            let mut reservation = app.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
-            let (landmarks, _held) = landmarks.into_parts();
-            let mut body = landmarks.into_fields(&json, target)?;
-            body.shrink_to_fit();
-            reservation.shrink_to(body.len() as u64);
-            Ok::<_, Problem>(reservation.attach(body))
-        };
-        self.0.pool.run(&ticket, write).await?
-    }
+/// The JSON of a request with the handles of its landmark files as fields.
+/// Errors: As [`read`]; a field that the files give, too.
+pub(crate) async fn fields(
+    app: &App,
+    client: Client,
+    mut files: LandmarkFiles,
+    json: Bytes,
+    target: Target,
+) -> Result<Bytes, Problem> {
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let (admission, quota, columns) = (
+        Arc::clone(&app.admission),
+        app.admission.request_quota(client),
+        app.plans.limits.columns,
+    );
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let write = move |cancel: &Cancel| {
+        files.choice.add(Choice::of_warp(&json)?)?;
+        let landmarks =
+            Reserved::of_files_for(&files, target, columns, &|| cancel.is_cancelled(), reserve)?;
+        // The handles alone, and among the other fields.
+        let length = json.len()
+            + EMPTY_TEXT
+            + 4 * NUMBER_TEXT * landmarks.numbers()
+            + landmarks.names_length();
+        let mut reservation = admission.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
+        let (landmarks, _held) = landmarks.into_parts();
+        let mut body = landmarks.into_fields(&json, target)?;
+        body.shrink_to_fit();
+        reservation.shrink_to(body.len() as u64);
+        Ok::<_, Problem>(reservation.attach(body))
+    };
+    ticket.run(write).await?
+}
 
-    /// Reads landmark files; returns the JSON of the response.
-    /// Errors: As [`App::read_landmarks`].
-    pub async fn convert_landmarks(
-        &self,
-        client: Client,
-        files: LandmarkFiles,
-    ) -> Result<Bytes, Problem> {
-        let landmarks = self
-            .read_landmarks(client, files, Bytes::from_static(b"{}"))
-            .await?;
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::client(client))
-            .await?;
-        let (app, quota) = (self.clone(), self.response_quota(client));
-        let write = self.0.pool.run(&ticket, move |cancel| {
-            let length =
-                EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
-            let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
-            let mut reservation = app.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
-            let mut body = json_unless(cancel, &*landmarks, length)?;
-            body.shrink_to_fit();
-            reservation.shrink_to(body.len() as u64);
-            Ok::<_, Problem>(reservation.attach(body))
-        });
-        write.await?
-    }
+/// Reads landmark files; returns the JSON of the response.
+/// Errors: As [`read`].
+pub(crate) async fn convert(
+    app: &App,
+    client: Client,
+    files: LandmarkFiles,
+) -> Result<Bytes, Problem> {
+    let landmarks = read(app, client, files, Bytes::from_static(b"{}")).await?;
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let (admission, quota) = (
+        Arc::clone(&app.admission),
+        app.admission.response_quota(client),
+    );
+    let write = ticket.run(move |cancel| {
+        let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
+        let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
+        let mut reservation = admission.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
+        let mut body = json_unless(cancel, &*landmarks, length)?;
+        body.shrink_to_fit();
+        reservation.shrink_to(body.len() as u64);
+        Ok::<_, Problem>(reservation.attach(body))
+    });
+    write.await?
 }

@@ -3,7 +3,6 @@
 
 use tokio::sync::watch;
 
-use super::App;
 use crate::problem::{Code, Problem};
 
 /// Seconds after which a client may retry: by then a proxy uses another replica.
@@ -23,58 +22,38 @@ enum Phase {
 
 /// The current phase, and the tasks that wait for a later one.
 #[derive(Debug, Default)]
-pub(crate) struct Lifecycle(watch::Sender<Phase>);
+pub struct Lifecycle(watch::Sender<Phase>);
 
 impl Lifecycle {
-    fn advance_to(&self, phase: Phase) {
-        self.0.send_modify(|now| *now = phase.max(*now));
-    }
-
-    fn is_at_least(&self, phase: Phase) -> bool {
-        *self.0.borrow() >= phase
-    }
-
-    async fn reached(&self, phase: Phase) {
-        // The sender lives as long as `self`, so waiting cannot fail.
-        let _ = self.0.subscribe().wait_for(|now| *now >= phase).await;
-    }
-}
-
-impl App {
     /// Announces the stop: the service is not ready any more, but still serves new requests.
     pub fn leave(&self) {
-        self.0.lifecycle.advance_to(Phase::Leaving);
+        self.advance_to(Phase::Leaving);
     }
 
     /// Stops: drag sockets close.
     pub fn stop(&self) {
-        self.0.lifecycle.advance_to(Phase::Stopping);
+        self.advance_to(Phase::Stopping);
     }
 
     /// Stops immediately, without delay and grace period.
     pub fn hurry(&self) {
-        self.0.lifecycle.advance_to(Phase::Hurrying);
+        self.advance_to(Phase::Hurrying);
     }
 
     /// Whether the service will stop soon, so that connections should not be kept for another
     /// request.
     pub fn is_leaving(&self) -> bool {
-        self.0.lifecycle.is_at_least(Phase::Leaving)
+        self.is_at_least(Phase::Leaving)
     }
 
-    /// Waits for [`App::stop`].
+    /// Waits for [`Lifecycle::stop`].
     pub async fn stopping(&self) {
-        self.0.lifecycle.reached(Phase::Stopping).await;
+        self.reached(Phase::Stopping).await;
     }
 
-    /// Waits for [`App::hurry`].
+    /// Waits for [`Lifecycle::hurry`].
     pub async fn hurrying(&self) {
-        self.0.lifecycle.reached(Phase::Hurrying).await;
-    }
-
-    /// Waits until no drag socket is open.
-    pub async fn sockets_closed(&self) {
-        self.0.sockets.closed().await;
+        self.reached(Phase::Hurrying).await;
     }
 
     /// Fails once the service is leaving.
@@ -89,11 +68,24 @@ impl App {
     /// Fails once the service is stopping. A leaving service still opens drag sockets: closing one
     /// soon is better than refusing it.
     pub(crate) fn require_running(&self) -> Result<(), Problem> {
-        if self.0.lifecycle.is_at_least(Phase::Stopping) {
+        if self.is_at_least(Phase::Stopping) {
             Err(stopping())
         } else {
             Ok(())
         }
+    }
+
+    fn advance_to(&self, phase: Phase) {
+        self.0.send_modify(|now| *now = phase.max(*now));
+    }
+
+    fn is_at_least(&self, phase: Phase) -> bool {
+        *self.0.borrow() >= phase
+    }
+
+    async fn reached(&self, phase: Phase) {
+        // The sender lives as long as `self`, so waiting cannot fail.
+        let _ = self.0.subscribe().wait_for(|now| *now >= phase).await;
     }
 }
 

@@ -14,17 +14,18 @@ use mlswarp::warp::{
 };
 
 use super::App;
-use super::draw::Planned;
+use super::parts::admission::Admission;
+use super::parts::plans::Planned;
 use super::reading::{Held, part};
-use super::warp::Resolved;
+use super::resolved::{Resolved, resolve};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
-use crate::session::SessionId;
+use crate::store::Record;
 use crate::wire::{MapObject, Pose, Reserved, in_map, method_text};
 
 /// Attempts to admit a band of a map that has begun, and the pause between them.
@@ -57,7 +58,7 @@ pub struct MapFile {
 /// The bands of a map that are still to be computed.
 #[derive(Debug)]
 pub struct MapBands {
-    app: App,
+    admission: Arc<Admission>,
     map: Arc<CoordinateMap>,
     next: u32,
     key: QueueKey,
@@ -80,7 +81,7 @@ impl MapBands {
     async fn band(&self, band: u32) -> Result<Bytes, Problem> {
         let mut attempts = 0;
         let ticket = loop {
-            match self.app.0.pool.admit(WorkClass::Upload, self.key).await {
+            match self.admission.upload(self.key).await {
                 Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
                     attempts += 1;
                     tokio::time::sleep(ADMISSION_PAUSE).await;
@@ -88,11 +89,13 @@ impl MapBands {
                 admitted => break admitted?,
             }
         };
-        let (app, map, quota) = (self.app.clone(), Arc::clone(&self.map), self.quota.clone());
-        self.app
-            .0
-            .pool
-            .run(&ticket, move |_| app.map_band(&map, band, &quota))
+        let (admission, map, quota) = (
+            Arc::clone(&self.admission),
+            Arc::clone(&self.map),
+            self.quota.clone(),
+        );
+        ticket
+            .run(move |_| map_band(&admission, &map, band, &quota))
             .await?
     }
 }
@@ -108,193 +111,187 @@ struct MapJob {
     quota: ClientQuota,
 }
 
-impl App {
-    /// The map of a warp object. The second result: the method that was chosen if that was
-    /// requested, as a header shows it. Errors: Wrong handles, a map over the limits, or too little
-    /// capacity.
-    pub async fn map_once(
-        &self,
-        client: Client,
-        json: Bytes,
-        format: MapFormat,
-    ) -> Result<(MapFile, Option<String>), Problem> {
-        let key = QueueKey::client(client);
-        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let reserve = self.reserving(MemoryClass::Upload, client);
-        let mut object = self
-            .0
-            .pool
-            .run(&ticket, move |_| {
-                Reserved::<MapObject, _>::parse(&json, reserve)
-            })
-            .await??;
-        let warp = part(&mut object, |object| object.warp.take());
-        let warp = warp.try_map(|warp| {
-            warp.ok_or_else(|| Problem::new(Code::Internal, "a map without a warp"))
-        })?;
-        let (source, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
-        let spec = object.spec(&warp.output, format);
-        spec.check(source, &self.0.config.limits())
-            .map_err(|error| in_map(error.into()))?;
-        // Nothing is drawn.
-        warp.output = OutputSpec::default();
-        let app = self.clone();
-        let resolve = move |cancel: &Cancel| app.resolve(warp, source, cancel);
-        let Resolved {
-            setup,
-            object: warp,
-            q,
-            ..
-        } = self.0.pool.run(&ticket, resolve).await??;
-        let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let timing = Timing {
-            queue: ticket.waited(),
-            ..Timing::default()
-        };
-        let planned = self.plan(client, &ticket, &setup, timing).await?;
-        let q = Arc::new(q);
-        let job = MapJob {
+/// The map of a warp object. The second result: the method that was chosen if that was
+/// requested, as a header shows it. Errors: Wrong handles, a map over the limits, or too little
+/// capacity.
+pub(crate) async fn once(
+    app: &App,
+    client: Client,
+    json: Bytes,
+    format: MapFormat,
+) -> Result<(MapFile, Option<String>), Problem> {
+    let key = QueueKey::client(client);
+    let ticket = app.admission.upload(key).await?;
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let mut object = ticket
+        .run(move |_| Reserved::<MapObject, _>::parse(&json, reserve))
+        .await??;
+    let warp = part(&mut object, |object| object.warp.take());
+    let warp = warp
+        .try_map(|warp| warp.ok_or_else(|| Problem::new(Code::Internal, "a map without a warp")))?;
+    let (source, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
+    let spec = object.spec(&warp.output, format);
+    spec.check(source, &app.plans.limits)
+        .map_err(|error| in_map(error.into()))?;
+    // Nothing is drawn.
+    warp.output = OutputSpec::default();
+    let of_job = app.clone();
+    let settle = move |cancel: &Cancel| resolve(&of_job, warp, source, cancel);
+    let Resolved {
+        setup,
+        object: warp,
+        q,
+        ..
+    } = ticket.run(settle).await??;
+    let method = warp.is_auto.then(|| method_text(&warp.rest));
+    let timing = Timing {
+        queue: ticket.waited(),
+        ..Timing::default()
+    };
+    let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
+    let job = MapJob {
+        planned,
+        q,
+        folds: warp.folds,
+        spec,
+        source,
+        key,
+        quota: app.admission.response_quota(client),
+    };
+    Ok((map_file(app, &ticket, job).await?, method))
+}
+
+/// The map of a session.
+/// Errors: Wrong handles, a map over the limits, or too little capacity.
+pub(crate) async fn of_session(
+    app: &App,
+    client: Client,
+    record: Arc<Record>,
+    json: Bytes,
+    format: MapFormat,
+) -> Result<MapFile, Problem> {
+    let setup = app.plans.setup_of(client, &record).await?;
+    let key = QueueKey::session(client, record.id);
+    let ticket = app.admission.upload(key).await?;
+    let (reserve, of_session) = (
+        app.admission
+            .reserving_pose(MemoryClass::Upload, client, &record),
+        Arc::clone(&record),
+    );
+    let parse = move |_: &_| {
+        let mut object = Reserved::<MapObject, _>::parse_posed(&json, reserve)?;
+        let Pose { q, strength } =
+            std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+        let q = part(&mut object, |_| {
+            of_session.rest.posed(q, strength, of_session.extent).0
+        });
+        Ok::<_, Problem>((object, q))
+    };
+    let (object, q) = ticket.run(parse).await??;
+    let spec = object.spec(&record.output, format);
+    spec.check(record.extent, &app.plans.limits)
+        .map_err(|error| in_map(error.into()))?;
+    let timing = Timing {
+        queue: ticket.waited(),
+        ..Timing::default()
+    };
+    let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
+    let q = Arc::new(q);
+    let (folds, source, quota) = (
+        record.folds,
+        record.extent,
+        app.admission.response_quota(client),
+    );
+    map_file(
+        app,
+        &ticket,
+        MapJob {
             planned,
-            q,
-            folds: warp.folds,
-            spec,
-            source,
-            key,
-            quota: self.response_quota(client),
-        };
-        Ok((self.map_file(&ticket, job).await?, method))
-    }
-
-    /// The map of a session.
-    /// Errors: Unknown session, wrong handles, a map over the limits, or too little capacity.
-    pub async fn map_session(
-        &self,
-        client: Client,
-        id: SessionId,
-        json: Bytes,
-        format: MapFormat,
-    ) -> Result<MapFile, Problem> {
-        let record = self.touch(id, None).await?.record;
-        let setup = self.session_setup(client, &record).await?;
-        let key = QueueKey::session(client, id);
-        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (reserve, of_session) = (
-            self.reserving_pose(MemoryClass::Upload, client, &record),
-            Arc::clone(&record),
-        );
-        let parse = move |_: &_| {
-            let mut object = Reserved::<MapObject, _>::parse_posed(&json, reserve)?;
-            let Pose { q, strength } =
-                std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
-            let q = part(&mut object, |_| {
-                of_session.rest.posed(q, strength, of_session.extent).0
-            });
-            Ok::<_, Problem>((object, q))
-        };
-        let (object, q) = self.0.pool.run(&ticket, parse).await??;
-        let spec = object.spec(&record.output, format);
-        spec.check(record.extent, &self.0.config.limits())
-            .map_err(|error| in_map(error.into()))?;
-        let timing = Timing {
-            queue: ticket.waited(),
-            ..Timing::default()
-        };
-        let planned = self.plan(client, &ticket, &setup, timing).await?;
-        let q = Arc::new(q);
-        let (folds, source, quota) = (record.folds, record.extent, self.response_quota(client));
-        self.map_file(
-            &ticket,
-            MapJob {
-                planned,
-                q,
-                folds,
-                spec,
-                source,
-                key,
-                quota,
-            },
-        )
-        .await
-    }
-
-    /// Poses the grid and computes the first band.
-    async fn map_file(&self, ticket: &Ticket, job: MapJob) -> Result<MapFile, Problem> {
-        let MapJob {
-            planned:
-                Planned {
-                    setup,
-                    plan,
-                    mut timing,
-                    is_built,
-                },
             q,
             folds,
             spec,
             source,
             key,
             quota,
-        } = job;
-        let app = self.clone();
-        let prepare = move |cancel: &Cancel| {
-            let (began, is_cancelled, limits) = (
-                Instant::now(),
-                || cancel.is_cancelled(),
-                app.0.config.limits(),
-            );
-            let pose = || PosedMesh::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
-            let (posed, mut held) =
-                app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
-            let target = spec
-                .target(&posed, source, &limits, &is_cancelled)
-                .map_err(|error| in_map(error.into()))?;
-            app.reserve_more(
-                &mut held,
-                posed.halved_bytes() + target.window_bytes(&posed),
-            )?;
-            let map = CoordinateMap::new(&spec, &posed, target)?;
-            let report = posed.into_report(
-                Some(target.canvas.unwrap_or(Canvas::of(source))),
-                &is_cancelled,
-            )?;
-            timing.deform = began.elapsed();
-            stage("deform", began);
-            app.metrics().prepared(&timing);
-            let first = app.map_band(&map, 0, &quota)?;
-            let (etag, canvas, format, length) =
-                (map.etag(), target.canvas, map.format(), map.file_bytes());
-            let rest = MapBands {
-                app,
-                map: Arc::new(map),
-                next: 1,
-                key,
-                quota,
-                _held: held,
-            };
-            Ok::<_, Problem>(MapFile {
-                report,
-                timing,
-                plan_built: is_built,
-                etag,
-                canvas,
-                format,
-                length,
-                first,
-                rest,
-            })
-        };
-        self.0.pool.run(ticket, prepare).await?
-    }
+        },
+    )
+    .await
+}
 
-    /// Computes a band in memory that counts for the client until it is sent.
-    fn map_band(
-        &self,
-        map: &CoordinateMap,
-        band: u32,
-        quota: &ClientQuota,
-    ) -> Result<Bytes, Problem> {
-        let mut reservation = self.reserve_for(MemoryClass::Frame, quota, map.band_bytes())?;
-        let bytes = map.band(band);
-        reservation.shrink_to(bytes.len() as u64);
-        Ok(reservation.attach(bytes))
-    }
+/// Poses the grid and computes the first band.
+async fn map_file(app: &App, ticket: &Ticket, job: MapJob) -> Result<MapFile, Problem> {
+    let MapJob {
+        planned:
+            Planned {
+                setup,
+                plan,
+                mut timing,
+                is_built,
+            },
+        q,
+        folds,
+        spec,
+        source,
+        key,
+        quota,
+    } = job;
+    let drawing = Arc::clone(&app.drawing);
+    let prepare = move |cancel: &Cancel| {
+        let (began, is_cancelled, limits) =
+            (Instant::now(), || cancel.is_cancelled(), drawing.limits);
+        let pose = || PosedMesh::new(&setup, &plan, &setup.pose(&q)?, folds, &is_cancelled);
+        let (posed, mut held) =
+            drawing.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+        let target = spec
+            .target(&posed, source, &limits, &is_cancelled)
+            .map_err(|error| in_map(error.into()))?;
+        drawing.admission.reserve_more(
+            &mut held,
+            posed.halved_bytes() + target.window_bytes(&posed),
+        )?;
+        let map = CoordinateMap::new(&spec, &posed, target)?;
+        let report = posed.into_report(
+            Some(target.canvas.unwrap_or(Canvas::of(source))),
+            &is_cancelled,
+        )?;
+        timing.deform = began.elapsed();
+        stage("deform", began);
+        drawing.metrics.prepared(&timing);
+        let first = map_band(&drawing.admission, &map, 0, &quota)?;
+        let (etag, canvas, format, length) =
+            (map.etag(), target.canvas, map.format(), map.file_bytes());
+        let rest = MapBands {
+            admission: Arc::clone(&drawing.admission),
+            map: Arc::new(map),
+            next: 1,
+            key,
+            quota,
+            _held: held,
+        };
+        Ok::<_, Problem>(MapFile {
+            report,
+            timing,
+            plan_built: is_built,
+            etag,
+            canvas,
+            format,
+            length,
+            first,
+            rest,
+        })
+    };
+    ticket.run(prepare).await?
+}
+
+/// Computes a band in memory that counts for the client until it is sent.
+fn map_band(
+    admission: &Admission,
+    map: &CoordinateMap,
+    band: u32,
+    quota: &ClientQuota,
+) -> Result<Bytes, Problem> {
+    let mut reservation = admission.reserve_for(MemoryClass::Frame, quota, map.band_bytes())?;
+    let bytes = map.band(band);
+    reservation.shrink_to(bytes.len() as u64);
+    Ok(reservation.attach(bytes))
 }

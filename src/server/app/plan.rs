@@ -11,7 +11,7 @@ use crate::client::Client;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::wire::{PlanQuery, Precision, plan_file, plan_file_bytes};
@@ -39,77 +39,77 @@ pub(crate) enum PlanContent {
     File(Timing, Bytes),
 }
 
-impl App {
-    /// The coefficients of a session. Does not extend its life. `is_known`: whether the client has
-    /// the file of an entity tag; `with_content`: whether the file is wanted, and not its length
-    /// alone. Errors: Unknown session, a table over the limits, a method without a table, or too
-    /// little capacity.
-    pub(crate) async fn plan_of_session(
-        &self,
-        client: Client,
-        id: SessionId,
-        query: PlanQuery,
-        is_known: impl Fn(&str) -> bool,
-        with_content: bool,
-    ) -> Result<PlanFile, Problem> {
-        let record = self.peek_session(id).await?.record;
-        let PlanQuery {
-            columns,
-            rows,
-            precision,
-        } = query;
-        let rest = self.revision_text(client, &record).await?.rest_digest;
-        let shape = format!(
-            "{} {rest} {columns} {rows} {precision:?}",
-            env!("CARGO_PKG_VERSION")
-        );
-        let etag = format!("\"{}\"", Digest::of(shape.as_bytes()));
-        // Nobody has the tag of a table that is refused.
-        if is_known(&etag) {
-            return Ok(PlanFile {
-                etag,
-                content: PlanContent::Known,
-            });
-        }
-        let setup = self.session_setup(client, &record).await?;
-        let ticket = self
-            .0
-            .pool
-            .admit(WorkClass::Upload, QueueKey::session(client, id))
-            .await?;
-        let mut timing = Timing {
-            queue: ticket.waited(),
-            ..Timing::default()
-        };
-        let (app, quota, extent) = (self.clone(), self.response_quota(client), record.extent);
-        let fill = move |cancel: &Cancel| {
-            let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-            let table = CoefficientRequest::new(&setup, columns, rows, &app.0.config.limits())
-                .map_err(in_query)?;
-            let bytes = plan_file_bytes(&table, precision);
-            if bytes > MAX_FILE_BYTES {
-                return Err(too_large(bytes));
-            }
-            if !with_content {
-                return Ok(PlanContent::Length(bytes));
-            }
-            let mut reservation =
-                app.reserve_for(MemoryClass::Frame, &quota, bytes + table.bytes())?;
-            let plan = app
-                .0
-                .pool
-                .run_parallel(|| table.fill_unless(&is_cancelled))?;
-            let file = plan_file(&table, &plan, precision, extent, &is_cancelled)?
-                .ok_or_else(|| too_imprecise(precision))?;
-            drop(plan);
-            timing.plan = began.elapsed();
-            stage("plan", began);
-            reservation.shrink_to(file.len() as u64);
-            Ok::<_, Problem>(PlanContent::File(timing, reservation.attach(file)))
-        };
-        let content = self.0.pool.run(&ticket, fill).await??;
-        Ok(PlanFile { etag, content })
+/// The coefficients of a session. Does not extend its life. `is_known`: whether the client has
+/// the file of an entity tag; `with_content`: whether the file is wanted, and not its length
+/// alone. Errors: Unknown session, a table over the limits, a method without a table, or too
+/// little capacity.
+pub(crate) async fn of_session(
+    app: &App,
+    client: Client,
+    id: SessionId,
+    query: PlanQuery,
+    is_known: impl Fn(&str) -> bool,
+    with_content: bool,
+) -> Result<PlanFile, Problem> {
+    let record = app.sessions.peek(id).await?.record;
+    let PlanQuery {
+        columns,
+        rows,
+        precision,
+    } = query;
+    let rest = app.sessions.text_of(client, &record).await?.rest_digest;
+    let shape = format!(
+        "{} {rest} {columns} {rows} {precision:?}",
+        env!("CARGO_PKG_VERSION")
+    );
+    let etag = format!("\"{}\"", Digest::of(shape.as_bytes()));
+    // Nobody has the tag of a table that is refused.
+    if is_known(&etag) {
+        return Ok(PlanFile {
+            etag,
+            content: PlanContent::Known,
+        });
     }
+    let setup = app.plans.setup_of(client, &record).await?;
+    let key = QueueKey::session(client, id);
+    let ticket = app.admission.upload(key).await?;
+    let mut timing = Timing {
+        queue: ticket.waited(),
+        ..Timing::default()
+    };
+    let (app, quota, extent) = (
+        app.clone(),
+        app.admission.response_quota(client),
+        record.extent,
+    );
+    let fill = move |cancel: &Cancel| {
+        let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
+        let table =
+            CoefficientRequest::new(&setup, columns, rows, &app.plans.limits).map_err(in_query)?;
+        let bytes = plan_file_bytes(&table, precision);
+        if bytes > MAX_FILE_BYTES {
+            return Err(too_large(bytes));
+        }
+        if !with_content {
+            return Ok(PlanContent::Length(bytes));
+        }
+        let mut reservation =
+            app.admission
+                .reserve_for(MemoryClass::Frame, &quota, bytes + table.bytes())?;
+        let plan = app
+            .admission
+            .pool
+            .run_parallel(|| table.fill_unless(&is_cancelled))?;
+        let file = plan_file(&table, &plan, precision, extent, &is_cancelled)?
+            .ok_or_else(|| too_imprecise(precision))?;
+        drop(plan);
+        timing.plan = began.elapsed();
+        stage("plan", began);
+        reservation.shrink_to(file.len() as u64);
+        Ok::<_, Problem>(PlanContent::File(timing, reservation.attach(file)))
+    };
+    let content = ticket.run(fill).await??;
+    Ok(PlanFile { etag, content })
 }
 
 fn too_large(bytes: u64) -> Problem {

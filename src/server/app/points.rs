@@ -12,19 +12,19 @@ use mlswarp::render::Canvas;
 use mlswarp::warp::{CanvasSpec, CoordinateFrame, Folds, GridSpec, PosedMesh, Target, Warning};
 
 use super::App;
-use super::draw::{HeldSetup, Planned};
 use super::drawable::DrawnContent;
+use super::parts::admission::Admission;
+use super::parts::plans::{HeldSetup, Planned};
 use super::reading::{Held, part};
-use super::warp::Resolved;
-use crate::cache::CacheEntry;
+use super::resolved::{Resolved, resolve};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
-use crate::session::SessionId;
+use crate::store::Record;
 use crate::wire::{Annotations, Cursor, PointsObject, Pose, Reserved, method_text};
 
 /// Text of a request up to which one thread is faster than several, bytes.
@@ -35,23 +35,23 @@ const ADMISSION_PAUSE: Duration = Duration::from_millis(50);
 
 /// Annotations of which the first part has been mapped.
 #[derive(Debug)]
-pub struct MappedFile {
+pub(crate) struct MappedFile {
     /// Those of the handles, and of the annotations.
-    pub warnings: Vec<Warning>,
+    pub(crate) warnings: Vec<Warning>,
     /// The part of the plane that the picture shows, if it is not the box of the source.
-    pub canvas: Option<Canvas>,
+    pub(crate) canvas: Option<Canvas>,
     /// The method that was chosen if that was requested, as a header shows it.
-    pub method: Option<String>,
+    pub(crate) method: Option<String>,
     /// The first bytes of the JSON.
-    pub first: Bytes,
+    pub(crate) first: Bytes,
     /// The others, if there are any.
-    pub rest: Option<MappedParts>,
+    pub(crate) rest: Option<MappedParts>,
 }
 
 /// The parts that are still to be mapped.
 #[derive(Debug)]
-pub struct MappedParts {
-    app: App,
+pub(crate) struct MappedParts {
+    admission: Arc<Admission>,
     job: Arc<MappingJob>,
     /// `None` at the end.
     cursor: Option<Cursor>,
@@ -59,7 +59,7 @@ pub struct MappedParts {
 
 impl MappedParts {
     /// The next bytes; `None` at the end.
-    pub async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
+    pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
         let cursor = self.cursor.take()?;
         let part = self.part(cursor).await;
         Some(part.map(|(bytes, cursor)| {
@@ -71,7 +71,7 @@ impl MappedParts {
     async fn part(&self, cursor: Cursor) -> Result<(Bytes, Option<Cursor>), Problem> {
         let mut attempts = 0;
         let ticket = loop {
-            match self.app.0.pool.admit(WorkClass::Upload, self.job.key).await {
+            match self.admission.upload(self.job.key).await {
                 Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
                     attempts += 1;
                     tokio::time::sleep(ADMISSION_PAUSE).await;
@@ -79,11 +79,9 @@ impl MappedParts {
                 admitted => break admitted?,
             }
         };
-        let (app, job) = (self.app.clone(), Arc::clone(&self.job));
-        self.app
-            .0
-            .pool
-            .run(&ticket, move |cancel| job.part(&app, cursor, cancel))
+        let (admission, job) = (Arc::clone(&self.admission), Arc::clone(&self.job));
+        ticket
+            .run(move |cancel| job.part(&admission, cursor, cancel))
             .await?
     }
 }
@@ -107,13 +105,13 @@ impl MappingJob {
     /// Maps a part in memory that counts for the client until it is sent.
     fn part(
         &self,
-        app: &App,
+        admission: &Admission,
         mut cursor: Cursor,
         cancel: &Cancel,
     ) -> Result<(Bytes, Option<Cursor>), Problem> {
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
-        let mut reservation = app.reserve_for(MemoryClass::Frame, &self.quota, 0)?;
-        let mut reserve = |bytes| app.reserve_more(&mut reservation, bytes);
+        let mut reservation = admission.reserve_for(MemoryClass::Frame, &self.quota, 0)?;
+        let mut reserve = |bytes| admission.reserve_more(&mut reservation, bytes);
         let mut map = || {
             let transform = match &self.posed {
                 Some((posed, _)) => self.setup.inverse(&self.pose, posed.mesh()),
@@ -130,7 +128,7 @@ impl MappingJob {
             Ok::<_, Problem>((out, more))
         };
         let (mut out, more) = if self.is_long {
-            app.0.pool.run_parallel(map)
+            admission.pool.run_parallel(map)
         } else {
             map()
         }?;
@@ -146,7 +144,7 @@ impl MappingJob {
 struct PointsJob {
     client: Client,
     setup: HeldSetup,
-    q: Held<Vec<Handle>>,
+    q: Arc<Held<Vec<Handle>>>,
     object: Held<PointsObject>,
     folds: Folds,
     /// Has the region that moves, if the canvas depends on it.
@@ -164,236 +162,219 @@ impl PointsJob {
     }
 }
 
-impl App {
-    /// Maps points. `cursor`: a new one.
-    /// Errors: Wrong handles, or too little capacity.
-    pub async fn points_once(
-        &self,
-        client: Client,
-        json: Bytes,
-        cursor: Cursor,
-    ) -> Result<MappedFile, Problem> {
-        let key = QueueKey::client(client);
-        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (is_long, most_bytes) = (
-            json.len() > MAX_SEQUENTIAL,
-            self.0.config.max_warp_json_bytes,
-        );
-        let reserve = self.reserving(MemoryClass::Upload, client);
-        let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
-        let mut object = self.0.pool.run(&ticket, parse).await??;
-        let warp = part(&mut object, |object| object.warp.take());
-        let warp = warp.try_map(|warp| {
-            warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))
-        })?;
-        let (extent, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
-        if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
-            // The exact deformation needs no grid; this one is within all limits.
-            warp.rest.grid = GridSpec::Counts {
-                columns: 2,
-                rows: 2,
-            };
-        }
-        let app = self.clone();
-        let resolve = move |cancel: &Cancel| app.resolve(warp, extent, cancel);
-        let Resolved {
-            setup,
-            object: warp,
-            q,
-            ..
-        } = self.0.pool.run(&ticket, resolve).await??;
-        let method = warp.is_auto.then(|| method_text(&warp.rest));
-        let quota = self.response_quota(client);
-        let job = PointsJob {
-            client,
-            setup,
-            q,
-            object,
-            folds: warp.folds,
-            region: None,
-            cursor,
-            is_long,
-            key,
-            quota,
+/// Maps points. `cursor`: a new one.
+/// Errors: Wrong handles, or too little capacity.
+pub(crate) async fn once(
+    app: &App,
+    client: Client,
+    json: Bytes,
+    cursor: Cursor,
+) -> Result<MappedFile, Problem> {
+    let key = QueueKey::client(client);
+    let ticket = app.admission.upload(key).await?;
+    let (is_long, most_bytes) = (
+        json.len() > MAX_SEQUENTIAL,
+        app.config().max_warp_json_bytes,
+    );
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let parse = move |_: &_| Reserved::<PointsObject, _>::parse(&json, most_bytes, reserve);
+    let mut object = ticket.run(parse).await??;
+    let warp = part(&mut object, |object| object.warp.take());
+    let warp = warp.try_map(|warp| {
+        warp.ok_or_else(|| Problem::new(Code::Internal, "points without a warp"))
+    })?;
+    let (extent, mut warp) = (warp.1, warp.map(|(warp, _)| warp));
+    if !object.annotations.is_inverse && !PointsJob::needs_grid(&object, warp.folds) {
+        // The exact deformation needs no grid; this one is within all limits.
+        warp.rest.grid = GridSpec::Counts {
+            columns: 2,
+            rows: 2,
         };
-        Ok(MappedFile {
-            method,
-            ..self.map_points(&ticket, job).await?
-        })
     }
+    let of_job = app.clone();
+    let settle = move |cancel: &Cancel| resolve(&of_job, warp, extent, cancel);
+    let Resolved {
+        setup,
+        object: warp,
+        q,
+        ..
+    } = ticket.run(settle).await??;
+    let method = warp.is_auto.then(|| method_text(&warp.rest));
+    let quota = app.admission.response_quota(client);
+    let job = PointsJob {
+        client,
+        setup,
+        q,
+        object,
+        folds: warp.folds,
+        region: None,
+        cursor,
+        is_long,
+        key,
+        quota,
+    };
+    Ok(MappedFile {
+        method,
+        ..map_points(app, &ticket, job).await?
+    })
+}
 
-    /// Maps points by the deformation of a session.
-    /// Errors: Unknown session, wrong handles, or too little capacity.
-    pub async fn points_session(
-        &self,
-        client: Client,
-        id: SessionId,
-        json: Bytes,
-    ) -> Result<MappedFile, Problem> {
-        let record = self.touch(id, None).await?.record;
-        let setup = self.session_setup(client, &record).await?;
-        let key = QueueKey::session(client, id);
-        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (is_long, most_bytes) = (
-            json.len() > MAX_SEQUENTIAL,
-            self.0.config.max_warp_json_bytes,
-        );
-        let (of_session, reserve) = (
-            Arc::clone(&record),
-            self.reserving_pose(MemoryClass::Upload, client, &record),
-        );
-        let parse = move |_: &_| {
-            let (rest, size) = (&of_session.rest, of_session.extent);
-            let source = (size, rest.units);
-            let mut object = Reserved::<PointsObject, _>::parse_posed(
-                &json,
-                most_bytes,
-                source,
-                &of_session.output,
-                reserve,
-            )?;
-            let Pose { q, strength } =
-                std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
-            let q = part(&mut object, |_| rest.posed(q, strength, size).0);
-            Ok::<_, Problem>((object, q))
-        };
-        let (object, q) = self.0.pool.run(&ticket, parse).await??;
-        drop(ticket);
-        let region = self
-            .region_of(client, &record, object.output.canvas)
-            .await?;
-        let ticket = self.0.pool.admit(WorkClass::Upload, key).await?;
-        let (quota, folds) = (self.response_quota(client), record.folds);
-        let job = PointsJob {
-            client,
-            setup,
-            q,
-            object,
-            folds,
-            region,
-            cursor: Cursor::default(),
-            is_long,
-            key,
-            quota,
-        };
-        self.map_points(&ticket, job).await
-    }
+/// Maps points by the deformation of a session.
+/// Errors: Wrong handles, or too little capacity.
+pub(crate) async fn of_session(
+    app: &App,
+    client: Client,
+    record: Arc<Record>,
+    json: Bytes,
+) -> Result<MappedFile, Problem> {
+    let setup = app.plans.setup_of(client, &record).await?;
+    let key = QueueKey::session(client, record.id);
+    let ticket = app.admission.upload(key).await?;
+    let (is_long, most_bytes) = (
+        json.len() > MAX_SEQUENTIAL,
+        app.config().max_warp_json_bytes,
+    );
+    let (of_session, reserve) = (
+        Arc::clone(&record),
+        app.admission
+            .reserving_pose(MemoryClass::Upload, client, &record),
+    );
+    let parse = move |_: &_| {
+        let (rest, size) = (&of_session.rest, of_session.extent);
+        let source = (size, rest.units);
+        let mut object = Reserved::<PointsObject, _>::parse_posed(
+            &json,
+            most_bytes,
+            source,
+            &of_session.output,
+            reserve,
+        )?;
+        let Pose { q, strength } =
+            std::mem::take(&mut object.pose).onto(of_session.pose.as_ref())?;
+        let q = part(&mut object, |_| rest.posed(q, strength, size).0);
+        Ok::<_, Problem>((object, Arc::new(q)))
+    };
+    let (object, q) = ticket.run(parse).await??;
+    drop(ticket);
+    let region = app
+        .images
+        .region_of(client, &record, object.output.canvas)
+        .await?;
+    let ticket = app.admission.upload(key).await?;
+    let (quota, folds) = (app.admission.response_quota(client), record.folds);
+    let job = PointsJob {
+        client,
+        setup,
+        q,
+        object,
+        folds,
+        region,
+        cursor: Cursor::default(),
+        is_long,
+        key,
+        quota,
+    };
+    map_points(app, &ticket, job).await
+}
 
-    /// The setup whose grid shows where to look for the inverse.
-    pub(super) async fn to_invert(
-        &self,
-        ticket: &Ticket,
-        setup: &HeldSetup,
-    ) -> Result<HeldSetup, Problem> {
-        let (app, setup) = (self.clone(), Arc::clone(setup));
-        let resolve = move |_: &_| {
-            // It shares most of its memory with the other one, and may outlive it.
-            let held = app.reserve(MemoryClass::Plan, setup.bytes())?;
-            Ok(Arc::new(CacheEntry::new(
-                setup.to_invert(&app.0.config.limits())?,
-                held,
-            )))
-        };
-        self.0.pool.run(ticket, resolve).await?
-    }
-
-    /// Finds the picture, and maps the first part.
-    async fn map_points(&self, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
-        let PointsJob {
-            client,
-            setup,
-            q,
-            object,
-            folds,
-            region,
-            cursor,
-            is_long,
-            key,
-            quota,
-        } = job;
-        let drawn = if PointsJob::needs_grid(&object, folds) {
-            Some(self.plan(client, ticket, &setup, Timing::default()).await?)
-        } else {
-            None
-        };
-        let to_invert = if object.annotations.is_inverse {
-            let setup = self.to_invert(ticket, &setup).await?;
-            Some(self.plan(client, ticket, &setup, Timing::default()).await?)
-        } else {
-            None
-        };
-        let app = self.clone();
-        let prepare = move |cancel: &Cancel| {
-            let (
-                PointsObject {
-                    output,
-                    annotations,
-                    ..
-                },
-                _held,
-            ) = object.into_parts();
-            let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
-            let target = match drawn {
-                Some(drawn) => {
-                    let pose = || PosedMesh::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
-                    let (posed, _held) =
-                        app.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
-                    let region = region.as_ref().and_then(DrawnContent::region).cloned();
-                    let posed = region.into_iter().fold(posed, PosedMesh::within);
-                    output.target(
-                        setup.source(),
-                        &posed,
-                        &app.0.config.limits(),
-                        &is_cancelled,
-                    )?
-                }
-                None => match output.target_before_pose(setup.source(), &app.0.config.limits())? {
-                    Some(target) => target,
-                    None => return Err(Problem::new(Code::Internal, "a canvas without a grid")),
-                },
-            };
-            let (picture, source) = (setup.frame_of(target), setup.source_frame());
-            let mut warnings = setup.warnings(&pose, Some(picture.canvas()));
-            annotations.add_warnings(
-                if annotations.is_inverse {
-                    &picture
-                } else {
-                    &source
-                },
-                &mut warnings,
-            );
-            let posed = to_invert.map(|Planned { setup, plan, .. }| {
-                let coarse =
-                    || PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
-                app.reserve_and_pose(&setup, &quota, 0, coarse)
-            });
-            let posed = posed.transpose()?;
-            let is_long = is_long || posed.is_some();
-            let job = Arc::new(MappingJob {
-                setup,
-                pose,
-                posed,
-                picture,
+/// Finds the picture, and maps the first part.
+async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<MappedFile, Problem> {
+    let PointsJob {
+        client,
+        setup,
+        q,
+        object,
+        folds,
+        region,
+        cursor,
+        is_long,
+        key,
+        quota,
+    } = job;
+    let drawn = if PointsJob::needs_grid(&object, folds) {
+        Some(
+            app.plans
+                .plan(client, ticket, &setup, Timing::default())
+                .await?,
+        )
+    } else {
+        None
+    };
+    let to_invert = if object.annotations.is_inverse {
+        let setup = app.plans.to_invert(ticket, &setup).await?;
+        Some(
+            app.plans
+                .plan(client, ticket, &setup, Timing::default())
+                .await?,
+        )
+    } else {
+        None
+    };
+    let drawing = Arc::clone(&app.drawing);
+    let prepare = move |cancel: &Cancel| {
+        let (
+            PointsObject {
+                output,
                 annotations,
-                is_long,
-                key,
-                quota,
-            });
-            let (first, cursor) = job.part(&app, cursor, cancel)?;
-            let rest = cursor.map(|cursor| MappedParts {
-                app,
-                job,
-                cursor: Some(cursor),
-            });
-            let Target { canvas, .. } = target;
-            Ok(MappedFile {
-                warnings,
-                canvas,
-                method: None,
-                first,
-                rest,
-            })
+                ..
+            },
+            _held,
+        ) = object.into_parts();
+        let (pose, is_cancelled) = (setup.pose(&q)?, || cancel.is_cancelled());
+        let target = match drawn {
+            Some(drawn) => {
+                let pose = || PosedMesh::new(&setup, &drawn.plan, &pose, folds, &is_cancelled);
+                let (posed, _held) =
+                    drawing.reserve_and_pose(&setup, &quota, setup.most_halved_bytes(), pose)?;
+                let region = region.as_ref().and_then(DrawnContent::region).cloned();
+                let posed = region.into_iter().fold(posed, PosedMesh::within);
+                output.target(setup.source(), &posed, &drawing.limits, &is_cancelled)?
+            }
+            None => match output.target_before_pose(setup.source(), &drawing.limits)? {
+                Some(target) => target,
+                None => return Err(Problem::new(Code::Internal, "a canvas without a grid")),
+            },
         };
-        self.0.pool.run(ticket, prepare).await?
-    }
+        let (picture, source) = (setup.frame_of(target), setup.source_frame());
+        let mut warnings = setup.warnings(&pose, Some(picture.canvas()));
+        annotations.add_warnings(
+            if annotations.is_inverse {
+                &picture
+            } else {
+                &source
+            },
+            &mut warnings,
+        );
+        let posed = to_invert.map(|Planned { setup, plan, .. }| {
+            let coarse = || PosedMesh::coarse(&setup, &plan, &pose, Folds::Report, &is_cancelled);
+            drawing.reserve_and_pose(&setup, &quota, 0, coarse)
+        });
+        let posed = posed.transpose()?;
+        let is_long = is_long || posed.is_some();
+        let job = Arc::new(MappingJob {
+            setup,
+            pose,
+            posed,
+            picture,
+            annotations,
+            is_long,
+            key,
+            quota,
+        });
+        let (first, cursor) = job.part(&drawing.admission, cursor, cancel)?;
+        let rest = cursor.map(|cursor| MappedParts {
+            admission: Arc::clone(&drawing.admission),
+            job,
+            cursor: Some(cursor),
+        });
+        let Target { canvas, .. } = target;
+        Ok(MappedFile {
+            warnings,
+            canvas,
+            method: None,
+            first,
+            rest,
+        })
+    };
+    ticket.run(prepare).await?
 }

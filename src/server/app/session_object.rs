@@ -11,13 +11,10 @@ use mlswarp::deform::Coincident;
 use mlswarp::warp::{Align, Digest, RestSummary, Warning};
 
 use super::json_text::json_unless;
-use super::warp::{columns, revision_key};
-use super::{App, build_aborted};
 use crate::cache::CacheEntry;
-use crate::client::Client;
 use crate::layer::MAX_LAYERS;
-use crate::limits::memory::{MemoryClass, Reservation};
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::limits::memory::Reservation;
+use crate::pool::Cancel;
 use crate::problem::Problem;
 use crate::store::{Record, Session};
 use crate::wire::{
@@ -46,8 +43,13 @@ pub(crate) struct RevisionText {
 
 impl RevisionText {
     /// Bytes of a response.
-    const fn response_bytes(&self) -> u64 {
+    pub(crate) const fn response_bytes(&self) -> u64 {
         self.text.len() as u64 + CHANGING_BYTES
+    }
+
+    /// Bytes of memory.
+    pub(crate) const fn bytes(&self) -> u64 {
+        (size_of::<Self>() + self.text.len()) as u64
     }
 }
 
@@ -61,9 +63,9 @@ pub struct ShownSession {
 
 /// The text of a session's object, and the memory of a response with it.
 #[derive(Debug)]
-pub(super) struct SessionText {
-    text: Arc<CacheEntry<RevisionText>>,
-    held: Reservation,
+pub(crate) struct SessionText {
+    pub(crate) text: Arc<CacheEntry<RevisionText>>,
+    pub(crate) held: Reservation,
 }
 
 /// The kept text as bytes of a response.
@@ -95,115 +97,17 @@ impl ShownSession {
 
 impl SessionText {
     /// The object of a session whose record the text is of.
-    pub(super) const fn of(self, session: Session) -> ShownSession {
+    pub(crate) const fn of(self, session: Session) -> ShownSession {
         ShownSession {
             session,
             shown: self,
         }
     }
-
-    /// The text.
-    pub(super) const fn text(&self) -> &Arc<CacheEntry<RevisionText>> {
-        &self.text
-    }
-}
-
-impl App {
-    /// A session with its object. Reading does not extend the session's life.
-    /// Errors: Unknown or expired, or too little capacity.
-    pub(crate) async fn read_session(
-        &self,
-        client: Client,
-        session: Session,
-    ) -> Result<ShownSession, Problem> {
-        let text = self.revision_text(client, &session.record).await?;
-        let (quota, bytes) = (self.response_quota(client), text.response_bytes());
-        let held = self
-            .reserve_aside(|budget| budget.take_for(MemoryClass::Frame, &quota, bytes))
-            .await?;
-        Ok(SessionText { text, held }.of(session))
-    }
-
-    /// What a session's object says of its revision, from the cache or written now.
-    /// Errors: Too little capacity.
-    pub(crate) async fn revision_text(
-        &self,
-        client: Client,
-        record: &Arc<Record>,
-    ) -> Result<Arc<CacheEntry<RevisionText>>, Problem> {
-        let (app, written) = (self.clone(), Arc::clone(record));
-        let write = async move {
-            let ticket = app
-                .0
-                .pool
-                .admit(WorkClass::Upload, QueueKey::session(client, written.id))
-                .await?;
-            let pool = app.0.pool.clone();
-            pool.run(&ticket, move |cancel| {
-                app.write_text(&written, None, cancel)
-            })
-            .await?
-        };
-        let texts = &self.0.texts;
-        Ok(texts
-            .get(revision_key(record), client.payer(), write, build_aborted)
-            .await?
-            .value)
-    }
-
-    /// A response with this text. Runs on the pool. Errors: Too little memory.
-    pub(super) fn shown(
-        &self,
-        client: Client,
-        text: Arc<CacheEntry<RevisionText>>,
-    ) -> Result<SessionText, Problem> {
-        let held = self.reserve_for(
-            MemoryClass::Frame,
-            &self.response_quota(client),
-            text.response_bytes(),
-        )?;
-        Ok(SessionText { text, held })
-    }
-
-    /// Writes the text of a revision into memory that is reserved before. `summary`: that of its
-    /// setup, if there is one. Runs on the pool. Errors: Too little memory, cancelled.
-    pub(super) fn write_text(
-        &self,
-        record: &Record,
-        summary: Option<RestSummary>,
-        cancel: &Cancel,
-    ) -> Result<CacheEntry<RevisionText>, Problem> {
-        let length = longest_text(record);
-        // The handles in px, and a few copies of their positions.
-        let mut held = self.reserve(MemoryClass::Plan, length + 256 * columns(record))?;
-        let new = || {
-            let limits = self.0.config.limits();
-            RestSummary::new_unless(&record.rest, record.extent, &limits, &|| {
-                cancel.is_cancelled()
-            })
-        };
-        let summary = summary.map_or_else(new, Ok)?;
-        let text = text(record, &summary, length, cancel)?;
-        held.shrink_to((size_of::<RevisionText>() + text.len()) as u64);
-        let RestSummary {
-            rest_digest,
-            warnings,
-            ..
-        } = summary;
-        Ok(CacheEntry::new(
-            RevisionText {
-                text,
-                rest_digest,
-                warnings,
-            },
-            held,
-        ))
-    }
 }
 
 /// Maximum length of the text of a record: two coordinates of each position on either side, its
 /// weight, and its index in a group of coincident points.
-fn longest_text(record: &Record) -> u64 {
+pub(crate) fn longest_text(record: &Record) -> u64 {
     let posed = record.pose.iter().flat_map(|pose| &pose.q);
     let places: usize = record
         .rest
@@ -217,12 +121,14 @@ fn longest_text(record: &Record) -> u64 {
         + 2 * NUMBER_BYTES * record.rest.p.len() as u64
 }
 
-fn text(
+/// Writes what stays the same within a revision; its text has at most `length` bytes.
+/// Errors: Cancelled.
+pub(crate) fn revision_text(
     record: &Record,
-    summary: &RestSummary,
+    summary: RestSummary,
     length: u64,
     cancel: &Cancel,
-) -> Result<Vec<u8>, Problem> {
+) -> Result<RevisionText, Problem> {
     let ((columns, rows), rest) = (summary.grid, &record.rest);
     let groups = summary.groups.iter().map(|handles| CoincidentGroup {
         handles: handles.clone(),
@@ -277,7 +183,11 @@ fn text(
     // The members that change follow.
     text.pop();
     text.shrink_to_fit();
-    Ok(text)
+    Ok(RevisionText {
+        text,
+        rest_digest: summary.rest_digest,
+        warnings: summary.warnings,
+    })
 }
 
 /// `2026-11-21T09:30:00.125Z`. A time outside the years 1970 to 9999, which humantime cannot write,

@@ -21,37 +21,35 @@ pub(crate) struct Minted {
     ops: Vec<&'static str>,
 }
 
-impl App {
-    /// Makes a token for a session, which must exist unless the token is to upload it.
-    /// Errors: [`Code::Forbidden`] without an API key, [`Code::NotSupported`] without a secret that
-    /// all replicas have; unknown or expired session.
-    pub(crate) async fn mint_token(
-        &self,
-        credential: Credential,
-        id: SessionId,
-        asked: &TokenRequest,
-    ) -> Result<Minted, Problem> {
-        let Some(digest) = credential.key_digest() else {
-            let detail = "session tokens stand for an API key, and this server has no keys: \
-                everybody may use it without";
-            return Err(Problem::new(Code::Forbidden, detail));
-        };
-        let access = self.access();
-        let Some(secrets) = access.secrets() else {
-            return Err(Problem::new(Code::NotSupported, NO_TOKENS));
-        };
-        if !asked.ops.contains(&TokenOp::Upload) {
-            self.peek_session(id).await?;
-        }
-        let session = id.uuid();
-        let now = access.clock().seconds();
-        let key = (credential.owner(), &digest);
-        let (token, name, expires) = secrets.mint(key, session, asked, now);
-        tracing::info!(target: "mlswarp::http", kid = name.kid, jti = name.jti, "token made");
-        Ok(Minted {
-            token,
-            expires: rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(expires)),
-            ops: asked.ops.iter().map(|op| op.as_str()).collect(),
-        })
+/// Makes a token for a session, which must exist unless the token is to upload it.
+/// Errors: [`Code::Forbidden`] without an API key, [`Code::NotSupported`] without a secret that
+/// all replicas have; unknown or expired session.
+pub(crate) async fn mint(
+    app: &App,
+    credential: Credential,
+    id: SessionId,
+    asked: &TokenRequest,
+) -> Result<Minted, Problem> {
+    let Some(digest) = credential.key_digest() else {
+        let detail = "session tokens stand for an API key, and this server has no keys: \
+            everybody may use it without";
+        return Err(Problem::new(Code::Forbidden, detail));
+    };
+    let access = app.access();
+    let Some(secrets) = access.secrets() else {
+        return Err(Problem::new(Code::NotSupported, NO_TOKENS));
+    };
+    if !asked.ops.contains(&TokenOp::Upload) {
+        app.sessions.peek(id).await?;
     }
+    let session = id.uuid();
+    let now = access.clock().seconds();
+    let key = (credential.owner(), &digest);
+    let (token, name, expires) = secrets.mint(key, session, asked, now);
+    tracing::info!(target: "mlswarp::http", kid = name.kid, jti = name.jti, "token made");
+    Ok(Minted {
+        token,
+        expires: rfc3339(SystemTime::UNIX_EPOCH + Duration::from_secs(expires)),
+        ops: asked.ops.iter().map(|op| op.as_str()).collect(),
+    })
 }

@@ -212,16 +212,6 @@ impl<V> Cache<V> {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What it has done and what it holds.
-    pub fn usage(&self) -> CacheStats {
-        let entries = self.lock();
-        CacheStats {
-            values: entries.values.len() as u64,
-            bytes: entries.values.bytes(),
-            ..entries.stats
-        }
-    }
-
     /// Whether the value is cached. It counts as used, not as found.
     pub fn touch(&self, key: CacheKey) -> bool {
         self.lock().values.get(key, Instant::now()).is_some()
@@ -241,26 +231,41 @@ impl<V> Cache<V> {
     pub fn remove(&self, key: CacheKey) -> Option<Arc<CacheEntry<V>>> {
         self.lock().values.remove(key)
     }
+}
+
+/// What concerns the caches of all kinds of values.
+pub trait AnyCache: std::fmt::Debug + Send + Sync {
+    /// What it has done and what it holds.
+    fn usage(&self) -> CacheStats;
+
+    /// Whether [`AnyCache::evict_idle`] would find a value.
+    fn is_any_idle(&self) -> bool;
+
+    /// Evicts a value that nobody uses now. `false`: all are in use.
+    fn evict_idle(&self) -> bool;
 
     /// Removes all values.
-    pub fn clear(&self) {
-        // The values are dropped without the lock.
-        let values = std::mem::take(&mut self.lock().values);
-        drop(values);
+    fn clear(&self);
+}
+
+impl<V: std::fmt::Debug + Send + Sync + 'static> AnyCache for Cache<V> {
+    fn usage(&self) -> CacheStats {
+        let entries = self.lock();
+        CacheStats {
+            values: entries.values.len() as u64,
+            bytes: entries.values.bytes(),
+            ..entries.stats
+        }
     }
 
-    /// Whether [`Cache::evict_idle`] would find a value.
-    pub fn is_any_idle(&self) -> bool {
+    fn is_any_idle(&self) -> bool {
         self.lock()
             .values
             .iter()
             .any(|value| Arc::strong_count(value) == 1)
     }
-}
 
-impl<V: Send + Sync + 'static> Cache<V> {
-    /// Evicts a value that nobody uses now. `false`: all are in use.
-    pub fn evict_idle(&self) -> bool {
+    fn evict_idle(&self) -> bool {
         // Dropped without the lock.
         let evicted = self.lock().evict(|_, value| Arc::strong_count(value) == 1);
         let is_evicted = evicted.is_some();
@@ -268,6 +273,14 @@ impl<V: Send + Sync + 'static> Cache<V> {
         is_evicted
     }
 
+    fn clear(&self) {
+        // The values are dropped without the lock.
+        let values = std::mem::take(&mut self.lock().values);
+        drop(values);
+    }
+}
+
+impl<V: Send + Sync + 'static> Cache<V> {
     /// Removes the value, and frees it when nobody uses it any more.
     pub fn drop_value(&self, key: CacheKey) {
         self.remove(key).into_iter().for_each(free_entry);

@@ -264,7 +264,7 @@ async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
                     std::thread::yield_now();
                 }
             };
-            pool.run(&ticket, until_cancelled).await?;
+            ticket.run(until_cancelled).await?;
             built
         }
     };

@@ -14,9 +14,10 @@ use super::input::{Limit, is_stdio};
 use super::options::require_quality_of_jpeg;
 use super::service::{Service, summary};
 use super::{input, output};
-use crate::app::batch::{Batch, BatchForm};
-use crate::app::layers::bad_name;
-use crate::app::warp::Upload;
+use crate::app::batch::{self, Batch, BatchForm};
+use crate::app::layers::{self, bad_name};
+use crate::app::upload::Upload;
+use crate::app::{landmarks, sessions};
 use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::quote;
@@ -88,13 +89,13 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         .as_deref()
         .map(|path| input::read("region", path, Limit::body(config)).map(Bytes::from))
         .transpose()?;
-    let layers = read_layers(config, layers)?;
+    let layer_files = read_layers(config, layers)?;
     let service = Service::start(config)?;
     let (app, client) = (&service.app, service.client);
     let form = kind.form();
     let landmarks = match files {
         Some(files) => {
-            let read = service.run(app.read_landmarks(client, files, whole.clone()));
+            let read = service.run(landmarks::read(app, client, files, whole.clone()));
             Some(read.map_err(|problem| handles.landmarks.blame(problem))?)
         }
         None => None,
@@ -110,17 +111,20 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         region: mask,
         landmarks,
     };
-    let session = service.run(app.create_session(client, upload));
+    let session = service.run(sessions::create(app, client, upload));
     let (shown, method) =
         session.map_err(|problem| blame(located(problem), image, region.as_deref()))?;
     let id = shown.session.record.id;
     let made = service.run(async {
         let put = async |name: &LayerName, kind, file| {
-            app.put_layer(client, id, name, kind, file).await.map(drop)
+            let session = app.sessions.touch(id, None).await?;
+            layers::put(app, client, session, name, kind, file)
+                .await
+                .map(drop)
         };
-        put_layers(layers, put).await?;
-        app.batch(client, id, batch.into(), form, |_| u64::MAX)
-            .await
+        put_layers(layer_files, put).await?;
+        let record = app.sessions.touch(id, None).await?.record;
+        batch::of_session(app, client, record, batch.into(), form, |_| u64::MAX).await
     });
     let made = made.map_err(|problem| {
         match has_rest_only && !merged.has("q") && problem.pointer.as_deref() == Some("/q") {

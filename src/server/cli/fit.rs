@@ -8,6 +8,7 @@ use super::input::{self, Body, require_one_stdin};
 use super::options;
 use super::output;
 use super::service::{Service, summary};
+use crate::app::fit;
 use crate::config::{Config, FitArgs};
 use crate::wire::of_fit;
 
@@ -48,7 +49,7 @@ pub fn run(config: &Config, args: &FitArgs) -> Result<Option<String>, Failure> {
         .map(|body: Value| body["names"].clone())
         .unwrap_or_default();
     let service = Service::start(config)?;
-    let compared = service.run(service.app.fit_once(service.client, json.into()));
+    let compared = service.run(fit::once(&service.app, service.client, json.into()));
     let (answer, warnings) = compared.map_err(|problem| input::located(&merged, problem))?;
     match out {
         Some(out) => output::write_text(out, &answer)?,

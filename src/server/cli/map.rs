@@ -8,6 +8,7 @@ use super::input::{self, Body, require_one_stdin};
 use super::options::source;
 use super::output;
 use super::service::{Service, summary};
+use crate::app::map;
 use crate::config::{Config, MapArgs};
 
 /// Writes a coordinate map. The result: what a server sends in response headers, if there is any of
@@ -40,7 +41,7 @@ pub fn run(config: &Config, args: &MapArgs) -> Result<Option<String>, Failure> {
     ));
     let Body { json, merged } = Body::read(config, input, extent, more)?;
     let service = Service::start(config)?;
-    let made = service.run(service.app.map_once(service.client, json, format));
+    let made = service.run(map::once(&service.app, service.client, json, format));
     let (mut map, method) = made.map_err(|problem| input::located(&merged, problem))?;
     output::write(out, |sink| {
         sink.put(&map.first)?;

@@ -10,7 +10,7 @@ use super::input::{self, Body, Limit};
 use super::options;
 use super::output;
 use super::service::{Service, summary};
-use crate::app::points::MappedFile;
+use crate::app::points::{self, MappedFile};
 use crate::config::{Config, PointsArgs};
 use crate::wire::{Cursor, NamedObject, is_geojson};
 
@@ -75,7 +75,7 @@ pub fn run(config: &Config, args: &PointsArgs) -> Result<Option<String>, Failure
     ));
     let Body { json, merged } = Body::read(config, &input, extent, more)?;
     let service = Service::start(config)?;
-    let mapped = service.run(service.app.points_once(service.client, json, cursor));
+    let mapped = service.run(points::once(&service.app, service.client, json, cursor));
     let MappedFile {
         warnings,
         method,

@@ -5,6 +5,7 @@ use super::input::{self, Body, require_one_stdin};
 use super::options::of_report;
 use super::output;
 use super::service::{Service, summary};
+use crate::app::report;
 use crate::config::{Config, ReportArgs};
 
 /// Measures a pose. The result: what a server sends in response headers, if there is any of it.
@@ -25,7 +26,7 @@ pub fn run(config: &Config, args: &ReportArgs) -> Result<Option<String>, Failure
     more.extend(of_report(canvas.as_ref())?);
     let Body { json, merged } = Body::read(config, input, extent, more)?;
     let service = Service::start(config)?;
-    let measured = service.run(service.app.report_once(service.client, json));
+    let measured = service.run(report::once(&service.app, service.client, json));
     let (report, method) = measured.map_err(|problem| input::located(&merged, problem))?;
     output::write_text(out, &report.body)?;
     Ok(summary(method, &report.report.warnings))

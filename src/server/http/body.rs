@@ -190,8 +190,9 @@ impl<'a> BodyBuffer<'a> {
         purpose: MemoryClass,
         announced: Option<u64>,
     ) -> Result<Self, Problem> {
-        let quota = app.request_quota(client);
+        let quota = app.admission.request_quota(client);
         let held = app
+            .admission
             .reserve_aside(|budget| budget.take_for(purpose, &quota, REQUEST_BYTES))
             .await?;
         Ok(Self {
@@ -222,6 +223,7 @@ impl<'a> BodyBuffer<'a> {
             let capacity = needed.max((factor * self.bytes.capacity()).min(self.announced));
             // While the bytes are moved, both allocations exist.
             self.app
+                .admission
                 .reserve_aside(|_| self.held.grow(capacity as u64))
                 .await?;
             let mut bytes = std::mem::take(&mut self.bytes);

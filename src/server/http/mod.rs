@@ -211,6 +211,6 @@ async fn reject_if_queue_full(
     request: Request,
     next: Next,
 ) -> Result<Response, Refusal> {
-    app.require_queue_place(caller.client)?;
+    app.admission.require_queue_place(caller.client)?;
     Ok(next.run(request).await)
 }

@@ -15,7 +15,8 @@ use futures_util::stream::poll_fn;
 use super::body::{self, BodyBuffer, read_problem, sent};
 use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
-use crate::app::warp::Upload;
+use crate::app::landmarks;
+use crate::app::upload::Upload;
 use crate::limits::memory::MemoryClass;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
@@ -117,12 +118,9 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
             let mut upload = Upload::new(image, warp);
             upload.region = region;
             if !files.is_empty() {
-                upload.landmarks = Some(
-                    caller
-                        .app
-                        .read_landmarks(caller.client, files, upload.warp.clone())
-                        .await?,
-                );
+                let warp = upload.warp.clone();
+                upload.landmarks =
+                    Some(landmarks::read(&caller.app, caller.client, files, warp).await?);
             }
             Ok(upload)
         }
@@ -174,10 +172,7 @@ pub(crate) async fn json_or_form(
     if files.is_empty() {
         Ok(json)
     } else {
-        caller
-            .app
-            .with_landmarks(caller.client, files, json, target)
-            .await
+        landmarks::fields(&caller.app, caller.client, files, json, target).await
     }
 }
 
@@ -264,8 +259,9 @@ async fn read_parts(
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
-    let quota = app.request_quota(*client);
+    let quota = app.admission.request_quota(*client);
     let _parser = app
+        .admission
         .reserve_aside(|budget| budget.take_for(MemoryClass::Upload, &quota, PARSER_BYTES))
         .await?;
     let announced = content_length(request.headers());

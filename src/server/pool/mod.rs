@@ -102,6 +102,40 @@ pub struct Ticket {
 }
 
 impl Ticket {
+    /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is
+    /// set. Errors: [`PoolError::Panicked`].
+    pub async fn run<T, F>(&self, work: F) -> Result<T, PoolError>
+    where
+        T: Send + 'static,
+        F: FnOnce(&Cancel) -> T + Send + 'static,
+    {
+        let guard = CancelOnDrop(Arc::default());
+        let cancel = Cancel {
+            is_cancelled: Arc::clone(&guard.0),
+            permit: Arc::clone(&self.permit),
+        };
+        let (sender, result) = oneshot::channel();
+        self.start(move || {
+            // The receiver is gone when the request was dropped.
+            let _ = sender.send(work(&cancel));
+        });
+        result.await.map_err(|_| PoolError::Panicked)
+    }
+
+    /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops
+    /// what it owns.
+    pub fn start(&self, work: impl FnOnce() + Send + 'static) {
+        self.queue.threads.submit(job(self, work));
+    }
+
+    /// Offers a part of a computation to `helpers` more threads, each of which calls `help`.
+    /// Threads that are busy call it later, so `help` returns at once when nothing is left to do.
+    pub fn offer(&self, helpers: usize, help: impl Fn() + Clone + Send + 'static) {
+        self.queue
+            .threads
+            .offer((0..helpers).map(|_| job(self, help.clone())));
+    }
+
     /// Whether a job waits for a thread of the same class.
     pub fn is_thread_wanted(&self) -> bool {
         self.queue.threads.is_thread_wanted()
@@ -234,41 +268,6 @@ impl Pool {
             scope: Scope::current(),
             waited: began.elapsed(),
         })
-    }
-
-    /// Runs `work` on a compute thread. When the future is dropped, the [`Cancel`] of `work` is
-    /// set. Errors: [`PoolError::Panicked`].
-    pub async fn run<T, F>(&self, ticket: &Ticket, work: F) -> Result<T, PoolError>
-    where
-        T: Send + 'static,
-        F: FnOnce(&Cancel) -> T + Send + 'static,
-    {
-        let guard = CancelOnDrop(Arc::default());
-        let cancel = Cancel {
-            is_cancelled: Arc::clone(&guard.0),
-            permit: Arc::clone(&ticket.permit),
-        };
-        let (sender, result) = oneshot::channel();
-        self.start(ticket, move || {
-            // The receiver is gone when the request was dropped.
-            let _ = sender.send(work(&cancel));
-        });
-        result.await.map_err(|_| PoolError::Panicked)
-    }
-
-    /// Starts `work` on a compute thread and does not wait. A panic ends `work` only, and drops
-    /// what it owns.
-    pub fn start(&self, ticket: &Ticket, work: impl FnOnce() + Send + 'static) {
-        ticket.queue.threads.submit(job(ticket, work));
-    }
-
-    /// Offers a part of a computation to `helpers` more threads, each of which calls `help`.
-    /// Threads that are busy call it later, so `help` returns at once when nothing is left to do.
-    pub fn offer(&self, ticket: &Ticket, helpers: usize, help: impl Fn() + Clone + Send + 'static) {
-        ticket
-            .queue
-            .threads
-            .offer((0..helpers).map(|_| job(ticket, help.clone())));
     }
 
     /// Runs `work` on the parallel threads while this compute thread sleeps; on this thread only,
@@ -469,7 +468,7 @@ mod tests {
                 let _ = wait.lock().map(|wait| wait.recv());
             }
         };
-        pool.start(&long, hold);
+        long.start(hold);
         while began.load(Ordering::Relaxed) == 0 {
             tokio::task::yield_now().await;
         }
@@ -481,11 +480,7 @@ mod tests {
             .admit(WorkClass::Drag, QueueKey::client(other))
             .await
             .unwrap();
-        assert_eq!(
-            pool.run(&ticket, |_| 7).await,
-            Ok(7),
-            "it has a turn and a thread"
-        );
+        assert_eq!(ticket.run(|_| 7).await, Ok(7), "it has a turn and a thread");
         assert!(pool.rejects(WorkClass::Drag, key(2)) && pool.is_full(WorkClass::Drag));
         drop((go, long, ticket));
     }
@@ -512,7 +507,7 @@ mod tests {
                     std::thread::sleep(Duration::from_millis(1));
                 }
             };
-            pool.run(&ticket, work).await.unwrap();
+            ticket.run(work).await.unwrap();
         })
     }
 
@@ -531,7 +526,7 @@ mod tests {
         }
         let ticket = pool.admit(WorkClass::Upload, key(9)).await.unwrap();
         assert_eq!(
-            pool.run(&ticket, |_: &Cancel| 7).await,
+            ticket.run(|_: &Cancel| 7).await,
             Ok(7),
             "there is a thread for it"
         );
@@ -587,12 +582,10 @@ mod tests {
         let pool = pool(0, LONG_WAIT);
         let ticket = drag(&pool, 1).await.unwrap();
         assert_eq!(
-            pool.run(&ticket, |_| panic!("on purpose"))
-                .await
-                .map(|()| 0),
+            ticket.run(|_| panic!("on purpose")).await.map(|()| 0),
             Err(PoolError::Panicked)
         );
-        assert_eq!(pool.run(&ticket, |_| 7).await, Ok(7));
+        assert_eq!(ticket.run(|_| 7).await, Ok(7));
     }
 
     #[tokio::test]
@@ -604,17 +597,18 @@ mod tests {
             let pool = pool.clone();
             async move {
                 let ticket = drag(&pool, 1).await.unwrap();
-                pool.run(&ticket, move |cancel| {
-                    seen.send("began").unwrap();
-                    wait.recv().unwrap();
-                    seen.send(if cancel.is_cancelled() {
-                        "cancelled"
-                    } else {
-                        "wanted"
+                ticket
+                    .run(move |cancel| {
+                        seen.send("began").unwrap();
+                        wait.recv().unwrap();
+                        seen.send(if cancel.is_cancelled() {
+                            "cancelled"
+                        } else {
+                            "wanted"
+                        })
+                        .unwrap();
                     })
-                    .unwrap();
-                })
-                .await
+                    .await
             }
         });
         let sees = tokio::task::spawn_blocking(move || {

@@ -104,6 +104,10 @@ impl Store for MemoryStore {
         )
     }
 
+    fn local_record(&self, id: SessionId) -> Option<Arc<Record>> {
+        self.lock().peek(id).ok().map(|session| session.record)
+    }
+
     fn names(&self, owner: Owner, digest: Digest) -> bool {
         self.lock().names(owner, digest)
     }

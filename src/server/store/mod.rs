@@ -294,6 +294,10 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// still names it.
     fn file(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, Bytes>;
 
+    /// The record of a living session as this process knows it, without asking anybody: another
+    /// process may have changed or ended the session since.
+    fn local_record(&self, id: SessionId) -> Option<Arc<Record>>;
+
     /// Whether a session of that owner, known to this process, names that file.
     fn names(&self, owner: Owner, digest: Digest) -> bool;
 

@@ -5,11 +5,11 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use mlswarp_server::app::App;
 use mlswarp_server::app::drag_socket::{
-    Drag, DragOptions, FrameContent, Outgoing, PreviewWidth, Window,
+    self, Drag, DragOptions, FrameContent, Outgoing, PreviewWidth, Window,
 };
-use mlswarp_server::app::warp::Upload;
+use mlswarp_server::app::upload::Upload;
+use mlswarp_server::app::{App, sessions};
 use mlswarp_server::client::{Client, Owner};
 use mlswarp_server::session::SessionId;
 use tokio::runtime::Runtime;
@@ -21,8 +21,9 @@ static SESSION: LazyLock<(App, Runtime, SessionId)> = LazyLock::new(|| {
     let id = SessionId::random(Owner::ANYBODY);
     let file = Bytes::from_static(include_bytes!("../seeds/image/png-6-8"));
     let warp = Bytes::from_static(br#"{"p": [[3, 3], [[10, 2], [20, 9]], [5, 14]]}"#);
+    let upload = Upload::new(file, warp);
     runtime
-        .block_on(app.put_session(Client::default(), id, Upload::new(file, warp)))
+        .block_on(sessions::put(&app, Client::default(), id, upload))
         .expect("a session");
     (app, runtime, id)
 });
@@ -57,8 +58,7 @@ pub(super) fn talk(bytes: &[u8]) {
     };
     let (app, runtime, id) = &*SESSION;
     runtime.block_on(async {
-        let mut drag = app
-            .open_drag(Client::default(), *id, wishes)
+        let mut drag = drag_socket::open(app, Client::default(), *id, wishes)
             .await
             .expect("a seat");
         for message in messages.split(|&byte| byte == b'\n').take(64) {

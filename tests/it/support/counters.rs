@@ -1,6 +1,6 @@
 //! What a service has counted, as its metrics say it.
 
-use mlswarp_server::app::App;
+use mlswarp_server::app::{App, metrics_text};
 
 /// Counters since the start of a service.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -24,7 +24,7 @@ pub(crate) trait Counted {
 
 impl Counted for App {
     fn counters(&self) -> Counters {
-        let text = self.metrics_text();
+        let text = metrics_text::text(self);
         let read = |name: &str| -> u64 {
             let line = text
                 .lines()

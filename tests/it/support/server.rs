@@ -1,6 +1,6 @@
 //! The service on a real socket of the loopback, in this process, so that its counters can be read.
 
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 
 use mlswarp_server::app::App;
 use mlswarp_server::config::Config;
@@ -47,8 +47,12 @@ impl Server {
     pub(crate) async fn start(options: &[&str]) -> Self {
         let config = config(options);
         let listener = listen(config.listen).unwrap();
+        Self::of(App::new(config).unwrap(), listener)
+    }
+
+    /// A server of an application, on an open listener.
+    pub(crate) fn of(app: App, listener: TcpListener) -> Self {
         let address = listener.local_addr().unwrap();
-        let app = App::new(config).unwrap();
         let (stop, stopped) = oneshot::channel();
         tokio::spawn(serve(app.clone(), listener, async {
             let _ = stopped.await;

@@ -16,9 +16,10 @@ use serde_json::json;
 use super::package::{BatchForm, PackedFrame};
 use super::poses::{FramePose, Rest};
 use crate::app::App;
-use crate::app::draw::{DrawJob, DrawnFile, Planned, ReservedWarp};
+use crate::app::draw::{DrawJob, Drawn};
 use crate::app::drawable::DrawnContent;
 use crate::app::json_text::json_unless;
+use crate::app::parts::plans::Planned;
 use crate::app::reading::Held;
 use crate::cache::CacheEntry;
 use crate::client::Client;
@@ -131,7 +132,9 @@ impl BatchJob {
 
     /// Memory of a frame besides its pictures.
     fn reserve(&self, bytes: u64) -> Result<Reservation, Problem> {
-        self.app.reserve_for(MemoryClass::Frame, &self.quota, bytes)
+        self.app
+            .admission
+            .reserve_for(MemoryClass::Frame, &self.quota, bytes)
     }
 
     fn pose_of(&self, pose: u32) -> Result<FramePose, Problem> {
@@ -162,7 +165,7 @@ impl BatchJob {
                 cancel.is_cancelled()
             })?;
         self.output
-            .check(self.content.subject().extent(), &self.app.config().limits())?;
+            .check(self.content.subject().extent(), &self.app.plans.limits)?;
         let is_fit = self.output.canvas == CanvasSpec::Fit;
         let may_be_refused = is_fit || self.record.folds == Folds::Reject;
         Ok(Survey {
@@ -195,11 +198,11 @@ impl BatchJob {
             let q = Arc::new(self.pose_of(frame)?.q);
             let prepared = self
                 .app
-                .prepare_drawing(&self.draw_job(&content, q, Timing::default()), &|| {
+                .drawing
+                .prepare(&self.draw_job(&content, q, Timing::default()), &|| {
                     cancel.is_cancelled()
                 });
-            let ReservedWarp { warp, .. } =
-                prepared.map_err(|problem| self.located(frame, problem))?;
+            let (warp, ..) = prepared.map_err(|problem| self.located(frame, problem))?;
             self.force_alpha |= warp.adds_alpha();
             if let Some(shown) = warp.target().canvas {
                 survey.has_one_canvas &= survey.canvas.is_none_or(|canvas| canvas == shown);
@@ -231,7 +234,7 @@ impl BatchJob {
         if let Some(canvas) = survey.canvas.filter(|_| is_fit && self.form.is_animation()) {
             self.output.canvas = CanvasSpec::Box(canvas);
             self.output
-                .check(self.content.subject().extent(), &self.app.config().limits())?;
+                .check(self.content.subject().extent(), &self.app.plans.limits)?;
             // A frame that is smaller than all together does not cover them.
             self.force_alpha |= survey.needs_alpha && !survey.has_one_canvas;
         }
@@ -280,18 +283,25 @@ impl BatchJob {
             layer_files.push((
                 name.clone(),
                 self.app
+                    .drawing
                     .draw_file(&job, &is_cancelled)
                     .map_err(located)?
+                    .first
                     .bytes,
             ));
             layers.insert(layer.as_str().to_owned(), name);
         }
         let job = self.draw_job(&self.content, q, timing);
-        let DrawnFile {
+        let Drawn {
             report,
             target,
-            bytes,
-        } = self.app.draw_file(&job, &is_cancelled).map_err(located)?;
+            first,
+            ..
+        } = self
+            .app
+            .drawing
+            .draw_file(&job, &is_cancelled)
+            .map_err(located)?;
         let picture = self.rest.setup.frame_of(target);
         let annotations = if self.has_annotations() && self.form == BatchForm::Zip {
             Some((
@@ -319,15 +329,16 @@ impl BatchJob {
             warnings: warnings.iter().map(|warning| warning.code()).collect(),
             exceeded: (report.exceeded > 0).then_some(report.exceeded),
         };
-        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), bytes))
+        let files: Vec<(String, Bytes)> = std::iter::once((entry.picture.clone(), first.bytes))
             .chain(layer_files)
             .chain(annotations)
             .collect();
         // The packed copy of each file, and then the bytes that are sent.
         let length: usize = files.iter().map(|(_, bytes)| bytes.len()).sum();
-        let held = self
-            .app
-            .reserve_for(MemoryClass::Frame, &self.quota, 2 * length as u64)?;
+        let held =
+            self.app
+                .admission
+                .reserve_for(MemoryClass::Frame, &self.quota, 2 * length as u64)?;
         let of_file = warnings.into_iter().filter(Warning::is_of_file).collect();
         Ok(FinishedFrame {
             packed: self.form.pack(files)?,
@@ -355,7 +366,7 @@ impl BatchJob {
             cursor = Cursor::after_fields();
         }
         let is_cancelled = || cancel.is_cancelled();
-        let mut reserve = |bytes| self.app.reserve_more(&mut reservation, bytes);
+        let mut reserve = |bytes| self.app.admission.reserve_more(&mut reservation, bytes);
         while self.object.annotations.map_part(
             &mut cursor,
             &transform,

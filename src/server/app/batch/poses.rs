@@ -5,7 +5,7 @@ use std::sync::Arc;
 use mlswarp::deform::Handle;
 use mlswarp::warp::{RestSpec, WarpError};
 
-use crate::app::draw::HeldSetup;
+use crate::app::parts::plans::HeldSetup;
 use crate::app::reading::Held;
 use crate::limits::memory::Reservation;
 use crate::problem::{Code, Problem};

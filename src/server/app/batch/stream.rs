@@ -15,7 +15,7 @@ use super::package::{Package, PackedFrame};
 use crate::limits::memory::{Budget, MemoryClass, Reservation};
 use crate::observe::Scope;
 use crate::observe::stages::Timing;
-use crate::pool::{PoolError, QueueKey, WorkClass, aside};
+use crate::pool::{PoolError, QueueKey, aside};
 use crate::problem::{Code, Problem};
 use crate::wire::{BatchFrame, BatchIndex};
 
@@ -86,7 +86,7 @@ impl BatchStream {
     pub(crate) async fn new(job: BatchJob, delay: u16, plays: u16) -> Result<Self, Problem> {
         let directory = job.form.directory_bytes(job.frames, job.files_per_frame());
         let take = |budget: &Budget| budget.take_for(MemoryClass::Frame, &job.quota, directory);
-        let held = Some(job.app.reserve_aside(take).await?);
+        let held = Some(job.app.admission.reserve_aside(take).await?);
         let package = Package::new(job.form, job.frames, delay, plays);
         let file = Some(BatchFile {
             package,
@@ -208,14 +208,13 @@ fn most_ahead(job: &BatchJob) -> usize {
 /// Makes a frame on a worker. The batches of a client wait in the queue like one request of the
 /// client.
 async fn make(job: Arc<BatchJob>, frame: u32) -> Result<FinishedFrame, Problem> {
-    let pool = job.app.pool().clone();
-    let ticket = pool
-        .admit(WorkClass::Upload, QueueKey::client(job.client))
-        .await?;
+    let key = QueueKey::client(job.client);
+    let ticket = job.app.admission.upload(key).await?;
     let timing = Timing {
         queue: ticket.waited(),
         ..Timing::default()
     };
-    pool.run(&ticket, move |cancel| job.draw(frame, timing, cancel))
+    ticket
+        .run(move |cancel| job.draw(frame, timing, cancel))
         .await?
 }

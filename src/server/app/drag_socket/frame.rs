@@ -9,14 +9,16 @@ use mlswarp::deform::Handle;
 use mlswarp::warp::{
     Align, CanvasSpec, CompactLattice, CoordinateFrame as PictureFrame, OutputSpec, Report,
 };
+use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::same;
 use crate::app::App;
-use crate::app::draw::{DrawJob, Drawn, Picture, Piece};
+use crate::app::draw::{DrawJob, Drawn, Piece};
+use crate::app::mesh::{MeshForm, SessionMesh, admit_mesh, compact_lattice, pose_mesh};
+use crate::app::parts::plans::columns;
 use crate::app::reading::Held;
-use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, MeshForm, SessionMesh};
-use crate::app::warp::columns;
+use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, admit_newest};
 use crate::client::Client;
 use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
@@ -176,7 +178,7 @@ async fn picture_frame(
         permit,
     } = session;
     let seq = request.pose.seq;
-    let (record, content, plan) = app.admit_newest(client, record, None).await?;
+    let (record, content, plan) = admit_newest(&app, client, record, None).await?;
     drop(permit);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(
@@ -200,17 +202,18 @@ async fn picture_frame(
         force_alpha: false,
         quota,
     };
-    let drawn = app.draw(ticket, job).await?;
+    let drawn = app.drawing.draw(ticket, job).await?;
     let Drawn {
         report,
         target,
         timing,
-        picture,
+        first,
+        rest,
         format,
         ..
     } = drawn;
     let quality = (format == Format::Jpeg).then_some(output.quality);
-    let (pieces, cost) = collect(picture).await?;
+    let (pieces, cost) = collect(first, rest).await?;
     let file = (format.media_type().trim_start_matches("image/"), quality);
     let picture = PictureFrame::of_target(target, record.extent, record.rest.units);
     let head = ReportHead {
@@ -243,7 +246,7 @@ async fn mesh_frame(
     } = session;
     let seq = request.pose.seq;
     // The lattice is chosen after admission; only JSON has a limit of its own.
-    let plan = app.admit_mesh(client, &record, &MeshForm::F32).await?;
+    let plan = admit_mesh(&app, client, &record, &MeshForm::F32).await?;
     drop(permit);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
@@ -255,7 +258,7 @@ async fn mesh_frame(
         body,
         error,
         ..
-    } = app.pose_mesh(plan, q, &record, encoding, quota).await?;
+    } = pose_mesh(&app, plan, q, &record, encoding, quota).await?;
     let picture = PictureFrame::of_source(record.extent, record.rest.units);
     let head = ReportHead {
         seq,
@@ -291,10 +294,10 @@ async fn try_draw_frame(
         .acquire_owned()
         .await
         .expect("the semaphore is never closed");
-    let quota = app.response_quota(client);
+    let quota = app.admission.response_quota(client);
     // Once per frame, not once per pose: the store knows whether the session still exists and has
     // changed.
-    let record = app.touch(id, None).await?.record;
+    let record = app.sessions.touch(id, None).await?.record;
     let session = FrameSession {
         client,
         record,
@@ -324,7 +327,7 @@ pub(super) async fn mesh_shape(
     };
     let lattice = match known.of(record) {
         Some(lattice) => lattice,
-        None => Arc::new(app.compact_lattice(plan, tolerance, quota.clone()).await?),
+        None => Arc::new(compact_lattice(app, plan, tolerance, quota.clone()).await?),
     };
     known.set(record, &lattice);
     Ok((MeshShape::compact(&lattice, record.extent), Some(lattice)))
@@ -342,7 +345,7 @@ async fn read_handles(
         && (q.is_given() && record.rest.align == Align::None || columns(record) <= MOST_POSED_HERE);
     let (record, reserve) = (
         Arc::clone(record),
-        app.reserving(MemoryClass::Frame, client),
+        app.admission.reserving(MemoryClass::Frame, client),
     );
     let read = move || {
         Held::of_pose(
@@ -357,27 +360,26 @@ async fn read_handles(
     if is_short {
         read()
     } else {
-        app.0.pool.run(ticket, move |_| read()).await?
+        ticket.run(move |_| read()).await?
     }
 }
 
 /// All pieces of an image.
-async fn collect(picture: Picture) -> Result<(Vec<Bytes>, Cost), Problem> {
-    let mut strips = match picture {
-        Picture::Whole { bytes, cost } => return Ok((vec![bytes], cost)),
-        Picture::Strips(strips) => strips,
-    };
+async fn collect(
+    mut piece: Piece,
+    mut rest: Option<UnboundedReceiver<Piece>>,
+) -> Result<(Vec<Bytes>, Cost), Problem> {
     let mut pieces = Vec::new();
     loop {
-        match strips.recv().await {
-            Some(Piece { bytes, end }) => {
-                pieces.push(bytes);
-                if let Some(cost) = end {
-                    return Ok((pieces, cost));
-                }
-            }
-            None => return Err(PoolError::Panicked.into()),
+        pieces.push(piece.bytes);
+        if let Some(cost) = piece.end {
+            return Ok((pieces, cost));
         }
+        let next = match &mut rest {
+            Some(rest) => rest.recv().await,
+            None => None,
+        };
+        piece = next.ok_or(PoolError::Panicked)?;
     }
 }
 

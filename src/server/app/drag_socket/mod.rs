@@ -16,8 +16,9 @@ use bytes::Bytes;
 use tokio::sync::Semaphore;
 
 use super::App;
-use super::session_warp::{MAX_INLINE, MeshForm};
-use super::warp::columns;
+use super::mesh::{MeshForm, admit_mesh};
+use super::parts::plans::columns;
+use super::session_warp::MAX_INLINE;
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, QueuedPose, Step};
 use crate::drag::picture_ladder::PictureLadder;
@@ -108,66 +109,65 @@ impl std::fmt::Debug for Drag {
     }
 }
 
-impl App {
-    /// Opens a drag of a session.
-    /// Errors: Unknown session, or too little capacity.
-    pub async fn open_drag(
-        &self,
-        client: Client,
-        id: SessionId,
-        options: DragOptions,
-    ) -> Result<Drag, Problem> {
-        let record = self.peek_session(id).await?.record;
-        self.require_running()?;
-        let slot = self.0.sockets.acquire(client.tenant(), id)?;
-        let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
-        let reservation = self
-            .reserve_aside(|budget| budget.take(MemoryClass::Socket, bytes))
-            .await?;
-        let lattice = KnownLattice::default();
-        let shape = if let FrameContent::CompactMesh(_) = options.form {
-            let _permit = slot
-                .frames
-                .acquire()
-                .await
-                .expect("the semaphore is never closed");
-            let plan = self.admit_mesh(client, &record, &MeshForm::F32).await?;
-            mesh_shape(
-                self,
-                &plan,
-                (options.form, &lattice),
-                &record,
-                &self.response_quota(client),
-            )
-            .await?
-            .0
-        } else {
-            let setup = self.session_setup(client, &record).await?;
-            MeshShape::new(&setup, record.extent)
-        };
-        Ok(Drag {
-            app: self.clone(),
-            id,
-            client,
-            scheduler: FrameScheduler::new(
-                previews(options, &record),
-                pictures(options, &record),
-                full(options, &record),
-                options.window,
-            ),
-            options,
-            drawing: None,
-            reading: None,
-            newest: None,
-            lattice,
-            record: Arc::clone(&record),
-            announced: record,
-            outgoing: VecDeque::from([shape_message(&shape)]),
-            is_over: false,
-            slot,
-            _reservation: reservation,
-        })
-    }
+/// Opens a drag of a session.
+/// Errors: Unknown session, or too little capacity.
+pub async fn open(
+    app: &App,
+    client: Client,
+    id: SessionId,
+    options: DragOptions,
+) -> Result<Drag, Problem> {
+    let record = app.sessions.peek(id).await?.record;
+    app.lifecycle.require_running()?;
+    let slot = app.admission.sockets.acquire(client.tenant(), id)?;
+    let bytes = SOCKET_BYTES.0 + SOCKET_BYTES.1 * columns(&record);
+    let reservation = app
+        .admission
+        .reserve_aside(|budget| budget.take(MemoryClass::Socket, bytes))
+        .await?;
+    let lattice = KnownLattice::default();
+    let shape = if let FrameContent::CompactMesh(_) = options.form {
+        let _permit = slot
+            .frames
+            .acquire()
+            .await
+            .expect("the semaphore is never closed");
+        let plan = admit_mesh(app, client, &record, &MeshForm::F32).await?;
+        mesh_shape(
+            app,
+            &plan,
+            (options.form, &lattice),
+            &record,
+            &app.admission.response_quota(client),
+        )
+        .await?
+        .0
+    } else {
+        let setup = app.plans.setup_of(client, &record).await?;
+        MeshShape::new(&setup, record.extent)
+    };
+    Ok(Drag {
+        app: app.clone(),
+        id,
+        client,
+        scheduler: FrameScheduler::new(
+            previews(options, &record),
+            pictures(options, &record),
+            full(options, &record),
+            options.window,
+        ),
+        options,
+        drawing: None,
+        reading: None,
+        newest: None,
+        lattice,
+        record: Arc::clone(&record),
+        announced: record,
+        outgoing: VecDeque::from([shape_message(&shape)]),
+        is_over: false,
+        slot,
+        _reservation: reservation,
+    })
 }
 
 fn shape_message(shape: &MeshShape) -> Outgoing {
@@ -384,7 +384,7 @@ impl Drag {
     /// Ends the drag if the session has ended. A 503 does not mean that: the store is
     /// unavailable, or another version stored the session.
     pub async fn check_session(&mut self) {
-        if let Err(problem) = self.app.peek_session(self.id).await
+        if let Err(problem) = self.app.sessions.peek(self.id).await
             && problem.code.status() != 503
         {
             self.is_over = true;
@@ -440,14 +440,13 @@ async fn read_long(app: App, key: QueueKey, frames: Arc<Semaphore>, text: Bytes)
         .await
         .expect("the semaphore is never closed");
     let ticket = loop {
-        match app.0.pool.admit(WorkClass::Drag, key).await {
+        match app.admission.pool.admit(WorkClass::Drag, key).await {
             Ok(ticket) => break ticket,
             Err(_) => tokio::time::sleep(RETRY_PAUSE).await,
         }
     };
-    app.0
-        .pool
-        .run(&ticket, move |_| parse(&text))
+    ticket
+        .run(move |_| parse(&text))
         .await
         .unwrap_or_else(|error| Err(Problem::from(error).into()))
 }

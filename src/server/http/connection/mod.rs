@@ -75,7 +75,7 @@ pub async fn serve(
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> io::Result<()> {
     let (access, work, timeouts) = (&app.config().auth, app.config().work, app.config().timeouts);
-    app.spawn_sweeper();
+    app.sessions.spawn_sweeper();
     let address = listener.local_addr()?;
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let ops_listener = app
@@ -126,11 +126,11 @@ pub async fn serve(
     let mut tasks = JoinSet::new();
     let leaving = async {
         stop.await;
-        app.leave();
+        app.lifecycle.leave();
         if !timeouts.drain_delay.is_zero() {
             tracing::info!(delay = ?timeouts.drain_delay, "leaving: not ready any more, still \
                 serving");
-            unless(app.hurrying(), sleep(timeouts.drain_delay)).await;
+            unless(app.lifecycle.hurrying(), sleep(timeouts.drain_delay)).await;
         }
     };
     tokio::select! {
@@ -140,7 +140,7 @@ pub async fn serve(
     }
     drop(listener);
     tracing::info!(grace = ?timeouts.shutdown_grace, connections = tasks.len(), "stopping");
-    app.stop();
+    app.lifecycle.stop();
     let draining = async {
         // What has not ended after the grace is aborted.
         let _ = timeout(timeouts.shutdown_grace, async {
@@ -149,13 +149,13 @@ pub async fn serve(
         .await;
         tasks.abort_all();
         // Drag sockets have tasks of their own.
-        let _ = timeout(FINISH_TIMEOUT, app.sockets_closed()).await;
+        let _ = timeout(FINISH_TIMEOUT, app.admission.sockets.closed()).await;
         if let Some(tracer) = app.tracer() {
             tracer.shutdown(FINISH_TIMEOUT).await;
         }
     };
     let hurried = async {
-        app.hurrying().await;
+        app.lifecycle.hurrying().await;
         sleep(HURRY_TIMEOUT).await;
     };
     if unless(hurried, draining).await.is_none() {
@@ -267,7 +267,7 @@ fn stop_signal(app: &App) -> io::Result<impl Future<Output = ()> + Send + 'stati
         signals.recv().await;
         tokio::spawn(async move {
             signals.recv().await;
-            app.hurry();
+            app.lifecycle.hurry();
         });
     })
 }

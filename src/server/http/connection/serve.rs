@@ -325,7 +325,7 @@ impl Connections {
         if self.is_ops {
             pending().await
         }
-        self.app.stopping().await;
+        self.app.lifecycle.stopping().await;
     }
 
     /// Completes when a stopping server no longer waits for a first request head.

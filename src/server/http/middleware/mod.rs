@@ -134,7 +134,7 @@ async fn outermost(
         let headers = response.headers_mut();
         set_security_headers(&app, headers, policy);
         // The server may have stopped before the connection's next request.
-        if app.is_leaving()
+        if app.lifecycle.is_leaving()
             && version < Version::HTTP_2
             && status != StatusCode::SWITCHING_PROTOCOLS
         {

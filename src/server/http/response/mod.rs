@@ -21,7 +21,7 @@ use mlswarp::warp::Report;
 use tokio::sync::mpsc::UnboundedReceiver;
 
 use crate::app::batch::{Batch, BatchForm};
-use crate::app::draw::{Drawn, Picture, Piece};
+use crate::app::draw::{Drawn, Piece};
 use crate::app::map::MapFile;
 use crate::app::plan::{PlanContent, PlanFile};
 use crate::app::points::MappedFile;
@@ -145,7 +145,8 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
         format,
         timing,
         plan_built,
-        picture,
+        first,
+        rest,
     } = drawn;
     let mut headers = report_headers(&report, plan_built);
     if let Some(canvas) = target.canvas {
@@ -154,17 +155,17 @@ pub(crate) fn picture(drawn: Drawn, trailers: bool) -> Response {
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(format.media_type()));
     headers.insert(VARY, HeaderValue::from_static("accept"));
     headers.insert(ETAG, text(format!("\"{etag}\"")));
-    let body = match picture {
-        Picture::Whole { bytes, cost } => {
-            headers.insert(SERVER_TIMING, text(timing_text(Some(timing), Some(cost))));
-            Body::from(bytes)
+    let body = match rest {
+        None => {
+            headers.insert(SERVER_TIMING, text(timing_text(Some(timing), first.end)));
+            Body::from(first.bytes)
         }
-        Picture::Strips(strips) => {
+        Some(rest) => {
             headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
             if trailers {
                 headers.insert(TRAILER, HeaderValue::from_static("server-timing"));
             }
-            strip_body(strips, trailers)
+            strip_body(first, rest, trailers)
         }
     };
     (headers, body).into_response()
@@ -248,15 +249,18 @@ fn timing_text(timing: Option<Timing>, cost: Option<Cost>) -> String {
 }
 
 /// The body of a picture that is still being drawn.
-fn strip_body(mut strips: UnboundedReceiver<Piece>, trailers: bool) -> Body {
-    let (mut is_ended, mut trailer) = (false, None);
+fn strip_body(first: Piece, mut rest: UnboundedReceiver<Piece>, trailers: bool) -> Body {
+    let (mut first, mut is_ended, mut trailer) = (Some(first), false, None);
     Body::new(StreamBody::new(poll_fn(move |cx| {
         if is_ended {
             let timing =
                 |cost| HeaderMap::from_iter([(SERVER_TIMING, text(timing_text(None, Some(cost))))]);
             return Poll::Ready(trailer.take().map(|cost| Ok(Frame::trailers(timing(cost)))));
         }
-        let piece = ready!(strips.poll_recv(cx));
+        let piece = match first.take() {
+            Some(first) => Some(first),
+            None => ready!(rest.poll_recv(cx)),
+        };
         let end = piece.as_ref().map(|piece| piece.end);
         is_ended = end.is_none_or(|end| end.is_some());
         trailer = end.flatten().filter(|_| trailers);

@@ -6,7 +6,7 @@ use futures_util::stream::unfold;
 
 use super::sessions::session_id;
 use super::warp::drag_limit;
-use crate::app::batch::BatchForm;
+use crate::app::batch::{self, BatchForm};
 use crate::http::accept::choose;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -21,12 +21,10 @@ pub(crate) async fn batch(
     let form =
         BatchForm::ALL[choose(request.headers(), BatchForm::ALL.map(BatchForm::media_type))?];
     let id = session_id(caller.client, &id)?;
-    let session = caller.app.peek_session(id).await?;
-    let body = large_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    let batch = caller
-        .app
-        .batch(caller.client, id, body, form, drag_limit)
-        .await?;
+    let record = caller.app.sessions.touch(id, None).await?.record;
+    let body = large_json_or_form(&caller, request, pose_of(&record)).await?;
+    let Caller { app, client } = caller;
+    let batch = batch::of_session(&app, client, record, body, form, drag_limit).await?;
     let headers = batch_headers(&batch, form);
     let rest = unfold(batch.rest, async |mut rest| {
         Some((rest.next().await?, rest))

@@ -4,6 +4,7 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 
 use super::sessions::session_id;
+use crate::app::fit;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
 use crate::http::response::{json_text, with_warnings};
@@ -12,7 +13,7 @@ use crate::wire::landmarks::Target;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let body = warp_json_or_form(&caller, request, Target::Request).await?;
-    let (json, warnings) = caller.app.fit_once(caller.client, body).await?;
+    let (json, warnings) = fit::once(&caller.app, caller.client, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
 }
 
@@ -22,8 +23,8 @@ pub(crate) async fn of_session(
     request: Request,
 ) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
-    let session = caller.app.peek_session(id).await?;
-    let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    let (json, warnings) = caller.app.fit_session(caller.client, id, body).await?;
+    let record = caller.app.sessions.touch(id, None).await?.record;
+    let body = warp_json_or_form(&caller, request, pose_of(&record)).await?;
+    let (json, warnings) = fit::of_session(&caller.app, caller.client, record, body).await?;
     Ok(with_warnings(json_text(json), &warnings))
 }

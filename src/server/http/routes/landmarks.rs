@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use axum::extract::Request;
 use axum::response::Response;
 
+use crate::app::landmarks;
 use crate::http::headers::query_fields;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -57,7 +58,7 @@ pub(crate) async fn convert(caller: Caller, request: Request) -> Result<Response
     }
     files.choice.add(choice)?;
     Ok(json_text(
-        caller.app.convert_landmarks(caller.client, files).await?,
+        landmarks::convert(&caller.app, caller.client, files).await?,
     ))
 }
 

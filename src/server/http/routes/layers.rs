@@ -7,12 +7,12 @@ use axum::response::{IntoResponse as _, Response};
 use mlswarp::codec::SourceFormat;
 
 use super::sessions::session_id;
-use crate::app::layers::bad_name;
+use crate::app::layers::{self, bad_name};
 use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
 use crate::http::middleware::authentication::Caller;
+use crate::http::response;
 use crate::http::response::Refusal;
-use crate::http::response::session;
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::{Code, Problem};
 use crate::wire::EnumName as _;
@@ -25,7 +25,7 @@ pub(crate) async fn put(
 ) -> Result<Response, Refusal> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
-    app.peek_session(id).await?;
+    let session = app.sessions.touch(id, None).await?;
     let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
     let [kind] = query_fields(request.uri().query(), ["kind"])?;
     let kind = kind.map_or(Ok(LayerKind::default()), parse_kind)?;
@@ -38,13 +38,13 @@ pub(crate) async fn put(
         .into());
     }
     let file = body::file(&caller, request).await?;
-    let put = app.put_layer(*client, id, &name, kind, file).await?;
+    let put = layers::put(app, *client, session, &name, kind, file).await?;
     let status = if put.is_new {
         StatusCode::CREATED
     } else {
         StatusCode::OK
     };
-    Ok((status, session(put.session)).into_response())
+    Ok((status, response::session(put.session)).into_response())
 }
 
 /// The stored file of a layer.
@@ -52,10 +52,8 @@ pub(crate) async fn read(
     caller: Caller,
     Path((id, name)): Path<(String, String)>,
 ) -> Result<Response, Refusal> {
-    let file = caller
-        .app
-        .layer_file(caller.client, session_id(caller.client, &id)?, &name)
-        .await?;
+    let Caller { app, client } = caller;
+    let file = layers::read(&app, client, session_id(client, &id)?, &name).await?;
     let media_type = SourceFormat::of(&file)
         .map_err(|_| Problem::new(Code::Internal, "internal error"))?
         .media_type();
@@ -71,10 +69,8 @@ pub(crate) async fn delete(
     caller: Caller,
     Path((id, name)): Path<(String, String)>,
 ) -> Result<StatusCode, Refusal> {
-    caller
-        .app
-        .delete_layer(caller.client, session_id(caller.client, &id)?, &name)
-        .await?;
+    let Caller { app, client } = caller;
+    layers::delete(&app, client, session_id(client, &id)?, &name).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

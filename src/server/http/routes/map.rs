@@ -5,10 +5,11 @@ use axum::response::Response;
 use mlswarp::warp::MapFormat;
 
 use super::sessions::session_id;
+use crate::app::map;
 use crate::http::accept;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
-use crate::http::response::{map, with_method};
+use crate::http::response::{self, with_method};
 use crate::http::upload::{pose_of, warp_json_or_form};
 use crate::problem::Problem;
 use crate::wire::landmarks::Target;
@@ -16,8 +17,8 @@ use crate::wire::landmarks::Target;
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let format = format(&request)?;
     let body = warp_json_or_form(&caller, request, Target::Request).await?;
-    let (file, method) = caller.app.map_once(caller.client, body, format).await?;
-    Ok(with_method(map(file), method))
+    let (file, method) = map::once(&caller.app, caller.client, body, format).await?;
+    Ok(with_method(response::map(file), method))
 }
 
 pub(crate) async fn of_session(
@@ -27,12 +28,11 @@ pub(crate) async fn of_session(
 ) -> Result<Response, Refusal> {
     let format = format(&request)?;
     let id = session_id(caller.client, &id)?;
-    let session = caller.app.peek_session(id).await?;
-    let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
-    Ok(map(caller
-        .app
-        .map_session(caller.client, id, body, format)
-        .await?))
+    let record = caller.app.sessions.touch(id, None).await?.record;
+    let body = warp_json_or_form(&caller, request, pose_of(&record)).await?;
+    Ok(response::map(
+        map::of_session(&caller.app, caller.client, record, body, format).await?,
+    ))
 }
 
 fn format(request: &Request) -> Result<MapFormat, Problem> {

@@ -5,7 +5,8 @@ use axum::response::Response;
 
 use super::sessions::session_id;
 use super::warp::read_drag;
-use crate::app::session_warp::{DragRoute, MeshForm};
+use crate::app::mesh::{self, MeshForm};
+use crate::app::session_warp::DragRoute;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
 use crate::http::{accept, response};
@@ -29,10 +30,7 @@ pub(crate) async fn mesh(
     );
     let id = session_id(caller.client, &id)?;
     let drag = read_drag(&caller, id, request, DragRoute::Mesh).await?;
-    let mesh = caller
-        .app
-        .mesh_session(caller.client, id, drag, form)
-        .await?;
+    let mesh = mesh::of_session(&caller.app, caller.client, id, drag, form).await?;
     Ok(response::mesh(
         &mesh.report,
         mesh.timing,

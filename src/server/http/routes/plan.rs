@@ -6,6 +6,7 @@ use axum::http::request::Parts;
 use axum::response::Response;
 
 use super::sessions::session_id;
+use crate::app::plan;
 use crate::http::headers::{bad_query_value, query_fields, sends_tag};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response;
@@ -43,10 +44,15 @@ pub(crate) async fn plan(
     let is_known = |tag: &str| sends_tag(&headers, tag);
     let with_content = method != Method::HEAD;
     Ok(response::plan(
-        caller
-            .app
-            .plan_of_session(caller.client, id, query, is_known, with_content)
-            .await?,
+        plan::of_session(
+            &caller.app,
+            caller.client,
+            id,
+            query,
+            is_known,
+            with_content,
+        )
+        .await?,
     ))
 }
 

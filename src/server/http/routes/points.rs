@@ -5,6 +5,7 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 
 use super::sessions::session_id;
+use crate::app::points;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
 use crate::http::response::mapped;
@@ -15,10 +16,7 @@ use crate::wire::landmarks::Target;
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let body = large_json_or_form(&caller, request, Target::Request).await?;
     Ok(mapped(
-        caller
-            .app
-            .points_once(caller.client, body, Cursor::default())
-            .await?,
+        points::once(&caller.app, caller.client, body, Cursor::default()).await?,
     ))
 }
 
@@ -28,9 +26,9 @@ pub(crate) async fn of_session(
     request: Request,
 ) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
-    let session = caller.app.peek_session(id).await?;
-    let body = large_json_or_form(&caller, request, pose_of(&session.record)).await?;
+    let record = caller.app.sessions.touch(id, None).await?.record;
+    let body = large_json_or_form(&caller, request, pose_of(&record)).await?;
     Ok(mapped(
-        caller.app.points_session(caller.client, id, body).await?,
+        points::of_session(&caller.app, caller.client, record, body).await?,
     ))
 }

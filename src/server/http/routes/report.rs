@@ -4,7 +4,7 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 
 use super::sessions::session_id;
-use crate::app::report::QualityReport;
+use crate::app::report::{self, QualityReport};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
 use crate::http::response::{self, with_method};
@@ -13,7 +13,7 @@ use crate::wire::landmarks::Target;
 
 pub(crate) async fn once(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let body = warp_json_or_form(&caller, request, Target::Request).await?;
-    let (report, method) = caller.app.report_once(caller.client, body).await?;
+    let (report, method) = report::once(&caller.app, caller.client, body).await?;
     Ok(with_method(answer(report), method))
 }
 
@@ -23,10 +23,10 @@ pub(crate) async fn of_session(
     request: Request,
 ) -> Result<Response, Refusal> {
     let id = session_id(caller.client, &id)?;
-    let session = caller.app.peek_session(id).await?;
-    let body = warp_json_or_form(&caller, request, pose_of(&session.record)).await?;
+    let record = caller.app.sessions.touch(id, None).await?.record;
+    let body = warp_json_or_form(&caller, request, pose_of(&record)).await?;
     Ok(answer(
-        caller.app.report_session(caller.client, id, body).await?,
+        report::of_session(&caller.app, caller.client, record, body).await?,
     ))
 }
 

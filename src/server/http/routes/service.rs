@@ -6,7 +6,8 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use serde_json::json;
 
-use crate::app::{App, Readiness};
+use crate::app::service::{Readiness, ready};
+use crate::app::{App, metrics_text};
 use crate::http::assets::Asset;
 use crate::http::response;
 use crate::http::response::Refusal;
@@ -23,7 +24,7 @@ pub(crate) async fn healthz() -> Response {
 /// `GET /readyz`: work would be admitted now. 503 while the queue is full, until the store has been
 /// reachable, and while the server stops.
 pub(crate) async fn readyz(State(app): State<App>) -> Result<Response, Refusal> {
-    let store = match app.ready().await? {
+    let store = match ready(&app).await? {
         Readiness::Whole => "available",
         Readiness::WithoutStore => "unavailable",
     };
@@ -39,7 +40,7 @@ pub(crate) async fn metrics(State(app): State<App>) -> impl IntoResponse {
         ),
         (CACHE_CONTROL, "no-store"),
     ];
-    (headers, app.metrics_text())
+    (headers, metrics_text::text(&app))
 }
 
 /// The answer of `GET /openapi.json`, with the public path as the address of the service.

@@ -5,8 +5,8 @@ use axum::http::header::LOCATION;
 use axum::http::{HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
-use crate::app::App;
 use crate::app::session_object::ShownSession;
+use crate::app::{App, sessions};
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -23,7 +23,7 @@ const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
 /// Creates a session. Its picture is decoded and its table filled before the first drag.
 pub(crate) async fn create(caller: Caller, request: Request) -> Result<Response, Refusal> {
     let upload = upload::read(&caller, request).await?;
-    let (shown, method) = caller.app.create_session(caller.client, upload).await?;
+    let (shown, method) = sessions::create(&caller.app, caller.client, upload).await?;
     Ok(with_method(created(&caller, shown), method))
 }
 
@@ -36,7 +36,7 @@ pub(crate) async fn put(
 ) -> Result<Response, Refusal> {
     let id = uploaded_id(caller.client, &id)?;
     let upload = upload::read(&caller, request).await?;
-    let (is_new, (shown, method)) = caller.app.put_session(caller.client, id, upload).await?;
+    let (is_new, (shown, method)) = sessions::put(&caller.app, caller.client, id, upload).await?;
     let response = if is_new {
         created(&caller, shown)
     } else {
@@ -53,10 +53,11 @@ pub(crate) async fn handles(
 ) -> Result<Response, Refusal> {
     let Caller { app, client } = &caller;
     let id = session_id(*client, &id)?;
-    let target = Target::Session(app.peek_session(id).await?.record.extent);
+    let record = app.sessions.touch(id, None).await?.record;
+    let target = Target::Session(record.extent);
     let limit = ("warp_json_bytes", app.config().max_warp_json_bytes);
     let body = upload::json_or_form(&caller, request, MemoryClass::Upload, limit, target).await?;
-    let (shown, method) = app.replace_handles(*client, id, body).await?;
+    let (shown, method) = sessions::replace_handles(app, *client, record, body).await?;
     Ok(with_method(session(shown), method))
 }
 
@@ -67,24 +68,17 @@ pub(crate) async fn read(
     Path(id): Path<String>,
     method: Method,
 ) -> Result<Response, Refusal> {
-    let found = caller
-        .app
-        .peek_session(session_id(caller.client, &id)?)
-        .await?;
+    let Caller { app, client } = caller;
+    let found = app.sessions.peek(session_id(client, &id)?).await?;
     if method == Method::HEAD {
         return Ok(json_head());
     }
-    Ok(session(
-        caller.app.read_session(caller.client, found).await?,
-    ))
+    Ok(session(app.sessions.show(client, found).await?))
 }
 
 /// Deletes a session.
 pub(crate) async fn delete(caller: Caller, Path(id): Path<String>) -> Result<StatusCode, Refusal> {
-    caller
-        .app
-        .delete_session(session_id(caller.client, &id)?)
-        .await?;
+    sessions::delete(&caller.app, session_id(caller.client, &id)?).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

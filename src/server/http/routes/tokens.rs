@@ -6,6 +6,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
 use super::sessions::{session_id, uploaded_id};
+use crate::app::tokens;
 use crate::auth::keys::Credential;
 use crate::http::body;
 use crate::http::middleware::authentication::Caller;
@@ -33,7 +34,7 @@ pub(crate) async fn mint(
         session_id(caller.client, &id)?
     };
     let credential = credential.unwrap_or(Credential::ANYBODY);
-    let minted = caller.app.mint_token(credential, id, &asked).await?;
+    let minted = tokens::mint(&caller.app, credential, id, &asked).await?;
     let headers = [
         (CONTENT_TYPE, HeaderValue::from_static("application/json")),
         (CACHE_CONTROL, HeaderValue::from_static("no-store")),

@@ -6,9 +6,10 @@ use axum::http::{HeaderName, HeaderValue};
 use axum::response::Response;
 
 use super::sessions::{location, session_id};
+use crate::app::parts::plans::columns;
 use crate::app::reading::Held;
-use crate::app::session_warp::DragRoute;
-use crate::app::warp::columns;
+use crate::app::session_warp::{self, DragRoute};
+use crate::app::{sessions, warp};
 use crate::http::headers::{query_bool, query_fields};
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -31,10 +32,10 @@ pub(crate) async fn warp(caller: Caller, request: Request) -> Result<Response, R
     let trailers = takes_trailers(request.headers());
     let upload = upload::read(&caller, request).await?;
     let Caller { app, client } = caller;
-    let (drawn, material) = app.warp_once(client, upload, formats).await?;
-    let method = material.chosen_method();
+    let (drawn, resolved, content) = warp::once(&app, client, upload, formats).await?;
+    let method = resolved.chosen_method();
     let session = if keeps_session {
-        Some(app.create_session_from(client, material).await?)
+        Some(sessions::create_from(&app, client, resolved, content).await?)
     } else {
         None
     };
@@ -58,13 +59,9 @@ pub(crate) async fn session_warp(
     let trailers = takes_trailers(request.headers());
     let id = session_id(caller.client, &id)?;
     let drag = read_drag(&caller, id, request, DragRoute::Picture).await?;
-    Ok(picture(
-        caller
-            .app
-            .warp_session(caller.client, id, drag, formats)
-            .await?,
-        trailers,
-    ))
+    let Caller { app, client } = caller;
+    let drawn = session_warp::of_session(&app, client, id, drag, formats).await?;
+    Ok(picture(drawn, trailers))
 }
 
 /// Reads the body of a drag.
@@ -74,13 +71,10 @@ pub(super) async fn read_drag(
     request: Request,
     route: DragRoute,
 ) -> Result<Held<DragObject>, Problem> {
-    let record = caller.app.peek_session(id).await?.record;
+    let record = caller.app.sessions.find(id).await?;
     let limit = ("drag_json_bytes", drag_limit(columns(&record)));
     let body = json_or_form(caller, request, MemoryClass::Frame, limit, pose_of(&record)).await?;
-    caller
-        .app
-        .read_drag(caller.client, &record, body, route)
-        .await
+    session_warp::read_drag(&caller.app, caller.client, &record, body, route).await
 }
 
 /// Maximum size of the JSON of a drag with this many columns.

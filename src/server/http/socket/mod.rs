@@ -20,8 +20,8 @@ use super::middleware::authentication::Caller;
 use super::routes::sessions::session_id;
 use super::routes::warp::drag_limit;
 use crate::app::App;
-use crate::app::drag_socket::{Drag, Outgoing};
-use crate::app::warp::columns;
+use crate::app::drag_socket::{self, Drag, Outgoing};
+use crate::app::parts::plans::columns;
 use crate::auth::keys::Credential;
 use crate::config::Config;
 use crate::http::response::Refusal;
@@ -43,8 +43,7 @@ pub(crate) async fn drag_socket(
     let options = query::options(request.uri().query(), app.config().limits().image.max_side)
         .map_err(|problem| Refusal(problem).into_response())?;
     let id = session_id(client, &id).map_err(|problem| Refusal(problem).into_response())?;
-    let drag = app
-        .open_drag(client, id, options)
+    let drag = drag_socket::open(&app, client, id, options)
         .await
         .map_err(|problem| Refusal(problem).into_response())?;
     let credential = request
@@ -108,7 +107,7 @@ async fn exchange(
     let mut bucket = Bucket::new(MESSAGE_RATE_AND_BURST.0, MESSAGE_RATE_AND_BURST.1, heard);
     let access = app.access();
     let (mut stopping, mut revoked, mut expired) = (
-        pin!(app.stopping()),
+        pin!(app.lifecycle.stopping()),
         pin!(access.revoked(credential)),
         pin!(access.expired(credential)),
     );

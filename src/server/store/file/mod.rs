@@ -439,6 +439,10 @@ impl Store for FileStore {
         self.blocking(move |state| state.file(id.owner(), digest))
     }
 
+    fn local_record(&self, id: SessionId) -> Option<Arc<Record>> {
+        self.0.index().peek(id).ok().map(|session| session.record)
+    }
+
     fn names(&self, owner: Owner, digest: Digest) -> bool {
         self.0.index().names(owner, digest)
     }

@@ -473,6 +473,11 @@ impl Store for RedisStore {
         Box::pin(self.0.file(id, digest))
     }
 
+    fn local_record(&self, id: SessionId) -> Option<Arc<Record>> {
+        let cached = self.0.sessions.get(id)?;
+        Some(Arc::clone(&cached.record))
+    }
+
     fn names(&self, owner: Owner, digest: Digest) -> bool {
         self.0.sessions.names(owner, digest)
     }

@@ -1,0 +1,178 @@
+//! Handles that were resolved on an image, and the coefficients of its grid: built on the pool, and
+//! cached.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::{CompiledRest, Digest, Limits, ResolvedRest, RestSpec};
+
+use super::admission::Admission;
+use crate::app::{MIN_WEIGHT, build_aborted};
+use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
+use crate::client::{Client, Owner};
+use crate::limits::memory::MemoryClass;
+use crate::observe::scope::stage;
+use crate::observe::stages::Timing;
+use crate::pool::{Cancel, QueueKey, Ticket};
+use crate::problem::Problem;
+use crate::store::Record;
+
+/// A setup and its memory, as it is cached.
+pub(crate) type HeldSetup = Arc<CacheEntry<ResolvedRest>>;
+
+/// A plan, and its cost so far.
+#[derive(Debug)]
+pub(crate) struct Planned {
+    pub(crate) setup: HeldSetup,
+    pub(crate) plan: Arc<CacheEntry<CompiledRest>>,
+    pub(crate) timing: Timing,
+    /// Whether the plan was built for this request.
+    pub(crate) is_built: bool,
+}
+
+/// Setups and plans.
+#[derive(Debug)]
+pub(crate) struct Plans {
+    pub(crate) admission: Arc<Admission>,
+    pub(crate) limits: Limits,
+    pub(crate) compiled: Cache<CompiledRest>,
+    pub(crate) setups: Cache<ResolvedRest>,
+}
+
+impl Plans {
+    /// Resolves rest handles in memory that is reserved before. Runs on the pool.
+    /// Errors: Wrong handles, or too little memory.
+    pub(crate) fn new_setup(
+        &self,
+        rest: &RestSpec,
+        extent: Extent,
+        cancel: &Cancel,
+    ) -> Result<CacheEntry<ResolvedRest>, Problem> {
+        let held = self
+            .admission
+            .reserve(MemoryClass::Plan, setup_weight(rest))?;
+        let setup =
+            ResolvedRest::new_unless(rest, extent, &self.limits, &|| cancel.is_cancelled())?;
+        Ok(CacheEntry::new(setup, held))
+    }
+
+    /// The resolved setup of a session.
+    /// Errors: Too little capacity.
+    pub(crate) async fn setup_of(
+        self: &Arc<Self>,
+        client: Client,
+        record: &Arc<Record>,
+    ) -> Result<HeldSetup, Problem> {
+        let (plans, of_session) = (Arc::clone(self), Arc::clone(record));
+        let build = async move {
+            let key = QueueKey::session(client, of_session.id);
+            let ticket = plans.admission.upload(key).await?;
+            let new =
+                move |cancel: &Cancel| plans.new_setup(&of_session.rest, of_session.extent, cancel);
+            ticket.run(new).await?
+        };
+        let key = revision_key(record);
+        let setup = self.setups.get(key, client.payer(), build, build_aborted);
+        Ok(setup.await?.value)
+    }
+
+    /// The setup whose grid shows where to look for the inverse.
+    pub(crate) async fn to_invert(
+        self: &Arc<Self>,
+        ticket: &Ticket,
+        setup: &HeldSetup,
+    ) -> Result<HeldSetup, Problem> {
+        let (plans, setup) = (Arc::clone(self), Arc::clone(setup));
+        let resolve = move |_: &_| {
+            // It shares most of its memory with the other one, and may outlive it.
+            let held = plans.admission.reserve(MemoryClass::Plan, setup.bytes())?;
+            let inverted = setup.to_invert(&plans.limits)?;
+            Ok(Arc::new(CacheEntry::new(inverted, held)))
+        };
+        ticket.run(resolve).await?
+    }
+
+    /// The plan of a setup, from the cache or built now; adds its cost to `timing`.
+    pub(crate) async fn plan(
+        &self,
+        client: Client,
+        ticket: &Ticket,
+        setup: &HeldSetup,
+        mut timing: Timing,
+    ) -> Result<Planned, Problem> {
+        let began = Instant::now();
+        let (admission, build_setup) = (Arc::clone(&self.admission), Arc::clone(setup));
+        let ticket = ticket.clone();
+        let build = async move {
+            let bytes = build_setup.plan_bytes().unwrap_or_default().max(MIN_WEIGHT);
+            let reservation = admission
+                .reserve_aside(|budget| budget.take(MemoryClass::Plan, bytes))
+                .await?;
+            let threads = admission.pool.clone();
+            let fill = move |cancel: &Cancel| {
+                threads.run_parallel(|| build_setup.plan_unless(&|| cancel.is_cancelled()))
+            };
+            let plan = ticket.run(fill).await??;
+            tracing::debug!("a plan was built");
+            Ok(CacheEntry::new(plan, reservation))
+        };
+        let key = CacheKey::new(client.owner, setup.plan_key());
+        let Fetched { value: plan, built } = self
+            .compiled
+            .get(key, client.payer(), build, build_aborted)
+            .await?;
+        timing.plan = began.elapsed();
+        stage("plan", began);
+        Ok(Planned {
+            setup: Arc::clone(setup),
+            plan,
+            timing,
+            is_built: built,
+        })
+    }
+
+    /// Whether the plan of a setup is cached, and counts as used.
+    pub(crate) fn touch(&self, owner: Owner, setup: &ResolvedRest) -> bool {
+        self.compiled.touch(CacheKey::new(owner, setup.plan_key()))
+    }
+
+    /// Keeps the setup of a record for the next drag.
+    pub(crate) fn keep_setup(&self, client: Client, record: &Record, setup: &HeldSetup) {
+        self.setups.put(revision_key(record), client.payer(), setup);
+    }
+
+    /// Evicts the setup of a revision that no session has any more, and returns it.
+    pub(crate) fn forget_setup(&self, record: &Record) -> Option<HeldSetup> {
+        self.setups.remove(revision_key(record))
+    }
+
+    /// Evicts the plan of a setup.
+    pub(crate) fn forget_plan(&self, owner: Owner, setup: &ResolvedRest) {
+        self.compiled
+            .drop_value(CacheKey::new(owner, setup.plan_key()));
+    }
+}
+
+/// The cache key of what belongs to one revision of a session: its setup. Records never change.
+pub(crate) fn revision_key(record: &Record) -> CacheKey {
+    CacheKey::new(
+        record.id.owner(),
+        Digest::of(&[&record.id.to_bytes()[..], record.revision.as_bytes()].concat()),
+    )
+}
+
+/// The number of columns of a session's plan, which limits the size of its drags.
+pub(crate) fn columns(record: &Record) -> u64 {
+    columns_of(&record.rest)
+}
+
+fn columns_of(rest: &RestSpec) -> u64 {
+    rest.p.iter().map(|h| h.columns() as u64).sum()
+}
+
+/// The approximate size of a setup: a few copies of each column's position and weight, and the
+/// system of a spline.
+fn setup_weight(rest: &RestSpec) -> u64 {
+    1024 + 256 * columns_of(rest) + rest.field_bytes()
+}

@@ -1,0 +1,68 @@
+//! A warp object that was settled on an image of one size.
+
+use std::sync::Arc;
+
+use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
+use mlswarp::warp::Alignment;
+
+use super::App;
+use super::fit::choose_method;
+use super::parts::plans::HeldSetup;
+use super::reading::{Held, part};
+use crate::pool::Cancel;
+use crate::problem::Problem;
+use crate::store::NamedFile;
+use crate::wire::{Pose, WarpObject, method_text};
+
+/// A resolved warp object without its posed handles, and those; none of them if there were none.
+#[derive(Debug)]
+pub(crate) struct Resolved {
+    pub(crate) object: Held<WarpObject>,
+    /// The pose as it was sent, if there are handles, in the memory of the object.
+    pub(crate) pose: Option<Pose>,
+    pub(crate) q: Arc<Held<Vec<Handle>>>,
+    /// How q was aligned, if that was requested.
+    pub(crate) alignment: Option<Alignment>,
+    pub(crate) setup: HeldSetup,
+    /// The files of an upload: the picture's, and the mask's of a region.
+    pub(crate) files: Vec<NamedFile>,
+}
+
+impl Resolved {
+    /// The method that was chosen, if that was requested, as a header shows it.
+    pub(crate) fn chosen_method(&self) -> Option<String> {
+        self.object.is_auto.then(|| method_text(&self.object.rest))
+    }
+}
+
+/// Settles the pose, chooses the method if that was requested, resolves the handles on an image of
+/// this extent, and checks `q` if it was sent. Runs on the pool. Errors: Wrong handles, or too
+/// little memory.
+pub(crate) fn resolve(
+    app: &App,
+    mut object: Held<WarpObject>,
+    extent: Extent,
+    cancel: &Cancel,
+) -> Result<Resolved, Problem> {
+    object.output.check(extent, &app.plans.limits)?;
+    object.leave_out_missing();
+    let q = object.q.clone().filter(|_| !object.rest.p.is_empty());
+    let pose = q.map(|q| Pose {
+        q,
+        strength: object.strength,
+    });
+    let alignment = object.settle_pose(extent)?;
+    choose_method(app, &mut object, extent, cancel)?;
+    let setup = app.plans.new_setup(&object.rest, extent, cancel)?;
+    object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
+    let q = part(&mut object, |object| object.q.take().unwrap_or_default());
+    Ok(Resolved {
+        object,
+        pose,
+        q: Arc::new(q),
+        alignment,
+        setup: Arc::new(setup),
+        files: Vec::new(),
+    })
+}
