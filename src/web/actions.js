@@ -7,7 +7,7 @@ import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
 import { brushSizeOf, isRegionTool, partOf, regionOf, withPart, withoutRegion } from "./region.js";
 import { angleOf, canTwist, freeTurn, longest } from "./twist.js";
-import { PINS_ONLY, count, places } from "./words.js";
+import { LINES_ONLY, PINS_ONLY, count, places } from "./words.js";
 
 export class Actions {
   /**
@@ -66,6 +66,7 @@ export class Actions {
     );
     this.store.do("draft", { places: [] });
     if (posed.length > 1 && edits.takesPinsOnly(this.state.document)) return this.say(PINS_ONLY);
+    if (posed.length < 2 && edits.takesLinesOnly(this.state.document)) return this.say(LINES_ONLY);
     if (!made) return this.say("A line needs two different points");
     const document = this.#keepFocus(made.document);
     this.edit(document, { select: [made.key] });

@@ -3,6 +3,7 @@
 // that are sent.
 
 import { canvasOf } from "./canvas.js";
+import { METHODS } from "./methods.js";
 import { regionOf } from "./region.js";
 import { LEAST_ALPHA, segmentOf, segmentWeight, turned, untwisted } from "./twist.js";
 
@@ -306,17 +307,42 @@ export const near = (a, b) => Math.abs(a - b) <= 1e-6 * Math.abs(b);
 /** @type {(document: Page.Document) => boolean} */
 const isTwisted = ({ handles }) => handles.some((h) => h.twist);
 /**
- * Methods without a focus. Their handles are pins.
+ * What the server says of a method.
+ * @type {(document: Pick<Page.Document, "method">) => Page.MethodInfo}
+ */
+export const infoOf = ({ method }) => METHODS.find(({ name }) => name === method) ?? METHODS[0];
+/**
+ * Whether a method has a parameter.
+ * @type {(document: Pick<Page.Document, "method">, parameter: string) => boolean}
+ */
+const has = (document, parameter) =>
+  infoOf(document).parameters.some(({ name }) => name === parameter);
+/** @type {(document: Pick<Page.Document, "method">) => boolean} */
+export const hasFocus = (document) => has(document, "alpha");
+/**
+ * Whether the handles of a method are pins. On this page, those without a focus have no lines unless
+ * they take nothing else.
  * @type {(document: Pick<Page.Document, "method">) => boolean}
  */
-export const takesPinsOnly = ({ method }) => method === "tps" || method === "global_affine";
+export const takesPinsOnly = (document) =>
+  infoOf(document).handles === "points" ||
+  (infoOf(document).handles === "all" && !hasFocus(document));
+/** @type {(document: Pick<Page.Document, "method">) => boolean} */
+export const takesLinesOnly = (document) => infoOf(document).handles === "lines";
+/**
+ * Whether handles may have a method.
+ * @type {(document: Page.Document, method: Page.Method) => boolean}
+ */
+export const mayHave = (document, method) =>
+  (!takesPinsOnly({ method }) || hasPinsOnly(document)) &&
+  (!takesLinesOnly({ method }) || document.handles.every((h) => h.p.length > 1));
 /**
  * Whether all handles are pins without a twist.
  * @type {(document: Page.Document) => boolean}
  */
 export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 1 && !h.twist);
 /** @type {(document: Page.Document) => boolean} */
-export const mayTwist = (document) => !takesPinsOnly(document) && alphaOf(document) >= LEAST_ALPHA;
+export const mayTwist = (document) => hasFocus(document) && alphaOf(document) >= LEAST_ALPHA;
 
 /**
  * Alpha; the server's default is 2 with any line, otherwise 1.
@@ -390,10 +416,11 @@ export function restOf(document) {
     ? { weights: handles.map(weight) }
     : {};
   const point_mass = mass === undefined ? {} : { point_mass: mass };
-  const smoothing = method === "tps" ? { smoothing: document.smoothing ?? 0 } : {};
-  const parameters = takesPinsOnly(document)
-    ? smoothing
-    : { alpha: alphaOf(document), ...point_mass };
+  const parameters = {
+    ...(has(document, "smoothing") && { smoothing: document.smoothing ?? 0 }),
+    ...(hasFocus(document) && { alpha: alphaOf(document), ...point_mass }),
+    ...ownOf(document),
+  };
   // Without a region there are no holes.
   const holes = regionOf(document).parts.length ? { holes: holesOf(document) } : {};
   const output = {
@@ -412,6 +439,28 @@ export function restOf(document) {
     output,
   };
 }
+
+/**
+ * The object of parameters of a method that has one.
+ * @param {Page.Document} document
+ * @returns {Record<string, Record<string, number>>}
+ */
+function ownOf(document) {
+  const { object, name, parameters } = infoOf(document);
+  if (!object) return {};
+  const usual = Object.fromEntries(parameters.map((own) => [own.name, own.default]));
+  return { [name]: { ...usual, ...document.own?.[name] } };
+}
+
+/**
+ * The object of parameters in an answer of the server.
+ * @param {Pick<Page.SessionObject, "method">} object
+ * @returns {Record<string, Record<string, number>>}
+ */
+export const ownIn = (object) =>
+  infoOf(object).object
+    ? { [object.method]: /** @type {Page.Json} */ (object)[object.method] }
+    : {};
 
 /**
  * The defaults of `output`, which an exported warp object leaves out.
@@ -488,6 +537,7 @@ export function sameRest(object, document) {
     [object.method, method],
     [object.alpha, alpha],
     [object.smoothing, smoothing],
+    [ownIn(object), ownOf(document)],
     [object.coincident_policy ?? MEAN, coincident],
     [object.grid.requested, grid],
     ...names.map((name) => /** @type {[unknown, unknown]} */ ([object.output[name], output[name]])),

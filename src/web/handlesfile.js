@@ -4,14 +4,14 @@
 
 import { CLASSES } from "./align.js";
 import { Problem, readLandmarks, readSides } from "./api.js";
-import { massOf, near, takesPinsOnly } from "./edits.js";
+import { infoOf, massOf, near, takesLinesOnly, takesPinsOnly } from "./edits.js";
+import { METHODS } from "./methods.js";
 import { Broken, lineAndColumn, parse } from "./json.js";
 import { decodeParts } from "./region.js";
 import { pinOf } from "./twist.js";
 
 /** Largest file, bytes: many times what this page writes, with the mask of a large picture. */
 const LARGEST = 16 << 20;
-const METHODS = ["rigid", "similarity", "affine", "tps", "global_affine"];
 const FILTERS = ["nearest", "bilinear", "bicubic"];
 
 /**
@@ -271,15 +271,32 @@ export function documentFrom(warp) {
     '"none", "rigid", "similarity" or "affine"',
   );
   demand(
-    METHODS.includes(method),
+    METHODS.some(({ name }) => name === method),
     "/method",
-    '"rigid", "similarity", "affine", "tps" or "global_affine"',
+    `one of ${METHODS.map(({ name }) => `"${name}"`).join(", ")}`,
   );
   const line = takesPinsOnly({ method }) ? handles.findIndex((h) => h.p.length > 1 || h.twist) : -1;
   demand(
     line < 0,
     `/p/${present[line]}`,
-    'a position [x, y], because the method "tps" and, on this page, "global_affine" take points only,',
+    `a position [x, y], because the method "${method}" takes points only on this page,`,
+  );
+  const point = takesLinesOnly({ method }) ? handles.findIndex((h) => h.p.length < 2) : -1;
+  demand(
+    point < 0,
+    `/p/${present[point]}`,
+    `a line [[x, y], [x, y]], because the method "${method}" takes lines only,`,
+  );
+  const { object, parameters } = infoOf({ method });
+  const own = object ? given[method] : undefined;
+  const names = parameters.map(({ name }) => name);
+  demand(
+    own === undefined ||
+      (own !== null &&
+        typeof own === "object" &&
+        Object.entries(own).every(([name, value]) => names.includes(name) && value >= 0)),
+    `/${method}`,
+    `an object with the numbers ${names.join(", ")}`,
   );
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   const { policy = "mean", within = 0 } = coincident ?? {};
@@ -338,6 +355,7 @@ export function documentFrom(warp) {
     method,
     alpha,
     ...(smoothing && { smoothing }),
+    ...(own && { own: { [method]: own } }),
     ...((policy !== "mean" || within) && { coincident: { policy, within } }),
     grid: cell,
     outside,

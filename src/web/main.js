@@ -8,7 +8,7 @@ import { Actions } from "./actions.js";
 import { Player } from "./player.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
 import { find, findAll, known, listen, part } from "./dom.js";
-import { filterOf, outsideOf, takesPinsOnly } from "./edits.js";
+import { filterOf, outsideOf, takesLinesOnly, takesPinsOnly } from "./edits.js";
 import { Annotations } from "./annotations.js";
 import { ExportDialog } from "./export.js";
 import { ANNOTATIONS, HANDLES, PICTURES } from "./files.js";
@@ -46,7 +46,7 @@ import { StrengthSlider } from "./slider.js";
 import { Sync } from "./sync.js";
 import { Table } from "./table.js";
 import { View } from "./view.js";
-import { BEHIND, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
+import { BEHIND, LINES_ONLY, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
 const wishes = new URLSearchParams(location.search);
 const told = /** @type {HTMLMetaElement} */ (document.querySelector("meta[name=limits]")).content;
@@ -133,7 +133,9 @@ const does = {
   tool: (tool) =>
     (tool === "line" || tool === "path") && takesPinsOnly(store.state.document)
       ? toast(PINS_ONLY)
-      : store.do("tool", { tool }),
+      : tool === "point" && takesLinesOnly(store.state.document)
+        ? toast(LINES_ONLY)
+        : store.do("tool", { tool }),
   mesh: () => store.do("show", { what: { meshShown: !store.state.meshShown } }),
   removes: (removes) => store.do("show", { what: { removes } }),
   compare: () => {

@@ -5,7 +5,7 @@ import { aligned } from "./align.js";
 import { readAnnotations } from "./annotations.js";
 import * as api from "./api.js";
 import { known } from "./dom.js";
-import { alphaOf, restOf, sameRest } from "./edits.js";
+import { alphaOf, hasFocus, ownIn, restOf, sameRest } from "./edits.js";
 import { sorted } from "./files.js";
 import { documentOf, readBoth, readHandles, scaled } from "./handlesfile.js";
 import { keepFile, keptFile } from "./keep.js";
@@ -527,19 +527,21 @@ async function copyOf(file) {
  * default counts as automatic.
  * @param {Page.SessionObject} object
  */
-function warpOfSession({
-  p,
-  weights,
-  method,
-  alpha,
-  point_mass,
-  smoothing,
-  coincident_policy: coincident,
-  units,
-  grid,
-  output,
-}) {
+function warpOfSession(object) {
+  const {
+    p,
+    weights,
+    method,
+    alpha,
+    point_mass,
+    smoothing,
+    coincident_policy: coincident,
+    units,
+    grid,
+    output,
+  } = object;
   const warp = {
+    ...ownIn(object),
     p,
     weights,
     method,
@@ -551,5 +553,5 @@ function warpOfSession({
     output,
   };
   const usual = documentOf(warp);
-  return usual && alphaOf(usual) === alpha ? warp : { ...warp, alpha };
+  return usual && (!hasFocus(usual) || alphaOf(usual) === alpha) ? warp : { ...warp, alpha };
 }

@@ -6,14 +6,18 @@ import { find, findAll, listen, text } from "./dom.js";
 import {
   alphaOf,
   filterOf,
+  hasFocus,
   hasPinsOnly,
   kindName,
   kindOfOutside,
+  mayHave,
   outsideOf,
+  takesLinesOnly,
   takesPinsOnly,
   toolName,
 } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
+import { METHODS } from "./methods.js";
 import { isRegionTool, regionOf } from "./region.js";
 import { steps } from "./state.js";
 import { canTwist } from "./twist.js";
@@ -44,10 +48,14 @@ const BOX = /** @type {const} */ (["x", "y", "width", "height"]);
 
 const SIDES = /** @type {const} */ (["left", "right", "up", "down"]);
 const TOOLS = /** @type {const} */ (["point", "line", "path", "lasso", "brush"]);
-const METHODS = /** @type {const} */ (["rigid", "similarity", "affine", "tps", "global_affine"]);
 
 export class Panel {
   #timing = "";
+  /**
+   * The buttons of the methods, by name.
+   * @type {Map<string, HTMLInputElement>}
+   */
+  #methods = new Map();
   /**
    * The canvas that the fields show.
    * @type {Page.Canvas | null}
@@ -128,8 +136,7 @@ export class Panel {
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
     for (const tool of TOOLS) listen(`tool-${tool}`, "change", () => does.tool(tool));
-    for (const method of METHODS)
-      listen(`method-${method}`, "change", () => this.#setMethod(method));
+    for (const { name, title } of METHODS) this.#methods.set(name, this.#offerMethod(name, title));
     listen("grid-size", "change", ({ value }) =>
       this.#set({ grid: value === "auto" ? "auto" : JSON.parse(value) }),
     );
@@ -184,10 +191,29 @@ export class Panel {
     this.#set({ canvas: { x, y, width, height } });
   }
 
+  /**
+   * Adds the button of a method.
+   * @param {Page.Method} name
+   * @param {string} title
+   */
+  #offerMethod(name, title) {
+    const [label, button, words] = ["label", "input", "span"].map((tag) =>
+      window.document.createElement(tag),
+    );
+    const input = /** @type {HTMLInputElement} */ (button);
+    Object.assign(input, { id: `method-${name}`, type: "radio", name: "method", value: name });
+    words.textContent = title;
+    label.append(input, words);
+    find("methods").append(label);
+    input.addEventListener("change", () => this.#setMethod(name));
+    return input;
+  }
+
   /** @param {Page.Method} method */
   #setMethod(method) {
     this.#set({ method });
     if (takesPinsOnly({ method })) this.does.tool("point");
+    if (takesLinesOnly({ method })) this.does.tool("line");
   }
 
   /**
@@ -274,20 +300,17 @@ export class Panel {
 
   /** @param {Page.Document} document */
   #drawBend(document) {
-    find(`method-${document.method}`).checked = true;
-    const canSpline = hasPinsOnly(document);
-    for (const id of /** @type {const} */ (["method-tps", "method-global_affine"]))
-      find(id).disabled = !canSpline;
-    text("method-note", methodWords(document, canSpline));
+    for (const [name, button] of this.#methods) {
+      button.checked = name === document.method;
+      button.disabled = !mayHave(document, name);
+    }
+    text("method-note", methodWords(document));
+    const isFocused = hasFocus(document);
+    for (const id of /** @type {const} */ (["alpha", "alpha-auto"])) find(id).disabled = !isFocused;
     const pinsOnly = takesPinsOnly(document);
-    for (const id of /** @type {const} */ ([
-      "alpha",
-      "alpha-auto",
-      "tool-line",
-      "tool-path",
-      "pin-border",
-    ]))
+    for (const id of /** @type {const} */ (["tool-line", "tool-path", "pin-border"]))
       find(id).disabled = pinsOnly;
+    find("tool-point").disabled = takesLinesOnly(document);
     const alpha = alphaOf(document);
     find("alpha").value = String(alpha);
     find("alpha").setAttribute("aria-valuetext", `${alpha}. ${focusWords(alpha)}`);
@@ -297,7 +320,7 @@ export class Panel {
     const focus = `${focusWords(alpha)}${alpha === automatic ? "" : ` Automatic would be ${automatic}.`}`;
     text(
       "alpha-note",
-      pinsOnly ? "This method has no focus: each handle affects the whole picture." : focus,
+      isFocused ? focus : "This method has no focus: each handle affects the whole picture.",
     );
     const select = find("grid-size");
     const tolerance = typeof document.grid === "object" ? document.grid.tolerance : 0;

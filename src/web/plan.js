@@ -21,6 +21,11 @@ const SAMPLES = 5;
 /** @type {(handle: Page.WireHandle) => handle is Page.Place[]} */
 const isLine = (handle) => Array.isArray(handle[0]);
 
+/** The layout of coefficients of segments. */
+const LINES = 3;
+/** Numbers of a vertex for a column; of other methods at most three. */
+const PLANES = { similarity: 2, affine: 1, tps: 1, global_affine: 1 };
+
 const HEADER = 64;
 const MEMBER = 16;
 
@@ -93,6 +98,7 @@ export class Plan {
    * @param {Page.WireHandle[]} q
    */
   pose(p, q) {
+    if (this.family === LINES) return this.#poseLines(p, q);
     const { family, count, numbers } = this;
     const [P, Q] = [this.#columns(p), this.#columns(q)];
     const vertices = this.grid.columns * this.grid.rows;
@@ -123,6 +129,37 @@ export class Plan {
       }
       places[2 * k] = x;
       places[2 * k + 1] = y;
+    }
+    return new Mesh(this.grid, places);
+  }
+
+  /**
+   * The posed grid of a method that is linear in the start, direction and normal of each segment.
+   * @param {Page.WireHandle[]} p
+   * @param {Page.WireHandle[]} q
+   */
+  #poseLines(p, q) {
+    const [P, Q] = [this.#columns(p), this.#columns(q)];
+    /** @type {(ends: Float64Array, at: number) => [x: number, y: number]} */
+    const along = (ends, at) => [ends[at + 2] - ends[at], ends[at + 3] - ends[at + 1]];
+    const terms = [];
+    for (let at = 0; at < P.length; at += 4) {
+      const [[x, y], [u, v]] = [along(P, at), along(Q, at)];
+      const [rest, posed] = [Math.hypot(x, y), Math.hypot(u, v)];
+      terms.push(
+        [Q[at] - P[at], Q[at + 1] - P[at + 1]],
+        [u - x, v - y],
+        posed ? [y / rest - v / posed, u / posed - x / rest] : [0, 0],
+      );
+    }
+    const vertices = this.grid.columns * this.grid.rows;
+    const places = new Float32Array(this.rest.places);
+    for (const [term, [x, y]] of terms.entries()) {
+      for (let k = 0; k < vertices; k++) {
+        const share = this.numbers[term * vertices + k];
+        places[2 * k] += share * x;
+        places[2 * k + 1] += share * y;
+      }
     }
     return new Mesh(this.grid, places);
   }
@@ -172,7 +209,9 @@ function bytesOf({ p, method }, vertices) {
     (sum, handle) => sum + (isLine(handle) ? 2 * (handle.length - 1) : 1),
     0,
   );
-  const planes = method === "rigid" ? 3 : method === "similarity" ? 2 : 1;
+  const planes = Object.hasOwn(PLANES, method)
+    ? PLANES[/** @type {keyof typeof PLANES} */ (method)]
+    : 3;
   return HEADER + columns * (MEMBER + 2 * planes * vertices);
 }
 

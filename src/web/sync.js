@@ -5,7 +5,7 @@
 
 import * as api from "./api.js";
 import { known } from "./dom.js";
-import { movedApart, restOf, wire } from "./edits.js";
+import { infoOf, movedApart, ownIn, restOf, wire } from "./edits.js";
 import { Live } from "./live.js";
 import { Mesh } from "./mesh.js";
 import { Plans } from "./plan.js";
@@ -641,27 +641,34 @@ const figures = (report) => ({
  * Whether a warp takes its handles to their posed positions, as far as its grid can follow them.
  * @type {(document: Page.Document) => boolean}
  */
-const meetsHandles = ({ method, smoothing }) =>
-  method !== "global_affine" && !(method === "tps" && smoothing);
+const meetsHandles = (document) => {
+  const { interpolates, name } = infoOf(document);
+  if (typeof interpolates === "boolean") return interpolates;
+  /** @type {Page.Json} */
+  const given = { smoothing: document.smoothing, ...document.own?.[name] };
+  const usual = infoOf(document).parameters.find((own) => own.name === interpolates)?.default;
+  return (given[interpolates] ?? usual) === 0;
+};
 
 /**
  * The members of a session object that determine a picture, except q.
  * @param {Page.SessionObject} object
  */
-function setupOf({
-  p,
-  weights,
-  method,
-  alpha,
-  point_mass: mass,
-  smoothing,
-  coincident_policy: coincident,
-  units,
-  grid,
-  folds,
-  output,
-  layers,
-}) {
+function setupOf(object) {
+  const {
+    p,
+    weights,
+    method,
+    alpha,
+    point_mass: mass,
+    smoothing,
+    coincident_policy: coincident,
+    units,
+    grid,
+    folds,
+    output,
+    layers,
+  } = object;
   return JSON.stringify([
     p,
     weights,
@@ -669,6 +676,7 @@ function setupOf({
     alpha,
     mass,
     smoothing,
+    ownIn(object),
     coincident,
     units,
     grid,

@@ -23,7 +23,20 @@ declare namespace Page {
 
   // The document
 
-  type Method = "rigid" | "similarity" | "affine" | "tps" | "global_affine";
+  /** The name of one of `METHODS`. */
+  type Method = string;
+  /** A row of the server's table of methods. */
+  type MethodInfo = {
+    name: Method;
+    title: string;
+    sentence: string;
+    handles: "all" | "points" | "lines";
+    /** Whether handles are met; or the parameter that must be 0 for it. */
+    interpolates: boolean | string;
+    /** Whether its parameters stand in an object of its name. */
+    object: boolean;
+    parameters: { name: string; default: number; sentence: string }[];
+  };
   type Filter = "nearest" | "bilinear" | "bicubic";
   type Holes = "keep" | "transparent";
   type AlignClass = "none" | "rigid" | "similarity" | "affine";
@@ -67,6 +80,8 @@ declare namespace Page {
     /** null: what is usual for the picture. */
     holes?: Holes | null;
     smoothing?: number;
+    /** Parameters in the object of a method, by its name. */
+    own?: Record<string, Record<string, number>>;
     /** Mass of a point, px, if it is not the server's default. */
     mass?: number;
     coincident?: { policy: "mean" | "reject"; within: number };

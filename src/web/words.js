@@ -1,5 +1,8 @@
 // User-visible texts: problems, methods, alpha, folds, warnings, hints and limits.
 
+import { infoOf, mayHave, takesLinesOnly, takesPinsOnly } from "./edits.js";
+import { METHODS } from "./methods.js";
+
 const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
 /** @type {(list: Page.Place[]) => string} */
 export const places = (list) =>
@@ -205,30 +208,37 @@ export function problemWords({
   return { title: said, detail: `${sentence}${more}`, advice: choose || `${advice}${where}` };
 }
 
-const METHODS = {
-  rigid: "Rotation and translation only, without scaling, like cardboard.",
-  similarity: "Allows scaling and keeps angles: use it to make something larger or smaller.",
-  affine: "Also allows stretching and shear: follows the handles most freely.",
-  tps: "Bends the whole picture as little as it can, like a thin plate of metal. For pins only.",
-  global_affine:
-    "Moves, turns, stretches and shears the whole picture as one: it passes near the handles, not through them. For pins only.",
-};
+/** @type {(takes: (document: { method: Page.Method }) => boolean) => string[]} */
+const titles = (takes) =>
+  METHODS.filter(({ name }) => takes({ method: name })).map(({ title }) => title);
+/** @type {(list: string[], verbs: [one: string, more: string]) => string} */
+const theyDo = (list, verbs) => `${series(list)} ${verbs[list.length > 1 ? 1 : 0]}`;
 
 /** Why no line, path, border or twist is made. */
-export const PINS_ONLY =
-  "Spline and Global take pins without a twist only: choose another method first";
+export const PINS_ONLY = `${theyDo(titles(takesPinsOnly), ["takes", "take"])} pins without a twist only: choose another method first`;
+/** Why no pin is made. */
+export const LINES_ONLY = `${theyDo(titles(takesLinesOnly), ["takes", "take"])} lines and paths only: choose another method first`;
 
 /**
- * The note about the method of a document. `canSpline`: whether its handles may have that method.
+ * The note about the method of a document, and which methods its handles may not have.
  * @param {Page.Document} document
- * @param {boolean} canSpline
  */
-export function methodWords({ method, smoothing }, canSpline) {
-  const near =
-    method === "tps" && smoothing
-      ? ` Smoothing ${smoothing}: it passes near the handles, not through them.`
-      : "";
-  return `${METHODS[method]}${near}${canSpline ? "" : " Spline and Global are for pins only: not with lines, paths and twists."}`;
+export function methodWords(document) {
+  const { smoothing } = document;
+  const { sentence, interpolates } = infoOf(document);
+  const words = [sentence];
+  if (takesPinsOnly(document)) words.push("For pins only.");
+  if (takesLinesOnly(document)) words.push("For lines and paths only.");
+  if (interpolates === "smoothing" && smoothing)
+    words.push(`Smoothing ${smoothing}: it passes near the handles, not through them.`);
+  /** @type {(takes: (document: { method: Page.Method }) => boolean) => string[]} */
+  const shut = (takes) => titles((other) => takes(other) && !mayHave(document, other.method));
+  const [pins, lines] = [shut(takesPinsOnly), shut(takesLinesOnly)];
+  if (pins.length)
+    words.push(`${theyDo(pins, ["is", "are"])} for pins only: not with lines, paths and twists.`);
+  if (lines.length)
+    words.push(`${theyDo(lines, ["is", "are"])} for lines and paths only: not with pins.`);
+  return words.join(" ");
 }
 
 /**
@@ -242,20 +252,13 @@ export function noFitWords(pins, pinsOnly, least) {
   return pins < least ? `Choosing takes ${least} pins or more.` : "";
 }
 
-const NAMES = {
-  rigid: "Rigid",
-  similarity: "Similarity",
-  affine: "Affine",
-  tps: "Spline",
-  global_affine: "Global",
-};
 /** @type {(length: number) => string} */
 const px = (length) => `${length < 9.95 ? length.toFixed(1) : Math.round(length)} px`;
 
 /** @param {Page.FitBest} candidate */
 function candidateName({ method, alpha, smoothing }) {
   const parameter = alpha ? `focus ${alpha}` : smoothing ? `smoothing ${smoothing}` : "";
-  return `${NAMES[method]}${parameter && ` (${parameter})`}`;
+  return `${infoOf({ method }).title}${parameter && ` (${parameter})`}`;
 }
 
 /**

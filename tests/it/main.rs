@@ -45,6 +45,7 @@ mod links;
 mod maps;
 mod memory_budget;
 mod metadata;
+mod methods;
 mod metrics;
 mod mirrors;
 mod missing;
