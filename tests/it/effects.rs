@@ -196,6 +196,14 @@ fn values(schema: &str, field: &str) -> (Value, Value, Value) {
         "alpha" => (no, json!(1), json!(2)),
         "point_mass" => (lines, json!(1), json!(500)),
         "smoothing" => (json!({"method": "tps"}), json!(0), json!(10)),
+        "beier_neely" => {
+            let (p, q) = (
+                json!([[[60, 30], [120, 90]], [[20, 100], [50, 20]]]),
+                json!([[[66, 20], [110, 97]], [[30, 100], [50, 30]]]),
+            );
+            let lines = json!({"method": "beier_neely", "p": p, "q": q});
+            (lines, json!({"a": 0, "b": 0.5}), json!({"a": 50, "p": 1}))
+        }
         // Points that are one, and points that are two.
         "coincident" => (twins, json!({"within": 0}), json!({"within": 3})),
         "units" => (small, json!("px"), json!("normalized")),

@@ -9,6 +9,7 @@
 mod align;
 mod bad_input;
 mod batch;
+mod beier_neely;
 mod binary;
 mod cancellation;
 mod cancelling;

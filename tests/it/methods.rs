@@ -52,17 +52,29 @@ fn methods_of_the_page_are_those_of_the_table() {
         std::fs::write(&file, &text).unwrap();
     }
     let kept = std::fs::read_to_string(&file).unwrap_or_default();
-    assert_eq!(kept, text, "MLSWARP_BLESS=1 cargo test --test it methods_of_the_page");
+    assert_eq!(
+        kept, text,
+        "MLSWARP_BLESS=1 cargo test --test it methods_of_the_page"
+    );
 }
 
 /// Names, sentences and parameters are told to people.
 #[test]
 fn every_method_says_what_it_does() {
     for info in METHODS {
-        assert!(info.sentence.ends_with('.') && !info.title.is_empty(), "{}", info.name);
+        assert!(
+            info.sentence.ends_with('.') && !info.title.is_empty(),
+            "{}",
+            info.name
+        );
         for parameter in info.parameters {
             assert!(parameter.sentence.ends_with('.'), "{}", parameter.path);
-            assert_eq!(parameter.object(), info.has_object.then_some(info.name), "{}", parameter.path);
+            assert_eq!(
+                parameter.object(),
+                info.has_object.then_some(info.name),
+                "{}",
+                parameter.path
+            );
         }
     }
 }

@@ -3,14 +3,12 @@
 //! `tolerance`, the f32 plan within `tolerance_f32`, degenerate sets, errors, folds.
 
 use mlswarp::deform::{
-    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Falloff, Handle, Handles, Method,
-    Pose, RestDeformation, Warning,
+    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, METHODS, Method,
+    Parameters, Pose, RestDeformation, Warning,
 };
 use mlswarp::geometry::{Grid, Point};
 use serde_json::Value;
 
-/// Methods of the file that are not built yet.
-const NOT_YET: [&str; 1] = ["beier_neely"];
 /// Fields of a case that are not compared yet.
 const FIELDS_NOT_YET: [&str; 4] = [
     "expected_jacobian",
@@ -59,20 +57,11 @@ fn point(v: &Value) -> Point {
     Point::new(v[0].as_f64().unwrap(), v[1].as_f64().unwrap())
 }
 
-/// The family of moving least squares, or none: a thin-plate spline.
-type Chosen = Option<Method>;
-
-fn method(case: &Value) -> Option<Chosen> {
-    match case["method"].as_str().unwrap() {
-        "affine" => Some(Some(Method::Affine)),
-        "similarity" => Some(Some(Method::Similarity)),
-        "rigid" => Some(Some(Method::Rigid)),
-        "tps" => Some(None),
-        other => {
-            assert!(NOT_YET.contains(&other), "method {other} is new");
-            None
-        }
-    }
+fn method(case: &Value) -> Method {
+    let name = case["method"].as_str().unwrap();
+    let info = METHODS.iter().find(|info| info.name == name);
+    info.unwrap_or_else(|| panic!("method {name} is new"))
+        .method
 }
 
 fn handles(case: &Value, end: &str) -> Vec<Handle> {
@@ -91,20 +80,22 @@ fn handles(case: &Value, end: &str) -> Vec<Handle> {
     points.chain(lines).collect()
 }
 
-fn field(case: &Value, method: Chosen) -> Result<(RestDeformation, Pose), DeformError> {
+fn field(case: &Value) -> Result<(RestDeformation, Pose), DeformError> {
     let rest = Handles::new(handles(case, "p"), None)?;
     let coincident = Coincident {
         policy: CoincidentPolicy::Reject,
         within: 0.0,
     };
-    let field = match method {
-        Some(method) => {
-            let falloff = Falloff::new(case["alpha"].as_f64().unwrap(), rest.has_lines())?;
-            let mass = case["point_mass"].as_f64().unwrap_or(1.0);
-            RestDeformation::new_unless(rest, coincident, method, falloff, mass, &|| false)?
-        }
-        None => RestDeformation::spline_unless(rest, coincident, 0.0, &|| false)?,
-    };
+    let info = method(case).info();
+    let given = info.parameters.iter().filter_map(|parameter| {
+        let own = case["params"].get(parameter.name());
+        let value = own.or(case.get(parameter.name())).and_then(Value::as_f64)?;
+        Some((parameter.path, value))
+    });
+    let given = given.fold(Parameters::default(), |all, (path, value)| {
+        all.with(path, value)
+    });
+    let field = RestDeformation::of(rest, coincident, info.method, &given, &|| false)?;
     let pose = field.pose(&handles(case, "q"))?;
     Ok((field, pose))
 }
@@ -142,13 +133,9 @@ fn worst(case: &Value, field: &RestDeformation, pose: &Pose) -> (f64, f64) {
 #[test]
 fn oracle_exact_evaluation_and_plan_are_within_tolerance() {
     let file = file();
-    let (mut checked, mut left_out, mut failed) = (0, 0, Vec::new());
+    let (mut checked, mut failed) = (0, Vec::new());
     for case in cases(&file, "cases") {
-        let Some(method) = method(case) else {
-            left_out += 1;
-            continue;
-        };
-        let (field, pose) = field(case, method).unwrap();
+        let (field, pose) = field(case).unwrap();
         let (exact, planned) = worst(case, &field, &pose);
         let (tolerance, tolerance_f32) = (
             case["tolerance"].as_f64().unwrap(),
@@ -169,11 +156,7 @@ fn oracle_exact_evaluation_and_plan_are_within_tolerance() {
         failed.len(),
         failed.join("\n")
     );
-    assert_eq!(
-        (checked, left_out),
-        (95, 3),
-        "cases that were compared, and left out as {NOT_YET:?}"
-    );
+    assert_eq!(checked, 98);
 }
 
 #[test]
@@ -181,7 +164,7 @@ fn oracle_degenerate_sets_have_their_named_results() {
     let file = file();
     let mut checked = 0;
     for case in cases(&file, "degenerate_cases") {
-        let (field, pose) = field(case, method(case).unwrap()).unwrap();
+        let (field, pose) = field(case).unwrap();
         let (exact, planned) = worst(case, &field, &pose);
         let name = &case["name"];
         assert!(
@@ -219,7 +202,7 @@ fn oracle_errors_are_refused_by_their_code() {
     let file = file();
     let mut checked = 0;
     for case in cases(&file, "error_cases") {
-        let error = field(case, method(case).unwrap()).expect_err("refused");
+        let error = field(case).expect_err("refused");
         let code = match error {
             DeformError::Contradictory { .. } => "contradictory_handles",
             DeformError::DegenerateLine { .. } => "degenerate_line",
@@ -242,7 +225,7 @@ fn oracle_folded_cells_are_the_same_cells() {
     let file = file();
     let mut checked = 0;
     for case in cases(&file, "meshfold_cases") {
-        let (field, pose) = field(case, method(case).unwrap()).unwrap();
+        let (field, pose) = field(case).unwrap();
         let (nx, ny) = (
             case["grid"]["nx"].as_u64().unwrap(),
             case["grid"]["ny"].as_u64().unwrap(),

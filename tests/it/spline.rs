@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mlswarp::deform::{
-    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, Pose,
+    CoefficientTable, Coincident, CoincidentPolicy, DeformError, Handle, Handles, NotTaken, Pose,
     RestDeformation, Warning, pose_without_table,
 };
 use mlswarp::geometry::{Grid, Point, Vec2};
@@ -463,9 +463,10 @@ fn spline_refuses_what_it_does_not_take() {
     .unwrap();
     assert_eq!(
         RestDeformation::spline(mixed, 0.0).unwrap_err(),
-        DeformError::LineNotTaken {
+        DeformError::NotTaken {
             handle: 1,
-            method: "tps"
+            method: "tps",
+            reason: NotTaken::Line
         }
     );
 }

@@ -2,7 +2,7 @@
 //! compile until it has a code here.
 
 use mlswarp::codec::CodecError;
-use mlswarp::deform::{Conflict, DeformError};
+use mlswarp::deform::{Conflict, DeformError, NotTaken};
 use mlswarp::warp::{Task, WarpError};
 use serde_json::{Value, json};
 
@@ -146,8 +146,11 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             .pointer("/coincident/within")
             .actual(number(value)),
         DeformError::DegenerateLine { handle, .. } => at_handle(Code::DegenerateLine, handle),
-        DeformError::LineNotTaken { handle, .. } => at_handle(Code::BadValue, handle),
-        DeformError::PointNotTaken { handle, .. } => at_handle(Code::NotSupported, handle),
+        DeformError::NotTaken { handle, reason, .. } => match reason {
+            NotTaken::Line => at_handle(Code::BadValue, handle),
+            NotTaken::Point => at_handle(Code::NotSupported, handle),
+            NotTaken::NoDirection => at_handle(Code::DegenerateLine, handle),
+        },
         DeformError::Contradictory { ref listed, .. } => {
             let first = listed.first().and_then(|group| group.handles.first());
             let problem = first.map_or_else(
@@ -248,9 +251,10 @@ mod tests {
         };
         expect(q(shape), Code::ShapeMismatch, Some("/q/2"), Some(2));
         expect(
-            p(D::LineNotTaken {
+            p(D::NotTaken {
                 handle: 3,
                 method: "tps",
+                reason: NotTaken::Line,
             }),
             Code::BadValue,
             Some("/p/3"),

@@ -99,7 +99,7 @@ impl RequestedMethod {
 }
 
 /// Methods that the contract has and this version does not.
-const LATER_METHODS: [&str; 2] = ["beier_neely", "arap"];
+const LATER_METHODS: [&str; 1] = ["arap"];
 
 impl EnumName for Method {
     const ALL: &'static [Self] = &{

@@ -237,9 +237,9 @@ impl CoefficientTable {
 
     /// The coefficients for clients that pose by themselves, plane by plane: each plane has one
     /// number per vertex. A term, which is a column unless the method says otherwise, has one plane
-    /// (real: C), two (complex: re and im of C) or three (rigid: re and im of `B = e H`, and wn). With the position of each column at rest (P)
-    /// and posed (Q), `p* = sum wn P`, `q* = sum wn Q` and `e = v - p*`, rigid is
-    /// `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
+    /// (real: C), two (complex: re and im of C) or three (rigid: re and im of `B = e H`, and wn).
+    /// With the position of each column at rest (P) and posed (Q), `p* = sum wn P`, `q* = sum wn Q`
+    /// and `e = v - p*`, rigid is `q* + |e| F / |F|` for `F = e + sum B (Q - P)`.
     pub fn planes(&self) -> impl Iterator<Item = impl Iterator<Item = f32> + '_> + '_ {
         let per_block = lanes_per_block(self.form, self.terms);
         let per_term = lanes_per_block(self.form, 1).min(3);

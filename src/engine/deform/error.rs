@@ -5,6 +5,17 @@ use std::fmt;
 use super::conflicts::Conflict;
 use crate::geometry::DisplayNumber;
 
+/// Why a method does not take a handle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NotTaken {
+    /// It is a line, and the method takes points only.
+    Line,
+    /// It is a point, and the method takes lines only.
+    Point,
+    /// It is posed without length, and the method needs its direction.
+    NoDirection,
+}
+
 /// Why a set of handles, or a pose of it, has no deformation.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DeformError {
@@ -95,19 +106,14 @@ pub enum DeformError {
     },
     /// Cancelled.
     Cancelled,
-    /// A line, and the method takes points only.
-    LineNotTaken {
+    /// A handle that the method does not take.
+    NotTaken {
         /// Index of the handle.
         handle: usize,
         /// Name of the method.
         method: &'static str,
-    },
-    /// A point, and the method takes lines only.
-    PointNotTaken {
-        /// Index of the handle.
-        handle: usize,
-        /// Name of the method.
-        method: &'static str,
+        /// What is wrong with it.
+        reason: NotTaken,
     },
     /// A parameter is not a number within its range.
     BadParameter {
@@ -131,6 +137,26 @@ pub enum DeformError {
 /// A parameter that breaks its rule.
 fn outside(f: &mut fmt::Formatter<'_>, name: &str, value: f64, rule: &str) -> fmt::Result {
     write!(f, "`{name}` is {}; it must {rule}", DisplayNumber(value))
+}
+
+impl NotTaken {
+    fn write(self, f: &mut fmt::Formatter<'_>, handle: usize, method: &str) -> fmt::Result {
+        let (is, does) = match self {
+            Self::Line => (
+                "is a line",
+                "takes points only; send points along the line, or another method",
+            ),
+            Self::Point => (
+                "is a point",
+                "takes lines only: a point has no direction; send a line, or another method",
+            ),
+            Self::NoDirection => (
+                "has a segment without length in `q`",
+                "needs its direction; move its ends apart",
+            ),
+        };
+        write!(f, "handle {handle} {is}, but the method `{method}` {does}")
+    }
 }
 
 /// The first conflicts, and how many more there are.
@@ -225,20 +251,11 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
-            Self::LineNotTaken { handle, method } => {
-                write!(
-                    f,
-                    "handle {handle} is a line, but the method `{method}` takes points only; send \
-                        points along the line, or another method"
-                )
-            }
-            Self::PointNotTaken { handle, method } => {
-                write!(
-                    f,
-                    "handle {handle} is a point, but the method `{method}` takes lines only: a \
-                        point has no direction; send a line, or another method"
-                )
-            }
+            Self::NotTaken {
+                handle,
+                method,
+                reason,
+            } => reason.write(f, *handle, method),
             Self::AlphaOutOfRange { alpha, lines } => {
                 let rule = if *lines {
                     "be between 0.5 and 8 if a handle is a line"

@@ -1,6 +1,6 @@
-//! The forms of coefficients: maps in displacement form (mathematics 2.3): `f(v) = v + sum C_j d_j`,
-//! and for rigid `v + e rho(u) + sum wn_j d_j` with `u = sum H_j d_j`. Identity is exact: d = 0
-//! gives f = v bit for bit.
+//! The forms of coefficients: maps in displacement form (mathematics 2.3),
+//! `f(v) = v + sum C_j d_j`, and for rigid `v + e rho(u) + sum wn_j d_j` with `u = sum H_j d_j`.
+//! Identity is exact: d = 0 gives f = v bit for bit.
 
 use super::lanes::Coefficients;
 use crate::geometry::Vec2;

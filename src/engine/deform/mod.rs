@@ -63,7 +63,7 @@ mod workspace;
 pub use coefficient_table::{CoefficientTable, IsCancelled, PoseQuality, pose_without_table};
 pub use conflicts::{Conflict, ConflictingHandles};
 pub use demand::Demand;
-pub use error::{DeformError, Warning};
+pub use error::{DeformError, NotTaken, Warning};
 pub use form::CoefficientForm;
 pub use groups::{Coincident, CoincidentPolicy};
 pub use handles::{Handle, Handles, MAX_COORDINATE, Pose};

@@ -111,6 +111,11 @@ pub(super) trait PointMap:
         None
     }
 
+    /// The column of the first handle whose displacement leaves f undefined.
+    fn undefined(&self, _displacements: &[Vec2]) -> Option<usize> {
+        None
+    }
+
     /// How the coefficients are laid out for clients that pose by themselves.
     fn layout(&self, form: CoefficientForm) -> u32 {
         form as u32

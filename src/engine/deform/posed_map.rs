@@ -10,7 +10,7 @@ use super::point_map::{
     CoefficientsOf, Displacements, DisplacementsOf, PointMap, PosedWithoutCoefficients,
 };
 use super::workspace::Workspace;
-use super::{Handle, IsCancelled, Pose, RestDeformation};
+use super::{IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Point, Vec2};
 
 /// Columns that [`LANES`] positions are mapped by between two checks of cancellation: some
@@ -73,31 +73,32 @@ impl RestDeformation {
         cancelled: IsCancelled<'_>,
         mut look: impl FnMut(Point, Vec2),
     ) -> Option<()> {
-        let approximated = self.achieved_displacements(pose, cancelled)?;
-        let mut d = approximated
-            .as_deref()
-            .unwrap_or(pose.displacements())
-            .iter()
-            .copied();
-        let mut next = || d.next().expect("one column a point, two a segment");
-        let mut look = |p: Point, displacement: Vec2| {
-            if !pose.conflicts().contains(p) {
-                look(p, displacement);
-            }
-        };
-        for handle in self.handles.handles() {
-            match handle {
-                Handle::Point(p) => look(*p, next()),
-                Handle::Polyline(places) => {
-                    for ab in places.windows(2) {
-                        let (da, db) = (next(), next());
-                        for k in 0..SEGMENT_SAMPLES {
-                            let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
-                            look(ab[0].lerp(ab[1], t), da * (1.0 - t) + db * t);
-                        }
-                    }
+        let mut places = Vec::with_capacity(self.elements.len());
+        for element in &self.elements {
+            match element {
+                Element::Point { p, column, .. } => {
+                    places.push((*p, pose.displacements()[*column]))
                 }
-                Handle::Missing => {}
+                Element::Segment(RestSegment { a, b, column, .. }) => {
+                    let d = &pose.displacements()[*column..][..2];
+                    places.extend((0..SEGMENT_SAMPLES).map(|k| {
+                        let t = f64::from(k) / f64::from(SEGMENT_SAMPLES - 1);
+                        (a.lerp(*b, t), d[0] * (1.0 - t) + d[1] * t)
+                    }));
+                }
+            }
+        }
+        if !self.interpolates() {
+            // Between the ends f need not be linear where it does not meet the handles.
+            let positions: Vec<Point> = places.iter().map(|(p, _)| *p).collect();
+            let mapped = self.deformation(pose).map_all(&positions, cancelled)?;
+            for ((p, d), mapped) in places.iter_mut().zip(mapped) {
+                *d = mapped - *p;
+            }
+        }
+        for (p, d) in places {
+            if !pose.conflicts().contains(p) {
+                look(p, d);
             }
         }
         Some(())
@@ -137,11 +138,7 @@ impl RestDeformation {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Option<Option<Vec<Vec2>>> {
-        let interpolates = match self.set.rank {
-            Rank::Empty | Rank::OnePlace => true,
-            Rank::Collinear | Rank::Full => self.method().info().interpolates(self.parameters()),
-        };
-        if interpolates {
+        if self.interpolates() {
             return Some(None);
         }
         let places = self.elements.iter().flat_map(|element| match element {
@@ -157,6 +154,16 @@ impl RestDeformation {
                 .map(|(mapped, place)| mapped - place)
                 .collect(),
         ))
+    }
+}
+
+impl RestDeformation {
+    /// Whether f takes the handles to their targets.
+    fn interpolates(&self) -> bool {
+        match self.set.rank {
+            Rank::Empty | Rank::OnePlace => true,
+            Rank::Collinear | Rank::Full => self.method().info().interpolates(self.parameters()),
+        }
     }
 }
 

@@ -15,8 +15,8 @@ use super::lanes::{Coefficients, Vertices};
 use super::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
 use super::workspace::Workspace;
 use super::{
-    ConflictingHandles, DeformError, Falloff, Handle, IsCancelled, Method, Parameters, Pose,
-    Warning,
+    ConflictingHandles, DeformError, Falloff, Handle, IsCancelled, Method, NotTaken, Parameters,
+    Pose, Warning,
 };
 use crate::geometry::Vec2;
 
@@ -326,6 +326,15 @@ impl RestDeformation {
     /// Shapes, numbers; conflicting targets, if the policy is to reject them.
     pub fn pose(&self, posed: &[Handle]) -> Result<Pose, DeformError> {
         let given = Pose::new(self.client_handles(), posed)?;
+        if let Some(column) = self.map.undefined(given.displacements()) {
+            let is_its = |element: &&Element| element.column() == column;
+            let element = self.elements.iter().position(|element| is_its(&element));
+            return Err(DeformError::NotTaken {
+                handle: self.owners[element.unwrap_or_default()],
+                method: self.method.info().name,
+                reason: NotTaken::NoDirection,
+            });
+        }
         let (displacements, conflicts) = match self.grouped.as_deref() {
             Some((_, groups)) => {
                 let mean = groups.displacements(given.displacements());

@@ -81,7 +81,6 @@ fn handles_out_of_the_mathematics_range_are_left_to_it() {
 fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     use Code::NotSupported as S;
     let table: &[Expected] = &[
-        ("{\"method\": \"beier_neely\"}", S, Some("/method"), None),
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
         ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
@@ -90,7 +89,7 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     assert_eq!(
         detail("{\"method\": \"arap\"}"),
         "not supported by this version: `arap`; supported: `rigid`, `similarity`, `affine`, \
-            `tps`, `global_affine`, `auto`"
+            `tps`, `global_affine`, `beier_neely`, `auto`"
     );
 }
 

@@ -2,12 +2,13 @@
 //! else must know of a method; nobody else asks which one it is. CONTRIBUTING.md says how to add
 //! one.
 
+pub(super) mod beier_neely;
 pub(super) mod global_affine;
 pub(super) mod mls;
 pub(super) mod thin_plate_spline;
 
 use super::point_map::MakeMap;
-use super::{DeformError, Handle, Handles, Parameter, Parameters};
+use super::{DeformError, Handle, Handles, NotTaken, Parameter, Parameters};
 
 /// How the image follows the handles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -23,15 +24,18 @@ pub enum Method {
     ThinPlateSpline,
     /// One affine map, of least squares; it does not interpolate the handles.
     GlobalAffine,
+    /// Field morphing by lines; lines only.
+    BeierNeely,
 }
 
 /// All methods, in the order of [`Method`].
-pub static METHODS: [&MethodInfo; 5] = [
+pub static METHODS: [&MethodInfo; 6] = [
     &mls::RIGID,
     &mls::SIMILARITY,
     &mls::AFFINE,
     &thin_plate_spline::INFO,
     &global_affine::INFO,
+    &beier_neely::INFO,
 ];
 
 /// The handles that a method takes.
@@ -170,14 +174,12 @@ impl MethodInfo {
             Handle::Missing => false,
         };
         match handles.handles().iter().position(is_wrong) {
-            Some(handle) => Err(match self.handles {
-                AcceptedHandles::Lines => DeformError::PointNotTaken {
-                    handle,
-                    method: self.name,
-                },
-                _ => DeformError::LineNotTaken {
-                    handle,
-                    method: self.name,
+            Some(handle) => Err(DeformError::NotTaken {
+                handle,
+                method: self.name,
+                reason: match self.handles {
+                    AcceptedHandles::Lines => NotTaken::Point,
+                    AcceptedHandles::All | AcceptedHandles::Points => NotTaken::Line,
                 },
             }),
             None => Ok(()),

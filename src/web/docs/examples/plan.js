@@ -16,6 +16,7 @@ function pose(file, p, q) {
     }
   }
   const table = new Float32Array(file, 64 + 16 * members);
+  if (family === 3) return poseLines(P, Q, table, columns, rows, width, height);
   const coefficient = (column, plane, vertex) =>
     table[((family + 1) * column + plane) * columns * rows + vertex];
   return Array.from({ length: columns * rows }, (_, vertex) => {
@@ -34,6 +35,24 @@ function pose(file, p, q) {
     const turned = Math.hypot(...F) > 1e-5 * Math.hypot(...e); // without a direction, nothing turns
     const scale = Math.hypot(...e) / Math.hypot(...F);
     return qStar.map((x, axis) => x + (turned ? F[axis] * scale : e[axis]));
+  });
+}
+
+/** The same with the method beier_neely: three numbers for each segment. */
+function poseLines(P, Q, table, columns, rows, width, height) {
+  const minus = ([x, y], [u, v]) => [x - u, y - v];
+  const normal = ([x, y]) => [-y / Math.hypot(x, y), x / Math.hypot(x, y)];
+  const vectors = Array.from({ length: P.length / 2 }, (_, segment) => {
+    const [from, to] = [P, Q].map((ends) => ends.slice(2 * segment, 2 * segment + 2));
+    const [d, posed] = [minus(from[1], from[0]), minus(to[1], to[0])];
+    return [minus(to[0], from[0]), minus(posed, d), minus(normal(posed), normal(d))];
+  }).flat();
+  return Array.from({ length: columns * rows }, (_, vertex) => {
+    const [i, j] = [vertex % columns, Math.floor(vertex / columns)];
+    const v = [(i * width) / (columns - 1), (j * height) / (rows - 1)];
+    return v.map((x, axis) =>
+      vectors.reduce((sum, d, k) => sum + table[k * columns * rows + vertex] * d[axis], x),
+    );
   });
 }
 

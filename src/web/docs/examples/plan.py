@@ -13,9 +13,13 @@ def pose(file, p, q):
         P[column] += share * complex(*np.atleast_2d(p[handle])[place])
         Q[column] += share * complex(*np.atleast_2d(q[handle])[place])
     v = np.linspace(0, width, columns) + 1j * np.linspace(0, height, rows)[:, None]
-    table = np.frombuffer(file, f"<f{size}", offset=64 + 16 * members).reshape(
-        count, family + 1, rows, columns
-    )
+    numbers = np.frombuffer(file, f"<f{size}", offset=64 + 16 * members)
+    if family == 3:  # beier_neely: three numbers for each segment
+        a, b, c = numbers.reshape(count // 2, 3, rows, columns).swapaxes(0, 1)
+        d, posed = P[1::2] - P[::2], Q[1::2] - Q[::2]
+        turned = 1j * posed / abs(posed) - 1j * d / abs(d)
+        return v + (a * (Q - P)[::2] + b * (posed - d) + c * turned).sum(0)
+    table = numbers.reshape(count, family + 1, rows, columns)
     B = table[:, 0] + (1j * table[:, 1] if family else 0)
     if family < 2:  # affine, similarity
         return v + (B * (Q - P)).sum(0)
