@@ -85,6 +85,27 @@ def test_a_spline_takes_pins_only(bent):
     assert usable("tool-line") and bent.saved("download")[1] == before
 
 
+def test_morph_takes_lines_only(opened):
+    usable = lambda name: opened.page.locator(f"#{name}").is_enabled()  # noqa: E731
+    assert usable("method-beier_neely") and usable("tool-point")
+    opened.page.click("label:has(#method-beier_neely)")
+    assert opened.page.locator("#tool-line").is_checked() and not usable("tool-point")
+    assert "lines and paths only" in opened.text("method-note") and not usable("alpha")
+    opened.drag((60, 40), (340, 40))
+    opened.drag((60, 260), (340, 260))
+    opened.ready()
+    opened.drag((340, 40), (310, 90))
+    opened.ready()
+    warp = opened.warp()
+    assert warp["method"] == "beier_neely" and warp["beier_neely"] == {"a": 1, "b": 2, "p": 0}
+    assert "alpha" not in warp and not usable("method-tps")
+    morph = opened.saved("download")[1]
+    assert morph == opened.of_server().body
+    opened.page.click("label:has(#method-rigid)")
+    opened.ready()
+    assert usable("tool-point") and opened.saved("download")[1] != morph
+
+
 def test_the_smoothing_of_a_file_is_kept(opened):
     warp = {
         "p": [[40, 40], [300, 50], [50, 220], [320, 240], [180, 140]],

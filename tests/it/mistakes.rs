@@ -313,7 +313,7 @@ async fn mistakes_in_the_warp_object_are_answered_with_what_was_meant() {
             r#"{"method": "tps", "point_mass": 1}"#,
             "bad_value",
             "/point_mass",
-            &["`point_mass` does not apply: the method `tps`"],
+            &["`point_mass` does not apply: it belongs to the methods `rigid`, `similarity`"],
         ),
         (
             r#"{"smoothing": 0}"#,

@@ -392,6 +392,8 @@ fn warp_with(schema: &str, example: &Value) -> Value {
         "Place" | "Line" | "Handle" => json!({"p": [example], "q": [example]}),
         "Grid" => json!({"p": [[120, 80]], "q": [[130, 60]], "grid": example}),
         "Outside" => json!({"output": {"outside": example}}),
+        "BeierNeely" => json!({"method": "beier_neely", "beier_neely": example,
+            "p": [[[40, 30], [90, 40]]], "q": [[[44, 36], [88, 30]]]}),
         "Canvas" => json!({"output": {"canvas": example}}),
         "Output" => json!({"output": example}),
         "WarpObject" => example.clone(),
