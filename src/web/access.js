@@ -1,5 +1,6 @@
 // The API key. It is stored in this browser only: for this tab or, on request, permanently. It is
-// sent in a header and in the list of subprotocols of the socket, never in an address.
+// sent in a header and in the list of subprotocols of the socket, never in an address. A page in a
+// frame has a session token of its site instead, which is not stored.
 
 import { attempt } from "./keep.js";
 
@@ -10,7 +11,15 @@ const SHAPE = /^[A-Za-z0-9._~+/=-]{16,512}$/;
 /** @type {string | null} */
 let key = attempt(() => sessionStorage.getItem(NAME) ?? localStorage.getItem(NAME));
 
+/**
+ * The only session that the token is for.
+ *
+ * @type {string | null}
+ */
+let session = null;
+
 export const hasKey = () => key !== null;
+export const tokenSession = () => session;
 export const isRemembered = () => attempt(() => localStorage.getItem(NAME)) !== null;
 /** @type {(text: string) => boolean} */
 export const looksLikeKey = (text) => SHAPE.test(text);
@@ -32,6 +41,20 @@ export function useKey(text, remember) {
   }
 }
 
+/**
+ * Uses a session token in place of a key; false if it is none. Only the server can check it.
+ *
+ * @param {unknown} text
+ */
+export function useToken(text) {
+  if (typeof text !== "string") return false;
+  const claims = attempt(() => JSON.parse(atob(plainBase64(text.split(".")[1]))));
+  if (typeof claims?.sid !== "string") return false;
+  key = text;
+  session = claims.sid;
+  return true;
+}
+
 /** @type {() => Record<string, string>} */
 export const keyHeaders = () => (key === null ? {} : { Authorization: `Bearer ${key}` });
 
@@ -39,5 +62,7 @@ export const keyHeaders = () => (key === null ? {} : { Authorization: `Bearer ${
 export const keyProtocols = () =>
   key === null ? [] : ["mlswarp", `mlswarp.bearer.${base64Url(key)}`];
 
+/** @type {(text: string) => string} */
+const plainBase64 = (text) => text.replaceAll("-", "+").replaceAll("_", "/");
 /** @type {(text: string) => string} */
 const base64Url = (text) => btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");

@@ -1,7 +1,7 @@
 // The HTTP client. Addresses are relative to the page, so that a proxy may serve both under any
 // path. Errors are thrown as a Problem: a problem document, or a missing response.
 
-import { keyHeaders } from "./access.js";
+import { keyHeaders, tokenSession } from "./access.js";
 import { boxFrom } from "./canvas.js";
 import { known } from "./dom.js";
 
@@ -164,7 +164,7 @@ function newName() {
 
 /**
  * PUT /sessions/{uuid}: with a client-chosen id, so that a proxy that hashes ids sends upload and
- * drags to one replica. XMLHttpRequest, because fetch reports no upload progress.
+ * drags to one replica; with a token, that of its session. XMLHttpRequest, because fetch reports no upload progress.
  * @param {Blob} file
  * @param {string} name
  * @param {Page.Rest} rest
@@ -177,7 +177,7 @@ export function openSession(file, name, rest, { progress, signal }) {
     form.append("image", file, name);
     form.append("warp", new Blob([JSON.stringify(rest)], { type: "application/json" }));
     const request = new XMLHttpRequest();
-    request.open("PUT", session(newName()));
+    request.open("PUT", session(tokenSession() ?? newName()));
     for (const [name, value] of Object.entries(keyHeaders())) request.setRequestHeader(name, value);
     request.upload.onprogress = (event) =>
       event.lengthComputable && progress?.((100 * event.loaded) / event.total);

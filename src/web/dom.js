@@ -9,6 +9,14 @@ export const find = (id) =>
   /** @type {PageElements[Id]} */ (/** @type {unknown} */ (document.getElementById(id)));
 
 /**
+ * What the server has written into the page under a name.
+ *
+ * @param {string} name
+ */
+export const named = (name) =>
+  /** @type {HTMLMetaElement} */ (document.querySelector(`meta[name=${name}]`)).content;
+
+/**
  * A value that is there whenever this code runs.
  *
  * @template T

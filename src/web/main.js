@@ -2,17 +2,18 @@
 // (README.md).
 
 import * as api from "./api.js";
-import { hasKey, isRemembered, looksLikeKey, useKey } from "./access.js";
+import { hasKey, isRemembered, looksLikeKey, tokenSession, useKey } from "./access.js";
 import { alignOf } from "./align.js";
 import { Actions } from "./actions.js";
 import { Player } from "./player.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
-import { find, findAll, known, listen, part } from "./dom.js";
+import { find, findAll, known, listen, named, part } from "./dom.js";
 import { filterOf, outsideOf, takesLinesOnly, takesPinsOnly } from "./edits.js";
 import { Annotations } from "./annotations.js";
 import { ExportDialog } from "./export.js";
 import { ANNOTATIONS, HANDLES, PICTURES } from "./files.js";
 import { chooseMethod } from "./fit.js";
+import { askForToken, listenToSite } from "./frame.js";
 import { Handles } from "./handles.js";
 import { Keeper, forget, keepSetting, kept, setting } from "./keep.js";
 import { Keys } from "./keys.js";
@@ -49,7 +50,7 @@ import { View } from "./view.js";
 import { BEHIND, LINES_ONLY, PINS_ONLY, REGION, limitWords, linkWords } from "./words.js";
 
 const wishes = new URLSearchParams(location.search);
-const told = /** @type {HTMLMetaElement} */ (document.querySelector("meta[name=limits]")).content;
+const told = named("limits");
 const limits = /** @type {Page.Limits} */ (
   Object.fromEntries(
     told
@@ -98,7 +99,7 @@ function toast(words) {
   toasting = setTimeout(() => node.classList.remove("seen"), 2600);
 }
 
-const KEYS = new Set(["unauthorized", "forbidden"]);
+const KEYS = new Set(["unauthorized", "forbidden", "token_expired"]);
 const RETRIES = new Set([
   "network",
   "overloaded",
@@ -155,7 +156,8 @@ const does = {
   /** The label of the action that resolves a problem, or null. */
   mending: ({ code, opening }) => {
     if (code === "no_such_session" || code === "session_expired") return "Open a picture";
-    if (KEYS.has(code)) return "Enter a key";
+    // The site around the frame gives tokens; a visitor has nothing to enter.
+    if (KEYS.has(code)) return tokenSession() ? null : "Enter a key";
     if (RETRIES.has(code)) return "Try again";
     return !opening && store.state.past.length ? "Undo" : null;
   },
@@ -450,13 +452,19 @@ async function takeKey(key, remember) {
   const { problem } = store.state;
   if (key === null || !KEYS.has(problem?.code ?? ""))
     return toast(key === null ? "Key removed" : "Key saved in this browser");
-  store.do("problem", { problem: null });
-  if (problem?.opening) await opener.retry();
-  else {
-    sync.retry();
-    await sync.settled();
-  }
+  await repeat(problem);
   if (!store.state.problem) toast("The server accepts the key");
+}
+/**
+ * Repeats a request that was rejected without permission.
+ *
+ * @param {Page.Problem | null} problem
+ */
+async function repeat(problem) {
+  store.do("problem", { problem: null });
+  if (problem?.opening) return opener.retry();
+  sync.retry();
+  await sync.settled();
 }
 find("key-open").addEventListener("click", does.key);
 find("key-close").addEventListener("click", () => find("key").close());
@@ -471,6 +479,17 @@ find("key-form").addEventListener("submit", (event) => {
 listen("panel-toggle", "click", (button) => {
   const open = document.body.classList.toggle("panel-open");
   button.setAttribute("aria-expanded", String(open));
+});
+
+// In a frame of another site
+
+listenToSite((image) => {
+  const { problem } = store.state;
+  if (image) opener.file(image, image.name);
+  else if (KEYS.has(problem?.code ?? "")) repeat(problem);
+});
+store.subscribe(({ problem }, previous) => {
+  if (problem?.code === "token_expired" && problem !== previous.problem) askForToken();
 });
 
 // Restore the last state, or open the link in the address.

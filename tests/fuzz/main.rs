@@ -122,6 +122,11 @@ fn landmark_files_are_read_or_refused_with_a_place() {
 }
 
 #[test]
+fn tokens_are_checked_and_none_is_let_in_by_chance() {
+    fuzz("token");
+}
+
+#[test]
 fn law_finite_and_as_exact_as_promised_for_any_handles() {
     fuzz("law");
 }

@@ -590,6 +590,61 @@ async fn an_upload_is_as_large_as_its_token_says() {
     assert_eq!(told["limit_name"], "token_max_bytes");
     // The session is as it was.
     assert_eq!(site.read(&token).await.status(), 200);
+    // Its end is that of the token, which could make it again.
+    let gone = site
+        .server
+        .client
+        .delete(site.server.url(&format!("/sessions/{NAME}")));
+    assert_eq!(gone.bearer_auth(ANN).send().await.unwrap().status(), 204);
+    problem(
+        put(NAME).multipart(upload()).send().await.unwrap(),
+        401,
+        "unauthorized",
+    )
+    .await;
+    site.open(NAME).await;
+    assert_eq!(
+        put(NAME).multipart(upload()).send().await.unwrap().status(),
+        200
+    );
+}
+
+/// Limits below those of the key, and the key's own above them.
+#[tokio::test]
+async fn a_visitor_has_rates_and_shares_of_its_own() {
+    let options = [
+        "--rate-per-visitor",
+        "5",
+        "--max-sockets",
+        "8",
+        "--max-visitor-share",
+        "25",
+    ];
+    let site = Site::start(&options).await;
+    let token = async |id: &str| {
+        site.open(id).await;
+        site.token(id, &json!({"ops": ["read", "drag"]})).await
+    };
+    let (one, other) = (token(NAME).await, token(OTHER).await);
+    let first = [
+        socket(&site, &one).await.unwrap(),
+        socket(&site, &one).await.unwrap(),
+    ];
+    assert_eq!(socket(&site, &one).await.err(), Some(429));
+    let mut refused = 0;
+    for _ in 0..30 {
+        let answer = site.read(&one).await;
+        if answer.status() == 429 {
+            problem(answer, 429, "rate_limited").await;
+            refused += 1;
+        }
+    }
+    assert!(refused >= 10, "{refused}");
+    let read = site.server.get(&format!("/sessions/{OTHER}"));
+    assert_eq!(read.bearer_auth(&other).send().await.unwrap().status(), 200);
+    let read = site.server.get(&format!("/sessions/{NAME}"));
+    assert_eq!(read.bearer_auth(ANN).send().await.unwrap().status(), 200);
+    drop(first);
 }
 
 /// A body of two parts, and its media type.

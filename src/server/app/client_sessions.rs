@@ -31,6 +31,8 @@ struct Shared {
     idle: Duration,
     max_sessions: ClientLimit,
     max_bytes: ClientLimit,
+    /// Bytes of one visitor, which has one session.
+    max_visitor_bytes: u64,
     counted: Mutex<Counted>,
 }
 
@@ -146,6 +148,7 @@ impl ClientSessions {
             idle: bounds.idle,
             max_sessions,
             max_bytes,
+            max_visitor_bytes: u64::MAX,
             counted: Mutex::default(),
         }))
     }
@@ -153,6 +156,15 @@ impl ClientSessions {
     /// The time without use after which a session expires.
     pub(crate) fn idle(&self) -> Duration {
         self.0.idle
+    }
+
+    /// With a limit on the bytes that one visitor stores.
+    pub fn with_visitors(self, bytes: u64) -> Self {
+        let shared = Arc::into_inner(self.0).expect("nobody else has it yet");
+        Self(Arc::new(Shared {
+            max_visitor_bytes: bytes,
+            ..shared
+        }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Counted> {
@@ -163,8 +175,8 @@ impl ClientSessions {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a session that is about to be stored, instead of the one with the same id.
-    /// Errors: [`Code::RateLimited`]: the client has reached a limit.
+    /// Counts a session that is about to be stored, instead of the one with the same id; for the
+    /// client that answers for the tenant. Errors: [`Code::RateLimited`]: the client has reached a limit.
     pub fn claim(
         &self,
         tenant: Tenant,
@@ -172,9 +184,9 @@ impl ClientSessions {
         files: &[NamedFile],
     ) -> Result<Claim, Problem> {
         let (files, used) = (files.iter().map(sized).collect::<Vec<_>>(), Instant::now());
-        self.change(record.id, |_| {
+        self.change(tenant, record.id, |_| {
             Some(CountedSession {
-                tenant,
+                tenant: tenant.payer(),
                 files: files.clone(),
                 record: record_bytes(record),
                 used,
@@ -188,10 +200,11 @@ impl ClientSessions {
     /// only this one names. Errors: As [`ClientSessions::claim`].
     pub fn claim_revision(
         &self,
+        tenant: Tenant,
         record: &Record,
         layer: Option<&NamedFile>,
     ) -> Result<Claim, Problem> {
-        self.change(record.id, |before| {
+        self.change(tenant, record.id, |before| {
             let before = before?;
             let known: HashMap<Digest, u64> = before
                 .files
@@ -213,19 +226,21 @@ impl ClientSessions {
 
     fn change(
         &self,
+        by: Tenant,
         id: SessionId,
         to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>,
     ) -> Result<Claim, Problem> {
         let mut counted = self.lock();
-        self.try_change(&mut counted, id, &to).or_else(|_| {
+        self.try_change(&mut counted, by, id, &to).or_else(|_| {
             counted.sweep(self.0.idle);
-            self.try_change(&mut counted, id, &to)
+            self.try_change(&mut counted, by, id, &to)
         })
     }
 
     fn try_change(
         &self,
         counted: &mut Counted,
+        by: Tenant,
         id: SessionId,
         to: impl Fn(Option<&CountedSession>) -> Option<CountedSession>,
     ) -> Result<Claim, Problem> {
@@ -240,6 +255,8 @@ impl ClientSessions {
             return Ok(claim);
         };
         let tenant = session.tenant;
+        let files: HashMap<Digest, u64> = session.files.iter().copied().collect();
+        let own = session.record + files.values().sum::<u64>();
         counted.add(
             id,
             CountedSession {
@@ -262,6 +279,16 @@ impl ClientSessions {
                 self.0.max_bytes.get(),
                 total.bytes,
             ),
+            (
+                "visitor_store_bytes",
+                "bytes",
+                if by == by.payer() {
+                    u64::MAX
+                } else {
+                    self.0.max_visitor_bytes
+                },
+                own,
+            ),
         ];
         let Some((what, unit, limit, actual)) = limits
             .into_iter()
@@ -270,11 +297,18 @@ impl ClientSessions {
             return Ok(claim);
         };
         counted.restore(claim);
-        let detail = format!(
-            "this client would store {actual} {unit}; the limit of one client is {limit} \
-                (--max-client-share). \
-             Delete sessions, or let them expire"
-        );
+        let detail = if what == "visitor_store_bytes" {
+            format!(
+                "this session would have {actual} bytes; the limit of a session token is {limit} \
+                    (--max-visitor-share)"
+            )
+        } else {
+            format!(
+                "this client would store {actual} {unit}; the limit of one client is {limit} \
+                    (--max-client-share). \
+                 Delete sessions, or let them expire"
+            )
+        };
         Err(Problem::new(Code::RateLimited, detail)
             .limit(what, limit, actual)
             .retry_after(RETRY_SECONDS))
@@ -499,17 +533,45 @@ mod tests {
         let mut larger = record(0);
         larger.rest.weights = Some(vec![1.0; 100]);
         assert_eq!(
-            held.claim_revision(&larger, None).unwrap_err().what,
+            held.claim_revision(tenant(1), &larger, None)
+                .unwrap_err()
+                .what,
             Some("client_store_bytes")
         );
         assert_eq!(sum(&held, 1), (3, FILE + 3 * each));
         end(&held, record(1).id);
         end(&held, record(2).id);
-        held.claim_revision(&larger, None).unwrap();
+        held.claim_revision(tenant(1), &larger, None).unwrap();
         assert_eq!(sum(&held, 1), (1, FILE + each + 800));
         // Made by another process: nobody here keeps it.
-        held.claim_revision(&record(7), None).unwrap();
+        held.claim_revision(tenant(1), &record(7), None).unwrap();
         assert_eq!(held.lock().sessions.len(), 1);
+    }
+
+    #[test]
+    fn a_visitor_stores_a_part_of_what_its_key_may() {
+        let (owner, name) = (crate::client::Owner::from_bytes([1; 16]), [7; 16]);
+        let (visitor, key) = (Tenant::Visitor(owner, name), Tenant::Key(owner));
+        let one = record(1);
+        let limit = 2 * FILE + record_bytes(&one);
+        let held = client_sessions(Duration::from_secs(60), 100, 1 << 20).with_visitors(limit);
+        let refused = held
+            .claim(visitor, &one, &file(&one, 2 * FILE + 1))
+            .unwrap_err();
+        assert_eq!(
+            (refused.what, refused.limit, refused.actual),
+            (
+                Some("visitor_store_bytes"),
+                Some(limit.into()),
+                Some((limit + 1).into())
+            )
+        );
+        // The key itself may, and what a visitor stores counts for it.
+        held.claim(key, &one, &file(&one, 2 * FILE + 1)).unwrap();
+        held.claim(visitor, &one, &file(&one, FILE)).unwrap();
+        let total = held.lock().totals[&key].bytes;
+        assert_eq!(total, FILE + record_bytes(&one));
+        assert!(held.claim_revision(visitor, &one, None).is_ok());
     }
 
     #[test]
@@ -537,20 +599,26 @@ mod tests {
         };
         let bytes = |record: &Record, files: u64| (1, record_bytes(record) + FILE + files);
         let (one, two) = (with(&[("a", 2)]), with(&[("a", 2), ("b", 2)]));
-        held.claim_revision(&one, Some(&layer(2))).unwrap();
+        held.claim_revision(tenant(1), &one, Some(&layer(2)))
+            .unwrap();
         assert_eq!(sum(&held, 1), bytes(&one, 300));
-        held.claim_revision(&two, Some(&layer(2))).unwrap();
+        held.claim_revision(tenant(1), &two, Some(&layer(2)))
+            .unwrap();
         assert_eq!(sum(&held, 1), bytes(&two, 300), "one file of two names");
         // The session's `PUT` again: the layers stay.
         let again = held.claim(tenant(1), &plain, &file(&plain, FILE)).unwrap();
         held.confirm_same(&again);
         assert_eq!(sum(&held, 1), bytes(&two, 300));
         let other = with(&[("a", 3), ("b", 2)]);
-        held.undo(held.claim_revision(&other, Some(&layer(3))).unwrap());
+        held.undo(
+            held.claim_revision(tenant(1), &other, Some(&layer(3)))
+                .unwrap(),
+        );
         assert_eq!(sum(&held, 1), bytes(&two, 300));
-        held.claim_revision(&other, Some(&layer(3))).unwrap();
+        held.claim_revision(tenant(1), &other, Some(&layer(3)))
+            .unwrap();
         assert_eq!(sum(&held, 1), bytes(&other, 600));
-        held.claim_revision(&plain, None).unwrap();
+        held.claim_revision(tenant(1), &plain, None).unwrap();
         assert_eq!(sum(&held, 1), bytes(&plain, 0));
     }
 

@@ -143,7 +143,7 @@ async fn revise_layers(
     drop(ticket);
     // Limits the simultaneous transfers, fairly between clients.
     let ticket = app.admission.pool.admit(WorkClass::Transfer, key).await?;
-    let revised = app.sessions.revise(old.revision, &new, file).await;
+    let revised = app.sessions.revise(client, old.revision, &new, file).await;
     drop(ticket);
     let Some(session) = revised? else {
         return Ok(None);

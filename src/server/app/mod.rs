@@ -184,7 +184,8 @@ impl App {
                 admission: Arc::clone(&admission),
                 metrics: Arc::clone(&metrics),
                 limits,
-                counted: ClientSessions::new(config.store.bounds(), of_client),
+                counted: ClientSessions::new(config.store.bounds(), of_client)
+                    .with_visitors(clients.visitor_share.of(config.store.bounds().bytes)),
                 store,
                 sequencer: Sequencer::default(),
                 texts,

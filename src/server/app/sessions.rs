@@ -237,7 +237,11 @@ async fn try_replace_handles(
     let (new, shown, method) = ticket.run(write).await??;
     // The ticket is not held while the store works.
     drop(ticket);
-    let Some(session) = app.sessions.revise(old.revision, &new, None).await? else {
+    let Some(session) = app
+        .sessions
+        .revise(client, old.revision, &new, None)
+        .await?
+    else {
         return Ok(None);
     };
     app.plans.keep_setup(client, &session.record, &setup);
@@ -320,6 +324,9 @@ mod tests {
         }
         fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
             self.0.delete(id)
+        }
+        fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool> {
+            self.0.was_deleted(id)
         }
         fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
             self.0.file_bytes(id, digest)

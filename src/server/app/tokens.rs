@@ -1,4 +1,5 @@
-//! `POST /sessions/{id}/tokens`: makes a session token for who has the API key.
+//! `POST /sessions/{id}/tokens`: makes a session token for who has the API key; and the end of a
+//! token with its session.
 
 use std::time::{Duration, SystemTime};
 
@@ -19,6 +20,16 @@ pub(crate) struct Minted {
     /// RFC 3339, UTC.
     expires: String,
     ops: Vec<&'static str>,
+}
+
+/// Whether a token may upload this session: not if its owner has deleted it since.
+/// Errors: [`Code::Unauthorized`].
+pub(crate) async fn require_not_deleted(app: &App, id: SessionId) -> Result<(), Problem> {
+    if !app.sessions.store.was_deleted(id).await? {
+        return Ok(());
+    }
+    let detail = "the session of this token was deleted, which has ended the token";
+    Err(Problem::new(Code::Unauthorized, detail))
 }
 
 /// Makes a token for a session, which must exist unless the token is to upload it.

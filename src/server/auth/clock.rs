@@ -10,18 +10,28 @@ const LONGEST_SLEEP: Duration = Duration::from_secs(60);
 
 /// The time of day, and how far tests have moved it.
 #[derive(Debug)]
-pub struct Clock(watch::Sender<Duration>);
+pub struct Clock(watch::Sender<Moved>);
+
+#[derive(Clone, Copy, Debug)]
+enum Moved {
+    By(Duration),
+    /// It stands still, so long after 1970.
+    To(Duration),
+}
 
 impl Default for Clock {
     fn default() -> Self {
-        Self(watch::Sender::new(Duration::ZERO))
+        Self(watch::Sender::new(Moved::By(Duration::ZERO)))
     }
 }
 
 impl Clock {
     /// The time now.
     pub fn now(&self) -> SystemTime {
-        SystemTime::now() + *self.0.borrow()
+        match *self.0.borrow() {
+            Moved::By(ahead) => SystemTime::now() + ahead,
+            Moved::To(since) => SystemTime::UNIX_EPOCH + since,
+        }
     }
 
     /// Seconds since 1970.
@@ -33,7 +43,17 @@ impl Clock {
 
     /// Moves the clock, for tests.
     pub fn advance(&self, by: Duration) {
-        self.0.send_modify(|ahead| *ahead += by);
+        self.0.send_modify(|moved| {
+            *moved = match *moved {
+                Moved::By(ahead) => Moved::By(ahead + by),
+                Moved::To(since) => Moved::To(since + by),
+            }
+        });
+    }
+
+    /// Stops the clock at a time since 1970, for tests.
+    pub fn set(&self, since: Duration) {
+        self.0.send_replace(Moved::To(since));
     }
 
     /// Waits until a time of day.

@@ -66,8 +66,8 @@ pub struct AuthConfig {
     #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true,
         value_parser = Checked(Origins::parse))]
     pub(crate) cors_origin: Origins,
-    /// Origins whose pages may show this server's page in a frame, separated by commas; `*` allows
-    /// every origin.
+    /// Origins whose pages may show this server's page in a frame, and hand it a session token,
+    /// separated by commas; `*` allows every origin.
     #[arg(long, value_name = "ORIGINS", default_value = "", hide_default_value = true,
         value_parser = Checked(Origins::parse))]
     pub(crate) frame_ancestors: Origins,

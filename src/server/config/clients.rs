@@ -44,6 +44,13 @@ pub struct ClientLimits {
     #[arg(long = "max-client-share", value_name = "PERCENT", default_value = "50",
         value_parser = Checked(client_share))]
     pub client_share: ClientShare,
+    /// Largest share of one visitor, which is all tokens for one session, in percent, of
+    /// `--store-bytes`, `--max-sockets`, the memory for uploads and for unread responses, and the
+    /// frames of one key that may wait for a worker; requests above it are answered 429, frames
+    /// wait. It also counts for the key. 100 = no limit.
+    #[arg(long = "max-visitor-share", value_name = "PERCENT", default_value = "25",
+        value_parser = Checked(client_share))]
+    pub visitor_share: ClientShare,
 }
 
 /// The share of a total that one client may use, in percent. A share of 100 sets no limit: then the

@@ -33,6 +33,8 @@ pub(crate) const JS: &str = "text/javascript; charset=utf-8";
 const INDEX: &str = include_str!("../../web/index.html");
 /// The placeholder in the index for the server's limits, which the page checks before an upload.
 const LIMITS: &str = "{limits}";
+/// And for the origins whose pages may show the page in a frame.
+const ANCESTORS: &str = "{ancestors}";
 
 macro_rules! assets {
     ($($name:literal $media:expr,)+) => {
@@ -45,7 +47,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
         "page.css" CSS,
         "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
             "annotations.js" JS, "api.js" JS, "canvas.js" JS,
-        "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "grid.js" JS,
+        "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "frame.js" JS, "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,
             "live.js" JS, "loupe.js" JS, "main.js" JS, "marks.js" JS,
         "mesh.js" JS, "methods.js" JS, "notices.js" JS, "numbers.js" JS, "open.js" JS,
@@ -118,11 +120,16 @@ impl Asset {
 
 /// The page's routes, which are not part of the contract.
 pub(crate) fn routes(app: &App) -> Router<App> {
+    let ancestors = &app.config().auth.frame_ancestors;
     let index = Asset::new(
         HTML,
-        Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1)),
+        Bytes::from(INDEX.replacen(LIMITS, &limits(app.config()), 1).replacen(
+            ANCESTORS,
+            &ancestors.frame_ancestors(),
+            1,
+        )),
     )
-    .framed_by(&app.config().auth.frame_ancestors);
+    .framed_by(ancestors);
     Router::new()
         .route(
             "/",
@@ -206,6 +213,7 @@ mod tests {
     #[test]
     fn nothing_comes_from_elsewhere_and_nothing_is_inline() {
         assert_eq!(INDEX.matches(LIMITS).count(), 1);
+        assert_eq!(INDEX.matches(ANCESTORS).count(), 1);
         for (name, asset) in ASSETS.iter().filter(|(_, asset)| {
             asset
                 .media

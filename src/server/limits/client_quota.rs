@@ -33,11 +33,13 @@ impl QuotaKind {
     }
 }
 
-/// The quotas of all clients.
+/// The quotas of all clients, and of the visitors below them.
 #[derive(Debug)]
 pub(crate) struct ClientQuotas {
     kind: QuotaKind,
     limit: ClientLimit,
+    /// Bytes of one visitor.
+    visitor_limit: u64,
     used: Mutex<HashMap<Tenant, Arc<AtomicU64>>>,
 }
 
@@ -45,6 +47,13 @@ pub(crate) struct ClientQuotas {
 #[derive(Clone, Debug)]
 pub struct ClientQuota {
     kind: QuotaKind,
+    of_client: QuotaLevel,
+    /// Of a visitor: its own, which also counts in that of its client.
+    of_visitor: Option<QuotaLevel>,
+}
+
+#[derive(Clone, Debug)]
+struct QuotaLevel {
     limit: ClientLimit,
     used: Arc<AtomicU64>,
 }
@@ -55,6 +64,7 @@ impl ClientQuotas {
         Self {
             kind,
             limit: limit.into(),
+            visitor_limit: u64::MAX,
             used: Mutex::default(),
         }
     }
@@ -65,11 +75,23 @@ impl ClientQuotas {
             // A client that uses memory, or is about to, holds another reference.
             used.retain(|_, used| Arc::strong_count(used) > 1);
         }
-        let used = Arc::clone(used.entry(client.tenant()).or_default());
+        let mut level = |tenant: Tenant, limit: ClientLimit| QuotaLevel {
+            limit,
+            used: Arc::clone(used.entry(tenant).or_default()),
+        };
+        let (tenant, payer) = (client.tenant(), client.payer());
         ClientQuota {
             kind: self.kind,
-            limit: self.limit.clone(),
-            used,
+            of_client: level(payer, self.limit.clone()),
+            of_visitor: (tenant != payer).then(|| level(tenant, self.visitor_limit.into())),
+        }
+    }
+
+    /// With a limit for each visitor, bytes.
+    pub(crate) fn with_visitors(self, visitor_limit: u64) -> Self {
+        Self {
+            visitor_limit,
+            ..self
         }
     }
 }
@@ -79,31 +101,50 @@ impl ClientQuota {
         self.kind
     }
 
-    /// Maximum number of bytes.
+    /// Maximum number of bytes: the client's, or the visitor's.
     pub fn limit(&self) -> u64 {
-        self.limit.get()
+        self.levels()
+            .map(|level| level.limit.get())
+            .min()
+            .unwrap_or(u64::MAX)
     }
 
-    /// Bytes in use.
+    /// Bytes in use by the client, with its visitors.
     pub fn held(&self) -> u64 {
-        self.used.load(Ordering::Relaxed)
+        self.of_client.used.load(Ordering::Relaxed)
+    }
+
+    fn levels(&self) -> impl Iterator<Item = &QuotaLevel> {
+        std::iter::once(&self.of_client).chain(&self.of_visitor)
     }
 
     /// Reserves `more` bytes for an owner of `own` bytes. A single response may exceed the quota;
-    /// requests may not. Errors: The bytes in use, if the quota is exceeded.
-    pub(crate) fn reserve(&self, own: u64, more: u64) -> Result<(), u64> {
+    /// requests may not. Errors: The limit that is exceeded, and the bytes in use.
+    pub(crate) fn reserve(&self, own: u64, more: u64) -> Result<(), (u64, u64)> {
         let is_alone = |used: u64| self.kind == QuotaKind::Responses && used <= own;
-        let fits = |used: u64| {
-            used.checked_add(more)
-                .filter(|sum| *sum <= self.limit() || is_alone(used))
-        };
-        self.used
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
-            .map(drop)
+        for (n, level) in self.levels().enumerate() {
+            let limit = level.limit.get();
+            let fits = |used: u64| {
+                used.checked_add(more)
+                    .filter(|sum| *sum <= limit || is_alone(used))
+            };
+            let taken = level
+                .used
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits);
+            if let Err(used) = taken {
+                for level in self.levels().take(n) {
+                    level.used.fetch_sub(more, Ordering::Relaxed);
+                }
+                return Err((limit, used));
+            }
+        }
+        Ok(())
     }
 
     pub(crate) fn release(&self, bytes: u64) {
-        self.used.fetch_sub(bytes, Ordering::Relaxed);
+        for level in self.levels() {
+            level.used.fetch_sub(bytes, Ordering::Relaxed);
+        }
     }
 }
 
@@ -125,9 +166,38 @@ mod tests {
     #[test]
     fn one_request_alone_may_not_exceed_the_share() {
         let share = ClientQuotas::new(QuotaKind::Requests, 100).of(client(0, 1));
-        assert_eq!(share.reserve(0, 101), Err(0));
+        assert_eq!(share.reserve(0, 101), Err((100, 0)));
         share.reserve(0, 100).unwrap();
-        assert_eq!(share.reserve(100, 1), Err(100));
+        assert_eq!(share.reserve(100, 1), Err((100, 100)));
+    }
+
+    #[test]
+    fn a_visitor_has_a_part_of_the_share_of_its_client() {
+        let shares = ClientQuotas::new(QuotaKind::Requests, 100).with_visitors(40);
+        let visitor = |session: u8| {
+            shares.of(Client {
+                visit: Some([session; 16]),
+                ..client(1, session)
+            })
+        };
+        let [one, two, three] = [1, 2, 3].map(visitor);
+        one.reserve(0, 40).unwrap();
+        assert_eq!((one.reserve(40, 1), one.limit()), (Err((40, 40)), 40));
+        // From another address it is the same visitor.
+        let elsewhere = shares.of(Client {
+            visit: Some([1; 16]),
+            ..client(1, 9)
+        });
+        assert_eq!(elsewhere.reserve(0, 1), Err((40, 40)));
+        two.reserve(0, 40).unwrap();
+        // All together have what the client has, and what is refused takes nothing.
+        assert_eq!(three.reserve(0, 30), Err((100, 80)));
+        three.reserve(0, 20).unwrap();
+        assert_eq!((three.held(), shares.of(client(1, 1)).held()), (100, 100));
+        assert_eq!(shares.of(client(1, 1)).reserve(0, 1), Err((100, 100)));
+        shares.of(client(2, 1)).reserve(0, 100).unwrap();
+        one.release(40);
+        shares.of(client(1, 1)).reserve(0, 40).unwrap();
     }
 
     #[test]
@@ -164,10 +234,10 @@ mod tests {
         let share = ClientQuotas::new(QuotaKind::Responses, 100).of(client(0, 1));
         share.reserve(0, 300).unwrap();
         share.reserve(300, 50).unwrap();
-        assert_eq!(share.reserve(0, 1), Err(350));
+        assert_eq!(share.reserve(0, 1), Err((100, 350)));
         share.release(260);
         share.reserve(0, 10).unwrap();
-        assert_eq!((share.reserve(0, 1), share.held()), (Err(100), 100));
+        assert_eq!((share.reserve(0, 1), share.held()), (Err((100, 100)), 100));
     }
 
     #[test]

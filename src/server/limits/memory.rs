@@ -244,7 +244,7 @@ impl Reservation {
         if let Some(quota) = &self.quota {
             quota
                 .reserve(self.bytes, more)
-                .map_err(|used| exceeded(Some(quota.kind()), quota.limit(), used))?;
+                .map_err(|(limit, used)| exceeded(Some(quota.kind()), limit, used))?;
         }
         let state = &self.budget.0;
         let limit = purpose.share(state.total);

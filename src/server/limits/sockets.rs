@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use super::client_limit::ClientLimit;
 use super::counts::Counts;
@@ -24,7 +24,9 @@ pub(crate) struct SocketSlots(Arc<SlotState>);
 struct SlotState {
     max: usize,
     max_per_client: ClientLimit,
+    max_per_visitor: usize,
     max_frames: usize,
+    max_frames_of_visitor: usize,
     counts: Mutex<SocketCounts>,
     open: watch::Sender<usize>,
 }
@@ -32,6 +34,7 @@ struct SlotState {
 #[derive(Debug, Default)]
 struct SocketCounts {
     sessions: Counts<SessionId>,
+    /// Clients with their visitors, and each visitor.
     clients: Counts<Tenant, Option<Arc<Semaphore>>>,
 }
 
@@ -41,8 +44,42 @@ pub(crate) struct SocketSlot {
     slots: Arc<SlotState>,
     id: SessionId,
     tenant: Tenant,
-    /// The frames of the client wait here before they enter the pool.
-    pub(crate) frames: Arc<Semaphore>,
+    pub(crate) frames: FrameTurns,
+}
+
+/// Where the frames of a client wait before they enter the pool; those of a visitor wait for its
+/// own first.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameTurns {
+    of_visitor: Option<Arc<Semaphore>>,
+    of_client: Arc<Semaphore>,
+}
+
+/// The turn of a frame, passed on when dropped.
+#[derive(Debug)]
+pub(crate) struct FrameTurn {
+    _of_visitor: Option<OwnedSemaphorePermit>,
+    _of_client: OwnedSemaphorePermit,
+}
+
+impl FrameTurns {
+    /// Waits for a turn.
+    pub(crate) async fn take(&self) -> FrameTurn {
+        let of = async |semaphore: &Arc<Semaphore>| {
+            Arc::clone(semaphore)
+                .acquire_owned()
+                .await
+                .expect("the semaphore is never closed")
+        };
+        let of_visitor = match &self.of_visitor {
+            Some(semaphore) => Some(of(semaphore).await),
+            None => None,
+        };
+        FrameTurn {
+            _of_visitor: of_visitor,
+            _of_client: of(&self.of_client).await,
+        }
+    }
 }
 
 impl SocketSlots {
@@ -56,9 +93,22 @@ impl SocketSlots {
         Self(Arc::new(SlotState {
             max,
             max_per_client: max_per_client.into(),
+            max_per_visitor: usize::MAX,
             max_frames: max_frames.clamp(1, Semaphore::MAX_PERMITS),
+            max_frames_of_visitor: Semaphore::MAX_PERMITS,
             counts: Mutex::default(),
             open: watch::Sender::new(0),
+        }))
+    }
+
+    /// With limits for each visitor: its sockets, and its frames in the pool.
+    pub(crate) fn with_visitors(self, sockets: u64, frames: u64) -> Self {
+        let slots = Arc::into_inner(self.0).expect("nobody else has it yet");
+        let whole = |number: u64| usize::try_from(number).unwrap_or(usize::MAX);
+        Self(Arc::new(SlotState {
+            max_per_visitor: whole(sockets),
+            max_frames_of_visitor: whole(frames).clamp(1, Semaphore::MAX_PERMITS),
+            ..slots
         }))
     }
 
@@ -87,15 +137,26 @@ impl SocketSlots {
                 "client_sockets",
                 "this client",
                 Code::RateLimited,
-                counts.clients.get(&tenant),
+                counts.clients.get(&tenant.payer()),
                 max_per_client,
+            ),
+            (
+                "visitor_sockets",
+                "this visitor",
+                Code::RateLimited,
+                counts.clients.get(&tenant),
+                if tenant == tenant.payer() {
+                    usize::MAX
+                } else {
+                    slots.max_per_visitor
+                },
             ),
         ] {
             if open >= max {
-                let by = if what == "client_sockets" {
-                    " (--max-client-share)"
-                } else {
-                    ""
+                let by = match what {
+                    "client_sockets" => " (--max-client-share)",
+                    "visitor_sockets" => " (--max-visitor-share)",
+                    _ => "",
                 };
                 let detail =
                     format!("{whose} has {open} open drag sockets; the limit is {max}{by}");
@@ -105,12 +166,15 @@ impl SocketSlots {
             }
         }
         counts.sessions.add(id);
-        let frames = Arc::clone(
-            counts
-                .clients
-                .add(tenant)
-                .get_or_insert_with(|| Arc::new(Semaphore::new(slots.max_frames))),
-        );
+        let mut turns = |tenant: Tenant, max: usize| {
+            let semaphore = counts.clients.add(tenant);
+            Arc::clone(semaphore.get_or_insert_with(|| Arc::new(Semaphore::new(max))))
+        };
+        let frames = FrameTurns {
+            of_client: turns(tenant.payer(), slots.max_frames),
+            of_visitor: (tenant != tenant.payer())
+                .then(|| turns(tenant, slots.max_frames_of_visitor)),
+        };
         slots.open.send_modify(|open| *open += 1);
         Ok(SocketSlot {
             slots: Arc::clone(slots),
@@ -140,7 +204,10 @@ impl Drop for SocketSlot {
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         counts.sessions.remove(&self.id);
-        counts.clients.remove(&self.tenant);
+        counts.clients.remove(&self.tenant.payer());
+        if self.tenant != self.tenant.payer() {
+            counts.clients.remove(&self.tenant);
+        }
         self.slots.open.send_modify(|open| *open -= 1);
     }
 }
@@ -198,8 +265,9 @@ mod tests {
         assert!(counts.sessions.by_key.is_empty() && counts.clients.by_key.is_empty());
     }
 
-    #[test]
-    fn frames_of_one_client_wait_for_its_own_alone() {
+    #[tokio::test]
+    async fn frames_of_one_client_wait_for_its_own_alone() {
+        use futures_util::FutureExt as _;
         let tenant = |n: u8| {
             Client {
                 address: [192, 0, 2, n].into(),
@@ -213,13 +281,43 @@ mod tests {
                 .acquire(tenant(n), SessionId::random(Owner::ANYBODY))
                 .unwrap()
         });
-        let _turns = [
-            a.frames.clone().try_acquire_owned().unwrap(),
-            b.frames.clone().try_acquire_owned().unwrap(),
-        ];
+        let _turns = [a.frames.take().await, b.frames.take().await];
         assert!(
-            a.frames.clone().try_acquire_owned().is_err()
-                && other.frames.clone().try_acquire_owned().is_ok()
+            a.frames.take().now_or_never().is_none()
+                && other.frames.take().now_or_never().is_some()
         );
+    }
+
+    #[tokio::test]
+    async fn a_visitor_has_a_part_of_the_sockets_and_frames_of_its_key() {
+        use futures_util::FutureExt as _;
+        let owner = Owner::from_bytes([1; 16]);
+        let seats = SocketSlots::new(9, 5, 3).with_visitors(2, 2);
+        let ids = [SessionId::random(owner), SessionId::random(owner)];
+        let open = |n: usize| seats.acquire(Tenant::Visitor(owner, ids[n].uuid()), ids[n]);
+        let one = [open(0).unwrap(), open(0).unwrap()];
+        let refused = open(0).unwrap_err();
+        assert_eq!(
+            (refused.code, refused.what),
+            (Code::RateLimited, Some("visitor_sockets"))
+        );
+        let other = [open(1).unwrap(), open(1).unwrap()];
+        let own = seats.acquire(Tenant::Key(owner), ids[0]).unwrap();
+        // All together have what the key has.
+        let refused = seats.acquire(Tenant::Key(owner), ids[1]).unwrap_err();
+        assert_eq!(refused.what, Some("client_sockets"));
+        let turns = [one[0].frames.take().await, one[1].frames.take().await];
+        assert!(one[0].frames.take().now_or_never().is_none(), "its own two");
+        let third = other[0].frames.take().await;
+        assert!(
+            own.frames.take().now_or_never().is_none(),
+            "the key's three"
+        );
+        drop(turns);
+        assert!(own.frames.take().now_or_never().is_some());
+        drop((third, one, other, own));
+        seats.closed().await;
+        let counts = seats.0.counts.lock().unwrap();
+        assert!(counts.sessions.by_key.is_empty() && counts.clients.by_key.is_empty());
     }
 }

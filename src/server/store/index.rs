@@ -394,16 +394,19 @@ impl Index {
     /// Whether a delete removes something. `false`: the session was deleted less than one idle
     /// period ago.
     pub(crate) fn check_delete(&self, id: SessionId) -> Result<bool, StoreError> {
-        let is_deleted = |tombstone: &Tombstone| {
-            tombstone.end == End::Deleted && Instant::now() < tombstone.until
-        };
         match self.living(id) {
             Ok(_) | Err(StoreError::OtherVersion) => Ok(true),
-            Err(StoreError::NoSuchSession) if self.tombstones.peek(&id).is_some_and(is_deleted) => {
-                Ok(false)
-            }
+            Err(StoreError::NoSuchSession) if self.was_deleted(id) => Ok(false),
             Err(error) => Err(error),
         }
+    }
+
+    /// Whether the session was deleted less than one idle period ago. One that is stored again has
+    /// no tombstone.
+    pub(crate) fn was_deleted(&self, id: SessionId) -> bool {
+        self.tombstones.peek(&id).is_some_and(|tombstone| {
+            tombstone.end == End::Deleted && Instant::now() < tombstone.until
+        })
     }
 
     /// Removes a session that its owner has deleted.

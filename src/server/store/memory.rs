@@ -91,6 +91,10 @@ impl Store for MemoryStore {
         ready(delete(&mut self.lock(), id))
     }
 
+    fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool> {
+        ready(Ok(self.lock().was_deleted(id)))
+    }
+
     /// None: the file is shared.
     fn file_bytes(&self, _: SessionId, _: Digest) -> StoreFuture<'_, u64> {
         ready(Ok(0))

@@ -287,6 +287,9 @@ pub trait Store: Send + Sync + fmt::Debug {
     /// period another delete has the same answer.
     fn delete(&self, id: SessionId) -> StoreFuture<'_, ()>;
 
+    /// Whether there is no such session because it was deleted, less than one idle period ago.
+    fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool>;
+
     /// The most memory that [`Store::file`] takes, beyond what the store holds, bytes.
     fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64>;
 

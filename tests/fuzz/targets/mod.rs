@@ -8,6 +8,7 @@ mod law;
 mod multipart;
 mod record;
 mod socket;
+mod token;
 mod warp;
 
 /// A target: its name, which is its folder of seeds and found inputs too, and what it does with
@@ -15,7 +16,7 @@ mod warp;
 pub(crate) type Target = (&'static str, fn(&[u8]));
 
 /// All of them.
-pub(crate) const TARGETS: [Target; 7] = [
+pub(crate) const TARGETS: [Target; 8] = [
     ("image", image::decode),
     ("warp", warp::parse),
     ("multipart", multipart::post),
@@ -23,6 +24,7 @@ pub(crate) const TARGETS: [Target; 7] = [
     ("record", record::keep),
     ("law", law::hold),
     ("landmarks", landmarks::read),
+    ("token", token::check),
 ];
 
 /// What every problem document must be, whoever wrote it.

@@ -10,7 +10,6 @@ use mlswarp::warp::{
     Align, CanvasSpec, CompactLattice, CoordinateFrame as PictureFrame, OutputSpec, Report,
 };
 use tokio::sync::mpsc::UnboundedReceiver;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::same;
 use crate::app::App;
@@ -24,6 +23,7 @@ use crate::drag::frame_scheduler::FrameRequest;
 use crate::drag::picture_ladder::Encoding;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::MemoryClass;
+use crate::limits::sockets::{FrameTurn, FrameTurns};
 use crate::observe::Scope;
 use crate::observe::stages::{Cost, Timing};
 use crate::pool::{PoolError, Ticket};
@@ -146,7 +146,7 @@ pub(crate) async fn draw_frame(
     app: App,
     client: Client,
     id: SessionId,
-    frames: Arc<Semaphore>,
+    frames: FrameTurns,
     (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
 ) -> Result<DragFrame, Problem> {
@@ -162,7 +162,7 @@ struct FrameSession {
     client: Client,
     record: Arc<Record>,
     quota: ClientQuota,
-    permit: OwnedSemaphorePermit,
+    turn: FrameTurn,
 }
 
 async fn picture_frame(
@@ -175,11 +175,11 @@ async fn picture_frame(
         client,
         record,
         quota,
-        permit,
+        turn,
     } = session;
     let seq = request.pose.seq;
     let (record, content, plan) = admit_newest(&app, client, record, None).await?;
-    drop(permit);
+    drop(turn);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(
         &app,
@@ -242,12 +242,12 @@ async fn mesh_frame(
         client,
         record,
         quota,
-        permit,
+        turn,
     } = session;
     let seq = request.pose.seq;
     // The lattice is chosen after admission; only JSON has a limit of its own.
     let plan = admit_mesh(&app, client, &record, &MeshForm::F32).await?;
-    drop(permit);
+    drop(turn);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
     let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
@@ -286,14 +286,11 @@ async fn try_draw_frame(
     app: App,
     client: Client,
     id: SessionId,
-    frames: Arc<Semaphore>,
+    frames: FrameTurns,
     (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
 ) -> Result<DragFrame, Problem> {
-    let permit = frames
-        .acquire_owned()
-        .await
-        .expect("the semaphore is never closed");
+    let turn = frames.take().await;
     let quota = app.admission.response_quota(client);
     // Once per frame, not once per pose: the store knows whether the session still exists and has
     // changed.
@@ -302,7 +299,7 @@ async fn try_draw_frame(
         client,
         record,
         quota,
-        permit,
+        turn,
     };
     match form {
         FrameContent::Picture(format) => picture_frame(app, session, format, request).await,

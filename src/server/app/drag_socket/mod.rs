@@ -13,7 +13,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use tokio::sync::Semaphore;
 
 use super::App;
 use super::mesh::{MeshForm, admit_mesh};
@@ -25,7 +24,7 @@ use crate::drag::picture_ladder::PictureLadder;
 use crate::drag::preview_controller::PreviewController;
 pub use crate::drag::send_window::{MAX_WINDOW, Window};
 use crate::limits::memory::{MemoryClass, Reservation};
-use crate::limits::sockets::SocketSlot;
+use crate::limits::sockets::{FrameTurns, SocketSlot};
 use crate::observe::Scope;
 use crate::pool::{QueueKey, WorkClass};
 use crate::problem::{Code, Problem};
@@ -127,11 +126,7 @@ pub async fn open(
         .await?;
     let lattice = KnownLattice::default();
     let shape = if let FrameContent::CompactMesh(_) = options.form {
-        let _permit = slot
-            .frames
-            .acquire()
-            .await
-            .expect("the semaphore is never closed");
+        let _turn = slot.frames.take().await;
         let plan = admit_mesh(app, client, &record, &MeshForm::F32).await?;
         mesh_shape(
             app,
@@ -230,7 +225,7 @@ impl Drag {
         let (app, key, frames) = (
             self.app.clone(),
             QueueKey::session(self.client, self.id),
-            Arc::clone(&self.slot.frames),
+            self.slot.frames.clone(),
         );
         self.reading = Some(Box::pin(read_long(app, key, frames, text)));
     }
@@ -434,11 +429,8 @@ fn parse(text: &[u8]) -> Read {
 }
 
 /// Reads a long text message on a compute thread, when there is one.
-async fn read_long(app: App, key: QueueKey, frames: Arc<Semaphore>, text: Bytes) -> Read {
-    let _permit = frames
-        .acquire_owned()
-        .await
-        .expect("the semaphore is never closed");
+async fn read_long(app: App, key: QueueKey, frames: FrameTurns, text: Bytes) -> Read {
+    let _turn = frames.take().await;
     let ticket = loop {
         match app.admission.pool.admit(WorkClass::Drag, key).await {
             Ok(ticket) => break ticket,

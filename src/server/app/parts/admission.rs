@@ -36,7 +36,8 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Starts the compute threads. `of_client` gives one client's share of a total.
+    /// Starts the compute threads. `of_client` gives one client's share of a total, and the
+    /// configuration that of a visitor below a key.
     /// Errors: The operating system refused to start threads.
     pub(crate) fn new(
         config: &Config,
@@ -45,7 +46,9 @@ impl Admission {
     ) -> Result<Self, NoThreads> {
         let (work, max_sockets) = (config.work, config.clients.max_sockets);
         let (workers, queue, memory) = (work.workers, work.queue(), work.memory_bytes);
-        let upload = of_client(MemoryClass::Upload.share(memory));
+        let upload = MemoryClass::Upload.share(memory);
+        let frames = workers.max(queue / 2);
+        let of_visitor = |total| config.clients.visitor_share.of(total);
         Ok(Self {
             pool: Pool::new(PoolConfig {
                 workers,
@@ -54,14 +57,13 @@ impl Admission {
                 upload_wait: work.upload_wait,
             })?,
             budget: Budget::new(memory),
-            response_quotas: ClientQuotas::new(QuotaKind::Responses, memory / UNREAD_DIVISOR),
-            request_quotas: ClientQuotas::new(QuotaKind::Requests, upload),
+            response_quotas: ClientQuotas::new(QuotaKind::Responses, memory / UNREAD_DIVISOR)
+                .with_visitors(of_visitor(memory / UNREAD_DIVISOR)),
+            request_quotas: ClientQuotas::new(QuotaKind::Requests, of_client(upload))
+                .with_visitors(of_visitor(upload)),
             // The frames of one client may use half of the queue, its requests the other half.
-            sockets: SocketSlots::new(
-                max_sockets,
-                of_client(max_sockets as u64),
-                workers.max(queue / 2),
-            ),
+            sockets: SocketSlots::new(max_sockets, of_client(max_sockets as u64), frames)
+                .with_visitors(of_visitor(max_sockets as u64), of_visitor(frames as u64)),
             caches,
         })
     }

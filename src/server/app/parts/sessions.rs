@@ -110,7 +110,7 @@ impl Sessions {
             .pool
             .admit(WorkClass::Transfer, QueueKey::client(client))
             .await?;
-        let claim = self.counted.claim(client.payer(), &record, &files)?;
+        let claim = self.counted.claim(client.tenant(), &record, &files)?;
         // If this future is dropped while the store works, the session may have been stored: it
         // stays counted.
         let put = in_stage("store", self.store.put(record, files)).await;
@@ -123,15 +123,18 @@ impl Sessions {
         Ok(put?)
     }
 
-    /// Replaces the record of revision `old`, counted for its client. `layer`: the file that only
+    /// Replaces the record of revision `old`, counted for who made the session. `layer`: the file that only
     /// the new record names. `None`: the session has another revision by now.
     pub(crate) async fn revise(
         &self,
+        client: Client,
         old: Revision,
         new: &Arc<Record>,
         layer: Option<NamedFile>,
     ) -> Result<Option<Session>, Problem> {
-        let claim = self.counted.claim_revision(new, layer.as_ref())?;
+        let claim = self
+            .counted
+            .claim_revision(client.tenant(), new, layer.as_ref())?;
         // If this future is dropped while the store works, the layer may have been stored: it stays
         // counted.
         let revised = in_stage("store", self.store.revise(old, Arc::clone(new), layer)).await;

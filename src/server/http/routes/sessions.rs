@@ -6,7 +6,7 @@ use axum::http::{HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 
 use crate::app::session_object::ShownSession;
-use crate::app::{App, sessions};
+use crate::app::{App, sessions, tokens};
 use crate::client::Client;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -35,6 +35,9 @@ pub(crate) async fn put(
     request: Request,
 ) -> Result<Response, Refusal> {
     let id = uploaded_id(caller.client, &id)?;
+    if caller.client.visit.is_some() {
+        tokens::require_not_deleted(&caller.app, id).await?;
+    }
     let upload = upload::read(&caller, request).await?;
     let (is_new, (shown, method)) = sessions::put(&caller.app, caller.client, id, upload).await?;
     let response = if is_new {

@@ -1,13 +1,16 @@
 //! The order of waiting requests: which one gets the next permit, and which one is rejected. It
-//! decides at three levels:
+//! decides at four levels:
 //!
 //! 1. Between clients ([`Tenant`]): the client that has used the least worker time recently is
 //!    next. Worker time is the time for which a client's requests have held permits, including
 //!    those that run now; it counts half after each [`HALF_LIFE`]. A client with a few large
 //!    requests therefore gets no more of the workers than one with many small ones. A client that
 //!    waits alone gets all permits.
-//! 2. Between the keys of a client (its sessions, and its requests without a session): round robin.
-//! 3. Within a key: the newest request of a session, because its user wants to see the newest pose;
+//! 2. Below a client, in the same way between its own requests and each of its visitors, who have
+//!    tokens for one session.
+//! 3. Between the keys of a client or visitor (its sessions, its requests without a session, the
+//!    addresses that share a visitor's session): round robin.
+//! 4. Within a key: the newest request of a session, because its user wants to see the newest pose;
 //!    otherwise the oldest.
 //!
 //! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none. A long
@@ -17,7 +20,8 @@
 //! short one of another by a part of their work only.
 //!
 //! A full queue rejects the oldest request of the longest key for a newcomer: of the client with
-//! the most waiting requests, or of the newcomer's own client.
+//! the most waiting requests, or of the newcomer's own client; and there of the visitor with the
+//! most, or of the newcomer's own.
 //!
 //! Times are arguments; there are no clocks and no threads here.
 
@@ -49,7 +53,8 @@ pub struct QueueKey {
 /// The part of a client's requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum KeyPart {
-    Session(SessionId),
+    /// The address of a visitor: several may share its session.
+    Session(SessionId, Option<Tenant>),
     /// Without a session: users who share an API key are told apart by their addresses.
     Address(Tenant),
 }
@@ -59,7 +64,7 @@ impl QueueKey {
     pub fn session(client: Client, id: SessionId) -> Self {
         Self {
             tenant: client.tenant(),
-            part: KeyPart::Session(id),
+            part: KeyPart::Session(id, client.visit.map(|_| Tenant::of_address(client.address))),
         }
     }
 
@@ -77,7 +82,7 @@ impl QueueKey {
     }
 
     const fn is_newest_first(self) -> bool {
-        matches!(self.part, KeyPart::Session(_))
+        matches!(self.part, KeyPart::Session(..))
     }
 }
 
@@ -103,7 +108,9 @@ pub(crate) struct FairQueue<W> {
     waiting: usize,
     waiters: HashMap<QueueKey, VecDeque<(u64, W)>>,
     usage: HashMap<Tenant, Usage>,
-    /// Clients with waiting requests; the one that got a permit last is the last.
+    /// The same for clients with all their visitors; their keys are in `usage`.
+    payers: HashMap<Tenant, Usage>,
+    /// Clients and visitors with waiting requests; the one that got a permit last is the last.
     order: VecDeque<Tenant>,
     /// Jobs that have given way, oldest first: number, client, and what wakes the job.
     paused: Vec<(u64, Tenant, W)>,
@@ -158,7 +165,7 @@ impl Usage {
 impl<W> FairQueue<W> {
     /// `permits` requests and [`SPARE_PERMITS`] run at one time; `max_waiting` wait.
     pub(crate) fn new(permits: usize, max_waiting: usize) -> Self {
-        let (waiters, usage, order) = (HashMap::new(), HashMap::new(), VecDeque::new());
+        let (waiters, usage, payers) = (HashMap::new(), HashMap::new(), HashMap::new());
         Self {
             permits,
             max_waiting,
@@ -166,7 +173,8 @@ impl<W> FairQueue<W> {
             waiting: 0,
             waiters,
             usage,
-            order,
+            payers,
+            order: VecDeque::new(),
             paused: Vec::new(),
             next_id: 0,
         }
@@ -197,27 +205,43 @@ impl<W> FairQueue<W> {
 
     /// The key that loses a request when the queue is full and a request with `key` arrives.
     fn victim(&self, key: QueueKey) -> Option<QueueKey> {
-        let waiting = |tenant: &Tenant| self.usage.get(tenant).map_or(0, |usage| usage.waiting);
+        let waiting = |of: &HashMap<Tenant, Usage>, tenant: Tenant| {
+            of.get(&tenant).map_or(0, |usage| usage.waiting)
+        };
+        let of_payer = |tenant: &Tenant| waiting(&self.payers, tenant.payer());
+        let own = |tenant: &Tenant| waiting(&self.usage, *tenant);
         // Whoever fills the queue gives up a place for those who have few in it; with one request
         // more than the newcomer there is nothing to level.
-        let most = self.order.iter().map(waiting).max().unwrap_or(0);
-        if most > waiting(&key.tenant) + 1 {
+        let most = self.order.iter().map(of_payer).max().unwrap_or(0);
+        if most > of_payer(&key.tenant) + 1 {
             // Among equals, the client that got a permit last.
-            let tenant = self
-                .order
-                .iter()
-                .rev()
-                .find(|tenant| waiting(tenant) == most)?;
-            return self.longest(*tenant).map(|(key, _)| key);
+            let mut last = self.order.iter().rev();
+            let payer = last.find(|tenant| of_payer(tenant) == most)?.payer();
+            return self.longest(self.fullest(payer)?).map(|(key, _)| key);
         }
-        // Within the newcomer's own client the same rule holds between its keys, so that one
-        // session does not push out the others.
+        // Within the newcomer's own client the same rule holds between its visitors, ...
+        if let Some(fullest) = self
+            .fullest(key.tenant.payer())
+            .filter(|fullest| own(fullest) > own(&key.tenant) + 1 && *fullest != key.tenant)
+        {
+            return self.longest(fullest).map(|(key, _)| key);
+        }
+        // ... and between the keys, so that one session does not push out the others.
         let own = self.waiters.get(&key).map_or(0, VecDeque::len);
         match self.longest(key.tenant) {
             Some((longest, length)) if length > own + 1 => Some(longest),
             // The newest pose of a session makes its older one useless.
             _ => (key.is_newest_first() && own > 0).then_some(key),
         }
+    }
+
+    /// Who has the most waiting requests of a client and its visitors; among equals, the one that
+    /// got a permit last.
+    fn fullest(&self, payer: Tenant) -> Option<Tenant> {
+        let below = self.order.iter().filter(|tenant| tenant.payer() == payer);
+        below
+            .max_by_key(|tenant| self.usage.get(tenant).map_or(0, |usage| usage.waiting))
+            .copied()
     }
 
     /// The client's key with the most waiting requests, and their number; among equals, the one
@@ -234,39 +258,45 @@ impl<W> FairQueue<W> {
 
     fn may_run_beside(&self, running: usize, tenant: Tenant) -> bool {
         let has_none = || {
-            self.usage
-                .get(&tenant)
+            self.payers
+                .get(&tenant.payer())
                 .is_none_or(|usage| usage.running == 0)
         };
         running < self.permits || (running < self.permits + SPARE_PERMITS && has_none())
     }
 
-    /// The client with the least is next: recently used worker time, running requests.
+    /// The client with the least is next: recently used worker time, running requests. Of its
+    /// visitors, in the same way.
     // The spare permit goes to clients that hold none: with all workers in long jobs of one client,
     // another one still begins at once.
-    fn rank(&self, tenant: Tenant, now: Instant) -> (f64, usize) {
-        self.usage
-            .get(&tenant)
-            // The number of running requests decides between equals: at the start nobody has used
-            // anything yet.
-            .map_or((0.0, 0), |usage| (usage.used(now), usage.running))
+    fn rank(&self, tenant: Tenant, now: Instant) -> Rank {
+        let figures = |of: &HashMap<Tenant, Usage>, tenant: Tenant| {
+            of.get(&tenant)
+                // The number of running requests decides between equals: at the start nobody has
+                // used anything yet.
+                .map_or((0.0, 0), |usage| (usage.used(now), usage.running))
+        };
+        Rank {
+            payer: figures(&self.payers, tenant.payer()),
+            own: figures(&self.usage, tenant),
+        }
     }
 
-    fn usage(&mut self, tenant: Tenant, now: Instant) -> &mut Usage {
-        // At powers of two, so that a sweep over all costs each newcomer a constant time on
-        // average.
-        if self.usage.len() >= MANY_CLIENTS && self.usage.len().is_power_of_two() {
-            self.usage.retain(|_, usage| !usage.is_negligible(now));
-        }
-        self.usage.entry(tenant).or_insert_with(|| Usage::new(now))
+    /// What a client or visitor uses, and what its client uses in all.
+    fn usages(&mut self, tenant: Tenant, now: Instant) -> [&mut Usage; 2] {
+        [
+            usage_of(&mut self.usage, tenant, now),
+            usage_of(&mut self.payers, tenant.payer(), now),
+        ]
     }
 
     fn run(&mut self, tenant: Tenant, now: Instant) {
         self.running += 1;
-        let usage = self.usage(tenant, now);
-        usage.update(now);
-        // What has run until now is charged at the old number, what follows at the new one.
-        usage.running += 1;
+        for usage in self.usages(tenant, now) {
+            usage.update(now);
+            // What has run until now is charged at the old number, what follows at the new one.
+            usage.running += 1;
+        }
     }
 
     /// A request arrives; `waiter` wakes it if it has to wait.
@@ -291,8 +321,9 @@ impl<W> FairQueue<W> {
         let waiters = self.waiters.entry(key).or_default();
         waiters.push_back((id, waiter));
         let is_first = waiters.len() == 1;
-        let usage = self.usage(key.tenant, now);
+        let [usage, of_payer] = self.usages(key.tenant, now);
         usage.waiting += 1;
+        of_payer.waiting += 1;
         if is_first {
             // Keys of a client take turns; a key that was empty goes to the end, so that none gains
             // by coming and going.
@@ -334,17 +365,29 @@ impl<W> FairQueue<W> {
                 self.usage.remove(&key.tenant);
             }
         }
+        let payer = key.tenant.payer();
+        if let Some(usage) = self.payers.get_mut(&payer) {
+            usage.waiting -= 1;
+            if usage.is_negligible(usage.at) {
+                self.payers.remove(&payer);
+            }
+        }
         Some(taken)
     }
 
     /// A request of this client has ended.
     pub(crate) fn end(&mut self, tenant: Tenant, now: Instant) {
         self.running -= 1;
-        if let Some(usage) = self.usage.get_mut(&tenant) {
-            usage.update(now);
-            usage.running -= 1;
-            if usage.is_negligible(now) {
-                self.usage.remove(&tenant);
+        for (usages, tenant) in [
+            (&mut self.usage, tenant),
+            (&mut self.payers, tenant.payer()),
+        ] {
+            if let Some(usage) = usages.get_mut(&tenant) {
+                usage.update(now);
+                usage.running -= 1;
+                if usage.is_negligible(now) {
+                    usages.remove(&tenant);
+                }
             }
         }
     }
@@ -352,7 +395,15 @@ impl<W> FairQueue<W> {
     /// Whether a job of this client should give way now: another client has used less and would get
     /// the permit.
     pub(crate) fn gives_way(&self, tenant: Tenant, now: Instant) -> bool {
-        let (used, _) = self.rank(tenant, now);
+        let rank = self.rank(tenant, now);
+        let uses_less = |other: Tenant| {
+            let other_rank = self.rank(other, now);
+            if other.payer() == tenant.payer() {
+                other_rank.own.0 < rank.own.0
+            } else {
+                other_rank.payer.0 < rank.payer.0
+            }
+        };
         // More run than permits allow if jobs have waited too long; then it helps to run less.
         let is_excess = self.running > self.permits + SPARE_PERMITS;
         let would_run =
@@ -362,9 +413,7 @@ impl<W> FairQueue<W> {
             .iter()
             .chain(self.paused.iter().map(|(_, tenant, _)| tenant));
         self.paused.len() < MOST_PAUSED
-            && others.any(|other| {
-                *other != tenant && self.rank(*other, now).0 < used && would_run(*other)
-            })
+            && others.any(|other| *other != tenant && uses_less(*other) && would_run(*other))
     }
 
     /// A job of this client gives way; `waiter` wakes it. Returns its number.
@@ -392,7 +441,7 @@ impl<W> FairQueue<W> {
         match (waiting, paused) {
             // A client's paused jobs come before its waiting requests.
             (Some((at, rank)), paused)
-                if paused.is_none_or(|(_, other)| by_rank(rank, other).is_lt()) =>
+                if paused.is_none_or(|(_, other)| by_rank(&rank, &other).is_lt()) =>
             {
                 let key = self.take_turn(at)?;
                 let next = self.take(key, |waiters| {
@@ -415,17 +464,13 @@ impl<W> FairQueue<W> {
     }
 
     /// The place of the client that is next, and its rank.
-    fn first(
-        &self,
-        tenants: impl Iterator<Item = Tenant>,
-        now: Instant,
-    ) -> Option<(usize, (f64, usize))> {
+    fn first(&self, tenants: impl Iterator<Item = Tenant>, now: Instant) -> Option<(usize, Rank)> {
         let candidates = tenants
             .enumerate()
             .filter(|(_, tenant)| self.may_run(*tenant));
         candidates
             .map(|(at, tenant)| (at, self.rank(tenant, now)))
-            .min_by(|(_, a), (_, b)| by_rank(*a, *b))
+            .min_by(|(_, a), (_, b)| by_rank(a, b))
     }
 
     /// The next key of the client at this place in `order`. It becomes the last of its client, and
@@ -449,9 +494,29 @@ impl<W> FairQueue<W> {
     }
 }
 
-fn by_rank((used, running): (f64, usize), (other_used, other_running): (f64, usize)) -> Ordering {
-    used.total_cmp(&other_used)
-        .then(running.cmp(&other_running))
+/// How much a client with its visitors, and one of these, has used and runs.
+#[derive(Clone, Copy)]
+struct Rank {
+    payer: (f64, usize),
+    own: (f64, usize),
+}
+
+fn by_rank(a: &Rank, b: &Rank) -> Ordering {
+    let levels = [(a.payer, b.payer), (a.own, b.own)];
+    let mut orders = levels
+        .iter()
+        .map(|((used, running), (other, others))| used.total_cmp(other).then(running.cmp(others)));
+    orders
+        .find(|order| order.is_ne())
+        .unwrap_or(Ordering::Equal)
+}
+
+fn usage_of(of: &mut HashMap<Tenant, Usage>, tenant: Tenant, now: Instant) -> &mut Usage {
+    // At powers of two, so that a sweep over all costs each newcomer a constant time on average.
+    if of.len() >= MANY_CLIENTS && of.len().is_power_of_two() {
+        of.retain(|_, usage| !usage.is_negligible(now));
+    }
+    of.entry(tenant).or_insert_with(|| Usage::new(now))
 }
 
 #[cfg(test)]

@@ -76,7 +76,7 @@ fn lanes_take_turns_and_the_newest_of_a_session_comes_first() {
         (
             busy.queue.waiting(),
             busy.queue.running(),
-            busy.queue.usage.len()
+            busy.queue.usage.len() + busy.queue.payers.len()
         ),
         (0, 0, 0)
     );
@@ -490,4 +490,102 @@ proptest! {
                 sum(|usage| usage.running)));
         }
     }
+}
+
+/// The session of a visitor of a key, from one of its addresses.
+fn visitor(owner: u8, n: u8, address: u8) -> Client {
+    Client {
+        owner: Owner::from_bytes([owner; 16]),
+        visit: Some([n; 16]),
+        ..at(address)
+    }
+}
+
+fn visit(owner: u8, n: u8) -> QueueKey {
+    QueueKey::session(visitor(owner, n, n), id(n))
+}
+
+/// One who floods, ten who drag, one key: by order, without a clock. Between two requests of the one
+/// who floods, each of the others who waits is served.
+#[test]
+fn a_visitor_that_floods_waits_for_every_other_of_its_key() {
+    let mut busy = busy(200);
+    for waiter in 0..100 {
+        busy.arrive(QueueKey::client(visitor(1, 1, 1)), waiter);
+    }
+    for n in 2..12 {
+        busy.arrive(visit(1, n), 1000 + u32::from(n));
+        busy.arrive(visit(1, n), 2000 + u32::from(n));
+    }
+    let served = busy.served();
+    assert_eq!(served.len(), 120);
+    let last = served.iter().rposition(|waiter| *waiter >= 1000).unwrap();
+    assert_eq!(
+        last, 21,
+        "two of the flood, and twenty of the others: {served:?}"
+    );
+    assert_eq!(busy.queue.usage.len() + busy.queue.payers.len(), 0);
+}
+
+/// What a visitor has used counts: it is not its turn until the others have used as much.
+#[test]
+fn worker_time_is_shared_between_visitors_and_before_that_between_keys() {
+    let (mut queue, start) = (FairQueue::new(1, 9), Instant::now());
+    // Visitor 1 of key 1 works for a second, visitor 2 of it for none.
+    assert_eq!(queue.arrive(visit(1, 1), start, 0), Arrival::Runs);
+    assert_eq!(
+        queue.arrive(visit(1, 2), start, 1),
+        Arrival::Waits(0),
+        "no spare one of its key"
+    );
+    let second = start + 1000 * MS;
+    assert!(queue.gives_way(visitor(1, 1, 1).tenant(), second));
+    assert!(!queue.gives_way(visitor(1, 2, 2).tenant(), second));
+    assert_eq!(queue.arrive(visit(1, 1), second, 2), Arrival::Waits(1));
+    assert_eq!(
+        queue.arrive(visit(2, 3), second, 3),
+        Arrival::Runs,
+        "the spare one, of another key"
+    );
+    assert_eq!(queue.arrive(visit(2, 4), second, 4), Arrival::Waits(2));
+    queue.end(visitor(1, 1, 1).tenant(), second);
+    queue.end(visitor(2, 3, 3).tenant(), second + MS);
+    let next = |queue: &mut FairQueue<u32>| {
+        let (tenant, waiter) = queue.next(second + MS).unwrap();
+        queue.end(tenant, second + MS);
+        waiter
+    };
+    // Key 2 has used least; of key 1, visitor 2.
+    let served = [next(&mut queue), next(&mut queue), next(&mut queue)];
+    assert_eq!(served, [4, 1, 2]);
+}
+
+/// Addresses that share a session take turns, and have the share of one visitor together.
+#[test]
+fn addresses_of_one_visitor_take_turns() {
+    let mut busy = busy(20);
+    for address in 1..4 {
+        let key = QueueKey::session(visitor(1, 1, address), id(1));
+        busy.arrive(key, 10 * u32::from(address));
+        busy.arrive(key, 10 * u32::from(address) + 1);
+    }
+    busy.arrive(visit(1, 2), 2);
+    assert_eq!(busy.served(), [11, 2, 21, 31, 10, 20, 30]);
+}
+
+#[test]
+fn a_full_queue_makes_room_among_keys_then_among_visitors() {
+    let mut busy = busy(6);
+    for n in [1, 1, 1, 2, 3, 4] {
+        busy.arrive(QueueKey::client(visitor(1, n, n)), n.into());
+    }
+    // Another key: the fullest visitor of the fullest key loses its oldest.
+    assert_eq!(busy.arrive(visit(2, 9), 9), Arrival::Replaces(6, 1));
+    // A visitor of the same key: the fullest of them, as long as there is something to level.
+    assert_eq!(busy.arrive(visit(1, 5), 5), Arrival::Replaces(7, 1));
+    assert_eq!(
+        busy.arrive(QueueKey::client(visitor(1, 6, 6)), 6),
+        Arrival::Rejected
+    );
+    assert!(busy.queue.rejects(QueueKey::client(visitor(1, 6, 6))));
 }

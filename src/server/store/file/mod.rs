@@ -426,6 +426,10 @@ impl Store for FileStore {
         self.blocking(move |state| state.delete(id))
     }
 
+    fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool> {
+        ready(Ok(self.0.index().was_deleted(id)))
+    }
+
     fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
         ready(
             self.0

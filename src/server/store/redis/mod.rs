@@ -465,6 +465,11 @@ impl Store for RedisStore {
         Box::pin(self.0.delete(id))
     }
 
+    fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool> {
+        let call = self.0.call::<bool>(script::was_deleted(id, self.0.idle));
+        Box::pin(call)
+    }
+
     fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
         Box::pin(self.0.file_bytes(id, digest))
     }

@@ -159,6 +159,15 @@ return 2",
     )
 });
 
+/// KEYS[4]: as there.
+static WAS_DELETED: LazyLock<Script> = LazyLock::new(|| {
+    Script::new(
+        r"
+if redis.call('EXISTS', KEYS[1]) == 1 then return 0 end
+return redis.call('EXISTS', KEYS[4])",
+    )
+});
+
 /// A call of one of these scripts.
 pub(crate) type Call = ScriptInvocation<'static>;
 
@@ -346,6 +355,12 @@ pub(crate) fn revise_with(
 
 pub(crate) fn delete(id: SessionId, idle: Duration) -> Call {
     let mut call = call(&DELETE, id, idle);
+    call.key(key(id, "deleted"));
+    call
+}
+
+pub(crate) fn was_deleted(id: SessionId, idle: Duration) -> Call {
+    let mut call = call(&WAS_DELETED, id, idle);
     call.key(key(id, "deleted"));
     call
 }

@@ -385,6 +385,7 @@ async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
     store.put(Arc::clone(&other), files(20)).await.unwrap();
     for _ in 0..2 {
         assert_eq!(store.delete(a.id).await, Ok(()));
+        assert_eq!(store.was_deleted(a.id).await, Ok(true));
         store.sweep().await.unwrap();
         assert_eq!(
             store.touch(a.id, None).await.unwrap_err(),
@@ -396,6 +397,7 @@ async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
         Err(StoreError::NoSuchSession),
         "it was never there"
     );
+    assert_eq!(store.was_deleted(record(20).id).await, Ok(false));
     // A name that is used again is another session, which can be deleted like the first.
     let new = made_anew(&a, 21);
     assert!(matches!(
@@ -403,6 +405,7 @@ async fn a_delete_is_answered_again_for_one_period(store: &impl Store) {
         Ok(Put::Created(_))
     ));
     assert_eq!(store.peek(a.id).await.unwrap().record, new);
+    assert_eq!(store.was_deleted(a.id).await, Ok(false));
     store.delete(a.id).await.unwrap();
     assert_eq!(
         store.peek(a.id).await.unwrap_err(),
