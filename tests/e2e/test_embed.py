@@ -182,9 +182,7 @@ def test_the_editor_in_a_frame_works_by_tokens_of_the_site(keyed, site, browser,
     assert len(tokens) == 1
     inner = next(one for one in page.frames if one.url.startswith(keyed.address))
     # The token is in memory alone.
-    stored = inner.evaluate(
-        "() => JSON.stringify([{ ...sessionStorage }, { ...localStorage }])"
-    )
+    stored = inner.evaluate("() => JSON.stringify([{ ...sessionStorage }, { ...localStorage }])")
     assert tokens[0] not in stored and tokens[0].split(".")[2] not in stored
     stage = frame.locator("#stage").bounding_box()
     x, y = stage["x"] + stage["width"] / 2, stage["y"] + stage["height"] / 2
@@ -202,9 +200,7 @@ def test_the_editor_in_a_frame_works_by_tokens_of_the_site(keyed, site, browser,
     page.wait_for_function("() => asked.includes('mlswarp-ready')")
     page.wait_for_timeout(9000)
     page.mouse.click(x + 60, y + 40)
-    page.wait_for_function(
-        "() => asked.includes('mlswarp-token-expired')", timeout=DEADLINE * 1000
-    )
+    page.wait_for_function("() => asked.includes('mlswarp-token-expired')", timeout=DEADLINE * 1000)
     settled(2)
     assert len(tokens) >= 2
     assert not any(token in url for url in urls for token in tokens)
@@ -223,8 +219,10 @@ def test_a_frame_is_for_listed_sites_alone_and_so_is_a_token(keyed, site, browse
     page.wait_for_timeout(500)
     assert any("frame-ancestors" in text for text in said), said
     # A listed site frames a page that frames the editor: only its own parent is listened to.
-    assert httpx.get(f"{keyed.address}/").headers["content-security-policy"].endswith(
-        f"frame-ancestors {site.address}"
+    assert (
+        httpx.get(f"{keyed.address}/")
+        .headers["content-security-policy"]
+        .endswith(f"frame-ancestors {site.address}")
     )
     context.close()
     other.stop()
