@@ -176,7 +176,8 @@ impl ClientSessions {
     }
 
     /// Counts a session that is about to be stored, instead of the one with the same id; for the
-    /// client that answers for the tenant. Errors: [`Code::RateLimited`]: the client has reached a limit.
+    /// client that answers for the tenant. Errors: [`Code::RateLimited`]: the client has reached a
+    /// limit.
     pub fn claim(
         &self,
         tenant: Tenant,

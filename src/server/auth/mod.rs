@@ -1,5 +1,5 @@
-//! Access control: keys and session tokens, rates and the number of connections; the syntax of hosts
-//! and origins; TLS.
+//! Access control: keys and session tokens, rates and the number of connections; the syntax of
+//! hosts and origins; TLS.
 
 pub mod clock;
 pub mod cors;

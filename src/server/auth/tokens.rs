@@ -364,8 +364,8 @@ impl Secrets {
 
     /// Compares a tag with the signatures by all secrets, each in constant time, so that the time
     /// tells neither how much of a tag is right nor by which secret.
-    fn search(&self, signed: &[u8], tag: &[u8]) -> Search<'_> {
-        let mut search = Search {
+    fn search(&self, signed: &[u8], tag: &[u8]) -> SecretSearch<'_> {
+        let mut search = SecretSearch {
             found: None,
             visited: 0,
         };
@@ -380,7 +380,7 @@ impl Secrets {
     }
 }
 
-struct Search<'a> {
+struct SecretSearch<'a> {
     found: Option<&'a Secret>,
     /// The number of compared signatures, for a test.
     visited: usize,

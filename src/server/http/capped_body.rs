@@ -25,8 +25,8 @@ pub(crate) fn too_large(what: &'static str, limit: u64, actual: u64) -> Problem 
     .limit(what, limit, actual)
 }
 
-/// A body with a smaller limit than that of all bodies. The rest of one that is too large is read by
-/// the `LimitedBody` in it.
+/// A body with a smaller limit than that of all bodies. The rest of one that is too large is read
+/// by the `LimitedBody` in it.
 #[derive(Debug)]
 pub(crate) struct CappedBody {
     body: Body,

@@ -3,7 +3,7 @@
 //!
 //! 1. Between clients ([`Tenant`]): the client that has used the least worker time recently is
 //!    next. Worker time is the time for which a client's requests have held permits, including
-//!    those that run now; it counts half after each [`HALF_LIFE`]. A client with a few large
+//!    those that run now; it counts half after each [`usage::HALF_LIFE`]. A client with a few large
 //!    requests therefore gets no more of the workers than one with many small ones. A client that
 //!    waits alone gets all permits.
 //! 2. Below a client, in the same way between its own requests and each of its visitors, who have
@@ -25,21 +25,17 @@
 //!
 //! Times are arguments; there are no clocks and no threads here.
 
-use std::cmp::Ordering;
+mod usage;
+
 use std::collections::{HashMap, VecDeque};
 use std::time::Instant;
 
 use crate::client::{Client, Tenant};
 use crate::session::SessionId;
+use usage::{Rank, Usage, by_rank, usage_of};
 
 /// Permits beyond the number of workers.
 pub(crate) const SPARE_PERMITS: usize = 1;
-/// Seconds after which worker time counts half.
-const HALF_LIFE: f64 = 10.0;
-/// A client without requests that has used fewer seconds is forgotten.
-const NEGLIGIBLE_SECONDS: f64 = 0.01;
-/// Above this many clients, those with negligible use are removed.
-const MANY_CLIENTS: usize = 1024;
 /// Most jobs that have given way. Each keeps its memory and a sleeping thread.
 pub(super) const MOST_PAUSED: usize = 64;
 
@@ -115,51 +111,6 @@ pub(crate) struct FairQueue<W> {
     /// Jobs that have given way, oldest first: number, client, and what wakes the job.
     paused: Vec<(u64, Tenant, W)>,
     next_id: u64,
-}
-
-/// What one client uses.
-#[derive(Debug)]
-struct Usage {
-    waiting: usize,
-    /// Keys with waiting requests, the next one first.
-    keys: VecDeque<QueueKey>,
-    running: usize,
-    /// Recently used worker time in seconds, as of `at`. Since then `running` requests have run.
-    used: f64,
-    at: Instant,
-}
-
-impl Usage {
-    fn new(now: Instant) -> Self {
-        Self {
-            waiting: 0,
-            keys: VecDeque::new(),
-            running: 0,
-            used: 0.0,
-            at: now,
-        }
-    }
-
-    /// Recently used worker time, as of now.
-    fn used(&self, now: Instant) -> f64 {
-        // An exponential decay needs no list of past jobs and no clock that ticks: only the last
-        // value and its time.
-        let half_lives = now.saturating_duration_since(self.at).as_secs_f64() / HALF_LIFE;
-        let kept = (-half_lives).exp2();
-        // The integral of what the running requests have added since, each moment weighted by its
-        // age.
-        let added = (1.0 - kept) * HALF_LIFE / std::f64::consts::LN_2;
-        self.used * kept + self.running as f64 * added
-    }
-
-    /// Brings `used` up to date, before `running` changes.
-    fn update(&mut self, now: Instant) {
-        (self.used, self.at) = (self.used(now), now);
-    }
-
-    fn is_negligible(&self, now: Instant) -> bool {
-        self.waiting == 0 && self.running == 0 && self.used(now) < NEGLIGIBLE_SECONDS
-    }
 }
 
 impl<W> FairQueue<W> {
@@ -492,31 +443,6 @@ impl<W> FairQueue<W> {
                 .and_then(|at| waiters.remove(at))
         });
     }
-}
-
-/// How much a client with its visitors, and one of these, has used and runs.
-#[derive(Clone, Copy)]
-struct Rank {
-    payer: (f64, usize),
-    own: (f64, usize),
-}
-
-fn by_rank(a: &Rank, b: &Rank) -> Ordering {
-    let levels = [(a.payer, b.payer), (a.own, b.own)];
-    let mut orders = levels
-        .iter()
-        .map(|((used, running), (other, others))| used.total_cmp(other).then(running.cmp(others)));
-    orders
-        .find(|order| order.is_ne())
-        .unwrap_or(Ordering::Equal)
-}
-
-fn usage_of(of: &mut HashMap<Tenant, Usage>, tenant: Tenant, now: Instant) -> &mut Usage {
-    // At powers of two, so that a sweep over all costs each newcomer a constant time on average.
-    if of.len() >= MANY_CLIENTS && of.len().is_power_of_two() {
-        of.retain(|_, usage| !usage.is_negligible(now));
-    }
-    of.entry(tenant).or_insert_with(|| Usage::new(now))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use proptest::prelude::*;
 
+use super::usage::{HALF_LIFE, MANY_CLIENTS};
 use super::*;
 use crate::client::Owner;
 
@@ -505,8 +506,8 @@ fn visit(owner: u8, n: u8) -> QueueKey {
     QueueKey::session(visitor(owner, n, n), id(n))
 }
 
-/// One who floods, ten who drag, one key: by order, without a clock. Between two requests of the one
-/// who floods, each of the others who waits is served.
+/// One who floods, ten who drag, one key: by order, without a clock. Between two requests of the
+/// one who floods, each of the others who waits is served.
 #[test]
 fn a_visitor_that_floods_waits_for_every_other_of_its_key() {
     let mut busy = busy(200);
