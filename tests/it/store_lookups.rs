@@ -55,6 +55,9 @@ impl Store for Counting {
     fn delete(&self, id: SessionId) -> StoreFuture<'_, ()> {
         self.store.delete(id)
     }
+    fn was_deleted(&self, id: SessionId) -> StoreFuture<'_, bool> {
+        self.store.was_deleted(id)
+    }
     fn file_bytes(&self, id: SessionId, digest: Digest) -> StoreFuture<'_, u64> {
         self.store.file_bytes(id, digest)
     }
