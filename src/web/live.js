@@ -6,6 +6,7 @@ import { keyProtocols } from "./access.js";
 import * as api from "./api.js";
 import { boxFrom } from "./canvas.js";
 import { known } from "./dom.js";
+import { askForToken } from "./frame.js";
 import { Mesh } from "./mesh.js";
 
 /** Consecutive failures to open the socket before the session uses POST. */
@@ -234,7 +235,9 @@ export class Live {
         ? this.#text(JSON.parse(event.data))
         : this.#binary(event.data),
     );
-    socket.onclose = current(({ code }) => {
+    socket.onclose = current(({ code, reason }) => {
+      // Requests still have a grace; the next socket needs another token.
+      if (reason === "token_expired") askForToken();
       // A socket that answers nothing has failed, unless it was asked for nothing.
       const hasLived = this.#open && (this.#quickest !== null || this.#seq === 0);
       if (code === ENDED) this.#open = false;

@@ -196,11 +196,17 @@ def test_the_editor_in_a_frame_works_by_tokens_of_the_site(keyed, site, browser,
 
     page.mouse.click(x, y)
     settled(1)
+    # A drag opens the socket, which closes when the token ends.
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30, y + 20, steps=5)
+    frame.locator('body[data-live="socket"]').wait_for()
+    page.mouse.up()
+    settled(1)
     # The token ends; the page asks for another and goes on.
     page.wait_for_function("() => asked.includes('mlswarp-ready')")
-    page.wait_for_timeout(9000)
-    page.mouse.click(x + 60, y + 40)
     page.wait_for_function("() => asked.includes('mlswarp-token-expired')", timeout=DEADLINE * 1000)
+    page.mouse.click(x + 60, y + 40)
     settled(2)
     assert len(tokens) >= 2
     assert not any(token in url for url in urls for token in tokens)
