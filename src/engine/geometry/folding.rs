@@ -2,7 +2,7 @@
 //! orientation, as at rest or mirrored; a cell with another one, or with none because its corners
 //! turn both ways, is folded. So an exact mirror image has no folds.
 
-use super::{Mesh, Point, Vec2};
+use super::{CutMesh, Mesh, Point, Vec2};
 
 /// Which way round a posed cell is, or most of a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,10 +65,8 @@ impl Mesh {
     /// ```
     #[must_use]
     pub fn folding(&self, cancelled: &dyn Fn() -> bool) -> Option<Folding> {
-        let (mut upright, all) = (
-            0,
-            u64::from(self.grid().columns() - 1) * u64::from(self.grid().rows() - 1),
-        );
+        let cells = u64::from(self.grid().columns() - 1) * u64::from(self.grid().rows() - 1);
+        let (mut upright, all) = (0, self.cut_mesh().map_or(cells, CutMesh::count));
         self.each_cell(cancelled, |_, _, turns| {
             upright += u64::from(Orientation::Upright.is_kept(turns))
         })?;
@@ -120,6 +118,13 @@ impl Mesh {
         cancelled: &dyn Fn() -> bool,
         mut cell: impl FnMut(u32, u32, [f64; 4]),
     ) -> Option<()> {
+        if let Some(cut) = self.cut_mesh() {
+            for quad in cut.cells().cells() {
+                let [a, b, c, d] = cut.posed(quad);
+                cell(quad.cell[0], quad.cell[1], Orientation::turns([b - a, c - b, c - d, d - a]));
+            }
+            return Some(());
+        }
         let (grid, columns) = (self.grid(), self.grid().columns() as usize);
         let rest: Vec<f64> = (0..grid.columns()).map(|i| grid.x(i)).collect();
         let line = |j: u32, posed: &mut Vec<Point>, along: &mut Vec<Vec2>| {

@@ -1,6 +1,6 @@
 //! The posed grid: the result of the mathematics and the input of the renderer.
 
-use super::{Grid, Point, Subdivision, Vec2};
+use super::{CutMesh, Grid, Point, Subdivision, Vec2};
 
 /// A grid and the displacement of each of its vertices. Every cell is drawn as its bilinear patch,
 /// or as those of the smaller cells of its [`Subdivision`].
@@ -13,6 +13,7 @@ pub struct Mesh {
     grid: Grid,
     displacement: Vec<[f32; 2]>,
     subdivision: Subdivision,
+    cut: Option<CutMesh>,
 }
 
 impl Mesh {
@@ -38,6 +39,7 @@ impl Mesh {
             grid,
             displacement,
             subdivision: Subdivision::NONE,
+            cut: None,
         }
     }
 
@@ -48,6 +50,7 @@ impl Mesh {
             grid,
             displacement: vec![[0.0; 2]; grid.len()],
             subdivision: Subdivision::NONE,
+            cut: None,
         }
     }
 
@@ -58,6 +61,32 @@ impl Mesh {
             subdivision,
             ..self
         }
+    }
+
+    /// The mesh of a cut grid: its quads alone are drawn. A vertex of the grid has the displacement
+    /// of the last quad there, and none where there is no quad.
+    #[must_use]
+    pub fn cut(cut: CutMesh) -> Self {
+        let grid = *cut.cells().grid();
+        let mut displacement = vec![[0.0; 2]; grid.len()];
+        for cell in cut.cells().cells() {
+            let [i, j] = cell.cell.map(|line| line as usize);
+            let at = j * grid.columns() as usize + i;
+            let below = at + grid.columns() as usize;
+            for (at, vertex) in [at, at + 1, below + 1, below].into_iter().zip(cell.vertices) {
+                displacement[at] = cut.displacement()[vertex as usize];
+            }
+        }
+        Self {
+            cut: Some(cut),
+            ..Self::new(grid, displacement)
+        }
+    }
+
+    /// The quads that are drawn instead of the cells of the grid, if it is cut.
+    #[must_use]
+    pub const fn cut_mesh(&self) -> Option<&CutMesh> {
+        self.cut.as_ref()
     }
 
     /// The cells that are drawn as smaller ones.
@@ -86,7 +115,8 @@ impl Mesh {
     /// ```
     #[must_use]
     pub fn is_identity(&self) -> bool {
-        self.displacement.iter().all(|d| *d == [0.0; 2]) && self.subdivision.is_empty()
+        let moved = self.cut.as_ref().map_or(&*self.displacement, CutMesh::displacement);
+        moved.iter().all(|d| *d == [0.0; 2]) && self.subdivision.is_empty()
     }
 
     /// Displacement of a vertex.
@@ -104,9 +134,12 @@ impl Mesh {
     }
 
     /// The drawn position of the rest position `p`: the bilinear patch of its cell, or of the
-    /// smaller one. `None` outside the image.
+    /// smaller one. `None` outside the image, and where a cut grid draws nothing.
     #[must_use]
     pub fn map(&self, p: Point) -> Option<Point> {
+        if let Some(cut) = &self.cut {
+            return cut.map(p);
+        }
         let (i, j, s, t) = self.grid.locate(p)?;
         if let Some(cell) = self.subdivision.find(i, j) {
             return Some(p + self.subdivision.displaced(cell, s, t));
@@ -120,6 +153,10 @@ impl Mesh {
     /// `None` when cancelled, which is checked for each row.
     #[must_use]
     pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
+        if let Some(cut) = &self.cut {
+            let cells = cut.cells().cells().iter();
+            return Some(bounds(cells.flat_map(|cell| cut.posed(cell))));
+        }
         let mut all = bounds(
             self.subdivision
                 .cells()
@@ -173,6 +210,10 @@ impl Mesh {
     /// cancelled, which is checked for each row.
     #[must_use]
     pub fn intersects(&self, rectangle: [f64; 4], cancelled: &dyn Fn() -> bool) -> Option<bool> {
+        if let Some(cut) = &self.cut {
+            let mut cells = cut.cells().cells().iter();
+            return Some(cells.any(|cell| overlaps(cut.posed(cell), rectangle)));
+        }
         let (columns, rows) = (self.grid.columns(), self.grid.rows());
         let [left, top, right, bottom] = rectangle;
         let middle = self.posed(columns / 2, rows / 2);

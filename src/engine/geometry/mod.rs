@@ -7,6 +7,7 @@
 //! placed) or *posed* (where they were moved to); images are *source* or *target*.
 
 mod cell_tree;
+mod cut_cells;
 mod display_number;
 mod distortion;
 mod fold_regions;
@@ -17,6 +18,7 @@ mod subdivision;
 mod vec;
 
 pub use cell_tree::CellTree;
+pub use cut_cells::{CutCell, CutCells, CutMesh};
 pub use display_number::DisplayNumber;
 pub use distortion::{Distortion, Summary};
 pub use fold_regions::FoldRegions;

@@ -79,14 +79,7 @@ fn draw_fine(
         return;
     }
     let part = |corners: &[Corner; 4], raster: &mut Raster<'_>| {
-        let rows = rows & raster.open & rows_of(corners, raster);
-        if rows == 0 {
-            return;
-        }
-        match Piece::patch(corners, lattice.longest_side, lattice.unit) {
-            Some(piece) => kernel.fill(&piece, rows, raster),
-            None => draw(kernel, corners, lattice, rows, raster),
-        }
+        draw_part(kernel, corners, lattice, rows, raster);
     };
     let slivers = |raster: &mut Raster<'_>| {
         for [a, b, c] in lattice.fine.slivers(cell, raster.over) {
@@ -106,6 +99,34 @@ fn draw_fine(
             .rev()
             .for_each(|corners| part(&corners, raster));
         slivers(raster);
+    }
+}
+
+/// Draws one quad into the open rows.
+pub(super) fn draw_single(
+    kernel: Kernel,
+    corners: &[Corner; 4],
+    lattice: &SnappedGrid,
+    raster: &mut Raster<'_>,
+) {
+    draw_part(kernel, corners, lattice, u32::MAX, raster);
+}
+
+/// Draws a quad of any shape, in the rows whose bits are set.
+fn draw_part(
+    kernel: Kernel,
+    corners: &[Corner; 4],
+    lattice: &SnappedGrid,
+    rows: u32,
+    raster: &mut Raster<'_>,
+) {
+    let rows = rows & raster.open & rows_of(corners, raster);
+    if rows == 0 {
+        return;
+    }
+    match Piece::patch(corners, lattice.longest_side, lattice.unit) {
+        Some(piece) => kernel.fill(&piece, rows, raster),
+        None => draw(kernel, corners, lattice, rows, raster),
     }
 }
 

@@ -49,6 +49,8 @@ mod snap;
 #[forbid(unsafe_code)]
 mod snap_subdivided;
 #[forbid(unsafe_code)]
+mod snapped_cut;
+#[forbid(unsafe_code)]
 mod snapped_grid;
 #[forbid(unsafe_code)]
 mod source;
@@ -228,7 +230,7 @@ impl Renderer {
                     false
                 });
             let k = copies.expect("nothing gives it up");
-            let shrinking = if options.filter == Filter::Nearest {
+            let shrinking = if options.filter == Filter::Nearest || mesh.cut_mesh().is_some() {
                 Vec::new()
             } else {
                 let (whole, sampled) = (pixmap.extent(), source.level(k).pixmap().extent());

@@ -9,6 +9,7 @@
 use super::Filter;
 use super::kernel::Kernel;
 use super::snap_subdivided::SamplerCoordinates;
+use super::snapped_cut::SnappedCut;
 use super::snapped_grid::{BLOCK_COLUMNS, LONGEST_SIDE_STEPS, STEPS_PER_PX, SnappedGrid, YRange};
 use super::subdivided_cells::SnappedSubdividedCells;
 use crate::geometry::{Mesh, PIXEL_CENTER};
@@ -126,6 +127,8 @@ impl SnappedGrid {
         };
         let crossing_error = CROSSING_SHARE * mesh.subdivision().drawn_within();
         let fine = SnappedSubdividedCells::new(mesh, (scale, origin), &axes, kernel);
+        let cut = mesh.cut_mesh();
+        let cut = cut.map(|cut| SnappedCut::new(cut, (scale, origin), &axes, kernel));
         let mut lattice = Self {
             columns,
             rows,
@@ -140,6 +143,7 @@ impl SnappedGrid {
             row_ranges,
             block_ranges,
             fine,
+            cut,
         };
         lattice.cover_fine_cells();
         lattice

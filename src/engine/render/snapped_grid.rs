@@ -8,6 +8,7 @@ pub(super) use super::fixed_point::{
     BLOCK_COLUMNS, Corner, HALF_PX, LONGEST_SIDE_STEPS, MAX_STEPS, PX_PER_STEP, STEPS_PER_PX,
     YRange, column_centre, first_row, row_centre,
 };
+use super::snapped_cut::SnappedCut;
 use super::subdivided_cells::SnappedSubdividedCells;
 
 /// The posed grid on the lattice.
@@ -39,6 +40,8 @@ pub(super) struct SnappedGrid {
     pub(super) block_ranges: Vec<YRange>,
     /// The cells that are drawn as smaller ones.
     pub(super) fine: SnappedSubdividedCells,
+    /// The quads that are drawn instead of the cells, if the grid is cut.
+    pub(super) cut: Option<SnappedCut>,
 }
 
 impl SnappedGrid {

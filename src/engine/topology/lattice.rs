@@ -2,6 +2,7 @@
 //! that do not touch share no vertex (mathematics 11.1).
 
 use super::Mask;
+use crate::geometry::{CutCell, CutCells, Grid};
 
 /// A quad of the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -232,6 +233,60 @@ impl CutLattice {
             .binary_search_by_key(&cell, |(cell, _)| *cell as usize);
         let component = self.split[at.ok()?].1[(y % side) * side + x % side];
         (component != NO_COMPONENT).then_some(first + component as usize)
+    }
+
+    /// The quads as they are drawn. A quad draws the visible texels of its component, and those that
+    /// are not visible beside them, into which samples reach.
+    #[must_use]
+    pub fn drawn(&self, mask: &Mask) -> CutCells {
+        let side = self.spacing as usize;
+        let mut texels = Vec::new();
+        let mut set = vec![0_u64; (side * side).div_ceil(64)];
+        let mut cells = Vec::with_capacity(self.quads.len());
+        for (k, quad) in self.quads.iter().enumerate() {
+            set.fill(0);
+            let mut is_whole = true;
+            for y in 0..side {
+                for x in 0..side {
+                    let [px, py] = [(quad.cell[0], x), (quad.cell[1], y)]
+                        .map(|(cell, at)| cell as usize * side + at);
+                    if px >= mask.size().0 || py >= mask.size().1 {
+                        continue;
+                    }
+                    if self.draws(mask, k, px, py) {
+                        let bit = y * side + x;
+                        set[bit / 64] |= 1 << (bit % 64);
+                    } else {
+                        is_whole = false;
+                    }
+                }
+            }
+            let texels = (!is_whole).then(|| {
+                texels.extend_from_slice(&set);
+                index(texels.len() / set.len() - 1)
+            });
+            cells.push(CutCell {
+                cell: quad.cell,
+                vertices: quad.vertices,
+                texels,
+            });
+        }
+        let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
+        let grid = Grid::with_cell(width, height, f64::from(self.spacing));
+        CutCells::new(grid, self.spacing, cells, self.vertices.clone(), texels)
+    }
+
+    /// Whether a quad draws a pixel of its cell.
+    fn draws(&self, mask: &Mask, quad: usize, x: usize, y: usize) -> bool {
+        if mask.is_visible(x, y) {
+            return self.quad_at(mask, x, y) == Some(quad);
+        }
+        let own = self.quads[quad];
+        let beside = (y.saturating_sub(1)..y + 2)
+            .flat_map(|y| (x.saturating_sub(1)..x + 2).map(move |x| (x, y)));
+        beside.filter_map(|(x, y)| self.quad_at(mask, x, y)).any(|other| {
+            other == quad || self.quads[other].part == own.part && self.quads[other].cell != own.cell
+        })
     }
 
     /// Side of a cell, px.

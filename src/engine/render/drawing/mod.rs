@@ -3,6 +3,7 @@
 //! the mesh and the row alone, so every division into bands gives the same bytes. Cost: O(cells
 //! touched + pixels).
 
+mod cut_strips;
 mod row_spans;
 
 use std::ops::Range;
@@ -47,6 +48,9 @@ pub(super) struct Drawing {
 struct StripScratch {
     u: Vec<f32>,
     v: Vec<f32>,
+    /// The same of a single quad of a cut grid.
+    quad_u: Vec<f32>,
+    quad_v: Vec<f32>,
     x_crossings: Vec<f32>,
     v_crossings: Vec<f32>,
     notes: Vec<[f32; BLOCK_COLUMNS]>,
@@ -72,7 +76,8 @@ impl Drawing {
         kernel: Kernel,
     ) -> Self {
         let mut border = Border::new(&lattice);
-        let covered = border.surrounds(&window.columns, &window.rows);
+        let covered =
+            lattice.cut.is_none() && border.surrounds(&window.columns, &window.rows);
         if !covered && matches!(options.outside, Outside::Edge | Outside::Reflect) {
             border.index();
             if options.outside == Outside::Reflect {
@@ -194,9 +199,10 @@ impl Drawing {
         self.window.columns.end
     }
 
-    /// Whether uncovered pixels show the picture's edge, or what is mirrored there.
+    /// Whether uncovered pixels show the picture's edge, or what is mirrored there; a cut grid has
+    /// no such edge.
     fn is_extended(&self) -> bool {
-        !self.covered && matches!(self.outside, Outside::Edge | Outside::Reflect)
+        !self.covered && self.lattice.cut.is_none() && matches!(self.outside, Outside::Edge | Outside::Reflect)
     }
 
     /// Computes the coordinates of all pixels of a strip.
@@ -245,6 +251,9 @@ impl Drawing {
     /// The part that the rows of a strip share: crossings of the columns, and everything drawn cell
     /// by cell.
     fn prepare(&self, strip: &Range<u32>, scratch: &mut StripScratch) {
+        if let Some(cut) = &self.lattice.cut {
+            return self.draw_cut(cut, strip, scratch);
+        }
         let width = self.width();
         let all_plain = strip
             .clone()
@@ -386,7 +395,11 @@ impl Drawing {
     fn coordinates(&self, row: u32, strip: &Range<u32>, scratch: &mut StripScratch) -> usize {
         let index = (row - strip.start) as usize;
         let width = self.width();
-        let strategy = self.strategies.of(row);
+        let strategy = if self.lattice.cut.is_some() {
+            RowStrategy::Mixed
+        } else {
+            self.strategies.of(row)
+        };
         let start = if strategy == RowStrategy::Scanline && !self.is_extended() {
             0
         } else {
