@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::Pose;
 use super::form::CoefficientForm;
 use super::kernel::{self, CoefficientLanes, lanes_per_block};
-use super::lanes::{Coefficients, LANES, gather};
+use super::lanes::{Coefficients, LANES, Vertices, gather};
 use super::point_map::PointMap;
 use super::rest_deformation::RestDeformation;
 use super::workspace::Workspace;
@@ -104,7 +104,26 @@ impl CoefficientTable {
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
         let columns = grid.columns() as usize;
-        Self::fill(field, grid.len(), |k| vertex(grid, columns, k), cancelled)
+        let block = |at: &dyn Fn(usize) -> usize| gather(|lane| vertex(grid, columns, at(lane)));
+        Self::fill(field, grid.len(), block, cancelled)
+    }
+
+    /// Fills the table for vertices of which each belongs to a pixel, counted row by row: those of a
+    /// grid that is cut along a mask. `None` when cancelled.
+    #[must_use]
+    pub fn of_cut_unless(
+        field: &RestDeformation,
+        vertices: &[(Point, u32)],
+        cancelled: IsCancelled<'_>,
+    ) -> Option<Self> {
+        let block = |at: &dyn Fn(usize) -> usize| {
+            let mut block = gather(|lane| vertices[at(lane)].0);
+            for (lane, pixel) in block.pixel.iter_mut().enumerate() {
+                *pixel = vertices[at(lane)].1;
+            }
+            block
+        };
+        Self::fill(field, vertices.len(), block, cancelled)
     }
 
     /// Fills the table for any vertices, `vertex(0..vertices)`.
@@ -114,13 +133,14 @@ impl CoefficientTable {
         vertices: usize,
         vertex: impl Fn(usize) -> Point + Sync,
     ) -> Self {
-        Self::fill(field, vertices, vertex, &|| false).expect("nothing gives it up")
+        let block = |at: &dyn Fn(usize) -> usize| gather(|lane| vertex(at(lane)));
+        Self::fill(field, vertices, block, &|| false).expect("nothing gives it up")
     }
 
     fn fill(
         field: &RestDeformation,
         vertices: usize,
-        vertex: impl Fn(usize) -> Point + Sync,
+        block_of: impl Fn(&dyn Fn(usize) -> usize) -> Vertices<LANES> + Sync,
         cancelled: IsCancelled<'_>,
     ) -> Option<Self> {
         let (form, terms) = (field.form(), field.terms());
@@ -149,7 +169,7 @@ impl CoefficientTable {
                             let first = (piece + task * BLOCKS_PER_TASK + k) * LANES;
                             // The last block repeats the last vertex.
                             field.rows(
-                                &gather(|lane| vertex((first + lane).min(vertices - 1))),
+                                &block_of(&|lane| (first + lane).min(vertices - 1)),
                                 false,
                                 workspace,
                             );
@@ -176,7 +196,9 @@ impl CoefficientTable {
             .expect("nothing gives it up")
     }
 
-    fn displace_unless(
+    /// Like [`CoefficientTable::displace`]; `None` when cancelled.
+    #[must_use]
+    pub fn displace_unless(
         &self,
         pose: &Pose,
         cancelled: IsCancelled<'_>,

@@ -106,6 +106,30 @@ pub enum DeformError {
     },
     /// Cancelled.
     Cancelled,
+    /// A mask without a pixel.
+    EmptyMask,
+    /// A handle that is more than 3 px from the mask.
+    OutsideMask {
+        /// Index of the handle.
+        handle: usize,
+    },
+    /// Distances inside the mask would take too much memory.
+    MaskTooLarge {
+        /// The limit, bytes.
+        limit: u64,
+        /// The memory, bytes.
+        bytes: u64,
+    },
+    /// A line, and distances inside a mask are measured from points only.
+    LineInMask {
+        /// Index of the handle.
+        handle: usize,
+    },
+    /// A method that does not weigh handles by their distance.
+    NoMetric {
+        /// Name of the method.
+        method: &'static str,
+    },
     /// A handle that the method does not take.
     NotTaken {
         /// Index of the handle.
@@ -251,6 +275,30 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
+            Self::EmptyMask => f.write_str(
+                "no pixel of the image is inside the mask: lower its threshold, or send another \
+                    image or region",
+            ),
+            Self::OutsideMask { handle } => write!(
+                f,
+                "handle {handle} is more than 3 px outside the mask: place it on what the image \
+                    shows"
+            ),
+            Self::MaskTooLarge { limit, bytes } => write!(
+                f,
+                "distances inside the mask would take {bytes} bytes, and the limit is {limit}; \
+                    send fewer handles, or a mask of fewer pieces"
+            ),
+            Self::LineInMask { handle } => write!(
+                f,
+                "handle {handle} is a line, and the metric `geodesic` takes points only; send \
+                    points along the line"
+            ),
+            Self::NoMetric { method } => write!(
+                f,
+                "the method `{method}` has no metric; `geodesic` needs `rigid`, `similarity` or \
+                    `affine`"
+            ),
             Self::NotTaken {
                 handle,
                 method,

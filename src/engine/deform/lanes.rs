@@ -11,7 +11,13 @@ pub(super) const LANES: usize = 16;
 pub(super) struct Vertices<const N: usize> {
     pub(super) x: [f64; N],
     pub(super) y: [f64; N],
+    /// The pixel to which each belongs, counted row by row, or [`ON_PLANE`]; only maps inside a mask
+    /// look at it.
+    pub(super) pixel: [u32; N],
 }
+
+/// A vertex that belongs to the pixel of its position.
+pub(super) const ON_PLANE: u32 = u32::MAX;
 
 /// The coefficients of N vertices. Shapes: `[columns]`.
 #[derive(Clone, Debug)]
@@ -39,6 +45,7 @@ impl<const N: usize> Vertices<N> {
         Self {
             x: [v.x; N],
             y: [v.y; N],
+            pixel: [ON_PLANE; N],
         }
     }
 }

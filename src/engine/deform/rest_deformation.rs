@@ -12,6 +12,7 @@ use super::form::CoefficientForm;
 use super::groups::{Coincident, CoincidentPolicy, Groups, coincidence_distance};
 use super::handles::{Handles, MAX_COORDINATE};
 use super::lanes::{Coefficients, Vertices};
+use super::methods::mls::geodesic::GeodesicLeastSquares;
 use super::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
 use super::workspace::Workspace;
 use super::{
@@ -19,6 +20,7 @@ use super::{
     Pose, Warning,
 };
 use crate::geometry::Vec2;
+use crate::topology::Mask;
 
 /// Handles at rest with the parameters of their method: everything that f depends on except the
 /// pose.
@@ -245,6 +247,60 @@ impl RestDeformation {
             owners,
             coincidences,
             warnings,
+        })
+    }
+
+    /// The same deformation inside a mask: handles act along the shortest paths to them. Its
+    /// distances take at most `most_bytes`. Work in parallel on the current pool.
+    ///
+    /// # Errors
+    /// A method that is not moving least squares, a line, a handle outside the mask, a mask without
+    /// a pixel or of too many parts; cancelled.
+    pub fn inside(
+        self,
+        mask: &Arc<Mask>,
+        most_bytes: u64,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, DeformError> {
+        let wanted = match self.method {
+            Method::Rigid => Form::Rigid,
+            Method::Similarity => Form::Complex,
+            Method::Affine => Form::Real,
+            method => {
+                let method = method.info().name;
+                return Err(DeformError::NoMetric { method });
+            }
+        };
+        let is_line = |handle: &Handle| matches!(handle, Handle::Polyline(_));
+        if let Some(handle) = self.client_handles().handles().iter().position(is_line) {
+            return Err(DeformError::LineInMask { handle });
+        }
+        let value = |path| self.parameters.get(path).unwrap_or(1.0);
+        let weight = (Falloff::new(value("alpha"), false)?, value("point_mass"));
+        let (map, form, warnings) = GeodesicLeastSquares::new(
+            &self.set,
+            wanted,
+            weight,
+            mask,
+            &|point| self.owners[point],
+            most_bytes,
+            cancelled,
+        )?;
+        // Each part has its own rank.
+        let rank = match self.set.rank {
+            Rank::Empty => Rank::Empty,
+            _ => Rank::Full,
+        };
+        let set = RestSet {
+            form,
+            rank,
+            ..self.set
+        };
+        Ok(Self {
+            map: Arc::new(map),
+            set,
+            warnings,
+            ..self
         })
     }
 

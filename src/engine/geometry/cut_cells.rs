@@ -52,7 +52,9 @@ impl CutCells {
             let at = cell.cell[1] as usize * columns + cell.cell[0] as usize;
             first[at + 1] += 1;
             assert!(
-                cell.vertices.iter().all(|vertex| (*vertex as usize) < vertices.len()),
+                cell.vertices
+                    .iter()
+                    .all(|vertex| (*vertex as usize) < vertices.len()),
                 "vertices are those of the grid"
             );
         }
@@ -128,7 +130,11 @@ impl CutCells {
     pub fn locate(&self, p: Point) -> Option<(&CutCell, f64, f64)> {
         let (i, j, s, t) = self.grid.locate(p)?;
         let (x, y) = (self.texel(p.x, i), self.texel(p.y, j));
-        let quad = self.of_cell(i, j).iter().rev().find(|cell| self.draws(cell, x, y))?;
+        let quad = self
+            .of_cell(i, j)
+            .iter()
+            .rev()
+            .find(|cell| self.draws(cell, x, y))?;
         Some((quad, s, t))
     }
 
@@ -165,7 +171,11 @@ impl CutMesh {
     /// If `displacement` does not hold one entry per vertex.
     #[must_use]
     pub fn new(cells: Arc<CutCells>, displacement: Vec<[f32; 2]>) -> Self {
-        assert_eq!(displacement.len(), cells.len(), "one displacement per vertex");
+        assert_eq!(
+            displacement.len(),
+            cells.len(),
+            "one displacement per vertex"
+        );
         Self {
             cells,
             displacement,
@@ -197,7 +207,8 @@ impl CutMesh {
     /// The posed vertices of a quad.
     #[must_use]
     pub fn posed(&self, cell: &CutCell) -> [Point; 4] {
-        cell.vertices.map(|vertex| self.cells.vertex(vertex) + self.displaced(vertex))
+        cell.vertices
+            .map(|vertex| self.cells.vertex(vertex) + self.displaced(vertex))
     }
 
     /// The drawn position of a position at rest; `None` where nothing is drawn.

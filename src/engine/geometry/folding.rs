@@ -121,7 +121,11 @@ impl Mesh {
         if let Some(cut) = self.cut_mesh() {
             for quad in cut.cells().cells() {
                 let [a, b, c, d] = cut.posed(quad);
-                cell(quad.cell[0], quad.cell[1], Orientation::turns([b - a, c - b, c - d, d - a]));
+                cell(
+                    quad.cell[0],
+                    quad.cell[1],
+                    Orientation::turns([b - a, c - b, c - d, d - a]),
+                );
             }
             return Some(());
         }

@@ -73,7 +73,10 @@ impl Mesh {
             let [i, j] = cell.cell.map(|line| line as usize);
             let at = j * grid.columns() as usize + i;
             let below = at + grid.columns() as usize;
-            for (at, vertex) in [at, at + 1, below + 1, below].into_iter().zip(cell.vertices) {
+            for (at, vertex) in [at, at + 1, below + 1, below]
+                .into_iter()
+                .zip(cell.vertices)
+            {
                 displacement[at] = cut.displacement()[vertex as usize];
             }
         }
@@ -115,7 +118,10 @@ impl Mesh {
     /// ```
     #[must_use]
     pub fn is_identity(&self) -> bool {
-        let moved = self.cut.as_ref().map_or(&*self.displacement, CutMesh::displacement);
+        let moved = self
+            .cut
+            .as_ref()
+            .map_or(&*self.displacement, CutMesh::displacement);
         moved.iter().all(|d| *d == [0.0; 2]) && self.subdivision.is_empty()
     }
 

@@ -63,7 +63,10 @@ impl SnappedCut {
             });
             let [from, to] = [cell.cell, cell.cell.map(|line| line + 1)];
             let grid = rest.grid();
-            let size = [grid.x(to[0]) - grid.x(from[0]), grid.y(to[1]) - grid.y(from[1])];
+            let size = [
+                grid.x(to[0]) - grid.x(from[0]),
+                grid.y(to[1]) - grid.y(from[1]),
+            ];
             #[expect(clippy::cast_possible_truncation, reason = "a few pixels")]
             let [width, height] = size.map(|side| side as f32);
             SnappedQuad {
@@ -109,7 +112,12 @@ impl SnappedQuad {
     }
 
     /// The rows and pixels of a strip that it may touch.
-    pub(super) fn pixels(&self, first: u32, rows: usize, width: usize) -> [std::ops::Range<usize>; 2] {
+    pub(super) fn pixels(
+        &self,
+        first: u32,
+        rows: usize,
+        width: usize,
+    ) -> [std::ops::Range<usize>; 2] {
         let clip = |at: i64, end: usize| usize::try_from(at.max(0)).unwrap_or(0).min(end);
         let row = |y: i32| clip(first_row(y) - i64::from(first), rows);
         let x = self.corners.map(|corner| corner.x);

@@ -2,7 +2,8 @@
 //! that do not touch share no vertex (mathematics 11.1).
 
 use super::Mask;
-use crate::geometry::{CutCell, CutCells, Grid};
+use super::mask::nearest_of_pixel;
+use crate::geometry::{CutCell, CutCells, Grid, Point};
 
 /// A quad of the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -238,7 +239,7 @@ impl CutLattice {
     /// The quads as they are drawn. A quad draws the visible texels of its component, and those that
     /// are not visible beside them, into which samples reach.
     #[must_use]
-    pub fn drawn(&self, mask: &Mask) -> CutCells {
+    pub fn cells_of(&self, mask: &Mask) -> CutCells {
         let side = self.spacing as usize;
         let mut texels = Vec::new();
         let mut set = vec![0_u64; (side * side).div_ceil(64)];
@@ -276,6 +277,39 @@ impl CutLattice {
         CutCells::new(grid, self.spacing, cells, self.vertices.clone(), texels)
     }
 
+    /// The pixel inside, counted row by row, to which each vertex belongs: the nearest one of its
+    /// quads, or the one that their rim is attached to; none where there is only rim that touches
+    /// nothing.
+    #[must_use]
+    pub fn pixels(&self, mask: &Mask) -> Vec<Option<u32>> {
+        let side = self.spacing as usize;
+        let mut nearest = vec![(f64::INFINITY, None); self.vertices.len()];
+        let (width, height) = mask.size();
+        for y in 0..height {
+            for x in 0..width {
+                let Some(quad) = self.quad_at(mask, x, y) else {
+                    continue;
+                };
+                let Some((rx, ry)) = mask.root(x, y) else {
+                    continue;
+                };
+                for vertex in self.quads[quad].vertices {
+                    let [column, row] = self.vertices[vertex as usize];
+                    let at = Point::new(
+                        (column as usize * side).min(width) as f64,
+                        (row as usize * side).min(height) as f64,
+                    );
+                    let distance = nearest_of_pixel((rx, ry), at, 0.0).distance(at);
+                    let best = &mut nearest[vertex as usize];
+                    if distance < best.0 {
+                        *best = (distance, Some(index(ry * width + rx)));
+                    }
+                }
+            }
+        }
+        nearest.into_iter().map(|(_, pixel)| pixel).collect()
+    }
+
     /// Whether a quad draws a pixel of its cell.
     fn draws(&self, mask: &Mask, quad: usize, x: usize, y: usize) -> bool {
         if mask.is_visible(x, y) {
@@ -284,9 +318,12 @@ impl CutLattice {
         let own = self.quads[quad];
         let beside = (y.saturating_sub(1)..y + 2)
             .flat_map(|y| (x.saturating_sub(1)..x + 2).map(move |x| (x, y)));
-        beside.filter_map(|(x, y)| self.quad_at(mask, x, y)).any(|other| {
-            other == quad || self.quads[other].part == own.part && self.quads[other].cell != own.cell
-        })
+        beside
+            .filter_map(|(x, y)| self.quad_at(mask, x, y))
+            .any(|other| {
+                other == quad
+                    || self.quads[other].part == own.part && self.quads[other].cell != own.cell
+            })
     }
 
     /// Side of a cell, px.
@@ -377,7 +414,13 @@ impl CellComponents {
         count
     }
 
-    fn flood(&mut self, mask: &Mask, [x0, y0]: [usize; 2], [wide, high]: [usize; 2], label: u16) {
+    fn flood(
+        &mut self,
+        mask: &Mask,
+        [x0, y0]: [usize; 2],
+        [wide, high]: [usize; 2],
+        label: u16,
+    ) {
         while let Some((x, y)) = self.stack.pop() {
             let mut reach = |joined: bool, x: usize, y: usize| {
                 let at = y * self.side + x;

@@ -84,6 +84,15 @@ pub enum WarpError {
         /// A sentence.
         reason: &'static str,
     },
+    /// A metric or method that follows the shape of what an image shows, without an image.
+    #[error("the metric `geodesic` needs an image: send one, or use a session")]
+    NoImage,
+    /// A grid that is cut along a mask, where all cells of a grid are needed.
+    #[error("{what} is not supported with the metric `geodesic`; use `euclidean` for it")]
+    CutGrid {
+        /// What needs them.
+        what: &'static str,
+    },
     /// An invalid grid.
     #[error("{0}")]
     BadGrid(String),
@@ -195,6 +204,8 @@ pub enum Warning {
     },
     /// Landmarks that only one of two files has are left out.
     LandmarksUnmatched,
+    /// The metric follows the mask of the image, and every pixel is inside: it is that of the plane.
+    MaskIsEverything,
     /// No posed cell intersects the canvas.
     NothingVisible,
     /// Most of the picture is turned over, as in a mirror.
@@ -258,6 +269,7 @@ impl Warning {
             Self::HandlesOutsidePicture => "handles_outside_picture",
             Self::LooksNormalized => "looks_normalized",
             Self::HandlesMissing { .. } => "handles_missing",
+            Self::MaskIsEverything => "mask_is_everything",
             Self::LandmarksUnmatched => "landmarks_unmatched",
             Self::NothingVisible => "nothing_visible",
             Self::Mirrored => "mirrored",
@@ -284,6 +296,7 @@ impl Warning {
             | Self::HandlesOutsidePicture
             | Self::LooksNormalized
             | Self::LandmarksUnmatched
+            | Self::MaskIsEverything
             | Self::NothingVisible
             | Self::Mirrored
             | Self::AnnotationsOutsidePicture

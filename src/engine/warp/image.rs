@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use super::region::occupied_words;
+use super::region::{for_each_pixel, occupied_words};
 use super::{Digest, Target, WarpError};
 use crate::codec::{self, Carried, ImageLimits, Metadata, Opened, Repairs, StepCounter};
 use crate::pixmap::{Channels, Depth, Extent, Pixmap};
@@ -131,6 +131,12 @@ impl Image {
     #[must_use]
     pub fn extent(&self) -> Extent {
         self.source.pixmap().extent()
+    }
+
+    /// The alpha of a row of pixels, up to [`FULL_WEIGHT`](crate::render::FULL_WEIGHT).
+    pub(super) fn alpha_of_row(&self, y: u32, alpha: &mut Vec<u16>) {
+        alpha.clear();
+        for_each_pixel(self.source.pixmap(), y, |pixel| alpha.push(pixel[3]));
     }
 
     /// Whether the picture has an alpha channel.

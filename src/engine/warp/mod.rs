@@ -13,6 +13,7 @@ pub mod blend;
 mod coefficient_request;
 mod compact;
 mod coordinate_map;
+mod cut_rest;
 mod digest;
 mod error;
 mod fit;

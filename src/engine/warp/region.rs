@@ -36,7 +36,7 @@ use std::sync::{Arc, OnceLock};
 use super::{Digest, Image};
 use crate::deform::IsCancelled;
 use crate::geometry::Mesh;
-use crate::pixmap::{Depth, Extent, Samples};
+use crate::pixmap::{Depth, Extent, Pixmap, Samples};
 use crate::render::{FULL_WEIGHT, Outside, RenderOptions, Renderer, Source};
 
 /// Pixels of the mask around a cell that a filter may add to it.
@@ -210,6 +210,14 @@ impl Region {
         Some(occupied)
     }
 
+    /// Appends the weights of a row of the mask.
+    pub(super) fn weights_of_row(&self, y: u32, weights: &mut Vec<u16>) {
+        let channel = self.channel;
+        for_each_pixel(self.mask.pixmap(), y, |pixel| {
+            weights.push(channel.weight(pixel))
+        });
+    }
+
     /// The mask through a mesh, 0 outside.
     pub(super) fn drawer(&self, mesh: &Mesh, options: RenderOptions) -> MaskDrawer {
         let alpha = if self.channel == MaskChannel::Alpha {
@@ -258,6 +266,34 @@ fn has_bit(words: &[u64], bits: Range<usize>) -> bool {
     words[first] & from != 0
         || words[last] & to != 0
         || words[first + 1..last].iter().any(|word| *word != 0)
+}
+
+/// Calls a function with the samples of each pixel of a row, in 16 bits; opaque without alpha.
+pub(super) fn for_each_pixel(pixmap: &Pixmap, y: u32, mut pixel: impl FnMut(&[u16; 4])) {
+    let count = pixmap.channels().count();
+    let row = pixmap.extent().width() as usize * count;
+    let row = y as usize * row..(y as usize + 1) * row;
+    let mut values = [FULL_WEIGHT; 4];
+    match pixmap.samples() {
+        Samples::Eight(samples) => {
+            for samples in samples[row].chunks_exact(count) {
+                values
+                    .iter_mut()
+                    .zip(samples)
+                    .for_each(|(value, s)| *value = widened(*s));
+                pixel(&values);
+            }
+        }
+        Samples::Sixteen(samples) => {
+            for samples in samples[row].chunks_exact(count) {
+                values
+                    .iter_mut()
+                    .zip(samples)
+                    .for_each(|(value, s)| *value = *s);
+                pixel(&values);
+            }
+        }
+    }
 }
 
 const fn widened(sample: u8) -> u16 {

@@ -3,19 +3,23 @@
 
 use std::sync::Arc;
 
+use super::cut_rest::{self, CutRest};
 use super::plausibility::{self, PosedHandles};
 use super::rest_parameters::{
     AUTO_CELL, check_parameters, field, plan_key, resolve_grid, to_px, unit,
 };
 use super::spec::at_most;
-use super::{Digest, GridSpec, Limits, RestMask, RestSpec, Task, Units, Warning, WarpError, work};
+use super::{
+    Digest, GridSpec, Limits, Metric, RestMask, RestSpec, Task, Units, Warning, WarpError, work,
+};
 use crate::deform::{
     self, DeformError, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality,
     RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
-use crate::geometry::{Grid, Mesh};
+use crate::geometry::{CutMesh, Grid, Mesh};
 use crate::pixmap::Extent;
 use crate::render::Canvas;
+use crate::topology::Mask;
 
 /// Two f32 and the renderer's corner, or two f32 twice, and most of that again for the vertices
 /// that halved cells share.
@@ -44,6 +48,8 @@ pub struct ResolvedRest {
     units: Units,
     mixed: bool,
     mask: Option<RestMask>,
+    /// The quads that are drawn instead of the cells of the grid, if that is cut along the mask.
+    cut: Option<Arc<CutRest>>,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
     /// Of the drawn picture, px.
@@ -125,8 +131,12 @@ impl ResolvedRest {
         let columns = rest.p.iter().map(|h| h.columns() as u64).sum();
         at_most("handle_columns", limits.columns as u64, columns)?;
         check_parameters(rest)?;
+        let mask = cut_rest::mask_of(rest, extent)?;
         let (width, height) = (f64::from(extent.width()), f64::from(extent.height()));
-        let grid = resolve_grid(rest.grid, width, height, limits)?;
+        let grid = match &mask {
+            Some(mask) => cut_rest::resolve_grid(rest.grid, mask, limits)?,
+            None => resolve_grid(rest.grid, width, height, limits)?,
+        };
         let handles = Handles::new(
             to_px(&rest.p, unit(rest.units, &grid)),
             rest.weights.clone(),
@@ -141,6 +151,12 @@ impl ResolvedRest {
             )?;
         }
         let field = field(handles, rest, is_solved, cancelled);
+        let field = match &mask {
+            Some(mask) if is_solved => {
+                field.and_then(|field| field.inside(mask, limits.plan_bytes, cancelled))
+            }
+            _ => field,
+        };
         let field = field.map_err(|error| match error {
             DeformError::Cancelled => WarpError::Cancelled,
             error => WarpError::Rest(error),
@@ -152,13 +168,53 @@ impl ResolvedRest {
         )?;
         let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         warnings.extend(rest.left_out());
-        Ok(Self::on_grid(
+        let known = rest.mask.clone().filter(|_| mask.is_some());
+        if known.is_none() && rest.metric == Metric::Geodesic {
+            warnings.push(Warning::MaskIsEverything);
+        }
+        let resolved = Self::on_grid(
             Arc::new(field),
             grid,
             rest.grid,
-            (rest.units, mixed, rest.mask.clone(), warnings),
+            (rest.units, mixed, known, warnings),
             limits,
-        ))
+        );
+        match mask {
+            Some(mask) => resolved.cut_along(&mask, limits, cancelled),
+            None => Ok(resolved),
+        }
+    }
+
+    /// The same on the quads of the grid that is cut along a mask. They are not subdivided.
+    fn cut_along(
+        self,
+        mask: &Mask,
+        limits: &Limits,
+        cancelled: IsCancelled<'_>,
+    ) -> Result<Self, WarpError> {
+        let cut = CutRest::new(mask, self.grid.cell().0, limits, cancelled)?;
+        let bytes = deform::CoefficientTable::bytes_for(&self.field, cut.vertices.len());
+        at_most("plan_bytes", limits.plan_bytes, bytes)?;
+        work::at_most(
+            Task::Grid,
+            limits.work,
+            (cut.vertices.len() as u64).saturating_mul(work::of_vertex(&self.field)),
+        )?;
+        Ok(Self {
+            tolerance: None,
+            table_bytes: Some(bytes),
+            exact_bytes: 0,
+            cut: Some(Arc::new(cut)),
+            ..self
+        })
+    }
+
+    /// Errors: The grid is cut, and `what` needs all cells of a grid.
+    pub(super) fn check_uncut(&self, what: &'static str) -> Result<(), WarpError> {
+        match self.cut {
+            Some(_) => Err(WarpError::CutGrid { what }),
+            None => Ok(()),
+        }
     }
 
     /// `field` on a resolved grid.
@@ -191,6 +247,7 @@ impl ResolvedRest {
             units,
             mixed,
             mask,
+            cut: None,
             warnings,
             tolerance,
             plan_key,
@@ -206,6 +263,7 @@ impl ResolvedRest {
     /// # Errors
     /// The grid exceeds a limit.
     pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
+        self.check_uncut("the inverse of f")?;
         let (width, height) = self.grid.cell();
         if [width, height]
             .iter()
@@ -297,7 +355,8 @@ impl ResolvedRest {
     pub fn posed_bytes(&self) -> u64 {
         /// Two f64, and about three times as much for the renderer.
         const VERTEX_BYTES: u64 = 64;
-        self.grid.len() as u64 * VERTEX_BYTES
+        let cut = self.cut.as_ref().map_or(0, |cut| cut.posed_bytes());
+        self.grid.len() as u64 * VERTEX_BYTES + cut
     }
 
     /// Upper bound of the memory of cells that are halved to meet the tolerance, bytes;
@@ -339,8 +398,15 @@ impl ResolvedRest {
     /// Cancelled.
     pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<CompiledRest, WarpError> {
         let fill = |_| {
-            deform::CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
-                .ok_or(WarpError::Cancelled)
+            let table = match &self.cut {
+                Some(cut) => {
+                    deform::CoefficientTable::of_cut_unless(&self.field, &cut.vertices, cancelled)
+                }
+                None => {
+                    deform::CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
+                }
+            };
+            table.ok_or(WarpError::Cancelled)
         };
         let table = self.table_bytes.map(fill).transpose()?;
         Ok(CompiledRest {
@@ -513,6 +579,13 @@ impl ResolvedRest {
         cancelled: IsCancelled<'_>,
     ) -> Result<(Mesh, PoseQuality), WarpError> {
         let posed = match &plan.table {
+            Some(table) if self.cut.is_some() => {
+                let cut = self.cut.as_ref().map(|cut| Arc::clone(&cut.cells));
+                cut.zip(table.displace_unless(pose, cancelled))
+                    .map(|(cells, (moved, quality))| {
+                        (Mesh::cut(CutMesh::new(cells, moved)), quality)
+                    })
+            }
             Some(table) => table.pose_unless(&self.grid, pose, cancelled),
             None => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };

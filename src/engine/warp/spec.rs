@@ -40,6 +40,8 @@ pub enum Metric {
     /// In the plane.
     #[default]
     Euclidean,
+    /// Along the shortest path inside the mask; of points, and of the methods that weigh handles.
+    Geodesic,
 }
 
 /// The class of maps by which q is aligned; never mirrored except by `Affine`.
@@ -149,6 +151,9 @@ pub struct RestSpec {
     pub has_unmatched: bool,
 }
 
+/// The fall-off inside a mask, if none is given.
+const GEODESIC_ALPHA: f64 = 2.0;
+
 impl RestSpec {
     /// Leaves out the handles that are missing at rest or in `q`, on both sides. They keep their
     /// indices. A `q` of another number of handles is left as it is, to be refused.
@@ -180,8 +185,12 @@ impl RestSpec {
     /// All parameters that are given.
     #[must_use]
     pub fn parameters(&self) -> Parameters {
+        // Inside a mask the neighbours of a handle are far: a steeper fall-off keeps them still.
+        let is_inside =
+            self.metric == Metric::Geodesic && self.method.info().parameter("alpha").is_some();
+        let alpha = self.alpha.or(is_inside.then_some(GEODESIC_ALPHA));
         self.own
-            .with_some("alpha", self.alpha)
+            .with_some("alpha", alpha)
             .with_some("point_mass", self.point_mass)
             .with_some("smoothing", self.smoothing)
     }

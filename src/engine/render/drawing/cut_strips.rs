@@ -12,10 +12,20 @@ const QUADS_PER_LOOK: usize = 64;
 
 impl Drawing {
     /// Coordinates of all pixels of a strip, from the second slot of the scratch on.
-    pub(super) fn draw_cut(&self, cut: &SnappedCut, strip: &Range<u32>, scratch: &mut StripScratch) {
+    pub(super) fn draw_cut(
+        &self,
+        cut: &SnappedCut,
+        strip: &Range<u32>,
+        scratch: &mut StripScratch,
+    ) {
         let (width, rows) = (self.width(), strip.len());
         let pitch = width + SLACK_PIXELS;
-        for plane in [&mut scratch.u, &mut scratch.v, &mut scratch.quad_u, &mut scratch.quad_v] {
+        for plane in [
+            &mut scratch.u,
+            &mut scratch.v,
+            &mut scratch.quad_u,
+            &mut scratch.quad_v,
+        ] {
             plane.resize(plane.len().max((1 + rows) * pitch), 0.0);
         }
         for row in 1..=rows {

@@ -76,8 +76,7 @@ impl Drawing {
         kernel: Kernel,
     ) -> Self {
         let mut border = Border::new(&lattice);
-        let covered =
-            lattice.cut.is_none() && border.surrounds(&window.columns, &window.rows);
+        let covered = lattice.cut.is_none() && border.surrounds(&window.columns, &window.rows);
         if !covered && matches!(options.outside, Outside::Edge | Outside::Reflect) {
             border.index();
             if options.outside == Outside::Reflect {
@@ -202,7 +201,9 @@ impl Drawing {
     /// Whether uncovered pixels show the picture's edge, or what is mirrored there; a cut grid has
     /// no such edge.
     fn is_extended(&self) -> bool {
-        !self.covered && self.lattice.cut.is_none() && matches!(self.outside, Outside::Edge | Outside::Reflect)
+        !self.covered
+            && self.lattice.cut.is_none()
+            && matches!(self.outside, Outside::Edge | Outside::Reflect)
     }
 
     /// Computes the coordinates of all pixels of a strip.

@@ -8,6 +8,7 @@
 
 mod alignment;
 mod drawn;
+mod geodesic;
 mod identity;
 mod quality;
 mod region;

@@ -3,6 +3,7 @@
 
 pub(in crate::deform) mod falloff;
 mod fit;
+pub(in crate::deform) mod geodesic;
 pub(in crate::deform) mod incomplete_beta;
 pub(in crate::deform) mod metric;
 pub(in crate::deform) mod moments;

@@ -1,0 +1,324 @@
+//! Warps inside the mask of an image.
+
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::super::{
+    Digest, Folds, GridSpec, Image, ImageLimits, Limits, Method, Metric, OutputSpec, PosedMesh,
+    RasterSource, RenderJob, ResolvedRest, RestMask, RestSpec, Warning, WarpError,
+};
+use crate::deform::{DeformError, Handle};
+use crate::geometry::Point;
+use crate::pixmap::Extent;
+use crate::topology::{Mask, Membership};
+
+fn point(value: &Value) -> Point {
+    Point::new(value[0].as_f64().unwrap(), value[1].as_f64().unwrap())
+}
+
+fn handles(value: &Value, side: &str) -> Vec<Handle> {
+    let points = value["points"].as_array().unwrap().iter();
+    points
+        .map(|handle| Handle::Point(point(&handle[side])))
+        .collect()
+}
+
+fn mask(rows: &[&str]) -> RestMask {
+    let [width, height] = [rows[0].len(), rows.len()].map(|side| u32::try_from(side).unwrap());
+    let pixels = rows
+        .iter()
+        .flat_map(|row| row.bytes())
+        .map(|pixel| pixel - b'0')
+        .collect();
+    Mask::new(Extent::new(width, height).unwrap(), pixels).unwrap()
+}
+
+fn extent(mask: &RestMask) -> Extent {
+    let (width, height) = mask.mask.size();
+    let [width, height] = [width, height].map(|side| u32::try_from(side).unwrap());
+    Extent::new(width, height).unwrap()
+}
+
+fn inside(p: Vec<Handle>, method: Method, mask: &RestMask) -> RestSpec {
+    RestSpec {
+        p,
+        method,
+        metric: Metric::Geodesic,
+        mask: Some(mask.clone()),
+        ..RestSpec::default()
+    }
+}
+
+fn resolve(rest: &RestSpec) -> Result<ResolvedRest, WarpError> {
+    ResolvedRest::new(rest, extent(rest.mask.as_ref().unwrap()), &Limits::default())
+}
+
+/// f of positions.
+fn mapped(rest: &RestSpec, q: &[Handle], at: &[Point]) -> Vec<Point> {
+    let resolved = resolve(rest).unwrap();
+    let pose = resolved.pose(q).unwrap();
+    let mapped = resolved.transform(&pose).map(at, &|| false).unwrap();
+    mapped.into_iter().map(Option::unwrap).collect()
+}
+
+#[test]
+fn f_is_that_of_the_reference_cases() {
+    let file: Value = serde_json::from_str(include_str!("../../test_files/rivals.json")).unwrap();
+    for case in file["geodesic_cases"].as_array().unwrap() {
+        let rows = case["mask"].as_array().unwrap().iter();
+        let rows: Vec<&str> = rows.map(|row| row.as_str().unwrap()).collect();
+        let mask = mask(&rows);
+        let (p, q) = (
+            handles(&case["handles"], "p"),
+            handles(&case["handles"], "q"),
+        );
+        let at: Vec<Point> = case["vertices"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(point)
+            .collect();
+        for (name, expected) in case["expected"].as_object().unwrap() {
+            let (method, alpha) = name.split_once('-').unwrap();
+            let method = match method {
+                "affine" => Method::Affine,
+                "similarity" => Method::Similarity,
+                _ => Method::Rigid,
+            };
+            let rest = RestSpec {
+                alpha: alpha.parse().ok(),
+                ..inside(p.clone(), method, &mask)
+            };
+            let found = mapped(&rest, &q, &at);
+            for (found, expected) in found.iter().zip(expected.as_array().unwrap()) {
+                let distance = found.distance(point(expected));
+                assert!(distance < 1e-4, "{} {name}: {distance}", case["name"]);
+            }
+        }
+    }
+}
+
+/// Two legs, which join above.
+const LEGS: [&str; 12] = [
+    "111111111111111111111111",
+    "111111111111111111111111",
+    "111111111111111111111111",
+    "111111111111111111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+    "111111111110011111111111",
+];
+
+fn points(places: &[(f64, f64)]) -> Vec<Handle> {
+    places
+        .iter()
+        .map(|(x, y)| Handle::Point(Point::new(*x, *y)))
+        .collect()
+}
+
+const P: [(f64, f64); 4] = [(2.5, 1.5), (21.25, 1.5), (9.0, 10.5), (15.0, 10.5)];
+
+#[test]
+fn the_laws_of_moving_least_squares_hold_inside_a_mask() {
+    let mask = mask(&LEGS);
+    let at: Vec<Point> = (0..24)
+        .flat_map(|x| (0..12).map(move |y| Point::new(f64::from(x) + 0.3, f64::from(y) + 0.6)))
+        .collect();
+    let p = points(&P);
+    for method in [Method::Rigid, Method::Similarity, Method::Affine] {
+        let rest = inside(p.clone(), method, &mask);
+        assert_eq!(mapped(&rest, &p, &at), at);
+        let moved = points(&P.map(|(x, y)| (x + 3.0, y - 2.5)));
+        for (found, at) in mapped(&rest, &moved, &at).iter().zip(&at) {
+            assert!(found.distance(Point::new(at.x + 3.0, at.y - 2.5)) < 1e-9);
+        }
+        let turn = |(x, y): (f64, f64)| (0.6 * x - 0.8 * y + 4.0, 0.8 * x + 0.6 * y);
+        for (found, at) in mapped(&rest, &points(&P.map(turn)), &at).iter().zip(&at) {
+            let (x, y) = turn((at.x, at.y));
+            assert!(found.distance(Point::new(x, y)) < 1e-9);
+        }
+        let q = points(&[(2.5, 1.5), (22.0, 2.0), (7.0, 11.0), (17.0, 9.0)]);
+        let places: Vec<Point> = P.iter().map(|(x, y)| Point::new(*x, *y)).collect();
+        let at_handles = mapped(&rest, &q, &places);
+        assert!(
+            at_handles
+                .iter()
+                .zip(&q)
+                .all(|(at, q)| at.distance(q.places()[0]) < 1e-9)
+        );
+        let (mut reversed_p, mut reversed_q) = (p.clone(), q.clone());
+        reversed_p.reverse();
+        reversed_q.reverse();
+        let reversed = mapped(&inside(reversed_p, method, &mask), &reversed_q, &at);
+        let found = mapped(&rest, &q, &at);
+        assert!(
+            found
+                .iter()
+                .zip(&reversed)
+                .all(|(a, b)| a.distance(*b) < 1e-9)
+        );
+    }
+}
+
+#[test]
+fn a_full_mask_is_the_plane() {
+    let rows = vec!["1".repeat(40); 30];
+    let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+    let full = mask(&rows);
+    let (p, q) = (
+        points(&P),
+        points(&[(2.5, 1.5), (30.0, 2.0), (7.0, 20.0), (17.0, 9.0)]),
+    );
+    let rest = inside(p, Method::Rigid, &full);
+    let resolved = resolve(&rest).unwrap();
+    assert_eq!(resolved.rest_warnings(), [Warning::MaskIsEverything]);
+    let plane = RestSpec {
+        metric: Metric::Euclidean,
+        mask: None,
+        alpha: Some(2.0),
+        ..rest.clone()
+    };
+    let plane = ResolvedRest::new(&plane, extent(&full), &Limits::default()).unwrap();
+    assert_eq!(resolved.plan_key(), plane.plan_key());
+    // Nearly full: one corner is missing, and nothing lies behind it.
+    let rows: Vec<String> = (0..30)
+        .map(|y| {
+            if y == 29 {
+                format!("{}0", "1".repeat(39))
+            } else {
+                "1".repeat(40)
+            }
+        })
+        .collect();
+    let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+    let nearly = inside(rest.p, Method::Rigid, &mask(&rows));
+    let at: Vec<Point> = (0..38).map(|k| Point::new(f64::from(k), 3.0)).collect();
+    let pose = plane.pose(&q).unwrap();
+    let expected = plane.transform(&pose).map(&at, &|| false).unwrap();
+    for (found, expected) in mapped(&nearly, &q, &at).iter().zip(expected) {
+        assert!(found.distance(expected.unwrap()) < 1e-9);
+    }
+}
+
+#[test]
+fn what_has_no_distances_inside_the_mask_is_refused() {
+    let mask = mask(&LEGS);
+    let rest = |p: &[(f64, f64)]| inside(points(p), Method::Rigid, &mask);
+    assert_eq!(
+        resolve(&rest(&[(2.0, 2.0), (12.0, 18.0)])).unwrap_err(),
+        WarpError::Rest(DeformError::OutsideMask { handle: 1 })
+    );
+    let line = Handle::Polyline(vec![Point::new(1.0, 1.0), Point::new(5.0, 1.0)]);
+    let with_line = inside(vec![line], Method::Rigid, &mask);
+    assert_eq!(
+        resolve(&with_line).unwrap_err(),
+        WarpError::Rest(DeformError::LineInMask { handle: 0 })
+    );
+    let spline = inside(points(&P), Method::ThinPlateSpline, &mask);
+    assert_eq!(
+        resolve(&spline).unwrap_err(),
+        WarpError::Rest(DeformError::NoMetric { method: "tps" })
+    );
+    let empty = inside(
+        points(&P),
+        Method::Rigid,
+        &super::geodesic::mask(&["0000", "0200"]),
+    );
+    assert_eq!(
+        resolve(&empty).unwrap_err(),
+        WarpError::Rest(DeformError::EmptyMask)
+    );
+    let no_mask = RestSpec {
+        mask: None,
+        ..rest(&P)
+    };
+    let extent = extent(&mask);
+    let refused = ResolvedRest::new(&no_mask, extent, &Limits::default());
+    assert_eq!(refused.unwrap_err(), WarpError::NoImage);
+    let uneven = RestSpec {
+        grid: GridSpec::Cell(2.5),
+        ..rest(&P)
+    };
+    assert!(matches!(resolve(&uneven), Err(WarpError::BadGrid(_))));
+    let little = Limits {
+        plan_bytes: 20_000,
+        ..Limits::default()
+    };
+    let refused = ResolvedRest::new(&rest(&P), extent, &little).unwrap_err();
+    assert!(
+        matches!(refused, WarpError::Rest(DeformError::MaskTooLarge { .. })),
+        "{refused:?}"
+    );
+    let inverse = resolve(&rest(&P)).unwrap().to_invert(&Limits::default());
+    assert!(matches!(inverse, Err(WarpError::CutGrid { .. })));
+}
+
+/// A hind and a front hoof are pinned each, and one front hoof is dragged.
+const HORSE: [(f64, f64); 11] = [
+    (122.0, 606.0),
+    (248.0, 600.0),
+    (512.0, 604.0),
+    (562.0, 614.0),
+    (150.0, 240.0),
+    (330.0, 215.0),
+    (545.0, 300.0),
+    (600.0, 120.0),
+    (700.0, 70.0),
+    (752.0, 180.0),
+    (62.0, 470.0),
+];
+
+#[test]
+fn a_dragged_hoof_leaves_the_others_where_they_are() {
+    let file = include_bytes!("../../test_files/images/horse-cutout.png");
+    let image = Arc::new(Image::decode(file, &ImageLimits::default()).unwrap());
+    let mask = RestMask::of_image(&image, None, &|| false).unwrap();
+    let (p, mut q) = (points(&HORSE), HORSE);
+    q[3] = (614.0, 584.0);
+    let q = points(&q);
+    let geodesic = inside(p, Method::Rigid, &mask);
+    let plane = RestSpec {
+        metric: Metric::Euclidean,
+        alpha: Some(2.0),
+        ..geodesic.clone()
+    };
+    let mut moves = Vec::new();
+    for (name, rest) in [("plane", plane), ("inside", geodesic)] {
+        eprintln!("{name} {:?}", std::time::Instant::now());
+        let resolved = resolve(&rest).unwrap();
+        eprintln!("resolved {:?}", std::time::Instant::now());
+        let pose = resolved.pose(&q).unwrap();
+        let plan = resolved.plan();
+        eprintln!("plan {:?}", std::time::Instant::now());
+        let posed =
+            PosedMesh::new(&resolved, &plan, &pose, Folds::Report, &|| false).unwrap();
+        assert!(posed.report().residual < 0.3, "{}", posed.report().residual);
+        eprintln!("posed {:?}", std::time::Instant::now());
+        let worst = (575..image.extent().height())
+            .flat_map(|y| (0..530).map(move |x| (x, y)))
+            .filter(|(x, y)| mask.mask.is_inside(*x as usize, *y as usize))
+            .map(|(x, y)| Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5))
+            .map(|at| posed.mesh().map(at).unwrap().distance(at))
+            .fold(0.0, f64::max);
+        moves.push(worst);
+        eprintln!("moves {worst} {:?}", std::time::Instant::now());
+        let output = OutputSpec::default();
+        let limits = Limits::default();
+        let job = RenderJob::new(RasterSource::Image(&image), &posed, &output, &limits).unwrap();
+        let mut png = Vec::new();
+        let _ = job.write(0, &(), &mut |bytes| {
+            png.extend(bytes);
+            std::ops::ControlFlow::Continue(())
+        });
+        if let Ok(folder) = std::env::var("MLSWARP_PICTURES") {
+            std::fs::write(format!("{folder}/hoof-{name}.png"), &png).unwrap();
+        }
+    }
+    assert!(moves[0] > 30.0 && moves[1] <= 1.0, "{moves:?}");
+}
