@@ -263,9 +263,9 @@ impl RestDeformation {
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
         let wanted = match self.method {
-            Method::Rigid => Form::Rigid,
-            Method::Similarity => Form::Complex,
-            Method::Affine => Form::Real,
+            Method::Rigid => CoefficientForm::Rigid,
+            Method::Similarity => CoefficientForm::Complex,
+            Method::Affine => CoefficientForm::Real,
             method => {
                 let method = method.info().name;
                 return Err(DeformError::NoMetric { method });

@@ -414,13 +414,7 @@ impl CellComponents {
         count
     }
 
-    fn flood(
-        &mut self,
-        mask: &Mask,
-        [x0, y0]: [usize; 2],
-        [wide, high]: [usize; 2],
-        label: u16,
-    ) {
+    fn flood(&mut self, mask: &Mask, [x0, y0]: [usize; 2], [wide, high]: [usize; 2], label: u16) {
         while let Some((x, y)) = self.stack.pop() {
             let mut reach = |joined: bool, x: usize, y: usize| {
                 let at = y * self.side + x;

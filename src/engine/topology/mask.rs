@@ -34,10 +34,12 @@ const OUTSIDE: u8 = 0;
 /// 1 to here: inside, with this Chebyshev distance from the nearest pixel that is not. The border of
 /// the image does not count, since no path leaves the image.
 const FARTHEST: u8 = 249;
-/// Rim that is not attached yet, or that others are attached to.
-const ROOT: u8 = 250;
+/// Rim that is not attached yet; afterwards there is none.
+const UNATTACHED: u8 = 250;
 /// Rim that is attached to its right, left, lower, upper neighbour.
 const ATTACHED: [u8; 4] = [251, 252, 253, 254];
+/// Rim that touches nothing, and that other rim is attached to.
+const STRAY: u8 = 255;
 /// The same neighbours.
 const AROUND: [(isize, isize); 4] = [(1, 0), (-1, 0), (0, 1), (0, -1)];
 /// A crossing this near to the corner of a pixel passes through the corner, px.
@@ -73,7 +75,7 @@ impl Mask {
             for (pixel, membership) in pixels.iter_mut().zip(&memberships) {
                 *pixel = match membership {
                     Membership::Outside => OUTSIDE,
-                    Membership::Rim => ROOT,
+                    Membership::Rim => UNATTACHED,
                     Membership::Inside => {
                         inside += 1;
                         FARTHEST
@@ -97,7 +99,7 @@ impl Mask {
         let (w, h) = (self.width, self.height);
         let near = |pixels: &[u8], x: usize, at: usize, back: bool| {
             let value = |index: usize| match pixels[index] {
-                OUTSIDE | ROOT.. => 0,
+                OUTSIDE | UNATTACHED.. => 0,
                 clearance => clearance,
             };
             // The four neighbours that this pass has visited.
@@ -157,12 +159,13 @@ impl Mask {
                 }
                 std::mem::swap(&mut front, &mut next);
             }
-            while at < self.pixels.len() && self.pixels[at] != ROOT {
+            while at < self.pixels.len() && self.pixels[at] != UNATTACHED {
                 at += 1;
             }
             if at == self.pixels.len() {
                 return Some(());
             }
+            self.pixels[at] = STRAY;
             self.attach_neighbours(at, &mut front);
             at += 1;
         }
@@ -171,7 +174,7 @@ impl Mask {
     fn attach_neighbours(&mut self, at: usize, found: &mut Vec<usize>) {
         for (side, (dx, dy)) in AROUND.into_iter().enumerate() {
             if let Some(neighbour) = self.beside(at, dx, dy)
-                && self.pixels[neighbour] == ROOT
+                && self.pixels[neighbour] == UNATTACHED
             {
                 // Its right neighbour is the one whose left neighbour it is.
                 self.pixels[neighbour] = ATTACHED[side ^ 1];
@@ -305,7 +308,7 @@ impl Mask {
 
     fn clearance(&self, x: usize, y: usize) -> usize {
         match self.pixels[y * self.width + x] {
-            OUTSIDE | ROOT.. => 0,
+            OUTSIDE | UNATTACHED.. => 0,
             clearance => clearance as usize,
         }
     }

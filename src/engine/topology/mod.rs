@@ -9,7 +9,7 @@ mod taut;
 
 pub use distance::{Distances, OutsideMask, PathOrigin};
 pub use lattice::{CutLattice, MAX_SPACING, Quad};
-pub use mask::{Membership, Mask};
+pub use mask::{Mask, Membership};
 pub use nodes::{NoNodes, Nodes};
 
 #[cfg(test)]

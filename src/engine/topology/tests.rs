@@ -134,6 +134,14 @@ fn the_rim_follows_what_it_touches_and_joins_nothing() {
 }
 
 #[test]
+fn stray_rim_is_a_part_of_its_own() {
+    let mask = mask_of(&["0000000", "0+++000", "0+0+001", "0+++000"]);
+    let lattice = CutLattice::new(&mask, 3, 100, &|| false).unwrap();
+    assert_eq!(lattice.parts(), 2);
+    assert!((1..4).all(|x| mask.root(x, 1).is_none() && mask.root(x, 3).is_none()));
+}
+
+#[test]
 fn a_full_mask_has_straight_distances_and_one_part() {
     let rows = vec!["1".repeat(300); 200];
     let rows: Vec<&str> = rows.iter().map(String::as_str).collect();

@@ -70,10 +70,7 @@ impl CutRest {
 /// inside, which is the same.
 ///
 /// Errors: No image, a method without a metric.
-pub(super) fn mask_of(
-    rest: &RestSpec,
-    extent: Extent,
-) -> Result<Option<Arc<Mask>>, WarpError> {
+pub(super) fn mask_of(rest: &RestSpec, extent: Extent) -> Result<Option<Arc<Mask>>, WarpError> {
     if rest.metric == Metric::Euclidean {
         return Ok(None);
     }
@@ -84,7 +81,9 @@ pub(super) fn mask_of(
     }
     let size = (extent.width() as usize, extent.height() as usize);
     let mask = rest.mask.as_ref().map(|rest| &rest.mask);
-    let mask = mask.filter(|mask| mask.size() == size).ok_or(WarpError::NoImage)?;
+    let mask = mask
+        .filter(|mask| mask.size() == size)
+        .ok_or(WarpError::NoImage)?;
     Ok((!mask.is_everything()).then(|| Arc::clone(mask)))
 }
 

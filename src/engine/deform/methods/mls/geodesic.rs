@@ -13,14 +13,14 @@ use super::metric::Metric;
 use super::row::RowInputs;
 use super::segments::View;
 use crate::deform::columns::{HandleElements, PointSource, Rank, RestSegment, rank};
-use crate::deform::form::Form;
+use crate::deform::form::CoefficientForm;
 use crate::deform::kernel;
 use crate::deform::lanes::{ON_PLANE, Vertices};
 use crate::deform::point_map::{CoefficientsOf, Identity, PointMap, RestSet};
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, Handle, Handles, IsCancelled, Warning};
 use crate::geometry::Point;
-use crate::topology::{Distances, NoNodes, Nodes, PathOrigin, Mask};
+use crate::topology::{Distances, Mask, NoNodes, Nodes, PathOrigin};
 
 /// A position farther from the mask than this belongs to no part, px.
 const BESIDE_MASK: f64 = 16.0;
@@ -68,13 +68,13 @@ impl GeodesicLeastSquares {
     /// distances.
     pub(in crate::deform) fn new(
         set: &RestSet,
-        form: Form,
+        form: CoefficientForm,
         (falloff, point_mass): (Falloff, f64),
         mask: &Arc<Mask>,
         handle_of: &(dyn Fn(usize) -> usize + Sync),
         most_bytes: u64,
         cancelled: IsCancelled<'_>,
-    ) -> Result<(Self, Form, Vec<Warning>), DeformError> {
+    ) -> Result<(Self, CoefficientForm, Vec<Warning>), DeformError> {
         if mask.inside() == 0 {
             return Err(DeformError::EmptyMask);
         }
@@ -111,8 +111,8 @@ impl GeodesicLeastSquares {
     fn find_parts(
         &mut self,
         set: &RestSet,
-        wanted: Form,
-    ) -> Result<(Form, Vec<Warning>), DeformError> {
+        wanted: CoefficientForm,
+    ) -> Result<(CoefficientForm, Vec<Warning>), DeformError> {
         let mask = self.nodes.mask();
         let mut members: Vec<Vec<usize>> = Vec::new();
         for (index, point) in set.sources.points.iter().enumerate() {
@@ -218,7 +218,7 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
                 continue;
             };
             let points = &part.set.sources.points;
-            let is_rigid = part.set.form == Form::Rigid;
+            let is_rigid = part.set.form == CoefficientForm::Rigid;
             if part.set.rank == Rank::OnePlace {
                 // A translation, by the mean of the handles.
                 let total: f64 = points.iter().map(|point| point.mass).sum();
@@ -235,7 +235,7 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
             for point in points {
                 let column = point.column;
                 rows.h[column][0][lane] = single.rows.h[column][0][0];
-                if part.set.form != Form::Real {
+                if part.set.form != CoefficientForm::Real {
                     rows.h[column][1][lane] = single.rows.h[column][1][0];
                 }
                 if is_rigid {
@@ -250,7 +250,7 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
 }
 
 impl PointMap for GeodesicLeastSquares {
-    fn identity(&self, form: Form) -> Identity {
+    fn identity(&self, form: CoefficientForm) -> Identity {
         Identity {
             plan: KEY + form as u64,
             rest: KEY + form as u64,
