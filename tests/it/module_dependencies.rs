@@ -48,7 +48,7 @@ const ENGINE: [(&str, &[&str]); 8] = [
     ),
     ("codec", &["pixmap", "level"]),
     ("render", &["pixmap", "geometry", "level"]),
-    ("deform", &["geometry", "level"]),
+    ("deform", &["topology", "geometry", "level"]),
     ("pixmap", &[]),
     ("topology", &["geometry"]),
     ("geometry", &[]),

@@ -70,6 +70,9 @@ impl From<WarpError> for Problem {
                 .pointer("/p")
                 .actual(actual),
             WarpError::NoTable { .. } => Self::new(Code::NoTable, detail),
+            WarpError::NoImage | WarpError::CutGrid { .. } => {
+                Self::new(Code::NotSupported, detail).pointer("/metric")
+            }
             WarpError::BadGrid(_) => Self::new(Code::BadValue, detail).pointer("/grid"),
             WarpError::LabelFormat { .. } => {
                 Self::new(Code::BadValue, detail).pointer("/output/format")
@@ -169,6 +172,11 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             too_large().limit("handle_comparisons", limit, limit + 1)
         }
         DeformError::Cancelled => new(Code::Timeout),
+        DeformError::EmptyMask => new(Code::NotSupported).pointer("/metric"),
+        DeformError::OutsideMask { handle } => at_handle(Code::BadValue, handle),
+        DeformError::MaskTooLarge { limit, bytes } => too_large().limit("plan_bytes", limit, bytes),
+        DeformError::LineInMask { handle } => at_handle(Code::NotSupported, handle),
+        DeformError::NoMetric { .. } => new(Code::NotSupported).pointer("/metric"),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange)
             .pointer("/alpha")
             .actual(number(alpha)),

@@ -175,11 +175,25 @@ enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse",
     MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
-enum_names!(
-    Metric,
-    unsupported["geodesic"],
-    Metric::Euclidean = "euclidean"
-);
+
+/// The library has the other metric; the service does not offer it yet.
+impl EnumName for Metric {
+    const ALL: &'static [Self] = &[Self::Euclidean];
+    const UNSUPPORTED: &'static [&'static str] = &["geodesic"];
+
+    fn as_str(self) -> &'static str {
+        match self {
+            Self::Euclidean => "euclidean",
+            Self::Geodesic => "geodesic",
+        }
+    }
+}
+
+impl Serialize for AsJson<Metric> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0.as_str())
+    }
+}
 
 /// Without the format of animations, which is requested by `Accept`.
 impl EnumName for Format {

@@ -58,6 +58,16 @@ impl Nodes {
         stride
     }
 
+    /// The number of nodes of a mask with blocks of `stride` px. O(pixels).
+    #[must_use]
+    pub fn count(mask: &Arc<Mask>, stride: usize) -> u64 {
+        match Self::new(Arc::clone(mask), stride, 0, &|| false) {
+            Ok(nodes) => nodes.len() as u64,
+            Err(NoNodes::TooMany(nodes)) => nodes,
+            Err(NoNodes::Cancelled) => 0,
+        }
+    }
+
     /// The nodes of a mask with blocks of `stride` px, at most `most`.
     ///
     /// # Errors

@@ -68,6 +68,7 @@ impl CoefficientRequest {
         rows: u32,
         limits: &Limits,
     ) -> Result<Self, WarpError> {
+        setup.check_uncut("a table of coefficients for clients")?;
         let (width, height, _) = setup.on();
         let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
         let table = Self {

@@ -7,6 +7,7 @@ use crate::codec::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::deform::{Coincident, Handle, Method, Parameters};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
+use crate::topology::{Distances, Nodes};
 
 /// Limits of a warp; each is a flag of the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -199,7 +200,17 @@ impl RestSpec {
     /// bytes, beyond that of the handles; known before anything is allocated.
     #[must_use]
     pub fn field_bytes(&self) -> u64 {
+        let of_mask = self
+            .mask
+            .as_ref()
+            .filter(|_| self.metric == Metric::Geodesic);
         system_bytes(self.method, self.p.len() as u64)
+            + of_mask.map_or(0, |rest| {
+                let nodes = Nodes::count(&rest.mask, Nodes::stride_of(&rest.mask));
+                nodes.saturating_mul(
+                    Nodes::bytes_for(1) + Distances::bytes_for(1) * self.p.len() as u64,
+                )
+            })
     }
 }
 

@@ -35,12 +35,12 @@ pub(in crate::deform) struct GeodesicLeastSquares {
     nodes: Arc<Nodes>,
     /// From each point of the set.
     distances: Vec<Distances>,
-    parts: Vec<Part>,
+    parts: Vec<MaskPart>,
 }
 
 /// The points of a part of the subject.
 #[derive(Debug)]
-struct Part {
+struct MaskPart {
     set: RestSet,
     /// The number of each point in the whole set.
     members: Vec<usize>,
@@ -137,7 +137,7 @@ impl GeodesicLeastSquares {
             }
             // That a part has one handle is usual.
             warnings.extend(of_part.into_iter().filter(|_| rank != Rank::OnePlace));
-            self.parts.push(Part {
+            self.parts.push(MaskPart {
                 set: RestSet {
                     sources: HandleElements {
                         points,
@@ -176,9 +176,9 @@ impl GeodesicLeastSquares {
         pixel: u32,
         exact: bool,
         workspace: &mut Workspace<1>,
-    ) -> Option<&Part> {
+    ) -> Option<&MaskPart> {
         let pixel = self.pixel(v, pixel)?;
-        let reaches = |part: &&Part| self.distances[part.members[0]].reaches(pixel.0, pixel.1);
+        let reaches = |part: &&MaskPart| self.distances[part.members[0]].reaches(pixel.0, pixel.1);
         let part = self.parts.iter().find(reaches)?;
         if matches!(part.set.rank, Rank::Empty | Rank::OnePlace) {
             return Some(part);
