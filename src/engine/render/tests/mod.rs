@@ -10,6 +10,7 @@
 mod area;
 mod canvases;
 mod coverage;
+mod cut;
 mod extremes;
 mod inverse;
 mod photograph;
