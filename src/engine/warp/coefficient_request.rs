@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::cut_rest::check_uncut;
 use super::digest::Collector;
 use super::rest_parameters::{resolve_grid, with_mask};
 use super::spec::at_most;
@@ -68,7 +69,7 @@ impl CoefficientRequest {
         rows: u32,
         limits: &Limits,
     ) -> Result<Self, WarpError> {
-        setup.check_uncut("a table of coefficients for clients")?;
+        check_uncut(setup.cut.as_ref(), "a table of coefficients for clients")?;
         let (width, height, _) = setup.on();
         let grid = resolve_grid(GridSpec::Counts { columns, rows }, width, height, limits)?;
         let table = Self {

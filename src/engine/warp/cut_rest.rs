@@ -4,9 +4,11 @@
 use std::sync::Arc;
 
 use super::spec::at_most;
-use super::{GridSpec, Limits, Metric, RestSpec, WarpError};
-use crate::deform::{DeformError, IsCancelled};
-use crate::geometry::{CutCells, Grid, Point};
+use super::{GridSpec, Limits, Metric, RestSpec, Task, WarpError, work};
+use crate::deform::{
+    CoefficientTable, DeformError, IsCancelled, Pose, PoseQuality, RestDeformation,
+};
+use crate::geometry::{CutCells, CutMesh, Grid, Mesh, Point};
 use crate::pixmap::Extent;
 use crate::topology::{CutLattice, MAX_SPACING, Mask};
 
@@ -20,19 +22,20 @@ const AT_REST: u32 = u32::MAX - 1;
 /// The quads of a cut grid at rest.
 #[derive(Debug)]
 pub(super) struct CutRest {
-    pub(super) cells: Arc<CutCells>,
+    cells: Arc<CutCells>,
     /// Each vertex, and the pixel that it belongs to, counted row by row.
-    pub(super) vertices: Vec<(Point, u32)>,
+    vertices: Vec<(Point, u32)>,
 }
 
 impl CutRest {
-    /// Cells have `side` px, a whole number.
+    /// Cells have `side` px, a whole number. Also returns the bytes of the table of coefficients.
     pub(super) fn new(
+        field: &RestDeformation,
         mask: &Mask,
         side: f64,
         limits: &Limits,
         cancelled: IsCancelled<'_>,
-    ) -> Result<Self, WarpError> {
+    ) -> Result<(Self, u64), WarpError> {
         let most = limits.plan_bytes / CutLattice::bytes_for(1);
         let most_quads = usize::try_from(most).unwrap_or(usize::MAX);
         let lattice = CutLattice::new(mask, whole(side), most_quads, cancelled);
@@ -50,19 +53,56 @@ impl CutRest {
         };
         let cells = lattice.cells_of(mask);
         let pixels = (0..).zip(lattice.pixels(mask));
-        let vertices = pixels
+        let vertices: Vec<_> = pixels
             .map(|(vertex, pixel)| (cells.vertex(vertex), pixel.unwrap_or(AT_REST)))
             .collect();
-        Ok(Self {
+        let bytes = CoefficientTable::bytes_for(field, vertices.len());
+        at_most("plan_bytes", limits.plan_bytes, bytes)?;
+        work::at_most(
+            Task::Grid,
+            limits.work,
+            (vertices.len() as u64).saturating_mul(work::of_vertex(field)),
+        )?;
+        let cut = Self {
             cells: Arc::new(cells),
             vertices,
-        })
+        };
+        Ok((cut, bytes))
+    }
+
+    /// The coefficients of its vertices; `None` when cancelled.
+    pub(super) fn table(
+        &self,
+        field: &RestDeformation,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<CoefficientTable> {
+        CoefficientTable::of_cut_unless(field, &self.vertices, cancelled)
+    }
+
+    /// The posed mesh; `None` when cancelled.
+    pub(super) fn pose(
+        &self,
+        table: &CoefficientTable,
+        pose: &Pose,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<(Mesh, PoseQuality)> {
+        let (moved, quality) = table.displace_unless(pose, cancelled)?;
+        let cut = CutMesh::new(Arc::clone(&self.cells), moved);
+        Some((Mesh::cut(cut), quality))
     }
 
     /// Memory of a posed mesh until it is drawn, bytes.
     pub(super) fn posed_bytes(&self) -> u64 {
         // Displacements and corners of vertices, and the corners of quads.
         32 * self.vertices.len() as u64 + 160 * self.cells.cells().len() as u64
+    }
+}
+
+/// Errors: The grid is cut, and `what` needs all cells of a grid.
+pub(super) fn check_uncut(cut: Option<&Arc<CutRest>>, what: &'static str) -> Result<(), WarpError> {
+    match cut {
+        Some(_) => Err(WarpError::CutGrid { what }),
+        None => Ok(()),
     }
 }
 

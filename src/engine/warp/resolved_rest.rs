@@ -16,7 +16,7 @@ use crate::deform::{
     self, DeformError, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality,
     RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
-use crate::geometry::{CutMesh, Grid, Mesh};
+use crate::geometry::{Grid, Mesh};
 use crate::pixmap::Extent;
 use crate::render::Canvas;
 use crate::topology::Mask;
@@ -49,7 +49,7 @@ pub struct ResolvedRest {
     mixed: bool,
     mask: Option<RestMask>,
     /// The quads that are drawn instead of the cells of the grid, if that is cut along the mask.
-    cut: Option<Arc<CutRest>>,
+    pub(super) cut: Option<Arc<CutRest>>,
     /// The warnings of the rest handles.
     warnings: Vec<Warning>,
     /// Of the drawn picture, px.
@@ -168,8 +168,9 @@ impl ResolvedRest {
         )?;
         let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         warnings.extend(rest.left_out());
-        let known = rest.mask.clone().filter(|_| mask.is_some());
-        if known.is_none() && rest.metric == Metric::Geodesic {
+        let mut known = rest.mask.clone();
+        if mask.is_none() && rest.metric == Metric::Geodesic {
+            known = None;
             warnings.push(Warning::MaskIsEverything);
         }
         let resolved = Self::on_grid(
@@ -192,14 +193,7 @@ impl ResolvedRest {
         limits: &Limits,
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, WarpError> {
-        let cut = CutRest::new(mask, self.grid.cell().0, limits, cancelled)?;
-        let bytes = deform::CoefficientTable::bytes_for(&self.field, cut.vertices.len());
-        at_most("plan_bytes", limits.plan_bytes, bytes)?;
-        work::at_most(
-            Task::Grid,
-            limits.work,
-            (cut.vertices.len() as u64).saturating_mul(work::of_vertex(&self.field)),
-        )?;
+        let (cut, bytes) = CutRest::new(&self.field, mask, self.grid.cell().0, limits, cancelled)?;
         Ok(Self {
             tolerance: None,
             table_bytes: Some(bytes),
@@ -207,14 +201,6 @@ impl ResolvedRest {
             cut: Some(Arc::new(cut)),
             ..self
         })
-    }
-
-    /// Errors: The grid is cut, and `what` needs all cells of a grid.
-    pub(super) fn check_uncut(&self, what: &'static str) -> Result<(), WarpError> {
-        match self.cut {
-            Some(_) => Err(WarpError::CutGrid { what }),
-            None => Ok(()),
-        }
     }
 
     /// `field` on a resolved grid.
@@ -263,7 +249,7 @@ impl ResolvedRest {
     /// # Errors
     /// The grid exceeds a limit.
     pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
-        self.check_uncut("the inverse of f")?;
+        cut_rest::check_uncut(self.cut.as_ref(), "the inverse of f")?;
         let (width, height) = self.grid.cell();
         if [width, height]
             .iter()
@@ -399,9 +385,7 @@ impl ResolvedRest {
     pub fn plan_unless(&self, cancelled: IsCancelled<'_>) -> Result<CompiledRest, WarpError> {
         let fill = |_| {
             let table = match &self.cut {
-                Some(cut) => {
-                    deform::CoefficientTable::of_cut_unless(&self.field, &cut.vertices, cancelled)
-                }
+                Some(cut) => cut.table(&self.field, cancelled),
                 None => {
                     deform::CoefficientTable::of_grid_unless(&self.field, &self.grid, cancelled)
                 }
@@ -578,16 +562,10 @@ impl ResolvedRest {
         pose: &Pose,
         cancelled: IsCancelled<'_>,
     ) -> Result<(Mesh, PoseQuality), WarpError> {
-        let posed = match &plan.table {
-            Some(table) if self.cut.is_some() => {
-                let cut = self.cut.as_ref().map(|cut| Arc::clone(&cut.cells));
-                cut.zip(table.displace_unless(pose, cancelled))
-                    .map(|(cells, (moved, quality))| {
-                        (Mesh::cut(CutMesh::new(cells, moved)), quality)
-                    })
-            }
-            Some(table) => table.pose_unless(&self.grid, pose, cancelled),
-            None => pose_without_table(&self.field, &self.grid, pose, cancelled),
+        let posed = match (&plan.table, &self.cut) {
+            (Some(table), Some(cut)) => cut.pose(table, pose, cancelled),
+            (Some(table), None) => table.pose_unless(&self.grid, pose, cancelled),
+            (None, _) => pose_without_table(&self.field, &self.grid, pose, cancelled),
         };
         posed.ok_or(WarpError::Cancelled)
     }
