@@ -13,7 +13,8 @@
 //! 4. Within a key: the newest request of a session, because its user wants to see the newest pose;
 //!    otherwise the oldest.
 //!
-//! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none. A long
+//! There is one permit ([`SPARE_PERMITS`]) more than workers, for a client that holds none; and a
+//! visitor that holds one never takes the last of the others. A long
 //! job gives way between parts of its work ([`FairQueue::gives_way`]): it returns its permit when
 //! another client that has used less waits for one, and is next when that is no longer so. So what
 //! a client holds shrinks while others wait, and long requests of any number of clients delay a
@@ -213,7 +214,16 @@ impl<W> FairQueue<W> {
                 .get(&tenant.payer())
                 .is_none_or(|usage| usage.running == 0)
         };
-        running < self.permits || (running < self.permits + SPARE_PERMITS && has_none())
+        // A visitor leaves the last permit to visitors of any key that hold none: what runs for
+        // one, a long drag, delays the others by no more than they delay each other.
+        let is_visitor = tenant != tenant.payer();
+        let holds_one = || {
+            self.usage
+                .get(&tenant)
+                .is_some_and(|usage| usage.running > 0)
+        };
+        let kept = usize::from(is_visitor && holds_one());
+        running + kept < self.permits || (running < self.permits + SPARE_PERMITS && has_none())
     }
 
     /// The client with the least is next: recently used worker time, running requests. Of its

@@ -590,3 +590,42 @@ fn a_full_queue_makes_room_among_keys_then_among_visitors() {
     );
     assert!(busy.queue.rejects(QueueKey::client(visitor(1, 6, 6))));
 }
+
+/// Jobs that do not give way, such as long drags: the next visitor begins at once.
+#[test]
+fn one_visitor_never_holds_every_permit() {
+    let (mut queue, now) = (FairQueue::new(3, 9), Instant::now());
+    for (waiter, arrival) in [
+        (0, Arrival::Runs),
+        (1, Arrival::Runs),
+        (2, Arrival::Waits(0)),
+    ] {
+        assert_eq!(queue.arrive(visit(1, 1), now, waiter), arrival);
+    }
+    assert_eq!(
+        queue.next(now),
+        None,
+        "the last permit is for those who hold none"
+    );
+    assert_eq!(queue.arrive(visit(1, 2), now, 3), Arrival::Runs);
+    assert_eq!(queue.arrive(visit(1, 3), now, 4), Arrival::Waits(1));
+    assert_eq!(
+        queue.arrive(visit(2, 4), now, 5),
+        Arrival::Runs,
+        "the spare one of another key"
+    );
+    // When the other visitor ends, the third is before the one that floods.
+    queue.end(visitor(1, 2, 2).tenant(), now);
+    queue.end(visitor(2, 4, 4).tenant(), now);
+    assert_eq!(queue.next(now), Some((visitor(1, 3, 3).tenant(), 4)));
+    assert_eq!(queue.next(now), None);
+    queue.end(visitor(1, 1, 1).tenant(), now);
+    assert_eq!(queue.next(now), None);
+    queue.end(visitor(1, 3, 3).tenant(), now);
+    assert_eq!(queue.next(now), Some((visitor(1, 1, 1).tenant(), 2)));
+    // Keys and addresses take all, as ever.
+    let mut queue = FairQueue::new(2, 9);
+    for waiter in 0..2 {
+        assert_eq!(queue.arrive(session(1), now, waiter), Arrival::Runs);
+    }
+}
