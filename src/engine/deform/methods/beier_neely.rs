@@ -1,6 +1,11 @@
 //! Field morphing by lines (Beier, Neely 1992; mathematics 10.3), forwards: every line
 //! carries its surroundings along, without a fit, and the nearest lines count most.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes are written alike, whatever they index"
+)]
+
 use std::sync::Arc;
 
 use super::mls::falloff::Falloff;

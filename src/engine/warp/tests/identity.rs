@@ -246,7 +246,7 @@ fn a_mask_is_part_of_key_and_digest() {
     };
     let all = [with(None), with(Some(b"one")), with(Some(b"another"))];
     assert_eq!(all[1], with(Some(b"one")));
-    for k in 0..2 {
-        assert!(all[0][k] != all[1][k] && all[1][k] != all[2][k] && all[0][k] != all[2][k]);
-    }
+    let [none, one, another] = &all;
+    let differ = |[a, b]: &[String; 2], [c, d]: &[String; 2]| a != c && b != d;
+    assert!(differ(none, one) && differ(one, another) && differ(none, another));
 }

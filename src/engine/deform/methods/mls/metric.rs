@@ -1,6 +1,11 @@
 //! The distance in front of the fall-off: how far a handle is from a vertex when its weight is
 //! computed. Positions and displacements are those of the plane under any metric.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes are written alike, whatever they index"
+)]
+
 use super::segments::View;
 use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
