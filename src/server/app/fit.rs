@@ -131,15 +131,12 @@ async fn compare(
         let text = candidates.len()
             * (CANDIDATE_TEXT
                 + (RESIDUAL_TEXT + OUTLIER_TEXT) * rest.p.len().min(app.config().max_fit_handles));
-        let mut reservation = app
+        let reservation = app
             .admission
             .reserve_for(MemoryClass::Frame, &quota, text as u64)?;
         let predictions = predict(&app, rest, &q, extent, candidates, cancel)?;
-        let mut body = json_unless(cancel, &FitAnswer(&predictions), text)?;
-        // The client may read it slowly.
-        body.shrink_to_fit();
-        reservation.shrink_to(body.len() as u64);
-        Ok::<_, Problem>(reservation.attach(body))
+        let body = json_unless(cancel, &FitAnswer(&predictions), text)?;
+        Ok::<_, Problem>(reservation.attach_exact(body))
     };
     Ok((ticket.run(work).await??, warnings))
 }

@@ -63,12 +63,10 @@ pub(crate) async fn fields(
             + EMPTY_TEXT
             + 4 * NUMBER_TEXT * landmarks.numbers()
             + landmarks.names_length();
-        let mut reservation = admission.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
+        let reservation = admission.reserve_for(MemoryClass::Upload, &quota, length as u64)?;
         let (landmarks, _held) = landmarks.into_parts();
-        let mut body = landmarks.into_fields(&json, target)?;
-        body.shrink_to_fit();
-        reservation.shrink_to(body.len() as u64);
-        Ok::<_, Problem>(reservation.attach(body))
+        let body = landmarks.into_fields(&json, target)?;
+        Ok::<_, Problem>(reservation.attach_exact(body))
     };
     ticket.run(write).await?
 }
@@ -89,11 +87,9 @@ pub(crate) async fn convert(
     let write = ticket.run(move |cancel| {
         let length = EMPTY_TEXT + 2 * NUMBER_TEXT * landmarks.numbers() + landmarks.names_length();
         let landmarks = landmarks.try_map(|landmarks| landmarks.scale(None))?;
-        let mut reservation = admission.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
-        let mut body = json_unless(cancel, &*landmarks, length)?;
-        body.shrink_to_fit();
-        reservation.shrink_to(body.len() as u64);
-        Ok::<_, Problem>(reservation.attach(body))
+        let reservation = admission.reserve_for(MemoryClass::Frame, &quota, length as u64)?;
+        let body = json_unless(cancel, &*landmarks, length)?;
+        Ok::<_, Problem>(reservation.attach_exact(body))
     });
     write.await?
 }

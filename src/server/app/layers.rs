@@ -12,7 +12,7 @@ use super::{App, SESSION_ATTEMPTS};
 use crate::client::Client;
 use crate::layer::{LayerKind, LayerName, MAX_LAYERS};
 use crate::limits::memory::{Budget, MemoryClass};
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
@@ -142,7 +142,7 @@ async fn revise_layers(
     let (new, shown) = ticket.run(write).await??;
     drop(ticket);
     // Limits the simultaneous transfers, fairly between clients.
-    let ticket = app.admission.pool.admit(WorkClass::Transfer, key).await?;
+    let ticket = app.admission.transfer(key).await?;
     let revised = app.sessions.revise(client, old.revision, &new, file).await;
     drop(ticket);
     let Some(session) = revised? else {

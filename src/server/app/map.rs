@@ -3,7 +3,7 @@
 //! reader holds no worker; when the client leaves, nothing more is computed.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::Handle;
@@ -17,20 +17,16 @@ use super::App;
 use super::parts::admission::Admission;
 use super::parts::plans::Planned;
 use super::reading::{Held, part};
-use super::resolved::{Resolved, resolve};
+use super::resolved::{Resolved, resolve_on};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket};
+use crate::pool::{Cancel, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
 use crate::wire::{MapObject, Pose, Reserved, in_map, method_text};
-
-/// Attempts to admit a band of a map that has begun, and the pause between them.
-const ADMISSION_ATTEMPTS: usize = 100;
-const ADMISSION_PAUSE: Duration = Duration::from_millis(50);
 
 /// A map whose first band has been computed.
 #[derive(Debug)]
@@ -79,16 +75,7 @@ impl MapBands {
     }
 
     async fn band(&self, band: u32) -> Result<Bytes, Problem> {
-        let mut attempts = 0;
-        let ticket = loop {
-            match self.admission.upload(self.key).await {
-                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
-                    attempts += 1;
-                    tokio::time::sleep(ADMISSION_PAUSE).await;
-                }
-                admitted => break admitted?,
-            }
-        };
+        let ticket = self.admission.upload_patiently(self.key).await?;
         let (admission, map, quota) = (
             Arc::clone(&self.admission),
             Arc::clone(&self.map),
@@ -135,19 +122,14 @@ pub(crate) async fn once(
         .map_err(|error| in_map(error.into()))?;
     // Nothing is drawn.
     warp.output = OutputSpec::default();
-    let of_job = app.clone();
-    let settle = move |cancel: &Cancel| resolve(&of_job, warp, source, cancel);
     let Resolved {
         setup,
         object: warp,
         q,
         ..
-    } = ticket.run(settle).await??;
+    } = resolve_on(app, &ticket, warp, source).await?;
     let method = warp.is_auto.then(|| method_text(&warp.rest));
-    let timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let timing = Timing::queued(ticket.waited());
     let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
     let job = MapJob {
         planned,
@@ -191,10 +173,7 @@ pub(crate) async fn of_session(
     let spec = object.spec(&record.output, format);
     spec.check(record.extent, &app.plans.limits)
         .map_err(|error| in_map(error.into()))?;
-    let timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let timing = Timing::queued(ticket.waited());
     let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
     let q = Arc::new(q);
     let (folds, source, quota) = (

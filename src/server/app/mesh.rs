@@ -82,16 +82,16 @@ impl MeshForm {
     }
 }
 
-/// An encoded posed grid.
+/// A posed grid or what was measured of it, with the head of its response.
 #[derive(Debug)]
-pub(crate) struct SessionMesh {
+pub(crate) struct PoseResponse {
     /// Warnings and measures for the head of the response.
     pub(crate) report: Report,
     /// Cost.
     pub(crate) timing: Timing,
     /// Whether the plan was built for this request.
     pub(crate) plan_built: bool,
-    /// The vertices.
+    /// The vertices, or the figures as JSON.
     pub(crate) body: Bytes,
     /// The largest distance between a compact mesh and the full one, px.
     pub(crate) error: Option<f64>,
@@ -105,7 +105,7 @@ pub(crate) async fn of_session(
     id: SessionId,
     drag: Held<DragObject>,
     form: MeshForm,
-) -> Result<SessionMesh, Problem> {
+) -> Result<PoseResponse, Problem> {
     let request = app.sessions.sequence(id, drag.seq).await?;
     let plan = app
         .sessions
@@ -126,10 +126,7 @@ pub(crate) async fn admit_mesh(
     let setup = app.plans.setup_of(client, record).await?;
     form.check_size(setup.dimensions())?;
     let ticket = admit_step(app, client, record, &setup, true).await?;
-    let timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let timing = Timing::queued(ticket.waited());
     let planned = app.plans.plan(client, &ticket, &setup, timing).await?;
     Ok(AdmittedPlan { ticket, planned })
 }
@@ -142,7 +139,7 @@ pub(crate) async fn pose_mesh(
     record: &Record,
     form: MeshForm,
     quota: ClientQuota,
-) -> Result<SessionMesh, Problem> {
+) -> Result<PoseResponse, Problem> {
     let AdmittedPlan {
         ticket,
         planned:
@@ -172,7 +169,7 @@ pub(crate) async fn pose_mesh(
         let body = reservation.attach(body);
         let canvas = canvas.of(extent, &posed, &is_cancelled)?;
         let report = posed.into_report(canvas, &is_cancelled)?;
-        Ok::<_, Problem>(SessionMesh {
+        Ok::<_, Problem>(PoseResponse {
             report,
             timing,
             plan_built: is_built,

@@ -238,11 +238,6 @@ impl App {
     }
 }
 
-/// The task that built a cached value was aborted: the runtime is stopping.
-fn build_aborted() -> Problem {
-    PoolError::Panicked.into()
-}
-
 impl From<PoolError> for Problem {
     fn from(error: PoolError) -> Self {
         match error {

@@ -73,10 +73,7 @@ pub(crate) async fn of_session(
     let setup = app.plans.setup_of(client, &record).await?;
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
-    let mut timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let mut timing = Timing::queued(ticket.waited());
     let (app, quota, extent) = (
         app.clone(),
         app.admission.response_quota(client),

@@ -4,7 +4,7 @@
 //! mapped.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bytes::Bytes;
 use mlswarp::deform::{self, Handle};
@@ -16,23 +16,19 @@ use super::drawable::DrawnContent;
 use super::parts::admission::Admission;
 use super::parts::plans::{HeldSetup, Planned};
 use super::reading::{Held, part};
-use super::resolved::{Resolved, resolve};
+use super::resolved::{Resolved, resolve_on};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket};
+use crate::pool::{Cancel, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
 use crate::wire::{Annotations, Cursor, PointsObject, Pose, Reserved, method_text};
 
 /// Text of a request up to which one thread is faster than several, bytes.
 const MAX_SEQUENTIAL: usize = 4096;
-/// Attempts to admit a part of an answer that has begun, and the pause between them.
-const ADMISSION_ATTEMPTS: usize = 100;
-const ADMISSION_PAUSE: Duration = Duration::from_millis(50);
-
 /// Annotations of which the first part has been mapped.
 #[derive(Debug)]
 pub(crate) struct MappedFile {
@@ -69,16 +65,7 @@ impl MappedParts {
     }
 
     async fn part(&self, cursor: Cursor) -> Result<(Bytes, Option<Cursor>), Problem> {
-        let mut attempts = 0;
-        let ticket = loop {
-            match self.admission.upload(self.job.key).await {
-                Err(PoolError::Full | PoolError::Late { .. }) if attempts < ADMISSION_ATTEMPTS => {
-                    attempts += 1;
-                    tokio::time::sleep(ADMISSION_PAUSE).await;
-                }
-                admitted => break admitted?,
-            }
-        };
+        let ticket = self.admission.upload_patiently(self.job.key).await?;
         let (admission, job) = (Arc::clone(&self.admission), Arc::clone(&self.job));
         ticket
             .run(move |cancel| job.part(&admission, cursor, cancel))
@@ -127,16 +114,13 @@ impl MappingJob {
             )?;
             Ok::<_, Problem>((out, more))
         };
-        let (mut out, more) = if self.is_long {
+        let (out, more) = if self.is_long {
             admission.pool.run_parallel(map)
         } else {
             map()
         }?;
         stage("deform", began);
-        // The client may read it slowly.
-        out.shrink_to_fit();
-        reservation.shrink_to(out.len() as u64);
-        Ok((reservation.attach(out), more.then_some(cursor)))
+        Ok((reservation.attach_exact(out), more.then_some(cursor)))
     }
 }
 
@@ -152,7 +136,6 @@ struct PointsJob {
     cursor: Cursor,
     is_long: bool,
     key: QueueKey,
-    quota: ClientQuota,
 }
 
 impl PointsJob {
@@ -191,16 +174,13 @@ pub(crate) async fn once(
             rows: 2,
         };
     }
-    let of_job = app.clone();
-    let settle = move |cancel: &Cancel| resolve(&of_job, warp, extent, cancel);
     let Resolved {
         setup,
         object: warp,
         q,
         ..
-    } = ticket.run(settle).await??;
+    } = resolve_on(app, &ticket, warp, extent).await?;
     let method = warp.is_auto.then(|| method_text(&warp.rest));
-    let quota = app.admission.response_quota(client);
     let job = PointsJob {
         client,
         setup,
@@ -211,7 +191,6 @@ pub(crate) async fn once(
         cursor,
         is_long,
         key,
-        quota,
     };
     Ok(MappedFile {
         method,
@@ -261,7 +240,7 @@ pub(crate) async fn of_session(
         .region_of(client, &record, object.output.canvas)
         .await?;
     let ticket = app.admission.upload(key).await?;
-    let (quota, folds) = (app.admission.response_quota(client), record.folds);
+    let folds = record.folds;
     let job = PointsJob {
         client,
         setup,
@@ -272,7 +251,6 @@ pub(crate) async fn of_session(
         cursor: Cursor::default(),
         is_long,
         key,
-        quota,
     };
     map_points(app, &ticket, job).await
 }
@@ -289,7 +267,6 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
         cursor,
         is_long,
         key,
-        quota,
     } = job;
     let drawn = if PointsJob::needs_grid(&object, folds) {
         Some(
@@ -310,7 +287,10 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
     } else {
         None
     };
-    let drawing = Arc::clone(&app.drawing);
+    let (drawing, quota) = (
+        Arc::clone(&app.drawing),
+        app.admission.response_quota(client),
+    );
     let prepare = move |cancel: &Cancel| {
         let (
             PointsObject {

@@ -6,18 +6,18 @@ use std::time::Instant;
 use bytes::Bytes;
 use mlswarp::deform::Handle;
 use mlswarp::warp::{
-    Alignment, CoordinateFrame, Folds, OutputSpec, PosedMesh, Quality, Report, Target, Units,
+    Alignment, CoordinateFrame, Folds, OutputSpec, PosedMesh, Quality, Target, Units,
 };
 
 use super::App;
 use super::drawable::DrawnContent;
 use super::json_text::json_unless;
+use super::mesh::PoseResponse;
 use super::parts::plans::{HeldSetup, Planned};
 use super::reading::Held;
-use super::resolved::{Resolved, resolve};
+use super::resolved::{Resolved, resolve_on};
 use super::session_warp::{AdmittedPlan, admit_newest};
 use crate::client::Client;
-use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
 use crate::observe::stages::Timing;
@@ -27,18 +27,6 @@ use crate::store::Record;
 use crate::wire::{
     DragObject, Pose, ReportAnswer, ReportObject, Reserved, WarningEntry, method_text,
 };
-
-/// The quality of a pose.
-#[derive(Debug)]
-pub(crate) struct QualityReport {
-    /// Warnings and measures for the head of the response.
-    pub(crate) report: Report,
-    pub(crate) timing: Timing,
-    /// Whether the plan was built for this request.
-    pub(crate) plan_built: bool,
-    /// The figures as JSON.
-    pub(crate) body: Bytes,
-}
 
 /// What is measured.
 struct ReportJob {
@@ -52,7 +40,6 @@ struct ReportJob {
     region: Option<DrawnContent>,
     /// What would be drawn, if the request is about a picture.
     drawn: Option<DrawnContent>,
-    quota: ClientQuota,
 }
 
 /// Measures the pose of a warp object. The second result: the method that was chosen if that
@@ -61,24 +48,22 @@ pub(crate) async fn once(
     app: &App,
     client: Client,
     json: Bytes,
-) -> Result<(QualityReport, Option<String>), Problem> {
+) -> Result<(PoseResponse, Option<String>), Problem> {
     let ticket = app.admission.upload(QueueKey::client(client)).await?;
     let reserve = app.admission.reserving(MemoryClass::Upload, client);
     let object = ticket
         .run(move |_| Reserved::<ReportObject, _>::parse(&json, reserve))
         .await??;
     let (extent, warp) = (object.extent, object.map(|object| object.warp));
-    let of_job = app.clone();
-    let settle = move |cancel: &Cancel| resolve(&of_job, warp, extent, cancel);
     let Resolved {
         setup,
         object,
         q,
         alignment,
         ..
-    } = ticket.run(settle).await??;
+    } = resolve_on(app, &ticket, warp, extent).await?;
     let method = object.is_auto.then(|| method_text(&object.rest));
-    let (output, quota) = (object.output, app.admission.response_quota(client));
+    let output = object.output;
     let job = ReportJob {
         client,
         setup,
@@ -87,7 +72,6 @@ pub(crate) async fn once(
         output,
         region: None,
         drawn: None,
-        quota,
     };
     Ok((report(app, &ticket, job).await?, method))
 }
@@ -99,7 +83,7 @@ pub(crate) async fn of_session(
     client: Client,
     record: Arc<Record>,
     json: Bytes,
-) -> Result<QualityReport, Problem> {
+) -> Result<PoseResponse, Problem> {
     let id = record.id;
     // Before the plan is built.
     app.plans.setup_of(client, &record).await?.check_quality()?;
@@ -110,7 +94,7 @@ pub(crate) async fn of_session(
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
     let limits = app.plans.limits;
-    let (of_session, quota) = (Arc::clone(&record), app.admission.response_quota(client));
+    let of_session = Arc::clone(&record);
     let reserve = app
         .admission
         .reserving_pose(MemoryClass::Upload, client, &record);
@@ -136,7 +120,6 @@ pub(crate) async fn of_session(
         output,
         region,
         drawn: Some(content),
-        quota,
     };
     report(app, &ticket, job).await
 }
@@ -159,7 +142,7 @@ async fn plan_to_invert(
     planned.await.map(Some)
 }
 
-async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<QualityReport, Problem> {
+async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<PoseResponse, Problem> {
     let ReportJob {
         client,
         setup,
@@ -168,12 +151,8 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<QualityRep
         output,
         region,
         drawn,
-        quota,
     } = job;
-    let timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let timing = Timing::queued(ticket.waited());
     setup.check_quality()?;
     let Planned {
         plan,
@@ -182,7 +161,10 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<QualityRep
         ..
     } = app.plans.plan(client, ticket, &setup, timing).await?;
     let to_invert = plan_to_invert(app, client, ticket, &setup).await?;
-    let drawing = Arc::clone(&app.drawing);
+    let (drawing, quota) = (
+        Arc::clone(&app.drawing),
+        app.admission.response_quota(client),
+    );
     let measure = move |cancel: &Cancel| {
         let (began, is_cancelled) = (Instant::now(), || cancel.is_cancelled());
         let pose = setup.pose(&q)?;
@@ -244,16 +226,14 @@ async fn report(app: &App, ticket: &Ticket, job: ReportJob) -> Result<QualityRep
         drawing
             .admission
             .reserve_more(&mut reservation, text as u64)?;
-        let mut body = json_unless(cancel, &answer, text)?;
-        // The client may read it slowly.
-        body.shrink_to_fit();
-        reservation.shrink_to(body.len() as u64);
-        let body = reservation.attach(body);
-        Ok::<_, Problem>(QualityReport {
+        let body = json_unless(cancel, &answer, text)?;
+        let body = reservation.attach_exact(body);
+        Ok::<_, Problem>(PoseResponse {
             report,
             timing,
             plan_built: is_built,
             body,
+            error: None,
         })
     };
     ticket.run(measure).await?

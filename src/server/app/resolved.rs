@@ -10,7 +10,7 @@ use super::App;
 use super::fit::choose_method;
 use super::parts::plans::HeldSetup;
 use super::reading::{Held, part};
-use crate::pool::Cancel;
+use crate::pool::{Cancel, Ticket};
 use crate::problem::Problem;
 use crate::store::NamedFile;
 use crate::wire::{Pose, WarpObject, method_text};
@@ -34,6 +34,19 @@ impl Resolved {
     pub(crate) fn chosen_method(&self) -> Option<String> {
         self.object.is_auto.then(|| method_text(&self.object.rest))
     }
+}
+
+/// Resolves a warp object on the pool: see [`resolve`].
+pub(crate) async fn resolve_on(
+    app: &App,
+    ticket: &Ticket,
+    object: Held<WarpObject>,
+    extent: Extent,
+) -> Result<Resolved, Problem> {
+    let app = app.clone();
+    ticket
+        .run(move |cancel| resolve(&app, object, extent, cancel))
+        .await?
 }
 
 /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of

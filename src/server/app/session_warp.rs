@@ -175,10 +175,7 @@ async fn admit_drawing(
     let setup = app.plans.setup_of(client, record).await?;
     let sources = app.images.fetch(client, record, layer).await?;
     let ticket = admit_step(app, client, record, &setup, sources.is_decoded()).await?;
-    let mut timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let mut timing = Timing::queued(ticket.waited());
     let began = Instant::now();
     let content = app.images.decode(client, &ticket, sources).await?;
     timing.decode = began.elapsed();

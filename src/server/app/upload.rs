@@ -66,10 +66,7 @@ pub(super) async fn prepare(
         landmarks,
     } = upload;
     let has_landmarks = landmarks.is_some();
-    let mut timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let mut timing = Timing::queued(ticket.waited());
     let began = Instant::now();
     let hashed_file = file.clone();
     let reserve = app.admission.reserving(MemoryClass::Upload, client);

@@ -24,7 +24,7 @@ use crate::client::{Owner, Tenant};
 use crate::limits::free::free;
 use crate::limits::memory::Reservation;
 use crate::observe::Scope;
-use crate::problem::Problem;
+use crate::problem::{Code, Problem};
 
 /// The key of a value. Owners share no values: a hit would tell one of them what another has sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -312,13 +312,12 @@ impl<V: Send + Sync + 'static> Cache<V> {
 
     /// The value of `key`. `build` runs if the value is neither cached nor being built; then
     /// `holder` holds the value. Errors: Those of the build, for every request that waits; they are
-    /// not cached. `lost` makes the error of a build that was torn down.
+    /// not cached. A build that was torn down is an internal error.
     pub async fn get<B>(
         &self,
         key: CacheKey,
         holder: Tenant,
         build: B,
-        lost: impl FnOnce() -> Problem,
     ) -> Result<Fetched<V>, Problem>
     where
         B: Future<Output = Result<CacheEntry<V>, Problem>> + Send + 'static,
@@ -372,6 +371,7 @@ impl<V: Send + Sync + 'static> Cache<V> {
             .wait_for(Option::is_some)
             .await
             .map(|outcome| outcome.clone());
+        let lost = || Problem::new(Code::Internal, "internal error");
         let value = outcome.ok().flatten().ok_or_else(lost)??;
         drop(interest);
         Ok(Fetched { value, built })

@@ -30,13 +30,13 @@ fn kept(budget: &Budget, bytes: u64) -> Result<CacheEntry<u64>, Problem> {
 }
 
 fn lost() -> Problem {
-    Problem::new(Code::Internal, "lost")
+    Problem::new(Code::Internal, "internal error")
 }
 
 async fn put(cache: &Cache<u64>, budget: &Budget, key: u8, bytes: u64) -> Arc<CacheEntry<u64>> {
     let built = kept(budget, bytes);
     cache
-        .get(self::key(key), holder(), async { built }, lost)
+        .get(self::key(key), holder(), async { built })
         .await
         .unwrap()
         .value
@@ -47,7 +47,7 @@ async fn many_requests_share_one_build() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
     let requests = (0..16).map(|_| {
         let built = kept(&budget, 7);
-        cache.get(KEY, holder(), async { built }, lost)
+        cache.get(KEY, holder(), async { built })
     });
     let fetched = futures_util::future::try_join_all(requests).await.unwrap();
     assert!(fetched.iter().all(|f| **f.value == 7));
@@ -72,7 +72,7 @@ async fn owners_share_neither_values_nor_builds() {
     let owner = |n: u8| CacheKey::new(Owner::from_bytes([n; 16]), Digest([1; 32]));
     let requests = [owner(1), owner(2), owner(1), KEY].map(|key| {
         let built = kept(&budget, 7);
-        cache.get(key, holder(), async { built }, lost)
+        cache.get(key, holder(), async { built })
     });
     let fetched = futures_util::future::try_join_all(requests).await.unwrap();
     assert_eq!(
@@ -101,14 +101,14 @@ async fn a_builder_that_leaves_serves_those_who_wait() {
     };
     let first = tokio::spawn({
         let cache = cache.clone();
-        async move { cache.get(KEY, holder(), build, lost).await.map(|f| f.built) }
+        async move { cache.get(KEY, holder(), build).await.map(|f| f.built) }
     });
     tokio::task::yield_now().await;
     let second = tokio::spawn({
         let (cache, built) = (cache.clone(), kept(&budget, 8));
         async move {
             cache
-                .get(KEY, holder(), async { built }, lost)
+                .get(KEY, holder(), async { built })
                 .await
                 .map(|f| **f.value)
         }
@@ -143,7 +143,7 @@ async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
     let (said, mut hears) = mpsc::unbounded_channel();
     let wait = || {
         let (cache, build) = (cache.clone(), endless(&said));
-        tokio::spawn(async move { cache.get(KEY, holder(), build, lost).await })
+        tokio::spawn(async move { cache.get(KEY, holder(), build).await })
     };
     let first = wait();
     assert_eq!(hears.recv().await, Some("began"));
@@ -169,7 +169,7 @@ async fn a_build_goes_on_for_its_last_waiter_and_stops_when_that_one_leaves() {
 async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own() {
     let (cache, budget) = (Cache::new(1 << 20), budget());
     let (said, mut hears) = mpsc::unbounded_channel();
-    let mut abandoned = Box::pin(cache.get(KEY, holder(), endless(&said), lost));
+    let mut abandoned = Box::pin(cache.get(KEY, holder(), endless(&said)));
     assert!((&mut abandoned).now_or_never().is_none());
     assert_eq!(hears.recv().await, Some("began"));
     // One thread: the task of the build cannot have seen it when the next request comes.
@@ -181,11 +181,11 @@ async fn a_request_that_comes_while_a_build_is_stopped_gets_a_build_of_its_own()
         let _ = opens.acquire().await;
         built
     };
-    let mut next = Box::pin(cache.get(KEY, holder(), next, lost));
+    let mut next = Box::pin(cache.get(KEY, holder(), next));
     assert!((&mut next).now_or_never().is_none());
     assert_eq!(hears.recv().await, Some("dropped"));
     // The old build has gone, and has left the new one's entry alone: a third request shares it.
-    let mut third = Box::pin(cache.get(KEY, holder(), async { Err(lost()) }, lost));
+    let mut third = Box::pin(cache.get(KEY, holder(), async { Err(lost()) }));
     assert!((&mut third).now_or_never().is_none());
     gate.add_permits(1);
     assert_eq!(
@@ -208,12 +208,7 @@ async fn a_request_that_stays_gets_the_value_while_others_come_and_leave() {
                 tokio::task::yield_now().await;
                 built
             };
-            tokio::spawn(async move {
-                cache
-                    .get(KEY, holder(), build, lost)
-                    .await
-                    .map(|f| **f.value)
-            })
+            tokio::spawn(async move { cache.get(KEY, holder(), build).await.map(|f| **f.value) })
         };
         let leaves = wait();
         if round % 3 == 0 {
@@ -231,7 +226,7 @@ async fn a_build_that_is_retained_goes_on_until_that_ends_too() {
     let cache = Cache::new(1 << 20);
     let (said, mut hears) = mpsc::unbounded_channel();
     let retained = Retained::default();
-    let mut waits = Box::pin(retained.during(cache.get(KEY, holder(), endless(&said), lost)));
+    let mut waits = Box::pin(retained.during(cache.get(KEY, holder(), endless(&said))));
     assert!((&mut waits).now_or_never().is_none());
     assert_eq!(hears.recv().await, Some("began"));
     drop(waits);
@@ -269,7 +264,7 @@ async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
         }
     };
     let ticket = admit().await.unwrap();
-    let mut waits = Box::pin(cache.get(KEY, holder(), build(), lost));
+    let mut waits = Box::pin(cache.get(KEY, holder(), build()));
     assert!((&mut waits).now_or_never().is_none());
     while pool.load(WorkClass::Upload).waiting == 0 {
         tokio::task::yield_now().await;
@@ -279,7 +274,7 @@ async fn a_build_that_nobody_waits_for_leaves_the_queue_or_is_cancelled() {
         tokio::task::yield_now().await;
     }
     drop(ticket);
-    let mut waits = Box::pin(cache.get(KEY, holder(), build(), lost));
+    let mut waits = Box::pin(cache.get(KEY, holder(), build()));
     assert!((&mut waits).now_or_never().is_none());
     while pool.running() == 0 {
         tokio::task::yield_now().await;
@@ -368,14 +363,14 @@ async fn a_build_that_fails_or_panics_is_told_and_forgotten() {
     let theirs = no.clone();
     assert_eq!(
         cache
-            .get(KEY, holder(), async { Err(theirs) }, lost)
+            .get(KEY, holder(), async { Err(theirs) })
             .await
             .unwrap_err(),
         no
     );
     assert_eq!(
         cache
-            .get(KEY, holder(), async { panic!("on purpose") }, lost)
+            .get(KEY, holder(), async { panic!("on purpose") })
             .await
             .unwrap_err(),
         lost()

@@ -287,6 +287,14 @@ impl Reservation {
         }
     }
 
+    /// As [`Reservation::attach`], of bytes that a client may read slowly: unused memory of both is
+    /// released before.
+    pub(crate) fn attach_exact(mut self, mut bytes: Vec<u8>) -> Bytes {
+        bytes.shrink_to_fit();
+        self.shrink_to(bytes.len() as u64);
+        self.attach(bytes)
+    }
+
     /// Bytes that hold the reservation until the last reference is dropped.
     pub fn attach<T: AsRef<[u8]> + Send + 'static>(self, bytes: T) -> Bytes {
         struct HeldBytes<T: AsRef<[u8]> + Send + 'static>(Option<(T, Reservation)>);

@@ -18,6 +18,16 @@ pub struct Timing {
     pub deform: Duration,
 }
 
+impl Timing {
+    /// That of a request which has waited so long for a worker.
+    pub(crate) fn queued(queue: Duration) -> Self {
+        Self {
+            queue,
+            ..Self::default()
+        }
+    }
+}
+
 /// Processor time of drawing, summed over all threads.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cost {

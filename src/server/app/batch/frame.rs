@@ -374,8 +374,6 @@ impl BatchJob {
             &mut reserve,
             &mut body,
         )? {}
-        body.shrink_to_fit();
-        reservation.shrink_to(body.len() as u64);
-        Ok(reservation.attach(body))
+        Ok(reservation.attach_exact(body))
     }
 }

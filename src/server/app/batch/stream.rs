@@ -210,10 +210,7 @@ fn most_ahead(job: &BatchJob) -> usize {
 async fn make(job: Arc<BatchJob>, frame: u32) -> Result<FinishedFrame, Problem> {
     let key = QueueKey::client(job.client);
     let ticket = job.app.admission.upload(key).await?;
-    let timing = Timing {
-        queue: ticket.waited(),
-        ..Timing::default()
-    };
+    let timing = Timing::queued(ticket.waited());
     ticket
         .run(move |cancel| job.draw(frame, timing, cancel))
         .await?

@@ -14,7 +14,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use super::same;
 use crate::app::App;
 use crate::app::draw::{DrawJob, Drawn, Piece};
-use crate::app::mesh::{MeshForm, SessionMesh, admit_mesh, compact_lattice, pose_mesh};
+use crate::app::mesh::{MeshForm, PoseResponse, admit_mesh, compact_lattice, pose_mesh};
 use crate::app::parts::plans::columns;
 use crate::app::reading::Held;
 use crate::app::session_warp::{AdmittedPlan, MAX_INLINE, MOST_POSED_HERE, admit_newest};
@@ -150,39 +150,41 @@ pub(crate) async fn draw_frame(
     (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
 ) -> Result<DragFrame, Problem> {
-    let frame = try_draw_frame(app, client, id, frames, (form, known), request).await;
+    let draw = async {
+        // The right to be the next one to be admitted.
+        let turn = frames.take().await;
+        // Once per frame, not once per pose: the store knows whether the session still exists and
+        // has changed.
+        let record = app.sessions.touch(id, None).await?.record;
+        let session = (client, record, turn);
+        match form {
+            FrameContent::Picture(format) => picture_frame(&app, session, format, request).await,
+            FrameContent::Auto => picture_frame(&app, session, None, request).await,
+            FrameContent::Mesh | FrameContent::CompactMesh(_) => {
+                mesh_frame(&app, session, (form, known), request).await
+            }
+        }
+    };
+    let frame = draw.await;
     if let Err(problem) = &frame {
         Scope::current().set_error(problem.code);
     }
     frame
 }
 
-/// What a frame is drawn from, for whom, and the right to be the next one to be admitted.
-struct FrameSession {
-    client: Client,
-    record: Arc<Record>,
-    quota: ClientQuota,
-    turn: FrameTurn,
-}
-
 async fn picture_frame(
-    app: App,
-    session: FrameSession,
+    app: &App,
+    (client, record, turn): (Client, Arc<Record>, FrameTurn),
     format: Option<Format>,
     request: FrameRequest,
 ) -> Result<DragFrame, Problem> {
-    let FrameSession {
-        client,
-        record,
-        quota,
-        turn,
-    } = session;
+    let quota = app.admission.response_quota(client);
     let seq = request.pose.seq;
-    let (record, content, plan) = admit_newest(&app, client, record, None).await?;
+    let (record, content, plan) = admit_newest(app, client, record, None).await?;
     drop(turn);
     let strength = request.pose.q.strength(record.pose.as_ref());
     let q = read_handles(
-        &app,
+        app,
         client,
         &plan.ticket,
         Arc::clone(&request.pose.q),
@@ -233,32 +235,27 @@ async fn picture_frame(
 }
 
 async fn mesh_frame(
-    app: App,
-    session: FrameSession,
+    app: &App,
+    (client, record, turn): (Client, Arc<Record>, FrameTurn),
     (form, known): (FrameContent, KnownLattice),
     request: FrameRequest,
 ) -> Result<DragFrame, Problem> {
-    let FrameSession {
-        client,
-        record,
-        quota,
-        turn,
-    } = session;
+    let quota = app.admission.response_quota(client);
     let seq = request.pose.seq;
     // The lattice is chosen after admission; only JSON has a limit of its own.
-    let plan = admit_mesh(&app, client, &record, &MeshForm::F32).await?;
+    let plan = admit_mesh(app, client, &record, &MeshForm::F32).await?;
     drop(turn);
     let strength = request.pose.q.strength(record.pose.as_ref());
-    let q = read_handles(&app, client, &plan.ticket, request.pose.q, &record).await?;
-    let (shape, lattice) = mesh_shape(&app, &plan, (form, &known), &record, &quota).await?;
+    let q = read_handles(app, client, &plan.ticket, request.pose.q, &record).await?;
+    let (shape, lattice) = mesh_shape(app, &plan, (form, &known), &record, &quota).await?;
     let encoding = lattice.map_or(MeshForm::F32, MeshForm::Compact);
-    let SessionMesh {
+    let PoseResponse {
         report,
         timing,
         body,
         error,
         ..
-    } = pose_mesh(&app, plan, q, &record, encoding, quota).await?;
+    } = pose_mesh(app, plan, q, &record, encoding, quota).await?;
     let picture = PictureFrame::of_source(record.extent, record.rest.units);
     let head = ReportHead {
         seq,
@@ -280,34 +277,6 @@ async fn mesh_frame(
         pieces: vec![body],
         report,
     })
-}
-
-async fn try_draw_frame(
-    app: App,
-    client: Client,
-    id: SessionId,
-    frames: FrameTurns,
-    (form, known): (FrameContent, KnownLattice),
-    request: FrameRequest,
-) -> Result<DragFrame, Problem> {
-    let turn = frames.take().await;
-    let quota = app.admission.response_quota(client);
-    // Once per frame, not once per pose: the store knows whether the session still exists and has
-    // changed.
-    let record = app.sessions.touch(id, None).await?.record;
-    let session = FrameSession {
-        client,
-        record,
-        quota,
-        turn,
-    };
-    match form {
-        FrameContent::Picture(format) => picture_frame(app, session, format, request).await,
-        FrameContent::Auto => picture_frame(app, session, None, request).await,
-        FrameContent::Mesh | FrameContent::CompactMesh(_) => {
-            mesh_frame(app, session, (form, known), request).await
-        }
-    }
 }
 
 /// The shape of a mesh, and its lattice if it is compact: the known one unless the rest handles,

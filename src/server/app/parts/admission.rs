@@ -2,6 +2,7 @@
 //! of both.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::app::RETRY_SECONDS;
 use crate::cache::AnyCache;
@@ -19,6 +20,9 @@ use crate::store::{Record, record_bytes};
 const MIN_FREE: u64 = 1 << 20;
 /// The unread responses of one client may use the memory divided by this.
 const UNREAD_DIVISOR: u64 = 4;
+/// Attempts to admit a part of an answer that has begun, and the pause between them.
+const PATIENT_ATTEMPTS: usize = 100;
+const PATIENT_PAUSE: Duration = Duration::from_millis(50);
 
 /// A cache and its name in metrics.
 pub(crate) type NamedCache = (&'static str, Box<dyn AnyCache>);
@@ -72,6 +76,25 @@ impl Admission {
     /// Errors: The queue is full, or no worker became free in time.
     pub(crate) async fn upload(&self, key: QueueKey) -> Result<Ticket, PoolError> {
         self.pool.admit(WorkClass::Upload, key).await
+    }
+
+    /// As [`Admission::upload`], for a part of an answer that has begun: a busy server delays it.
+    pub(crate) async fn upload_patiently(&self, key: QueueKey) -> Result<Ticket, PoolError> {
+        for _ in 0..PATIENT_ATTEMPTS {
+            match self.upload(key).await {
+                Err(PoolError::Full | PoolError::Late { .. }) => {
+                    tokio::time::sleep(PATIENT_PAUSE).await;
+                }
+                admitted => return admitted,
+            }
+        }
+        self.upload(key).await
+    }
+
+    /// Waits for the right to send a file to the store, or to fetch one: few at a time, fairly
+    /// between clients.
+    pub(crate) async fn transfer(&self, key: QueueKey) -> Result<Ticket, PoolError> {
+        self.pool.admit(WorkClass::Transfer, key).await
     }
 
     /// Rejects an upload before its body is read, if the queue would reject it.

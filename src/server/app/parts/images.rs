@@ -8,17 +8,17 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{CanvasSpec, Digest, Image, ImageLimits, LabelImage, WarpError};
 
 use super::admission::Admission;
+use crate::app::MIN_WEIGHT;
 use crate::app::drawable::{
     CachedFile, ContentSources, Drawable, DrawableSource, DrawnContent, Mask, check_extent,
     find_layer,
 };
-use crate::app::{MIN_WEIGHT, build_aborted};
 use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
 use crate::client::{Client, Owner};
 use crate::layer::{LayerKind, LayerName, LayerRef};
 use crate::limits::memory::{Budget, BudgetExceeded, MemoryClass, Reservation};
 use crate::observe::scope::in_stage;
-use crate::pool::{Cancel, PoolError, QueueKey, Ticket, WorkClass};
+use crate::pool::{Cancel, PoolError, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
 use crate::store::{Record, Store};
@@ -121,7 +121,7 @@ impl Images {
             id.owner(),
             Digest::of(&[&id.to_bytes()[..], &digest.0].concat()),
         );
-        let file = self.files.get(key, client.payer(), fetch, build_aborted);
+        let file = self.files.get(key, client.payer(), fetch);
         Ok(DrawableSource::File {
             kind,
             digest,
@@ -139,8 +139,7 @@ impl Images {
     ) -> Result<(Bytes, Reservation), Problem> {
         let _ticket = self
             .admission
-            .pool
-            .admit(WorkClass::Transfer, QueueKey::session(client, id))
+            .transfer(QueueKey::session(client, id))
             .await?;
         let bytes = in_stage("store", self.store.file_bytes(id, digest)).await?;
         let bytes = bytes.max(MIN_WEIGHT);
@@ -252,7 +251,7 @@ impl Images {
             CacheKey::new(client.owner, digest),
             self.decoding(ticket, decode),
         );
-        let labels = self.labels.get(key, client.payer(), build, build_aborted);
+        let labels = self.labels.get(key, client.payer(), build);
         Ok(labels.await?.value)
     }
 
@@ -279,9 +278,7 @@ impl Images {
             CacheKey::new(client.owner, digest),
             self.decoding(ticket, decode),
         );
-        self.images
-            .get(key, client.payer(), build, build_aborted)
-            .await
+        self.images.get(key, client.payer(), build).await
     }
 
     /// Runs a decoder on the pool.

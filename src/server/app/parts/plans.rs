@@ -8,7 +8,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::{CompiledRest, Digest, Limits, ResolvedRest, RestSpec};
 
 use super::admission::Admission;
-use crate::app::{MIN_WEIGHT, build_aborted};
+use crate::app::MIN_WEIGHT;
 use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
 use crate::client::{Client, Owner};
 use crate::limits::memory::MemoryClass;
@@ -73,7 +73,7 @@ impl Plans {
             ticket.run(new).await?
         };
         let key = revision_key(record);
-        let setup = self.setups.get(key, client.payer(), build, build_aborted);
+        let setup = self.setups.get(key, client.payer(), build);
         Ok(setup.await?.value)
     }
 
@@ -118,10 +118,7 @@ impl Plans {
             Ok(CacheEntry::new(plan, reservation))
         };
         let key = CacheKey::new(client.owner, setup.plan_key());
-        let Fetched { value: plan, built } = self
-            .compiled
-            .get(key, client.payer(), build, build_aborted)
-            .await?;
+        let Fetched { value: plan, built } = self.compiled.get(key, client.payer(), build).await?;
         timing.plan = began.elapsed();
         stage("plan", began);
         Ok(Planned {

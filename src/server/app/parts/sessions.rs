@@ -8,7 +8,6 @@ use mlswarp::warp::{Limits, RestSummary};
 
 use super::admission::Admission;
 use super::plans::{columns, revision_key};
-use crate::app::build_aborted;
 use crate::app::client_sessions::ClientSessions;
 use crate::app::sequence::{SequencePosition, Sequencer};
 use crate::app::session_object::{
@@ -19,7 +18,7 @@ use crate::client::Client;
 use crate::limits::memory::MemoryClass;
 use crate::observe::metrics::Metrics;
 use crate::observe::scope::in_stage;
-use crate::pool::{Cancel, QueueKey, WorkClass};
+use crate::pool::{Cancel, QueueKey};
 use crate::problem::{Code, Problem};
 use crate::session::{Revision, SessionId};
 use crate::store::{NamedFile, Put, Record, Session, Store, StoreError};
@@ -105,11 +104,7 @@ impl Sessions {
         files: Vec<NamedFile>,
     ) -> Result<Put, Problem> {
         // Limits the simultaneous transfers, fairly between clients.
-        let ticket = self
-            .admission
-            .pool
-            .admit(WorkClass::Transfer, QueueKey::client(client))
-            .await?;
+        let ticket = self.admission.transfer(QueueKey::client(client)).await?;
         let claim = self.counted.claim(client.tenant(), &record, &files)?;
         // If this future is dropped while the store works, the session may have been stored: it
         // stays counted.
@@ -237,7 +232,7 @@ impl Sessions {
             ticket.run(write).await?
         };
         let key = revision_key(record);
-        let text = self.texts.get(key, client.payer(), write, build_aborted);
+        let text = self.texts.get(key, client.payer(), write);
         Ok(text.await?.value)
     }
 

@@ -23,6 +23,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use crate::app::batch::{Batch, BatchForm};
 use crate::app::draw::{Drawn, Piece};
 use crate::app::map::MapFile;
+use crate::app::mesh::PoseResponse;
 use crate::app::plan::{PlanContent, PlanFile};
 use crate::app::points::MappedFile;
 use crate::app::session_object::ShownSession;
@@ -122,15 +123,16 @@ fn text(text: String) -> HeaderValue {
     HeaderValue::try_from(text).expect("numbers and codes are visible ASCII")
 }
 
-/// A posed grid; `body` is its JSON or its numbers.
-pub(crate) fn mesh(
-    report: &Report,
-    timing: Timing,
-    plan_built: bool,
-    media_type: &'static str,
-    body: Bytes,
-) -> Response {
-    let mut headers = report_headers(report, plan_built);
+/// A posed grid, or what was measured of it.
+pub(crate) fn mesh(response: PoseResponse, media_type: &'static str) -> Response {
+    let PoseResponse {
+        report,
+        timing,
+        plan_built,
+        body,
+        ..
+    } = response;
+    let mut headers = report_headers(&report, plan_built);
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(media_type));
     headers.insert(SERVER_TIMING, text(timing_text(Some(timing), None)));
     (headers, body).into_response()

@@ -4,7 +4,7 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 use futures_util::stream::unfold;
 
-use super::sessions::session_id;
+use super::sessions::used;
 use super::warp::drag_limit;
 use crate::app::batch::{self, BatchForm};
 use crate::http::accept::choose;
@@ -20,8 +20,7 @@ pub(crate) async fn batch(
 ) -> Result<Response, Refusal> {
     let form =
         BatchForm::ALL[choose(request.headers(), BatchForm::ALL.map(BatchForm::media_type))?];
-    let id = session_id(caller.client, &id)?;
-    let record = caller.app.sessions.touch(id, None).await?.record;
+    let record = used(&caller, &id).await?.record;
     let body = large_json_or_form(&caller, request, pose_of(&record)).await?;
     let Caller { app, client } = caller;
     let batch = batch::of_session(&app, client, record, body, form, drag_limit).await?;

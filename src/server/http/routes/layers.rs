@@ -6,7 +6,7 @@ use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse as _, Response};
 use mlswarp::codec::SourceFormat;
 
-use super::sessions::session_id;
+use super::sessions::{session_id, used};
 use crate::app::layers::{self, bad_name};
 use crate::http::body;
 use crate::http::headers::{bad_query_value, query_fields};
@@ -23,9 +23,7 @@ pub(crate) async fn put(
     Path((id, name)): Path<(String, String)>,
     request: Request,
 ) -> Result<Response, Refusal> {
-    let Caller { app, client } = &caller;
-    let id = session_id(*client, &id)?;
-    let session = app.sessions.touch(id, None).await?;
+    let session = used(&caller, &id).await?;
     let name = LayerName::parse(&name).ok_or_else(|| bad_name(&name))?;
     let [kind] = query_fields(request.uri().query(), ["kind"])?;
     let kind = kind.map_or(Ok(LayerKind::default()), parse_kind)?;
@@ -38,7 +36,8 @@ pub(crate) async fn put(
         .into());
     }
     let file = body::file(&caller, request).await?;
-    let put = layers::put(app, *client, session, &name, kind, file).await?;
+    let Caller { app, client } = caller;
+    let put = layers::put(&app, client, session, &name, kind, file).await?;
     let status = if put.is_new {
         StatusCode::CREATED
     } else {

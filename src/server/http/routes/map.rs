@@ -4,7 +4,7 @@ use axum::extract::{Path, Request};
 use axum::response::Response;
 use mlswarp::warp::MapFormat;
 
-use super::sessions::session_id;
+use super::sessions::used;
 use crate::app::map;
 use crate::http::accept;
 use crate::http::middleware::authentication::Caller;
@@ -27,8 +27,7 @@ pub(crate) async fn of_session(
     request: Request,
 ) -> Result<Response, Refusal> {
     let format = format(&request)?;
-    let id = session_id(caller.client, &id)?;
-    let record = caller.app.sessions.touch(id, None).await?.record;
+    let record = used(&caller, &id).await?.record;
     let body = warp_json_or_form(&caller, request, pose_of(&record)).await?;
     Ok(response::map(
         map::of_session(&caller.app, caller.client, record, body, format).await?,

@@ -31,11 +31,5 @@ pub(crate) async fn mesh(
     let id = session_id(caller.client, &id)?;
     let drag = read_drag(&caller, id, request, DragRoute::Mesh).await?;
     let mesh = mesh::of_session(&caller.app, caller.client, id, drag, form).await?;
-    Ok(response::mesh(
-        &mesh.report,
-        mesh.timing,
-        mesh.plan_built,
-        media_type,
-        mesh.body,
-    ))
+    Ok(response::mesh(mesh, media_type))
 }

@@ -4,7 +4,7 @@
 use axum::extract::{Path, Request};
 use axum::response::Response;
 
-use super::sessions::session_id;
+use super::sessions::used;
 use crate::app::points;
 use crate::http::middleware::authentication::Caller;
 use crate::http::response::Refusal;
@@ -25,8 +25,7 @@ pub(crate) async fn of_session(
     Path(id): Path<String>,
     request: Request,
 ) -> Result<Response, Refusal> {
-    let id = session_id(caller.client, &id)?;
-    let record = caller.app.sessions.touch(id, None).await?.record;
+    let record = used(&caller, &id).await?.record;
     let body = large_json_or_form(&caller, request, pose_of(&record)).await?;
     Ok(mapped(
         points::of_session(&caller.app, caller.client, record, body).await?,

@@ -16,6 +16,7 @@ use crate::limits::memory::MemoryClass;
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
 use crate::session::SessionId;
+use crate::store::Session;
 use crate::wire::landmarks::Target;
 
 const EXAMPLE_ID: &str = "0f8fad5b-d9cb-469f-a165-70867728950e";
@@ -54,9 +55,8 @@ pub(crate) async fn handles(
     Path(id): Path<String>,
     request: Request,
 ) -> Result<Response, Refusal> {
+    let record = used(&caller, &id).await?.record;
     let Caller { app, client } = &caller;
-    let id = session_id(*client, &id)?;
-    let record = app.sessions.touch(id, None).await?.record;
     let target = Target::Session(record.extent);
     let limit = ("warp_json_bytes", app.config().max_warp_json_bytes);
     let body = upload::json_or_form(&caller, request, MemoryClass::Upload, limit, target).await?;
@@ -108,6 +108,12 @@ pub(crate) fn session_id(client: Client, text: &str) -> Result<SessionId, Proble
         )
     };
     SessionId::parse(client.owner, text).ok_or_else(none)
+}
+
+/// The session that a path names, for a request that uses it: its life is extended.
+pub(super) async fn used(caller: &Caller, id: &str) -> Result<Session, Problem> {
+    let id = session_id(caller.client, id)?;
+    Ok(caller.app.sessions.touch(id, None).await?)
 }
 
 /// The name that a client has chosen for a session.
