@@ -25,7 +25,7 @@ use std::path::Path;
 
 use harness::pictures::{FULL_HD, SMALL, bytes, extent, photograph, size, warped};
 use harness::{Contender, Goal, Report, contender, inside, paired, pool};
-use mlswarp::codec::{JpegWriter, PngShape, Subsampling};
+use mlswarp::codec::{JpegWriter, PixelLayout, Subsampling};
 use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap};
 use rayon::prelude::*;
@@ -57,7 +57,7 @@ impl Picture {
     }
 
     fn writer(&self, quality: u8, subsampling: Subsampling) -> JpegWriter {
-        let shape = PngShape {
+        let shape = PixelLayout {
             extent: self.extent,
             channels: self.channels,
             grey: false,

@@ -24,7 +24,7 @@ use std::path::Path;
 
 use harness::pictures::{FULL_HD, SMALL, bytes, encode, extent, photograph, size, tiles, warped};
 use harness::{Contender, Goal, Report, contender, inside, paired, pool};
-use mlswarp::codec::{Compression, PngShape, PngWriter};
+use mlswarp::codec::{Compression, PixelLayout, PngWriter};
 use mlswarp::level::SimdLevel;
 use mlswarp::pixmap::{Channels, Depth, Extent, Pixmap};
 use rayon::prelude::*;
@@ -261,7 +261,7 @@ fn answer(folder: &Path) {
 fn writer(picture: &Picture, compression: Compression) -> PngWriter {
     let extent = Extent::new(picture.width, picture.height).unwrap();
     PngWriter::new(
-        PngShape {
+        PixelLayout {
             extent,
             channels: picture.channels,
             grey: false,

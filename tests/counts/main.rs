@@ -31,7 +31,7 @@ use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, ImageLimits, PngShape, PngWriter, StepCounter};
+use mlswarp::codec::{self, Compression, ImageLimits, PixelLayout, PngWriter, StepCounter};
 use mlswarp::deform::{CoefficientTable, Method};
 use mlswarp::geometry::{Grid, Mesh};
 use mlswarp::level::SimdLevel;
@@ -189,7 +189,7 @@ fn render() {
 fn png() {
     let mut samples = Vec::new();
     let channels = draw(&source(), &mesh(), &mut samples);
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: extent(),
         channels,
         grey: false,

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use mlswarp::codec::{self, Compression, ImageLimits, PngShape, PngWriter};
+use mlswarp::codec::{self, Compression, ImageLimits, PixelLayout, PngWriter};
 use mlswarp::deform::Handle;
 use mlswarp::geometry::Point;
 use mlswarp::pixmap::{Channels, Depth, Extent};
@@ -19,7 +19,7 @@ use crate::support::picture::decoded;
 /// A PNG of pseudo-random samples, written in one strip after another.
 fn noise(extent: Extent, channels: Channels, depth: Depth) -> Vec<u8> {
     let writer = PngWriter::new(
-        PngShape {
+        PixelLayout {
             extent,
             channels,
             grey: false,

@@ -39,23 +39,32 @@ const CONTRACT: [(&str, &[&str]); 3] = [
     ("problem", &[]),
     ("layer", &[]),
 ];
-const ENGINE: [(&str, &[&str]); 8] = [
+const ENGINE: [(&str, &[&str]); 11] = [
+    (
+        "warper",
+        &[
+            "warp", "format", "render", "deform", "pixmap", "geometry", "parallel",
+        ],
+    ),
     (
         "warp",
         &[
-            "codec", "render", "deform", "pixmap", "topology", "geometry", "level",
+            "codec", "format", "render", "deform", "pixmap", "topology", "geometry", "parallel",
+            "level",
         ],
     ),
-    ("codec", &["pixmap", "level"]),
+    ("codec", &["format", "pixmap", "level"]),
+    ("format", &["pixmap"]),
     ("render", &["pixmap", "geometry", "level"]),
-    ("deform", &["topology", "geometry", "level"]),
+    ("deform", &["topology", "geometry", "parallel", "level"]),
     ("pixmap", &[]),
     ("topology", &["geometry"]),
     ("geometry", &[]),
+    ("parallel", &[]),
     ("level", &[]),
 ];
 /// Crates that only some modules or files may name.
-const CRATES: [(&str, &[&str]); 15] = [
+const CRATES: [(&str, &[&str]); 14] = [
     ("axum", &["server/http"]),
     // Spans are posted, which is no part of the service's own HTTP.
     ("hyper", &["server/http", "server/observe/otlp_client.rs"]),
@@ -72,14 +81,10 @@ const CRATES: [(&str, &[&str]); 15] = [
     ("tokio_util", &["server/http"]),
     ("tower_http", &["server/http"]),
     ("tokio_rustls", &["server"]),
-    (
-        "rayon",
-        &["engine/deform", "engine/render", "engine/warp", "server"],
-    ),
+    ("rayon", &["engine/parallel.rs", "server"]),
     ("hmac", &["server/auth/tokens.rs"]),
     ("image", &["engine/codec"]),
     ("png", &["engine/codec"]),
-    ("rand_chacha", &["engine/warp/batch.rs"]),
     (
         "zip",
         &["server/app/batch/package.rs", "server/cli/batch.rs"],
@@ -134,7 +139,7 @@ fn code(text: &str) -> String {
 
 fn is_test(file: &Path) -> bool {
     let name = |part: &std::ffi::OsStr| part.to_str().is_some_and(|part| part.starts_with("tests"));
-    file.iter().any(name)
+    file.starts_with("examples") || file.iter().any(name)
 }
 
 impl CrateSources {

@@ -77,6 +77,10 @@ impl From<WarpError> for Problem {
             WarpError::LabelFormat { .. } => {
                 Self::new(Code::BadValue, detail).pointer("/output/format")
             }
+            // What has no JSON: pictures and labels in memory.
+            WarpError::Pixels(_) | WarpError::OtherSize { .. } | WarpError::WideLabels => {
+                Self::new(Code::BadValue, detail)
+            }
             WarpError::OutsideBeyondDepth { value, most } => Self::new(Code::BadValue, detail)
                 .pointer("/output/outside/value")
                 .limit("outside_value", most, value),

@@ -201,13 +201,7 @@ impl EnumName for Format {
     const UNSUPPORTED: &'static [&'static str] = &[];
 
     fn as_str(self) -> &'static str {
-        match self {
-            Self::Png => "png",
-            Self::Jpeg => "jpeg",
-            Self::WebP => "webp",
-            Self::Tiff => "tiff",
-            Self::Gif => "gif",
-        }
+        self.info().word
     }
 }
 

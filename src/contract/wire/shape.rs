@@ -46,9 +46,6 @@ const KINDS: [(&[&str], &str); 5] = [
     ),
 ];
 
-/// Formats of pictures: with one of them, `format` is a field in the wrong place.
-const PICTURES: [&str; 8] = ["png", "jpeg", "jpg", "webp", "tiff", "tif", "gif", "bmp"];
-
 fn value<'j>(members: &Members<'j>, wanted: &str) -> Option<&'j str> {
     members
         .iter()
@@ -88,7 +85,9 @@ pub(super) fn recognised(members: &Members<'_>, known: &[&str]) -> Option<String
             quote(detail)
         ));
     }
-    if text(members, "format").is_some_and(|format| PICTURES.contains(&format)) {
+    // With a format of pictures, `format` is a field in the wrong place.
+    let is_picture = |format: &str| mlswarp::format::source_extensions().any(|end| end == format);
+    if text(members, "format").is_some_and(is_picture) {
         return None;
     }
     let has = |wanted: &[&str]| wanted.iter().all(|name| value(members, name).is_some());

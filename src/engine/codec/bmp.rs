@@ -23,6 +23,7 @@ pub(super) struct BmpFile<'a> {
     indexed: Option<usize>,
 }
 
+#[expect(clippy::wildcard_enum_match_arm, reason = "an enum of another crate")]
 fn refused(error: ImageError) -> CodecError {
     match error {
         ImageError::Unsupported(_) => {
@@ -51,6 +52,7 @@ impl<'a> BmpFile<'a> {
         let (width, height) = decoder.dimensions();
         let extent = Extent::new(width, height)
             .ok_or_else(|| bad(format!("a picture of {width} x {height} pixels")))?;
+        #[expect(clippy::wildcard_enum_match_arm, reason = "an enum of another crate")]
         let channels = match decoder.color_type() {
             ColorType::Rgb8 => Channels::Rgb,
             ColorType::Rgba8 => Channels::Rgba,

@@ -3,47 +3,23 @@
 //! and colours stay whole. Transparency beside the samples (a PNG's tRNS chunk) and colour profiles
 //! are not applied.
 
-use std::sync::Arc;
-
 use super::alloc::room;
 use super::decode::{Decoded, Opened, open_any};
 use super::metadata::METADATA_BYTES;
-use super::png::write::PngShape;
 use super::probe::Parsed;
 use super::profile::PROFILE_BYTES;
 use super::{CodecError, ImageLimits, Metadata, Repairs, StepCounter};
-use crate::pixmap::{Depth, Samples};
+use crate::pixmap::{Labels, Palette, PixelLayout, Samples};
 
-/// The colours of the labels of a file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Palette {
-    /// Red, green and blue of each label, at most 256.
-    pub colours: Vec<[u8; 3]>,
-    /// Alpha of the first labels; the others are opaque.
-    pub alpha: Vec<u8>,
-}
-
-/// An upright label image.
-#[derive(Clone, Debug)]
-pub struct Labels {
-    /// Size, depth and samples per pixel.
-    pub shape: PngShape,
-    /// The colours of the labels, if the file has them.
-    pub palette: Option<Palette>,
-    /// The labels as a PNG stores them (16 bit big-endian). Shapes:
-    /// `[height][width][shape.samples()]`.
-    pub values: Vec<u8>,
+/// An upright label image, and what its file says about it.
+#[derive(Debug)]
+pub struct DecodedLabels {
+    /// The labels.
+    pub labels: Labels,
     /// What is written back.
-    pub metadata: Arc<Metadata>,
+    pub metadata: Metadata,
     /// What of the file was mended.
     pub repairs: Repairs,
-}
-
-impl Labels {
-    /// Whether a file of them has one sample for the three colours, and no palette.
-    pub(crate) const fn is_grey(&self) -> bool {
-        self.shape.grey && self.palette.is_none()
-    }
 }
 
 /// Reads the header of a label image; as [`super::open`].
@@ -94,9 +70,9 @@ impl Opened<'_> {
     }
 
     /// The shape of a label image.
-    const fn label_shape(&self) -> PngShape {
+    const fn label_shape(&self) -> PixelLayout {
         let header = self.header;
-        PngShape {
+        PixelLayout {
             extent: header.extent,
             channels: header.channels,
             grey: header.grey,
@@ -108,7 +84,7 @@ impl Opened<'_> {
     ///
     /// # Errors
     /// Those of [`Opened::decode`].
-    pub fn decode_labels(&self) -> Result<Labels, CodecError> {
+    pub fn decode_labels(&self) -> Result<DecodedLabels, CodecError> {
         let palette = self.parsed.palette(self.work)?;
         let Decoded {
             pixmap,
@@ -128,11 +104,14 @@ impl Opened<'_> {
             Samples::Eight(samples) => self.keep(samples, kept, &mut values, |sample| [sample])?,
             Samples::Sixteen(samples) => self.keep(samples, kept, &mut values, u16::to_be_bytes)?,
         }
-        Ok(Labels {
-            shape,
-            palette,
-            values,
-            metadata: Arc::new(metadata),
+        Ok(DecodedLabels {
+            labels: Labels {
+                shape,
+                palette,
+                values,
+                is_32_bit: false,
+            },
+            metadata,
             repairs,
         })
     }
@@ -154,20 +133,5 @@ impl Opened<'_> {
             }
         }
         Ok(())
-    }
-}
-
-impl PngShape {
-    /// Bytes of the samples of a file.
-    #[must_use]
-    pub const fn sample_bytes(self) -> u64 {
-        let depth = match self.depth {
-            Depth::Eight => 1,
-            Depth::Sixteen => 2,
-        };
-        self.extent
-            .pixels()
-            .saturating_mul(self.samples() as u64)
-            .saturating_mul(depth)
     }
 }

@@ -10,18 +10,12 @@ mod bmp;
 #[forbid(unsafe_code)]
 mod decode;
 #[forbid(unsafe_code)]
-mod error;
-#[forbid(unsafe_code)]
-mod format;
-#[forbid(unsafe_code)]
 mod gif;
 #[forbid(unsafe_code)]
 mod ifd;
 mod jpeg;
 #[forbid(unsafe_code)]
 mod labels;
-#[forbid(unsafe_code)]
-mod limits;
 #[forbid(unsafe_code)]
 mod metadata;
 #[forbid(unsafe_code)]
@@ -31,8 +25,6 @@ mod png;
 mod probe;
 #[forbid(unsafe_code)]
 mod profile;
-#[forbid(unsafe_code)]
-mod repairs;
 #[cfg(test)]
 mod tests;
 #[forbid(unsafe_code)]
@@ -45,19 +37,19 @@ mod work;
 mod write;
 
 pub use decode::{Decoded, Opened, decode, open};
-pub use error::CodecError;
-pub use format::{Format, SourceFormat};
 pub use gif::write::GifAnimation;
-pub use jpeg::write::{JpegWriter, Subsampling};
-pub use labels::{Labels, Palette, open_labels};
-pub use limits::ImageLimits;
-pub use metadata::{
-    Carried, Dropped, DroppedKind, METADATA_BYTES, Metadata, Ratio, Resolution, ResolutionUnit,
-};
-pub use png::write::{Animation, Compression, PngShape, PngWriter, Profile, Strip, StripChecksum};
+pub use jpeg::write::JpegWriter;
+pub use labels::{DecodedLabels, open_labels};
+pub use metadata::{Carried, METADATA_BYTES, Metadata, Ratio, Resolution, ResolutionUnit};
+pub use png::write::{Animation, PngWriter, Profile, Strip, StripChecksum};
 pub use probe::{Header, probe};
 pub use profile::PROFILE_BYTES;
-pub use repairs::Repairs;
 pub use tiff::floats::FloatTiff;
 pub use work::StepCounter;
-pub use write::{Encoding, Writer};
+pub use write::Writer;
+
+pub use crate::format::{
+    CodecError, Compression, Dropped, DroppedKind, Encoding, Format, ImageLimits, Repairs,
+    SourceFormat, Subsampling,
+};
+pub use crate::pixmap::{Labels, Palette, PixelLayout};

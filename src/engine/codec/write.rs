@@ -6,63 +6,15 @@
 use std::borrow::Cow;
 use std::ops::Range;
 
-use super::jpeg::write::{JpegWriter, Subsampling};
-use super::png::write::{Compression, PngShape, PngWriter, StripChecksum};
-use super::{Carried, Format, Palette, gif, tiff, webp};
-use crate::pixmap::{Channels, Depth, sample_bytes};
-
-/// The encoding of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
-    /// Lossless, 8 or 16 bit.
-    Png(Compression),
-    /// 8 bit, no alpha.
-    Jpeg {
-        /// 1 to 100.
-        quality: u8,
-        /// Resolution of the colours.
-        subsampling: Subsampling,
-        /// The background of transparent pixels.
-        ground: [u8; 3],
-    },
-    /// Lossless, 8 bit.
-    WebP,
-    /// Lossless, 8 or 16 bit.
-    Tiff(Compression),
-    /// A frame of an animation: at most 256 colours, which are transparent or opaque.
-    Gif,
-}
-
-impl Encoding {
-    /// The format of the file.
-    #[must_use]
-    pub const fn format(self) -> Format {
-        match self {
-            Self::Png(_) => Format::Png,
-            Self::Jpeg { .. } => Format::Jpeg,
-            Self::WebP => Format::WebP,
-            Self::Tiff(_) => Format::Tiff,
-            Self::Gif => Format::Gif,
-        }
-    }
-
-    /// Whether a grey picture is written in grey: the format has it, and the ground adds no colour.
-    #[must_use]
-    pub const fn is_grey(self) -> bool {
-        match self {
-            Self::Png(_) | Self::Tiff(_) => true,
-            Self::Jpeg {
-                ground: [r, g, b], ..
-            } => r == g && g == b,
-            Self::WebP | Self::Gif => false,
-        }
-    }
-}
+use super::jpeg::write::JpegWriter;
+use super::png::write::{PngWriter, StripChecksum};
+use super::{Carried, Compression, Encoding, Palette, gif, tiff, webp};
+use crate::pixmap::{Channels, Depth, PixelLayout, sample_bytes};
 
 /// Writes one picture. Cheap to create and to clone.
 #[derive(Clone, Debug)]
 pub struct Writer {
-    shape: PngShape,
+    shape: PixelLayout,
     /// The samples have three equal colours, of which the file has one.
     is_grey_in_colour: bool,
     kind: WriterKind,
@@ -93,9 +45,9 @@ impl Writer {
     /// # Panics
     /// If a row is longer than 1 GiB.
     #[must_use]
-    pub fn new(shape: PngShape, encoding: Encoding, metadata: Option<&Carried>) -> Self {
+    pub fn new(shape: PixelLayout, encoding: Encoding, metadata: Option<&Carried>) -> Self {
         let grey = shape.grey && encoding.is_grey();
-        let shape = PngShape { grey, ..shape };
+        let shape = PixelLayout { grey, ..shape };
         let whole = |coding| WriterKind::Whole {
             coding,
             metadata: metadata.cloned(),
@@ -134,7 +86,7 @@ impl Writer {
     /// Like [`Self::new`].
     #[must_use]
     pub fn of_labels(
-        shape: PngShape,
+        shape: PixelLayout,
         encoding: Encoding,
         palette: Option<&Palette>,
         metadata: Option<&Carried>,
@@ -305,7 +257,7 @@ impl Writer {
 }
 
 /// Moves the first colour of every pixel, and its alpha, to the front.
-fn first_colour(samples: &mut [u8], shape: PngShape) -> &[u8] {
+fn first_colour(samples: &mut [u8], shape: PixelLayout) -> &[u8] {
     fn compact<const FROM: usize, const COLOUR: usize, const TO: usize>(
         samples: &mut [u8],
     ) -> usize {
@@ -342,7 +294,7 @@ fn in_eight(samples: &[u8], depth: Depth) -> Cow<'_, [u8]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::{Decoded, ImageLimits, SourceFormat, decode};
+    use crate::codec::{Decoded, ImageLimits, SourceFormat, Subsampling, decode};
     use crate::pixmap::Extent;
     use crate::pixmap::Samples;
 
@@ -358,7 +310,7 @@ mod tests {
     ) -> Decoded {
         let profile = icc.map(Carried::of_icc);
         let writer = Writer::new(
-            PngShape {
+            PixelLayout {
                 extent,
                 channels,
                 grey: false,
@@ -382,7 +334,7 @@ mod tests {
     fn a_jpeg_that_nobody_waits_for_is_not_written_to_its_end() {
         use std::cell::Cell;
         let extent = Extent::new(1500, 1000).unwrap();
-        let shape = PngShape {
+        let shape = PixelLayout {
             extent,
             channels: Channels::Rgb,
             grey: false,

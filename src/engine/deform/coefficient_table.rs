@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::Pose;
 use super::form::CoefficientForm;
@@ -220,7 +220,7 @@ impl CoefficientTable {
         let per_block = lanes_per_block(self.form, self.terms);
         let blocks = self.vertices.div_ceil(LANES);
         let mut out = Vec::with_capacity(blocks);
-        let threads = rayon::current_num_threads();
+        let threads = crate::parallel::current_num_threads();
         let piece = blocks_per_piece(per_block) * per_block;
         if threads == 1 || Self::is_posed_on_one_thread(self.bytes()) {
             for table in self.table.chunks(piece) {

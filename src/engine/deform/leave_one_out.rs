@@ -6,7 +6,7 @@
 
 use std::cell::RefCell;
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::columns::{HandleElements, PointSource, Rank, rank};
 use super::form::{CoefficientForm, displacement};

@@ -186,7 +186,6 @@ impl RestDeformation {
     ///
     /// # Errors
     /// Those of [`RestDeformation::of`].
-    #[cfg(feature = "codec")]
     pub(crate) fn without_system(
         handles: Handles,
         coincident: Coincident,

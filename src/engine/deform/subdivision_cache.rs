@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::coefficient_table::{IsCancelled, store, to_f32};
 use super::kernel::{self, BlockDisplacements, CoefficientLanes, lanes_per_block};

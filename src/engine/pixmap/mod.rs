@@ -3,8 +3,13 @@
 
 use std::num::NonZeroU32;
 
+mod layout;
+mod pixels;
 mod reduce;
 
+pub use layout::{Labels, Palette, PixelLayout};
+pub(crate) use pixels::extent_of;
+pub use pixels::{PixelError, PixelFormat, Pixels};
 pub use reduce::sample_bytes;
 
 /// Width and height in pixels, neither zero.

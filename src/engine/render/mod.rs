@@ -63,7 +63,6 @@ mod tests;
 pub use blend::{FULL_WEIGHT, blend};
 pub use canvas::{Canvas, window_count};
 pub use coverage::Coverage;
-#[cfg(feature = "codec")]
 pub(crate) use drawing::STRIP_ROWS;
 pub use inverse_map::InverseMap;
 pub use source::Source;
@@ -378,7 +377,6 @@ impl Renderer {
 
 /// The rows of a band in which about `pixels` source positions are computed, `width` per row: a
 /// multiple of [`STRIP_ROWS`], which is drawn at once.
-#[cfg(feature = "codec")]
 pub(crate) fn band_rows(pixels: u32, width: u32) -> u32 {
     (pixels / width.max(1))
         .next_multiple_of(STRIP_ROWS)

@@ -1,8 +1,6 @@
 //! The poses of a batch: in-betweens with an easing, and seeded jitter.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{RngCore as _, SeedableRng as _};
-
+use super::chacha::ChaCha8;
 use super::{ResolvedRest, Units};
 use crate::deform::Handle;
 use crate::geometry::Point;
@@ -154,10 +152,7 @@ impl Jitter {
 
     /// Each frame has a stream of its own of the generator that the seed chooses.
     fn waves(&self, frame: u32) -> [Wave; PLANE_WAVES] {
-        let mut seed = [0; 32];
-        seed[..8].copy_from_slice(&self.seed.to_le_bytes());
-        let mut random = ChaCha8Rng::from_seed(seed);
-        random.set_stream(frame.into());
+        let mut random = ChaCha8::new(self.seed, frame);
         std::array::from_fn(|_| {
             let periods = in_ring(&mut random, 1.0 / LONGEST_WAVELENGTH);
             let phase = uniform(&mut random);
@@ -208,13 +203,13 @@ fn mean_distance(handles: &[Handle], unit: (f64, f64)) -> Option<f64> {
 }
 
 /// Uniform in 0 to 1.
-fn uniform(random: &mut ChaCha8Rng) -> f64 {
+fn uniform(random: &mut ChaCha8) -> f64 {
     const UNIT_STEP: f64 = 1.0 / (1_u64 << 53) as f64;
     (random.next_u64() >> 11) as f64 * UNIT_STEP
 }
 
 /// Uniform in the ring between `inner` and 1.
-fn in_ring(random: &mut ChaCha8Rng, inner: f64) -> (f64, f64) {
+fn in_ring(random: &mut ChaCha8, inner: f64) -> (f64, f64) {
     loop {
         let (x, y) = (2.0 * uniform(random) - 1.0, 2.0 * uniform(random) - 1.0);
         let square = x * x + y * y;

@@ -5,32 +5,19 @@
 use std::ops::Range;
 
 use super::digest::Collector;
+use super::pixel_positions::PixelPositions;
 use super::spec::at_most;
-use super::{CanvasSpec, Digest, Limits, OutputSpec, PosedMesh, Target, WarpError};
+use super::{CanvasSpec, Digest, Limits, MapDirection, OutputSpec, PosedMesh, Target, WarpError};
 use crate::codec::FloatTiff;
 use crate::deform::IsCancelled;
-use crate::geometry::{Mesh, PIXEL_CENTER, Point};
+use crate::geometry::PIXEL_CENTER;
 use crate::pixmap::Extent;
-use crate::render::{Canvas, InverseMap, band_rows};
+use crate::render::Canvas;
 
-/// Positions that are computed for a band.
-const BAND_POSITIONS: u32 = 1 << 16;
 /// Bytes of a position: two f32.
 const POSITION_BYTES: u64 = 8;
 /// Samples of a pixel: x and y.
 const SAMPLES_PER_PIXEL: u16 = 2;
-
-/// Which positions a map has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum MapDirection {
-    /// For each pixel of the posed plane, the source position that is drawn there; NaN where
-    /// nothing is.
-    #[default]
-    Inverse,
-    /// For each pixel of the plane at rest, the posed position at which it is drawn; NaN outside
-    /// the source.
-    Forward,
-}
 
 /// The file of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -114,18 +101,12 @@ impl MapSpec {
 /// A map that is ready to be written.
 #[derive(Debug)]
 pub struct CoordinateMap {
-    positions: PositionSource,
+    positions: PixelPositions,
     target: Target,
     format: MapFormat,
     tiff: Option<FloatTiff>,
     band_rows: u32,
     etag: Digest,
-}
-
-#[derive(Debug)]
-enum PositionSource {
-    Inverse(InverseMap),
-    Forward { mesh: Mesh, canvas: Option<Canvas> },
 }
 
 impl CoordinateMap {
@@ -134,21 +115,8 @@ impl CoordinateMap {
     /// # Errors
     /// Too large for the format.
     pub fn new(spec: &MapSpec, posed: &PosedMesh, target: Target) -> Result<Self, WarpError> {
-        let (positions, computed) = match spec.direction {
-            MapDirection::Inverse => {
-                let inverse = InverseMap::new(posed.mesh(), target.extent, target.canvas);
-                let computed = inverse.computed_width();
-                (PositionSource::Inverse(inverse), computed)
-            }
-            MapDirection::Forward => (
-                PositionSource::Forward {
-                    mesh: posed.mesh().clone(),
-                    canvas: target.canvas,
-                },
-                target.extent.width(),
-            ),
-        };
-        let band_rows = band_rows(BAND_POSITIONS, computed);
+        let positions = PixelPositions::new(spec.direction, posed.mesh(), target);
+        let band_rows = positions.band_rows();
         let tiff = match spec.format {
             MapFormat::Npy => None,
             MapFormat::Tiff => {
@@ -223,12 +191,7 @@ impl CoordinateMap {
         let rows = self.rows(band);
         assert!(!rows.is_empty(), "band {band} of {}", self.bands());
         let mut positions = vec![[0.0; 2]; rows.len() * self.target.extent.width() as usize];
-        match &self.positions {
-            PositionSource::Inverse(inverse) => inverse.rows(rows, &mut positions),
-            PositionSource::Forward { mesh, canvas } => {
-                forward(mesh, *canvas, self.target.extent, rows, &mut positions)
-            }
-        }
+        self.positions.rows(rows, &mut positions);
         let mut bytes = if band == 0 { self.head() } else { Vec::new() };
         bytes.reserve_exact(8 * positions.len());
         // Indices of an array: the centre of the first pixel is 0, 0.
@@ -305,35 +268,4 @@ fn npy_head(extent: Extent) -> Vec<u8> {
         header.as_bytes(),
     ]
     .concat()
-}
-
-/// The posed positions of the pixel centres of a canvas at rest.
-fn forward(
-    mesh: &Mesh,
-    canvas: Option<Canvas>,
-    target: Extent,
-    rows: Range<u32>,
-    out: &mut [[f32; 2]],
-) {
-    let [left, top, right, bottom] = canvas.map_or(
-        [0.0, 0.0, mesh.grid().width(), mesh.grid().height()],
-        |canvas| canvas.edges(),
-    );
-    let px = (right - left) / f64::from(target.width());
-    let py = (bottom - top) / f64::from(target.height());
-    for (row, out) in rows.zip(out.chunks_exact_mut(target.width() as usize)) {
-        let y = top + (f64::from(row) + PIXEL_CENTER) * py;
-        for (column, out) in (0..target.width()).zip(out) {
-            let posed = mesh.map(Point::new(
-                left + (f64::from(column) + PIXEL_CENTER) * px,
-                y,
-            ));
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "the format of the contract is f32"
-            )]
-            let position = posed.map_or([f32::NAN; 2], |p| [p.x as f32, p.y as f32]);
-            *out = position;
-        }
-    }
 }

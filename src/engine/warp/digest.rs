@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+#[cfg(not(feature = "codec"))]
+use super::sha256::Sha256;
+#[cfg(feature = "codec")]
 use sha2::{Digest as _, Sha256};
 
 /// A SHA-256 digest; displays as lower-case hex.
@@ -17,7 +20,9 @@ impl Digest {
     /// ```
     #[must_use]
     pub fn of(bytes: &[u8]) -> Self {
-        Self(Sha256::digest(bytes).into())
+        let mut hash = Sha256::new();
+        hash.update(bytes);
+        finish(hash)
     }
 }
 
@@ -55,6 +60,16 @@ impl Collector {
     }
 
     pub(super) fn finish(self) -> Digest {
-        Digest(self.0.finalize().into())
+        finish(self.0)
     }
+}
+
+#[cfg(feature = "codec")]
+fn finish(hash: Sha256) -> Digest {
+    Digest(hash.finalize().into())
+}
+
+#[cfg(not(feature = "codec"))]
+fn finish(hash: Sha256) -> Digest {
+    Digest(hash.finish())
 }

@@ -1,28 +1,26 @@
 //! Errors and warnings of a warp, by what the client can change.
 
 use std::cmp::Ordering;
+use std::convert::Infallible;
+use std::fmt;
 
-use thiserror::Error;
-
-use crate::codec::{CodecError, Dropped, Format, Repairs};
 use crate::deform::{self, DeformError, METHODS, Method, MethodInfo, Parameter};
+use crate::format::{CodecError, Dropped, Format, Repairs};
 use crate::geometry::DisplayNumber;
+use crate::pixmap::{Extent, PixelError};
 
 /// Why an image was not warped.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum WarpError {
     /// The file.
-    #[error(transparent)]
     Codec(CodecError),
+    /// Samples that are no picture of the stated size.
+    Pixels(PixelError),
     /// The rest handles p, or a parameter.
-    #[error("{0}")]
     Rest(DeformError),
     /// The posed handles q.
-    #[error("{0}")]
     Posed(DeformError),
     /// A position to be mapped is invalid.
-    #[error("a position has a coordinate of {} px; coordinates must lie between -{limit} and \
-        {limit} px", DisplayNumber(*value))]
     BadPlace {
         /// Index of the position.
         index: usize,
@@ -32,15 +30,13 @@ pub enum WarpError {
         limit: f64,
     },
     /// Cancelled.
-    #[error("cancelled: the client has disconnected or the deadline has passed")]
     Cancelled,
     /// Over a limit.
-    #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `handle_columns`, `spline_handles`, `fit_handles`, `grid_vertices`,
         /// `grid_columns`, `grid_rows`, `output_side`, `output_pixels`, `canvas_side`,
         /// `canvas_edge`, `canvas_pixels`, `map_side`, `map_pixels`, `scaled_source_side`,
-        /// `outline_samples`, `plan_bytes`.
+        /// `outline_samples`, `plan_bytes`, `memory`.
         what: &'static str,
         /// The limit.
         limit: u64,
@@ -48,8 +44,6 @@ pub enum WarpError {
         actual: u64,
     },
     /// More work than the limit, as it is estimated before it begins.
-    #[error("{} would take {actual} operations; the limit is {limit}; {}", task.name(),
-        task.advice())]
     TooMuchWork {
         /// What would take them.
         task: Task,
@@ -59,19 +53,16 @@ pub enum WarpError {
         actual: u64,
     },
     /// A parameter of another method.
-    #[error("{}", foreign(parameter))]
     ForeignParameter {
         /// The field: `alpha`, or the object of a method.
         parameter: &'static str,
     },
     /// A line where points are compared.
-    #[error("handle {handle} is a line, but methods are compared on points")]
     LineInFit {
         /// Index of the handle.
         handle: usize,
     },
     /// Too few points to compare methods.
-    #[error("methods are compared on at least {least} distinct points; found {actual}")]
     TooFewPoints {
         /// The fewest.
         least: usize,
@@ -79,33 +70,34 @@ pub enum WarpError {
         actual: usize,
     },
     /// A table of coefficients is not worth its time.
-    #[error("{reason}")]
     NoTable {
         /// A sentence.
         reason: &'static str,
     },
     /// A metric or method that follows the shape of what an image shows, without an image.
-    #[error("the metric `geodesic` needs an image: send one, or use a session")]
     NoImage,
     /// A grid that is cut along a mask, where all cells of a grid are needed.
-    #[error("{what} is not supported with the metric `geodesic`; use `euclidean` for it")]
     CutGrid {
         /// What needs them.
         what: &'static str,
     },
     /// An invalid grid.
-    #[error("{0}")]
     BadGrid(String),
     /// Labels in a format that would change them.
-    #[error("labels cannot be written as {}, which would change them; use PNG or TIFF",
-        format.name())]
     LabelFormat {
         /// The format.
         format: Format,
     },
+    /// Labels of 32 bit, which no format stores.
+    WideLabels,
+    /// A picture of another size than the one that handles were placed on.
+    OtherSize {
+        /// The size that the handles have.
+        expected: Extent,
+        /// The size of the picture.
+        actual: Extent,
+    },
     /// A value outside that the samples of the picture cannot have.
-    #[error("the value {value} of `outside` exceeds {most}, the largest of an image of {} bits",
-        if *most > 255 { 16 } else { 8 })]
     OutsideBeyondDepth {
         /// The value.
         value: u16,
@@ -113,18 +105,124 @@ pub enum WarpError {
         most: u16,
     },
     /// A value outside of labels.
-    #[error("outside, labels are 0: `outside` with a value does not apply to them")]
     OutsideOfLabels,
     /// `folds: reject` and the posed grid folds.
-    #[error("the warp folds over itself in {cells} {} of the grid",
-        if *cells == 1 { "cell" } else { "cells" })]
     Folded {
         /// Folded cells.
         cells: u64,
     },
     /// `canvas: fit` and the posed picture has no area.
-    #[error("the posed picture has no area, so the canvas `fit` would be empty")]
     NothingVisible,
+}
+
+impl fmt::Display for WarpError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Codec(error) => error.fmt(f),
+            Self::Pixels(error) => error.fmt(f),
+            Self::Rest(error) | Self::Posed(error) => error.fmt(f),
+            Self::BadPlace { value, limit, .. } => write!(
+                f,
+                "a position has a coordinate of {} px; coordinates must lie between -{limit} and \
+                    {limit} px",
+                DisplayNumber(*value)
+            ),
+            Self::Cancelled => {
+                f.write_str("cancelled: the client has disconnected or the deadline has passed")
+            }
+            Self::TooLarge {
+                what,
+                limit,
+                actual,
+            } => write!(f, "{}; the limit is {limit}", measured(what, *actual)),
+            Self::TooMuchWork {
+                task,
+                limit,
+                actual,
+            } => write!(
+                f,
+                "{} would take {actual} operations; the limit is {limit}; {}",
+                task.name(),
+                task.advice()
+            ),
+            Self::ForeignParameter { parameter } => f.write_str(&foreign(parameter)),
+            Self::LineInFit { handle } => write!(
+                f,
+                "handle {handle} is a line, but methods are compared on points"
+            ),
+            Self::TooFewPoints { least, actual } => write!(
+                f,
+                "methods are compared on at least {least} distinct points; found {actual}"
+            ),
+            Self::NoImage => {
+                f.write_str("the metric `geodesic` needs an image: send one, or use a session")
+            }
+            Self::CutGrid { what } => write!(
+                f,
+                "{what} is not supported with the metric `geodesic`; use `euclidean` for it"
+            ),
+            Self::NoTable { reason } => f.write_str(reason),
+            Self::BadGrid(detail) => f.write_str(detail),
+            Self::LabelFormat { format } => write!(
+                f,
+                "labels cannot be written as {}, which would change them; use PNG or TIFF",
+                format.name()
+            ),
+            Self::WideLabels => {
+                f.write_str("labels of 32 bit fit no file format; take them from memory")
+            }
+            Self::OtherSize { expected, actual } => write!(
+                f,
+                "the handles lie on an image of {} x {} px, but this one has {} x {} px",
+                expected.width(),
+                expected.height(),
+                actual.width(),
+                actual.height()
+            ),
+            Self::OutsideBeyondDepth { value, most } => write!(
+                f,
+                "the value {value} of `outside` exceeds {most}, the largest of an image of {} bits",
+                if *most > 255 { 16 } else { 8 }
+            ),
+            Self::OutsideOfLabels => {
+                f.write_str("outside, labels are 0: `outside` with a value does not apply to them")
+            }
+            Self::Folded { cells } => write!(
+                f,
+                "the warp folds over itself in {cells} {} of the grid",
+                if *cells == 1 { "cell" } else { "cells" }
+            ),
+            Self::NothingVisible => {
+                f.write_str("the posed picture has no area, so the canvas `fit` would be empty")
+            }
+        }
+    }
+}
+
+impl std::error::Error for WarpError {}
+
+impl WarpError {
+    /// An error of the handles at rest.
+    pub(super) fn of_rest(error: DeformError) -> Self {
+        if matches!(error, DeformError::Cancelled) {
+            Self::Cancelled
+        } else {
+            Self::Rest(error)
+        }
+    }
+}
+
+/// A size that is known to be one.
+impl From<Infallible> for WarpError {
+    fn from(never: Infallible) -> Self {
+        match never {}
+    }
+}
+
+impl From<PixelError> for WarpError {
+    fn from(error: PixelError) -> Self {
+        Self::Pixels(error)
+    }
 }
 
 /// Work that is a product or a power by nature.
@@ -317,9 +415,10 @@ impl Warning {
 
 impl From<CodecError> for WarpError {
     fn from(error: CodecError) -> Self {
-        match error {
-            CodecError::Cancelled => Self::Cancelled,
-            error => Self::Codec(error),
+        if error == CodecError::Cancelled {
+            Self::Cancelled
+        } else {
+            Self::Codec(error)
         }
     }
 }
@@ -363,6 +462,7 @@ fn measured(what: &str, actual: u64) -> String {
         "canvas_side" => format!("the longer side of the canvas would be {actual} px"),
         "canvas_edge" => format!("the canvas would reach {actual} px from the corner of the image"),
         "plan_bytes" => format!("the coefficients would take {actual} bytes"),
+        "memory" => format!("the pixels would take {actual} bytes"),
         "canvas_pixels" => format!("the canvas would have {actual} pixels"),
         _ => {
             let is_meant = |info: &&&MethodInfo| {

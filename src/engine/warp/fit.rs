@@ -179,10 +179,7 @@ impl Fit {
         rest: &RestSpec,
         cancelled: IsCancelled<'_>,
     ) -> Result<RestDeformation, WarpError> {
-        field(self.handles.clone(), rest, true, cancelled).map_err(|error| match error {
-            DeformError::Cancelled => WarpError::Cancelled,
-            error => WarpError::Rest(error),
-        })
+        field(self.handles.clone(), rest, true, cancelled).map_err(WarpError::of_rest)
     }
 
     /// Leaves out each point in turn. CPU work, in parallel on the current rayon pool: O(points^2),

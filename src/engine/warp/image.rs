@@ -1,28 +1,41 @@
-//! A decoded picture, shared by all requests with the same file.
+//! A picture in memory, from a file or from pixels, shared by all warps of it.
 
 use std::sync::{Arc, OnceLock};
 
+use super::digest::Collector;
 use super::region::{for_each_pixel, occupied_words};
-use super::{Digest, Target, WarpError};
-use crate::codec::{self, Carried, ImageLimits, Metadata, Opened, Repairs, StepCounter};
-use crate::pixmap::{Channels, Depth, Extent, Pixmap};
+use super::{Digest, WarpError};
+#[cfg(feature = "codec")]
+use crate::codec::{self, ImageLimits, Metadata, Opened, StepCounter};
+use crate::format::Repairs;
+use crate::pixmap::{Channels, Depth, Extent, PixelFormat, Pixels, Pixmap, Samples};
 use crate::render::Source;
 
-/// A decoded, upright picture with its derived copies for sampling, and its metadata for every
-/// output.
+/// An upright picture with its derived copies for sampling, and its metadata for every output.
+///
+/// ```
+/// use mlswarp::Image;
+/// let image = Image::from_rgb8(2, 1, vec![255, 0, 0, 0, 0, 255])?;
+/// assert!(!image.has_alpha());
+/// # Ok::<(), mlswarp::warp::WarpError>(())
+/// ```
 #[derive(Debug)]
 pub struct Image {
-    digest: Digest,
+    /// Of the file, or of the pixels when it is needed.
+    digest: OnceLock<Digest>,
     pub(super) source: Arc<Source>,
     /// Which pixels have some of a mask, if the picture has been one.
     pub(super) occupied: Arc<OnceLock<Vec<u64>>>,
-    metadata: Arc<Metadata>,
+    #[cfg(feature = "codec")]
+    pub(super) metadata: Arc<Metadata>,
     /// What of the file was mended.
     pub(super) repairs: Repairs,
-    /// Whether the file stores one sample for the three colours.
+    /// Whether file or pixels have one sample for the three colours.
     pub(super) grey: bool,
 }
 
+/// Reads and names files.
+#[cfg(feature = "codec")]
 impl Image {
     /// Digest of the file's bytes: the key under which the picture is cached.
     #[must_use]
@@ -67,34 +80,35 @@ impl Image {
     pub fn decode_as(digest: Digest, opened: &Opened<'_>) -> Result<Self, WarpError> {
         let decoded = opened.decode()?;
         Ok(Self {
-            digest,
-            source: Arc::new(Source::new(decoded.pixmap)),
-            occupied: Arc::default(),
             metadata: Arc::new(decoded.metadata),
             repairs: decoded.repairs,
-            grey: opened.header().grey,
+            ..Self::new(OnceLock::from(digest), decoded.pixmap, opened.header().grey)
         })
     }
+}
 
-    /// A picture that no file has. `name`: of its digest.
-    #[cfg(test)]
-    pub(super) fn of_pixmap(name: &str, pixmap: Pixmap, grey: bool) -> Self {
-        let (digest, metadata, repairs) = (
-            Digest::of(name.as_bytes()),
-            Arc::default(),
-            Repairs::default(),
-        );
+impl Image {
+    /// A picture of pixels, which has no metadata.
+    #[must_use]
+    pub fn from_pixels(pixels: Pixels) -> Self {
+        let (pixmap, grey) = pixels.into_pixmap();
+        Self::new(OnceLock::new(), pixmap, grey)
+    }
+
+    fn new(digest: OnceLock<Digest>, pixmap: Pixmap, grey: bool) -> Self {
         Self {
             digest,
             source: Arc::new(Source::new(pixmap)),
             occupied: Arc::default(),
-            metadata,
-            repairs,
+            #[cfg(feature = "codec")]
+            metadata: Arc::default(),
+            repairs: Repairs::default(),
             grey,
         }
     }
 
     /// A picture that was made of others, with the metadata of one of them.
+    #[cfg(feature = "codec")]
     pub(super) fn of_parts(
         digest: Digest,
         pixmap: Pixmap,
@@ -102,29 +116,73 @@ impl Image {
         grey: bool,
     ) -> Self {
         Self {
-            digest,
-            source: Arc::new(Source::new(pixmap)),
-            occupied: Arc::default(),
             metadata,
-            repairs: Repairs::default(),
-            grey,
+            ..Self::new(OnceLock::from(digest), pixmap, grey)
         }
     }
 
     /// The metadata of the file.
+    #[cfg(feature = "codec")]
     pub(super) const fn metadata(&self) -> &Arc<Metadata> {
         &self.metadata
     }
 
-    /// What an output has of the file's metadata.
-    pub(super) fn carried(&self, target: &Target) -> Carried {
-        target.carried(&self.metadata, self.extent())
+    /// A picture that no file has. `name`: of its digest.
+    #[cfg(test)]
+    pub(super) fn of_pixmap(name: &str, pixmap: Pixmap, grey: bool) -> Self {
+        Self::new(OnceLock::from(Digest::of(name.as_bytes())), pixmap, grey)
     }
 
-    /// The digest of the file.
+    /// The digest of the file; of a picture of pixels, that of its layout and its samples, which is
+    /// computed when it is asked for first.
     #[must_use]
-    pub const fn digest(&self) -> Digest {
-        self.digest
+    pub fn digest(&self) -> Digest {
+        *self.digest.get_or_init(|| {
+            let pixmap = self.source.pixmap();
+            let digest = Collector::new("mlswarp pixels 1")
+                .integer(pixmap.extent().width().into())
+                .integer(pixmap.channels().count() as u64)
+                .integer(pixmap.depth().bytes() as u64)
+                .integer(self.grey.into());
+            match pixmap.samples() {
+                Samples::Eight(samples) => digest.bytes(samples),
+                Samples::Sixteen(samples) => {
+                    let bytes = samples.iter().flat_map(|sample| sample.to_le_bytes());
+                    digest.bytes(&bytes.collect::<Vec<u8>>())
+                }
+            }
+            .finish()
+        })
+    }
+
+    /// A copy of the pixels, with the samples that file or pixels had.
+    ///
+    /// ```
+    /// use mlswarp::Image;
+    /// let image = Image::from_grey16(2, 1, vec![7, 65_535])?;
+    /// assert_eq!(image.to_pixels().into_samples(), vec![7_u16, 65_535].into());
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
+    #[must_use]
+    pub fn to_pixels(&self) -> Pixels {
+        Pixels::of_pixmap(self.source.pixmap(), self.pixel_format())
+    }
+
+    /// What the samples of a pixel are: of the file, or of the pixels.
+    #[must_use]
+    pub fn pixel_format(&self) -> PixelFormat {
+        match (self.grey, self.has_alpha()) {
+            (true, false) => PixelFormat::Grey,
+            (true, true) => PixelFormat::GreyAlpha,
+            (false, false) => PixelFormat::Rgb,
+            (false, true) => PixelFormat::Rgba,
+        }
+    }
+
+    /// What of the file was mended.
+    #[must_use]
+    pub const fn repairs(&self) -> Repairs {
+        self.repairs
     }
 
     /// Upright size.
@@ -150,12 +208,47 @@ impl Image {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let pixmap = self.source.pixmap();
-        used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth())
-            + self.metadata.bytes() as u64
+        let used = used_bytes(pixmap.extent(), pixmap.channels(), pixmap.depth());
+        #[cfg(feature = "codec")]
+        let used = used + self.metadata.bytes() as u64;
+        used
     }
 }
 
 /// Upper bound of the memory of a picture of this shape with all that is derived from it, bytes.
 fn used_bytes(extent: Extent, channels: Channels, depth: Depth) -> u64 {
     Source::bytes(extent, channels, depth).saturating_add(8 * occupied_words(extent) as u64)
+}
+
+/// Pictures of samples in row order, without gaps.
+macro_rules! from_samples {
+    ($($name:ident, $sample:ty, $format:ident, $what:literal;)*) => {
+        impl Image {
+            $(
+                #[doc = concat!("A picture of ", $what, ", row by row. A vector is not copied.")]
+                ///
+                /// # Errors
+                /// Another number of samples than that of the pixels.
+                pub fn $name(
+                    width: u32,
+                    height: u32,
+                    samples: impl Into<Vec<$sample>>,
+                ) -> Result<Self, WarpError> {
+                    let samples = samples.into();
+                    let pixels = Pixels::new(width, height, PixelFormat::$format, samples)?;
+                    Ok(Self::from_pixels(pixels))
+                }
+            )*
+        }
+    };
+}
+from_samples! {
+    from_grey8, u8, Grey, "grey of 8 bit";
+    from_grey_alpha8, u8, GreyAlpha, "grey and straight alpha of 8 bit";
+    from_rgb8, u8, Rgb, "red, green and blue of 8 bit";
+    from_rgba8, u8, Rgba, "red, green, blue and straight alpha of 8 bit";
+    from_grey16, u16, Grey, "grey of 16 bit";
+    from_grey_alpha16, u16, GreyAlpha, "grey and straight alpha of 16 bit";
+    from_rgb16, u16, Rgb, "red, green and blue of 16 bit";
+    from_rgba16, u16, Rgba, "red, green, blue and straight alpha of 16 bit";
 }

@@ -9,12 +9,16 @@
 
 mod alignment;
 mod batch;
+#[cfg(feature = "codec")]
 pub mod blend;
+mod chacha;
 mod coefficient_request;
 mod compact;
+#[cfg(feature = "codec")]
 mod coordinate_map;
 mod cut_rest;
 mod digest;
+mod drawn_pixels;
 mod error;
 mod fit;
 mod frame;
@@ -22,15 +26,20 @@ mod image;
 mod label_image;
 mod mask;
 mod mesh_renderer;
+mod pixel_positions;
 mod plausibility;
 mod posed_mesh;
 mod quality;
 mod raster_source;
 mod region;
+#[cfg(feature = "codec")]
 mod render_job;
 mod resolved_rest;
 mod rest_parameters;
+#[cfg(any(not(feature = "codec"), test))]
+mod sha256;
 mod spec;
+#[cfg(feature = "codec")]
 mod strip_scheduler;
 mod summary;
 mod target;
@@ -43,27 +52,34 @@ pub use self::alignment::Alignment;
 pub use self::batch::{Easing, Jitter, jitter_grid};
 pub use self::coefficient_request::CoefficientRequest;
 pub use self::compact::CompactLattice;
-pub use self::coordinate_map::{CoordinateMap, MapDirection, MapFormat, MapSpec};
+#[cfg(feature = "codec")]
+pub use self::coordinate_map::{CoordinateMap, MapFormat, MapSpec};
 pub use self::digest::Digest;
+pub use self::drawn_pixels::LabelValues;
+pub(crate) use self::drawn_pixels::{DrawnPixels, reserved};
 pub use self::error::{Figure, Task, Warning, WarpError};
 pub use self::fit::{Candidate, Fit, Prediction, best, check_comparison, choose};
 pub use self::frame::CoordinateFrame;
 pub use self::image::Image;
 pub use self::label_image::LabelImage;
 pub use self::mask::RestMask;
+pub use self::pixel_positions::MapDirection;
+pub(crate) use self::pixel_positions::PixelPositions;
 pub use self::plausibility::Seen;
 pub use self::posed_mesh::{PosedMesh, Report};
 pub use self::quality::{Quality, RoundTrip, ToleranceQuality};
 pub use self::raster_source::RasterSource;
 pub use self::region::Region;
+#[cfg(feature = "codec")]
 pub use self::render_job::RenderJob;
 pub use self::resolved_rest::{CompiledRest, ResolvedRest};
 pub use self::spec::{
     Align, Folds, GridSpec, Holes, Limits, Metric, OutputSpec, RestSpec, Units, system_bytes,
 };
+#[cfg(feature = "codec")]
 pub use self::strip_scheduler::{Stage, StripScheduler, WriteObserver};
 pub use self::summary::RestSummary;
 pub use self::target::{CanvasSpec, FARTHEST_EDGE_PX, Target};
 pub use self::transform::{Edges, MAX_EDGE_SAMPLES, MappedOutline, Outline, Transform, samples_of};
-pub use crate::codec::ImageLimits;
 pub use crate::deform::Method;
+pub use crate::format::ImageLimits;

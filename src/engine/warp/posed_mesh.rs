@@ -3,10 +3,9 @@
 use super::digest::Collector;
 use super::plausibility::PosedHandles;
 use super::resolved_rest::FINE_BYTES;
-use super::{
-    CompiledRest, Digest, Folds, OutputSpec, RasterSource, Region, ResolvedRest, Target, Units,
-    Warning, WarpError,
-};
+use super::{CompiledRest, Digest, Folds, Region, ResolvedRest, Units, Warning, WarpError};
+#[cfg(feature = "codec")]
+use super::{OutputSpec, RasterSource, Target};
 use crate::deform::{self, Conflict, IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
 use crate::render::Canvas;
@@ -226,14 +225,15 @@ impl PosedMesh {
 
     /// Digest of everything that the mesh depends on.
     #[must_use]
-    pub(super) const fn digest(&self) -> Digest {
+    pub const fn digest(&self) -> Digest {
         self.digest
     }
 
-    /// The report of a target that shows `subject`.
+    /// The report of a file that shows `subject`.
     ///
     /// # Errors
     /// Cancelled.
+    #[cfg(feature = "codec")]
     pub fn into_report_on(
         self,
         subject: RasterSource<'_>,

@@ -1,10 +1,13 @@
 //! What a warp draws.
 
+#[cfg(feature = "codec")]
+use super::Warning;
 use super::digest::Collector;
 use super::mesh_renderer::MeshRenderer;
 use super::mesh_renderer::region::RegionDrawer;
-use super::{Digest, Image, LabelImage, OutputSpec, PosedMesh, Region, Target, Warning, WarpError};
-use crate::codec::Format;
+use super::{Digest, Image, LabelImage, OutputSpec, PosedMesh, Region, Target, WarpError};
+#[cfg(feature = "codec")]
+use crate::codec::{Carried, Encoding, Writer};
 use crate::deform::IsCancelled;
 use crate::pixmap::{Depth, Extent};
 use crate::render::{Coverage, Outside, Source};
@@ -39,20 +42,21 @@ impl RasterSource<'_> {
     }
 
     /// The warnings about what an output lacks of the file, and about what was mended to read it.
+    #[cfg(feature = "codec")]
     #[must_use]
     pub fn warnings(self, target: &Target, output: &OutputSpec) -> Vec<Warning> {
-        let (carried, grey, repairs) = match self {
+        let (grey, repairs) = match self {
             Self::Image(image) => (
-                image.carried(target),
                 image.grey && output.outside.is_grey() && output.encoding(self.depth()).is_grey(),
                 image.repairs,
             ),
-            Self::Labels(labels) => (
-                labels.carried(target),
-                labels.labels.is_grey(),
-                labels.labels.repairs,
-            ),
+            Self::Labels(LabelImage {
+                labels, repairs, ..
+            }) => (labels.shape.grey && labels.palette.is_none(), *repairs),
             Self::Coverage(_) | Self::Holes(_) => return Vec::new(),
+        };
+        let Some(carried) = self.carried(target) else {
+            return Vec::new();
         };
         let (profile, dropped) = carried.losses(output.format, grey);
         let all = [
@@ -63,6 +67,41 @@ impl RasterSource<'_> {
         all.into_iter()
             .filter_map(|(applies, warning)| applies.then_some(warning))
             .collect()
+    }
+
+    /// What an output has of the file's metadata.
+    #[cfg(feature = "codec")]
+    fn carried(self, target: &Target) -> Option<Carried> {
+        let metadata = match self {
+            Self::Image(image) => &image.metadata,
+            Self::Labels(labels) => &labels.metadata,
+            Self::Coverage(_) | Self::Holes(_) => return None,
+        };
+        Some(target.carried(metadata, self.extent()))
+    }
+
+    /// The writer of a picture of it.
+    ///
+    /// # Panics
+    /// If the format would change labels; see [`RasterSource::check`].
+    #[cfg(feature = "codec")]
+    pub(super) fn writer(
+        self,
+        layout: crate::pixmap::PixelLayout,
+        target: &Target,
+        encoding: Encoding,
+    ) -> Writer {
+        let carried = self.carried(target);
+        match self {
+            Self::Labels(LabelImage { labels, .. }) => {
+                let palette = labels.palette.as_ref();
+                Writer::of_labels(layout, encoding, palette, carried.as_ref())
+                    .expect("the format was checked")
+            }
+            Self::Image(_) | Self::Coverage(_) | Self::Holes(_) => {
+                Writer::new(layout, encoding, carried.as_ref())
+            }
+        }
     }
 
     /// The depth of its samples.
@@ -81,24 +120,35 @@ impl RasterSource<'_> {
     /// Labels in a format that would change them, or with a value outside; a value that the
     /// picture's samples cannot have.
     pub fn check(self, output: &OutputSpec) -> Result<(), WarpError> {
-        match (self, output.format, output.outside) {
-            (Self::Labels(_), format @ (Format::Jpeg | Format::WebP | Format::Gif), _) => {
-                Err(WarpError::LabelFormat { format })
+        if let Self::Labels(image) = self {
+            if image.labels.is_32_bit {
+                return Err(WarpError::WideLabels);
             }
-            (Self::Labels(_), _, Outside::Value(_)) => Err(WarpError::OutsideOfLabels),
-            (Self::Image(_), _, Outside::Value(value)) => {
-                let (largest, most) =
-                    (value.into_iter().max().unwrap_or(0), self.depth().largest());
-                if largest > most {
-                    Err(WarpError::OutsideBeyondDepth {
-                        value: largest,
-                        most,
-                    })
+            if !output.format.keeps_labels() {
+                return Err(WarpError::LabelFormat {
+                    format: output.format,
+                });
+            }
+        }
+        self.check_outside(output)
+    }
+
+    /// Errors: A value outside of labels, or one that the picture's samples cannot have.
+    pub(crate) fn check_outside(self, output: &OutputSpec) -> Result<(), WarpError> {
+        let Outside::Value(value) = output.outside else {
+            return Ok(());
+        };
+        match self {
+            Self::Labels(_) => Err(WarpError::OutsideOfLabels),
+            Self::Image(_) => {
+                let (value, most) = (value.into_iter().max().unwrap_or(0), self.depth().largest());
+                if value > most {
+                    Err(WarpError::OutsideBeyondDepth { value, most })
                 } else {
                     Ok(())
                 }
             }
-            _ => Ok(()),
+            Self::Coverage(_) | Self::Holes(_) => Ok(()),
         }
     }
 
@@ -115,7 +165,8 @@ impl RasterSource<'_> {
     }
 
     /// Digest of the subject, part of an ETag; different kinds of subjects have different digests.
-    pub(super) fn digest(self) -> Digest {
+    #[must_use]
+    pub fn digest(self) -> Digest {
         match self {
             Self::Image(image) => image.digest(),
             Self::Labels(labels) => Collector::new("mlswarp labels 1")
@@ -177,9 +228,9 @@ impl RasterSource<'_> {
         // Where nothing moves, everything is the same without a region.
         match posed.region().filter(|_| !posed.mesh().is_identity()) {
             Some(region) if !matches!(self, Self::Holes(_)) => MeshRenderer::Region(Box::new(
-                RegionDrawer::new(self, (&target, region), posed.mesh(), options, output.holes),
+                RegionDrawer::new(self, region, posed.mesh(), options, output.holes),
             )),
-            _ => MeshRenderer::new(self, &target, posed.mesh(), options),
+            _ => MeshRenderer::new(self, posed.mesh(), options),
         }
     }
 }

@@ -8,7 +8,9 @@ use super::mesh_renderer::MeshRenderer;
 use super::posed_mesh::PosedMesh;
 use super::strip_scheduler::{StripScheduler, WriteObserver};
 use super::{Digest, Holes, Limits, OutputSpec, RasterSource, Target, WarpError};
-use crate::codec::{Compression, Encoding, Format, Subsampling, Writer};
+use crate::codec::Writer;
+use crate::format::Format;
+use crate::parallel::with_helpers;
 use crate::render::{Canvas, Filter, Outside};
 
 /// A prepared warp.
@@ -54,7 +56,8 @@ impl RenderJob {
         output: &OutputSpec,
     ) -> Self {
         let drawer = subject.drawer(target, posed, output);
-        let writer = drawer.writer(output.encoding(subject.depth()));
+        let encoding = output.encoding(subject.depth());
+        let writer = subject.writer(drawer.layout(), &target, encoding);
         Self {
             drawer,
             writer,
@@ -124,12 +127,7 @@ impl RenderJob {
                 ended.store(true, Ordering::Relaxed);
             }
         };
-        rayon::in_place_scope(|scope| {
-            for _ in 0..helpers.min(writing.strips().saturating_sub(1)) {
-                scope.spawn(|_| work());
-            }
-            work();
-        });
+        with_helpers(helpers.min(writing.strips().saturating_sub(1)), &work);
         if ended.into_inner() {
             ControlFlow::Continue(())
         } else {
@@ -149,26 +147,7 @@ fn etag(
         is_preview,
     }: Target,
 ) -> Digest {
-    let encoding = match output.encoding(subject.depth()) {
-        Encoding::Png(Compression::None) => [0; 5],
-        Encoding::Png(Compression::Fast) => [1, 0, 0, 0, 0],
-        Encoding::Png(Compression::Best) => [2, 0, 0, 0, 0],
-        Encoding::Jpeg {
-            quality,
-            subsampling: Subsampling::Half,
-            ground: [r, g, b],
-        } => [3, quality, r, g, b],
-        Encoding::Jpeg {
-            quality,
-            subsampling: Subsampling::Full,
-            ground: [r, g, b],
-        } => [8, quality, r, g, b],
-        Encoding::WebP => [4, 0, 0, 0, 0],
-        Encoding::Gif => [9, 0, 0, 0, 0],
-        Encoding::Tiff(Compression::None) => [5, 0, 0, 0, 0],
-        Encoding::Tiff(Compression::Fast) => [6, 0, 0, 0, 0],
-        Encoding::Tiff(Compression::Best) => [7, 0, 0, 0, 0],
-    };
+    let encoding = output.encoding(subject.depth()).identity();
     let filter = match output.filter {
         Filter::Nearest => 0,
         Filter::Bilinear => 1,

@@ -13,8 +13,8 @@ use super::{
     Digest, GridSpec, Limits, Metric, RestMask, RestSpec, Task, Units, Warning, WarpError, work,
 };
 use crate::deform::{
-    self, DeformError, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality,
-    RestDeformation, SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
+    self, Demand, Handle, Handles, IsCancelled, Parameters, Pose, PoseQuality, RestDeformation,
+    SubdividedMesh, Subdivider, SubdivisionCache, pose_without_table,
 };
 use crate::geometry::{Grid, Mesh};
 use crate::pixmap::Extent;
@@ -155,12 +155,9 @@ impl ResolvedRest {
             Some(mask) if is_solved => {
                 field.and_then(|field| field.inside(mask, limits.plan_bytes, cancelled))
             }
-            _ => field,
+            Some(_) | None => field,
         };
-        let field = field.map_err(|error| match error {
-            DeformError::Cancelled => WarpError::Cancelled,
-            error => WarpError::Rest(error),
-        })?;
+        let field = field.map_err(WarpError::of_rest)?;
         work::at_most(
             Task::Grid,
             limits.work,

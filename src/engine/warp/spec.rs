@@ -3,8 +3,8 @@
 use std::ops::RangeInclusive;
 
 use super::{CanvasSpec, RestMask, Warning, WarpError};
-use crate::codec::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::deform::{Coincident, Handle, Method, Parameters};
+use crate::format::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
 use crate::topology::{Distances, Nodes};

@@ -1,9 +1,11 @@
 //! The target picture: which part of the posed plane it shows, and its size.
 
+#[cfg(feature = "codec")]
 use std::sync::Arc;
 
 use super::spec::at_most;
 use super::{Limits, OutputSpec, PosedMesh, WarpError};
+#[cfg(feature = "codec")]
 use crate::codec::{Carried, Metadata};
 use crate::deform::IsCancelled;
 use crate::pixmap::Extent;
@@ -128,6 +130,7 @@ impl Target {
     }
 
     /// What the picture has of the metadata of a source of this size.
+    #[cfg(feature = "codec")]
     pub(super) fn carried(&self, metadata: &Arc<Metadata>, source: Extent) -> Carried {
         let carried = Carried::new(
             metadata,

@@ -4,7 +4,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::{CoordinateFrame, ResolvedRest, Task, Units, WarpError, work};
 use crate::deform::{Inverse, IsCancelled, MAX_COORDINATE, Pose, PosedMap};

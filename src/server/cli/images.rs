@@ -12,8 +12,6 @@ use super::failure::{Failure, name_of};
 use super::input::{Limit, is_stdio, read};
 use super::output::{by_extension, is_directory, require_directory, require_others};
 
-/// Extensions of the files of a folder that are images.
-const EXTENSIONS: [&str; 8] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "gif", "bmp"];
 /// Bytes in which the beginning of JSON is sought.
 const JSON_HEAD_BYTES: usize = 1024;
 
@@ -119,9 +117,7 @@ fn images_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     for entry in fs::read_dir(folder).map_err(cannot)? {
         let path = entry.map_err(cannot)?.path();
         let is_image = path.extension().is_some_and(|own| {
-            EXTENSIONS
-                .iter()
-                .any(|known| own.eq_ignore_ascii_case(known))
+            mlswarp::format::source_extensions().any(|known| own.eq_ignore_ascii_case(known))
         });
         let is_hidden = path
             .file_name()
@@ -192,15 +188,14 @@ impl Outputs {
     /// `format`: the one that is requested; otherwise the extension of a file selects it.
     /// Errors: An extension that is not known; a file for several images.
     pub(super) fn of(out: &Path, inputs: &Inputs, format: Option<Format>) -> Result<Self, Failure> {
-        let (jpeg, tiff) = (Format::Jpeg, Format::Tiff);
-        let known = [
-            ("png", Format::Png),
-            ("jpg", jpeg),
-            ("jpeg", jpeg),
-            ("webp", Format::WebP),
-            ("tif", tiff),
-            ("tiff", tiff),
-        ];
+        let of_format = |format: Format| {
+            format
+                .info()
+                .extensions
+                .iter()
+                .map(move |end| (*end, format))
+        };
+        let known: Vec<_> = Format::ALL.into_iter().flat_map(of_format).collect();
         let count = inputs.images.len();
         let is_folder = is_directory(out)
             || count > 1 && !is_stdio(out) && !out.exists() && out.extension().is_none();

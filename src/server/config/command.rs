@@ -114,11 +114,27 @@ pub struct FrameOptions {
     pub width: Option<String>,
 }
 
+fn format_help() -> String {
+    let words: Vec<&str> = mlswarp::format::words().collect();
+    let (last, others) = words.split_last().unwrap_or((&"", &[]));
+    format!(
+        "{} or {last}. Default: by the extension of the output file, otherwise png",
+        others.join(", ")
+    )
+}
+
+fn image_help() -> String {
+    format!(
+        "Image file ({}); `-` reads standard input",
+        mlswarp::format::source_names()
+    )
+}
+
 /// How pictures are written; fields of the same names in `output`.
 #[derive(Args, Clone, Debug)]
 pub struct FileOptions {
-    /// png, jpeg, webp or tiff. Default: by the extension of the output file, otherwise png.
-    #[arg(long, value_name = "NAME", display_order = 7)]
+    /// The format.
+    #[arg(long, value_name = "NAME", display_order = 7, help = format_help())]
     pub format: Option<String>,
     /// Quality of JPEG files, 1 to 100 (default 85).
     #[arg(long, value_name = "N", allow_hyphen_values = true, display_order = 7)]
@@ -331,7 +347,8 @@ pub struct FitArgs {
 /// The arguments of `mlswarp batch`.
 #[derive(Args, Clone, Debug)]
 pub struct BatchArgs {
-    /// Image file (PNG, JPEG, WebP, TIFF, GIF, BMP); `-` reads standard input.
+    /// The image file.
+    #[arg(help = image_help())]
     pub image: PathBuf,
     /// The handles.
     #[command(flatten)]

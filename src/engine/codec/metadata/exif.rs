@@ -7,8 +7,8 @@
 use std::borrow::Cow;
 use std::ops::RangeInclusive;
 
-use super::dropped::{Dropped, DroppedKind};
 use super::resolution::{Resolution, ResolutionUnit};
+use super::{Dropped, DroppedKind};
 use crate::codec::StepCounter;
 use crate::codec::ifd::read::{Directory, Entry, File};
 use crate::codec::ifd::write::{DirectoryWriter, UNDEFINED, offset};

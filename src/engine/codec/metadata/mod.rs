@@ -4,7 +4,6 @@
 //! ([`Dropped`]). Memory: at most [`METADATA_BYTES`] beside the profile.
 
 mod carried;
-mod dropped;
 pub(super) mod exif;
 pub(super) mod photoshop;
 pub(super) mod png_colour;
@@ -14,11 +13,11 @@ mod xmp;
 use std::borrow::Cow;
 
 pub use self::carried::Carried;
-pub use self::dropped::{Dropped, DroppedKind};
 use self::exif::Exif;
 pub use self::resolution::{Ratio, Resolution, ResolutionUnit};
+pub(super) use super::DroppedKind;
 use super::ifd::read::Directory;
-use super::{CodecError, Profile, StepCounter};
+use super::{CodecError, Dropped, Profile, StepCounter};
 
 /// Upper bound of the memory of metadata beside the profile, bytes.
 pub const METADATA_BYTES: u64 = 512 << 10;

@@ -196,7 +196,9 @@ impl Resolution {
     pub fn per_millimetre(self) -> [f64; 2] {
         let unit = match self.unit {
             ResolutionUnit::Unknown => 1.0,
-            unit => f64::from(unit.length()) / 10.0,
+            unit @ (ResolutionUnit::Inch | ResolutionUnit::Centimetre | ResolutionUnit::Metre) => {
+                f64::from(unit.length()) / 10.0
+            }
         };
         [self.x.value() / unit, self.y.value() / unit]
     }

@@ -9,6 +9,7 @@ fn labels(file: &[u8]) -> Labels {
         .unwrap()
         .decode_labels()
         .unwrap()
+        .labels
 }
 
 /// Packs numbers of a few bits, row by row.
@@ -229,7 +230,7 @@ fn labels_survive_being_written() {
         (Channels::Rgba, false, Depth::Sixteen, None),
         (Channels::Rgba, true, Depth::Eight, None),
     ] {
-        let shape = PngShape {
+        let shape = PixelLayout {
             extent,
             channels,
             grey,

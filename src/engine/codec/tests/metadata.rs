@@ -49,7 +49,7 @@ fn written(
     };
     let carried = Carried::new(&metadata, target, canvas);
     let grey = opened.header().grey;
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: target,
         channels: Channels::Rgb,
         grey,
@@ -573,7 +573,7 @@ fn hostile_metadata_cost_little_memory() {
             Extent::new(1, 1).unwrap(),
         );
         for (encoding, format) in OUTPUTS {
-            let shape = PngShape {
+            let shape = PixelLayout {
                 extent: Extent::new(8, 8).unwrap(),
                 channels: Channels::Rgb,
                 grey: false,

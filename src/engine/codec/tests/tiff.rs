@@ -134,7 +134,7 @@ pub(super) fn grey(width: u32, height: u32, bits: u32, packed: &[u8]) -> Vec<u8>
 
 /// RGBA of our writer.
 pub(super) fn written((width, height): (u32, u32), rgba: &[u8], icc: Option<&[u8]>) -> Vec<u8> {
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: Extent::new(width, height).unwrap(),
         channels: Channels::Rgba,
         grey: false,
@@ -143,7 +143,12 @@ pub(super) fn written((width, height): (u32, u32), rgba: &[u8], icc: Option<&[u8
     file(shape, rgba, Compression::Fast, icc)
 }
 
-fn file(shape: PngShape, samples: &[u8], compression: Compression, icc: Option<&[u8]>) -> Vec<u8> {
+fn file(
+    shape: PixelLayout,
+    samples: &[u8],
+    compression: Compression,
+    icc: Option<&[u8]>,
+) -> Vec<u8> {
     let mut out = Vec::new();
     let profile = icc.map(Carried::of_icc);
     Writer::new(shape, Encoding::Tiff(compression), profile.as_ref()).strip_into(
@@ -197,7 +202,7 @@ fn every_shape_is_written_and_read() {
             (true, Depth::Sixteen),
         ] {
             for compression in [Compression::None, Compression::Fast, Compression::Best] {
-                let shape = PngShape {
+                let shape = PixelLayout {
                     extent,
                     channels,
                     grey,
@@ -565,7 +570,7 @@ fn every_byte_may_change() {
 
 #[test]
 fn a_file_that_nobody_waits_for_is_not_written_to_its_end() {
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: Extent::new(1_000, 1_000).unwrap(),
         channels: Channels::Rgb,
         grey: false,

@@ -23,7 +23,8 @@ fn refusal(file: &[u8]) -> String {
 
 fn labels_of(file: &[u8]) -> Result<Labels, CodecError> {
     let work = StepCounter::new(&|| false);
-    open_labels(file, &ImageLimits::default(), &work)?.decode_labels()
+    let decoded = open_labels(file, &ImageLimits::default(), &work)?.decode_labels()?;
+    Ok(decoded.labels)
 }
 
 /// Black where the sum of the coordinates is divisible by three.

@@ -269,7 +269,10 @@ impl<'a> TiffFile<'a> {
                 3 * pixels + 3 * (self.longest_part + MOST_TABLES as u64) + 1024 * (width + 32)
             }
             TiffCompression::Group4 => 32 * width,
-            _ => 0,
+            TiffCompression::None
+            | TiffCompression::Lzw
+            | TiffCompression::Deflate
+            | TiffCompression::PackBits => 0,
         };
         (512 << 10) + rows + more
     }

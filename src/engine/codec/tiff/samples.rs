@@ -21,8 +21,10 @@ fn damaged<E>(_: E) -> CodecError {
 /// An error of a strip or tile, as one of the file.
 fn of_tiff(error: CodecError) -> CodecError {
     match error {
-        CodecError::Bad { detail, .. } => bad(format!("in its JPEG data: {detail}")),
-        other => other,
+        CodecError::Bad { ref detail, .. } => bad(format!("in its JPEG data: {detail}")),
+        CodecError::Unsupported { .. } | CodecError::TooLarge { .. } | CodecError::Cancelled => {
+            error
+        }
     }
 }
 
@@ -273,7 +275,7 @@ impl<'a> TiffFile<'a> {
                 });
             }
             Photometric::Grey { .. } => into[3] = from,
-            _ => into[plane] = from,
+            Photometric::Rgb | Photometric::Palette | Photometric::YCbCr => into[plane] = from,
         }
     }
 

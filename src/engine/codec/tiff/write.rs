@@ -7,17 +7,16 @@ use std::io::Write as _;
 use flate2::write::ZlibEncoder;
 
 use crate::codec::ifd::write::{DirectoryWriter, TYPE_SHORT, offset};
-use crate::codec::png::write::{Compression, PngShape};
-use crate::codec::{Carried, Palette};
+use crate::codec::{Carried, Compression, Palette, PixelLayout};
 use crate::pixmap::{Channels, Depth};
 
 /// Target size of a strip, bytes.
 const STRIP_BYTES: usize = 256 << 10;
 
 /// Appends the file, or its beginning if it is no longer wanted.
-/// `samples: [height][width][PngShape::samples]`, 16-bit ones big-endian.
+/// `samples: [height][width][PixelLayout::samples]`, 16-bit ones big-endian.
 pub(in crate::codec) fn write(
-    shape: PngShape,
+    shape: PixelLayout,
     compression: Compression,
     samples: &[u8],
     (metadata, palette): (Option<&Carried>, Option<&Palette>),
@@ -111,7 +110,7 @@ pub(in crate::codec) fn write(
 }
 
 /// Appends a row as differences between neighbouring pixels, modulo the range of a sample.
-fn append_differences(row: &[u8], shape: PngShape, out: &mut Vec<u8>) {
+fn append_differences(row: &[u8], shape: PixelLayout, out: &mut Vec<u8>) {
     let pixel = shape.samples() * shape.depth.bytes();
     out.extend_from_slice(&row[..pixel]);
     let pairs = row[pixel..].iter().zip(row);

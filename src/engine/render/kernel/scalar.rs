@@ -13,8 +13,10 @@
 
 use std::ops::Range;
 
+#[cfg(target_arch = "x86_64")]
+pub(super) use super::bilinear::blend;
+pub(super) use super::bilinear::sample;
 pub(in crate::render) use super::bilinear::{ROUND_SAMPLE, fixed};
-pub(super) use super::bilinear::{blend, sample};
 pub(super) use super::cell_block::classify;
 pub(super) use super::cells::fill;
 pub(super) use super::footprints::{footprints, positions};

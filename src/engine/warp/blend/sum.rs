@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::super::digest::Collector;
 use super::super::{Image, OutputSpec, PosedMesh, RasterSource, Target, WarpError};

@@ -7,10 +7,9 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use self::region::{HolesDrawer, RegionDrawer};
-use super::{Image, LabelImage, RasterSource, Target};
-use crate::codec::{Carried, Encoding, Labels, PngShape, Writer};
+use super::{Image, LabelImage, RasterSource};
 use crate::geometry::Mesh;
-use crate::pixmap::{Channels, Depth, Extent};
+use crate::pixmap::{Channels, Depth, Extent, Labels, PixelLayout};
 use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 
 /// Draws one subject.
@@ -19,15 +18,13 @@ pub(super) enum MeshRenderer {
     /// A picture.
     Image {
         renderer: Renderer,
-        /// Whether the file needs one sample for the three colours.
+        /// Whether one sample is enough for the three colours.
         grey: bool,
-        metadata: Carried,
     },
     /// Labels.
     Labels {
         inverse: InverseMap,
         labels: Arc<Labels>,
-        metadata: Carried,
     },
     /// Coverage.
     Coverage(Box<Coverage>),
@@ -39,15 +36,10 @@ pub(super) enum MeshRenderer {
 
 impl MeshRenderer {
     /// Draws a subject through a mesh, without a region.
-    pub(super) fn new(
-        subject: RasterSource<'_>,
-        target: &Target,
-        mesh: &Mesh,
-        options: RenderOptions,
-    ) -> Self {
+    pub(super) fn new(subject: RasterSource<'_>, mesh: &Mesh, options: RenderOptions) -> Self {
         match subject {
-            RasterSource::Image(image) => Self::image(image, target, mesh, options),
-            RasterSource::Labels(labels) => Self::labels(labels, target, mesh, options),
+            RasterSource::Image(image) => Self::image(image, mesh, options),
+            RasterSource::Labels(labels) => Self::labels(labels, mesh, options),
             RasterSource::Coverage(_) => Self::Coverage(Box::new(Coverage::new(
                 mesh,
                 options.target,
@@ -59,21 +51,19 @@ impl MeshRenderer {
         }
     }
 
-    fn image(image: &Image, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
+    fn image(image: &Image, mesh: &Mesh, options: RenderOptions) -> Self {
         let renderer = Renderer::new(Arc::clone(&image.source), mesh, options);
         Self::Image {
             renderer,
             grey: image.grey && options.outside.is_grey(),
-            metadata: image.carried(target),
         }
     }
 
-    fn labels(image: &LabelImage, target: &Target, mesh: &Mesh, options: RenderOptions) -> Self {
+    fn labels(image: &LabelImage, mesh: &Mesh, options: RenderOptions) -> Self {
         let inverse = InverseMap::new(mesh, options.target, options.canvas);
         Self::Labels {
             inverse,
             labels: Arc::clone(&image.labels),
-            metadata: image.carried(target),
         }
     }
 
@@ -88,49 +78,32 @@ impl MeshRenderer {
         }
     }
 
-    /// The writer of what is drawn.
-    ///
-    /// # Panics
-    /// If the format would change labels; see [`super::RasterSource::check`].
-    pub(super) fn writer(&self, encoding: Encoding) -> Writer {
+    /// The layout of what is drawn, where grey takes one sample. The samples of a grey picture are
+    /// drawn in colour, those of labels are not.
+    pub(super) fn layout(&self) -> PixelLayout {
         match self {
-            Self::Image {
-                renderer,
-                grey,
-                metadata,
-            } => {
-                let shape = PngShape {
-                    extent: self.target(),
-                    channels: renderer.channels(),
-                    grey: *grey,
-                    depth: renderer.depth(),
-                };
-                Writer::new(shape, encoding, Some(metadata))
-            }
-            Self::Region(drawer) => drawer.writer(encoding),
-            Self::Labels {
-                labels, metadata, ..
-            } => {
-                let shape = PngShape {
-                    extent: self.target(),
-                    ..labels.shape
-                };
-                Writer::of_labels(shape, encoding, labels.palette.as_ref(), Some(metadata))
-                    .expect("the format was checked")
-            }
-            Self::Coverage(_) | Self::Holes(_) => {
-                let shape = PngShape {
-                    extent: self.target(),
-                    channels: Channels::Rgb,
-                    grey: true,
-                    depth: Depth::Eight,
-                };
-                Writer::new(shape, encoding, None)
-            }
+            Self::Image { renderer, grey } => PixelLayout {
+                extent: renderer.target(),
+                channels: renderer.channels(),
+                grey: *grey,
+                depth: renderer.depth(),
+            },
+            Self::Region(drawer) => drawer.layout(),
+            Self::Labels { inverse, labels } => PixelLayout {
+                extent: inverse.target(),
+                ..labels.shape
+            },
+            Self::Coverage(_) | Self::Holes(_) => PixelLayout {
+                extent: self.target(),
+                channels: Channels::Rgb,
+                grey: true,
+                depth: Depth::Eight,
+            },
         }
     }
 
     /// Whether what is drawn has alpha and the subject has none.
+    #[cfg(feature = "codec")]
     pub(super) fn adds_alpha(&self) -> bool {
         match self {
             Self::Image { renderer, .. } => renderer.adds_alpha(),
@@ -143,7 +116,7 @@ impl MeshRenderer {
     pub(super) fn pixel_bytes(&self) -> usize {
         match self {
             Self::Image { renderer, .. } => renderer.channels().count() * renderer.depth().bytes(),
-            Self::Labels { labels, .. } => labels.shape.samples() * labels.shape.depth.bytes(),
+            Self::Labels { labels, .. } => labels.shape.pixel_bytes(),
             Self::Coverage(_) | Self::Holes(_) => Channels::Rgb.count(),
             Self::Region(drawer) => drawer.pixel_bytes(),
         }
@@ -161,6 +134,7 @@ impl MeshRenderer {
     }
 
     /// Memory for drawing beside the samples that are drawn, bytes.
+    #[cfg(feature = "codec")]
     pub(super) fn work_bytes(&self) -> u64 {
         match self {
             Self::Image { .. } | Self::Labels { .. } | Self::Coverage(_) => 0,
@@ -173,9 +147,7 @@ impl MeshRenderer {
     pub(super) fn band(&self, rows: Range<u32>, out: &mut [u8]) {
         match self {
             Self::Image { renderer, .. } => renderer.band(rows, out),
-            Self::Labels {
-                inverse, labels, ..
-            } => draw_labels(inverse, labels, rows, out),
+            Self::Labels { inverse, labels } => draw_labels(inverse, labels, rows, out),
             Self::Coverage(coverage) => {
                 let mut shares = vec![0; out.len() / 3];
                 coverage.rows(rows, &mut shares);
@@ -192,7 +164,7 @@ impl MeshRenderer {
 /// Each pixel takes the label of the source pixel that contains its position, or 0.
 fn draw_labels(inverse: &InverseMap, labels: &Labels, rows: Range<u32>, out: &mut [u8]) {
     let shape = labels.shape;
-    let pixel = shape.samples() * shape.depth.bytes();
+    let pixel = shape.pixel_bytes();
     let mut positions = vec![[0.0; 2]; out.len() / pixel];
     inverse.rows(rows, &mut positions);
     let (width, height) = (

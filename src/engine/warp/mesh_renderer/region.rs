@@ -4,16 +4,16 @@
 use std::ops::Range;
 
 use super::super::region::MaskDrawer;
-use super::super::{Holes, RasterSource, Region, Target};
+use super::super::{Holes, RasterSource, Region};
 use super::MeshRenderer;
-use crate::codec::{Encoding, PngShape, Writer};
 use crate::geometry::Mesh;
-use crate::pixmap::{Channels, Extent};
+use crate::pixmap::{Channels, Extent, PixelLayout};
 use crate::render::{FULL_WEIGHT, Outside, RenderOptions, STRIP_ROWS, blend};
 
 const HALF_WEIGHT: u16 = FULL_WEIGHT / 2;
 
 /// Memory for mixing, bytes, of each thread.
+#[cfg(feature = "codec")]
 pub(super) fn work_bytes(target: Extent) -> u64 {
     /// Two pictures and a mask of four 16-bit samples each, and four weights.
     const PIXEL_BYTES: u64 = 32;
@@ -33,17 +33,16 @@ pub(in super::super) struct RegionDrawer {
 impl RegionDrawer {
     pub(in super::super) fn new(
         subject: RasterSource<'_>,
-        (target, region): (&Target, &Region),
+        region: &Region,
         mesh: &Mesh,
         options: RenderOptions,
         holes: Holes,
     ) -> Self {
         let at_rest = Mesh::identity(*mesh.grid());
-        let background = MeshRenderer::new(subject, target, &at_rest, options);
+        let background = MeshRenderer::new(subject, &at_rest, options);
         // What is outside the moved part is not visible: the mask is 0 there.
         let moved = MeshRenderer::new(
             subject,
-            target,
             mesh,
             RenderOptions {
                 outside: Outside::Colour([0, 0, 0, u8::MAX]),
@@ -57,7 +56,11 @@ impl RegionDrawer {
         };
         let channels = match &background {
             MeshRenderer::Image { renderer, .. } if holes == Holes::Keep => renderer.channels(),
-            _ => Channels::Rgba,
+            MeshRenderer::Image { .. }
+            | MeshRenderer::Labels { .. }
+            | MeshRenderer::Coverage(_)
+            | MeshRenderer::Region(_)
+            | MeshRenderer::Holes(_) => Channels::Rgba,
         };
         Self {
             background,
@@ -71,6 +74,7 @@ impl RegionDrawer {
         self.background.target()
     }
 
+    #[cfg(feature = "codec")]
     pub(super) fn adds_alpha(&self) -> bool {
         match (&self.background, &self.moved) {
             (MeshRenderer::Image { .. }, MeshRenderer::Image { renderer, .. }) => {
@@ -80,31 +84,23 @@ impl RegionDrawer {
         }
     }
 
-    pub(super) fn writer(&self, encoding: Encoding) -> Writer {
-        match &self.background {
-            MeshRenderer::Image {
-                renderer,
-                grey,
-                metadata,
-            } => {
-                let shape = PngShape {
-                    extent: self.target(),
-                    channels: self.channels,
-                    grey: *grey,
-                    depth: renderer.depth(),
-                };
-                Writer::new(shape, encoding, Some(metadata))
+    pub(super) fn layout(&self) -> PixelLayout {
+        let layout = self.background.layout();
+        if matches!(self.background, MeshRenderer::Image { .. }) {
+            PixelLayout {
+                channels: self.channels,
+                ..layout
             }
-            other => other.writer(encoding),
+        } else {
+            layout
         }
     }
 
     pub(super) fn pixel_bytes(&self) -> usize {
-        match &self.background {
-            MeshRenderer::Image { renderer, .. } => {
-                self.channels.count() * renderer.depth().bytes()
-            }
-            other => other.pixel_bytes(),
+        if let MeshRenderer::Image { renderer, .. } = &self.background {
+            self.channels.count() * renderer.depth().bytes()
+        } else {
+            self.background.pixel_bytes()
         }
     }
 
@@ -157,7 +153,7 @@ impl RegionDrawer {
                     }
                 }
             }
-            _ => {
+            MeshRenderer::Coverage(_) | MeshRenderer::Region(_) | MeshRenderer::Holes(_) => {
                 let pixel = self.moved.pixel_bytes();
                 for ((out, moved), weights) in out
                     .chunks_exact_mut(pixel)

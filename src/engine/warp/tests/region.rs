@@ -3,7 +3,7 @@
 
 use super::drawn::shown;
 use super::sets::{Case, FEW_HANDLES, Kind, LINES, MIXED, MORE, Noise, extent, random};
-use crate::codec::{Format, Labels, PngShape};
+use crate::codec::{Format, Labels, PixelLayout};
 use crate::geometry::Point;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::{Canvas, Filter, Outside};
@@ -699,7 +699,7 @@ fn what_a_picture_depends_on_is_in_its_digest() {
 #[test]
 fn labels_are_chosen_and_coverage_is_mixed() {
     let size = extent(SIDE.0, SIDE.1);
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: size,
         channels: Channels::Rgb,
         grey: true,
@@ -712,8 +712,7 @@ fn labels_are_chosen_and_coverage_is_mixed() {
         shape,
         palette: None,
         values,
-        metadata: std::sync::Arc::default(),
-        repairs: crate::codec::Repairs::default(),
+        is_32_bit: false,
     });
     let (mut counts, mut partly) = ([0; 3], 0);
     for (n, case) in cases().into_iter().enumerate() {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::sets::{Case, extent, randoms};
 use crate::codec::{
-    Compression, Encoding, Format, ImageLimits, Labels, Palette, PngShape, StepCounter, Writer,
+    Compression, Encoding, Format, ImageLimits, Labels, Palette, PixelLayout, StepCounter, Writer,
     open_labels,
 };
 use crate::geometry::Point;
@@ -28,7 +28,7 @@ fn label(x: u32, y: u32) -> u16 {
     }
 }
 
-fn encoded(shape: PngShape, values: &[u8], palette: Option<&Palette>) -> Vec<u8> {
+fn encoded(shape: PixelLayout, values: &[u8], palette: Option<&Palette>) -> Vec<u8> {
     let writer = Writer::of_labels(shape, Encoding::Png(Compression::Fast), palette, None).unwrap();
     let (mut file, mut checksums) = (writer.head(), Vec::new());
     for strip in 0..writer.strips() {
@@ -67,10 +67,11 @@ fn drawn(subject: RasterSource<'_>, posed: &PosedMesh, output: &OutputSpec) -> L
         .unwrap()
         .decode_labels()
         .unwrap()
+        .labels
 }
 
 fn label_image(extent: Extent) -> LabelImage {
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent,
         channels: Channels::Rgb,
         grey: true,
@@ -145,7 +146,7 @@ fn labels_are_those_of_the_inverse_of_the_pixel_centre() {
 #[test]
 fn palettes_are_kept_and_lossy_formats_refused() {
     let size = extent(160, 120);
-    let shape = PngShape {
+    let shape = PixelLayout {
         extent: size,
         channels: Channels::Rgb,
         grey: true,

@@ -46,17 +46,25 @@ pub(super) fn options(query: Option<&str>, max_side: u32) -> Result<DragOptions,
 }
 
 fn frames_of(name: &str) -> Result<FrameContent, Problem> {
-    const FORMS: &str = "`auto`, `png`, `jpeg`, `webp`, `tiff`, `mesh`";
+    let forms = || {
+        let words: Vec<String> = ["auto"]
+            .into_iter()
+            .chain(mlswarp::format::words())
+            .chain(["mesh"])
+            .map(|word| format!("`{word}`"))
+            .collect();
+        words.join(", ")
+    };
     match name {
         "mesh" => Ok(FrameContent::Mesh),
         "auto" => Ok(FrameContent::Auto),
         _ => {
             let format = Format::ALL
                 .into_iter()
-                .find(|format| format.media_type().strip_prefix("image/") == Some(name));
+                .find(|format| format.info().word == name);
             format
                 .map(|format| FrameContent::Picture(Some(format)))
-                .ok_or_else(|| bad_query_value("frames", name, &format!("one of {FORMS}")))
+                .ok_or_else(|| bad_query_value("frames", name, &format!("one of {}", forms())))
         }
     }
 }

@@ -25,7 +25,7 @@ use std::sync::{Arc, LazyLock};
 use self::coder::{BLOCK_BYTES, CoefficientCodes};
 use self::strip::{Components, Job, Quantiser};
 use self::tables::BLOCK;
-use crate::codec::{Carried, PngShape};
+use crate::codec::{Carried, PixelLayout, Subsampling};
 use crate::level::SimdLevel;
 
 /// Samples of a strip, bytes. Below, the end of each strip costs too much; above, two threads share
@@ -34,19 +34,10 @@ const STRIP_BYTES: u64 = 512 << 10;
 /// Pictures with fewer bytes are one strip.
 const ONE_STRIP_BYTES: u64 = 96 << 10;
 
-/// The resolution of the colours of a JPEG file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Subsampling {
-    /// Half of the picture's along both axes, `4:2:0`.
-    Half,
-    /// The picture's, `4:4:4`.
-    Full,
-}
-
 /// Writes one JPEG in independent strips. Cheap to create and to clone.
 #[derive(Debug, Clone)]
 pub struct JpegWriter {
-    shape: PngShape,
+    shape: PixelLayout,
     components: Components,
     /// The background of transparent pixels.
     background: [u8; 3],
@@ -65,7 +56,7 @@ impl JpegWriter {
     /// If a side is longer than 65,535 px, or if the profile does not fit into 255 segments.
     #[must_use]
     pub fn new(
-        shape: PngShape,
+        shape: PixelLayout,
         quality: u8,
         subsampling: Subsampling,
         background: [u8; 3],

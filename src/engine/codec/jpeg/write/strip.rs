@@ -141,7 +141,7 @@ pub(super) fn encode<T: I16Lanes>(job: &Job<'_>, out: &mut Vec<u8>, wanted: &dyn
 }
 
 /// The rows of a group of pixels: of the strip, or copies if it ends within the group.
-pub(super) struct Pixels<'a> {
+pub(super) struct StripPixels<'a> {
     samples: &'a [u8],
     /// Bytes of a row.
     pitch: usize,
@@ -155,7 +155,7 @@ pub(super) struct Pixels<'a> {
     edge: [[u8; MOST_LANES * MOST_CHANNELS]; MOST_ROWS],
 }
 
-impl<'a> Pixels<'a> {
+impl<'a> StripPixels<'a> {
     /// The first group.
     #[inline(always)]
     pub(super) fn of_group<T: I16Lanes>(samples: &'a [u8], pitch: usize, channels: usize) -> Self {
@@ -202,7 +202,7 @@ fn rows<T: I16Lanes, const CHANNELS: usize>(
 ) {
     let (side, pitch) = (job.components.side(), job.width * CHANNELS);
     let height = job.samples.len() / pitch;
-    let mut pixels = Pixels::of_group::<T>(job.samples, pitch, CHANNELS);
+    let mut pixels = StripPixels::of_group::<T>(job.samples, pitch, CHANNELS);
     let (mut bits, mut last) = (ScanWriter::new(), Predictors::default());
     let mut blocks = Blocks::default();
     let mut planes = [[T::all(0); SIDE]; MAX_GROUP_PLANES];
@@ -245,7 +245,7 @@ const _: () = assert!(MAX_PLANE_BLOCKS * MAX_GROUP_PLANES == MAX_GROUP_BLOCKS);
 #[inline(always)]
 pub(super) fn transform<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
-    pixels: &Pixels<'_>,
+    pixels: &StripPixels<'_>,
     top: usize,
     planes: &mut [Plane<T>; MAX_GROUP_PLANES],
     blocks: &mut Blocks,
@@ -265,7 +265,7 @@ pub(super) fn transform<T: I16Lanes, const CHANNELS: usize>(
 #[inline(always)]
 fn grey<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
-    pixels: &Pixels<'_>,
+    pixels: &StripPixels<'_>,
     top: usize,
     planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {
@@ -279,7 +279,7 @@ fn grey<T: I16Lanes, const CHANNELS: usize>(
 #[inline(always)]
 fn full<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
-    pixels: &Pixels<'_>,
+    pixels: &StripPixels<'_>,
     top: usize,
     planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {
@@ -298,7 +298,7 @@ fn full<T: I16Lanes, const CHANNELS: usize>(
 #[inline(always)]
 fn half<T: I16Lanes, const CHANNELS: usize>(
     job: &Job<'_>,
-    pixels: &Pixels<'_>,
+    pixels: &StripPixels<'_>,
     top: usize,
     planes: &mut [Plane<T>; MAX_GROUP_PLANES],
 ) {

@@ -3,7 +3,7 @@
 use super::coder::{Blocks, CoefficientCodes, NEAR_VALUES, QuantisedBlock};
 use super::kernel::Scalar;
 use super::lanes::I16Lanes;
-use super::strip::{MAX_GROUP_PLANES, MAX_PLANE_BLOCKS, Pixels, transform};
+use super::strip::{MAX_GROUP_PLANES, MAX_PLANE_BLOCKS, StripPixels, transform};
 use super::tables::{BLOCK, SIDE, ZIGZAG, quantisation};
 use super::*;
 use crate::codec::ImageLimits;
@@ -70,8 +70,8 @@ fn picture(width: u32, height: u32, channels: usize, content: Content) -> Vec<u8
         .collect()
 }
 
-fn shape(width: u32, height: u32, channels: Channels, grey: bool) -> PngShape {
-    PngShape {
+fn shape(width: u32, height: u32, channels: Channels, grey: bool) -> PixelLayout {
+    PixelLayout {
         extent: Extent::new(width, height).unwrap(),
         channels,
         grey,
@@ -367,7 +367,7 @@ fn coefficients_are_the_exact_ones_rounded() {
                 ($components:expr, $top:expr) => {{
                     let (job, pixels) = (
                         job($components),
-                        Pixels::of_group::<Scalar>(&samples, 16 * channels, channels),
+                        StripPixels::of_group::<Scalar>(&samples, 16 * channels, channels),
                     );
                     match channels {
                         1 => transform::<Scalar, 1>(&job, &pixels, $top, &mut planes, &mut blocks),

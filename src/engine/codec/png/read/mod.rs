@@ -305,10 +305,14 @@ impl<'a> PngFile<'a> {
         work: &StepCounter<'_>,
     ) -> Result<Samples, CodecError> {
         self.weigh_data()?;
-        let damaged = |error: png::DecodingError| match error {
-            _ if self.repairs.end => cut_off(),
-            png::DecodingError::IoError(_) => bad("its pixels end too early"),
-            _ => self.damaged(work),
+        let damaged = |error: png::DecodingError| {
+            if self.repairs.end {
+                cut_off()
+            } else if matches!(error, png::DecodingError::IoError(_)) {
+                bad("its pixels end too early")
+            } else {
+                self.damaged(work)
+            }
         };
         let mut options = png::DecodeOptions::default();
         options.set_ignore_text_chunk(true);

@@ -124,14 +124,14 @@ fn next_chunk<'a>(rest: &mut &'a [u8]) -> Option<([u8; 4], &'a [u8], &'a [u8])> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Compression, PngShape, PngWriter};
+    use super::super::{Compression, PixelLayout, PngWriter};
     use super::*;
     use crate::codec::Carried;
     use crate::pixmap::{Channels, Depth, Extent};
 
     fn file(width: u32, height: u32, value: u8, icc: Option<&Carried>) -> (Vec<u8>, Vec<u8>) {
         let extent = Extent::new(width, height).unwrap();
-        let shape = PngShape {
+        let shape = PixelLayout {
             extent,
             channels: Channels::Rgba,
             grey: false,

@@ -6,7 +6,7 @@ use std::io::Write;
 
 use crate::pixmap::{Channels, Depth};
 
-use super::{PngShape, Profile};
+use super::{PixelLayout, Profile};
 use crate::codec::{Carried, Palette};
 
 /// The eight bytes every PNG begins with.
@@ -56,7 +56,7 @@ pub(super) fn write(out: &mut Vec<u8>, kind: [u8; 4], payload: &[u8]) {
 /// Signature, IHDR, the chunks of colour, PLTE and tRNS when there is a palette, and the other
 /// metadata.
 pub(super) fn head(
-    shape: PngShape,
+    shape: PixelLayout,
     metadata: Option<&Carried>,
     palette: Option<&Palette>,
 ) -> Vec<u8> {

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use super::{Compression, PngShape, chunk, stored};
+use super::{Compression, PixelLayout, chunk, stored};
 
 /// Target size of a strip, filtered bytes. Below, the code table of every strip costs too much (0.1
 /// % and 40 us a strip, `notes.md`); above, two threads share a 500 x 500 picture unevenly and the
@@ -36,7 +36,7 @@ pub(super) struct Layout {
 impl Layout {
     /// # Panics
     /// If a row is longer than 1 GiB.
-    pub(super) fn new(shape: PngShape, compression: Compression) -> Self {
+    pub(super) fn new(shape: PixelLayout, compression: Compression) -> Self {
         let row = u64::from(shape.extent.width()) * pixel_bytes(shape) as u64;
         assert!(row <= MAX_ROW, "a row is at most {MAX_ROW} bytes: {row}");
         let row_bytes = usize::try_from(row).expect("MAX_ROW fits an address");
@@ -94,7 +94,7 @@ impl Layout {
 }
 
 /// Bytes per pixel, the distance of the PNG filters: 1, 2, 3, 4, 6 or 8.
-pub(super) const fn pixel_bytes(shape: PngShape) -> usize {
+pub(super) const fn pixel_bytes(shape: PixelLayout) -> usize {
     shape.samples() * shape.depth.bytes()
 }
 
@@ -106,7 +106,7 @@ mod tests {
     fn layout(width: u32, height: u32, channels: Channels) -> Layout {
         let extent = Extent::new(width, height).unwrap();
         Layout::new(
-            PngShape {
+            PixelLayout {
                 extent,
                 channels,
                 grey: false,

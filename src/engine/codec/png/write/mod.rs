@@ -39,9 +39,8 @@ mod tests;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::codec::{Carried, Palette};
+use crate::codec::{Carried, Compression, Palette, PixelLayout};
 use crate::level::SimdLevel;
-use crate::pixmap::{Channels, Depth, Extent};
 
 pub use self::animation::Animation;
 use self::layout::Layout;
@@ -52,31 +51,6 @@ const ZLIB_HEADER: [u8; 2] = [0x78, 0x01];
 
 /// Bytes of the tail: the checksum as an IDAT of its own, and IEND.
 const TAIL_BYTES: u64 = 2 * chunk::CHUNK_OVERHEAD_BYTES as u64 + 4;
-
-/// The effort of compression.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Compression {
-    /// Stored, not compressed.
-    None,
-    /// Filter and Huffman coding, without a match search.
-    #[default]
-    Fast,
-    /// The smallest files.
-    Best,
-}
-
-/// The shape of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct PngShape {
-    /// Size.
-    pub extent: Extent,
-    /// RGB or RGBA.
-    pub channels: Channels,
-    /// Whether the colours of every pixel are equal, so that a file needs one sample for them.
-    pub grey: bool,
-    /// 8 or 16 bit.
-    pub depth: Depth,
-}
 
 /// One encoded strip: complete PNG chunks, and the input of [`PngWriter::tail`].
 #[derive(Debug, Clone)]
@@ -139,25 +113,13 @@ pub struct PngWriter {
     head: Arc<[u8]>,
 }
 
-impl PngShape {
-    /// Samples per pixel of a file.
-    #[must_use]
-    pub const fn samples(self) -> usize {
-        if self.grey {
-            self.channels.count() - 2
-        } else {
-            self.channels.count()
-        }
-    }
-}
-
 impl PngWriter {
     /// A writer for one picture. The strip layout depends on the shape and the compression alone.
     ///
     /// # Panics
     /// If a row is longer than 1 GiB.
     #[must_use]
-    pub fn new(shape: PngShape, compression: Compression, metadata: Option<&Carried>) -> Self {
+    pub fn new(shape: PixelLayout, compression: Compression, metadata: Option<&Carried>) -> Self {
         Self {
             compression,
             level: SimdLevel::detect(),
@@ -173,7 +135,7 @@ impl PngWriter {
     /// Like [`Self::new`].
     #[must_use]
     pub fn of_labels(
-        shape: PngShape,
+        shape: PixelLayout,
         compression: Compression,
         palette: Option<&Palette>,
         metadata: Option<&Carried>,
@@ -219,7 +181,7 @@ impl PngWriter {
         self.head.to_vec()
     }
 
-    /// Encodes one strip. `samples: [rows][width][PngShape::samples]`, PNG order (16-bit
+    /// Encodes one strip. `samples: [rows][width][PixelLayout::samples]`, PNG order (16-bit
     /// big-endian).
     ///
     /// # Panics

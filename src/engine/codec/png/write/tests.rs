@@ -6,6 +6,7 @@ use std::io::Read;
 use proptest::prelude::*;
 
 use super::*;
+use crate::pixmap::{Channels, Depth, Extent};
 
 const ALL: [Compression; 3] = [Compression::None, Compression::Fast, Compression::Best];
 
@@ -34,8 +35,8 @@ const CONTENTS: [Content; 6] = [
     Content::Drawing,
 ];
 
-fn shape(width: u32, height: u32, (channels, depth): (Channels, Depth)) -> PngShape {
-    PngShape {
+fn shape(width: u32, height: u32, (channels, depth): (Channels, Depth)) -> PixelLayout {
+    PixelLayout {
         extent: Extent::new(width, height).unwrap(),
         channels,
         grey: false,
@@ -53,7 +54,7 @@ fn noise(seed: u32) -> u32 {
 }
 
 /// Samples `[height][width][channels]` in PNG order.
-fn picture(shape: PngShape, content: Content) -> Vec<u8> {
+fn picture(shape: PixelLayout, content: Content) -> Vec<u8> {
     let (width, channels) = (shape.extent.width(), shape.channels.count());
     let mut samples = Vec::new();
     for pixel in 0..u32::try_from(shape.extent.pixels()).unwrap() {
@@ -82,13 +83,13 @@ fn picture(shape: PngShape, content: Content) -> Vec<u8> {
     samples
 }
 
-fn row_bytes(shape: PngShape) -> usize {
+fn row_bytes(shape: PixelLayout) -> usize {
     shape.extent.width() as usize * shape.channels.count() * shape.depth.bytes()
 }
 
 fn samples_of<'a>(
     writer: &PngWriter,
-    shape: PngShape,
+    shape: PixelLayout,
     samples: &'a [u8],
     strip: usize,
 ) -> &'a [u8] {
@@ -96,7 +97,7 @@ fn samples_of<'a>(
     &samples[rows.start as usize * row_bytes(shape)..rows.end as usize * row_bytes(shape)]
 }
 
-fn file(writer: &PngWriter, shape: PngShape, samples: &[u8]) -> Vec<u8> {
+fn file(writer: &PngWriter, shape: PixelLayout, samples: &[u8]) -> Vec<u8> {
     let mut bytes = writer.head();
     let checksums: Vec<_> = (0..writer.strips())
         .map(|k| writer.strip_into(k, samples_of(writer, shape, samples, k), &mut bytes))
@@ -179,7 +180,7 @@ fn inflate(bytes: &[u8]) -> Vec<u8> {
     rows
 }
 
-fn check(shape: PngShape, samples: &[u8], compression: Compression) -> usize {
+fn check(shape: PixelLayout, samples: &[u8], compression: Compression) -> usize {
     let writer = PngWriter::new(shape, compression, None);
     let bytes = file(&writer, shape, samples);
     let what = format!("{shape:?}, {compression:?}");

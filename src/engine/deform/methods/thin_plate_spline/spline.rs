@@ -12,7 +12,7 @@
     reason = "loops over lanes are written alike, whatever they index"
 )]
 
-use rayon::prelude::*;
+use crate::parallel::prelude::*;
 
 use super::system::{MAX_POLYNOMIALS, TpsSystem};
 use crate::deform::IsCancelled;

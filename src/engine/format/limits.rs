@@ -28,7 +28,7 @@ impl ImageLimits {
     /// [`CodecError::TooLarge`] naming `image_side` or `image_pixels`.
     ///
     /// ```
-    /// use mlswarp::codec::ImageLimits;
+    /// use mlswarp::format::ImageLimits;
     /// use mlswarp::pixmap::Extent;
     /// let limits = ImageLimits { max_side: 1000, ..ImageLimits::default() };
     /// assert!(limits.check(Extent::new(1001, 1).unwrap()).is_err());

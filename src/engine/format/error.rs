@@ -1,18 +1,16 @@
 //! Errors of reading a file, by what the client can change.
 
-use thiserror::Error;
+use std::fmt;
 
 /// Why a file was not decoded.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CodecError {
     /// Not a supported format.
-    #[error("unsupported image format: {found}; supported: PNG, JPEG, WebP, TIFF, GIF, BMP")]
     Unsupported {
         /// Description of the first bytes.
         found: String,
     },
     /// The header exceeds a limit. Detected before memory is allocated.
-    #[error("{}; the limit is {limit}", measured(what, *actual))]
     TooLarge {
         /// Which limit: `image_pixels`, `image_side`, `image_frames`; `image_bytes` if the machine
         /// has too little memory.
@@ -23,7 +21,6 @@ pub enum CodecError {
         actual: u64,
     },
     /// Truncated or conflicting data.
-    #[error("the {format} file cannot be decoded: {detail}")]
     Bad {
         /// The format that the first bytes indicate.
         format: &'static str,
@@ -31,13 +28,36 @@ pub enum CodecError {
         detail: String,
     },
     /// Cancelled; nothing is known about the file.
-    #[error("cancelled: the result is no longer needed")]
     Cancelled,
 }
 
+impl fmt::Display for CodecError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unsupported { found } => write!(
+                f,
+                "unsupported image format: {found}; supported: {}",
+                super::source_names()
+            ),
+            Self::TooLarge {
+                what,
+                limit,
+                actual,
+            } => write!(f, "{}; the limit is {limit}", measured(what, *actual)),
+            Self::Bad { format, detail } => {
+                write!(f, "the {format} file cannot be decoded: {detail}")
+            }
+            Self::Cancelled => f.write_str("cancelled: the result is no longer needed"),
+        }
+    }
+}
+
+impl std::error::Error for CodecError {}
+
 impl CodecError {
     /// A damaged file, with the decoder's message.
-    pub(super) fn bad(format: &'static str, detail: impl ToString) -> Self {
+    #[cfg(feature = "codec")]
+    pub(crate) fn bad(format: &'static str, detail: impl ToString) -> Self {
         Self::Bad {
             format,
             detail: detail.to_string(),
@@ -45,7 +65,7 @@ impl CodecError {
     }
 
     /// A well-formed file of an unsupported kind.
-    pub(super) fn unsupported(found: impl Into<String>) -> Self {
+    pub(crate) fn unsupported(found: impl Into<String>) -> Self {
         Self::Unsupported {
             found: found.into(),
         }

@@ -1,0 +1,97 @@
+//! How a picture is encoded in each format.
+
+use super::Format;
+
+/// The effort of compression.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Compression {
+    /// Stored, not compressed.
+    None,
+    /// Filter and Huffman coding, without a match search.
+    #[default]
+    Fast,
+    /// The smallest files.
+    Best,
+}
+
+/// The resolution of the colours of a JPEG file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Subsampling {
+    /// Half of the picture's along both axes, `4:2:0`.
+    Half,
+    /// The picture's, `4:4:4`.
+    Full,
+}
+
+/// The encoding of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// Lossless, 8 or 16 bit.
+    Png(Compression),
+    /// 8 bit, no alpha.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+        /// Resolution of the colours.
+        subsampling: Subsampling,
+        /// The background of transparent pixels.
+        ground: [u8; 3],
+    },
+    /// Lossless, 8 bit.
+    WebP,
+    /// Lossless, 8 or 16 bit.
+    Tiff(Compression),
+    /// A frame of an animation: at most 256 colours, which are transparent or opaque.
+    Gif,
+}
+
+impl Encoding {
+    /// The format of the file.
+    #[must_use]
+    pub const fn format(self) -> Format {
+        match self {
+            Self::Png(_) => Format::Png,
+            Self::Jpeg { .. } => Format::Jpeg,
+            Self::WebP => Format::WebP,
+            Self::Tiff(_) => Format::Tiff,
+            Self::Gif => Format::Gif,
+        }
+    }
+
+    /// Whether a grey picture is written in grey: the format has it, and the ground adds no colour.
+    #[must_use]
+    pub const fn is_grey(self) -> bool {
+        match self {
+            Self::Png(_) | Self::Tiff(_) => true,
+            Self::Jpeg {
+                ground: [r, g, b], ..
+            } => r == g && g == b,
+            Self::WebP | Self::Gif => false,
+        }
+    }
+
+    /// A number that no other encoding has, for keys of caches. It never changes.
+    #[must_use]
+    pub const fn identity(self) -> [u8; 5] {
+        match self {
+            Self::Png(Compression::None) => [0; 5],
+            Self::Png(Compression::Fast) => [1, 0, 0, 0, 0],
+            Self::Png(Compression::Best) => [2, 0, 0, 0, 0],
+            Self::Jpeg {
+                quality,
+                subsampling: Subsampling::Half,
+                ground: [r, g, b],
+            } => [3, quality, r, g, b],
+            Self::Jpeg {
+                quality,
+                subsampling: Subsampling::Full,
+                ground: [r, g, b],
+            } => [8, quality, r, g, b],
+            Self::WebP => [4, 0, 0, 0, 0],
+            Self::Gif => [9, 0, 0, 0, 0],
+            Self::Tiff(Compression::None) => [5, 0, 0, 0, 0],
+            Self::Tiff(Compression::Fast) => [6, 0, 0, 0, 0],
+            Self::Tiff(Compression::Best) => [7, 0, 0, 0, 0],
+        }
+    }
+}
