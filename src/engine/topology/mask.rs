@@ -33,7 +33,7 @@ pub struct Mask {
 const OUTSIDE: u8 = 0;
 /// 1 to here: inside, with this Chebyshev distance from the nearest pixel that is not. The border of
 /// the image does not count, since no path leaves the image.
-const FARTHEST: u8 = 249;
+const LARGEST_CLEARANCE: u8 = 249;
 /// Rim that is not attached yet; afterwards there is none.
 const UNATTACHED: u8 = 250;
 /// Rim that is attached to its right, left, lower, upper neighbour.
@@ -78,7 +78,7 @@ impl Mask {
                     Membership::Rim => UNATTACHED,
                     Membership::Inside => {
                         inside += 1;
-                        FARTHEST
+                        LARGEST_CLEARANCE
                     }
                 };
             }
@@ -103,7 +103,7 @@ impl Mask {
                 clearance => clearance,
             };
             // The four neighbours that this pass has visited.
-            let mut least = FARTHEST - 1;
+            let mut least = LARGEST_CLEARANCE - 1;
             let row = if back { at + w } else { at.wrapping_sub(w) };
             let has_row = row < pixels.len();
             if has_row {
@@ -215,7 +215,7 @@ impl Mask {
     }
 
     fn is_inside_at(&self, at: usize) -> bool {
-        (1..=FARTHEST).contains(&self.pixels[at])
+        (1..=LARGEST_CLEARANCE).contains(&self.pixels[at])
     }
 
     /// Whether a pixel is inside; false beyond the image.

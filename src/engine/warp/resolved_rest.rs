@@ -152,10 +152,8 @@ impl ResolvedRest {
         }
         let field = field(handles, rest, is_solved, cancelled);
         let field = match &mask {
-            Some(mask) if is_solved => {
-                field.and_then(|field| field.inside(mask, limits.plan_bytes, cancelled))
-            }
-            Some(_) | None => field,
+            Some(mask) => field.and_then(|field| field.inside(mask, limits.plan_bytes, cancelled)),
+            None => field,
         };
         let field = field.map_err(WarpError::of_rest)?;
         work::at_most(
