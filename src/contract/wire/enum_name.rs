@@ -4,6 +4,7 @@
 use mlswarp::codec::{Compression, Format, Subsampling};
 use mlswarp::deform::{CoincidentPolicy, METHODS};
 use mlswarp::render::Filter;
+use mlswarp::warp::blend::BlendSpace;
 use mlswarp::warp::{Align, Easing, Folds, Holes, MapDirection, Method, Metric, Units};
 use serde::{Serialize, Serializer};
 
@@ -174,6 +175,8 @@ enum_names!(LayerKind, unsupported [], LayerKind::Image = "image", LayerKind::La
 enum_names!(MapDirection, unsupported [], MapDirection::Inverse = "inverse",
     MapDirection::Forward = "forward");
 enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut = "ease-in-out");
+enum_names!(BlendSpace, unsupported [], BlendSpace::Srgb = "srgb",
+    BlendSpace::Linear = "linear");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
 
 /// The library has the other metric; the service does not offer it yet.

@@ -217,6 +217,28 @@ pub const BATCH_FRAME: [&str; 2] = ["q", "strength"];
 /// The fields of a batch's `jitter`.
 pub const JITTER: [&str; 3] = ["seed", "count", "sigma"];
 
+object_fields! {
+    /// The fields of `/blend`.
+    BLEND, BlendFields {
+        images = "images",
+        align = "align",
+        reference = "reference",
+        space = "space",
+        matching = "match",
+        steps = "steps",
+        method = "method",
+        alpha = "alpha",
+        point_mass = "point_mass",
+        smoothing = "smoothing",
+        coincident = "coincident",
+        grid = "grid",
+        output = "output",
+    }
+}
+/// The fields of an image of a blend.
+pub const BLEND_IMAGE: [&str; 7] =
+    ["image", "session", "shape", "colour", "mirror", "pairs", "p"];
+
 /// The fields of a candidate.
 pub const CANDIDATE: [&str; 3] = ["method", "alpha", "smoothing"];
 

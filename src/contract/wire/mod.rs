@@ -10,6 +10,7 @@ pub mod annotations;
 #[cfg(any(test, feature = "proptest"))]
 pub mod arbitrary;
 mod batch;
+pub mod blend;
 mod enum_name;
 pub mod fields;
 mod fit;

@@ -8,6 +8,7 @@ use bytes::Bytes;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{OutputSpec, Units};
 
+use super::blend::BlendObject;
 use super::json::{At, Kind, Node};
 use super::landmarks::{LandmarkFiles, Landmarks, Target};
 use super::{DragObject, FitObject, MapObject, PointsObject, ReportObject, WarpObject};
@@ -174,6 +175,17 @@ impl<H> Reserved<WarpPatch, H> {
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
         Self::read(reading_bytes(json), reserve, || WarpPatch::parse(json))
+    }
+}
+
+impl<H> Reserved<BlendObject, H> {
+    /// Reads the object of a blend. Errors: as `reserve` has them; the object is not as the
+    /// contract says.
+    pub fn parse(
+        json: &[u8],
+        reserve: impl FnOnce(u64) -> Result<H, Problem>,
+    ) -> Result<Self, Problem> {
+        Self::read(reading_bytes(json), reserve, || BlendObject::parse(json))
     }
 }
 

@@ -464,6 +464,18 @@ impl Landmarks {
         })
     }
 
+    /// The handles at rest, in px of an image of this extent, and their names.
+    /// Errors: as [`Self::scale`]; posed positions, which a blend has no use for.
+    pub fn into_shape(self, image: Extent) -> Result<(Vec<Handle>, Option<Vec<String>>), Problem> {
+        if self.q.is_some() {
+            let detail = "expected the landmarks of one image; found both sides of a warp: each \
+                image of a blend has a file of its own";
+            return Err(Problem::new(Code::BadValue, detail));
+        }
+        let Self { p, names, .. } = self.scale(Some(image))?.landmarks;
+        Ok((p, names))
+    }
+
     /// Puts the handles into a warp object, in px of an image of this extent.
     pub fn place_in(self, object: &mut WarpObject, image: Extent) -> Result<(), Problem> {
         let Self {
