@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use mlswarp::deform::Handle;
-use mlswarp::warp::blend::{BlendSpace, MirrorPairs, ShapeError, ShapeReference};
 use mlswarp::render::Canvas;
+use mlswarp::warp::blend::{BlendSpace, MirrorPairs, ShapeError, ShapeReference};
 use mlswarp::warp::{Align, OutputSpec, RestSpec};
 use serde::Serialize;
 
@@ -88,11 +88,16 @@ impl BlendObject {
     pub(super) fn parse(json: &[u8]) -> Result<Self, Problem> {
         let root = json::root(json)?;
         let fields = BlendFields::from(root.fields(&fields::BLEND)?);
-        let images = fields.images.ok_or_else(|| root.missing("images", IMAGES))?;
+        let images = fields
+            .images
+            .ok_or_else(|| root.missing("images", IMAGES))?;
         let entries = images.list(IMAGES, ENTRY_TEXT, |index, item| {
             if index >= MOST_IMAGES {
                 return Err(images
-                    .problem(Code::TooLarge, format!("a blend has at most {MOST_IMAGES} images"))
+                    .problem(
+                        Code::TooLarge,
+                        format!("a blend has at most {MOST_IMAGES} images"),
+                    )
                     .limit("blend_images", MOST_IMAGES, index + 1));
             }
             BlendEntry::read(&item)
@@ -118,8 +123,7 @@ impl BlendObject {
         let mut blend = Self {
             images: entries,
             align: optional(fields.align, enum_name)?.unwrap_or(Align::Similarity),
-            reference: optional(fields.reference, reference)?
-                .unwrap_or(ShapeReference::Image(0)),
+            reference: optional(fields.reference, reference)?.unwrap_or(ShapeReference::Image(0)),
             space: optional(fields.space, enum_name)?.unwrap_or_default(),
             matching: optional(fields.matching, enum_name)?,
             rest: warp.rest,
@@ -142,7 +146,11 @@ impl BlendObject {
 
     /// Fills in the weights that the client left out, and checks their sums.
     fn settle(&mut self, steps: Option<&Node<'_, '_>>) -> Result<(), Problem> {
-        let lists = || self.images.iter().flat_map(|entry| [&entry.shape, &entry.colour]);
+        let lists = || {
+            self.images
+                .iter()
+                .flat_map(|entry| [&entry.shape, &entry.colour])
+        };
         let length = lists().map(Vec::len).filter(|length| *length > 1).max();
         self.frames = match (steps, length) {
             (Some(steps), None) => {
@@ -150,7 +158,10 @@ impl BlendObject {
                 let frames = count(steps, 2, expected)? as usize;
                 if frames > MOST_FRAMES {
                     return Err(steps
-                        .problem(Code::TooLarge, format!("expected {expected}; found {frames}"))
+                        .problem(
+                            Code::TooLarge,
+                            format!("expected {expected}; found {frames}"),
+                        )
                         .limit("blend_frames", MOST_FRAMES, frames));
                 }
                 if self.images.len() != 2 {
@@ -185,7 +196,10 @@ impl BlendObject {
     /// `is_morph`: weights that are left out lead from the first image to the second.
     fn settle_weights(&mut self, name: &'static str, is_morph: bool) -> Result<(), Problem> {
         let (frames, images) = (self.frames, self.images.len());
-        let given = self.images.iter().filter(|entry| !entry.weights(name).is_empty());
+        let given = self
+            .images
+            .iter()
+            .filter(|entry| !entry.weights(name).is_empty());
         let given = given.count();
         #[expect(clippy::cast_precision_loss, reason = "at most 1000 frames")]
         let at = |frame: usize| frame as f64 / (frames - 1) as f64;
@@ -194,7 +208,13 @@ impl BlendObject {
             let pointer = format!("/images/{index}/{name}");
             match weights.len() {
                 0 if given == 0 && is_morph => {
-                    let share = |frame| if index == 0 { 1.0 - at(frame) } else { at(frame) };
+                    let share = |frame| {
+                        if index == 0 {
+                            1.0 - at(frame)
+                        } else {
+                            at(frame)
+                        }
+                    };
                     *weights = (0..frames).map(share).collect();
                 }
                 #[expect(clippy::cast_precision_loss, reason = "at most 200 images")]
@@ -218,10 +238,18 @@ impl BlendObject {
             }
         }
         for frame in 0..frames {
-            let sum: f64 = self.images.iter().map(|entry| entry.weights(name)[frame]).sum();
+            let sum: f64 = self
+                .images
+                .iter()
+                .map(|entry| entry.weights(name)[frame])
+                .sum();
             #[expect(clippy::cast_precision_loss, reason = "at most 200 images")]
             if (sum - 1.0).abs() > SUM_ROUNDING * images as f64 {
-                let of = if frames > 1 { format!(" of frame {frame}") } else { String::new() };
+                let of = if frames > 1 {
+                    format!(" of frame {frame}")
+                } else {
+                    String::new()
+                };
                 let detail = format!(
                     "the `{name}` weights{of} add up to {sum}; they must add up to 1, or the \
                      result would be larger or brighter than its images"
@@ -241,17 +269,21 @@ impl BlendObject {
 
     /// The weights of the images' colours in a frame.
     pub fn colour_weights(&self, frame: usize) -> Vec<f64> {
-        self.images.iter().map(|entry| entry.colour[frame]).collect()
+        self.images
+            .iter()
+            .map(|entry| entry.colour[frame])
+            .collect()
     }
 }
 
 impl BlendEntry {
     fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [image, session, shape, colour, mirror, pairs, p] = node.fields(&fields::BLEND_IMAGE)?;
+        let [image, session, shape, colour, mirror, pairs, p] =
+            node.fields(&fields::BLEND_IMAGE)?;
         let source = match (image, session) {
-            (Some(image), None) => BlendSource::Part(
-                count(&image, 0, "the number of a part `image`, from 0")? as usize,
-            ),
+            (Some(image), None) => {
+                BlendSource::Part(count(&image, 0, "the number of a part `image`, from 0")? as usize)
+            }
             (None, Some(session)) => BlendSource::Session(session.string("the id of a session")?),
             _ => {
                 return Err(node.problem(
@@ -260,7 +292,8 @@ impl BlendEntry {
                 ));
             }
         };
-        let index = |_, item: Node<'_, '_>| count(&item, 0, "the index of a handle").map(|n| n as usize);
+        let index =
+            |_, item: Node<'_, '_>| count(&item, 0, "the index of a handle").map(|n| n as usize);
         let is_mirrored = optional(mirror, Node::bool)?.unwrap_or(false);
         if let (Some(pairs), false) = (&pairs, is_mirrored) {
             let detail = "`pairs` belongs to an image with `\"mirror\": true`";
@@ -277,11 +310,19 @@ impl BlendEntry {
     }
 
     fn weights(&self, name: &str) -> &Vec<f64> {
-        if name == "shape" { &self.shape } else { &self.colour }
+        if name == "shape" {
+            &self.shape
+        } else {
+            &self.colour
+        }
     }
 
     fn weights_mut(&mut self, name: &str) -> &mut Vec<f64> {
-        if name == "shape" { &mut self.shape } else { &mut self.colour }
+        if name == "shape" {
+            &mut self.shape
+        } else {
+            &mut self.colour
+        }
     }
 }
 
@@ -292,7 +333,11 @@ fn weights(node: &Node<'_, '_>) -> Result<Vec<f64>, Problem> {
     }
     let weights = node.list(WEIGHT, NUMBER_TEXT, |index, item| {
         // One more than the most is enough to refuse all of them.
-        if index > MOST_FRAMES { Ok(0.0) } else { weight(&item) }
+        if index > MOST_FRAMES {
+            Ok(0.0)
+        } else {
+            weight(&item)
+        }
     })?;
     if weights.len() < 2 {
         return Err(node.unexpected(
@@ -341,8 +386,12 @@ pub fn match_shapes(shapes: &mut [NamedShape], matching: Option<Matching>) -> Re
     };
     let index_of = |shape: &NamedShape| {
         let names = shape.names.as_ref()?;
-        let index: HashMap<String, usize> =
-            names.iter().cloned().enumerate().map(|(k, name)| (name, k)).collect();
+        let index: HashMap<String, usize> = names
+            .iter()
+            .cloned()
+            .enumerate()
+            .map(|(k, name)| (name, k))
+            .collect();
         (index.len() == shape.p.len()).then_some(index)
     };
     let indices: Option<Vec<_>> = others.iter().map(|shape| index_of(shape)).collect();
@@ -362,7 +411,10 @@ pub fn match_shapes(shapes: &mut [NamedShape], matching: Option<Matching>) -> Re
         .filter(|k| indices.iter().all(|index| index.contains_key(&names[*k])))
         .collect();
     for (shape, index) in others.iter_mut().zip(&indices) {
-        shape.p = kept.iter().map(|k| shape.p[index[&names[*k]]].clone()).collect();
+        shape.p = kept
+            .iter()
+            .map(|k| shape.p[index[&names[*k]]].clone())
+            .collect();
         shape.names = Some(kept.iter().map(|k| names[*k].clone()).collect());
     }
     first.p = kept.iter().map(|k| first.p[*k].clone()).collect();
@@ -393,16 +445,20 @@ pub fn mirror_pairs(
 /// The problem of shapes that cannot be combined.
 pub fn shape_problem(error: ShapeError, images: usize) -> Problem {
     let at = |shape: usize| {
-        if shape < images { format!("/images/{shape}") } else { "/reference".to_owned() }
+        if shape < images {
+            format!("/images/{shape}")
+        } else {
+            "/reference".to_owned()
+        }
     };
     let detail = error.to_string();
     match error {
-        ShapeError::Count { shape, found, .. } => {
-            Problem::new(Code::ShapeMismatch, detail).pointer(at(shape)).actual(found)
-        }
-        ShapeError::Form { shape, handle } => {
-            Problem::new(Code::ShapeMismatch, detail).pointer(at(shape)).handle(handle)
-        }
+        ShapeError::Count { shape, found, .. } => Problem::new(Code::ShapeMismatch, detail)
+            .pointer(at(shape))
+            .actual(found),
+        ShapeError::Form { shape, handle } => Problem::new(Code::ShapeMismatch, detail)
+            .pointer(at(shape))
+            .handle(handle),
         ShapeError::Empty => Problem::new(Code::BadValue, detail).pointer("/images"),
     }
 }

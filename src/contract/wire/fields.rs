@@ -236,8 +236,9 @@ object_fields! {
     }
 }
 /// The fields of an image of a blend.
-pub const BLEND_IMAGE: [&str; 7] =
-    ["image", "session", "shape", "colour", "mirror", "pairs", "p"];
+pub const BLEND_IMAGE: [&str; 7] = [
+    "image", "session", "shape", "colour", "mirror", "pairs", "p",
+];
 
 /// The fields of a candidate.
 pub const CANDIDATE: [&str; 3] = ["method", "alpha", "smoothing"];
