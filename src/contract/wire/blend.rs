@@ -115,7 +115,7 @@ impl BlendObject {
             output: fields.output,
             ..WarpFields::default()
         };
-        let warp = WarpPatch::read(of_warp)?.into_object()?;
+        let warp = WarpPatch::read(of_warp, &[])?.into_object()?;
         if warp.is_auto {
             let detail = "the method `auto` compares methods by where handles go; choose one";
             return Err(Problem::new(Code::BadValue, detail).pointer("/method"));
@@ -422,18 +422,47 @@ pub fn match_shapes(shapes: &mut [NamedShape], matching: Option<Matching>) -> Re
     Ok(())
 }
 
-/// The pairs of a mirrored image: as given, by name, or by position.
+/// Leaves out of all shapes the landmarks that one of them lacks; the indices of the others if any
+/// was left out.
+pub fn common_handles(shapes: &mut [NamedShape]) -> Option<Vec<usize>> {
+    let count = shapes.iter().map(|shape| shape.p.len()).min()?;
+    let is_present = |k: &usize| shapes.iter().all(|shape| shape.p[*k] != Handle::Missing);
+    let kept: Vec<usize> = (0..count).filter(is_present).collect();
+    let is_whole = kept.len() == count || shapes.iter().any(|shape| shape.p.len() != count);
+    if is_whole {
+        return None;
+    }
+    for shape in shapes {
+        shape.p = kept.iter().map(|k| shape.p[*k].clone()).collect();
+        let pick = |names: &Vec<String>| kept.iter().map(|k| names[*k].clone()).collect();
+        shape.names = shape.names.as_ref().map(pick);
+    }
+    Some(kept)
+}
+
+/// The pairs of a mirrored image: as given, by name, or by position. `kept`: the indices, among
+/// those that the client counts, of the landmarks of the shape; `None` if that has all of them.
 /// Errors: `bad_value` at the entry where they are not known.
 pub fn mirror_pairs(
     entry: &BlendEntry,
     index: usize,
     shape: &NamedShape,
+    kept: Option<&[usize]>,
 ) -> Result<MirrorPairs, Problem> {
     let by_name = || {
         let names = shape.names.as_ref()?;
         MirrorPairs::of_names(names, &shape.p)
     };
-    let found = match &entry.pairs {
+    let given = entry.pairs.as_ref().map(|pairs| match kept {
+        None => pairs.clone(),
+        // A pair that was left out is none of them, and is refused.
+        Some(kept) => kept
+            .iter()
+            .filter_map(|k| pairs.get(*k))
+            .map(|pair| kept.iter().position(|k| k == pair).unwrap_or(usize::MAX))
+            .collect(),
+    });
+    let found = match &given {
         Some(pairs) => MirrorPairs::given(pairs, &shape.p),
         None => by_name().map_or_else(|| MirrorPairs::of_positions(&shape.p), Ok),
     };

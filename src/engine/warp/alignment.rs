@@ -122,6 +122,12 @@ impl RestSpec {
         self.p.iter().zip(q).map(handle).collect()
     }
 
+    /// The handles at rest, px of an image of this size.
+    #[must_use]
+    pub fn p_in_px(&self, extent: Extent) -> Vec<Handle> {
+        to_px(&self.p, self.unit(extent))
+    }
+
     /// px in one unit of p and q, per axis.
     pub(super) fn unit(&self, extent: Extent) -> (f64, f64) {
         match self.units {

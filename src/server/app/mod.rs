@@ -2,6 +2,7 @@
 //! here, and `wire` defines the JSON. Every error is a [`Problem`].
 
 pub mod batch;
+pub(crate) mod blend;
 pub mod client_sessions;
 pub mod drag_socket;
 pub mod draw;

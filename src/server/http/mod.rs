@@ -107,6 +107,7 @@ fn routes(app: &App) -> Vec<(&'static str, Access, MethodRouter<App>)> {
             uploads(post(routes::fit::of_session)),
         ),
         ("/fit", Keyed, uploads(post(routes::fit::once))),
+        ("/blend", Keyed, uploads(post(routes::blend::once))),
         (
             "/landmarks",
             Keyed,

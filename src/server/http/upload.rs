@@ -15,12 +15,14 @@ use futures_util::stream::poll_fn;
 use super::body::{self, BodyBuffer, read_problem, sent};
 use super::headers::{content_length, media_type};
 use super::middleware::authentication::Caller;
+use crate::app::blend::BlendUpload;
 use crate::app::landmarks;
 use crate::app::upload::Upload;
 use crate::limits::memory::MemoryClass;
 use crate::problem::words::{self, nearest, quote};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
+use crate::wire::blend::MOST_IMAGES;
 use crate::wire::fields;
 use crate::wire::landmarks::{Choice, LandmarkFiles, Target, extent};
 
@@ -65,6 +67,10 @@ const FORM_ADVICE: &str = "the parts are `warp`, the JSON without handles; `land
 const POSE: [&str; 4] = ["warp", "landmarks_q", "extent_q", "item"];
 const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `landmarks_q`, the \
     file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
+/// The parts of a blend: as many images and landmark files as it has, and the object once.
+const BLEND: [&str; 3] = ["image", "landmarks", "blend"];
+const BLEND_ADVICE: &str = "the parts are `image` and `landmarks`, as often as there are images and \
+    in the same order, and `blend`, the JSON";
 /// Parts that only the limit of the whole body applies to.
 const NO_LIMIT: &str = "body_bytes";
 /// Longest text of an extent, and of the name of an item, bytes.
@@ -127,6 +133,41 @@ pub(crate) async fn read(caller: &Caller, request: Request) -> Result<Upload, Pr
         (None, None) => Err(malformed("the parts `image` and `warp` are missing")),
         (None, _) => Err(malformed("the part `image` is missing")),
         (_, None) => Err(malformed("the part `warp` is missing")),
+    }
+}
+
+/// Reads the images and landmark files of a blend; or its JSON alone, if all images are those of
+/// sessions.
+pub(crate) async fn read_blend(caller: &Caller, request: Request) -> Result<BlendUpload, Problem> {
+    let limit = ("blend_json_bytes", caller.app.config().max_warp_json_bytes);
+    if !is_multipart(&request) {
+        let (what, most) = limit;
+        let blend = body::json(caller, request, MemoryClass::Upload, what, most).await?;
+        return Ok(BlendUpload {
+            blend,
+            ..BlendUpload::default()
+        });
+    }
+    let most = |name: &str| if name == "blend" { 1 } else { MOST_IMAGES };
+    let mut upload = BlendUpload::default();
+    let mut is_given = false;
+    for (name, bytes) in read_all(caller, request, &BLEND, BLEND_ADVICE, limit, most).await? {
+        let code = match name {
+            "image" => Code::UnsupportedFormat,
+            "landmarks" => Code::BadLandmarks,
+            _ => Code::MalformedRequest,
+        };
+        require_contents(&[(name, code, Some(&bytes))])?;
+        match name {
+            "image" => upload.images.push(bytes),
+            "landmarks" => upload.landmarks.push(bytes),
+            _ => (upload.blend, is_given) = (bytes, true),
+        }
+    }
+    if is_given {
+        Ok(upload)
+    } else {
+        Err(malformed("the part `blend` is missing"))
     }
 }
 
@@ -251,11 +292,29 @@ pub(crate) fn is_multipart(request: &Request) -> bool {
 /// Reads the parts of these names, each once, in any order.
 async fn read_parts(
     caller: &Caller,
-    mut request: Request,
+    request: Request,
     names: &[&'static str],
     advice: &str,
     of_warp: (&'static str, u64),
 ) -> Result<[Option<Bytes>; UPLOAD.len()], Problem> {
+    let mut read: [Option<Bytes>; UPLOAD.len()] = Default::default();
+    for (name, bytes) in read_all(caller, request, names, advice, of_warp, |_| 1).await? {
+        if let Some(index) = UPLOAD.iter().position(|known| *known == name) {
+            read[index] = Some(bytes);
+        }
+    }
+    Ok(read)
+}
+
+/// Reads the parts of these names in any order. `most`: how often a part may occur.
+async fn read_all(
+    caller: &Caller,
+    mut request: Request,
+    names: &[&'static str],
+    advice: &str,
+    of_warp: (&'static str, u64),
+    most: fn(&str) -> usize,
+) -> Result<Vec<(&'static str, Bytes)>, Problem> {
     // axum's default limit is lower than that of `LimitedBody`.
     DefaultBodyLimit::disable().apply(&mut request);
     let Caller { app, client } = caller;
@@ -270,15 +329,11 @@ async fn read_parts(
     let mut parts = Multipart::from_request(request, &())
         .await
         .map_err(|_| malformed(NO_BOUNDARY))?;
-    let mut read: [Option<Bytes>; UPLOAD.len()] = Default::default();
+    let mut read: Vec<(&'static str, Bytes)> = Vec::new();
     while let Some(part) = parts.next_field().await.map_err(unreadable)? {
         buffered.store(0, Ordering::Relaxed);
         let name = part.name().unwrap_or_default().to_owned();
-        let known = names
-            .iter()
-            .find(|known| **known == name)
-            .and_then(|known| UPLOAD.iter().position(|name| name == known));
-        let Some(index) = known else {
+        let Some(known) = names.iter().find(|known| **known == name) else {
             if fields::is_unsupported(&name, names) {
                 return Err(fields::unsupported(&name, names));
             }
@@ -290,16 +345,22 @@ async fn read_parts(
                 words::advice(hint, advice)
             )));
         };
-        if read[index].is_some() {
-            return Err(malformed(format!("the part `{name}` occurs twice")));
+        let most = most(known);
+        if read.iter().filter(|(other, _)| other == known).count() >= most {
+            return Err(malformed(if most == 1 {
+                format!("the part `{name}` occurs twice")
+            } else {
+                format!("the part `{name}` occurs more than {most} times")
+            }));
         }
         let (what, limit) = match name.as_str() {
-            "warp" => of_warp,
+            "warp" | "blend" => of_warp,
             "extent_p" | "extent_q" => ("extent_bytes", EXTENT_BYTES),
             "match" | "item" => ("item_bytes", ITEM_BYTES),
             _ => (NO_LIMIT, u64::MAX),
         };
-        read[index] = Some(read_part(caller, part, what, limit, &buffered, announced).await?);
+        let bytes = read_part(caller, part, what, limit, &buffered, announced).await?;
+        read.push((known, bytes));
     }
     Ok(read)
 }

@@ -30,7 +30,7 @@ use crate::wire::formats::Formats;
 use crate::wire::{BatchObject, BatchPoses, Reserved};
 use frame::{BatchJob, Survey};
 pub use package::BatchForm;
-use package::DEFAULT_DELAY_MS;
+pub(crate) use package::{DEFAULT_DELAY_MS, Package};
 use poses::Rest;
 pub(crate) use stream::BatchStream;
 

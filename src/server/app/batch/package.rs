@@ -14,7 +14,7 @@ use crate::problem::{Code, Problem};
 /// How long an animation shows a frame unless it is requested, ms.
 pub(crate) const DEFAULT_DELAY_MS: u16 = 40;
 /// The name of the index.
-const INDEX_NAME: &str = "frames.json";
+pub(super) const INDEX_NAME: &str = "frames.json";
 /// Memory of an entry in the directory of an archive, bytes.
 const ENTRY_BYTES: u64 = 512;
 
@@ -152,16 +152,16 @@ impl Package {
         }
     }
 
-    /// The last bytes of the file. `index`: the JSON of all frames, which an animation does not
-    /// have.
-    pub(crate) fn finish(self, index: &[u8]) -> Result<Vec<u8>, Problem> {
+    /// The last bytes of the file. `name`, `index`: the JSON of all frames, which an animation does
+    /// not have.
+    pub(crate) fn finish(self, name: &str, index: &[u8]) -> Result<Vec<u8>, Problem> {
         match self.0 {
             Writer::Zip {
                 mut writer,
                 written,
             } => {
                 writer
-                    .add_prepared_file(entry(INDEX_NAME, index)?)
+                    .add_prepared_file(entry(name, index)?)
                     .and_then(|()| writer.finish())
                     .map_err(|error| not_written(&error))?;
                 Ok(written.take())
@@ -239,7 +239,7 @@ mod tests {
             );
             out.extend(bytes);
         }
-        out.extend(package.finish(b"{\"frames\": []}").unwrap());
+        out.extend(package.finish(INDEX_NAME, b"{\"frames\": []}").unwrap());
         out
     }
 
@@ -294,7 +294,7 @@ mod tests {
                 .collect();
             out.extend(package.push(BatchForm::Zip.pack(files).unwrap()).unwrap());
         }
-        out.extend(package.finish(b"{}").unwrap());
+        out.extend(package.finish(INDEX_NAME, b"{}").unwrap());
         let mut archive = zip::ZipArchive::new(Cursor::new(&out)).unwrap();
         assert_eq!(archive.len(), 70_001);
         assert_eq!(archive.by_name("9999.6.png").unwrap().size(), 1);

@@ -11,7 +11,7 @@ use mlswarp::warp::Warning;
 use tokio::task::JoinHandle;
 
 use super::frame::{BatchJob, FinishedFrame};
-use super::package::{Package, PackedFrame};
+use super::package::{INDEX_NAME, Package, PackedFrame};
 use crate::limits::memory::{Budget, MemoryClass, Reservation};
 use crate::observe::Scope;
 use crate::observe::stages::Timing;
@@ -68,7 +68,7 @@ impl BatchFile {
             frames: &self.entries,
         })
         .unwrap_or_default();
-        self.package.finish(&index)
+        self.package.finish(INDEX_NAME, &index)
     }
 }
 

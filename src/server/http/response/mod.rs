@@ -275,6 +275,16 @@ fn strip_body(first: Piece, mut rest: UnboundedReceiver<Piece>, trailers: bool) 
     })))
 }
 
+/// The headers of a blend in a file of several parts.
+pub(crate) fn blend_headers(form: BatchForm, frames: usize) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(form.media_type()));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    headers.insert(VARY, HeaderValue::from_static("accept"));
+    headers.insert(WARP_FRAMES, frames.into());
+    headers
+}
+
 /// The headers of a batch.
 pub(crate) fn batch_headers(batch: &Batch, form: BatchForm) -> HeaderMap {
     let mut headers = HeaderMap::new();

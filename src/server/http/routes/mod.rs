@@ -1,6 +1,7 @@
 //! The routes, one file per family.
 
 pub(crate) mod batch;
+pub(crate) mod blend;
 #[cfg(feature = "docs")]
 pub(crate) mod docs;
 #[cfg(not(feature = "docs"))]

@@ -1,0 +1,583 @@
+//! `POST /blend`: averages, morphs, caricatures and transforms. The images are taken one after
+//! another, each in a place of the queue of its own, and added to one sum; what is drawn of the sum
+//! is drawn like any other image.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mlswarp::codec::{self, Format, StepCounter};
+use mlswarp::deform::Handle;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::Canvas;
+use mlswarp::warp::blend::{BlendedShape, ImageSum, MirrorPairs};
+use mlswarp::warp::{
+    CanvasSpec, Digest, Folds, Image, OutputSpec, PosedMesh, RasterSource, RestSpec, Target,
+    Warning, WarpError,
+};
+
+use super::App;
+use super::batch::{BatchForm, DEFAULT_DELAY_MS, Package};
+use super::draw::{DrawJob, Drawn};
+use super::drawable::DrawnContent;
+use super::json_text::json_unless;
+use super::reading::{Held, part};
+use crate::cache::{CacheEntry, CacheKey};
+use crate::client::Client;
+use crate::limits::memory::{MemoryClass, Reservation};
+use crate::observe::stages::Timing;
+use crate::pool::{Cancel, QueueKey, Ticket};
+use crate::problem::{Code, Problem};
+use crate::session::SessionId;
+use crate::store::Record;
+use crate::wire::blend::{
+    BlendObject, BlendReport, BlendSource, NamedShape, common_handles, match_shapes, mirror_pairs,
+    shape_problem,
+};
+use crate::wire::formats::Formats;
+use crate::wire::landmarks::LandmarkFiles;
+use crate::wire::{AsJson, Reserved};
+
+/// What a client has uploaded.
+#[derive(Debug, Default)]
+pub(crate) struct BlendUpload {
+    /// The image files, in order.
+    pub(crate) images: Vec<Bytes>,
+    /// Landmark files: one for each image, in the same order.
+    pub(crate) landmarks: Vec<Bytes>,
+    /// The object.
+    pub(crate) blend: Bytes,
+}
+
+/// The response.
+pub(crate) enum BlendAnswer {
+    /// One image.
+    Picture(Box<Drawn>),
+    /// A file of several: its first bytes, and the others.
+    Package(BatchForm, Bytes, Box<BlendStream>),
+}
+
+/// Where the pixels of an image come from.
+#[derive(Clone, Debug)]
+enum BlendedSource {
+    File(Digest, Bytes),
+    Session(Arc<Record>),
+}
+
+/// One image of a blend, before it is decoded.
+#[derive(Debug)]
+struct SourceImage {
+    source: BlendedSource,
+    extent: Extent,
+    shape: NamedShape,
+    /// Which handles are each other's mirror images, if the mirror image is meant.
+    pairs: Option<MirrorPairs>,
+}
+
+/// A blend whose shapes are known.
+#[derive(Debug)]
+struct BlendJob {
+    app: App,
+    client: Client,
+    object: Held<BlendObject>,
+    images: Vec<SourceImage>,
+    shapes: BlendedShape,
+    canvas: Canvas,
+    target: Target,
+    format: Format,
+}
+
+/// A finished sum.
+struct BlendedFrame {
+    image: Arc<CacheEntry<Image>>,
+    landmarks: Vec<Handle>,
+    report: BlendReport,
+    warnings: Vec<Warning>,
+}
+
+/// The frames of a blend, made as they are taken.
+pub(crate) struct BlendStream {
+    job: Arc<BlendJob>,
+    form: BatchForm,
+    done: usize,
+    /// `None` after the end.
+    package: Option<Package>,
+    reports: Vec<BlendReport>,
+}
+
+/// Reads a blend and makes its first frame. `form`: a file of several parts, if the client wants
+/// one; `takes_archive`: whether it takes an archive where there are several frames.
+/// Errors: A wrong object, image or landmark file; images that do not fit together; too little
+/// capacity.
+pub(crate) async fn once(
+    app: &App,
+    client: Client,
+    upload: BlendUpload,
+    formats: Formats,
+    (form, takes_archive): (Option<BatchForm>, bool),
+) -> Result<BlendAnswer, Problem> {
+    let job = Arc::new(prepare(app, client, upload, formats, form).await?);
+    let form = match form {
+        None if job.object.frames > 1 && takes_archive => Some(BatchForm::Zip),
+        None if job.object.frames > 1 => {
+            let detail = "a blend of several frames is an archive or an animation: accept \
+                `application/zip`, `image/apng` or `image/gif`";
+            return Err(Problem::new(Code::NotAcceptable, detail));
+        }
+        form => form,
+    };
+    let Some(form) = form else {
+        let BlendedFrame {
+            image, warnings, ..
+        } = job.frame(0).await?;
+        let mut drawn = job.draw(image).await?;
+        drawn.report.warnings.extend(warnings);
+        return Ok(BlendAnswer::Picture(Box::new(drawn)));
+    };
+    let frames = u32::try_from(job.object.frames).unwrap_or(u32::MAX);
+    let mut stream = Box::new(BlendStream {
+        package: Some(Package::new(form, frames, DEFAULT_DELAY_MS, 0)),
+        job,
+        form,
+        done: 0,
+        reports: Vec::new(),
+    });
+    let first = stream
+        .next()
+        .await
+        .unwrap_or_else(|| Err(Problem::new(Code::Internal, "a blend without frames")))?;
+    Ok(BlendAnswer::Package(form, first, stream))
+}
+
+/// Parses the object and the landmarks, and aligns the shapes. No image is decoded yet.
+async fn prepare(
+    app: &App,
+    client: Client,
+    upload: BlendUpload,
+    formats: Formats,
+    form: Option<BatchForm>,
+) -> Result<BlendJob, Problem> {
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let json = upload.blend.clone();
+    let object = ticket
+        .run(move |_| Reserved::<BlendObject, _>::parse(&json, reserve))
+        .await??;
+    let mut records = Vec::with_capacity(object.images.len());
+    for (index, entry) in object.images.iter().enumerate() {
+        records.push(match &entry.source {
+            BlendSource::Part(_) => None,
+            BlendSource::Session(id) => {
+                let at = |problem: Problem| problem.pointer(format!("/images/{index}/session"));
+                let id = SessionId::parse(client.owner, id).ok_or_else(|| {
+                    at(Problem::new(
+                        Code::NoSuchSession,
+                        "this is not the id of a session",
+                    ))
+                })?;
+                let session = app.sessions.touch(id, None).await;
+                Some(session.map_err(|error| at(error.into()))?.record)
+            }
+        });
+    }
+    let (of_job, limits) = (app.clone(), app.plans.limits);
+    let settle = move |cancel: &Cancel| {
+        let mut images = read_images(&of_job, client, &upload, &object, records, cancel)?;
+        let first = images[0].extent;
+        let shapes = align(&object, &mut images)?;
+        let canvas = match object.output.canvas {
+            CanvasSpec::Same => Canvas::of(first),
+            CanvasSpec::Box(canvas) => canvas,
+            CanvasSpec::Fit => {
+                let detail = "the canvas `fit` depends on one posed image; a blend has several: \
+                    send `same`, which is the box of the first image, or a box";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/output/canvas"));
+            }
+        };
+        let output = OutputSpec {
+            canvas: CanvasSpec::Box(canvas),
+            ..object.output
+        };
+        let target = output.target_before_pose(first, &limits)?;
+        let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
+        let format = match form {
+            Some(BatchForm::Apng) => Format::Png,
+            Some(BatchForm::Gif) => Format::Gif,
+            Some(BatchForm::Zip) => object.output.format,
+            None => formats.choose(Some(object.output.format), object.output.format)?,
+        };
+        Ok::<_, Problem>(BlendJob {
+            app: of_job,
+            client,
+            object,
+            images,
+            shapes,
+            canvas,
+            target,
+            format,
+        })
+    };
+    ticket.run(settle).await?
+}
+
+/// Reads the sizes and the landmarks of all images.
+fn read_images(
+    app: &App,
+    client: Client,
+    upload: &BlendUpload,
+    object: &BlendObject,
+    records: Vec<Option<Arc<Record>>>,
+    cancel: &Cancel,
+) -> Result<Vec<SourceImage>, Problem> {
+    let mut images = Vec::with_capacity(records.len());
+    for (index, (entry, record)) in object.images.iter().zip(records).enumerate() {
+        let at = |field: &str| format!("/images/{index}{field}");
+        let (source, extent, of_session) = match (&entry.source, record) {
+            (BlendSource::Part(number), _) => {
+                let Some(file) = upload.images.get(*number) else {
+                    let detail = format!(
+                        "`image` is {number}, but the request has {} parts `image`, counted from 0",
+                        upload.images.len()
+                    );
+                    return Err(Problem::new(Code::BadValue, detail).pointer(at("/image")));
+                };
+                let is_cancelled = || cancel.is_cancelled();
+                let header = codec::probe(file, &StepCounter::new(&is_cancelled))
+                    .map_err(|error| in_image(index, WarpError::from(error).into()))?;
+                let limits = app.plans.limits.image;
+                limits
+                    .check(header.extent)
+                    .map_err(|error| in_image(index, WarpError::from(error).into()))?;
+                let source = BlendedSource::File(Digest::of(file), file.clone());
+                (source, header.extent, None)
+            }
+            (BlendSource::Session(_), Some(record)) => {
+                let p = record.rest.p_in_px(record.extent);
+                (
+                    BlendedSource::Session(Arc::clone(&record)),
+                    record.extent,
+                    Some(p),
+                )
+            }
+            (BlendSource::Session(_), None) => {
+                return Err(Problem::new(Code::Internal, "a session without a record"));
+            }
+        };
+        let file = match entry.source {
+            BlendSource::Part(number) => upload.landmarks.get(number),
+            BlendSource::Session(_) => None,
+        };
+        let shape = match (&entry.p, file, &of_session) {
+            (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => NamedShape {
+                p: p.clone(),
+                names: None,
+            },
+            (Some(_), Some(_), _) => {
+                let detail = "this image has landmarks in `p` and in a file: send one of them";
+                return Err(Problem::new(Code::BadValue, detail).pointer(at("/p")));
+            }
+            (None, Some(file), _) => read_shape(app, client, file, extent, cancel)
+                .map_err(|problem| in_image(index, problem))?,
+            _ => {
+                let detail = "this image has no landmarks: send one part `landmarks` for each part \
+                    `image`, or `p` here; a session needs handles";
+                return Err(Problem::new(Code::BadValue, detail).pointer(at("")));
+            }
+        };
+        images.push(SourceImage {
+            source,
+            extent,
+            shape,
+            pairs: None,
+        });
+    }
+    Ok(images)
+}
+
+/// The landmarks of a file, px of an image of this size.
+fn read_shape(
+    app: &App,
+    client: Client,
+    file: &Bytes,
+    extent: Extent,
+    cancel: &Cancel,
+) -> Result<NamedShape, Problem> {
+    let files = LandmarkFiles {
+        both: Some(file.clone()),
+        ..LandmarkFiles::default()
+    };
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let columns = app.plans.limits.columns;
+    let is_cancelled = || cancel.is_cancelled();
+    let landmarks = Reserved::of_files(&files, columns, &is_cancelled, reserve)?;
+    NamedShape::of_file(landmarks.into_parts().0, extent)
+}
+
+/// Names the image in the problem of its files.
+fn in_image(index: usize, mut problem: Problem) -> Problem {
+    problem.detail = format!("image {index}: {}", problem.detail);
+    problem.pointer = Some(format!("/images/{index}"));
+    problem
+}
+
+/// Matches the landmarks, mirrors those of mirrored images, and aligns all.
+fn align(object: &BlendObject, images: &mut [SourceImage]) -> Result<BlendedShape, Problem> {
+    let mut shapes: Vec<NamedShape> = images.iter().map(|image| image.shape.clone()).collect();
+    match_shapes(&mut shapes, object.matching)?;
+    let kept = common_handles(&mut shapes);
+    for (index, (shape, image)) in shapes.iter_mut().zip(images.iter_mut()).enumerate() {
+        image.shape = shape.clone();
+        let entry = &object.images[index];
+        if entry.is_mirrored {
+            let pairs = mirror_pairs(entry, index, shape, kept.as_deref())?;
+            shape.p = pairs.mirrored(&shape.p, f64::from(image.extent.width()));
+            image.pairs = Some(pairs);
+        }
+    }
+    let shapes: Vec<Vec<Handle>> = shapes.into_iter().map(|shape| shape.p).collect();
+    let count = shapes.len();
+    BlendedShape::new(shapes, object.align, &object.reference)
+        .map_err(|error| shape_problem(error, count))
+}
+
+impl BlendJob {
+    /// Makes the sum of one frame.
+    async fn frame(self: &Arc<Self>, frame: usize) -> Result<BlendedFrame, Problem> {
+        let (shape, colour) = (
+            self.object.shape_weights(frame),
+            self.object.colour_weights(frame),
+        );
+        let target = Arc::new(self.shapes.target(&shape));
+        let quota = self.app.admission.response_quota(self.client);
+        let bytes = ImageSum::bytes(self.target.extent);
+        let mut memory = self
+            .app
+            .admission
+            .reserve_aside(|budget| budget.take_for(MemoryClass::Frame, &quota, bytes))
+            .await?;
+        let mut sum = ImageSum::new(self.canvas, self.target.extent, self.object.space, &colour);
+        let (mut folds, mut warnings) = (Vec::new(), Vec::new());
+        for (index, weight) in colour.iter().enumerate() {
+            // An image that adds no colour is needed only for the metadata of the result.
+            if *weight == 0.0 && index > 0 {
+                folds.push(0);
+                continue;
+            }
+            let added = self.add(index, *weight, &target, sum).await;
+            let report;
+            (sum, report) = added.map_err(|problem| match problem.code {
+                Code::Overloaded | Code::Internal => problem,
+                _ if problem.pointer.is_some() => problem,
+                _ => in_image(index, problem),
+            })?;
+            folds.push(report.0);
+            warnings.extend(report.1);
+        }
+        let ticket = self.ticket().await?;
+        let finished = ticket
+            .run(move |_| sum.finish())
+            .await?
+            .ok_or_else(|| Problem::new(Code::Internal, "a blend without images"))?;
+        memory.shrink_to(finished.image.bytes());
+        let extent = self.target.extent;
+        let report = BlendReport {
+            picture: String::new(),
+            shape,
+            colour,
+            clamped: finished.clamped,
+            folds,
+            width: extent.width(),
+            height: extent.height(),
+            canvas: AsJson(self.canvas),
+            landmarks: self.shapes.kept().to_vec(),
+        };
+        Ok(BlendedFrame {
+            image: Arc::new(CacheEntry::new(finished.image, memory)),
+            landmarks: target.to_vec(),
+            report,
+            warnings: Warning::in_order(warnings),
+        })
+    }
+
+    async fn ticket(&self) -> Result<Ticket, Problem> {
+        let key = QueueKey::client(self.client);
+        Ok(self.app.admission.upload(key).await?)
+    }
+
+    /// Decodes an image, warps it to the target shape, and adds it to the sum.
+    async fn add(
+        self: &Arc<Self>,
+        index: usize,
+        weight: f64,
+        target: &Arc<Vec<Handle>>,
+        mut sum: ImageSum,
+    ) -> Result<(ImageSum, (u64, Vec<Warning>)), Problem> {
+        let (app, client) = (&self.app, self.client);
+        let ticket = self.ticket().await?;
+        let content = match &self.images[index].source {
+            BlendedSource::File(digest, file) => {
+                let image = app
+                    .images
+                    .decode_image(client, &ticket, *digest, file.clone());
+                let image = image.await?;
+                if image.built {
+                    let key = CacheKey::new(client.owner, *digest);
+                    app.images.images.demote(key);
+                }
+                DrawnContent::image(image.value, None)
+            }
+            BlendedSource::Session(record) => {
+                let sources = app.images.fetch(client, record, None).await?;
+                app.images.decode(client, &ticket, sources).await?
+            }
+        };
+        let (job, target, threads) = (Arc::clone(self), Arc::clone(target), app.pool().clone());
+        let add = move |cancel: &Cancel| {
+            let is_cancelled = || cancel.is_cancelled();
+            let RasterSource::Image(image) = content.subject() else {
+                return Err(Problem::new(Code::Internal, "an image is blended"));
+            };
+            RasterSource::Image(image).check(&job.object.output)?;
+            let source = &job.images[index];
+            let rest = RestSpec {
+                p: source.shape.p.clone(),
+                ..job.object.rest.clone()
+            };
+            let setup = job.app.plans.new_setup(&rest, image.extent(), cancel)?;
+            let posed = job.shapes.posed(index, &target);
+            let q = match &source.pairs {
+                // The mirrored target in the image's own frame.
+                Some(pairs) => pairs.mirrored(&posed, f64::from(source.extent.width())),
+                None => posed,
+            };
+            let _held = job.app.admission.reserve(
+                MemoryClass::Plan,
+                setup.plan_bytes().unwrap_or_default()
+                    + setup.posed_bytes()
+                    + setup.most_halved_bytes(),
+            )?;
+            let (posed, sum) = threads.run_parallel(|| {
+                let plan = setup.plan_unless(&is_cancelled)?;
+                let pose = setup.pose(&q)?;
+                let posed = PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
+                let how = (weight, source.pairs.is_some());
+                sum.add(image, &posed, how, &job.object.output, &is_cancelled)?;
+                Ok::<_, WarpError>((posed, sum))
+            })?;
+            let report = posed.report();
+            let warnings = report.warnings.clone();
+            Ok::<_, Problem>((sum, (report.folds, warnings)))
+        };
+        ticket.run(add).await?
+    }
+
+    /// What the drawing of a finished sum needs: an image that nothing moves.
+    async fn draw_job(
+        &self,
+        ticket: &Ticket,
+        image: Arc<CacheEntry<Image>>,
+    ) -> Result<DrawJob, Problem> {
+        let (app, extent) = (self.app.clone(), image.extent());
+        let setup = ticket
+            .run(move |cancel| app.plans.new_setup(&RestSpec::default(), extent, cancel))
+            .await??;
+        let planned = self
+            .app
+            .plans
+            .plan(self.client, ticket, &Arc::new(setup), Timing::default())
+            .await?;
+        let quota = self.app.admission.response_quota(self.client);
+        let reserve = self
+            .app
+            .admission
+            .reserving(MemoryClass::Upload, self.client);
+        let mut nothing = Reserved::<BlendObject, Reservation>::parse(EMPTY, reserve)?;
+        Ok(DrawJob {
+            content: DrawnContent::image(image, None),
+            planned,
+            q: Arc::new(part(&mut nothing, |_| Vec::new())),
+            folds: Folds::Report,
+            output: OutputSpec {
+                format: self.format,
+                canvas: CanvasSpec::Same,
+                width: None,
+                ..self.object.output
+            },
+            preview: None,
+            force_alpha: self.object.frames > 1 && self.format != Format::Jpeg,
+            quota,
+        })
+    }
+
+    async fn draw(&self, image: Arc<CacheEntry<Image>>) -> Result<Drawn, Problem> {
+        let ticket = self.ticket().await?;
+        let job = self.draw_job(&ticket, image).await?;
+        self.app.drawing.draw(ticket, job).await
+    }
+
+    /// The file of a finished sum, and its landmarks as JSON.
+    async fn files(
+        &self,
+        image: Arc<CacheEntry<Image>>,
+        landmarks: Vec<Handle>,
+    ) -> Result<(Bytes, Bytes), Problem> {
+        let ticket = self.ticket().await?;
+        let job = self.draw_job(&ticket, image).await?;
+        let app = self.app.clone();
+        let write = move |cancel: &Cancel| {
+            let drawn = app.drawing.draw_file(&job, &|| cancel.is_cancelled())?;
+            let object = serde_json::json!({"p": AsJson(&landmarks[..])});
+            let json = json_unless(cancel, &object, 0)?;
+            Ok::<_, Problem>((drawn.first.bytes, json.into()))
+        };
+        ticket.run(write).await?
+    }
+}
+
+/// A blend of nothing, whose memory is that of a pose without handles.
+const EMPTY: &[u8] = b"{\"images\": [{\"image\": 0}]}";
+
+impl BlendStream {
+    /// The number of frames.
+    pub(crate) fn frames(&self) -> usize {
+        self.job.object.frames
+    }
+
+    /// The next bytes; `None` at the end, also after an error.
+    pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
+        let mut package = self.package.take()?;
+        if self.done >= self.frames() {
+            let index = serde_json::json!({"frames": self.reports});
+            let index = serde_json::to_vec(&index).unwrap_or_default();
+            return Some(package.finish("report.json", &index).map(Bytes::from));
+        }
+        let made = self.frame(&mut package).await;
+        if made.is_ok() {
+            self.done += 1;
+            self.package = Some(package);
+        }
+        Some(made)
+    }
+
+    async fn frame(&mut self, package: &mut Package) -> Result<Bytes, Problem> {
+        let BlendedFrame {
+            image,
+            landmarks,
+            mut report,
+            ..
+        } = self.job.frame(self.done).await?;
+        let (picture, of_landmarks) = if self.frames() == 1 {
+            ("image".to_owned(), "landmarks.json".to_owned())
+        } else {
+            (
+                format!("{:04}", self.done),
+                format!("{:04}.json", self.done),
+            )
+        };
+        report.picture = format!("{picture}.{}", self.job.format.extension());
+        let name = report.picture.clone();
+        self.reports.push(report);
+        let (file, json) = self.job.files(image, landmarks).await?;
+        let packed = self.form.pack(vec![(name, file), (of_landmarks, json)])?;
+        package.push(packed).map(Bytes::from)
+    }
+}
