@@ -68,6 +68,7 @@ enum BlendedSource {
 struct SourceImage {
     source: BlendedSource,
     extent: Extent,
+    /// Its landmarks, px.
     shape: NamedShape,
     /// Which handles are each other's mirror images, if the mirror image is meant.
     pairs: Option<MirrorPairs>,
@@ -319,24 +320,30 @@ fn in_image(index: usize, mut problem: Problem) -> Problem {
     problem
 }
 
-/// Matches the landmarks, mirrors those of mirrored images, and aligns all.
+/// Matches the landmarks, aligns them, and mirrors those of mirrored images about the middle of the
+/// reference frame.
 fn align(object: &BlendObject, images: &mut [SourceImage]) -> Result<BlendedShape, Problem> {
     let mut shapes: Vec<NamedShape> = images.iter().map(|image| image.shape.clone()).collect();
     match_shapes(&mut shapes, object.matching)?;
     let kept = common_handles(&mut shapes);
-    for (index, (shape, image)) in shapes.iter_mut().zip(images.iter_mut()).enumerate() {
+    for (index, (shape, image)) in shapes.iter().zip(images.iter_mut()).enumerate() {
         image.shape = shape.clone();
         let entry = &object.images[index];
         if entry.is_mirrored {
-            let pairs = mirror_pairs(entry, index, shape, kept.as_deref())?;
-            shape.p = pairs.mirrored(&shape.p, f64::from(image.extent.width()));
-            image.pairs = Some(pairs);
+            image.pairs = Some(mirror_pairs(entry, index, shape, kept.as_deref())?);
         }
     }
     let shapes: Vec<Vec<Handle>> = shapes.into_iter().map(|shape| shape.p).collect();
     let count = shapes.len();
-    BlendedShape::new(shapes, object.align, &object.reference)
-        .map_err(|error| shape_problem(error, count))
+    let mut blended = BlendedShape::new(shapes, object.align, &object.reference)
+        .map_err(|error| shape_problem(error, count))?;
+    let width = f64::from(images[0].extent.width());
+    for (index, image) in images.iter().enumerate() {
+        if let Some(pairs) = &image.pairs {
+            blended.mirror(index, pairs, width);
+        }
+    }
+    Ok(blended)
 }
 
 impl BlendJob {
@@ -443,12 +450,13 @@ impl BlendJob {
                 ..job.object.rest.clone()
             };
             let setup = job.app.plans.new_setup(&rest, image.extent(), cancel)?;
-            let posed = job.shapes.posed(index, &target);
-            let q = match &source.pairs {
-                // The mirrored target in the image's own frame.
-                Some(pairs) => pairs.mirrored(&posed, f64::from(source.extent.width())),
-                None => posed,
+            let frame = job.images[0].extent.width();
+            let mirrored_in = source.pairs.as_ref().map(|_| frame);
+            let drawn = match &source.pairs {
+                Some(pairs) => &pairs.mirrored(&target, f64::from(frame)),
+                None => &*target,
             };
+            let q = job.shapes.posed(index, drawn);
             let _held = job.app.admission.reserve(
                 MemoryClass::Plan,
                 setup.plan_bytes().unwrap_or_default()
@@ -459,7 +467,7 @@ impl BlendJob {
                 let plan = setup.plan_unless(&is_cancelled)?;
                 let pose = setup.pose(&q)?;
                 let posed = PosedMesh::new(&setup, &plan, &pose, Folds::Report, &is_cancelled)?;
-                let how = (weight, source.pairs.is_some());
+                let how = (weight, mirrored_in);
                 sum.add(image, &posed, how, &job.object.output, &is_cancelled)?;
                 Ok::<_, WarpError>((posed, sum))
             })?;

@@ -7,6 +7,7 @@ use crate::deform::{Class, Handle, fitted};
 use crate::geometry::Point;
 
 use super::super::Align;
+use super::MirrorPairs;
 
 /// Positions this near to those of an image, as a share of the extent of its handles, are those of
 /// the image: what is left is rounding, and the image is then drawn without a warp.
@@ -142,6 +143,13 @@ impl BlendedShape {
         })
     }
 
+    /// Replaces an aligned shape by its mirror image in a reference frame of this width, px. So the
+    /// mean of a shape and of its mirror image is symmetric about the middle of that frame, whatever
+    /// the tilt of the shape.
+    pub fn mirror(&mut self, shape: usize, pairs: &MirrorPairs, width: f64) {
+        self.aligned[shape] = pairs.mirrored(&self.aligned[shape], width);
+    }
+
     /// The indices of the handles that all shapes have, of those that were given.
     #[must_use]
     pub fn kept(&self) -> &[usize] {
@@ -168,7 +176,7 @@ impl BlendedShape {
         sum(&self.aligned, weights)
     }
 
-    /// A target as the posed handles of a shape: positions that differ from those at rest by
+    /// A target, in the frame where the shape is drawn, as its posed handles: positions that differ from those at rest by
     /// rounding are at rest.
     #[must_use]
     pub fn posed(&self, shape: usize, target: &[Handle]) -> Vec<Handle> {

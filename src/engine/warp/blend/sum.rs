@@ -106,9 +106,9 @@ impl ImageSum {
         }
     }
 
-    /// Adds an image, posed by its mesh, with a weight. `is_mirrored`: the mesh is that of the
-    /// mirrored target in the image's own frame, and what is drawn is mirrored; so an image and its
-    /// mirror image differ by nothing but the side. An image of weight 0 adds nothing but the
+    /// Adds an image, posed by its mesh, with a weight. `mirrored_in`: the mesh is that of the
+    /// mirrored target in a frame of this width, px, and what is drawn is mirrored; so an image and
+    /// its mirror image differ by nothing but the side. An image of weight 0 adds nothing but the
     /// metadata of the result, if it is the first.
     ///
     /// # Errors
@@ -117,7 +117,7 @@ impl ImageSum {
         &mut self,
         image: &Image,
         posed: &PosedMesh,
-        (weight, is_mirrored): (f64, bool),
+        (weight, mirrored_in): (f64, Option<u32>),
         output: &OutputSpec,
         cancelled: IsCancelled<'_>,
     ) -> Result<(), WarpError> {
@@ -128,13 +128,14 @@ impl ImageSum {
             .bytes(&image.digest().0)
             .bytes(&posed.digest().0)
             .float(weight)
-            .integer(u64::from(is_mirrored))
+            .integer(mirrored_in.map_or(0, u64::from))
             .bytes(drawn.as_bytes());
         if weight == 0.0 {
             return Ok(());
         }
         let subject = RasterSource::Image(image);
-        let target = self.target_of(image.extent(), is_mirrored);
+        let target = self.target_of(mirrored_in);
+        let is_mirrored = mirrored_in.is_some();
         subject.make_copies(target, posed, output, cancelled)?;
         let drawer = subject.drawer(target, posed, output);
         let (width, depth) = (self.target.extent.width() as usize, subject.depth());
@@ -178,16 +179,15 @@ impl ImageSum {
         Ok(())
     }
 
-    /// What is drawn of an image.
-    fn target_of(&self, source: Extent, is_mirrored: bool) -> Target {
-        let canvas = self.target.canvas.map(|canvas| {
-            let right = i64::from(canvas.x) + i64::from(canvas.extent.width());
-            let x = i32::try_from(i64::from(source.width()) - right).unwrap_or(i32::MAX);
-            if is_mirrored {
+    /// The part of the reference frame that is drawn, or of its mirror image.
+    fn target_of(&self, mirrored_in: Option<u32>) -> Target {
+        let canvas = self.target.canvas.map(|canvas| match mirrored_in {
+            Some(width) => {
+                let right = i64::from(canvas.x) + i64::from(canvas.extent.width());
+                let x = i32::try_from(i64::from(width) - right).unwrap_or(i32::MAX);
                 Canvas { x, ..canvas }
-            } else {
-                canvas
             }
+            None => canvas,
         });
         Target {
             canvas,

@@ -77,7 +77,7 @@ fn blend(parts: &[Part<'_>], target: &[Handle], space: BlendSpace) -> BlendedIma
             target.to_vec()
         };
         let mesh = posed(part.image, &part.p, &q);
-        let how = (part.weight, part.is_mirrored);
+        let how = (part.weight, part.is_mirrored.then_some(extent.width()));
         sum.add(part.image, &mesh, how, &OutputSpec::default(), &|| false)
             .unwrap();
     }
@@ -264,16 +264,15 @@ fn an_image_and_its_mirror_image_are_symmetric() {
     let image = picture(8, Channels::Rgb, Depth::Eight);
     let pairs = MirrorPairs::of_positions(&face()).unwrap();
     let width = f64::from(image.extent().width());
-    let shapes = vec![face(), pairs.mirrored(&face(), width)];
-    let shape = BlendedShape::new(shapes, Align::Rigid, &ShapeReference::Image(0)).unwrap();
-    // The frame of the first image is not upright; that of the mean of both sides is.
-    let middle = BlendedShape::new(
-        vec![face(), pairs.mirrored(&face(), width)],
-        Align::None,
-        &ShapeReference::Mean,
+    // The face is tilted: its mean with its mirror image is upright all the same.
+    let mut shape = BlendedShape::new(
+        vec![face(), face()],
+        Align::Similarity,
+        &ShapeReference::Image(0),
     )
-    .unwrap()
-    .target(&[0.5, 0.5]);
+    .unwrap();
+    shape.mirror(1, &pairs, width);
+    let middle = shape.target(&[0.5, 0.5]);
     assert_eq!(shape.kept().len(), 5);
     let mut parts = [part(&image, &face(), 0.5), part(&image, &face(), 0.5)];
     parts[1].is_mirrored = true;
