@@ -38,6 +38,9 @@ fn sample(name: &str) -> Value {
                     "filter": "nearest", "outside": "edge", "canvas": "fit"
             })
         }
+        "images" => json!([{"session": ID, "shape": 0.5}, {"session": ID, "shape": 0.5}]),
+        "reference" => json!("mean"),
+        "space" => json!("linear"),
         "seq" => json!(3),
         "layer" => json!("@coverage"),
         "strength" => json!(0.5),

@@ -16,7 +16,7 @@ use tokio_tungstenite::tungstenite::{Error, Message};
 
 use crate::support::counters::Counted as _;
 use crate::support::program::{Program, mlswarp};
-use crate::support::server::{form, header, problem};
+use crate::support::server::{blend_form, form, header, problem};
 use crate::support::{Scratch, Server, eventually, photo};
 
 const ANN: &str = "ann-s-key-0123456789";
@@ -91,6 +91,10 @@ pub(crate) fn asked(server: &Server, method: &Method, path: &str, id: &str) -> R
         ("POST", "/fit") => {
             request.json(&json!({"extent": [9, 9], "p": rest()["p"], "q": rest()["p"]}))
         }
+        ("POST", "/blend") => request.multipart(blend_form(
+            &[&photo(16, 12)],
+            &json!({"images": [{"image": 0, "p": rest()["p"]}]}),
+        )),
         ("POST", "/landmarks") => request.body("1,2\n"),
         ("POST", "/sessions/{id}/map") => {
             request.json(&json!({"q": [[5, 4], [12, 8], [3, 9], [13, 2]]}))

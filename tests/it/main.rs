@@ -11,6 +11,7 @@ mod bad_input;
 mod batch;
 mod beier_neely;
 mod binary;
+mod blend;
 mod cancellation;
 mod cancelling;
 mod canvas;

@@ -9,7 +9,7 @@ use reqwest::{RequestBuilder, Response};
 use serde_json::{Value, json};
 
 use crate::support::Server;
-use crate::support::server::form;
+use crate::support::server::{blend_form, form};
 
 /// The image of all examples.
 const PICTURE: &[u8] = include_bytes!("../images/rocket.jpg");
@@ -161,6 +161,14 @@ fn numbers_are_compared_to_the_digits_shown() {
 fn with_body(request: RequestBuilder, media_type: &str, body: &Value) -> RequestBuilder {
     match media_type {
         "multipart/form-data" => {
+            if let Some(blend) = body.get("blend") {
+                let files = body["landmarks"].as_array().unwrap().iter();
+                return request.multipart(
+                    files.fold(blend_form(&[PICTURE, PICTURE], blend), |form, file| {
+                        form.text("landmarks", file.as_str().unwrap().to_owned())
+                    }),
+                );
+            }
             let is_upload = body.get("image").is_some();
             let json = |form: Form, warp: &Value| {
                 if warp.is_null() {

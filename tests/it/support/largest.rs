@@ -471,6 +471,7 @@ impl Material {
                     .called("over")
                     .json(self.over_fit()),
             ],
+            "blend" => self.blends(&many),
             "fitSession" => vec![
                 Request::new("POST", format!("{many}/fit"), 413).json(&drag),
                 Request::new("POST", format!("{few}/fit"), 422)
@@ -563,6 +564,23 @@ impl Material {
             Request::new("POST", "/landmarks?extent_p=9,9", 413)
                 .called("unused")
                 .body("text/csv", unused),
+        ]
+    }
+
+    fn blends(&self, many: &str) -> Vec<Request> {
+        let session = many.rsplit('/').next().unwrap();
+        let image = json!({"session": session});
+        let images: Vec<&Value> = std::iter::repeat_n(&image, 20).collect();
+        let small = json!({"width": 64, "compression": "none"});
+        let pairs = format!(
+            "\"images\": [{{\"image\": 0, \"mirror\": true, \"pairs\": {}}}]",
+            list("0", self.sizes.json - 100)
+        );
+        vec![
+            Request::new("POST", "/blend", 200).json(json!({"images": images, "output": small})),
+            Request::new("POST", "/blend", 422)
+                .called("over")
+                .json(format!("{{{pairs}}}")),
         ]
     }
 

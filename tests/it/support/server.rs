@@ -129,6 +129,15 @@ impl Server {
     }
 }
 
+/// A form with the images of a blend and its object.
+pub(crate) fn blend_form(images: &[&[u8]], blend: &Value) -> Form {
+    let part = |bytes: &[u8]| Part::bytes(bytes.to_vec()).file_name("image");
+    let form = Form::new().text("blend", blend.to_string());
+    images
+        .iter()
+        .fold(form, |form, image| form.part("image", part(image)))
+}
+
 /// The two parts.
 pub(crate) fn form(image: &[u8], warp: impl Into<String>) -> Form {
     Form::new()

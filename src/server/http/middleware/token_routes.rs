@@ -6,7 +6,7 @@ use axum::http::Method;
 use crate::wire::TokenOp;
 
 /// Method, route, and the operation that opens it; `None`: only the key does.
-const ROWS: [(&str, &str, Option<TokenOp>); 25] = {
+const ROWS: [(&str, &str, Option<TokenOp>); 26] = {
     use TokenOp::{Batch, Delete, Drag, Handles, Layers, Read, Upload, Warp};
     const LAYER: &str = crate::http::LAYER;
     [
@@ -35,6 +35,8 @@ const ROWS: [(&str, &str, Option<TokenOp>); 25] = {
         ("POST", "/map", None),
         ("POST", "/report", None),
         ("POST", "/fit", None),
+        // It names sessions in its body, which a token of one session must not reach.
+        ("POST", "/blend", None),
         ("POST", "/landmarks", None),
         // Of all clients.
         ("GET", "/metrics", None),
