@@ -267,3 +267,62 @@ async fn landmarks_are_matched_by_name_and_missing_ones_are_left_out() {
         same
     );
 }
+
+/// Every field has an effect: two values give two answers.
+#[tokio::test]
+async fn every_field_has_an_effect() {
+    let server = Server::start(&[]).await;
+    let (first, second) = (photo(64, 48), photo(80, 40));
+    let base = json!({"images": [{"image": 0, "p": shape(0)}, {"image": 1, "p": shape(4)}]});
+    let plain = blended(&server, &[&first, &second], &base, "*/*").await;
+    let document: Value = serde_json::from_str(include_str!("../../api/openapi.json")).unwrap();
+    let schema = |name: &str| document["components"]["schemas"][name]["properties"].clone();
+    let values = json!({
+        "align": "none", "reference": 1, "space": "linear", "steps": 2, "method": "affine",
+        "alpha": 2, "grid": {"columns": 3, "rows": 3}, "output": {"width": 20},
+    });
+    for name in schema("Blend").as_object().unwrap().keys() {
+        // Of points beside lines, of a spline, of coincident handles and of names: no effect here.
+        let elsewhere = ["images", "match", "point_mass", "smoothing", "coincident"];
+        if elsewhere.contains(&name.as_str()) {
+            continue;
+        }
+        let mut blend = base.clone();
+        blend[name] = values
+            .get(name)
+            .unwrap_or_else(|| panic!("{name} has no value here"))
+            .clone();
+        assert!(
+            blended(&server, &[&first, &second], &blend, "*/*").await != plain,
+            "{name}"
+        );
+    }
+    let p = json!([[14, 8], [40, 12], [30, 22], [15, 38], [45, 40]]);
+    let entries = [
+        ("image", json!({"image": 0})),
+        ("shape", json!({"shape": 1, "colour": 0.5})),
+        ("colour", json!({"shape": 0.5, "colour": 1})),
+        ("mirror", json!({"mirror": true, "pairs": [1, 0, 2, 4, 3]})),
+        ("pairs", json!({"mirror": true, "pairs": [0, 1, 2, 3, 4]})),
+        ("p", json!({"p": p})),
+    ];
+    let mut answers = vec![plain];
+    for name in schema("BlendImage").as_object().unwrap().keys() {
+        // `sessions_and_files_give_the_same_image`.
+        if name == "session" {
+            continue;
+        }
+        let (_, more) = entries.iter().find(|(entry, _)| entry == name).unwrap();
+        let mut blend = base.clone();
+        let entry = blend["images"][1].as_object_mut().unwrap();
+        entry.extend(more.as_object().unwrap().clone());
+        if let (Some(shape), Some(colour)) = (more.get("shape"), more.get("colour")) {
+            let rest = |share: &Value| 1.0 - share.as_f64().unwrap();
+            blend["images"][0]["shape"] = json!(rest(shape));
+            blend["images"][0]["colour"] = json!(rest(colour));
+        }
+        let answer = blended(&server, &[&first, &second], &blend, "*/*").await;
+        assert!(!answers.contains(&answer), "{name}");
+        answers.push(answer);
+    }
+}

@@ -200,6 +200,8 @@ impl Body {
             "p" | "q" if self.path.ends_with("/fit") => four_points(),
             "weights" if self.path.ends_with("/fit") => json!([1, 2, 1, 2]),
             "names" if self.path.ends_with("/fit") => json!(["a", "b", "c", "d"]),
+            // `fit` depends on one posed image.
+            "output" if self.path == "/blend" => json!({"width": 20, "filter": "nearest"}),
             _ => sample(name),
         };
         self.fields

@@ -183,7 +183,7 @@ impl BatchObject {
     fn read(
         body: &Bytes,
         root: &Node<'_, '_>,
-        fields: BatchFields<'_, '_>,
+        fields: BatchFields<Node<'_, '_>>,
         most_frame_bytes: u64,
         source: CoordinateFrame,
     ) -> Result<Self, Problem> {

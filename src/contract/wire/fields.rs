@@ -2,29 +2,31 @@
 
 use mlswarp::deform::METHODS;
 
-use super::json::Node;
 use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
-/// A field of an object, if the client gave it.
-pub(crate) type Field<'j, 'p> = Option<Node<'j, 'p>>;
-
 /// Names the fields of an object once: a list for whoever looks for a name, and a struct with a
-/// value for each, made of the array that [`Node::fields`] gives for the list.
+/// value (`N`, a node of the JSON) for each, made of the array that is read for the list.
 macro_rules! object_fields {
     ($(#[$doc:meta])* $list:ident, $fields:ident { $($field:ident = $name:literal),+ $(,)? }) => {
         $(#[$doc])*
         pub const $list: [&str; [$($name),+].len()] = [$($name),+];
 
         $(#[$doc])*
-        #[derive(Clone, Copy, Default)]
-        pub(crate) struct $fields<'j, 'p> {
-            $(pub(crate) $field: Field<'j, 'p>),+
+        #[derive(Clone, Copy)]
+        pub(crate) struct $fields<N> {
+            $(pub(crate) $field: Option<N>),+
         }
 
-        impl<'j, 'p> From<[Field<'j, 'p>; $list.len()]> for $fields<'j, 'p> {
-            fn from([$($field),+]: [Field<'j, 'p>; $list.len()]) -> Self {
+        impl<N> From<[Option<N>; $list.len()]> for $fields<N> {
+            fn from([$($field),+]: [Option<N>; $list.len()]) -> Self {
                 Self { $($field),+ }
+            }
+        }
+
+        impl<N> Default for $fields<N> {
+            fn default() -> Self {
+                Self { $($field: None),+ }
             }
         }
     };
@@ -87,11 +89,9 @@ object_fields! {
     }
 }
 
-impl<'j, 'p> WarpFields<'j, 'p> {
+impl<N: Copy> WarpFields<N> {
     /// The values of the fields of [`WARP`]: those of every method, and the objects of methods.
-    pub(crate) fn split(
-        nodes: [Field<'j, 'p>; WARP.len()],
-    ) -> (Self, [Field<'j, 'p>; OBJECT_COUNT]) {
+    pub(crate) fn split(nodes: [Option<N>; WARP.len()]) -> (Self, [Option<N>; OBJECT_COUNT]) {
         let every: [_; OF_EVERY_METHOD.len()] = std::array::from_fn(|k| nodes[k]);
         let objects = std::array::from_fn(|k| nodes[OF_EVERY_METHOD.len() + k]);
         (every.into(), objects)
@@ -116,9 +116,9 @@ object_fields! {
     }
 }
 
-impl<'j, 'p> AnnotationFields<'j, 'p> {
+impl<N: Copy> AnnotationFields<N> {
     /// The values that may be large.
-    pub(crate) const fn annotations(&self) -> [Field<'j, 'p>; ANNOTATIONS.len()] {
+    pub(crate) const fn annotations(&self) -> [Option<N>; ANNOTATIONS.len()] {
         [self.points, self.polygons, self.boxes, self.geojson]
     }
 }
@@ -198,9 +198,9 @@ object_fields! {
         refine = "refine",
     }
 }
-impl<'j, 'p> BatchFields<'j, 'p> {
+impl<N: Copy> BatchFields<N> {
     /// The annotations of every frame.
-    pub(crate) const fn mapped(&self) -> AnnotationFields<'j, 'p> {
+    pub(crate) const fn mapped(&self) -> AnnotationFields<N> {
         AnnotationFields {
             points: self.points,
             polygons: self.polygons,

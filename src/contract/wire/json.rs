@@ -78,6 +78,9 @@ pub(crate) struct Node<'j, 'p> {
     pub work: Option<&'p Work<'p>>,
 }
 
+/// A field of an object, if the client gave it.
+pub(crate) type Field<'j, 'p> = Option<Node<'j, 'p>>;
+
 /// The values of known fields, and the first name that is not known.
 type KnownFields<'j, 'q, const N: usize> = ([Option<Node<'j, 'q>>; N], Option<Cow<'j, str>>);
 

@@ -51,11 +51,11 @@ pub use annotations::{Annotation, AnnotationKind, Annotations, Cursor, ReserveMo
 pub use batch::{BatchFrame, BatchIndex, FrameJitter, FramePosition, in_frame};
 pub use batch::{BatchObject, BatchPoses, FrameTexts};
 pub use enum_name::EnumName;
-use fields::{AnnotationFields, Field};
+use fields::AnnotationFields;
 pub use fit::FitObject;
 pub use fit::{FitAnswer, in_candidate, method_text};
 pub use handles::handles_bytes;
-use json::{At, Node, optional};
+use json::{At, Field, Node, optional};
 pub use map::MapObject;
 pub use map::in_map;
 pub use merge::{Merged, NamedObject, extent_in, of_fit, split_batch};

@@ -5,9 +5,9 @@ use mlswarp::geometry::DisplayNumber;
 use mlswarp::warp::{Align, Folds, GridSpec, Method, Metric, RestSpec, Units};
 
 use super::enum_name::{RequestedMethod, enum_name, unknown_name};
-use super::fields::{Field, WarpFields};
+use super::fields::WarpFields;
 use super::handles::{handles, weights};
-use super::json::{Kind, Node, optional};
+use super::json::{Field, Kind, Node, optional};
 use super::landmarks::{Choice, Item, is_format, without_files};
 use super::number::{count, number, number_in, positive};
 use super::output::OutputPatch;
@@ -74,7 +74,7 @@ impl WarpPatch {
 
     /// `objects`: those of methods, in the order of `METHOD_OBJECTS`.
     pub(crate) fn read(
-        fields: WarpFields<'_, '_>,
+        fields: WarpFields<Node<'_, '_>>,
         objects: &[Field<'_, '_>],
     ) -> Result<Self, Problem> {
         let p = optional(fields.p, handles)?;
@@ -227,7 +227,7 @@ pub(crate) fn require_no_handles(is_given: impl Fn(&str) -> bool) -> Result<(), 
 
 /// Checks the fields that only the response of `POST /landmarks` has. `names` and `format` say
 /// nothing more; the result: whether landmarks are `unmatched`.
-fn of_landmarks(fields: &WarpFields<'_, '_>, p: Option<&[Handle]>) -> Result<bool, Problem> {
+fn of_landmarks(fields: &WarpFields<Node<'_, '_>>, p: Option<&[Handle]>) -> Result<bool, Problem> {
     const NAMES: &str = "an array of names, one for each handle";
     // None of them is kept.
     let count = |node: &Node<'_, '_>| {

@@ -89,7 +89,7 @@ impl Annotations {
     /// Reads the fields. `image`: that of the positions, of the inverse or not.
     pub(super) fn read(
         body: &Bytes,
-        fields: AnnotationFields<'_, '_>,
+        fields: AnnotationFields<Node<'_, '_>>,
         image: impl FnOnce(bool) -> CoordinateFrame,
     ) -> Result<Self, Problem> {
         let is_inverse = optional(fields.inverse, Node::bool)?.unwrap_or(false);
