@@ -463,7 +463,7 @@ pub fn mirror_pairs(
             .collect(),
     });
     let found = match &given {
-        Some(pairs) => MirrorPairs::given(pairs, &shape.p),
+        Some(pairs) => MirrorPairs::of_permutation(pairs, &shape.p),
         None => by_name().map_or_else(|| MirrorPairs::of_positions(&shape.p), Ok),
     };
     found.map_err(|error| {

@@ -79,7 +79,7 @@ pub(crate) struct Node<'j, 'p> {
 }
 
 /// A field of an object, if the client gave it.
-pub(crate) type Field<'j, 'p> = Option<Node<'j, 'p>>;
+pub(crate) type OptionalNode<'j, 'p> = Option<Node<'j, 'p>>;
 
 /// The values of known fields, and the first name that is not known.
 type KnownFields<'j, 'q, const N: usize> = ([Option<Node<'j, 'q>>; N], Option<Cow<'j, str>>);

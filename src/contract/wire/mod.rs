@@ -55,7 +55,7 @@ use fields::AnnotationFields;
 pub use fit::FitObject;
 pub use fit::{FitAnswer, in_candidate, method_text};
 pub use handles::handles_bytes;
-use json::{At, Field, Node, optional};
+use json::{At, Node, OptionalNode, optional};
 pub use map::MapObject;
 pub use map::in_map;
 pub use merge::{Merged, NamedObject, extent_in, of_fit, split_batch};
@@ -252,7 +252,11 @@ impl DragObject {
     }
 
     /// A step of the picture in the session's output.
-    fn step(pose: [Field<'_, '_>; 2], seq: Field<'_, '_>, at_rest: usize) -> Result<Self, Problem> {
+    fn step(
+        pose: [OptionalNode<'_, '_>; 2],
+        seq: OptionalNode<'_, '_>,
+        at_rest: usize,
+    ) -> Result<Self, Problem> {
         Ok(Self {
             pose: PosePatch::read(pose, at_rest)?,
             seq: optional(seq, |n| whole(n, "a whole number, at least 0"))?,

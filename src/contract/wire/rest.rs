@@ -7,7 +7,7 @@ use mlswarp::warp::{Align, Folds, GridSpec, Method, Metric, RestSpec, Units};
 use super::enum_name::{RequestedMethod, enum_name, unknown_name};
 use super::fields::WarpFields;
 use super::handles::{handles, weights};
-use super::json::{Field, Kind, Node, optional};
+use super::json::{Kind, Node, OptionalNode, optional};
 use super::landmarks::{Choice, Item, is_format, without_files};
 use super::number::{count, number, number_in, positive};
 use super::output::OutputPatch;
@@ -67,7 +67,9 @@ impl WarpPatch {
     }
 
     /// Reads the fields of the list `WARP`.
-    pub(crate) fn read_all(nodes: [Field<'_, '_>; fields::WARP.len()]) -> Result<Self, Problem> {
+    pub(crate) fn read_all(
+        nodes: [OptionalNode<'_, '_>; fields::WARP.len()],
+    ) -> Result<Self, Problem> {
         let (fields, objects) = WarpFields::split(nodes);
         Self::read(fields, &objects)
     }
@@ -75,7 +77,7 @@ impl WarpPatch {
     /// `objects`: those of methods, in the order of `METHOD_OBJECTS`.
     pub(crate) fn read(
         fields: WarpFields<Node<'_, '_>>,
-        objects: &[Field<'_, '_>],
+        objects: &[OptionalNode<'_, '_>],
     ) -> Result<Self, Problem> {
         let p = optional(fields.p, handles)?;
         let has_unmatched = of_landmarks(&fields, p.as_deref())?;

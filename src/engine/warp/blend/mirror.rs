@@ -73,7 +73,7 @@ impl MirrorPairs {
     ///
     /// # Errors
     /// Not one entry for each handle, or entries that do not name each other.
-    pub fn given(pairs: &[usize], shape: &[Handle]) -> Result<Self, NoPairs> {
+    pub fn of_permutation(pairs: &[usize], shape: &[Handle]) -> Result<Self, NoPairs> {
         if pairs.len() != shape.len() {
             let (found, expected) = (pairs.len(), shape.len());
             return Err(NoPairs::Count { found, expected });

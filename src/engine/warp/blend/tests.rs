@@ -471,22 +471,22 @@ fn dominant(mut a: Vec<Vec<f64>>) -> Vec<f64> {
 fn pairs_are_found_by_name_by_position_or_given() {
     let names = ["eye_left", "eye_right", "nose", "mouth_L", "mouth_R"].map(str::to_owned);
     let expected = [1, 0, 2, 4, 3];
-    let given = MirrorPairs::given(&expected, &face()).unwrap();
+    let given = MirrorPairs::of_permutation(&expected, &face()).unwrap();
     assert_eq!(MirrorPairs::of_names(&names, &face()), Some(given.clone()));
     assert_eq!(MirrorPairs::of_positions(&face()).unwrap(), given);
     assert_eq!(
-        MirrorPairs::given(&[1, 2, 0, 3, 4], &face()),
+        MirrorPairs::of_permutation(&[1, 2, 0, 3, 4], &face()),
         Err(NoPairs::NoPair { handle: 0 })
     );
     assert_eq!(
-        MirrorPairs::given(&[0], &face()),
+        MirrorPairs::of_permutation(&[0], &face()),
         Err(NoPairs::Count {
             found: 1,
             expected: 5
         })
     );
     assert_eq!(
-        MirrorPairs::given(&[9, 0, 2, 3, 4], &face()),
+        MirrorPairs::of_permutation(&[9, 0, 2, 3, 4], &face()),
         Err(NoPairs::NoPair { handle: 0 })
     );
     let unsided = ["a", "b", "c", "d", "e"].map(str::to_owned);
@@ -498,7 +498,7 @@ fn pairs_are_found_by_name_by_position_or_given() {
         Point::new(30.0, 42.0),
         Point::new(40.5, 40.0),
     ]));
-    let pairs = MirrorPairs::given(&[1, 0, 2, 4, 3, 5], &shape).unwrap();
+    let pairs = MirrorPairs::of_permutation(&[1, 0, 2, 4, 3, 5], &shape).unwrap();
     let twice = pairs.mirrored(&pairs.mirrored(&shape, 61.0), 61.0);
     for (a, b) in shape.iter().zip(&twice) {
         assert!(
