@@ -394,7 +394,7 @@ pub fn match_shapes(shapes: &mut [NamedShape], matching: Option<Matching>) -> Re
             .collect();
         (index.len() == shape.p.len()).then_some(index)
     };
-    let indices: Option<Vec<_>> = others.iter().map(|shape| index_of(shape)).collect();
+    let indices: Option<Vec<_>> = others.iter().map(&index_of).collect();
     let is_same = others.iter().all(|shape| shape.names == first.names);
     let (indices, names) = match (matching, indices, index_of(first).and(first.names.clone())) {
         (Some(Matching::Order), ..) => return Ok(()),

@@ -210,28 +210,23 @@ impl ImageSum {
         } else {
             Channels::Rgb
         };
-        let write = |depth: Depth, put: &(dyn Fn(&[[f32; 4]], &mut [u16]) + Sync)| {
-            let count = channels.count();
-            let mut samples = vec![0_u16; self.pixels.len() * count];
-            let width = self.target.extent.width() as usize;
-            samples
-                .par_chunks_mut(ROWS_PER_CHECK * width * count)
-                .zip(self.pixels.par_chunks(ROWS_PER_CHECK * width))
-                .for_each(|(out, sums)| put(sums, out));
-            match depth {
-                Depth::Eight => {
-                    Samples::Eight(samples.into_iter().map(|v| v.to_le_bytes()[0]).collect())
-                }
-                Depth::Sixteen => Samples::Sixteen(samples),
+        let count = channels.count();
+        let rows = ROWS_PER_CHECK * self.target.extent.width() as usize;
+        let mut samples = vec![0_u16; self.pixels.len() * count];
+        samples
+            .par_chunks_mut(rows * count)
+            .zip(self.pixels.par_chunks(rows))
+            .for_each(|(out, sums)| {
+                let pixels = sums.iter().zip(out.chunks_exact_mut(count));
+                let lost: u64 = pixels.map(|(sum, out)| self.put(*sum, out)).sum();
+                clamped.fetch_add(lost, Ordering::Relaxed);
+            });
+        let samples = match self.depth {
+            Depth::Eight => {
+                Samples::Eight(samples.into_iter().map(|v| v.to_le_bytes()[0]).collect())
             }
+            Depth::Sixteen => Samples::Sixteen(samples),
         };
-        let samples = write(self.depth, &|sums, out| {
-            let mut lost = 0;
-            for (sum, out) in sums.iter().zip(out.chunks_exact_mut(channels.count())) {
-                lost += self.put(*sum, out);
-            }
-            clamped.fetch_add(lost, Ordering::Relaxed);
-        });
         let pixmap = Pixmap::new(self.target.extent, channels, samples);
         let image = Image::of_parts(self.digest.finish(), pixmap, metadata, self.is_grey);
         Some(BlendedImage {
