@@ -1,9 +1,9 @@
 //! The contract of mlswarp: what clients write and read, without HTTP, clocks or I/O.
 //!
 //! [`wire`] turns JSON objects and landmark files into checked values of the library `mlswarp`, and
-//! results back into JSON. [`problem`] has every error that a client can see: its code, its sentence
-//! and the place in the request. [`layer`] has the names of a session's further images. The service
-//! adds the HTTP status line and headers; the offline tool prints the same sentences.
+//! results back into JSON. [`problem`] has every error that a client can see: its code, its
+//! sentence and the place in the request. [`layer`] has the names of a session's further images.
+//! The service adds the HTTP status line and headers; the offline tool prints the same sentences.
 
 #![allow(
     rustdoc::private_intra_doc_links,

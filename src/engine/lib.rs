@@ -30,8 +30,9 @@
 //!
 //! Below this door, [`warp`] has its steps one by one, for caches, quotas and streams of strips.
 //! [`deform`] is the mathematics alone, [`geometry`] the grids and meshes that it moves,
-//! [`topology`] the shape of what an image shows, [`render`] draws a deformed mesh, [`pixmap`] holds
-//! pixels, [`format`](mod@format) is the table of file formats, and `codec` reads and writes them.
+//! [`topology`] the shape of what an image shows, [`render`] draws a deformed mesh, [`pixmap`]
+//! holds pixels, [`format`](mod@format) is the table of file formats, and `codec` reads and writes
+//! them.
 //!
 //! Modules depend on each other in one direction only: the door on `warp`, and
 //! `warp -> { codec -> format -> pixmap; render -> pixmap, geometry; deform -> geometry;
@@ -40,7 +41,7 @@
 //! | feature, both default | adds |
 //! |---|---|
 //! | `codec` | image files. Without it, pictures come from pixels and become pixels |
-//! | `parallel` | the threads of the current rayon pool. Without it, the calling thread does all of the work, with the same results |
+//! | `parallel` | the threads of the current rayon pool; without it, the calling thread works |
 //!
 //! Without both, the crate depends on nothing, has neither threads nor a clock, and as WebAssembly
 //! imports nothing.

@@ -1,8 +1,8 @@
 //! The dependency directions inside each crate; Cargo holds those between them. A table lists every
 //! module and the modules that it may name; a module may name only modules that stand below it, so
 //! the table itself rules out cycles. Files of one module may not form a cycle either, a module and
-//! its own children excepted. Every path (`use`, inline, `super::super`) is resolved from its module
-//! before it is looked up.
+//! its own children excepted. Every path (`use`, inline, `super::super`) is resolved from its
+//! module before it is looked up.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -30,6 +30,7 @@ const IMAGES: &str = "an array of objects such as {\"image\": 0, \"shape\": 0.5,
 const WEIGHT: &str = "a number between -100 and 100, or an array of them: one for each frame";
 const REFERENCE: &str =
     "`mean`, the index of an entry of `images`, or an array of handles in pixels";
+const PART: &str = "the number of a part `image`, from 0";
 const PAIRS: &str = "an array of indices of handles: for each handle its mirror image";
 /// Bytes of the text of an ordinary entry.
 const ENTRY_TEXT: usize = 60;
@@ -281,9 +282,7 @@ impl BlendEntry {
         let [image, session, shape, colour, mirror, pairs, p] =
             node.fields(&fields::BLEND_IMAGE)?;
         let source = match (image, session) {
-            (Some(image), None) => {
-                BlendSource::Part(count(&image, 0, "the number of a part `image`, from 0")? as usize)
-            }
+            (Some(image), None) => BlendSource::Part(count(&image, 0, PART)? as usize),
             (None, Some(session)) => BlendSource::Session(session.string("the id of a session")?),
             _ => {
                 return Err(node.problem(

@@ -108,8 +108,8 @@ impl CoefficientTable {
         Self::fill(field, grid.len(), block, cancelled)
     }
 
-    /// Fills the table for vertices of which each belongs to a pixel, counted row by row: those of a
-    /// grid that is cut along a mask. `None` when cancelled.
+    /// Fills the table for vertices of which each belongs to a pixel, counted row by row: those of
+    /// a grid that is cut along a mask. `None` when cancelled.
     #[must_use]
     pub fn of_cut_unless(
         field: &RestDeformation,

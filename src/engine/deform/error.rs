@@ -275,6 +275,32 @@ impl fmt::Display for DeformError {
                  send fewer or shorter lines"
             ),
             Self::Cancelled => f.write_str("cancelled: the result is no longer wanted"),
+            Self::EmptyMask
+            | Self::OutsideMask { .. }
+            | Self::MaskTooLarge { .. }
+            | Self::LineInMask { .. }
+            | Self::NoMetric { .. } => self.write_about_mask(f),
+            Self::NotTaken {
+                handle,
+                method,
+                reason,
+            } => reason.write(f, *handle, method),
+            Self::AlphaOutOfRange { alpha, lines } => {
+                let rule = if *lines {
+                    "be between 0.5 and 8 if a handle is a line"
+                } else {
+                    "be above 0 and at most 8"
+                };
+                outside(f, "alpha", *alpha, rule)
+            }
+        }
+    }
+}
+
+impl DeformError {
+    /// The sentences about a mask and its metric.
+    fn write_about_mask(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
             Self::EmptyMask => f.write_str(
                 "no pixel of the image is inside the mask: lower its threshold, or send another \
                     image or region",
@@ -299,19 +325,7 @@ impl fmt::Display for DeformError {
                 "the method `{method}` has no metric; `geodesic` needs `rigid`, `similarity` or \
                     `affine`"
             ),
-            Self::NotTaken {
-                handle,
-                method,
-                reason,
-            } => reason.write(f, *handle, method),
-            Self::AlphaOutOfRange { alpha, lines } => {
-                let rule = if *lines {
-                    "be between 0.5 and 8 if a handle is a line"
-                } else {
-                    "be above 0 and at most 8"
-                };
-                outside(f, "alpha", *alpha, rule)
-            }
+            _ => Ok(()),
         }
     }
 }

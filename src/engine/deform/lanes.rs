@@ -11,8 +11,8 @@ pub(super) const LANES: usize = 16;
 pub(super) struct Vertices<const N: usize> {
     pub(super) x: [f64; N],
     pub(super) y: [f64; N],
-    /// The pixel to which each belongs, counted row by row, or [`ON_PLANE`]; only maps inside a mask
-    /// look at it.
+    /// The pixel to which each belongs, counted row by row, or [`ON_PLANE`]; only maps inside a
+    /// mask look at it.
     pub(super) pixel: [u32; N],
 }
 

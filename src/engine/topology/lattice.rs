@@ -236,8 +236,8 @@ impl CutLattice {
         (component != NO_COMPONENT).then_some(first + component as usize)
     }
 
-    /// The quads as they are drawn. A quad draws the visible texels of its component, and those that
-    /// are not visible beside them, into which samples reach.
+    /// The quads as they are drawn. A quad draws the visible texels of its component, and those
+    /// that are not visible beside them, into which samples reach.
     #[must_use]
     pub fn cells_of(&self, mask: &Mask) -> CutCells {
         let side = self.spacing as usize;

@@ -31,8 +31,8 @@ pub struct Mask {
 
 /// Nothing is drawn.
 const OUTSIDE: u8 = 0;
-/// 1 to here: inside, with this Chebyshev distance from the nearest pixel that is not. The border of
-/// the image does not count, since no path leaves the image.
+/// 1 to here: inside, with this Chebyshev distance from the nearest pixel that is not. The border
+/// of the image does not count, since no path leaves the image.
 const LARGEST_CLEARANCE: u8 = 249;
 /// Rim that is not attached yet; afterwards there is none.
 const UNATTACHED: u8 = 250;
@@ -94,7 +94,8 @@ impl Mask {
         Some(mask)
     }
 
-    /// Two passes over all pixels: the Chebyshev distance from the nearest pixel that is not inside.
+    /// Two passes over all pixels: the Chebyshev distance from the nearest pixel that is not
+    /// inside.
     fn measure_clearance(&mut self) {
         let (w, h) = (self.width, self.height);
         let near = |pixels: &[u8], x: usize, at: usize, back: bool| {

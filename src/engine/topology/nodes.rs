@@ -264,8 +264,11 @@ impl Nodes {
 
     /// Where a pixel touches pixels to its right or below that are of another node.
     fn pairs_from(&self, x: usize, y: usize, pairs: &mut Vec<(u32, u32)>) {
-        let (right, below) = ((x + 1) % self.stride == 0, (y + 1) % self.stride == 0);
-        if !(right || below || x % self.stride == 0) {
+        let (right, below) = (
+            (x + 1).is_multiple_of(self.stride),
+            (y + 1).is_multiple_of(self.stride),
+        );
+        if !(right || below || x.is_multiple_of(self.stride)) {
             return;
         }
         let Some(node) = self.node_at(x, y) else {

@@ -239,7 +239,7 @@ fn hostile_masks_take_bounded_work_and_memory() {
 
     let checkerboard = |y: u32, row: &mut [Membership]| {
         for (x, membership) in (0..).zip(row) {
-            let is_inside = (x + y) % 2 == 0;
+            let is_inside = (x + y).is_multiple_of(2);
             *membership = if is_inside {
                 Membership::Inside
             } else {

@@ -302,7 +302,8 @@ pub enum Warning {
     },
     /// Landmarks that only one of two files has are left out.
     LandmarksUnmatched,
-    /// The metric follows the mask of the image, and every pixel is inside: it is that of the plane.
+    /// The metric follows the mask of the image, and every pixel is inside: it is that of the
+    /// plane.
     MaskIsEverything,
     /// No posed cell intersects the canvas.
     NothingVisible,

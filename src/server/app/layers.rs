@@ -96,8 +96,8 @@ pub(crate) async fn delete(
     Err(StoreError::Contended.into())
 }
 
-/// The file of a layer, whose memory counts for the client until it is sent. Reading does not extend
-/// the session's life. Errors: Unknown session or layer, or too little capacity.
+/// The file of a layer, whose memory counts for the client until it is sent. Reading does not
+/// extend the session's life. Errors: Unknown session or layer, or too little capacity.
 pub(crate) async fn read(
     app: &App,
     client: Client,

@@ -268,24 +268,17 @@ async fn map_points(app: &App, ticket: &Ticket, job: PointsJob) -> Result<Mapped
         is_long,
         key,
     } = job;
-    let drawn = if PointsJob::needs_grid(&object, folds) {
-        Some(
-            app.plans
-                .plan(client, ticket, &setup, Timing::default())
-                .await?,
-        )
-    } else {
-        None
+    let plan = async |setup: &HeldSetup| {
+        let timing = Timing::default();
+        app.plans.plan(client, ticket, setup, timing).await
     };
-    let to_invert = if object.annotations.is_inverse {
-        let setup = app.plans.to_invert(ticket, &setup).await?;
-        Some(
-            app.plans
-                .plan(client, ticket, &setup, Timing::default())
-                .await?,
-        )
-    } else {
-        None
+    let drawn = match PointsJob::needs_grid(&object, folds) {
+        true => Some(plan(&setup).await?),
+        false => None,
+    };
+    let to_invert = match object.annotations.is_inverse {
+        true => Some(plan(&app.plans.to_invert(ticket, &setup).await?).await?),
+        false => None,
     };
     let (drawing, quota) = (
         Arc::clone(&app.drawing),

@@ -13,9 +13,9 @@ pub(crate) enum Readiness {
 }
 
 /// Whether a new client would be served, and whether the store is available; answers within about a
-/// second. A service that loses its store stays ready: a store is unavailable to all replicas at the
-/// same time, and a proxy that removed them all would also end the sessions that continue without
-/// it. Errors: Overloaded, with the reason.
+/// second. A service that loses its store stays ready: a store is unavailable to all replicas at
+/// the same time, and a proxy that removed them all would also end the sessions that continue
+/// without it. Errors: Overloaded, with the reason.
 pub(crate) async fn ready(app: &App) -> Result<Readiness, Problem> {
     app.lifecycle.require_serving()?;
     app.admission.require_room()?;

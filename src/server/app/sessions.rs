@@ -148,8 +148,8 @@ async fn store(
 }
 
 /// Replaces those rest handles and options of a session that `json` gives. The plan is built before
-/// the response. `old`: the session's record as it was read. Errors: Unknown session, wrong handles,
-/// or too little capacity.
+/// the response. `old`: the session's record as it was read. Errors: Unknown session, wrong
+/// handles, or too little capacity.
 pub(crate) async fn replace_handles(
     app: &App,
     client: Client,

@@ -57,11 +57,8 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         quiet,
         ..
     } = args;
-    let layers = args
-        .layers
-        .iter()
-        .map(|text| LayerOption::parse(text))
-        .collect::<Result<Vec<_>, _>>()?;
+    let layers = args.layers.iter().map(|text| LayerOption::parse(text));
+    let layers = layers.collect::<Result<Vec<_>, _>>()?;
     let of_layers = layers.iter().filter_map(|layer| layer.file.clone());
     let others = [Some(image), batch.as_ref(), region.as_ref()];
     let read: Vec<PathBuf> = handles

@@ -36,9 +36,9 @@ pub struct AuthConfig {
     #[arg(hide_env_values = true)]
     fixed_keys: Keys,
     /// File of secrets that sign session tokens, one `KID SECRET` per line; at least 32 random
-    /// bytes as text each (`openssl rand -hex 32`). The first signs, all verify. The file is read again
-    /// when it changes. Needed for tokens with `--store redis://...`; otherwise, without a file,
-    /// tokens are valid until the server stops.
+    /// bytes as text each (`openssl rand -hex 32`). The first signs, all verify. The file is read
+    /// again when it changes. Needed for tokens with `--store redis://...`; otherwise, without a
+    /// file, tokens are valid until the server stops.
     #[arg(long, value_name = "PATH", default_value = "", hide_default_value = true,
         value_parser = Checked(unless("", path)))]
     token_secrets_file: Maybe<PathBuf>,

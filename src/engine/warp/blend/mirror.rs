@@ -218,7 +218,8 @@ fn other_side(name: &str) -> Option<Vec<String>> {
             for (at, _) in name.match_indices(from) {
                 let is_word = |c: Option<char>| c.is_none_or(|c| !c.is_ascii_alphanumeric());
                 let (before, after) = (&name[..at], &name[at + from.len()..]);
-                // A single letter is a side only as a word of its own: `L` in `eye_L`, not in `Lip`.
+                // A single letter is a side only as a word of its own: `L` in `eye_L`, not in
+                // `Lip`.
                 let is_side = from.len() > 1
                     || is_word(before.chars().next_back()) && is_word(after.chars().next());
                 if is_side {

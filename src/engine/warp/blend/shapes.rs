@@ -98,13 +98,13 @@ impl BlendedShape {
     /// use mlswarp::geometry::Point;
     /// use mlswarp::warp::Align;
     /// use mlswarp::warp::blend::{BlendedShape, ShapeReference};
-    /// let shape = |places: [(f64, f64); 3]| places.map(|(x, y)| Handle::Point(Point::new(x, y))).to_vec();
+    /// let point = |(x, y)| Handle::Point(Point::new(x, y));
     /// let shapes = vec![
-    ///     shape([(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)]),
-    ///     shape([(0.0, 0.0), (30.0, 0.0), (0.0, 10.0)]),
+    ///     [(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)].map(point).to_vec(),
+    ///     [(0.0, 0.0), (30.0, 0.0), (0.0, 10.0)].map(point).to_vec(),
     /// ];
     /// let blend = BlendedShape::new(shapes, Align::None, &ShapeReference::Image(0))?;
-    /// assert_eq!(blend.target(&[0.5, 0.5])[1], Handle::Point(Point::new(20.0, 0.0)));
+    /// assert_eq!(blend.target(&[0.5, 0.5])[1], point((20.0, 0.0)));
     /// # Ok::<(), mlswarp::warp::blend::ShapeError>(())
     /// ```
     pub fn new(
@@ -144,8 +144,8 @@ impl BlendedShape {
     }
 
     /// Replaces an aligned shape by its mirror image in a reference frame of this width, px. So the
-    /// mean of a shape and of its mirror image is symmetric about the middle of that frame, whatever
-    /// the tilt of the shape.
+    /// mean of a shape and of its mirror image is symmetric about the middle of that frame,
+    /// whatever the tilt of the shape.
     pub fn mirror(&mut self, shape: usize, pairs: &MirrorPairs, width: f64) {
         self.aligned[shape] = pairs.mirrored(&self.aligned[shape], width);
     }
@@ -176,8 +176,8 @@ impl BlendedShape {
         sum(&self.aligned, weights)
     }
 
-    /// A target, in the frame where the shape is drawn, as its posed handles: positions that differ from those at rest by
-    /// rounding are at rest.
+    /// A target, in the frame where the shape is drawn, as its posed handles: positions that differ
+    /// from those at rest by rounding are at rest.
     #[must_use]
     pub fn posed(&self, shape: usize, target: &[Handle]) -> Vec<Handle> {
         let rest = &self.shapes[shape];

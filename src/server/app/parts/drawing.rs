@@ -105,8 +105,8 @@ impl Drawing {
         Ok((posed, reservation))
     }
 
-    /// Poses, and reserves the memory that drawing needs: what is to be drawn, and all of the answer
-    /// but its pieces.
+    /// Poses, and reserves the memory that drawing needs: what is to be drawn, and all of the
+    /// answer but its pieces.
     pub(crate) fn prepare(
         &self,
         job: &DrawJob,

@@ -1,5 +1,5 @@
-//! Sessions: the store, what each client has in it, the order of numbered requests, and the texts of
-//! session objects.
+//! Sessions: the store, what each client has in it, the order of numbered requests, and the texts
+//! of session objects.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -118,8 +118,8 @@ impl Sessions {
         Ok(put?)
     }
 
-    /// Replaces the record of revision `old`, counted for who made the session. `layer`: the file that only
-    /// the new record names. `None`: the session has another revision by now.
+    /// Replaces the record of revision `old`, counted for who made the session. `layer`: the file
+    /// that only the new record names. `None`: the session has another revision by now.
     pub(crate) async fn revise(
         &self,
         client: Client,

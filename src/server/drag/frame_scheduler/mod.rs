@@ -86,7 +86,7 @@ pub struct FrameScheduler<F> {
     full: u32,
     waiting: Option<QueuedPose>,
     not_before: Option<Instant>,
-    drawing: Option<Drawing>,
+    drawing: Option<CurrentDrawing>,
     ready: Option<ReadyFrame<F>>,
     /// The frames that the client has not acknowledged, oldest first.
     sent: VecDeque<Sent>,
@@ -104,7 +104,7 @@ pub struct FrameScheduler<F> {
 }
 
 #[derive(Debug)]
-struct Drawing {
+struct CurrentDrawing {
     request: FrameRequest,
     began: Instant,
 }
@@ -281,7 +281,7 @@ impl<F> FrameScheduler<F> {
 
     /// The frame in progress is ready.
     pub fn drawn(&mut self, frame: F, bytes: u64, now: Instant) {
-        if let Some(Drawing { request, began }) = self.drawing.take() {
+        if let Some(CurrentDrawing { request, began }) = self.drawing.take() {
             self.preview = None;
             let draw_time = now.saturating_duration_since(began);
             if let (Some(pictures), Some(encoding)) = (&mut self.pictures, request.encoding) {
@@ -305,7 +305,7 @@ impl<F> FrameScheduler<F> {
     /// The service rejected the frame in progress: its pose waits again, unless there is a newer
     /// one.
     pub fn rejected(&mut self, now: Instant) {
-        if let Some(Drawing { request, .. }) = self.drawing.take() {
+        if let Some(CurrentDrawing { request, .. }) = self.drawing.take() {
             self.not_before = Some(now + REJECTED_POSE_RETRY);
             if request.is_full_quality {
                 self.preview = Some(request.pose);
@@ -377,7 +377,7 @@ impl<F> FrameScheduler<F> {
             encoding,
             is_full_quality,
         };
-        self.drawing = Some(Drawing {
+        self.drawing = Some(CurrentDrawing {
             request: request.clone(),
             began: now,
         });
