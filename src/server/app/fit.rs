@@ -53,7 +53,7 @@ type ComparedFit = (Bytes, Vec<Warning>);
 
 /// The points at rest, and the size of their picture.
 enum FitRest {
-    Request(Held<(RestSpec, Extent)>),
+    Request(Box<Held<(RestSpec, Extent)>>),
     Session(Arc<Record>),
 }
 
@@ -82,7 +82,7 @@ pub(crate) async fn once(app: &App, client: Client, json: Bytes) -> Result<Compa
         app,
         &ticket,
         app.admission.response_quota(client),
-        FitRest::Request(rest),
+        FitRest::Request(Box::new(rest)),
         object,
     )
     .await

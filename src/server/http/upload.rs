@@ -69,8 +69,8 @@ const POSE_ADVICE: &str = "the session has its handles at rest: the parts are `l
     file with the posed positions; `warp`, the JSON without `q`; `extent_q` and `item`";
 /// The parts of a blend: as many images and landmark files as it has, and the object once.
 const BLEND: [&str; 3] = ["image", "landmarks", "blend"];
-const BLEND_ADVICE: &str = "the parts are `image` and `landmarks`, as often as there are images and \
-    in the same order, and `blend`, the JSON";
+const BLEND_ADVICE: &str = "the parts are `image` and `landmarks`, as often as there are images \
+    and in the same order, and `blend`, the JSON";
 /// Parts that only the limit of the whole body applies to.
 const NO_LIMIT: &str = "body_bytes";
 /// Longest text of an extent, and of the name of an item, bytes.
