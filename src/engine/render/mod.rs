@@ -46,6 +46,7 @@ mod row_strategy;
 mod sampler;
 #[forbid(unsafe_code)]
 mod snap;
+mod snap_cut;
 #[forbid(unsafe_code)]
 mod snap_subdivided;
 #[forbid(unsafe_code)]

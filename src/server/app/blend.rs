@@ -381,8 +381,8 @@ impl BlendJob {
         }
         let ticket = self.ticket().await?;
         let finished = ticket
-            .run(move |_| sum.finish())
-            .await?
+            .run(move |cancel| sum.finish(&|| cancel.is_cancelled()))
+            .await??
             .ok_or_else(|| Problem::new(Code::Internal, "a blend without images"))?;
         memory.shrink_to(finished.image.bytes());
         let extent = self.target.extent;

@@ -196,9 +196,13 @@ impl ImageSum {
     }
 
     /// The sum as an image, with the metadata of the first one. `None` if nothing was added.
-    #[must_use]
-    pub fn finish(self) -> Option<BlendedImage> {
-        let metadata = Arc::clone(self.metadata.as_ref()?);
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn finish(self, cancelled: IsCancelled<'_>) -> Result<Option<BlendedImage>, WarpError> {
+        let Some(metadata) = self.metadata.clone() else {
+            return Ok(None);
+        };
         let clamped = AtomicU64::new(0);
         let is_opaque = || {
             self.pixels
@@ -217,10 +221,16 @@ impl ImageSum {
             .par_chunks_mut(rows * count)
             .zip(self.pixels.par_chunks(rows))
             .for_each(|(out, sums)| {
+                if cancelled() {
+                    return;
+                }
                 let pixels = sums.iter().zip(out.chunks_exact_mut(count));
                 let lost: u64 = pixels.map(|(sum, out)| self.put(*sum, out)).sum();
                 clamped.fetch_add(lost, Ordering::Relaxed);
             });
+        if cancelled() {
+            return Err(WarpError::Cancelled);
+        }
         let samples = match self.depth {
             Depth::Eight => {
                 Samples::Eight(samples.into_iter().map(|v| v.to_le_bytes()[0]).collect())
@@ -229,10 +239,10 @@ impl ImageSum {
         };
         let pixmap = Pixmap::new(self.target.extent, channels, samples);
         let image = Image::of_parts(self.digest.finish(), pixmap, metadata, self.is_grey);
-        Some(BlendedImage {
+        Ok(Some(BlendedImage {
             image,
             clamped: clamped.into_inner(),
-        })
+        }))
     }
 
     /// Writes a pixel; returns how many of its colours were cut off.

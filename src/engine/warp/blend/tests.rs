@@ -86,7 +86,7 @@ fn blend(parts: &[Part<'_>], target: &[Handle], space: BlendSpace) -> BlendedIma
         sum.add(part.image, &mesh, how, &OutputSpec::default(), &|| false)
             .unwrap();
     }
-    sum.finish().unwrap()
+    sum.finish(&|| false).unwrap().unwrap()
 }
 
 fn part<'a>(image: &'a Image, p: &[Handle], weight: f64) -> Part<'a> {
