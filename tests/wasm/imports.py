@@ -32,7 +32,11 @@ def imports(data: bytes) -> list[str]:
         if section == IMPORT_SECTION:
             count, inner = leb128(data, at)
             # The first is enough: descriptions of different kinds have different lengths.
-            first = [".".join((name(data, inner)[0], name(data, name(data, inner)[1])[0]))] if count else []
+            first = (
+                [".".join((name(data, inner)[0], name(data, name(data, inner)[1])[0]))]
+                if count
+                else []
+            )
             return first + [f"and {count - 1} more"] * (count > 1)
         at += length
     return []

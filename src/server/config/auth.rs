@@ -164,10 +164,10 @@ impl AuthConfig {
     /// share the store: they would not accept each other's tokens.
     pub(crate) fn token_secrets(&self, store: &StoreUrl) -> Option<Secrets> {
         self.keys.as_ref()?;
-        match (&self.secrets, store) {
-            (Some(secrets), _) => Some(secrets.all.clone()),
-            (None, StoreUrl::Memory | StoreUrl::File(_)) => Some(Secrets::random()),
-            (None, StoreUrl::Redis(_)) => None,
+        match &self.secrets {
+            Some(secrets) => Some(secrets.all.clone()),
+            None if store.is_shared() => None,
+            None => Some(Secrets::random()),
         }
     }
 

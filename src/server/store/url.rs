@@ -16,6 +16,19 @@ pub enum StoreUrl {
     Redis(super::RedisAddress),
 }
 
+impl StoreUrl {
+    /// Whether several processes may use it at the same time.
+    pub(crate) const fn is_shared(&self) -> bool {
+        match self {
+            Self::Memory => false,
+            #[cfg(feature = "file-store")]
+            Self::File(_) => false,
+            #[cfg(feature = "redis")]
+            Self::Redis(_) => true,
+        }
+    }
+}
+
 impl FromStr for StoreUrl {
     type Err = String;
 

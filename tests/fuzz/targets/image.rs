@@ -2,7 +2,7 @@
 //! neither takes more memory or work than follows from the file's bytes and the pixels that it
 //! claims within the limits.
 
-use mlswarp::codec::{self, ImageLimits, StepCounter, probe};
+use mlswarp::codec::{self, DecodedLabels, ImageLimits, StepCounter, probe};
 
 const LIMITS: ImageLimits = ImageLimits {
     max_pixels: 1 << 20,
@@ -48,7 +48,9 @@ pub(super) fn decode(bytes: &[u8]) {
     });
     assert!(
         labels.is_err()
-            || labels.is_ok_and(|labels| labels.values.len() as u64 == labels.shape.sample_bytes())
+            || labels.is_ok_and(|DecodedLabels { labels, .. }| {
+                labels.values.len() as u64 == labels.shape.sample_bytes()
+            })
     );
     let Ok(decoded) = decoded else { return };
     let header = header.expect("what is decoded has a header");

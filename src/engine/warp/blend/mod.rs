@@ -6,7 +6,7 @@
 //! ```
 //!
 //! A [`BlendedShape`] is t. A [`ImageSum`] takes the images one after another, so that only one of
-//! them is in memory, and gives J as an [`Image`] like any other.
+//! them is in memory, and gives J as an [`Image`](super::Image) like any other.
 
 mod mirror;
 mod shapes;

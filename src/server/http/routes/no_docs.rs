@@ -13,7 +13,7 @@ pub(crate) async fn page(State(app): State<App>) -> Refusal {
         "this build has no documentation page (feature `docs`); the contract is at \
             {public}/openapi.json"
     );
-    Problem::new(Code::NotFound, detail)
+    Problem::new(Code::NotFound, detail).into()
 }
 
 pub(crate) fn files() -> Router<App> {
