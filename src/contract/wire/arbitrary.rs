@@ -148,7 +148,7 @@ fn output() -> impl Strategy<Value = OutputSpec> {
 }
 
 /// Any warp object that the parser may give.
-pub fn warp_object() -> impl Strategy<Value = WarpObject> {
+pub(super) fn warp_object() -> impl Strategy<Value = WarpObject> {
     let q = prop::option::of(prop::collection::vec(handle(), 0..6));
     (rest(), q, all(), output()).prop_map(|(rest, q, folds, output)| WarpObject {
         rest,

@@ -7,8 +7,8 @@
 //! the wrong kind.
 
 pub mod annotations;
-#[cfg(any(test, feature = "proptest"))]
-pub mod arbitrary;
+#[cfg(test)]
+mod arbitrary;
 mod batch;
 pub mod blend;
 mod enum_name;

@@ -34,10 +34,16 @@ pub mod memory;
 pub mod record;
 #[cfg(feature = "redis")]
 pub mod redis;
+// Random warp objects are values of the contract's own laws, and no part of its library.
+#[cfg(test)]
+#[path = "../../contract/wire/arbitrary.rs"]
+mod arbitrary;
 #[cfg(test)]
 mod tests;
 mod url;
 
+#[cfg(test)]
+use crate::wire::{EnumName, WarpObject};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::future::Future;

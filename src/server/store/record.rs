@@ -418,8 +418,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::store::arbitrary::warp_object;
     use crate::store::tests::suite;
-    use crate::wire::arbitrary::warp_object;
     use mlswarp::codec::Subsampling;
     use mlswarp::deform::Handle;
     use mlswarp::geometry::Point;
