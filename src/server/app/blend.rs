@@ -37,6 +37,9 @@ use crate::wire::formats::Formats;
 use crate::wire::landmarks::LandmarkFiles;
 use crate::wire::{AsJson, Reserved};
 
+/// Operations for a pixel of an image that is added: its samples, its curve and four sums.
+const OPERATIONS_PER_PIXEL: u64 = 30;
+
 /// What a client has uploaded.
 #[derive(Debug, Default)]
 pub(crate) struct BlendUpload {
@@ -200,6 +203,7 @@ async fn prepare(
         };
         let target = output.target_before_pose(first, &limits)?;
         let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
+        require_work(images.len() as u64, target.extent, limits.work)?;
         let format = match form {
             Some(BatchForm::Apng) => Format::Png,
             Some(BatchForm::Gif) => Format::Gif,
@@ -218,6 +222,23 @@ async fn prepare(
         })
     };
     ticket.run(settle).await?
+}
+
+/// Errors: adding this many images of this size, for one frame, would take too many operations. The
+/// estimate counts, so that every replica answers alike; later frames wait for their reader.
+fn require_work(images: u64, extent: Extent, limit: u64) -> Result<(), Problem> {
+    let actual = (images * OPERATIONS_PER_PIXEL).saturating_mul(extent.pixels());
+    if actual <= limit {
+        return Ok(());
+    }
+    let (width, height) = (extent.width(), extent.height());
+    let detail = format!(
+        "adding {images} images of {width} x {height} px would take {actual} operations; the limit \
+         is {limit}; send fewer images or a smaller `output.width`"
+    );
+    Err(Problem::new(Code::TooLarge, detail)
+        .pointer("/images")
+        .limit("work", limit, actual))
 }
 
 /// Reads the sizes and the landmarks of all images.
