@@ -236,7 +236,10 @@ async fn what_does_not_fit_together_is_refused_with_its_place() {
     let many: Vec<Value> = (0..200).map(|_| entry(json!({}))).collect();
     let blend = json!({"images": many, "output": {"width": 4000}});
     let (status, code, at) = refused(&server, &[&file], &blend).await;
-    assert_eq!((status, code.as_str(), at), (413, "too_large", json!("/images")));
+    assert_eq!(
+        (status, code.as_str(), at),
+        (413, "too_large", json!("/images"))
+    );
     let many: Vec<Value> = (0..201).map(|_| entry(json!({}))).collect();
     let (status, code, _) = refused(&server, &[&file], &json!({"images": many})).await;
     assert_eq!((status, code.as_str()), (413, "too_large"));
