@@ -1,0 +1,247 @@
+//! What a blend needs before its first image is decoded: its object, the sizes and landmarks of all
+//! images, and the aligned shapes.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use mlswarp::codec::{self, StepCounter};
+use mlswarp::deform::Handle;
+use mlswarp::format::Format;
+use mlswarp::pixmap::Extent;
+use mlswarp::render::Canvas;
+use mlswarp::warp::blend::BlendedShape;
+use mlswarp::warp::{CanvasSpec, Digest, OutputSpec, WarpError};
+
+use super::{BlendJob, BlendUpload, BlendedSource, SourceImage};
+use crate::app::App;
+use crate::app::batch::BatchForm;
+use crate::client::Client;
+use crate::limits::memory::MemoryClass;
+use crate::pool::{Cancel, QueueKey};
+use crate::problem::{Code, Problem};
+use crate::session::SessionId;
+use crate::store::Record;
+use crate::wire::Reserved;
+use crate::wire::blend::{
+    BlendObject, BlendSource, NamedShape, common_handles, match_shapes, mirror_pairs, shape_problem,
+};
+use crate::wire::formats::Formats;
+use crate::wire::landmarks::LandmarkFiles;
+
+/// Operations for a pixel of an image that is added: its samples, its curve and four sums.
+const OPERATIONS_PER_PIXEL: u64 = 30;
+
+/// Parses the object and the landmarks, and aligns the shapes. No image is decoded yet.
+pub(super) async fn prepare(
+    app: &App,
+    client: Client,
+    upload: BlendUpload,
+    formats: Formats,
+    form: Option<BatchForm>,
+) -> Result<BlendJob, Problem> {
+    let ticket = app.admission.upload(QueueKey::client(client)).await?;
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let json = upload.blend.clone();
+    let object = ticket
+        .run(move |_| Reserved::<BlendObject, _>::parse(&json, reserve))
+        .await??;
+    let mut records = Vec::with_capacity(object.images.len());
+    for (index, entry) in object.images.iter().enumerate() {
+        records.push(match &entry.source {
+            BlendSource::Part(_) => None,
+            BlendSource::Session(id) => {
+                let at = |problem: Problem| problem.pointer(format!("/images/{index}/session"));
+                let id = SessionId::parse(client.owner, id).ok_or_else(|| {
+                    at(Problem::new(
+                        Code::NoSuchSession,
+                        "this is not the id of a session",
+                    ))
+                })?;
+                let session = app.sessions.touch(id, None).await;
+                Some(session.map_err(|error| at(error.into()))?.record)
+            }
+        });
+    }
+    let (of_job, limits) = (app.clone(), app.plans.limits);
+    let settle = move |cancel: &Cancel| {
+        let mut images = read_images(&of_job, client, &upload, &object, records, cancel)?;
+        let first = images[0].extent;
+        let shapes = align(&object, &mut images)?;
+        let canvas = match object.output.canvas {
+            CanvasSpec::Same => Canvas::of(first),
+            CanvasSpec::Box(canvas) => canvas,
+            CanvasSpec::Fit => {
+                let detail = "the canvas `fit` depends on one posed image; a blend has several: \
+                    send `same`, which is the box of the first image, or a box";
+                return Err(Problem::new(Code::BadValue, detail).pointer("/output/canvas"));
+            }
+        };
+        let output = OutputSpec {
+            canvas: CanvasSpec::Box(canvas),
+            ..object.output
+        };
+        let target = output.target_before_pose(first, &limits)?;
+        let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
+        require_work(images.len() as u64, target.extent, limits.work)?;
+        let format = match form {
+            Some(BatchForm::Apng) => Format::Png,
+            Some(BatchForm::Gif) => Format::Gif,
+            Some(BatchForm::Zip) => object.output.format,
+            None => formats.choose(Some(object.output.format), object.output.format)?,
+        };
+        Ok::<_, Problem>(BlendJob {
+            app: of_job,
+            client,
+            object,
+            images,
+            shapes,
+            canvas,
+            target,
+            format,
+        })
+    };
+    ticket.run(settle).await?
+}
+
+/// Errors: adding this many images of this size, for one frame, would take too many operations. The
+/// estimate counts, so that every replica answers alike; later frames wait for their reader.
+fn require_work(images: u64, extent: Extent, limit: u64) -> Result<(), Problem> {
+    let actual = (images * OPERATIONS_PER_PIXEL).saturating_mul(extent.pixels());
+    if actual <= limit {
+        return Ok(());
+    }
+    let (width, height) = (extent.width(), extent.height());
+    let detail = format!(
+        "adding {images} images of {width} x {height} px would take {actual} operations; the limit \
+         is {limit}; send fewer images or a smaller `output.width`"
+    );
+    Err(Problem::new(Code::TooLarge, detail)
+        .pointer("/images")
+        .limit("work", limit, actual))
+}
+
+/// Reads the sizes and the landmarks of all images.
+fn read_images(
+    app: &App,
+    client: Client,
+    upload: &BlendUpload,
+    object: &BlendObject,
+    records: Vec<Option<Arc<Record>>>,
+    cancel: &Cancel,
+) -> Result<Vec<SourceImage>, Problem> {
+    let mut images = Vec::with_capacity(records.len());
+    for (index, (entry, record)) in object.images.iter().zip(records).enumerate() {
+        let at = |field: &str| format!("/images/{index}{field}");
+        let (source, extent, of_session) = match (&entry.source, record) {
+            (BlendSource::Part(number), _) => {
+                let Some(file) = upload.images.get(*number) else {
+                    let detail = format!(
+                        "`image` is {number}, but the request has {} parts `image`, counted from 0",
+                        upload.images.len()
+                    );
+                    return Err(Problem::new(Code::BadValue, detail).pointer(at("/image")));
+                };
+                let is_cancelled = || cancel.is_cancelled();
+                let header = codec::probe(file, &StepCounter::new(&is_cancelled))
+                    .map_err(|error| in_image(index, WarpError::from(error).into()))?;
+                let limits = app.plans.limits.image;
+                limits
+                    .check(header.extent)
+                    .map_err(|error| in_image(index, WarpError::from(error).into()))?;
+                let source = BlendedSource::File(Digest::of(file), file.clone());
+                (source, header.extent, None)
+            }
+            (BlendSource::Session(_), Some(record)) => {
+                let p = record.rest.p_in_px(record.extent);
+                (
+                    BlendedSource::Session(Arc::clone(&record)),
+                    record.extent,
+                    Some(p),
+                )
+            }
+            (BlendSource::Session(_), None) => {
+                return Err(Problem::new(Code::Internal, "a session without a record"));
+            }
+        };
+        let file = match entry.source {
+            BlendSource::Part(number) => upload.landmarks.get(number),
+            BlendSource::Session(_) => None,
+        };
+        let shape = match (&entry.p, file, &of_session) {
+            (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => NamedShape {
+                p: p.clone(),
+                names: None,
+            },
+            (Some(_), Some(_), _) => {
+                let detail = "this image has landmarks in `p` and in a file: send one of them";
+                return Err(Problem::new(Code::BadValue, detail).pointer(at("/p")));
+            }
+            (None, Some(file), _) => read_shape(app, client, file, extent, cancel)
+                .map_err(|problem| in_image(index, problem))?,
+            _ => {
+                let detail = "this image has no landmarks: send one part `landmarks` for each part \
+                    `image`, or `p` here; a session needs handles";
+                return Err(Problem::new(Code::BadValue, detail).pointer(at("")));
+            }
+        };
+        images.push(SourceImage {
+            source,
+            extent,
+            shape,
+            pairs: None,
+        });
+    }
+    Ok(images)
+}
+
+/// The landmarks of a file, px of an image of this size.
+fn read_shape(
+    app: &App,
+    client: Client,
+    file: &Bytes,
+    extent: Extent,
+    cancel: &Cancel,
+) -> Result<NamedShape, Problem> {
+    let files = LandmarkFiles {
+        both: Some(file.clone()),
+        ..LandmarkFiles::default()
+    };
+    let reserve = app.admission.reserving(MemoryClass::Upload, client);
+    let columns = app.plans.limits.columns;
+    let is_cancelled = || cancel.is_cancelled();
+    let landmarks = Reserved::of_files(&files, columns, &is_cancelled, reserve)?;
+    NamedShape::of_file(landmarks.into_parts().0, extent)
+}
+
+/// Names the image in the problem of its files.
+pub(super) fn in_image(index: usize, mut problem: Problem) -> Problem {
+    problem.detail = format!("image {index}: {}", problem.detail);
+    problem.pointer = Some(format!("/images/{index}"));
+    problem
+}
+
+/// Matches the landmarks, aligns them, and mirrors those of mirrored images about the middle of the
+/// reference frame.
+fn align(object: &BlendObject, images: &mut [SourceImage]) -> Result<BlendedShape, Problem> {
+    let mut shapes: Vec<NamedShape> = images.iter().map(|image| image.shape.clone()).collect();
+    match_shapes(&mut shapes, object.matching)?;
+    let kept = common_handles(&mut shapes);
+    for (index, (shape, image)) in shapes.iter().zip(images.iter_mut()).enumerate() {
+        image.shape = shape.clone();
+        let entry = &object.images[index];
+        if entry.is_mirrored {
+            image.pairs = Some(mirror_pairs(entry, index, shape, kept.as_deref())?);
+        }
+    }
+    let shapes: Vec<Vec<Handle>> = shapes.into_iter().map(|shape| shape.p).collect();
+    let count = shapes.len();
+    let mut blended = BlendedShape::new(shapes, object.align, &object.reference)
+        .map_err(|error| shape_problem(error, count))?;
+    let width = f64::from(images[0].extent.width());
+    for (index, image) in images.iter().enumerate() {
+        if let Some(pairs) = &image.pairs {
+            blended.mirror(index, pairs, width);
+        }
+    }
+    Ok(blended)
+}
