@@ -10,6 +10,7 @@
     reason = "the crate is read in its source"
 )]
 #![forbid(unsafe_code)]
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
 pub mod layer;
 pub mod problem;

@@ -46,6 +46,8 @@
 //! Without both, the crate depends on nothing, has neither threads nor a clock, and as WebAssembly
 //! imports nothing.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 /// Every formula, with its derivation and the reason for its numerical form. Comments cite its
 /// sections: "mathematics 7.1".
 #[doc = include_str!("MATHEMATICS.md")]

@@ -39,6 +39,8 @@ const MOST_WORK: u64 = 16 << 20;
 const COMPARISON_WORK: u64 = 16;
 /// Number of sweep directions, evenly spaced over half a turn.
 const SWEEP_DIRECTIONS: u32 = 8;
+/// From one to the next: an eighth of half a turn.
+const SWEEP_TURN: Vec2 = Vec2::new(0.923_879_532_511_286_7, 0.382_683_432_365_089_8);
 /// A sweep along x that leaves at most this number of pairs per element is used without trying
 /// others.
 const FEW_PAIRS: u64 = 8;
@@ -257,16 +259,14 @@ impl<'a> CoincidenceSearch<'a> {
         let reach = self.coincident.max(ONE_PLACE);
         let few = FEW_PAIRS * self.elements.len() as u64;
         let mut best: Option<Sweep> = None;
-        for turn in 0..SWEEP_DIRECTIONS {
+        let mut direction = Vec2::new(1.0, 0.0);
+        for _ in 0..SWEEP_DIRECTIONS {
             self.check_cancelled()?;
             if best.as_ref().is_some_and(|best| best.pairs <= few) {
                 break;
             }
-            let sweep = Sweep::new(
-                self.elements,
-                std::f64::consts::PI * f64::from(turn) / f64::from(SWEEP_DIRECTIONS),
-                reach,
-            );
+            let sweep = Sweep::new(self.elements, direction, reach);
+            direction = direction.complex_mul(SWEEP_TURN);
             if best.as_ref().is_none_or(|best| sweep.pairs < best.pairs) {
                 best = Some(sweep);
             }
@@ -388,9 +388,8 @@ struct Sweep {
 }
 
 impl Sweep {
-    fn new(elements: &[Element], angle: f64, reach: f64) -> Self {
-        let (sin, cos) = angle.sin_cos();
-        let along = |p: Point| p.x * cos + p.y * sin;
+    fn new(elements: &[Element], direction: Vec2, reach: f64) -> Self {
+        let along = |p: Point| p.x * direction.x + p.y * direction.y;
         let (mut segments, mut points) = (Vec::new(), Vec::new());
         for (index, element) in elements.iter().enumerate() {
             match element {

@@ -143,8 +143,8 @@ pub(super) fn rank(handles: &Handles) -> Rank {
     )]
     let mean =
         first + places().fold(Vec2::ZERO, |s, p| s + (p - first)) * (1.0 / places().count() as f64);
-    // Total least squares: the direction that maximises sum (d . u)^2 has the angle atan2(2 sxy,
-    // sxx - syy) / 2.
+    // Total least squares: the direction that maximises sum (d . u)^2 has half the angle of
+    // (sxx - syy, 2 sxy).
     let (mut sxx, mut sxy, mut syy) = (0.0, 0.0, 0.0);
     for p in places() {
         let d = p - mean;
@@ -152,8 +152,7 @@ pub(super) fn rank(handles: &Handles) -> Rank {
         sxy += d.x * d.y;
         syy += d.y * d.y;
     }
-    let (sin, cos) = (0.5 * f64::atan2(2.0 * sxy, sxx - syy)).sin_cos();
-    let direction = Vec2::new(cos, sin);
+    let direction = Vec2::new(sxx - syy, 2.0 * sxy).half_angle();
     let off = places()
         .map(|p| direction.cross(p - mean).abs())
         .fold(0.0, f64::max);

@@ -2,6 +2,7 @@
 //! differences of the grid alone. Cost: O(vertices), a few operations each.
 
 use crate::geometry::Mesh;
+use crate::geometry::lane_math::hypot;
 
 /// A last row or column of cells narrower than this share of a cell takes the differences of the
 /// previous one.
@@ -137,7 +138,7 @@ fn bent_along(mesh: &Mesh, axis: GridAxis, limit: f64) -> Vec<bool> {
             at(middle - 1, k)[c] - 2.0 * at(middle, k)[c] + at(middle + 1, k)[c]
         };
         let largest = (0..across)
-            .map(|k| second(k, 0).hypot(second(k, 1)))
+            .map(|k| hypot(second(k, 0), second(k, 1)))
             .fold(0.0, f64::max);
         largest * (1.0 + aspect * aspect) > 8.0 * limit * NARROW_LIMIT
     };

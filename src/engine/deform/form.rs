@@ -4,6 +4,7 @@
 
 use super::lanes::Coefficients;
 use crate::geometry::Vec2;
+use crate::geometry::lane_math::hypot;
 
 /// What the coefficients of a position are, and how they make f of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +68,7 @@ pub(super) fn rotation<const N: usize>(
         CoefficientForm::Real | CoefficientForm::Complex => 1.0,
         CoefficientForm::Rigid => {
             let u = pull(rows, k, d);
-            (1.0 + u.x).hypot(u.y) as f32
+            hypot(1.0 + u.x, u.y) as f32
         }
     }
 }
@@ -75,7 +76,7 @@ pub(super) fn rotation<const N: usize>(
 /// `(1 + u)/|1 + u| - 1`, exact at 0 and without cancellation for small u; 0 where `1 + u` vanishes
 /// and all rotations fit equally.
 pub(super) fn rho(u: Vec2) -> Vec2 {
-    let n = (1.0 + u.x).hypot(u.y);
+    let n = hypot(1.0 + u.x, u.y);
     if n < UNDEFINED_ROTATION {
         return Vec2::ZERO;
     }

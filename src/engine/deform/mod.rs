@@ -28,8 +28,6 @@ mod interpolated;
 mod inverse;
 mod kernel;
 #[forbid(unsafe_code)]
-mod lane_math;
-#[forbid(unsafe_code)]
 mod lanes;
 #[forbid(unsafe_code)]
 mod leave_one_out;

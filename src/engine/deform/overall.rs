@@ -197,10 +197,7 @@ impl PairSums {
 
     /// The affine fit; `None` if either side lies on one line.
     fn affine_of(&self, pairs: ForEachPair<'_>, axes: [Vec2; 2]) -> Option<Affine> {
-        let [tau, to_tau] = axes.map(|axis| {
-            let (sin, cos) = (0.5 * f64::atan2(axis.y, axis.x)).sin_cos();
-            Vec2::new(cos, sin)
-        });
+        let [tau, to_tau] = axes.map(Vec2::half_angle);
         let (mut along, mut slope, mut off, mut to_off) = (0.0, 0.0, 0.0_f64, 0.0_f64);
         pairs(&mut |a, b, w| {
             let (x, y) = ((a - self.from).dot(tau), tau.cross(a - self.from));

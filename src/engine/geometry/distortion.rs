@@ -13,6 +13,7 @@
 //!   orientation of the whole: in a mirrored mesh s2 has the opposite sign, so that a mirror image
 //!   has no shear.
 
+use super::lane_math::{angle, hypot};
 use super::{Mesh, Orientation};
 
 /// Minimum, median and maximum of some values.
@@ -94,14 +95,19 @@ impl Mesh {
                 );
                 area_factors.push(along.cross(down));
                 // s1 + s2 and s1 - s2.
-                let sum = (along.x + down.y).hypot(along.y - down.x);
-                let difference = (along.x - down.y).hypot(along.y + down.x);
+                let sum = hypot(along.x + down.y, along.y - down.x);
+                let difference = hypot(along.x - down.y, along.y + down.x);
                 let (sum, difference) = if orientation == Orientation::Mirrored {
                     (difference, sum)
                 } else {
                     (sum, difference)
                 };
-                shears.push(2.0 * difference.atan2(sum).to_degrees());
+                let shear = if difference > 0.0 {
+                    2.0 * angle(difference, sum).to_degrees()
+                } else {
+                    0.0
+                };
+                shears.push(shear);
             }
         }
         Some(Distortion {

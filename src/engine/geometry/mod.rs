@@ -13,6 +13,7 @@ mod distortion;
 mod fold_regions;
 mod folding;
 mod grid;
+pub(crate) mod lane_math;
 mod mesh;
 mod subdivision;
 mod vec;

@@ -4,6 +4,8 @@
 
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
+use super::lane_math;
+
 /// A position in the plane, px.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Point {
@@ -75,7 +77,24 @@ impl Vec2 {
     /// Length, px.
     #[must_use]
     pub fn norm(self) -> f64 {
-        self.x.hypot(self.y)
+        lane_math::hypot(self.x, self.y)
+    }
+
+    /// The unit vector at half of this one's angle, which lies in [-pi, pi]: the axis of the moments
+    /// `(xx - yy, 2 xy)`. Of zero, `(1, 0)`.
+    pub(crate) fn half_angle(self) -> Self {
+        let length = self.norm();
+        if length == 0.0 {
+            return Self::new(1.0, 0.0);
+        }
+        // The larger of the two first: its square has no cancellation.
+        let larger = (0.5 + 0.5 * (self.x.abs() / length)).sqrt();
+        let smaller = 0.5 * (self.y / length) / larger;
+        if self.x >= 0.0 {
+            Self::new(larger, smaller)
+        } else {
+            Self::new(smaller.abs(), larger.copysign(self.y))
+        }
     }
 
     /// Squared length, px^2.

@@ -29,7 +29,7 @@ struct SamplerAxis {
 
 impl SamplerAxis {
     fn new(filter: Filter, source: u32, grid: f64, k: u32) -> Self {
-        let pixels = f64::from(source) / grid / f64::from(k).exp2();
+        let pixels = f64::from(source) / grid / f64::from(1_u32 << k);
         match filter {
             Filter::Nearest => Self {
                 scale: pixels,

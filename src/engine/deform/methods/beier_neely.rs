@@ -16,6 +16,7 @@ use crate::deform::lanes::Vertices;
 use crate::deform::point_map::{BuiltMap, CoefficientsOf, Identity, MapInput, PointMap, RestSet};
 use crate::deform::workspace::Workspace;
 use crate::deform::{DeformError, IsCancelled, Parameter};
+use crate::geometry::lane_math::pow;
 use crate::geometry::{Point, Vec2};
 
 /// In keys of plans and digests of handles at rest.
@@ -85,7 +86,7 @@ fn map(input: &MapInput<'_>) -> Result<BuiltMap, DeformError> {
     let (a, p) = (value(A), value(P));
     // The power of a ratio of distances is that of moving least squares.
     let power = Falloff::new(value(B), false)?;
-    let pull = |segment: &RestSegment| segment.length.powf(p);
+    let pull = |segment: &RestSegment| pow(segment.length, p);
     let segments = input.sources.segments.clone();
     let rank = if segments.is_empty() {
         Rank::Empty
@@ -218,7 +219,7 @@ impl<const N: usize> CoefficientsOf<N> for BeierNeely {
 
 /// The normal of length 1.
 fn normal(d: Vec2) -> Vec2 {
-    let length = d.x.hypot(d.y);
+    let length = d.norm();
     Vec2::new(-d.y / length, d.x / length)
 }
 

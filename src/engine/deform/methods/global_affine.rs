@@ -176,8 +176,7 @@ impl GlobalAffine {
                 yy + piece.integral(y, y),
             );
         }
-        let (sin, cos) = (0.5 * f64::atan2(2.0 * xy, xx - yy)).sin_cos();
-        let tau = Vec2::new(cos, sin);
+        let tau = Vec2::new(xx - yy, 2.0 * xy).half_angle();
         for Piece { a, b, .. } in &mut pieces {
             (*a, *b) = (turned(*a, tau), turned(*b, tau));
         }

@@ -11,6 +11,7 @@ use super::super::digest::Collector;
 use super::super::{Image, OutputSpec, PosedMesh, RasterSource, Target, WarpError};
 use crate::codec::Metadata;
 use crate::deform::IsCancelled;
+use crate::geometry::lane_math::pow;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
 use crate::render::Canvas;
 
@@ -320,7 +321,7 @@ fn decoding_curve(space: BlendSpace, depth: Depth) -> Vec<f32> {
     let value = |sample: u16| match (space, f64::from(sample) / largest) {
         (BlendSpace::Srgb, share) => share,
         (BlendSpace::Linear, share) if share <= 0.04045 => share / 12.92,
-        (BlendSpace::Linear, share) => ((share + 0.055) / 1.055).powf(2.4),
+        (BlendSpace::Linear, share) => pow((share + 0.055) / 1.055, 2.4),
     };
     #[expect(
         clippy::cast_possible_truncation,
@@ -335,7 +336,7 @@ fn encoded(space: BlendSpace, value: f64) -> f64 {
     match space {
         BlendSpace::Srgb => value,
         BlendSpace::Linear if value <= 0.003_130_8 => value * 12.92,
-        BlendSpace::Linear => 1.055 * value.powf(1.0 / 2.4) - 0.055,
+        BlendSpace::Linear => 1.055 * pow(value, 1.0 / 2.4) - 0.055,
     }
 }
 

@@ -2,7 +2,7 @@
 //! distances, so that it never overflows.
 
 use crate::deform::DeformError;
-use crate::deform::lane_math::pow;
+use crate::geometry::lane_math::pow;
 
 /// The validated exponent alpha: `0 < alpha <= 8`, and at least 1/2 with lines.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -10,7 +10,7 @@
 //! length of the segment.
 
 use super::falloff::Falloff;
-use crate::deform::lane_math::pow;
+use crate::geometry::lane_math::pow;
 
 /// Coefficients of a polynomial: the functions are singular at 1, so those of Chebyshev polynomials
 /// on [0, 1/2] fall by 5.8 each.

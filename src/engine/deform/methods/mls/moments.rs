@@ -13,6 +13,7 @@ use crate::deform::columns::PointSource;
 use crate::deform::form::CoefficientForm;
 use crate::deform::form::rho;
 use crate::deform::lanes::Vertices;
+use crate::geometry::lane_math::hypot;
 use crate::geometry::{Point, Vec2};
 
 /// Vertices that are anchored at once.
@@ -221,7 +222,7 @@ impl<'a> MomentInputs<'a> {
     /// The family's map of similarity `1 + u` at e, beyond e.
     fn turned(&self, e: Vec2, d: Vec2, u: Vec2) -> (Vec2, f64) {
         match self.form {
-            CoefficientForm::Rigid => (d + e.complex_mul(rho(u)), (1.0 + u.x).hypot(u.y)),
+            CoefficientForm::Rigid => (d + e.complex_mul(rho(u)), hypot(1.0 + u.x, u.y)),
             CoefficientForm::Real | CoefficientForm::Complex => (d + e.complex_mul(u), 1.0),
         }
     }

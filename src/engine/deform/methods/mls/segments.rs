@@ -12,8 +12,8 @@ use super::falloff::{Falloff, Power};
 use super::incomplete_beta::{IncompleteBeta, RelativeSegments};
 use super::quadrature::Sight;
 use crate::deform::columns::RestSegment;
-use crate::deform::lane_math::angle;
 use crate::deform::lanes::Vertices;
+use crate::geometry::lane_math::angle;
 
 /// The closed form replaces the nodes for a segment further away than this share of its length:
 /// nearer, its second moment cancels by (L/h)^2.

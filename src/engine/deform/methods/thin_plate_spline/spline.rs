@@ -17,8 +17,8 @@ use crate::parallel::prelude::*;
 use super::system::{MAX_POLYNOMIALS, TpsSystem};
 use crate::deform::IsCancelled;
 use crate::deform::columns::PointSource;
-use crate::deform::lane_math::ln;
 use crate::deform::lanes::{Coefficients, Vertices};
+use crate::geometry::lane_math::ln;
 use crate::geometry::{Point, Vec2};
 
 /// Within this share of the sites' unit v lies on a handle.

@@ -1,5 +1,6 @@
-//! Powers and angles without branches and library calls, so that loops over lanes are vectorised
-//! and every instruction set (and C library) gives the same bits. After fdlibm (Sun Microsystems,
+//! Powers, angles and lengths without library calls, so that every instruction set, system and C
+//! library gives the same bits; those without branches are vectorised in loops over lanes. What
+//! calls std for them is refused by clippy (`clippy.toml`). After fdlibm (Sun Microsystems,
 //! 1993: `e_pow.c`, `s_atan.c`), the source of the constants.
 
 /// The upper 21 bits of a mantissa: products of two such numbers are exact.
@@ -16,9 +17,10 @@ fn upper(x: f64) -> f64 {
     f64::from_bits(x.to_bits() & UPPER_BITS)
 }
 
-/// `x^y` to 1 ulp for 0 <= x <= 2 and 0 < y <= 8; 0 if x or the power is below the normal numbers.
+/// `x^y` to 1 ulp for 0 <= x <= 2 and 0 <= y <= 8, and for larger x while the power is below 2^64;
+/// 0 if x or the power is below the normal numbers.
 #[inline(always)]
-pub(super) fn pow(x: f64, y: f64) -> f64 {
+pub(crate) fn pow(x: f64, y: f64) -> f64 {
     let (log, tail) = log2(x);
     // y * (log + tail) as an exact product and a remainder.
     let y_upper = upper(y);
@@ -35,7 +37,7 @@ pub(super) fn pow(x: f64, y: f64) -> f64 {
 /// The natural logarithm to 2^-53 relative to the larger of it and 1, for positive normal numbers;
 /// finite for 0 and subnormal ones.
 #[inline(always)]
-pub(super) fn ln(x: f64) -> f64 {
+pub(crate) fn ln(x: f64) -> f64 {
     let (log, tail) = log2(x);
     (log + tail) * std::f64::consts::LN_2
 }
@@ -128,9 +130,25 @@ fn exp2(p: f64, rest: f64) -> f64 {
     f64::from_bits(fraction.to_bits().wrapping_add(shifted.to_bits() << 52))
 }
 
+/// The length of `(x, y)` to 1 ulp, also where its square is no normal number.
+#[inline]
+pub(crate) fn hypot(x: f64, y: f64) -> f64 {
+    /// 2^600: squares of what is multiplied or divided by it are normal numbers.
+    const SCALE: f64 = f64::from_bits((1023 + 600) << 52);
+    let square = |x: f64, y: f64| x * x + y * y;
+    let plain = square(x, y);
+    if (1e-290..1e300).contains(&plain) {
+        plain.sqrt()
+    } else if plain < 1.0 {
+        square(x * SCALE, y * SCALE).sqrt() / SCALE
+    } else {
+        square(x / SCALE, y / SCALE).sqrt() * SCALE
+    }
+}
+
 /// The angle of `(x, y)` for y >= 0, in [0, pi], to 1 ulp of itself.
 #[inline(always)]
-pub(super) fn angle(y: f64, x: f64) -> f64 {
+pub(crate) fn angle(y: f64, x: f64) -> f64 {
     const A: [f64; 11] = [
         0.333_333_333_333_329_3,
         -0.199_999_999_998_764_83,
@@ -175,6 +193,36 @@ pub(super) fn angle(y: f64, x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lengths_and_half_angles_are_those_of_the_library() {
+        use crate::geometry::Vec2;
+        for k in 0..4000 {
+            let phi = 0.001_57 * f64::from(k - 2000);
+            for scale in [1e-300, 1e-160, 1e-9, 1.0, 3.3e7, 1e160, 1e300] {
+                let (x, y) = (phi.cos() * scale, phi.sin() * scale);
+                let allowed = if scale < 1e-290 { 2 } else { 1 };
+                assert!(ulps(hypot(x, y), x.hypot(y)) <= allowed, "{x:e} {y:e}");
+                let half = Vec2::new(x, y).half_angle();
+                let off = half - Vec2::new((0.5 * phi).cos(), (0.5 * phi).sin());
+                assert!(off.norm() < 1e-15, "{phi} {scale:e}");
+            }
+        }
+        assert_eq!((hypot(0.0, 0.0), hypot(-3.0, 4.0)), (0.0, 5.0));
+        assert_eq!(hypot(f64::INFINITY, 1.0), f64::INFINITY);
+        assert_eq!(Vec2::ZERO.half_angle(), Vec2::new(1.0, 0.0));
+        assert_eq!(Vec2::new(-2.0, 0.0).half_angle(), Vec2::new(0.0, 1.0));
+    }
+
+    #[test]
+    fn powers_of_long_lengths_are_within_an_ulp_of_the_library() {
+        for k in 1..4000 {
+            let x = 1.01_f64.powi(k % 1500) * (1.0 + 1e-3 * f64::from(k % 7));
+            for y in [0.0, 0.3, 1.0 / 2.4, 0.999, 1.0, 2.4] {
+                assert!(ulps(pow(x, y), x.powf(y)) <= 1, "{x}^{y}");
+            }
+        }
+    }
 
     fn ulps(a: f64, b: f64) -> u64 {
         a.to_bits().abs_diff(b.to_bits())
