@@ -175,15 +175,9 @@ pub(crate) fn angle(y: f64, x: f64) -> f64 {
     };
     let q = over / under;
     let z = q * q;
-    let series = z
-        * (A[0]
-            + z * (A[1]
-                + z * (A[2]
-                    + z * (A[3]
-                        + z * (A[4]
-                            + z * (A[5]
-                                + z * (A[6]
-                                    + z * (A[7] + z * (A[8] + z * (A[9] + z * A[10]))))))))));
+    // A[0] + z (A[1] + z (A[2] + ...)); written out, the formatter takes 20 s for it.
+    let [first @ .., last] = A;
+    let series = z * first.iter().rev().fold(last, |sum, a| a + z * sum);
     let octant = q - q * series;
     let octant = if turned { FRAC_PI_4 + octant } else { octant };
     let quadrant = if steep { FRAC_PI_2 - octant } else { octant };
