@@ -1,8 +1,9 @@
 //! `/fit`: the request, the response, and `method: auto`, which applies the best candidate to a
 //! warp object.
 
+use mlswarp::deform::{Handle, IsCancelled};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Candidate, Method, Prediction, RestSpec};
+use mlswarp::warp::{Candidate, Fit, Method, Prediction, RestSpec, WarpError};
 use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 
 use super::enum_name::{EnumName as _, enum_name};
@@ -102,8 +103,26 @@ fn read_candidates(node: Option<Node<'_, '_>>) -> Result<Vec<Candidate>, Problem
     }
 }
 
+/// Compares candidates on at most `most` handles. CPU work, in parallel on the current rayon pool.
+/// Errors: Wrong points or candidates, cancelled.
+pub fn predictions(
+    rest: &RestSpec,
+    q: &[Handle],
+    extent: Extent,
+    candidates: &[Candidate],
+    most: u64,
+    cancelled: IsCancelled<'_>,
+) -> Result<Vec<Prediction>, Problem> {
+    let fit = Fit::new(rest, q, extent, most, cancelled)?;
+    let predict = |(index, candidate): (usize, &Candidate)| {
+        fit.predict(*candidate, cancelled)
+            .map_err(|error: WarpError| in_candidate(index, error.into()))
+    };
+    candidates.iter().enumerate().map(predict).collect()
+}
+
 /// Locates an error in a candidate.
-pub fn in_candidate(index: usize, mut problem: Problem) -> Problem {
+fn in_candidate(index: usize, mut problem: Problem) -> Problem {
     if let Some(pointer) = &mut problem.pointer
         && ["/alpha", "/smoothing"].contains(&pointer.as_str())
         && problem.code != Code::Overloaded

@@ -43,7 +43,7 @@ impl Report {
 }
 
 /// A posed mesh and its report.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct PosedMesh {
     mesh: Mesh,
     report: Report,

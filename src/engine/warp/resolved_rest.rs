@@ -540,7 +540,9 @@ impl ResolvedRest {
         Extent::new(width, height).expect("a grid has the size of a picture")
     }
 
-    pub(super) const fn units(&self) -> Units {
+    /// The units of handles and positions.
+    #[must_use]
+    pub const fn units(&self) -> Units {
         self.units
     }
 

@@ -13,14 +13,15 @@ use crate::format::ImageLimits;
 use crate::geometry::Point;
 use crate::pixmap::{Extent, PixelError};
 use crate::warp::{
-    CompiledRest, Folds, GridSpec, Limits, Method, PosedMesh, ResolvedRest, RestSpec, Units,
-    WarpError,
+    Alignment, CompiledRest, Folds, GridSpec, Jitter, Limits, Method, PosedMesh, ResolvedRest,
+    RestSpec, Units, WarpError,
 };
 
 pub use self::cancel::Cancel;
 #[cfg(feature = "codec")]
 pub use self::open::FileError;
 pub use self::posed_warp::PosedWarp;
+use self::posed_warp::SettledPose;
 pub use self::rendering::Rendering;
 
 /// The longest side of an image whatever the limits, px: positions up to twice as far are held by
@@ -154,8 +155,57 @@ impl Warper {
     where
         H: Clone + Into<Handle>,
     {
+        let (q, alignment) = self.settled(q, strength);
+        self.posed(q, alignment)
+    }
+
+    /// A pose whose handles are displaced at random: that of one frame of a series. The same seed
+    /// and frame give the same bits everywhere.
+    ///
+    /// # Errors
+    /// Those of [`Warper::pose`].
+    ///
+    /// ```
+    /// use mlswarp::Warper;
+    /// use mlswarp::warp::Jitter;
+    /// let p = [[10.0, 10.0], [50.0, 40.0]];
+    /// let jitter = Jitter { seed: 7, sigma: 2.0 };
+    /// let posed = Warper::new([64, 48], &p)?.pose_jittered(&p, 1.0, jitter, 0)?;
+    /// assert_ne!(posed.q()[0], p[0].into());
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
+    pub fn pose_jittered<H: Clone + Into<Handle>>(
+        &self,
+        q: &[H],
+        strength: f64,
+        jitter: Jitter,
+        frame: u32,
+    ) -> Result<PosedWarp, WarpError> {
+        let (q, alignment) = self.settled(q, strength);
+        let (resolved, p) = (&self.inner.resolved, &self.inner.rest.p);
+        self.posed(jitter.displace(resolved, p, &q, frame), alignment)
+    }
+
+    /// Posed handles in the frame of those at rest, at a strength.
+    fn settled<H: Clone + Into<Handle>>(
+        &self,
+        q: &[H],
+        strength: f64,
+    ) -> (Vec<Handle>, Option<Alignment>) {
         let inner = &*self.inner;
-        let (q, _) = inner.rest.posed(handles(q), strength, inner.extent);
+        inner.rest.posed(handles(q), strength, inner.extent)
+    }
+
+    /// The pose of handles that are aligned already: [`PosedWarp::q`] of another pose.
+    ///
+    /// # Errors
+    /// Those of [`Warper::pose`].
+    pub fn pose_settled(&self, q: Vec<Handle>) -> Result<PosedWarp, WarpError> {
+        self.posed(q, None)
+    }
+
+    fn posed(&self, q: Vec<Handle>, alignment: Option<Alignment>) -> Result<PosedWarp, WarpError> {
+        let inner = &*self.inner;
         let pose = inner.resolved.pose(&q)?;
         let mesh = self.cancellable(|cancelled| {
             PosedMesh::new(
@@ -166,7 +216,8 @@ impl Warper {
                 cancelled,
             )
         })?;
-        Ok(PosedWarp::new(self.clone(), pose, mesh))
+        let settled = SettledPose { q, alignment, pose };
+        Ok(PosedWarp::new(self.clone(), settled, mesh))
     }
 
     /// The same, whose work ends when `cancel` says so, as does that of its poses.

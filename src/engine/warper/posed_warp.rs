@@ -1,34 +1,60 @@
 //! What follows from one pose: a mesh, its report, positions both ways, and drawings.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
-use super::{Rendering, Warper};
-use crate::deform::Pose;
+use super::{Cancel, Rendering, Warper};
+use crate::deform::{Handle, Pose};
 use crate::geometry::{Mesh, Point};
 use crate::parallel::prelude::*;
 use crate::warp::{
-    Folds, Image, LabelImage, MapDirection, PixelPositions, PosedMesh, RasterSource, Region,
-    Report, Target, WarpError, reserved,
+    Alignment, CanvasSpec, Folds, Image, LabelImage, MapDirection, PixelPositions, PosedMesh,
+    Quality, RasterSource, Region, Report, Target, Transform, WarpError, reserved,
 };
 
-/// The mesh of one pose. Images, labels, points and maps follow from it.
-#[derive(Debug)]
+/// The mesh of one pose. Images, labels, points and maps follow from it. Cheap to clone.
+#[derive(Clone, Debug)]
 pub struct PosedWarp {
     warper: Warper,
-    pose: Pose,
-    posed: PosedMesh,
+    settled: Arc<SettledPose>,
+    posed: Arc<PosedMesh>,
     /// The mesh on which inverses are searched, made for the first of them.
-    inverse: OnceLock<PosedMesh>,
+    inverse: Arc<OnceLock<PosedMesh>>,
+}
+
+/// What a mesh is made of.
+#[derive(Debug)]
+pub(super) struct SettledPose {
+    /// Aligned, and at the strength that was asked for.
+    pub(super) q: Vec<Handle>,
+    pub(super) alignment: Option<Alignment>,
+    pub(super) pose: Pose,
 }
 
 impl PosedWarp {
-    pub(super) const fn new(warper: Warper, pose: Pose, posed: PosedMesh) -> Self {
+    pub(super) fn new(warper: Warper, settled: SettledPose, posed: PosedMesh) -> Self {
         Self {
             warper,
-            pose,
-            posed,
-            inverse: OnceLock::new(),
+            settled: Arc::new(settled),
+            posed: Arc::new(posed),
+            inverse: Arc::default(),
         }
+    }
+
+    /// The same, whose work ends when `cancel` says so.
+    ///
+    /// ```
+    /// use mlswarp::{Cancel, Warper};
+    /// let posed = Warper::new([64, 48], &[[9.0, 9.0]])?.pose(&[[12.0, 9.0]])?;
+    /// let cancel = Cancel::new();
+    /// cancel.cancel();
+    /// assert!(posed.clone().cancelled_by(&cancel).render_coverage().pixels().is_err());
+    /// assert!(posed.render_coverage().pixels().is_ok());
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
+    #[must_use]
+    pub fn cancelled_by(mut self, cancel: &Cancel) -> Self {
+        self.warper = self.warper.cancelled_by(cancel);
+        self
     }
 
     /// Folds, the residual, and warnings.
@@ -42,29 +68,44 @@ impl PosedWarp {
     /// # Ok::<(), mlswarp::warp::WarpError>(())
     /// ```
     #[must_use]
-    pub const fn report(&self) -> &Report {
+    pub fn report(&self) -> &Report {
         self.posed.report()
     }
 
     /// The grid at rest with the displacement of every vertex, px, and its subdivided cells.
     #[must_use]
-    pub const fn mesh(&self) -> &Mesh {
+    pub fn mesh(&self) -> &Mesh {
         self.posed.mesh()
     }
 
     /// The mesh with its report, for the parts below the front door.
     #[must_use]
-    pub const fn posed_mesh(&self) -> &PosedMesh {
+    pub fn posed_mesh(&self) -> &PosedMesh {
         &self.posed
     }
 
     /// The posed handles, validated.
     #[must_use]
-    pub const fn pose(&self) -> &Pose {
-        &self.pose
+    pub fn pose(&self) -> &Pose {
+        &self.settled.pose
     }
 
-    pub(super) const fn warper(&self) -> &Warper {
+    /// The posed handles in the units of those at rest: aligned, and at the strength that was asked
+    /// for.
+    #[must_use]
+    pub fn q(&self) -> &[Handle] {
+        &self.settled.q
+    }
+
+    /// How the posed handles were aligned, if the builder asked for that.
+    #[must_use]
+    pub fn alignment(&self) -> Option<Alignment> {
+        self.settled.alignment
+    }
+
+    /// The handles at rest that this is a pose of.
+    #[must_use]
+    pub const fn warper(&self) -> &Warper {
         &self.warper
     }
 
@@ -83,7 +124,7 @@ impl PosedWarp {
     /// ```
     pub fn within(mut self, mask: &Image) -> Result<Self, WarpError> {
         self.check_size(mask.extent())?;
-        self.posed = self.posed.within(Region::new(mask));
+        self.posed = Arc::new(Arc::unwrap_or_clone(self.posed).within(Region::new(mask)));
         Ok(self)
     }
 
@@ -161,12 +202,18 @@ impl PosedWarp {
     /// # Ok::<(), mlswarp::warp::WarpError>(())
     /// ```
     pub fn map_points(&self, points: &[[f64; 2]]) -> Result<Vec<[f64; 2]>, WarpError> {
-        let f = self.warper.resolved().transform(&self.pose);
+        let f = self.transform();
         let mapped = self
             .warper
             .cancellable(|cancelled| f.map(&places(points), cancelled))?;
         // Every position has an image.
         Ok(mapped.into_iter().flatten().map(|p| [p.x, p.y]).collect())
+    }
+
+    /// f itself, for outlines too; its positions are in the units of the handles.
+    #[must_use]
+    pub fn transform(&self) -> Transform<'_> {
+        self.warper.resolved().transform(self.pose())
     }
 
     /// Which positions of the image go to these ones; `None` where nothing does. Of several, the
@@ -185,16 +232,7 @@ impl PosedWarp {
     /// # Ok::<(), mlswarp::warp::WarpError>(())
     /// ```
     pub fn unmap_points(&self, points: &[[f64; 2]]) -> Result<Vec<Option<[f64; 2]>>, WarpError> {
-        let (resolved, compiled) = self.warper.to_invert()?;
-        if self.inverse.get().is_none() {
-            let posed = self.warper.cancellable(|cancelled| {
-                PosedMesh::coarse(resolved, compiled, &self.pose, Folds::Report, cancelled)
-            })?;
-            // Another thread may have been first, with the same.
-            let _ = self.inverse.set(posed);
-        }
-        let mesh = self.inverse.get().expect("it was just made").mesh();
-        let back = resolved.inverse(&self.pose, mesh);
+        let back = self.inverse()?;
         let found = self
             .warper
             .cancellable(|cancelled| back.map(&places(points), cancelled))?;
@@ -202,6 +240,55 @@ impl PosedWarp {
             .into_iter()
             .map(|place| place.map(|p| [p.x, p.y]))
             .collect())
+    }
+
+    /// The inverse of f, for outlines too; its positions are in the units of the handles.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn inverse(&self) -> Result<Transform<'_>, WarpError> {
+        let mesh = self.to_invert()?.mesh();
+        Ok(self.warper.to_invert()?.0.inverse(self.pose(), mesh))
+    }
+
+    fn to_invert(&self) -> Result<&PosedMesh, WarpError> {
+        let (resolved, compiled) = self.warper.to_invert()?;
+        if self.inverse.get().is_none() {
+            let posed = self.warper.cancellable(|cancelled| {
+                PosedMesh::coarse(resolved, compiled, self.pose(), Folds::Report, cancelled)
+            })?;
+            // Another thread may have been first, with the same.
+            let _ = self.inverse.set(posed);
+        }
+        Ok(self.inverse.get().expect("it was just made"))
+    }
+
+    /// How good the pose is, on the canvas of the image: residuals, folds, distortion, and what is
+    /// left of positions that are mapped and back. CPU work, longer than that of a drawing.
+    ///
+    /// # Errors
+    /// More work than the limit; cancelled.
+    ///
+    /// ```
+    /// use mlswarp::Warper;
+    /// let posed = Warper::new([64, 48], &[[10.0, 10.0]])?.pose(&[[12.0, 10.0]])?;
+    /// assert_eq!(posed.quality()?.residuals, [Some(0.0)]);
+    /// # Ok::<(), mlswarp::warp::WarpError>(())
+    /// ```
+    pub fn quality(&self) -> Result<Quality, WarpError> {
+        let resolved = self.warper.resolved();
+        resolved.check_quality()?;
+        let is_same = self.warper.to_invert()?.0.plan_key() == resolved.plan_key();
+        let inverse = if is_same {
+            &self.posed
+        } else {
+            self.to_invert()?
+        };
+        self.warper.cancellable(|cancelled| {
+            let canvas = CanvasSpec::Same.of(resolved.source(), &self.posed, cancelled)?;
+            let (q, pose) = (self.q(), self.pose());
+            Quality::of(resolved, q, pose, &self.posed, inverse, canvas, cancelled)
+        })
     }
 
     /// A position for every pixel of the image, row by row, px; NaN where nothing is. Inverse: the

@@ -1,7 +1,7 @@
 //! A drawing of one pose: to pixels, or to a file of any format.
 
 use super::PosedWarp;
-use crate::pixmap::Pixels;
+use crate::pixmap::{Extent, Pixels};
 use crate::render::{Filter, Outside};
 use crate::warp::{
     CanvasSpec, DrawnPixels, LabelValues, OutputSpec, RasterSource, Target, WarpError,
@@ -73,6 +73,14 @@ impl<'a> Rendering<'a> {
     pub fn with(mut self, change: impl FnOnce(&mut OutputSpec)) -> Self {
         change(&mut self.output);
         self
+    }
+
+    /// The size of the result.
+    ///
+    /// # Errors
+    /// A size over the limits; a canvas that fits nothing; cancelled.
+    pub fn extent(&self) -> Result<Extent, WarpError> {
+        self.target(&self.output).map(|target| target.extent)
     }
 
     /// The pixels, with the depth and the channels of the image. Where nothing is drawn, an image

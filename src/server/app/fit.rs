@@ -4,12 +4,11 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use mlswarp::deform::{Handle, IsCancelled};
+use mlswarp::deform::Handle;
 use mlswarp::geometry::Vec2;
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
-    Candidate, Fit, Prediction, RestSpec, Warning, WarpError, check_comparison, choose,
-    system_bytes,
+    Candidate, Prediction, RestSpec, Warning, check_comparison, choose, system_bytes,
 };
 
 use super::App;
@@ -21,25 +20,7 @@ use crate::limits::memory::{MemoryClass, Reservation};
 use crate::pool::{Cancel, QueueKey, Ticket};
 use crate::problem::{Code, Problem};
 use crate::store::Record;
-use crate::wire::{FitAnswer, FitObject, Pose, Reserved, WarpObject, in_candidate};
-
-/// Compares candidates on at most `most` handles. CPU work, in parallel on the current rayon pool.
-/// Errors: Wrong points or candidates, cancelled.
-fn predictions(
-    rest: &RestSpec,
-    q: &[Handle],
-    extent: Extent,
-    candidates: &[Candidate],
-    most: u64,
-    cancelled: IsCancelled<'_>,
-) -> Result<Vec<Prediction>, Problem> {
-    let fit = Fit::new(rest, q, extent, most, cancelled)?;
-    let predict = |(index, candidate): (usize, &Candidate)| {
-        fit.predict(*candidate, cancelled)
-            .map_err(|error: WarpError| in_candidate(index, error.into()))
-    };
-    candidates.iter().enumerate().map(predict).collect()
-}
+use crate::wire::{FitAnswer, FitObject, Pose, Reserved, WarpObject, predictions};
 
 /// Longest text of a residual, bytes: two numbers of 24 characters, brackets, commas.
 const RESIDUAL_TEXT: usize = 52;

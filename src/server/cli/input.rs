@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use bytes::Bytes;
 use mlswarp::codec::{self, SourceFormat, StepCounter};
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{ResolvedRest, WarpError, choose};
+use mlswarp::warp::WarpError;
 use rayon::ThreadPool;
 use serde_json::json;
 
@@ -16,7 +16,7 @@ use super::failure::{Failure, name_of};
 use crate::config::{Config, ExtentInput, LandmarkInput, WarpInput};
 use crate::problem::{Code, Problem};
 use crate::wire::landmarks::{Choice, LandmarkFiles, Landmarks, Target, extent};
-use crate::wire::{Merged, NamedObject, Reserved, WarpObject, extent_in};
+use crate::wire::{Merged, NamedObject, Reserved, extent_in};
 
 /// Whether a path stands for standard input or output.
 pub(super) fn is_stdio(path: &Path) -> bool {
@@ -310,32 +310,6 @@ impl Body {
             merged,
         })
     }
-}
-
-/// Resolves a warp object as the server does: places the handles of landmark files, applies the
-/// strength and chooses the method. Errors: Wrong handles.
-pub(super) fn resolve(
-    config: &Config,
-    object: &mut WarpObject,
-    landmarks: Option<Landmarks>,
-    extent: Extent,
-) -> Result<ResolvedRest, Failure> {
-    if let Some(landmarks) = landmarks {
-        landmarks.place_in(object, extent)?;
-    }
-    object.settle_pose(extent)?;
-    if object.is_auto {
-        object.require_choice()?;
-        let chosen = choose(
-            &object.rest,
-            object.posed()?,
-            extent,
-            config.max_fit_handles as u64,
-            &|| false,
-        )?;
-        object.choose(chosen);
-    }
-    Ok(ResolvedRest::new(&object.rest, extent, &config.limits())?)
 }
 
 /// The compute threads.

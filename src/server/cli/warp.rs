@@ -284,13 +284,13 @@ impl WarpJob<'_> {
         {
             return Ok(());
         }
-        let located = |failure: Failure| match failure {
-            Failure::Problem(problem, None) => input::located(self.merged, problem),
-            other => other,
-        };
+        let located = |problem| input::located(self.merged, problem);
         let mut object = self.object.clone();
-        let setup = input::resolve(self.config, &mut object, landmarks, extent).map_err(located)?;
-        object.posed().map_err(|problem| located(problem.into()))?;
+        let (limits, most) = (self.config.limits(), self.config.max_fit_handles as u64);
+        let setup = object
+            .resolve(landmarks, extent, &limits, most, &|| false)
+            .map_err(located)?;
+        object.posed().map_err(located)?;
         let plan = setup.plan();
         self.prepared = Some(PreparedHandles {
             extent,

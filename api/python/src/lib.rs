@@ -1,0 +1,29 @@
+//! The module `mlswarp._engine`: the library for Python. The classes and functions that people use
+//! are Python (`python/mlswarp`), which checks arrays, makes JSON of handles and options, and room
+//! for results. What comes here is JSON in the service's contract, and buffers; nothing here is for
+//! use from outside.
+//!
+//! Long work runs on a pool of this process without Python's lock ([`pool`]). Every error is a
+//! problem of the contract ([`error`]).
+
+mod error;
+mod files;
+mod plan;
+mod pool;
+mod pose;
+mod values;
+
+/// The module itself.
+#[pyo3::pymodule(name = "_engine")]
+mod engine {
+    #[pymodule_export]
+    use super::files::{compare_methods, read_landmarks, warp_file};
+    #[pymodule_export]
+    use super::plan::Plan;
+    #[pymodule_export]
+    use super::pool::{num_threads, set_num_threads};
+    #[pymodule_export]
+    use super::pose::Pose;
+    #[pymodule_export]
+    use super::values::Values;
+}

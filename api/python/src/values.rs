@@ -1,0 +1,177 @@
+//! Numbers from NumPy's buffers and into them. They are copied while Python's lock is held: no
+//! thread of Python changes them meanwhile, and nothing here is unsafe.
+
+use mlswarp::pixmap::{PixelFormat, Pixels, Samples};
+use mlswarp::warp::LabelValues;
+use mlswarp::{Image, LabelImage};
+use mlswarp_contract::problem::{Code, Problem};
+use pyo3::buffer::{Element, PyBuffer};
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+#[derive(Debug)]
+enum Numbers {
+    Bytes(Vec<u8>),
+    Words(Vec<u16>),
+    Integers(Vec<u32>),
+    Singles(Vec<f32>),
+    Doubles(Vec<f64>),
+}
+
+/// An array that was computed, until NumPy has room for it.
+#[pyclass(frozen, module = "mlswarp._engine")]
+#[derive(Debug)]
+pub(crate) struct Values {
+    shape: Vec<usize>,
+    numbers: Numbers,
+}
+
+#[pymethods]
+impl Values {
+    #[getter]
+    fn shape<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, &self.shape)
+    }
+
+    /// The name of the type in NumPy.
+    #[getter]
+    const fn dtype(&self) -> &'static str {
+        match self.numbers {
+            Numbers::Bytes(_) => "uint8",
+            Numbers::Words(_) => "uint16",
+            Numbers::Integers(_) => "uint32",
+            Numbers::Singles(_) => "float32",
+            Numbers::Doubles(_) => "float64",
+        }
+    }
+
+    /// Fills a buffer of this shape and type, whose rows have no gaps.
+    fn copy_to(&self, py: Python<'_>, out: &Bound<'_, PyAny>) -> PyResult<()> {
+        fn copy<T: Element>(py: Python<'_>, from: &[T], out: &Bound<'_, PyAny>) -> PyResult<()> {
+            PyBuffer::<T>::get(out)?.copy_from_slice(py, from)
+        }
+        match &self.numbers {
+            Numbers::Bytes(numbers) => copy(py, numbers, out),
+            Numbers::Words(numbers) => copy(py, numbers, out),
+            Numbers::Integers(numbers) => copy(py, numbers, out),
+            Numbers::Singles(numbers) => copy(py, numbers, out),
+            Numbers::Doubles(numbers) => copy(py, numbers, out),
+        }
+    }
+}
+
+impl Values {
+    /// `[height][width][samples]`.
+    pub(crate) fn of_pixels(pixels: Pixels) -> Self {
+        let (extent, format) = (pixels.extent(), pixels.format());
+        let sides = [extent.height() as usize, extent.width() as usize];
+        let numbers = match pixels.into_samples() {
+            Samples::Eight(samples) => Numbers::Bytes(samples),
+            Samples::Sixteen(samples) => Numbers::Words(samples),
+        };
+        Self {
+            shape: vec![sides[0], sides[1], format.samples()],
+            numbers,
+        }
+    }
+
+    /// `[height][width]`.
+    pub(crate) fn of_labels([width, height]: [usize; 2], labels: LabelValues) -> Self {
+        let numbers = match labels {
+            LabelValues::Eight(labels) => Numbers::Bytes(labels),
+            LabelValues::Sixteen(labels) => Numbers::Words(labels),
+            LabelValues::ThirtyTwo(labels) => Numbers::Integers(labels),
+        };
+        Self {
+            shape: vec![height, width],
+            numbers,
+        }
+    }
+
+    /// `[...][2]`.
+    pub(crate) fn of_singles(shape: &[usize], pairs: &[[f32; 2]]) -> Self {
+        Self {
+            shape: [shape, &[2]].concat(),
+            numbers: Numbers::Singles(pairs.as_flattened().to_vec()),
+        }
+    }
+
+    /// `[n][2]`.
+    pub(crate) fn of_doubles(pairs: &[[f64; 2]]) -> Self {
+        Self {
+            shape: vec![pairs.len(), 2],
+            numbers: Numbers::Doubles(pairs.as_flattened().to_vec()),
+        }
+    }
+}
+
+/// `[height][width][samples]` of `uint8` or `uint16`: the size of the image that a buffer shows.
+type Shape = (u32, u32, usize);
+
+/// The image in a buffer.
+/// Errors: Samples of another type or number.
+pub(crate) fn read_image(
+    py: Python<'_>,
+    buffer: &Bound<'_, PyAny>,
+    (height, width, samples): Shape,
+) -> PyResult<impl FnOnce() -> Result<Image, Problem> + Send + use<>> {
+    let format = match samples {
+        1 => Some(PixelFormat::Grey),
+        2 => Some(PixelFormat::GreyAlpha),
+        3 => Some(PixelFormat::Rgb),
+        4 => Some(PixelFormat::Rgba),
+        _ => None,
+    };
+    let numbers = match PyBuffer::<u8>::get(buffer) {
+        Ok(bytes) => Samples::Eight(bytes.to_vec(py)?),
+        Err(_) => Samples::Sixteen(PyBuffer::<u16>::get(buffer)?.to_vec(py)?),
+    };
+    Ok(move || {
+        let format = format.ok_or_else(|| {
+            Problem::new(
+                Code::BadValue,
+                "expected 1, 2, 3 or 4 samples for each pixel",
+            )
+        })?;
+        let pixels = Pixels::new(width, height, format, numbers);
+        let pixels =
+            pixels.map_err(|error| Problem::from(mlswarp::warp::WarpError::from(error)))?;
+        Ok(Image::from_pixels(pixels))
+    })
+}
+
+/// The labels in a buffer.
+/// Errors: Labels of another type or number.
+pub(crate) fn read_labels(
+    py: Python<'_>,
+    buffer: &Bound<'_, PyAny>,
+    [width, height]: [u32; 2],
+) -> PyResult<impl FnOnce() -> Result<LabelImage, Problem> + Send + use<>> {
+    let numbers = if let Ok(bytes) = PyBuffer::<u8>::get(buffer) {
+        Numbers::Bytes(bytes.to_vec(py)?)
+    } else if let Ok(words) = PyBuffer::<u16>::get(buffer) {
+        Numbers::Words(words.to_vec(py)?)
+    } else {
+        Numbers::Integers(PyBuffer::<u32>::get(buffer)?.to_vec(py)?)
+    };
+    Ok(move || {
+        let labels = match &numbers {
+            Numbers::Bytes(labels) => LabelImage::from_labels8(width, height, labels),
+            Numbers::Words(labels) => LabelImage::from_labels16(width, height, labels),
+            Numbers::Integers(labels) => LabelImage::from_labels32(width, height, labels),
+            Numbers::Singles(_) | Numbers::Doubles(_) => return Err(not_read()),
+        };
+        Ok(labels?)
+    })
+}
+
+fn not_read() -> Problem {
+    Problem::new(Code::BadValue, "expected whole numbers")
+}
+
+/// The positions in a buffer of doubles, `[n][2]`.
+/// Errors: Numbers of another type.
+pub(crate) fn read_positions(py: Python<'_>, buffer: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 2]>> {
+    let numbers = PyBuffer::<f64>::get(buffer)?.to_vec(py)?;
+    Ok(numbers.as_chunks::<2>().0.to_vec())
+}
