@@ -46,23 +46,43 @@ class Server:
         return self.send("POST", path, body, f"multipart/form-data; boundary={boundary}")
 
 
+class Program:
+    """A program that serves on an address, which it keeps when it starts again."""
+
+    def __init__(self, log):
+        self.log = log
+        self.listen = "127.0.0.1:0"
+        self.start()
+
+    def start(self):
+        with self.log.open("wb") as out:
+            self.process = subprocess.Popen(
+                [os.environ["MLSWARP_PROGRAM"], "serve", "--listen", self.listen],
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+        while not (found := re.search(r"http://(127\.0\.0\.1:\d+)", self.log.read_text())):
+            assert self.process.poll() is None, self.log.read_text()
+            time.sleep(0.02)
+        self.address, self.listen = found[0], found[1]
+
+    def stop(self):
+        self.process.terminate()
+        self.process.wait()
+
+
 @pytest.fixture(scope="session")
 def server(tmp_path_factory):
-    log = tmp_path_factory.mktemp("server") / "log"
-    with log.open("wb") as out:
-        program = subprocess.Popen(
-            [os.environ["MLSWARP_PROGRAM"], "serve", "--listen", "127.0.0.1:0"],
-            stdout=out,
-            stderr=subprocess.STDOUT,
-        )
-    try:
-        while not (found := re.search(r"http://127\.0\.0\.1:\d+", log.read_text())):
-            assert program.poll() is None, log.read_text()
-            time.sleep(0.02)
-        yield Server(found[0])
-    finally:
-        program.terminate()
-        program.wait()
+    program = Program(tmp_path_factory.mktemp("server") / "log")
+    yield Server(program.address)
+    program.stop()
+
+
+@pytest.fixture
+def program(tmp_path):
+    program = Program(tmp_path / "log")
+    yield program
+    program.stop()
 
 
 @pytest.fixture(scope="session")

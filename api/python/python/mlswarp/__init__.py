@@ -13,6 +13,7 @@ array([[262., 270.]])
 """
 
 from importlib.metadata import version as _version
+from typing import TYPE_CHECKING, Any
 
 from ._engine import num_threads as get_num_threads
 from ._engine import set_num_threads
@@ -27,23 +28,51 @@ from ._values import (
     to_centers,
 )
 from .errors import (
+    ApiError,
+    AuthenticationError,
     BadImage,
     BadLandmarks,
+    ConnectionFailed,
     FoldedError,
     InternalError,
     InvalidWarp,
     MlswarpError,
+    Overloaded,
+    PermissionDenied,
+    RateLimited,
+    RequestTimeout,
+    SessionExpired,
+    SessionNotFound,
+    Superseded,
     TooLarge,
     UnsupportedArray,
 )
 
+if TYPE_CHECKING:
+    from .client import AsyncClient, Client
+
 __version__: str = _version("mlswarp")
 
+
+def __getattr__(name: str) -> Any:
+    # Their dependencies are an extra.
+    if name in ("AsyncClient", "Client"):
+        from . import client
+
+        return getattr(client, name)
+    raise AttributeError(f"module 'mlswarp' has no attribute {name!r}")
+
+
 __all__ = [
+    "ApiError",
+    "AsyncClient",
+    "AuthenticationError",
     "BadImage",
     "BadLandmarks",
     "Candidate",
     "Canvas",
+    "Client",
+    "ConnectionFailed",
     "Coordinates",
     "File",
     "Fill",
@@ -56,9 +85,16 @@ __all__ = [
     "InvalidWarp",
     "Landmarks",
     "MlswarpError",
+    "Overloaded",
+    "PermissionDenied",
     "Plan",
     "Pose",
+    "RateLimited",
     "Report",
+    "RequestTimeout",
+    "SessionExpired",
+    "SessionNotFound",
+    "Superseded",
     "TooLarge",
     "UnsupportedArray",
     "from_centers",

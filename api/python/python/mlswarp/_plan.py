@@ -285,6 +285,13 @@ def _size(size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
+def _report(answer: Mapping[str, Any]) -> Report:
+    kept: dict[str, Any] = {name: answer.get(name) for name in Report.__dataclass_fields__}
+    for name in ("residuals", "coincident", "warnings"):
+        kept[name] = tuple(kept[name] or ())
+    return Report(**kept)
+
+
 def _candidate(found: Mapping[str, Any]) -> Candidate:
     residuals = [[np.nan, np.nan] if one is None else one for one in found["residuals"]]
     return Candidate(
@@ -475,12 +482,7 @@ class Pose:
 
     def report(self) -> Report:
         """How good the pose is: residuals, folds, distortion."""
-        answer = json.loads(self._live().report())
-        names = Report.__dataclass_fields__
-        kept = {name: answer.get(name) for name in names}
-        for name in ("residuals", "coincident", "warnings"):
-            kept[name] = tuple(kept[name] or ())
-        return Report(**kept)
+        return _report(json.loads(self._live().report()))
 
     def for_skimage(self) -> Any:
         """An `inverse_map` for `skimage.transform.warp`: takes and returns ``(M, 2)`` (column, row)

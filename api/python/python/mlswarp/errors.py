@@ -11,12 +11,22 @@ import json
 from typing import Any
 
 __all__ = [
+    "ApiError",
+    "AuthenticationError",
     "BadImage",
     "BadLandmarks",
+    "ConnectionFailed",
     "FoldedError",
     "InternalError",
     "InvalidWarp",
     "MlswarpError",
+    "Overloaded",
+    "PermissionDenied",
+    "RateLimited",
+    "RequestTimeout",
+    "SessionExpired",
+    "SessionNotFound",
+    "Superseded",
     "TooLarge",
     "UnsupportedArray",
 ]
@@ -39,6 +49,12 @@ class MlswarpError(Exception):
     """Its value."""
     actual: Any
     """The value that was given or found."""
+    status: int | None = None
+    """The HTTP status, if a server says so."""
+    request_id: str | None = None
+    """What the server's log calls the request."""
+    retry_after: float | None = None
+    """Seconds after which the request may be repeated."""
 
     def __init__(
         self,
@@ -93,7 +109,48 @@ class UnsupportedArray(MlswarpError, TypeError):
 
 
 class InternalError(MlswarpError):
-    """A fault of this package. Please report it."""
+    """A fault of this package or of the server. Please report it."""
+
+
+class ApiError(MlswarpError):
+    """A server refuses a request for reasons of its own; `status` has the HTTP status. Mistakes in
+    handles, parameters and files are the same classes as in the process."""
+
+
+class AuthenticationError(ApiError):
+    """401: no key, a wrong one, or a token that has expired."""
+
+
+class PermissionDenied(ApiError):
+    """403: the key or token does not allow this."""
+
+
+class SessionNotFound(ApiError):
+    """404: no such session or layer."""
+
+
+class Superseded(ApiError):
+    """409: a newer pose of the session has been drawn. Never repeated."""
+
+
+class SessionExpired(ApiError):
+    """410: the session was idle for too long."""
+
+
+class RateLimited(ApiError):
+    """429: too many requests, also after repetitions."""
+
+
+class Overloaded(ApiError):
+    """503: the server has too much to do, also after repetitions."""
+
+
+class ConnectionFailed(ApiError):
+    """No answer: the server cannot be reached, or the connection broke."""
+
+
+class RequestTimeout(ConnectionFailed):
+    """No answer in time."""
 
 
 _CLASSES: dict[str, type[MlswarpError]] = {
@@ -107,13 +164,42 @@ _CLASSES: dict[str, type[MlswarpError]] = {
 }
 
 
+_OF_STATUS: dict[int, type[MlswarpError]] = {
+    401: AuthenticationError,
+    403: PermissionDenied,
+    404: SessionNotFound,
+    409: Superseded,
+    410: SessionExpired,
+    429: RateLimited,
+    500: InternalError,
+    503: Overloaded,
+}
+_MISTAKES = (413, 415, 422)
+
+
 def of_problem(document: str) -> MlswarpError:
-    """The exception of a problem document (RFC 9457), which the engine and the service have."""
+    """The exception of a problem document (RFC 9457) of the engine."""
     problem: dict[str, Any] = json.loads(document)
-    code = str(problem["code"])
+    return _made(_CLASSES.get(str(problem["code"]), InvalidWarp), problem)
+
+
+def of_answer(status: int, problem: dict[str, Any]) -> MlswarpError:
+    """The exception of a problem document of a server."""
+    if status in _MISTAKES:
+        kind = _CLASSES.get(str(problem.get("code")), InvalidWarp)
+    else:
+        kind = _OF_STATUS.get(status, ApiError)
+    error = _made(kind, problem)
+    error.status = status
+    error.request_id = problem.get("request_id")
+    error.retry_after = problem.get("retry_after")
+    return error
+
+
+def _made(kind: type[MlswarpError], problem: dict[str, Any]) -> MlswarpError:
     fields = ("pointer", "handle", "limit_name", "limit", "actual")
     given = {name: problem[name] for name in fields if name in problem}
-    return _CLASSES.get(code, InvalidWarp)(str(problem["detail"]), code=code, **given)
+    return kind(str(problem["detail"]), code=str(problem["code"]), **given)
 
 
 def _restored(kind: type[MlswarpError], state: dict[str, Any]) -> MlswarpError:

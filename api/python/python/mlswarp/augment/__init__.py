@@ -47,9 +47,9 @@ class RandomWarp:
     ) -> None:
         if min(grid) < 2:
             raise InvalidWarp(f"expected a grid of at least 2 x 2 handles; found {grid!r}")
-        self.sigma = float(sigma)
-        self.grid = (int(grid[0]), int(grid[1]))
-        self.max_folds = int(max_folds)
+        self.sigma: float = float(sigma)
+        self.grid: tuple[int, int] = (int(grid[0]), int(grid[1]))
+        self.max_folds: int = int(max_folds)
         self._handles = handles
         self._options = plan
         self._plans: OrderedDict[tuple[int, int], Plan] = OrderedDict()
