@@ -1,5 +1,7 @@
 //! One pose, and everything that follows from it.
 
+use std::time::Instant;
+
 use bytes::Bytes;
 use mlswarp::PosedWarp;
 use mlswarp::pixmap::Extent;
@@ -76,6 +78,7 @@ impl Pose {
         };
         let (posed, output) = (self.posed.clone(), output.to_vec());
         run(py, move |cancel| {
+            let begun = Instant::now();
             let output = read_output(&output)?;
             let image = image()?;
             let mut posed = posed.cancelled_by(cancel);
@@ -83,7 +86,7 @@ impl Pose {
                 posed = posed.within(&region()?)?;
             }
             let rendering = posed.render(&image)?.with(|spec| *spec = output);
-            Ok(Values::of_pixels(rendering.pixels()?))
+            Ok(Values::of_pixels(rendering.pixels()?).since(begun))
         })
     }
 

@@ -1,6 +1,8 @@
 //! Numbers from NumPy's buffers and into them. They are copied while Python's lock is held: no
 //! thread of Python changes them meanwhile, and nothing here is unsafe.
 
+use std::time::{Duration, Instant};
+
 use mlswarp::pixmap::{PixelFormat, Pixels, Samples};
 use mlswarp::warp::LabelValues;
 use mlswarp::{Image, LabelImage};
@@ -24,6 +26,7 @@ enum Numbers {
 pub(crate) struct Values {
     shape: Vec<usize>,
     numbers: Numbers,
+    work: Duration,
 }
 
 #[pymethods]
@@ -45,6 +48,12 @@ impl Values {
         }
     }
 
+    /// Seconds of the work in the engine, of an image: what Python adds is the rest.
+    #[getter]
+    const fn seconds(&self) -> f64 {
+        self.work.as_secs_f64()
+    }
+
     /// Fills a buffer of this shape and type, whose rows have no gaps.
     fn copy_to(&self, py: Python<'_>, out: &Bound<'_, PyAny>) -> PyResult<()> {
         fn copy<T: Element>(py: Python<'_>, from: &[T], out: &Bound<'_, PyAny>) -> PyResult<()> {
@@ -61,6 +70,22 @@ impl Values {
 }
 
 impl Values {
+    fn new(shape: Vec<usize>, numbers: Numbers) -> Self {
+        Self {
+            shape,
+            numbers,
+            work: Duration::ZERO,
+        }
+    }
+
+    /// The same, whose work began at this time.
+    pub(crate) fn since(self, begun: Instant) -> Self {
+        Self {
+            work: begun.elapsed(),
+            ..self
+        }
+    }
+
     /// `[height][width][samples]`.
     pub(crate) fn of_pixels(pixels: Pixels) -> Self {
         let (extent, format) = (pixels.extent(), pixels.format());
@@ -69,10 +94,7 @@ impl Values {
             Samples::Eight(samples) => Numbers::Bytes(samples),
             Samples::Sixteen(samples) => Numbers::Words(samples),
         };
-        Self {
-            shape: vec![sides[0], sides[1], format.samples()],
-            numbers,
-        }
+        Self::new(vec![sides[0], sides[1], format.samples()], numbers)
     }
 
     /// `[height][width]`.
@@ -82,30 +104,23 @@ impl Values {
             LabelValues::Sixteen(labels) => Numbers::Words(labels),
             LabelValues::ThirtyTwo(labels) => Numbers::Integers(labels),
         };
-        Self {
-            shape: vec![height, width],
-            numbers,
-        }
+        Self::new(vec![height, width], numbers)
     }
 
     /// `[...][2]`.
     pub(crate) fn of_singles(shape: &[usize], pairs: &[[f32; 2]]) -> Self {
-        Self {
-            shape: [shape, &[2]].concat(),
-            numbers: Numbers::Singles(pairs.as_flattened().to_vec()),
-        }
+        let numbers = Numbers::Singles(pairs.as_flattened().to_vec());
+        Self::new([shape, &[2]].concat(), numbers)
     }
 
     /// `[n][2]`.
     pub(crate) fn of_doubles(pairs: &[[f64; 2]]) -> Self {
-        Self {
-            shape: vec![pairs.len(), 2],
-            numbers: Numbers::Doubles(pairs.as_flattened().to_vec()),
-        }
+        let numbers = Numbers::Doubles(pairs.as_flattened().to_vec());
+        Self::new(vec![pairs.len(), 2], numbers)
     }
 }
 
-/// `[height][width][samples]` of `uint8` or `uint16`: the size of the image that a buffer shows.
+/// Height, width, and samples of a pixel.
 type Shape = (u32, u32, usize);
 
 /// The image in a buffer.
