@@ -8,7 +8,7 @@ mod malloc_trim;
 
 use std::process::ExitCode;
 
-use mlswarp_server::cli::{batch, fit, health, map, points, report, warp};
+use mlswarp_server::cli::{batch, blend, fit, health, map, points, report, warp};
 use mlswarp_server::config::{Cli, Command, unknown_variables};
 use mlswarp_server::http::connection;
 use mlswarp_server::observe;
@@ -44,6 +44,9 @@ fn main() -> ExitCode {
             .map_err(|e| e.to_string())
             .map(print),
         Command::Batch(args) => batch::run(&config, &args)
+            .map_err(|e| e.to_string())
+            .map(print),
+        Command::Blend(args) => blend::run(&config, &args)
             .map_err(|e| e.to_string())
             .map(print),
         Command::Map(args) => map::run(&config, &args)

@@ -193,6 +193,18 @@ fn help_of_a_subcommand_shows_what_has_an_effect_on_it_and_the_rest_is_rejected(
         .concat()
     );
     assert_eq!(
+        shown("blend"),
+        [
+            &["landmarks", "colour", "shape", "space", "steps"][..],
+            &["align", "alpha", "method"],
+            &frame,
+            &files,
+            &limits,
+            &["workers", "memory-bytes"]
+        ]
+        .concat()
+    );
+    assert_eq!(
         shown("health"),
         ["listen", "tls-cert", "tls-key", "metrics-listen"]
     );

@@ -58,6 +58,7 @@ mod module_dependencies;
 #[path = "../fuzz/mutation.rs"]
 mod mutation;
 mod offline;
+mod offline_blend;
 mod offline_folders;
 mod offline_landmarks;
 mod offline_options;

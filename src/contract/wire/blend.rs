@@ -12,7 +12,7 @@ use super::enum_name::{Matching, enum_name};
 use super::fields::{BlendFields, WarpFields};
 use super::handles::handles;
 use super::json::{Kind, Node, optional};
-use super::landmarks::Landmarks;
+use super::landmarks::{Item, Landmarks};
 use super::number::{count, number_in};
 use super::{AsJson, WarpPatch, fields, json};
 use crate::problem::{Code, Problem};
@@ -72,6 +72,8 @@ pub struct BlendEntry {
     pub pairs: Option<Vec<usize>>,
     /// Its landmarks, if they are not in a file or in the session.
     pub p: Option<Vec<Handle>>,
+    /// Which item of the landmark file they are, where it has several.
+    pub item: Option<Item>,
 }
 
 /// Where an image of a blend is.
@@ -279,7 +281,7 @@ impl BlendObject {
 
 impl BlendEntry {
     fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [image, session, shape, colour, mirror, pairs, p] =
+        let [image, session, shape, colour, mirror, pairs, p, item] =
             node.fields(&fields::BLEND_IMAGE)?;
         let source = match (image, session) {
             (Some(image), None) => BlendSource::Part(count(&image, 0, PART)? as usize),
@@ -305,6 +307,7 @@ impl BlendEntry {
             is_mirrored,
             pairs: optional(pairs, |node| node.list(PAIRS, NUMBER_TEXT, index))?,
             p: optional(p, handles)?,
+            item: optional(item, Item::read)?,
         })
     }
 

@@ -236,8 +236,8 @@ object_fields! {
     }
 }
 /// The fields of an image of a blend.
-pub const BLEND_IMAGE: [&str; 7] = [
-    "image", "session", "shape", "colour", "mirror", "pairs", "p",
+pub const BLEND_IMAGE: [&str; 8] = [
+    "image", "session", "shape", "colour", "mirror", "pairs", "p", "item",
 ];
 
 /// The fields of a candidate.

@@ -34,6 +34,20 @@ pub struct Image {
     pub(super) grey: bool,
 }
 
+/// What a file has beside pixels: its metadata, where there are files.
+#[derive(Clone, Debug)]
+pub(super) struct Inherited(#[cfg(feature = "codec")] Arc<Metadata>);
+
+impl Inherited {
+    #[cfg(feature = "codec")]
+    fn put(self, image: &mut Image) {
+        image.metadata = self.0;
+    }
+
+    #[cfg(not(feature = "codec"))]
+    const fn put(self, _: &mut Image) {}
+}
+
 /// Reads and names files.
 #[cfg(feature = "codec")]
 impl Image {
@@ -107,24 +121,24 @@ impl Image {
         }
     }
 
-    /// A picture that was made of others, with the metadata of one of them.
-    #[cfg(feature = "codec")]
+    /// A picture that was made of others, with what it has of the file of one of them.
     pub(super) fn of_parts(
         digest: Digest,
         pixmap: Pixmap,
-        metadata: Arc<Metadata>,
+        inherited: Inherited,
         grey: bool,
     ) -> Self {
-        Self {
-            metadata,
-            ..Self::new(OnceLock::from(digest), pixmap, grey)
-        }
+        let mut image = Self::new(OnceLock::from(digest), pixmap, grey);
+        inherited.put(&mut image);
+        image
     }
 
-    /// The metadata of the file.
-    #[cfg(feature = "codec")]
-    pub(super) const fn metadata(&self) -> &Arc<Metadata> {
-        &self.metadata
+    /// What pictures that are made of this one have of its file.
+    pub(super) fn inherited(&self) -> Inherited {
+        Inherited(
+            #[cfg(feature = "codec")]
+            Arc::clone(&self.metadata),
+        )
     }
 
     /// A picture that no file has. `name`: of its digest.

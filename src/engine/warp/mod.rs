@@ -9,7 +9,6 @@
 
 mod alignment;
 mod batch;
-#[cfg(feature = "codec")]
 pub mod blend;
 mod chacha;
 mod coefficient_request;

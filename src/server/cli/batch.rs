@@ -1,15 +1,13 @@
 //! `mlswarp batch IMAGE WARP.json [BATCH.json] -o OUT`: a session and `POST /sessions/{id}/batch`
 //! without a server.
 
-use std::io::{self, Cursor, IsTerminal as _, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
-use mlswarp::codec::Format;
-use serde_json::{Value, json};
-use zip::read::read_zipfile_from_stream;
+use serde_json::json;
 
 use super::failure::{Failure, name_of};
+use super::frames::{Out, ProgressBar, format_of, number_of, with_summary};
 use super::input::{Limit, is_stdio};
 use super::options::require_quality_of_jpeg;
 use super::service::{Service, summary};
@@ -22,28 +20,7 @@ use crate::config::{BatchArgs, Config};
 use crate::layer::{LayerKind, LayerName};
 use crate::problem::words::quote;
 use crate::problem::{Code, Problem};
-use crate::wire::{EnumName as _, Merged, NamedObject, split_batch};
-
-/// Characters of the progress bar.
-const BAR_CHARACTERS: usize = 40;
-
-/// What is written.
-#[derive(Clone, Copy, PartialEq)]
-enum Out {
-    File(BatchForm),
-    /// The files of the archive.
-    Directory,
-}
-
-impl Out {
-    /// What the use case makes; the files of a directory come in an archive.
-    fn form(self) -> BatchForm {
-        match self {
-            Self::File(form) => form,
-            Self::Directory => BatchForm::Zip,
-        }
-    }
-}
+use crate::wire::{Merged, NamedObject, split_batch};
 
 /// Draws a batch. The result: the number of frames, and what a server sends in response headers.
 /// Errors: See [`Failure`].
@@ -130,29 +107,14 @@ pub fn run(config: &Config, args: &BatchArgs) -> Result<Option<String>, Failure>
         }
     })?;
     let (frames, warnings) = (made.frames, [shown.warnings(), &made.warnings].concat());
-    let progress = ProgressBar {
-        frames,
-        is_shown: !quiet && io::stderr().is_terminal(),
-    };
-    match kind {
-        Out::File(_) => output::write(out, |sink| {
-            each(&service, made, &progress, |bytes| sink.put(&bytes))
-        })?,
-        Out::Directory => {
-            output::create_directory(out)?;
-            each(&service, made, &progress, |bytes| {
-                extract(out, &bytes, &read)
-            })?;
-        }
-    }
-    Ok(Some(number_of(frames, summary(method, &warnings))))
-}
-
-/// The number of frames, and what else is to be said.
-fn number_of(frames: u32, more: Option<String>) -> String {
-    let what = if frames == 1 { "frame" } else { "frames" };
-    let more = more.map_or_else(String::new, |more| format!(", {more}"));
-    format!("{frames} {what}{more}")
+    let progress = ProgressBar::new(frames, *quiet);
+    let Batch {
+        first, mut rest, ..
+    } = made;
+    let next = || service.next(rest.next());
+    kind.write(out, (first, next), &progress, &read)?;
+    let frames = number_of(frames as usize, "frame");
+    Ok(Some(with_summary(frames, summary(method, &warnings))))
 }
 
 /// Errors: Neither a number of in-betweens, nor frames, nor a jitter.
@@ -219,32 +181,6 @@ fn sources(config: &Config, args: &BatchArgs) -> Result<Vec<NamedObject>, Failur
     sources.extend(frame.sources()?);
     sources.extend(file.sources());
     Ok(sources)
-}
-
-/// The format of the pictures, and how they become JPEG. A wrong name is left to its parser.
-fn format_of(kind: Out, merged: &Merged) -> (Format, &'static str) {
-    let output: Value = merged
-        .value("output")
-        .and_then(|text| serde_json::from_str(text).ok())
-        .unwrap_or_default();
-    let of_name = |name| {
-        Format::ALL
-            .into_iter()
-            .find(|format| format.as_str() == name)
-            .unwrap_or(Format::Jpeg)
-    };
-    let named = output["format"].as_str().map_or(Format::Png, of_name);
-    match kind {
-        Out::File(BatchForm::Gif) => (
-            Format::Gif,
-            "leave it out, or give a .zip or a folder and --format jpeg",
-        ),
-        Out::File(BatchForm::Apng) => (
-            Format::Png,
-            "leave it out, or give a .zip or a folder and --format jpeg",
-        ),
-        Out::File(BatchForm::Zip) | Out::Directory => (named, "give --format jpeg"),
-    }
 }
 
 /// The layers that are drawn, and the field `layers` if the JSON does not have it: those of the
@@ -362,46 +298,6 @@ impl LayerOption {
     }
 }
 
-/// Hands over the bytes of the file, frame by frame.
-fn each(
-    service: &Service,
-    made: Batch,
-    progress: &ProgressBar,
-    mut take: impl FnMut(Bytes) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let Batch {
-        first, mut rest, ..
-    } = made;
-    let (mut done, mut next) = (0, Some(first));
-    while let Some(bytes) = next {
-        take(bytes)?;
-        done += 1;
-        progress.show(done);
-        next = service.next(rest.next())?;
-    }
-    Ok(())
-}
-
-/// Writes the files in a part of an archive, which has whole entries.
-fn extract(directory: &Path, part: &[u8], inputs: &[PathBuf]) -> Result<(), Failure> {
-    let broken = |e: &dyn std::fmt::Display| Failure::Local(format!("cannot read the batch: {e}"));
-    let mut part = Cursor::new(part);
-    while part.position() < part.get_ref().len() as u64 {
-        let Some(mut entry) = read_zipfile_from_stream(&mut part).map_err(|e| broken(&e))? else {
-            return Ok(());
-        };
-        let (name, mut bytes) = (
-            entry.name().map_err(|e| broken(&e))?.into_owned(),
-            Vec::new(),
-        );
-        entry.read_to_end(&mut bytes).map_err(|e| broken(&e))?;
-        let file = directory.join(name);
-        output::require_other(&file, inputs)?;
-        output::replace(&file, |sink| sink.put(&bytes))?;
-    }
-    Ok(())
-}
-
 fn kind_of(out: &Path) -> Result<Out, Problem> {
     let is_directory = output::is_directory(out);
     // A device or a pipe has no extension.
@@ -418,36 +314,4 @@ fn kind_of(out: &Path) -> Result<Out, Problem> {
         ("gif", BatchForm::Gif),
     ];
     Ok(output::by_extension(out, &known, ", or a folder")?.map_or(Out::Directory, Out::File))
-}
-
-/// A bar on the terminal.
-struct ProgressBar {
-    frames: u32,
-    is_shown: bool,
-}
-
-impl ProgressBar {
-    /// The last part of the file is not a frame.
-    fn show(&self, done: u32) {
-        let done = done.min(self.frames);
-        if self.is_shown {
-            let full = BAR_CHARACTERS * done as usize / self.frames.max(1) as usize;
-            let _ = write!(
-                io::stderr(),
-                "\r[{}{}] {done} of {} frames",
-                "=".repeat(full),
-                " ".repeat(BAR_CHARACTERS - full),
-                self.frames
-            );
-        }
-    }
-}
-
-impl Drop for ProgressBar {
-    fn drop(&mut self) {
-        if self.is_shown {
-            // Erases the line.
-            let _ = write!(io::stderr(), "\r\x1b[K");
-        }
-    }
 }

@@ -1,8 +1,10 @@
 //! The subcommands beside the server.
 
 pub mod batch;
+pub mod blend;
 mod failure;
 pub mod fit;
+mod frames;
 pub mod health;
 mod images;
 mod input;

@@ -5,7 +5,7 @@ use mlswarp::codec::Format;
 use serde_json::{Value, json};
 
 use super::failure::Failure;
-use crate::config::{FileOptions, FrameOptions, FramesOptions, PoseOptions};
+use crate::config::{BlendArgs, FileOptions, FrameOptions, FramesOptions, PoseOptions};
 use crate::problem::{Code, Problem};
 use crate::wire::{AsJson, NamedObject, canvas_from_text};
 
@@ -69,6 +69,20 @@ impl PoseOptions {
             source("--alpha", "alpha", number(alpha.as_ref())),
             source("--strength", "strength", number(strength.as_ref())),
             self::align(align.as_ref()),
+        ];
+        sources.into_iter().flatten().collect()
+    }
+}
+
+impl BlendArgs {
+    /// The options that are fields of the blend object.
+    pub(super) fn sources(&self) -> Vec<NamedObject> {
+        let sources = [
+            source("--steps", "steps", number(self.steps.as_ref())),
+            source("--space", "space", name(self.space.as_ref())),
+            source("--method", "method", name(self.method.as_ref())),
+            source("--alpha", "alpha", number(self.alpha.as_ref())),
+            align(self.align.as_ref()),
         ];
         sources.into_iter().flatten().collect()
     }

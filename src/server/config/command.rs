@@ -19,6 +19,9 @@ pub enum Command {
     /// Draw many frames of one image without a server: an animation, or an archive as POST
     /// /sessions/{id}/batch sends it.
     Batch(BatchArgs),
+    /// Average, morph or exaggerate several images without a server, into files with the same bytes
+    /// as the responses of POST /blend.
+    Blend(BlendArgs),
     /// Measure a pose without a server (residuals, folds, distortion, tolerance): the JSON of POST
     /// /report.
     Report(ReportArgs),
@@ -95,6 +98,12 @@ fn methods() -> String {
     let names: Vec<&str> = METHODS.iter().map(|info| info.name).collect();
     let names = names.join(", ").replacen(',', " (default),", 1);
     format!("{names}, or auto (the one that fits best)")
+}
+
+/// Those that do not depend on where handles go.
+fn blend_methods() -> String {
+    let names: Vec<&str> = METHODS.iter().map(|info| info.name).collect();
+    names.join(", ").replacen(',', " (default),", 1)
 }
 
 /// What a picture shows; fields of the same names in `output`.
@@ -382,6 +391,67 @@ pub struct BatchArgs {
     /// Animation (.gif, .png or .apng), or archive (.zip) of pictures, annotations and frames.json;
     /// or a folder for the files of the archive, which is created; `-` writes the archive to
     /// standard output.
+    #[arg(short, long, value_name = "PATH", display_order = 8)]
+    pub out: PathBuf,
+}
+
+/// The arguments of `mlswarp blend`.
+#[derive(Args, Clone, Debug)]
+pub struct BlendArgs {
+    /// Images, folders of images, and the blend object, as POST /blend takes it: that is the file
+    /// whose name ends in .json or whose content begins with `{`. Without `images` in it, all images
+    /// are blended, in their order. `-` reads standard input.
+    #[arg(required = true, value_name = "IMAGE|BLEND.json")]
+    pub files: Vec<PathBuf>,
+    /// Landmark files, one for each image: files of the same names, or in the same order; a folder
+    /// of them; or one file with an item for each image. Default: the files beside the images.
+    #[arg(long, value_name = "PATH", num_args = 1.., display_order = 1)]
+    pub landmarks: Vec<PathBuf>,
+    /// Share of each image in the shape, such as 1.5,-0.5; together 1. Of two images, one number is
+    /// that of the second. Default: equal shares.
+    #[arg(
+        long,
+        value_name = "N,N...",
+        allow_hyphen_values = true,
+        display_order = 4
+    )]
+    pub shape: Option<String>,
+    /// Share of each image in the colours, likewise.
+    #[arg(
+        long,
+        value_name = "N,N...",
+        allow_hyphen_values = true,
+        display_order = 4
+    )]
+    pub colour: Option<String>,
+    /// Number of frames from the first of two images to the second, both included.
+    #[arg(long, value_name = "N", allow_hyphen_values = true, display_order = 4)]
+    pub steps: Option<String>,
+    /// What is added: srgb (default; samples as files have them) or linear (light).
+    #[arg(long, value_name = "NAME", display_order = 4)]
+    pub space: Option<String>,
+    /// The method.
+    #[arg(long, value_name = "NAME", display_order = 5, help = blend_methods())]
+    pub method: Option<String>,
+    /// How quickly the influence of a handle falls off with distance, up to 8.
+    #[arg(long, value_name = "N", allow_hyphen_values = true, display_order = 5)]
+    pub alpha: Option<String>,
+    /// The maps that bring each shape to the frame of the first: none, rigid, similarity (default)
+    /// or affine.
+    #[arg(long, value_name = "CLASS", display_order = 5)]
+    pub align: Option<String>,
+    /// The part of the result.
+    #[command(flatten)]
+    pub frame: FrameOptions,
+    /// The pictures.
+    #[command(flatten)]
+    pub file: FileOptions,
+    /// Show no progress on a terminal.
+    #[arg(short = 'Q', long, display_order = 8)]
+    pub quiet: bool,
+    /// Output file (.png, .jpg, .webp, .tif); for several frames an animation (.gif, .png or .apng);
+    /// archive (.zip) of pictures, landmarks and report.json, or a folder for the files of the
+    /// archive, which is created; `-` for standard output.
     #[arg(short, long, value_name = "PATH", display_order = 8)]
     pub out: PathBuf,
 }

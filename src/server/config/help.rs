@@ -59,6 +59,15 @@ const BATCH: &str = r#"Examples:
   echo '{"jitter": {"seed": 7, "count": 100, "sigma": 3}, "points": [[240, 250]]}' > jitter.json
   mlswarp batch cat.png jitter.json --layer mask=cat-labels.png:labels -o cats.zip"#;
 
+const BLEND: &str = r#"Examples:
+  mlswarp blend average/*.png -o average.png          # landmarks beside: a.pts of a.png
+  mlswarp blend in/*.jpg --landmarks specimens.tps -o mean.png   # items named by their images
+  mlswarp blend a.png b.png --steps 7 -o continuum/   # or morph.gif
+  mlswarp blend a.png b.png --shape 0.4 --colour 0 -o shape-only.png
+  mlswarp blend face.png average.png --shape 1.5,-0.5 --colour 1,0 -o caricature.png
+  echo '{"images": [{"image": 0}, {"image": 0, "mirror": true}]}' > symmetric.json
+  mlswarp blend face.png symmetric.json -o symmetric.png"#;
+
 const HEALTH_CHECK: &str = "Examples:
   mlswarp health                                  # the server at 127.0.0.1:8080
   mlswarp health --listen 127.0.0.1:9000 || systemctl restart mlswarp
@@ -130,7 +139,7 @@ struct Subcommand {
     has_limits: bool,
 }
 
-const SUBCOMMANDS: [Subcommand; 7] = [
+const SUBCOMMANDS: [Subcommand; 8] = [
     Subcommand {
         name: "warp",
         examples: WARP,
@@ -152,6 +161,12 @@ const SUBCOMMANDS: [Subcommand; 7] = [
     Subcommand {
         name: "batch",
         examples: BATCH,
+        effective: &SERVICE,
+        has_limits: true,
+    },
+    Subcommand {
+        name: "blend",
+        examples: BLEND,
         effective: &SERVICE,
         has_limits: true,
     },

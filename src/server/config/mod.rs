@@ -25,7 +25,7 @@ pub use auth::AuthConfig;
 pub(crate) use auth::{KeysConfig, SecretsConfig};
 pub use clients::{ClientLimits, ClientShare, Timeouts};
 pub use command::{
-    BatchArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions,
+    BatchArgs, BlendArgs, Command, ExtentInput, FileOptions, FitArgs, FrameOptions, FramesOptions,
     LandmarkInput, MapArgs, PointsArgs, PoseOptions, ReportArgs, WarpArgs, WarpInput, WarpKind,
 };
 pub use help::command;

@@ -2,14 +2,13 @@
 //! sum is rounded once.
 
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::parallel::prelude::*;
 
 use super::super::digest::Collector;
+use super::super::image::Inherited;
 use super::super::{Image, OutputSpec, PosedMesh, RasterSource, Target, WarpError};
-use crate::codec::Metadata;
 use crate::deform::IsCancelled;
 use crate::geometry::lane_math::pow;
 use crate::pixmap::{Channels, Depth, Extent, Pixmap, Samples};
@@ -53,8 +52,8 @@ pub struct ImageSum {
     is_grey: bool,
     has_alpha: bool,
     digest: Collector,
-    /// That of the first image.
-    metadata: Option<Arc<Metadata>>,
+    /// From the first image.
+    inherited: Option<Inherited>,
 }
 
 /// The target image, and what was lost by rounding it.
@@ -103,7 +102,7 @@ impl ImageSum {
             is_grey: true,
             has_alpha: false,
             digest,
-            metadata: None,
+            inherited: None,
         }
     }
 
@@ -122,8 +121,7 @@ impl ImageSum {
         output: &OutputSpec,
         cancelled: IsCancelled<'_>,
     ) -> Result<(), WarpError> {
-        self.metadata
-            .get_or_insert_with(|| Arc::clone(image.metadata()));
+        self.inherited.get_or_insert_with(|| image.inherited());
         let drawn = format!("{:?} {:?}", output.filter, output.outside);
         self.digest = std::mem::take(&mut self.digest)
             .bytes(&image.digest().0)
@@ -201,7 +199,7 @@ impl ImageSum {
     /// # Errors
     /// Cancelled.
     pub fn finish(self, cancelled: IsCancelled<'_>) -> Result<Option<BlendedImage>, WarpError> {
-        let Some(metadata) = self.metadata.clone() else {
+        let Some(inherited) = self.inherited.clone() else {
             return Ok(None);
         };
         let clamped = AtomicU64::new(0);
@@ -239,7 +237,7 @@ impl ImageSum {
             Depth::Sixteen => Samples::Sixteen(samples),
         };
         let pixmap = Pixmap::new(self.target.extent, channels, samples);
-        let image = Image::of_parts(self.digest.finish(), pixmap, metadata, self.is_grey);
+        let image = Image::of_parts(self.digest.finish(), pixmap, inherited, self.is_grey);
         Ok(Some(BlendedImage {
             image,
             clamped: clamped.into_inner(),

@@ -101,6 +101,7 @@ pub(crate) struct BlendStream {
     /// `None` after the end.
     package: Option<Package>,
     reports: Vec<BlendReport>,
+    warnings: Vec<Warning>,
 }
 
 /// Reads a blend and makes its first frame. `form`: a file of several parts, if the client wants
@@ -139,6 +140,7 @@ pub(crate) async fn once(
         form,
         done: 0,
         reports: Vec::new(),
+        warnings: Vec::new(),
     });
     let first = stream
         .next()
@@ -351,6 +353,11 @@ impl BlendStream {
         self.job.object.frames
     }
 
+    /// The warnings of the frames that were made.
+    pub(crate) fn warnings(&self) -> &[Warning] {
+        &self.warnings
+    }
+
     /// The next bytes; `None` at the end, also after an error.
     pub(crate) async fn next(&mut self) -> Option<Result<Bytes, Problem>> {
         let mut package = self.package.take()?;
@@ -372,7 +379,7 @@ impl BlendStream {
             image,
             landmarks,
             mut report,
-            ..
+            warnings,
         } = self.job.frame(self.done).await?;
         let (picture, of_landmarks) = if self.frames() == 1 {
             ("image".to_owned(), "landmarks.json".to_owned())
@@ -385,6 +392,8 @@ impl BlendStream {
         report.picture = format!("{picture}.{}", self.job.format.extension());
         let name = report.picture.clone();
         self.reports.push(report);
+        let warnings = self.warnings.drain(..).chain(warnings).collect();
+        self.warnings = Warning::in_order(warnings);
         let (file, json) = self.job.files(image, landmarks).await?;
         let packed = self.form.pack(vec![(name, file), (of_landmarks, json)])?;
         package.push(packed).map(Bytes::from)

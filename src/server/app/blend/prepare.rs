@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use bytes::Bytes;
 use mlswarp::codec::{self, StepCounter};
 use mlswarp::deform::Handle;
 use mlswarp::format::Format;
@@ -26,7 +25,7 @@ use crate::wire::blend::{
     BlendObject, BlendSource, NamedShape, common_handles, match_shapes, mirror_pairs, shape_problem,
 };
 use crate::wire::formats::Formats;
-use crate::wire::landmarks::LandmarkFiles;
+use crate::wire::landmarks::{Choice, LandmarkFiles};
 
 /// Operations for a pixel of an image that is added: its samples, its curve and four sums.
 const OPERATIONS_PER_PIXEL: u64 = 30;
@@ -167,6 +166,10 @@ fn read_images(
             BlendSource::Part(number) => upload.landmarks.get(number),
             BlendSource::Session(_) => None,
         };
+        if entry.item.is_some() && file.is_none() {
+            let detail = "`item` belongs to a landmark file, which this image does not have";
+            return Err(Problem::new(Code::BadValue, detail).pointer(at("/item")));
+        }
         let shape = match (&entry.p, file, &of_session) {
             (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => NamedShape {
                 p: p.clone(),
@@ -176,8 +179,18 @@ fn read_images(
                 let detail = "this image has landmarks in `p` and in a file: send one of them";
                 return Err(Problem::new(Code::BadValue, detail).pointer(at("/p")));
             }
-            (None, Some(file), _) => read_shape(app, client, file, extent, cancel)
-                .map_err(|problem| in_image(index, problem))?,
+            (None, Some(file), _) => {
+                let files = LandmarkFiles {
+                    both: Some(file.clone()),
+                    choice: Choice {
+                        item: entry.item.clone(),
+                        ..Choice::default()
+                    },
+                    ..LandmarkFiles::default()
+                };
+                read_shape(app, client, &files, extent, cancel)
+                    .map_err(|problem| in_image(index, problem))?
+            }
             _ => {
                 let detail = "this image has no landmarks: send one part `landmarks` for each part \
                     `image`, or `p` here; a session needs handles";
@@ -198,18 +211,14 @@ fn read_images(
 fn read_shape(
     app: &App,
     client: Client,
-    file: &Bytes,
+    files: &LandmarkFiles,
     extent: Extent,
     cancel: &Cancel,
 ) -> Result<NamedShape, Problem> {
-    let files = LandmarkFiles {
-        both: Some(file.clone()),
-        ..LandmarkFiles::default()
-    };
     let reserve = app.admission.reserving(MemoryClass::Upload, client);
     let columns = app.plans.limits.columns;
     let is_cancelled = || cancel.is_cancelled();
-    let landmarks = Reserved::of_files(&files, columns, &is_cancelled, reserve)?;
+    let landmarks = Reserved::of_files(files, columns, &is_cancelled, reserve)?;
     NamedShape::of_file(landmarks.into_parts().0, extent)
 }
 
