@@ -234,6 +234,18 @@ export async function deleteRegion(id) {
 /** @type {(id: string, signal: AbortSignal) => Promise<Blob>} */
 export const readRegion = async (id, signal) => blobOf(await ask("GET", region(id), { signal }));
 
+/** A session that is not needed any more; without it, the server forgets it later.
+ * @type {(id: string) => Promise<unknown>}
+ */
+export const deleteSession = (id) => ask("DELETE", session(id)).catch(() => null);
+
+/**
+ * Several images in one, or a file of several.
+ * @type {(body: object, accept: string) => Promise<Blob>}
+ */
+export const blend = async (body, accept) =>
+  blobOf(await ask("POST", "blend", { json: body, accept }));
+
 /**
  * Many poses in one file, as a response that is read with `stream`.
  * @type {(id: string, body: object, accept: string, signal: AbortSignal) => Promise<Response>}
@@ -271,7 +283,7 @@ export const points = async (id, body, signal) =>
   jsonOf(await ask("POST", `${session(id)}/points`, { json: body, signal }));
 
 /**
- * The handles in a landmark file: { p, q (if the file has both sides), units }.
+ * The handles in a landmark file: { p, q (if the file has both sides), names (if it has any), units }.
  * @type {(file: Blob) => Promise<Page.Landmarks>}
  */
 export const readLandmarks = async (file) => jsonOf(await ask("POST", "landmarks", { file }));

@@ -19,6 +19,9 @@ export const ANNOTATIONS = "application/geo+json,.geojson";
 /** @type {(a: File, b: File) => number} */
 const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
 
+/** @type {(file: File) => boolean} */
+const isPicture = (file) => file.type.startsWith("image/") || PICTURE.test(file.name);
+
 /**
  * The JSON value of a file; undefined if it is none or too large.
  * @param {File} file
@@ -42,7 +45,7 @@ async function valueOf(file, most) {
  * @returns {Promise<FileKind>}
  */
 async function kindOf(file, most) {
-  if (file.type.startsWith("image/") || PICTURE.test(file.name)) return "picture";
+  if (isPicture(file)) return "picture";
   if (!MEDIA.test(file.type) && !TEXT.test(file.name)) return "other";
   const value =
     /json/.test(file.type) || /json$/i.test(file.name) ? await valueOf(file, most) : undefined;
@@ -51,6 +54,22 @@ async function kindOf(file, most) {
     return "project";
   if (isAnnotations(value) || /\.geojson$/i.test(file.name)) return "annotations";
   return value?.p && value.q ? "handles" : "landmarks";
+}
+
+/**
+ * Pictures, landmark files and others, in the order of their names, by names and media types alone.
+ * @param {Iterable<File>} list
+ */
+export function paired(list) {
+  /** @type {{ pictures: File[], landmarks: File[], others: File[] }} */
+  const found = { pictures: [], landmarks: [], others: [] };
+  for (const file of [...list].toSorted(byName)) {
+    const isText = MEDIA.test(file.type) || TEXT.test(file.name);
+    if (isPicture(file)) found.pictures.push(file);
+    else if (isText && !/\.geojson$/i.test(file.name)) found.landmarks.push(file);
+    else found.others.push(file);
+  }
+  return found;
 }
 
 /**

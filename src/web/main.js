@@ -6,6 +6,7 @@ import { hasKey, isRemembered, looksLikeKey, tokenSession, useKey } from "./acce
 import { alignOf } from "./align.js";
 import { Actions } from "./actions.js";
 import { Player } from "./player.js";
+import { BlendDialog } from "./blend.js";
 import { CanvasRuler, canvasOf } from "./canvas.js";
 import { find, findAll, known, listen, named, part } from "./dom.js";
 import { filterOf, outsideOf, takesLinesOnly, takesPinsOnly } from "./edits.js";
@@ -76,6 +77,7 @@ const opener = new Opener(
   toast,
 );
 const exporting = new ExportDialog(store, sync, limits, toast);
+const blending = new BlendDialog(limits, () => observe());
 const loupe = new Loupe(find("loupe"), view, () => find("loupe-wanted").checked);
 const region = new RegionTool(store, view, actions);
 const pointer = new Pointer(stage, store, view, handles, actions, loupe, region);
@@ -212,6 +214,7 @@ function observe() {
     live: sync.live.way,
     plan: sync.lattice ? `${sync.lattice.columns},${sync.lattice.rows}` : "",
     behind: sync.behind,
+    blend: blending.condition,
     webgl: view.webgl,
     handles: state.document.handles.length,
     selected: state.selection.length,
@@ -287,8 +290,19 @@ store.subscribe(({ phase }, { phase: before }) => {
 
 // Files
 
+/**
+ * Opens files, for a blend or as a picture.
+ *
+ * @param {FileList | null | undefined} list
+ */
+function take(list) {
+  // The list of a field is emptied with it.
+  const files = [...(list ?? [])];
+  if (blending.takes(files)) blending.add(files);
+  else opener.files(files);
+}
 listen("file", "change", (input) => {
-  opener.files(input.files ?? []);
+  take(input.files);
   input.value = "";
 });
 for (const button of findAll("[data-sample]"))
@@ -314,11 +328,11 @@ addEventListener("drop", (event) => {
   event.preventDefault();
   inside = 0;
   find("over").hidden = true;
-  opener.files(event.dataTransfer?.files ?? []);
+  take(event.dataTransfer?.files);
 });
 addEventListener(
   "paste",
-  (event) => event.clipboardData?.files.length && opener.files(event.clipboardData.files),
+  (event) => event.clipboardData?.files.length && take(event.clipboardData.files),
 );
 
 // Export

@@ -7,7 +7,7 @@ import { warpOf, wire } from "./edits.js";
 import { maskFile, maskPart, regionOf } from "./region.js";
 
 /** @type {(name: string) => string} */
-const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
+export const stem = (name) => name.replace(/\.[^.]*$/, "") || "picture";
 /** @type {(name: string, format?: string) => string} */
 export const pictureName = (name, format = "png") =>
   `${stem(name)}-warped.${format === "jpeg" ? "jpg" : format}`;
@@ -174,6 +174,21 @@ export function curlLine(sync, { picture: open, document: bent }, output = {}) {
   if (picture.sample)
     return `curl -sS ${addressOf(picture.sample)} | ${form(`-;filename=${picture.name}`)}`;
   return form(formFile(picture.name));
+}
+
+/**
+ * A curl command for a blend of files. `name`: that of the result.
+ * @type {(files: { image: string, landmarks: string }[], blend: object, name: string, media:
+ * string) => string}
+ */
+export function blendLine(files, blend, name, media) {
+  /** @type {(part: string, file: string) => string} */
+  const form = (part, file) => `-F ${quoted(`${part}=@${formFile(file)}`)}`;
+  const parts = files.map(
+    ({ image, landmarks }) => `${form("image", image)} ${form("landmarks", landmarks)}`,
+  );
+  const json = quoted(JSON.stringify(blend));
+  return `curl -sS ${addressOf("blend")} -o ${quoted(name)}${keyHeader()} -H 'Accept: ${media}' ${parts.join(" ")} --form-string blend=${json}`;
 }
 
 /** @type {(text: string) => string} */

@@ -262,7 +262,7 @@ declare namespace Page {
     align?: AlignClass;
   };
   /** The handles of landmark files. */
-  type Landmarks = { p: WireHandle[]; q?: WireHandle[]; units: string };
+  type Landmarks = { p: WireHandle[]; q?: WireHandle[]; names?: string[]; units: string };
   /** The fields of `output` that an export sets. */
   type Output = {
     format?: "jpeg" | "webp";

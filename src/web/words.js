@@ -378,6 +378,45 @@ export const EXPORT = {
   },
 };
 
+/** Texts of the dialog "Average or morph". */
+export const BLEND = {
+  /** @type {Record<string, string>} */
+  files: {
+    png: "PNG",
+    jpeg: "JPEG",
+    apng: "animated PNG",
+    gif: "GIF",
+    zip: "zip of the frames",
+  },
+  uploading: "Uploading.",
+  preparing: "Preparing the file",
+  waits: "Waits to be uploaded",
+  bothSides: "Landmarks of one picture are expected, and the file has those of two.",
+  /** @param {number} most */
+  large: (most) => `The file is larger than ${bytes(most)}.`,
+  /** @param {string[]} names */
+  unused: (names) => (names.length ? `Not used: ${series(names)}.` : ""),
+  /** @param {string} stem */
+  needs: (stem) => `Needs its landmark file, such as ${stem}.pts or ${stem}.csv`,
+  /** @type {(name: string, n: number) => string} */
+  landmarks: (name, n) => `${count(n, "landmark")} from ${name}`,
+  /** @type {(used: number, all: number, landmarks: number) => string} */
+  count: (used, all, landmarks) =>
+    all === 0
+      ? ""
+      : used < all
+        ? `${used} of ${count(all, "picture")} can be used.`
+        : `${count(used, "picture")}, ${count(landmarks, "landmark")} each.`,
+  /** @param {string[]} names */
+  note: (names) =>
+    names.length === 1
+      ? "Half of the picture and half of its mirror image: a symmetric one."
+      : `0 % is ${names[0]}, 100 % ${names.length === 2 ? names[1] : "the mean of the others"}. Below 0 % and above 100 % differences are exaggerated.`,
+  /** @type {(names: string[], shares: number[], isMirrored: boolean) => string} */
+  picture: (names, [shape, colour], isMirrored) =>
+    `Blend of ${names.length > 4 ? count(names.length, "picture") : series(names)}${isMirrored ? " and mirror images" : ""}: shape ${Math.round(100 * shape)} %, colours ${Math.round(100 * colour)} %`,
+};
+
 /** Texts of the export as an animation. */
 export const ANIMATION = {
   /** @type {Record<Page.Animation["file"], (back: boolean) => string>} */

@@ -1,12 +1,14 @@
 """Accessibility: no serious findings of axe in any state, large enough targets, announcements for
 screen readers."""
 
+import io
 import json
 import re
 from pathlib import Path
 
 import axe_playwright_python
 import pytest
+from PIL import Image
 
 from support import GREEN, RED, Fingers, crossed, tell
 
@@ -153,6 +155,19 @@ def help(visit):
     visit.page.click("#help-open")
 
 
+def blending(visit):
+    """The average of two pictures, and a third one without landmarks."""
+    files = [(f"{name}.csv", "text/csv", b"x,y\n60,60\n240,70\n150,150\n") for name in "ab"]
+    for name, colour in (("a", "navy"), ("b", "olive"), ("c", "teal")):
+        file = io.BytesIO()
+        Image.new("RGB", (300, 200), colour).save(file, "PNG")
+        files.append((f"{name}.png", "image/png", file.getvalue()))
+    visit.page.click("#blend-open")
+    tell(visit, ["dragover", "drop"], *files)
+    visit.body("[data-blend=ready]")
+    visit.page.select_option("#blend-file", "gif")
+
+
 STATES = [
     empty,
     ready,
@@ -167,6 +182,7 @@ STATES = [
     waiting,
     told,
     help,
+    blending,
 ]
 
 
@@ -179,7 +195,8 @@ def test_axe_finds_nothing_serious(visits, state, theme):
 
 
 @pytest.mark.parametrize(
-    "state, theme", crossed([empty, ready, outlining, exporting, animating, waiting, told], THEMES)
+    "state, theme",
+    crossed([empty, ready, outlining, exporting, animating, waiting, told, blending], THEMES),
 )
 def test_axe_finds_nothing_serious_on_a_narrow_screen(visits, state, theme):
     visit = visits(color_scheme=theme, **NARROW)

@@ -190,6 +190,11 @@ async fn what_does_not_fit_together_is_refused_with_its_place() {
         (two(json!({"session": "x"})), "bad_value", "/images/1"),
         (two(json!({"item": "x"})), "bad_value", "/images/1/item"),
         (
+            two(json!({"names": ["a"]})),
+            "shape_mismatch",
+            "/images/1/names",
+        ),
+        (
             two(json!({"pairs": [1, 0, 2, 4, 3]})),
             "bad_value",
             "/images/1/pairs",
@@ -275,6 +280,19 @@ async fn landmarks_are_matched_by_name_and_missing_ones_are_left_out() {
         send("name,x,y\nd,15,38\nb,50,12\na,10,10\ne,1,1\n").await,
         same
     );
+    // Handles in the object have names of their own.
+    let entry = |p: Value, names: Value| json!({"image": 0, "p": p, "names": names});
+    let (p, turned) = (
+        json!([[10, 10], [50, 12], [30, 20]]),
+        json!([[30, 20], [10, 10], [50, 12]]),
+    );
+    let images = json!([
+        entry(p, json!(["a", "b", "c"])),
+        entry(turned, json!(["c", "a", "b"])),
+    ]);
+    let blend = json!({"images": images});
+    let matched = blended(&server, &[&file], &blend, "image/png").await;
+    assert_eq!(pixels(&matched), same);
 }
 
 /// Every field has an effect: two values give two answers.
@@ -317,8 +335,9 @@ async fn every_field_has_an_effect() {
     ];
     let mut answers = vec![plain];
     for name in schema("BlendImage").as_object().unwrap().keys() {
-        // `sessions_and_files_give_the_same_image`, and the landmark files of `offline_blend.rs`.
-        if ["session", "item"].contains(&name.as_str()) {
+        // `sessions_and_files_give_the_same_image`, `landmarks_are_matched_by_name...`, and the
+        // landmark files of `offline_blend.rs`.
+        if ["session", "names", "item"].contains(&name.as_str()) {
             continue;
         }
         let (_, more) = entries.iter().find(|(entry, _)| entry == name).unwrap();

@@ -87,7 +87,7 @@ const CRATES: [(&str, &[&str]); 14] = [
     ("png", &["engine/codec"]),
     (
         "zip",
-        &["server/app/batch/package.rs", "server/cli/batch.rs"],
+        &["server/app/batch/package.rs", "server/cli/frames.rs"],
     ),
 ];
 

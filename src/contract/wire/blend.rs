@@ -35,6 +35,8 @@ const PAIRS: &str = "an array of indices of handles: for each handle its mirror 
 /// Bytes of the text of an ordinary entry.
 const ENTRY_TEXT: usize = 60;
 const NUMBER_TEXT: usize = 6;
+const NAMES: &str = "an array of names, one for each handle of `p`";
+const NAME_TEXT: usize = 8;
 
 /// The object of a blend.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,6 +74,8 @@ pub struct BlendEntry {
     pub pairs: Option<Vec<usize>>,
     /// Its landmarks, if they are not in a file or in the session.
     pub p: Option<Vec<Handle>>,
+    /// One name for each handle of `p`.
+    pub names: Option<Vec<String>>,
     /// Which item of the landmark file they are, where it has several.
     pub item: Option<Item>,
 }
@@ -281,7 +285,7 @@ impl BlendObject {
 
 impl BlendEntry {
     fn read(node: &Node<'_, '_>) -> Result<Self, Problem> {
-        let [image, session, shape, colour, mirror, pairs, p, item] =
+        let [image, session, shape, colour, mirror, pairs, p, names, item] =
             node.fields(&fields::BLEND_IMAGE)?;
         let source = match (image, session) {
             (Some(image), None) => BlendSource::Part(count(&image, 0, PART)? as usize),
@@ -300,13 +304,25 @@ impl BlendEntry {
             let detail = "`pairs` belongs to an image with `\"mirror\": true`";
             return Err(pairs.problem(Code::BadValue, detail));
         }
+        let p = optional(p, handles)?;
+        let count = p.as_ref().map_or(0, Vec::len);
+        let name = |_, item: Node<'_, '_>| item.string("a name");
+        let of_names = |node: &Node<'_, '_>| {
+            let names = node.list(NAMES, NAME_TEXT, name)?;
+            if names.len() == count {
+                return Ok(names);
+            }
+            let detail = format!("`names` has {}, but `p` has {count}", names.len());
+            Err(node.problem(Code::ShapeMismatch, detail))
+        };
         Ok(Self {
             source,
             shape: optional(shape, weights)?.unwrap_or_default(),
             colour: optional(colour, weights)?.unwrap_or_default(),
             is_mirrored,
             pairs: optional(pairs, |node| node.list(PAIRS, NUMBER_TEXT, index))?,
-            p: optional(p, handles)?,
+            names: optional(names, of_names)?,
+            p,
             item: optional(item, Item::read)?,
         })
     }

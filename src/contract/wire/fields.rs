@@ -236,8 +236,8 @@ object_fields! {
     }
 }
 /// The fields of an image of a blend.
-pub const BLEND_IMAGE: [&str; 8] = [
-    "image", "session", "shape", "colour", "mirror", "pairs", "p", "item",
+pub const BLEND_IMAGE: [&str; 9] = [
+    "image", "session", "shape", "colour", "mirror", "pairs", "p", "names", "item",
 ];
 
 /// The fields of a candidate.

@@ -84,6 +84,10 @@ impl<T, H> Reserved<T, H> {
     }
 }
 
+/// Memory for each quotation mark of names: half of a string, in a list that may grow to twice its
+/// length, and of its allocation.
+const QUOTE_BYTES: usize = 40;
+
 /// Upper bound of the memory in which a value is read, bytes. Annotations and the frames of a batch
 /// stay text.
 pub(super) fn reading_bytes(json: &[u8]) -> u64 {
@@ -185,7 +189,12 @@ impl<H> Reserved<BlendObject, H> {
         json: &[u8],
         reserve: impl FnOnce(u64) -> Result<H, Problem>,
     ) -> Result<Self, Problem> {
-        Self::read(reading_bytes(json), reserve, || BlendObject::parse(json))
+        // Each name has two of them.
+        let quotes = json.iter().filter(|byte| **byte == b'"').count();
+        let names = (json.len() + QUOTE_BYTES * quotes) as u64;
+        Self::read(reading_bytes(json) + names, reserve, || {
+            BlendObject::parse(json)
+        })
     }
 }
 

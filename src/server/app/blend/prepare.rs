@@ -173,7 +173,7 @@ fn read_images(
         let shape = match (&entry.p, file, &of_session) {
             (Some(p), None, _) | (None, None, Some(p)) if !p.is_empty() => NamedShape {
                 p: p.clone(),
-                names: None,
+                names: entry.names.clone(),
             },
             (Some(_), Some(_), _) => {
                 let detail = "this image has landmarks in `p` and in a file: send one of them";
