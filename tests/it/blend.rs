@@ -238,6 +238,10 @@ async fn what_does_not_fit_together_is_refused_with_its_place() {
     let blend = json!({"images": [{"image": 0, "p": shape(0)}, {"image": 1, "p": shape(0)}]});
     let (_, code, at) = refused(&server, &[&file, &file[..file.len() / 2]], &blend).await;
     assert_eq!((code.as_str(), at), ("bad_image", json!("/images/1")));
+    let third = json!({"image": 0, "p": shape(2)});
+    let blend = json!({"images": [blend["images"][0], blend["images"][1], third]});
+    let (_, code, at) = refused(&server, &[&file, &file[..file.len() / 2]], &blend).await;
+    assert_eq!((code.as_str(), at), ("bad_image", json!("/images/1")));
     // More work than a request may cause is refused before any image is decoded.
     let many: Vec<Value> = (0..200).map(|_| entry(json!({}))).collect();
     let blend = json!({"images": many, "output": {"width": 4000}});

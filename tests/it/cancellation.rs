@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::support::counters::Counted as _;
 use crate::support::healthy::Healthy;
 use crate::support::program::Program;
-use crate::support::server::{form, header, problem};
+use crate::support::server::{blend_form, form, header, problem};
 use crate::support::{Server, bombs, photo};
 
 /// Work ends within this after its last client has left or at its deadline: what the service
@@ -211,6 +211,48 @@ async fn work_ends_when_its_client_leaves() {
             victim.post(&format!("/sessions/{id}/points")).json(&points),
         )
         .await;
+}
+
+/// A blend takes its images one after another: whoever leaves after ten of them stops it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_blend_ends_when_its_client_leaves() {
+    let victim = Victim::start(&[]);
+    let decoded = async || {
+        let text = victim
+            .client
+            .get(format!("http://{}/metrics", victim.address()))
+            .send();
+        let text = text.await.unwrap().text().await.unwrap();
+        let line = text
+            .lines()
+            .find_map(|line| line.strip_prefix("mlswarp_cache_builds_total{cache=\"images\"} "));
+        line.unwrap().parse::<u64>().unwrap()
+    };
+    let files: Vec<Vec<u8>> = (0..80).map(|k| photo(600 + k, 400)).collect();
+    let entry = |k: u32| json!({"image": k, "p": [[50, 50], [550 - k, 60], [300, 200 + k], [80, 350], [520, 340]]});
+    let entries: Vec<Value> = (0..80).map(entry).collect();
+    let parts: Vec<&[u8]> = files.iter().map(|file| &**file).collect();
+    let request = victim
+        .post("/blend")
+        .multipart(blend_form(&parts, &json!({"images": entries})));
+    let sending = tokio::spawn(request.send());
+    while decoded().await < 10 {
+        assert!(!sending.is_finished(), "too little work to leave it");
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    sending.abort();
+    let (left, mut last) = (Instant::now(), Duration::ZERO);
+    // Between two images no worker is busy.
+    while left.elapsed() < last + Duration::from_millis(500) {
+        if victim.busy().await > 0 {
+            last = left.elapsed();
+        }
+    }
+    eprintln!(
+        "a blend: busy for {:.1} ms after its client left, bar {BAR:?}",
+        last.as_secs_f64() * 1e3
+    );
+    assert!(last < COARSE && decoded().await < 60, "{last:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -12,6 +12,7 @@ mod batch;
 mod beier_neely;
 mod binary;
 mod blend;
+mod blend_work;
 mod cancellation;
 mod cancelling;
 mod canvas;

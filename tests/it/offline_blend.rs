@@ -186,6 +186,8 @@ fn what_is_wrong_is_said_with_the_file_or_the_option() {
     fs::write(&few, "name,x,y\na,10,10\nb,50,12\n").unwrap();
     let bad = path("bad.csv");
     fs::write(&bad, "name,x,y\na,10,ten\n").unwrap();
+    let marks = path("marks");
+    fs::write(&marks, FIRST).unwrap();
     let steps = ["--steps", "3", "-o"];
     for (args, stdin, words) in [
         (
@@ -249,7 +251,7 @@ fn what_is_wrong_is_said_with_the_file_or_the_option() {
             &["is an input and would be replaced"],
         ),
         (
-            &[&one, &two, "--landmarks", &first, &few, "-o", &first],
+            &[&one, &two, "--landmarks", &marks, &few, "-o", &marks],
             "",
             &["is an input and would be replaced"],
         ),

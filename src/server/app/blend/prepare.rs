@@ -29,6 +29,8 @@ use crate::wire::landmarks::{Choice, LandmarkFiles};
 
 /// Operations for a pixel of an image that is added: its samples, its curve and four sums.
 const OPERATIONS_PER_PIXEL: u64 = 30;
+/// Operations for a pixel of a file that is decoded.
+const OPERATIONS_TO_DECODE: u64 = 3;
 
 /// Parses the object and the landmarks, and aligns the shapes. No image is decoded yet.
 pub(super) async fn prepare(
@@ -81,7 +83,7 @@ pub(super) async fn prepare(
         };
         let target = output.target_before_pose(first, &limits)?;
         let target = target.ok_or_else(|| Problem::new(Code::Internal, "a canvas is known"))?;
-        require_work(images.len() as u64, target.extent, limits.work)?;
+        require_work(&images, target.extent, limits.work)?;
         let format = match form {
             Some(BatchForm::Apng) => Format::Png,
             Some(BatchForm::Gif) => Format::Gif,
@@ -102,17 +104,22 @@ pub(super) async fn prepare(
     ticket.run(settle).await?
 }
 
-/// Errors: adding this many images of this size, for one frame, would take too many operations. The
-/// estimate counts, so that every replica answers alike; later frames wait for their reader.
-fn require_work(images: u64, extent: Extent, limit: u64) -> Result<(), Problem> {
-    let actual = (images * OPERATIONS_PER_PIXEL).saturating_mul(extent.pixels());
+/// Errors: decoding these images and adding them at this size, for one frame, would take too many
+/// operations. The estimate counts, so that every replica answers alike, whatever it has decoded;
+/// later frames wait for their reader.
+fn require_work(images: &[SourceImage], extent: Extent, limit: u64) -> Result<(), Problem> {
+    let decoded: u64 = images.iter().map(|image| image.extent.pixels()).sum();
+    let count = images.len() as u64;
+    let added = (count * OPERATIONS_PER_PIXEL).saturating_mul(extent.pixels());
+    let actual = added.saturating_add(decoded.saturating_mul(OPERATIONS_TO_DECODE));
     if actual <= limit {
         return Ok(());
     }
     let (width, height) = (extent.width(), extent.height());
     let detail = format!(
-        "adding {images} images of {width} x {height} px would take {actual} operations; the limit \
-         is {limit}; send fewer images or a smaller `output.width`"
+        "decoding {count} images and adding them at {width} x {height} px would take {actual} \
+         operations; the limit is {limit}; send fewer or smaller images, or a smaller \
+         `output.width`"
     );
     Err(Problem::new(Code::TooLarge, detail)
         .pointer("/images")
