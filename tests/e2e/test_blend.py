@@ -35,15 +35,16 @@ def files(folder, *names):
 def blended(visit):
     """Waits for the picture of what the sliders show; returns its pixels."""
     visit.body("[data-blend=ready]")
-    source = visit.page.get_attribute("#blend-picture", "src")
-    data = visit.page.evaluate(
-        """async (source) => {
-          const bytes = new Uint8Array(await (await fetch(source)).arrayBuffer());
-          return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
-        }""",
-        source,
+    address = visit.page.evaluate(
+        """() => {
+          const picture = document.querySelector("#blend-picture");
+          const canvas = document.createElement("canvas");
+          [canvas.width, canvas.height] = [picture.naturalWidth, picture.naturalHeight];
+          canvas.getContext("2d").drawImage(picture, 0, 0);
+          return canvas.toDataURL();
+        }"""
     )
-    return Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
+    return Image.open(io.BytesIO(base64.b64decode(address.split(",")[1]))).convert("RGB")
 
 
 @pytest.fixture

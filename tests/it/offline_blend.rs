@@ -270,7 +270,11 @@ fn what_is_wrong_is_said_with_the_file_or_the_option() {
             r#"{"imagse": []}"#,
             &["unknown_field: ", "`images`"],
         ),
-        (&[&first, "-o", &out], "", &["unsupported_format: "]),
+        (
+            &[&few, "--landmarks", &first, "-o", &out],
+            "",
+            &["unsupported_format: ", "few.csv: "],
+        ),
     ] {
         let said = failed(&[&["blend"], args].concat(), stdin);
         for word in words {
