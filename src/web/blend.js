@@ -13,6 +13,10 @@ const PREVIEW = 640;
 const MOST = 200;
 const MOST_FRAMES = 1000;
 /**
+ * Landmarks are close together, and pictures differ in size: what is smooth then, and scales.
+ */
+const METHOD = { method: "affine", alpha: 2 };
+/**
  * The files that can be saved: their media types, and what of them is no picture.
  * @type {Record<string, { media: string, end: string, format?: "jpeg", frames?: boolean }>}
  */
@@ -319,6 +323,7 @@ export class BlendDialog {
     });
     return {
       images,
+      ...METHOD,
       ...(find("blend-linear").checked && { space: "linear" }),
       ...(Object.keys(output).length && { output }),
     };

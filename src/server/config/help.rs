@@ -61,6 +61,7 @@ const BATCH: &str = r#"Examples:
 
 const BLEND: &str = r#"Examples:
   mlswarp blend average/*.png -o average.png          # landmarks beside: a.pts of a.png
+  mlswarp blend average/*.png --method affine --alpha 2 -o average.png   # smooth for faces
   mlswarp blend in/*.jpg --landmarks specimens.tps -o mean.png   # items named by their images
   mlswarp blend a.png b.png --steps 7 -o continuum/   # or morph.gif
   mlswarp blend a.png b.png --shape 0.4 --colour 0 -o shape-only.png

@@ -9,6 +9,9 @@ use crate::geometry::Point;
 const MOST_SEARCHED: usize = 2000;
 /// Rounds of alignment and search.
 const MOST_ROUNDS: usize = 20;
+/// How far the mirror image of a shape may be from the shape, as a share of its extent, where
+/// neighbours are nearer to each other than that.
+const MOST_ASYMMETRY: f64 = 0.12;
 /// Words for the sides in names of landmarks.
 const SIDES: [(&str, &str); 4] = [
     ("left", "right"),
@@ -104,11 +107,12 @@ impl MirrorPairs {
     }
 
     /// Pairs by position: the shape is mirrored, laid over itself by the best rigid motion, and
-    /// each handle's pair is the nearest mirrored one; repeated until nothing changes.
-    /// O(handles^2) a round.
+    /// each handle's pair is the nearest mirrored one; repeated until nothing changes. Handles that
+    /// are not each other's nearest, as of a mouth that smiles on one side, are paired the nearest
+    /// first. O(handles^2) a round.
     ///
     /// # Errors
-    /// Two handles with the same pair; too many handles.
+    /// A handle whose pair is far from its mirror image; too many handles.
     pub fn of_positions(shape: &[Handle]) -> Result<Self, NoPairs> {
         if shape.len() > MOST_SEARCHED {
             return Err(NoPairs::TooMany {
@@ -148,7 +152,7 @@ impl MirrorPairs {
             };
             placed = mirrored.iter().map(|v| best.map.map(*v)).collect();
         }
-        Self::checked(pairs, shape)
+        Self::checked(completed(pairs, &centres, &placed), shape)
     }
 
     fn checked(pairs: Vec<usize>, shape: &[Handle]) -> Result<Self, NoPairs> {
@@ -195,6 +199,37 @@ impl MirrorPairs {
         let (own, pair) = (along(own), along(pair));
         own.y * pair.y - own.x * pair.x < 0.0
     }
+}
+
+/// Pairs of which each names the other stay; the others are paired anew, the nearest first, unless
+/// they are far apart. `placed`: the mirror images of `centres`, laid over them.
+fn completed(mut pairs: Vec<usize>, centres: &[Point], placed: &[Point]) -> Vec<usize> {
+    let is_mutual = |(handle, pair): (usize, &usize)| pairs[*pair] == handle;
+    let mutual: Vec<bool> = pairs.iter().enumerate().map(is_mutual).collect();
+    let mut open: Vec<usize> = (0..pairs.len()).filter(|k| !mutual[*k]).collect();
+    let from_first = |v: &Point| v.distance(centres[0]);
+    let enough = MOST_ASYMMETRY * centres.iter().map(from_first).fold(0.0, f64::max);
+    // Those of the later handle, so that both ways are one entry.
+    let mut near = Vec::new();
+    for (k, a) in open.iter().enumerate() {
+        for b in &open[..=k] {
+            let ways = [
+                centres[*a].distance(placed[*b]),
+                centres[*b].distance(placed[*a]),
+            ];
+            if ways.iter().all(|way| *way <= enough) {
+                near.push((ways[0] + ways[1], *a, *b));
+            }
+        }
+    }
+    near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    for (_, a, b) in near {
+        if open.contains(&a) && open.contains(&b) {
+            (pairs[a], pairs[b]) = (b, a);
+            open.retain(|k| *k != a && *k != b);
+        }
+    }
+    pairs
 }
 
 fn centre(handle: &Handle) -> Point {

@@ -492,6 +492,22 @@ fn pairs_are_found_by_name_by_position_or_given() {
         MirrorPairs::of_permutation(&[9, 0, 2, 3, 4], &face()),
         Err(NoPairs::NoPair { handle: 0 })
     );
+    // A mouth that is drawn to one side, whose middle is nearer to a neighbour's mirror image.
+    let point = |x, y| Handle::Point(Point::new(x, y));
+    let smile = [
+        point(0.0, 0.0),
+        point(100.0, 0.0),
+        point(40.0, 60.0),
+        point(46.0, 61.0),
+        point(53.0, 62.0),
+        point(59.0, 61.0),
+        point(65.0, 60.0),
+    ];
+    let expected = MirrorPairs::of_permutation(&[1, 0, 6, 5, 4, 3, 2], &smile).unwrap();
+    assert_eq!(MirrorPairs::of_positions(&smile), Ok(expected));
+    // No guess where nothing is alike.
+    let unlike = [point(0.0, 0.0), point(100.0, 0.0), point(90.0, 80.0)];
+    assert!(MirrorPairs::of_positions(&unlike).is_err());
     let unsided = ["a", "b", "c", "d", "e"].map(str::to_owned);
     assert_eq!(MirrorPairs::of_names(&unsided, &face()), None);
     // Mirroring twice changes nothing but rounding, lines of both directions included.
