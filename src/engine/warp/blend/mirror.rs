@@ -12,6 +12,8 @@ const MOST_ROUNDS: usize = 20;
 /// How far the mirror image of a shape may be from the shape, as a share of its extent, where
 /// neighbours are nearer to each other than that.
 const MOST_ASYMMETRY: f64 = 0.12;
+/// Handles that are paired the nearest first: with more, the shape is not symmetric.
+const MOST_OPEN: usize = 200;
 /// Words for the sides in names of landmarks.
 const SIDES: [(&str, &str); 4] = [
     ("left", "right"),
@@ -207,6 +209,9 @@ fn completed(mut pairs: Vec<usize>, centres: &[Point], placed: &[Point]) -> Vec<
     let is_mutual = |(handle, pair): (usize, &usize)| pairs[*pair] == handle;
     let mutual: Vec<bool> = pairs.iter().enumerate().map(is_mutual).collect();
     let mut open: Vec<usize> = (0..pairs.len()).filter(|k| !mutual[*k]).collect();
+    if open.len() > MOST_OPEN {
+        return pairs;
+    }
     let from_first = |v: &Point| v.distance(centres[0]);
     let enough = MOST_ASYMMETRY * centres.iter().map(from_first).fold(0.0, f64::max);
     // Those of the later handle, so that both ways are one entry.
