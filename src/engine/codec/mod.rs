@@ -6,6 +6,8 @@
 #[forbid(unsafe_code)]
 mod alloc;
 #[forbid(unsafe_code)]
+mod bits;
+#[forbid(unsafe_code)]
 mod bmp;
 #[forbid(unsafe_code)]
 mod decode;
@@ -21,6 +23,8 @@ mod metadata;
 #[forbid(unsafe_code)]
 mod orientation;
 mod png;
+#[forbid(unsafe_code)]
+mod prefix_code;
 #[forbid(unsafe_code)]
 mod probe;
 #[forbid(unsafe_code)]

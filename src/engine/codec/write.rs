@@ -1,6 +1,6 @@
 //! Writes a picture in any format: head, strips in any order, tail. PNG and JPEG have several
-//! strips, rendered and encoded in parallel and sent in order; the other formats are one strip: the
-//! encoder of WebP needs whole pictures. Of grey pixels one sample is written, except in WebP,
+//! strips, rendered and encoded in parallel and sent in order; the other formats are one strip: WebP
+//! has its codes before the first pixel. Of grey pixels one sample is written, except in WebP,
 //! which has none.
 
 use std::borrow::Cow;
@@ -226,11 +226,11 @@ impl Writer {
                         wanted,
                     ),
                     WholeFileFormat::WebP => webp::write::write(
-                        shape.extent,
-                        shape.channels,
+                        (shape.extent, shape.channels),
                         &in_eight(samples, shape.depth),
                         metadata,
                         out,
+                        wanted,
                     ),
                     WholeFileFormat::Gif => gif::write::write(
                         shape.extent,
@@ -331,7 +331,18 @@ mod tests {
     }
 
     #[test]
-    fn a_jpeg_that_nobody_waits_for_is_not_written_to_its_end() {
+    fn a_picture_that_nobody_waits_for_is_not_written_to_its_end() {
+        let jpeg = Encoding::Jpeg {
+            quality: 95,
+            subsampling: Subsampling::Full,
+            ground: [0; 3],
+        };
+        [jpeg, Encoding::WebP, TIFF, Encoding::Gif]
+            .into_iter()
+            .for_each(is_not_written_to_its_end);
+    }
+
+    fn is_not_written_to_its_end(encoding: Encoding) {
         use std::cell::Cell;
         let extent = Extent::new(1500, 1000).unwrap();
         let shape = PixelLayout {
@@ -340,15 +351,7 @@ mod tests {
             grey: false,
             depth: Depth::Eight,
         };
-        let writer = Writer::new(
-            shape,
-            Encoding::Jpeg {
-                quality: 95,
-                subsampling: Subsampling::Full,
-                ground: [0; 3],
-            },
-            None,
-        );
+        let writer = Writer::new(shape, encoding, None);
         let rows = writer.rows(0).end;
         let noise: Vec<u8> = (0..rows * 1500 * 3)
             .map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8)
@@ -361,7 +364,11 @@ mod tests {
             file.len()
         };
         let whole = write(u32::MAX);
-        assert!(write(1) < whole / 4, "{} of {whole}", write(1));
+        assert!(
+            write(1) < whole / 4,
+            "{encoding:?}: {} of {whole}",
+            write(1)
+        );
     }
 
     fn eight(decoded: &Decoded) -> &[u8] {

@@ -14,9 +14,7 @@ use super::queue::{Arrival, FairQueue, QueueKey};
 use super::worker_threads::WorkerThreads;
 use crate::client::Tenant;
 
-/// How long a job runs before it gives way to a client that has used less, and how long until it
-/// looks again if there is none.
-const TURN_TIME: Duration = Duration::from_millis(100);
+/// How long until a job looks again if there was no client that has used less.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
 /// A job goes on without a permit after this time: permits may be held by requests that wait for
 /// what it builds.
@@ -47,8 +45,8 @@ pub(crate) struct AdmissionQueue {
     /// Waiting requests and paused jobs, for jobs that look without the lock.
     waiting: AtomicUsize,
     max_wait: Duration,
-    /// Whether long jobs give way.
-    gives_way: bool,
+    /// How long a job runs before it gives way to a client that has used less.
+    turn: Duration,
     /// The origin of the times of turns.
     began: Instant,
     full: AtomicU64,
@@ -126,20 +124,20 @@ impl Drop for QueuePosition<'_> {
 }
 
 impl AdmissionQueue {
-    /// `gives_way`: whether long jobs give way to clients that have used less.
+    /// `turn`: how long a job runs before it gives way to a client that has used less.
     pub(crate) fn new(
         threads: WorkerThreads,
         permits: usize,
         queue: usize,
         max_wait: Duration,
-        gives_way: bool,
+        turn: Duration,
     ) -> Arc<Self> {
         Arc::new(Self {
             threads,
             queue: Mutex::new(FairQueue::new(permits, queue)),
             waiting: AtomicUsize::new(0),
             max_wait,
-            gives_way,
+            turn,
             began: Instant::now(),
             full: AtomicU64::new(0),
             late: AtomicU64::new(0),
@@ -258,7 +256,7 @@ impl AdmissionPermit {
             is_returned: false,
             queue,
         };
-        permit.begin_turn(TURN_TIME);
+        permit.begin_turn(permit.queue.turn);
         permit
     }
 
@@ -277,7 +275,7 @@ impl AdmissionPermit {
     /// or cancelled. Costs nothing while no request waits.
     #[inline]
     pub(crate) fn give_way(&self, is_cancelled: &dyn Fn() -> bool) {
-        if self.queue.waiting.load(Ordering::Relaxed) > 0 && self.queue.gives_way {
+        if self.queue.waiting.load(Ordering::Relaxed) > 0 {
             self.look_for_others(is_cancelled);
         }
     }
@@ -317,7 +315,7 @@ impl AdmissionPermit {
             std::thread::park_timeout(PAUSED_LOOK);
         }
         self.queue.lock().resume(id, Instant::now());
-        self.begin_turn(TURN_TIME);
+        self.begin_turn(self.queue.turn);
         self.is_paused.store(false, Ordering::Relaxed);
     }
 }

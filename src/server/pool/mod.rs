@@ -20,7 +20,7 @@ use tokio::sync::oneshot;
 pub use admission::Load;
 use admission::{AdmissionPermit, AdmissionQueue};
 pub use queue::QueueKey;
-use worker_threads::WorkerThreads;
+use worker_threads::{WorkerThreads, lower_priority};
 
 use crate::observe::Scope;
 use crate::observe::scope::stage;
@@ -48,9 +48,14 @@ pub enum PoolError {
     Panicked,
 }
 
-/// Niceness of upload threads: beside a drag thread on the same processor they get about a quarter
+/// Niceness of upload threads, and of the threads of parallel computations: beside a drag thread on the same processor they get about a quarter
 /// of the processor, otherwise all of it.
 const UPLOAD_NICENESS: i32 = 5;
+
+/// How long a job runs before it gives way to a client that has used less. Drags that are drawn in
+/// a turn are not interrupted; most are.
+const DRAG_TURN: Duration = Duration::from_millis(50);
+const UPLOAD_TURN: Duration = Duration::from_millis(100);
 
 /// Simultaneous transfers of files from and to the store, not counting the spare permit. Not more
 /// than the Redis connections for files, so that no transfer waits for a connection.
@@ -198,26 +203,25 @@ impl Pool {
         let parallel = ThreadPoolBuilder::new()
             .num_threads(workers)
             .thread_name(|i| format!("parallel-{i}"))
+            .start_handler(|_| lower_priority(UPLOAD_NICENESS))
             // Without a handler, a panic that reaches a rayon thread aborts the process.
             .panic_handler(|_| tracing::error!("a panic reached a compute thread"))
             .build()
             .map_err(|e| NoThreads(e.to_string()))?;
-        let class = |name: &str, max_wait: Duration, niceness: i32, gives_way: bool| {
+        let class = |name: &str, max_wait: Duration, niceness: i32, turn: Duration| {
             let threads = WorkerThreads::start(name, workers + queue::SPARE_PERMITS, niceness)
                 .map_err(|e| NoThreads(e.to_string()))?;
-            Ok(AdmissionQueue::new(
-                threads, workers, queue, max_wait, gives_way,
-            ))
+            Ok(AdmissionQueue::new(threads, workers, queue, max_wait, turn))
         };
         Ok(Self {
-            drags: class("drag", drag_wait, 0, false)?,
-            uploads: class("upload", upload_wait, UPLOAD_NICENESS, true)?,
+            drags: class("drag", drag_wait, 0, DRAG_TURN)?,
+            uploads: class("upload", upload_wait, UPLOAD_NICENESS, UPLOAD_TURN)?,
             transfers: AdmissionQueue::new(
                 WorkerThreads::default(),
                 MAX_TRANSFERS,
                 queue,
                 upload_wait,
-                false,
+                UPLOAD_TURN,
             ),
             parallel: Arc::new(Mutex::new(parallel)),
             workers,
@@ -488,6 +492,7 @@ mod tests {
     /// A job that works until its request is dropped, and counts its looks.
     fn endless(
         pool: &Pool,
+        class: WorkClass,
         n: u8,
         looks: &Arc<std::sync::atomic::AtomicUsize>,
     ) -> tokio::task::JoinHandle<()> {
@@ -497,10 +502,7 @@ mod tests {
                 address: [192, 0, 2, n].into(),
                 ..Client::default()
             };
-            let ticket = pool
-                .admit(WorkClass::Upload, QueueKey::client(client))
-                .await
-                .unwrap();
+            let ticket = pool.admit(class, QueueKey::client(client)).await.unwrap();
             let work = move |cancel: &Cancel| {
                 while !cancel.is_cancelled() {
                     looks.fetch_add(1, Ordering::Relaxed);
@@ -513,18 +515,23 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
     async fn jobs_that_never_end_give_way_to_another_client_and_go_on() {
+        give_way(WorkClass::Drag).await;
+        give_way(WorkClass::Upload).await;
+    }
+
+    async fn give_way(class: WorkClass) {
         let pool = pool(8, LONG_WAIT);
         let looks: [Arc<std::sync::atomic::AtomicUsize>; 4] = Default::default();
         let jobs: Vec<_> = (0_u8..)
             .zip(&looks)
-            .map(|(n, looks)| endless(&pool, n, looks))
+            .map(|(n, looks)| endless(&pool, class, n, looks))
             .collect();
         let seen = || looks.each_ref().map(|looks| looks.load(Ordering::Relaxed));
         // More than the permit and the spare one: they take turns.
         while seen().contains(&0) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
-        let ticket = pool.admit(WorkClass::Upload, key(9)).await.unwrap();
+        let ticket = pool.admit(class, key(9)).await.unwrap();
         assert_eq!(
             ticket.run(|_: &Cancel| 7).await,
             Ok(7),
@@ -540,7 +547,7 @@ mod tests {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         jobs.iter().for_each(tokio::task::JoinHandle::abort);
-        while pool.load(WorkClass::Upload).running > 0 {
+        while pool.load(class).running > 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
         let (end, last) = (Instant::now(), seen());
@@ -555,7 +562,7 @@ mod tests {
     async fn a_job_for_which_the_permits_wait_goes_on_without_one() {
         let pool = pool(8, LONG_WAIT);
         let looks = Arc::default();
-        let job = endless(&pool, 1, &looks);
+        let job = endless(&pool, WorkClass::Upload, 1, &looks);
         while looks.load(Ordering::Relaxed) == 0 {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }

@@ -139,7 +139,7 @@ impl WorkerThreads {
 
 /// Sets the niceness of this thread. Linux only: elsewhere it would apply to the process. A refusal
 /// changes nothing.
-fn lower_priority(niceness: i32) {
+pub(super) fn lower_priority(niceness: i32) {
     #[cfg(target_os = "linux")]
     if niceness > 0 {
         let _ = rustix::process::nice(niceness);

@@ -7,9 +7,9 @@
 
 use flate2::{Compress, Compression, FlushCompress};
 
-use super::bits::BitWriter;
 use super::rows::{self, PAETH, SUB, StripRows};
 use super::{fast, stored};
+use crate::codec::bits::BitWriter;
 
 /// The compression level of the library: its highest with a window of 32 KiB.
 const DEFLATE_LEVEL: u32 = 9;

@@ -5,8 +5,9 @@
 //! or, in strips too short for such a table, for one; four go to a store. A level may code many
 //! groups at once (`Lookup::many`). Cost: about 0.4 ns per byte with pairs, 0.6 without.
 
-use super::bits::BitWriter;
-use super::huffman::{Codes, END_OF_BLOCK, LITERAL_SYMBOLS};
+use super::block::{END_OF_BLOCK, LITERAL_SYMBOLS};
+use crate::codec::bits::BitWriter;
+use crate::codec::prefix_code::Codes;
 
 /// Longest code. Two fit 26 bits, with space for their length in a `u32`; four fit a 64-bit store
 /// together with 7 waiting bits.

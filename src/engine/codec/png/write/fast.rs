@@ -7,13 +7,14 @@
 
 use std::cell::Cell;
 
-use super::bits::BitWriter;
+use super::block::{END_OF_BLOCK, LITERAL_SYMBOLS, block_header};
 use super::coder::{
     CodeBuffer, Counts, Lookup, MAX_CODE_BITS, PIECE_BYTES, PairTable, STAGE_EMPTY, Single, Tables,
     code_piece, fill_pairs, walk,
 };
-use super::huffman::{self, Codes, END_OF_BLOCK, LITERAL_SYMBOLS};
 use super::rows::{self, PAETH, SUB, StripRows};
+use crate::codec::bits::BitWriter;
+use crate::codec::prefix_code::Codes;
 
 /// Size of the sample from which the code is made, filtered bytes.
 const SAMPLE_BYTES: usize = 16 << 10;
@@ -73,7 +74,7 @@ pub(super) fn body<K: FastKernel>(
     let mut piece = [0; PIECE_BYTES];
     let codes = Codes::new(&sample(rows, &mut piece), MAX_CODE_BITS);
     let mut bits = BitWriter::default();
-    huffman::block_header(&codes, last, &mut bits, out);
+    block_header(&codes, last, &mut bits, out);
     let single = Single::new(&codes);
     let coder = RowCoder {
         rows,
@@ -112,7 +113,7 @@ pub(super) fn block(filtered: &[u8], last: bool, bits: &mut BitWriter, out: &mut
     let mut weights = counts.total();
     weights[END_OF_BLOCK] = 1;
     let codes = Codes::new(&weights, MAX_CODE_BITS);
-    huffman::block_header(&codes, last, bits, out);
+    block_header(&codes, last, bits, out);
     let single = Single::new(&codes);
     let mut stage = STAGE_EMPTY;
     for piece in filtered.chunks(PIECE_BYTES) {

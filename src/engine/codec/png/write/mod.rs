@@ -13,15 +13,13 @@ mod animation;
 #[forbid(unsafe_code)]
 mod best;
 #[forbid(unsafe_code)]
-mod bits;
+mod block;
 #[forbid(unsafe_code)]
 mod chunk;
 #[forbid(unsafe_code)]
 mod coder;
 #[forbid(unsafe_code)]
 mod fast;
-#[forbid(unsafe_code)]
-mod huffman;
 mod kernel;
 #[forbid(unsafe_code)]
 mod layout;

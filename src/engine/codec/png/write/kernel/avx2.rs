@@ -1,10 +1,10 @@
 //! The fast strip compiled for AVX2 and BMI2. No intrinsics: the compiler makes vectors of the
 //! filters and `shlx`, `shrx` of the shifts.
 
-use super::super::bits::BitWriter;
 use super::super::coder::{CodeBuffer, Lookup, Tables, code_piece};
 use super::super::fast;
 use super::super::rows::StripRows;
+use crate::codec::bits::BitWriter;
 
 /// Must be called where [`crate::level::SimdLevel::Avx2`] is here.
 pub(super) fn fast(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {

@@ -4,10 +4,10 @@
 
 use std::arch::x86_64::*;
 
-use super::super::bits::BitWriter;
 use super::super::coder::{CodeBuffer, Lookup, Single, Staged, Tables, code, code_piece, length};
 use super::super::fast;
 use super::super::rows::StripRows;
+use crate::codec::bits::BitWriter;
 
 /// Must be called where [`crate::level::SimdLevel::Avx512`] is here.
 pub(super) fn fast(rows: StripRows<'_>, last: bool, most: usize, out: &mut Vec<u8>) -> Option<u32> {

@@ -1,20 +1,10 @@
-//! Length-limited prefix codes and the header of a deflate block that uses them (RFC 1951, 3.2.2
-//! and 3.2.7). Lengths come from Huffman's algorithm with two queues over sorted weights, then the
-//! Kraft sum is corrected at the limit; codes are canonical and stored bit-reversed, as deflate
-//! sends them. Cost: one sort of at most 286 weights, about 10 us.
+//! Length-limited prefix codes, and how files send their lengths (RFC 1951, 3.2.2 and 3.2.7; RFC
+//! 9649, 3.7.2.1, is the same but for the order). Lengths come from Huffman's algorithm with two
+//! queues over sorted weights, then the Kraft sum is corrected at the limit; codes are canonical and
+//! stored bit-reversed, as both formats send them. Cost: one sort of at most 286 weights, about 10
+//! us.
 
 use super::bits::BitWriter;
-
-/// Symbols of the literal and length alphabet: bytes, end of block, 29 lengths.
-pub(super) const LITERAL_SYMBOLS: usize = 286;
-
-/// The end of a block.
-pub(super) const END_OF_BLOCK: usize = 256;
-
-/// The order in which the lengths of the code of lengths are sent.
-const LENGTH_ORDER: [usize; 19] = [
-    16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15,
-];
 
 /// Longest code of the code of lengths.
 const LENGTH_LIMIT: usize = 7;
@@ -141,42 +131,49 @@ fn canonical<const N: usize>(lengths: &[u8; N]) -> [u16; N] {
     })
 }
 
-/// Writes the header of a block of dynamic codes: `codes` for literals and lengths, and one
-/// distance code for distance 1, one bit long.
-pub(super) fn block_header(
-    codes: &Codes<LITERAL_SYMBOLS>,
-    last: bool,
-    bits: &mut BitWriter,
-    out: &mut Vec<u8>,
-) {
-    let mut lengths = codes.length.to_vec();
-    lengths.push(1);
-    let runs = run_lengths(&lengths);
-    let mut weights = [0; 19];
-    for run in &runs {
-        weights[usize::from(run.symbol)] += 1;
+/// The lengths of one or several codes as a file has them: runs, in a prefix code of their own.
+pub(super) struct SentLengths {
+    runs: Vec<LengthRun>,
+    of_lengths: Codes<19>,
+}
+
+impl SentLengths {
+    /// `lengths`: of every symbol of every code, in order.
+    pub(super) fn new(lengths: &[u8]) -> Self {
+        let runs = run_lengths(lengths);
+        let mut weights = [0; 19];
+        for run in &runs {
+            weights[usize::from(run.symbol)] += 1;
+        }
+        Self {
+            runs,
+            of_lengths: Codes::new(&weights, LENGTH_LIMIT),
+        }
     }
-    let of_lengths = Codes::new(&weights, LENGTH_LIMIT);
-    let sent = LENGTH_ORDER
-        .iter()
-        .rposition(|&symbol| of_lengths.length[symbol] > 0)
-        .map_or(4, |at| (at + 1).max(4));
-    bits.put(out, u64::from(last), 1);
-    bits.put(out, 2, 2);
-    bits.put(out, (LITERAL_SYMBOLS - 257) as u64, 5);
-    bits.put(out, 0, 5);
-    bits.put(out, sent as u64 - 4, 4);
-    for &symbol in &LENGTH_ORDER[..sent] {
-        bits.put(out, of_lengths.length[symbol].into(), 3);
+
+    /// Writes the code of the lengths: how many of its lengths follow in this order, and they.
+    pub(super) fn put_code(&self, order: &[usize; 19], bits: &mut BitWriter, out: &mut Vec<u8>) {
+        let sent = order
+            .iter()
+            .rposition(|&symbol| self.of_lengths.length[symbol] > 0)
+            .map_or(4, |at| (at + 1).max(4));
+        bits.put(out, sent as u64 - 4, 4);
+        for &symbol in &order[..sent] {
+            bits.put(out, self.of_lengths.length[symbol].into(), 3);
+        }
     }
-    for run in runs {
-        let symbol = usize::from(run.symbol);
-        bits.put(
-            out,
-            of_lengths.bits[symbol].into(),
-            of_lengths.length[symbol].into(),
-        );
-        bits.put(out, run.extra.into(), run.extra_bits.into());
+
+    /// Writes the lengths.
+    pub(super) fn put_runs(&self, bits: &mut BitWriter, out: &mut Vec<u8>) {
+        for run in &self.runs {
+            let symbol = usize::from(run.symbol);
+            bits.put(
+                out,
+                self.of_lengths.bits[symbol].into(),
+                self.of_lengths.length[symbol].into(),
+            );
+            bits.put(out, run.extra.into(), run.extra_bits.into());
+        }
     }
 }
 
