@@ -56,7 +56,7 @@ pub enum Tenant {
     Key(Owner),
     /// Without keys: an IPv4 address, or the /64 of an IPv6 address.
     Address(IpAddr),
-    /// Below a key: whoever has tokens for this session of it.
+    /// Below a key: the holders of tokens for this session.
     Visitor(Owner, [u8; 16]),
 }
 

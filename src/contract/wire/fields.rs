@@ -5,7 +5,7 @@ use mlswarp::deform::METHODS;
 use crate::problem::words::list;
 use crate::problem::{Code, Problem};
 
-/// Names the fields of an object once: a list for whoever looks for a name, and a struct with a
+/// Names the fields of an object once: a list for code that looks for a name, and a struct with a
 /// value (`N`, a node of the JSON) for each, made of the array that is read for the list.
 macro_rules! object_fields {
     ($(#[$doc:meta])* $list:ident, $fields:ident { $($field:ident = $name:literal),+ $(,)? }) => {

@@ -39,6 +39,18 @@ pub(crate) enum DragRoute {
     Mesh,
 }
 
+/// Pixels of a picture up to which its drawing counts as a drag. A larger one takes longer than a
+/// person's hand waits, and would delay the drags of others: it waits with the uploads.
+const MOST_DRAG_PIXELS: f64 = 8e6;
+
+/// About how many pixels are drawn of a picture of this extent.
+fn drawn_pixels(output: &OutputSpec, extent: Extent) -> f64 {
+    let scale = output
+        .width
+        .map_or(1.0, |width| f64::from(width) / f64::from(extent.width()));
+    f64::from(extent.width()) * f64::from(extent.height()) * scale * scale
+}
+
 /// A plan, and the ticket to use it.
 pub(crate) struct AdmittedPlan {
     pub(crate) ticket: Ticket,
@@ -103,7 +115,17 @@ pub(crate) async fn of_session(
         format,
         ..drag.output.merge_onto(&base)
     };
-    let AdmittedPlan { ticket, planned } = plan;
+    let AdmittedPlan {
+        mut ticket,
+        planned,
+    } = plan;
+    if drawn_pixels(&output, content.subject().extent()) > MOST_DRAG_PIXELS {
+        drop(ticket);
+        ticket = app
+            .admission
+            .upload(QueueKey::session(client, record.id))
+            .await?;
+    }
     let (folds, quota) = (record.folds, app.admission.response_quota(client));
     let q = posed(&ticket, &record, drag).await?;
     app.drawing

@@ -490,7 +490,7 @@ mod tests {
         TokenRequest::parse(br#"{"ops": ["warp", "drag"]}"#).unwrap()
     }
 
-    /// Wherever the right secret stands, and if there is none.
+    /// Secrets with the right one in every place, and without it.
     #[test]
     fn every_signature_is_compared_with_all_secrets() {
         let all = secrets(&[0, 1, 2, 3]);
