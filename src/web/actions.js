@@ -1,7 +1,5 @@
 // The user actions on handles, shared by pointer, keyboard and buttons.
 
-import { aligned } from "./align.js";
-import { asProblem } from "./api.js";
 import { known } from "./dom.js";
 import * as edits from "./edits.js";
 import { keyOf } from "./handles.js";
@@ -13,7 +11,7 @@ export class Actions {
   /**
    * `step`: undo (true) or redo of what is more than an edit: opening or closing a picture.
    * @param {Page.Store} store
-   * @param {Page.Sync} sync
+   * @param {Pick<Page.Sync, "mesh" | "aligned">} sync
    * @param {Page.View} view
    * @param {Page.Handles} handles
    * @param {(words: string) => void} say
@@ -306,14 +304,10 @@ export class Actions {
    */
   async align(by) {
     const { document, picture } = this.state;
-    try {
-      const next = await aligned(document, by, known(picture));
-      if (this.state.document !== document) return;
-      this.edit(next);
-      this.say(by === "none" ? "The pose is not aligned" : "The pose is aligned");
-    } catch (error) {
-      this.store.do("problem", { problem: asProblem(error) });
-    }
+    const next = await this.sync.aligned(document, by, known(picture));
+    if (!next || this.state.document !== document) return;
+    this.edit(next);
+    this.say(by === "none" ? "The pose is not aligned" : "The pose is aligned");
   }
 
   selectAll() {

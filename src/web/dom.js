@@ -9,6 +9,17 @@ export const find = (id) =>
   /** @type {PageElements[Id]} */ (/** @type {unknown} */ (document.getElementById(id)));
 
 /**
+ * An element of a stage by its id: the stage of the page, or one in a shadow root.
+ *
+ * @template {keyof PageElements} Id
+ * @param {Element} stage
+ * @param {Id} id
+ * @returns {PageElements[Id]}
+ */
+export const inStage = (stage, id) =>
+  /** @type {PageElements[Id]} */ (/** @type {unknown} */ (part(stage, `#${id}`)));
+
+/**
  * What the server has written into the page under a name.
  *
  * @param {string} name

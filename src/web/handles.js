@@ -3,7 +3,7 @@
 // that dots have the same size at every zoom. A canvas shows those that are not selected
 // (marks.js).
 
-import { find, known } from "./dom.js";
+import { inStage, known } from "./dom.js";
 import { circleOf, kindName, kindOf, posedPlaces, takesPinsOnly } from "./edits.js";
 import { FEW_SELECTED, LEAST_WAY, Marks, PLATE, STALK } from "./marks.js";
 import { isRegionTool } from "./region.js";
@@ -21,7 +21,7 @@ export const REACH = { mouse: 12, pen: 14, touch: 22 };
 const RING_OFF = 26;
 /** Radius of the ring of a pin, CSS px. */
 const PIN_RING = { mouse: 30, touch: 40 };
-const COARSE = matchMedia("(pointer: coarse)");
+const isCoarse = () => matchMedia("(pointer: coarse)").matches;
 
 /**
  * @template {keyof SVGElementTagNameMap} Name
@@ -142,10 +142,10 @@ export class Handles {
     this.svg = svg;
     this.store = store;
     this.view = view;
-    this.marks = new Marks(find("marks"), find("moving"), view);
+    this.marks = new Marks(inStage(view.stage, "marks"), inStage(view.stage, "moving"), view);
     this.ghosts = element("g", { class: "ghosts", "aria-hidden": true });
     this.fit = element("g", { id: "residuals", "aria-hidden": true });
-    this.ring = element("circle", { id: "ring", class: "ring", "aria-hidden": true });
+    this.ring = element("circle", { id: "ring", class: "ring", part: "ring", "aria-hidden": true });
     this.ringShade = element("circle", { class: "ring shade", "aria-hidden": true });
     // A round arrow on a stalk, so that it does not look like a handle.
     this.knob = element("g", {
@@ -166,7 +166,7 @@ export class Handles {
       "aria-hidden": true,
     });
     this.knob.append(
-      element("circle", { class: "hit", r: COARSE.matches ? 22 : 14 }),
+      element("circle", { class: "hit", r: isCoarse() ? 22 : 14 }),
       element("circle", { class: "halo", r: 12 }),
       this.stalk,
       element("circle", { class: "plate", r: PLATE }),
@@ -179,7 +179,12 @@ export class Handles {
       element("polyline", { class: "under" }),
       element("polyline", { class: "over" }),
     );
-    this.frame = element("rect", { id: "marquee", class: "marquee", "aria-hidden": true });
+    this.frame = element("rect", {
+      id: "marquee",
+      class: "marquee",
+      part: "selection",
+      "aria-hidden": true,
+    });
     this.cross = element("path", {
       id: "cross",
       class: "cross",
@@ -270,8 +275,16 @@ export class Handles {
         ? element("rect", { class: "rim", x: -7.5, y: -7.5, width: 15, height: 15, rx: 5 })
         : element("circle", { class: "rim", r: 9.5 });
       const shape = small
-        ? element("rect", { class: "dot", x: -5, y: -5, width: 10, height: 10, rx: 3 })
-        : element("circle", { class: "dot", r: 7 });
+        ? element("rect", {
+            class: "dot",
+            part: "handle",
+            x: -5,
+            y: -5,
+            width: 10,
+            height: 10,
+            rx: 3,
+          })
+        : element("circle", { class: "dot", part: "handle", r: 7 });
       return focusable(
         element("circle", { class: "hit", r: 12 }),
         element("circle", { class: "halo", r: 12 }),
@@ -283,7 +296,7 @@ export class Handles {
     const line = () =>
       focusable(
         ...["hit", "halo", "rim", "under", "over"].map((name) =>
-          element("polyline", { class: name }),
+          element("polyline", { class: name, part: name === "over" ? "line" : null }),
         ),
       );
     const single = handle.p.length === 1;
@@ -450,7 +463,7 @@ export class Handles {
       middle[1] + (r + STALK) * Math.sin(angle),
     ];
     if (pin) {
-      const r = COARSE.matches ? PIN_RING.touch : PIN_RING.mouse;
+      const r = isCoarse() ? PIN_RING.touch : PIN_RING.mouse;
       return { pin, centre, middle, r, knob: knobAt(r) };
     }
     // Keep the knob inside the stage for large selections.

@@ -25,8 +25,19 @@ export class Keys {
    * @param {Page.UserActions} actions
    * @param {Page.Does} does
    * @param {() => boolean} singleKeys
+   * @param {{ root?: Document | ShadowRoot, signal?: AbortSignal }} [where] what hears the keys
    */
-  constructor(stage, store, view, handles, pointer, actions, does, singleKeys) {
+  constructor(
+    stage,
+    store,
+    view,
+    handles,
+    pointer,
+    actions,
+    does,
+    singleKeys,
+    { root = document, signal } = {},
+  ) {
     this.stage = stage;
     this.store = store;
     this.view = view;
@@ -35,9 +46,14 @@ export class Keys {
     this.actions = actions;
     this.does = does;
     this.singleKeys = singleKeys;
-    document.addEventListener("keydown", (event) => this.#down(event));
-    document.addEventListener("keyup", (event) => this.#up(event));
-    globalThis.addEventListener("blur", () => this.#release());
+    this.root = root;
+    /** @type {(act: (event: KeyboardEvent) => void) => EventListener} */
+    const key = (act) => (event) => act(/** @type {KeyboardEvent} */ (event));
+    const down = key((event) => this.#down(event));
+    const up = key((event) => this.#up(event));
+    root.addEventListener("keydown", down, { signal });
+    root.addEventListener("keyup", up, { signal });
+    globalThis.addEventListener("blur", () => this.#release(), { signal });
     // Tab pans to the focused handle.
     stage.addEventListener("focusin", (event) => {
       const { target } = event;
@@ -49,7 +65,7 @@ export class Keys {
 
   /** @param {KeyboardEvent} event */
   #down(event) {
-    if (event.defaultPrevented || document.querySelector("dialog[open]")) return;
+    if (event.defaultPrevented || this.root.querySelector("dialog[open]")) return;
     const open = this.store.state.phase === "open";
     const target = event.target instanceof Element ? event.target : null;
     const text = target?.closest(

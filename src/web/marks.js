@@ -17,12 +17,11 @@ export const PLATE = 10.5;
 const EDGE = 40;
 const FONT =
   '650 12px ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", "DejaVu Sans", sans-serif';
-const BLUE = "#1a6dff";
 const SHADE = "rgb(0 0 0 / .38)";
 /** @type {Record<string, string>} */
 const FAULTS = { "": "#ff2d4b", warning: "#ffb020" };
 /** The round arrow of the ring, as in the SVG. */
-const ARROW = new Path2D("M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6");
+const ARROW = "M4.6-5.2A7 7 0 1 0 7 0M7.4-8.6 5-5 1-6";
 
 /** @type {(a: unknown[], b: unknown[]) => boolean} */
 const near = (a, b) => a.length === b.length && a.every((part, k) => part === b[k]);
@@ -52,6 +51,9 @@ export class Marks {
     this.view = view;
     this.lower = contextOf(lower, often);
     this.upper = contextOf(upper, often);
+    this.colour = "#1a6dff";
+    /** Of a point, CSS px. */
+    this.radius = 7;
     /** The one that is being drawn. */
     this.context = this.lower;
   }
@@ -85,6 +87,9 @@ export class Marks {
     const drawn = this.#drawn;
     if (drawn && PARTS.every((part) => near(drawn[part], now[part]))) return;
     this.#drawn = now;
+    const style = getComputedStyle(this.lower.canvas);
+    this.colour = style.getPropertyValue("--handle") || this.colour;
+    this.radius = parseFloat(style.getPropertyValue("--handle-size")) / 2 || this.radius;
     this.#begin(this.lower, [0, 0, ...stageSize]);
     // Their numbers are those of the SVG.
     this.#drawAll(plain.map(({ handle, pressed }) => ({ handle, pressed })));
@@ -189,7 +194,7 @@ export class Marks {
   #drawHandle(places, { pressed, fault = null, labels = [] }) {
     const { context } = this;
     const isLine = places.length > 1;
-    const colour = fault === null ? BLUE : FAULTS[fault];
+    const colour = fault === null ? this.colour : FAULTS[fault];
     if (isLine) {
       context.beginPath();
       for (const at of places) context.lineTo(...at);
@@ -204,12 +209,13 @@ export class Marks {
         if (isLine) context.roundRect(x - half, y - half, 2 * half, 2 * half, round);
         else context.arc(x, y, r, 0, 2 * Math.PI);
       };
-      shape(7.5, 5, 9.5);
+      const half = (5 / 7) * this.radius;
+      shape(half + 2.5, 5, this.radius + 2.5);
       this.#fill(SHADE);
-      shape(5, 3, 7);
+      shape(half, 3, this.radius);
       const isWhite = pressed[k] && fault === null;
       this.#fill(isWhite ? "#fff" : colour);
-      this.#stroke(isWhite ? BLUE : "#fff", isWhite ? 4 : 2.5);
+      this.#stroke(isWhite ? this.colour : "#fff", isWhite ? 4 : 2.5);
       if (labels[k]) this.#write(labels[k], x, y - 15);
     });
   }
@@ -232,12 +238,13 @@ export class Marks {
     context.arc(a, b, PLATE, 0, 2 * Math.PI);
     this.#fill("rgb(20 21 24 / .72)");
     context.translate(a, b);
+    const arrow = new Path2D(ARROW);
     for (const [colour, width] of [
       ["rgb(0 0 0 / .6)", 4],
       ["#fff", 2],
     ]) {
       Object.assign(context, { strokeStyle: colour, lineWidth: width });
-      context.stroke(ARROW);
+      context.stroke(arrow);
     }
     context.translate(-a, -b);
     if (degrees) this.#write(degrees, a, b - 16);

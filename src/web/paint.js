@@ -150,6 +150,12 @@ export class Painter {
     this.#texture = null;
   }
 
+  /** Gives the memory of the GPU back. */
+  release() {
+    this.#gpu?.gl.getExtension("WEBGL_lose_context")?.loseContext();
+    this.#gpu = this.#texture = this.#source = this.#mask = null;
+  }
+
   /** The largest side of a picture that fits into a texture. */
   get longestSide() {
     const { gl } = known(this.#gpu);

@@ -1,7 +1,6 @@
 // Poses without the server: the coefficients of a session (`GET /sessions/{id}/plan`; /docs
 // describes the file), and when they are fetched.
 
-import * as api from "./api.js";
 import { Mesh } from "./mesh.js";
 
 /** Vertices of the first lattice, about as many along a unit of both sides. */
@@ -225,6 +224,19 @@ export class Plans {
   arrived = Promise.resolve();
 
   /**
+   * `read`: gets the file of a session, or null if there is none for it.
+   * @param {(
+   *   id: string,
+   *   columns: number,
+   *   rows: number,
+   *   signal: AbortSignal,
+   * ) => Promise<ArrayBuffer | null>} read
+   */
+  constructor(read) {
+    this.read = read;
+  }
+
+  /**
    * The plan of these rest handles, or null.
    * @param {Page.Session | null} session
    */
@@ -287,15 +299,12 @@ export class Plans {
    * @param {AbortSignal} signal
    */
   async #take(session, [columns, rows], shown, signal) {
-    try {
-      const plan = new Plan(await api.plan(session.id, columns, rows, signal));
-      if (signal.aborted || plan.revision !== session.revision) return false;
-      this.#plan = plan;
-      shown();
-      return true;
-    } catch (error) {
-      if (error instanceof api.Problem || api.wasAborted(error)) return false;
-      throw error;
-    }
+    const bytes = await this.read(session.id, columns, rows, signal);
+    if (!bytes || signal.aborted) return false;
+    const plan = new Plan(bytes);
+    if (plan.revision !== session.revision) return false;
+    this.#plan = plan;
+    shown();
+    return true;
   }
 }

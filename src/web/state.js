@@ -316,8 +316,12 @@ export class Store {
     }
   }
 
-  /** @param {Subscriber} view */
+  /**
+   * Returns a function that ends the subscription.
+   * @param {Subscriber} view
+   */
   subscribe(view) {
     this.#views.add(view);
+    return () => this.#views.delete(view);
   }
 }

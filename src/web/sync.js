@@ -3,6 +3,7 @@
 // pointer rests, the server's PNG is fetched. A single loop decides the next step, so that an
 // outdated response is never shown.
 
+import { aligned } from "./align.js";
 import * as api from "./api.js";
 import { known } from "./dom.js";
 import { infoOf, movedApart, ownIn, restOf, wire } from "./edits.js";
@@ -89,7 +90,12 @@ export class Sync {
    * @type {{ revision: number, time: number }[]}
    */
   #poses = [];
-  #plans = new Plans();
+  #plans = new Plans((id, columns, rows, signal) =>
+    api.plan(id, columns, rows, signal).catch((error) => {
+      if (error instanceof api.Problem || api.wasAborted(error)) return null;
+      throw error;
+    }),
+  );
   #late = 0;
   #burst = false;
   #timer = 0;
@@ -261,6 +267,22 @@ export class Sync {
       },
       Math.min(...due) + 1,
     );
+  }
+
+  /**
+   * The document with its pose aligned by the best map of a class (align.js); null, with a problem,
+   * if the server refuses.
+   * @param {Page.Document} document
+   * @param {Page.AlignClass} by
+   * @param {Page.Picture} picture
+   */
+  async aligned(document, by, picture) {
+    try {
+      return await aligned(document, by, picture);
+    } catch (error) {
+      this.store.do("problem", { problem: api.asProblem(error) });
+      return null;
+    }
   }
 
   /** Retries after a problem. */

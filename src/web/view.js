@@ -3,7 +3,7 @@
 // of the screen where these are larger: neither a large picture nor a large zoom costs more.
 
 import { boxOf, boxOfPicture } from "./canvas.js";
-import { contextOf, find, known } from "./dom.js";
+import { contextOf, inStage, known } from "./dom.js";
 import { drawGrid } from "./grid.js";
 import { Painter } from "./paint.js";
 
@@ -17,6 +17,7 @@ const SAMPLE = 64;
 const MARGINS = { wide: [92, 64], narrow: [16, 16], from: [640, 420] };
 
 export class View {
+  margins = MARGINS;
   zoom = 1;
   /** @type {Page.Place} */
   pan = [0, 0];
@@ -56,6 +57,8 @@ export class View {
   /** @type {(() => void)[]} */
   #afterPaint = [];
   #due = false;
+  #end = new AbortController();
+  #sizes = new ResizeObserver(() => this.resized());
   /** @type {Set<() => void>} */
   #views = new Set();
   /** @type {Set<() => void>} */
@@ -68,14 +71,26 @@ export class View {
    */
   constructor(stage, allowWebgl) {
     this.stage = stage;
-    this.live = find("live");
+    this.live = inStage(this.stage, "live");
     // Many short lines are faster without the GPU.
-    this.lines = contextOf(find("grid"), { willReadFrequently: true });
+    this.lines = contextOf(inStage(this.stage, "grid"), { willReadFrequently: true });
     this.painter = allowWebgl ? new Painter(this.live) : null;
     this.webgl = this.painter?.kind ?? "none";
     this.plain = this.webgl === "none" ? contextOf(this.live) : null;
-    new ResizeObserver(() => this.resized()).observe(stage);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.invalidate());
+    this.#sizes.observe(stage);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener(
+      "change",
+      () => this.invalidate(),
+      this.#end,
+    );
+  }
+
+  /** Ends it: nothing outside of the stage refers to it any more, and the GPU has its memory back. */
+  release() {
+    this.#end.abort();
+    this.#sizes.disconnect();
+    this.clear();
+    this.painter?.release();
   }
 
   /**
@@ -203,7 +218,7 @@ export class View {
 
   /** @param {HTMLImageElement} image */
   #swap(image) {
-    const old = find(/** @type {"original" | "picture"} */ (image.id));
+    const old = inStage(this.stage, /** @type {"original" | "picture"} */ (image.id));
     old.replaceWith(image);
     this.#release(old);
     this.#place();
@@ -348,9 +363,8 @@ export class View {
   // Zoom and pan
 
   get #margins() {
-    return this.stageSize.some((side, axis) => side < MARGINS.from[axis])
-      ? MARGINS.narrow
-      : MARGINS.wide;
+    const { wide, narrow, from } = this.margins;
+    return this.stageSize.some((side, axis) => side < from[axis]) ? narrow : wide;
   }
 
   fit() {
@@ -463,7 +477,7 @@ export class View {
     const [width, height] = this.size ?? [0, 0];
     const { compare, at, peek } = this.#show;
     for (const id of /** @type {const} */ (["board", "picture", "original", "region"])) {
-      const { style } = find(id);
+      const { style } = inStage(this.stage, id);
       const [x, y, across, down] =
         this.size && id !== "original" && id !== "region"
           ? id === "board"
@@ -477,10 +491,10 @@ export class View {
       style.imageRendering = this.zoom >= CRISP ? "pixelated" : "auto";
       if (id === "picture" || id === "original") style.visibility = "visible";
     }
-    const original = find("original");
+    const original = inStage(this.stage, "original");
     original.style.visibility = this.size && (compare || peek) ? "visible" : "hidden";
     original.style.clipPath = peek ? "none" : `inset(0 ${100 - at}% 0 0)`;
-    const divider = find("divider");
+    const divider = inStage(this.stage, "divider");
     divider.hidden = !(this.size && compare && !peek);
     divider.style.transform = `translate(${this.pan[0] + (this.zoom * width * at) / 100}px, ${this.pan[1]}px)`;
     divider.style.height = `${height * this.zoom}px`;
@@ -489,7 +503,7 @@ export class View {
     this.lines.canvas.style.clipPath = compare
       ? `inset(0 0 0 ${Math.max(0, this.pan[0] + (this.zoom * width * at) / 100)}px)`
       : "none";
-    find("picture").style.visibility =
+    inStage(this.stage, "picture").style.visibility =
       !this.#played && (this.source === "png" || this.source === "source") ? "visible" : "hidden";
   }
 
@@ -570,7 +584,7 @@ export class View {
     const factor = side / width;
     const [atX, atY, wide, high] = isLive ? known(this.#liveBox) : this.#pictureBox;
     const [left, top] = [this.pan[0] + this.zoom * atX - x, this.pan[1] + this.zoom * atY - y];
-    const shown = isLive ? this.live : find("picture");
+    const shown = isLive ? this.live : inStage(this.stage, "picture");
     context.drawImage(
       shown,
       left * factor,

@@ -44,7 +44,7 @@ macro_rules! assets {
 
 static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
-        "page.css" CSS,
+        "page.css" CSS, "stage.css" CSS,
         "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
             "annotations.js" JS, "api.js" JS, "blend.js" JS, "canvas.js" JS,
         "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "frame.js" JS,

@@ -1,0 +1,5 @@
+// The bundle of the element has style sheets as texts.
+declare module "*.css" {
+  const text: string;
+  export default text;
+}
