@@ -345,11 +345,23 @@ export const hasPinsOnly = ({ handles }) => handles.every((h) => h.p.length === 
 export const mayTwist = (document) => hasFocus(document) && alphaOf(document) >= LEAST_ALPHA;
 
 /**
- * Alpha; the server's default is 2 with any line, otherwise 1.
- * @type {(document: Pick<Page.Document, "alpha" | "handles">) => number}
+ * How distances are measured. Methods without a focus measure none.
+ * @type {(document: Pick<Page.Document, "method" | "metric">) => Page.Metric}
  */
-export const alphaOf = ({ alpha, handles }) =>
-  alpha ?? (handles.some((h) => h.p.length > 1) ? 2 : 1);
+export const metricOf = (document) =>
+  (hasFocus(document) ? document.metric : undefined) ?? "euclidean";
+/** The share of full alpha above which a pixel belongs to the inside, if none is chosen. */
+const THRESHOLD = 0.5;
+/** @type {(document: Page.Document) => number} */
+export const thresholdOf = ({ threshold }) => threshold ?? THRESHOLD;
+
+/**
+ * Alpha; the server's default is 2 with any line and inside an outline, otherwise 1.
+ * @type {(document: Pick<Page.Document, "alpha" | "handles" | "method" | "metric">) => number}
+ */
+export const alphaOf = (document) =>
+  document.alpha ??
+  (document.handles.some((h) => h.p.length > 1) || metricOf(document) === "geodesic" ? 2 : 1);
 
 /**
  * `after`, with the focus of `before` if another automatic one would move handles that are posed.
@@ -420,6 +432,7 @@ export function restOf(document) {
     ...(has(document, "smoothing") && { smoothing: document.smoothing ?? 0 }),
     ...(hasFocus(document) && { alpha: alphaOf(document), ...point_mass }),
     ...ownOf(document),
+    ...metricIn(document),
   };
   // Without a region there are no holes.
   const holes = regionOf(document).parts.length ? { holes: holesOf(document) } : {};
@@ -438,6 +451,19 @@ export function restOf(document) {
     grid: typeof grid === "number" ? { cell: grid } : grid,
     output,
   };
+}
+
+/**
+ * The metric of a warp object, with its mask; methods without a focus have none, which a session
+ * has to be told.
+ * @param {Page.Document} document
+ * @returns {Pick<Page.Rest, "metric" | "mask">}
+ */
+function metricIn(document) {
+  const metric = metricOf(document);
+  return metric === "geodesic"
+    ? { metric, mask: { threshold: thresholdOf(document) } }
+    : { metric };
 }
 
 /**
@@ -492,7 +518,8 @@ export function swapped({ full: _, strength: __, align, ...document }) {
  * @returns {Page.Warp}
  */
 export function warpOf(document) {
-  const { alpha, output, point_mass, smoothing, coincident, ...rest } = restOf(document);
+  const { alpha, output, point_mass, smoothing, coincident, metric, mask, ...rest } =
+    restOf(document);
   // With twisted pins the server's defaults, which count segments, would be others.
   const twisted = isTwisted(document);
   const mass = twisted || document.mass !== undefined ? { point_mass } : {};
@@ -501,6 +528,7 @@ export function warpOf(document) {
     ...((twisted || document.alpha !== null) && { alpha }),
     ...mass,
     ...(smoothing && { smoothing }),
+    ...(mask && { metric, ...(mask.threshold !== THRESHOLD && { mask }) }),
     ...(document.coincident && { coincident }),
   };
   const names = /** @type {(keyof typeof output)[]} */ (Object.keys(output));
@@ -526,6 +554,8 @@ export function sameRest(object, document) {
     grid,
     output,
     point_mass: mass,
+    metric,
+    mask,
   } = restOf(document);
   /** @type {(a: unknown, b: unknown) => boolean} */
   const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
@@ -537,6 +567,8 @@ export function sameRest(object, document) {
     [object.method, method],
     [object.alpha, alpha],
     [object.smoothing, smoothing],
+    [object.metric ?? "euclidean", metric],
+    [object.mask, mask],
     [ownIn(object), ownOf(document)],
     [object.coincident_policy ?? MEAN, coincident],
     [object.grid.requested, grid],

@@ -12,6 +12,7 @@ import { pinOf } from "./twist.js";
 
 /** Largest file, bytes: many times what this page writes, with the mask of a large picture. */
 const LARGEST = 16 << 20;
+const METRICS = ["euclidean", "geodesic"];
 const FILTERS = ["nearest", "bilinear", "bicubic"];
 
 /**
@@ -230,6 +231,8 @@ export function documentFrom(warp) {
     method = "rigid",
     alpha = null,
     smoothing,
+    metric = "euclidean",
+    mask: inside,
     coincident,
     grid = "auto",
   } = given;
@@ -298,6 +301,13 @@ export function documentFrom(warp) {
     `/${method}`,
     `an object with the numbers ${names.join(", ")}`,
   );
+  demand(METRICS.includes(metric), "/metric", '"euclidean" or "geodesic"');
+  const threshold = inside?.threshold;
+  demand(
+    inside === undefined || threshold === undefined || (threshold >= 0 && threshold <= 1),
+    "/mask/threshold",
+    "a number between 0 and 1",
+  );
   demand(smoothing === undefined || smoothing >= 0, "/smoothing", "a number, at least 0,");
   const { policy = "mean", within = 0 } = coincident ?? {};
   demand(policy === "mean" || policy === "reject", "/coincident/policy", '"mean" or "reject"');
@@ -356,6 +366,8 @@ export function documentFrom(warp) {
     alpha,
     ...(smoothing && { smoothing }),
     ...(own && { own: { [method]: own } }),
+    metric,
+    ...(threshold !== undefined && { threshold }),
     ...((policy !== "mean" || within) && { coincident: { policy, within } }),
     grid: cell,
     outside,

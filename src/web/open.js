@@ -345,6 +345,9 @@ export class Opener {
         signal,
       );
     }
+    // What an outline separates stays apart, unless somebody has chosen otherwise.
+    if (isCutout && document.metric === undefined && !document.handles.length)
+      document = { ...document, metric: "geodesic" };
     const left = this.current;
     // A session of another user keeps its region. Otherwise the session without one is known, and
     // one with a mask is given it again.
@@ -535,6 +538,8 @@ function warpOfSession(object) {
     alpha,
     point_mass,
     smoothing,
+    metric,
+    mask,
     coincident_policy: coincident,
     units,
     grid,
@@ -547,6 +552,8 @@ function warpOfSession(object) {
     method,
     point_mass,
     smoothing,
+    metric,
+    mask,
     coincident,
     units,
     grid: grid.requested,

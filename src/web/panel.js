@@ -2,6 +2,7 @@
 
 import { alignOf } from "./align.js";
 import { boxOf, canvasOf, cutOff } from "./canvas.js";
+import { METRIC_PICTURES, methodPicture, offer } from "./choices.js";
 import { find, findAll, listen, text } from "./dom.js";
 import {
   alphaOf,
@@ -11,9 +12,11 @@ import {
   kindName,
   kindOfOutside,
   mayHave,
+  metricOf,
   outsideOf,
   takesLinesOnly,
   takesPinsOnly,
+  thresholdOf,
   toolName,
 } from "./edits.js";
 import { LEAST_PINS } from "./fit.js";
@@ -26,6 +29,7 @@ import {
   CANVAS,
   FILTER,
   HINTS,
+  METRICS,
   OUTSIDE,
   STAGES,
   WARNINGS,
@@ -35,6 +39,7 @@ import {
   focusWords,
   foldWords,
   methodWords,
+  metricWords,
   noFitWords,
   problemWords,
   waitingWords,
@@ -56,6 +61,11 @@ export class Panel {
    * @type {Map<string, HTMLInputElement>}
    */
   #methods = new Map();
+  /**
+   * Those of the metrics.
+   * @type {Map<string, HTMLInputElement>}
+   */
+  #metrics = new Map();
   /**
    * The canvas that the fields show.
    * @type {Page.Canvas | null}
@@ -136,7 +146,19 @@ export class Panel {
     click("problem-close", () => store.do("problem", { problem: null }));
     click("problem-action", () => does.mend(state().problem));
     for (const tool of TOOLS) listen(`tool-${tool}`, "change", () => does.tool(tool));
-    for (const { name, title } of METHODS) this.#methods.set(name, this.#offerMethod(name, title));
+    for (const method of METHODS) {
+      const choose = () => this.#setMethod(method.name);
+      const picture = methodPicture(method.name);
+      this.#methods.set(method.name, offer("methods", "method", method, picture, choose));
+    }
+    for (const metric of METRICS) {
+      const choose = () => this.#set({ metric: metric.name });
+      const picture = METRIC_PICTURES[metric.name];
+      this.#metrics.set(metric.name, offer("metrics", "metric", metric, picture, choose));
+    }
+    listen("threshold", "input", ({ value }) =>
+      this.#set({ threshold: Number(value) }, "threshold"),
+    );
     listen("grid-size", "change", ({ value }) =>
       this.#set({ grid: value === "auto" ? "auto" : JSON.parse(value) }),
     );
@@ -189,24 +211,6 @@ export class Panel {
     if (!fields.every((field) => field.checkValidity())) return;
     const [x, y, width, height] = fields.map((field) => field.valueAsNumber);
     this.#set({ canvas: { x, y, width, height } });
-  }
-
-  /**
-   * Adds the button of a method.
-   * @param {Page.Method} name
-   * @param {string} title
-   */
-  #offerMethod(name, title) {
-    const [label, button, words] = ["label", "input", "span"].map((tag) =>
-      window.document.createElement(tag),
-    );
-    const input = /** @type {HTMLInputElement} */ (button);
-    Object.assign(input, { id: `method-${name}`, type: "radio", name: "method", value: name });
-    words.textContent = title;
-    label.append(input, words);
-    find("methods").append(label);
-    input.addEventListener("change", () => this.#setMethod(name));
-    return input;
   }
 
   /** @param {Page.Method} method */
@@ -305,11 +309,14 @@ export class Panel {
       button.disabled = !mayHave(document, name);
     }
     text("method-note", methodWords(document));
+    this.#drawMetric(document);
     const isFocused = hasFocus(document);
     for (const id of /** @type {const} */ (["alpha", "alpha-auto"])) find(id).disabled = !isFocused;
     const pinsOnly = takesPinsOnly(document);
-    for (const id of /** @type {const} */ (["tool-line", "tool-path", "pin-border"]))
+    for (const id of /** @type {const} */ (["tool-line", "tool-path"]))
       find(id).disabled = pinsOnly;
+    // The border of a cut-out lies outside of what it shows.
+    find("pin-border").disabled = pinsOnly || metricOf(document) === "geodesic";
     find("tool-point").disabled = takesLinesOnly(document);
     const alpha = alphaOf(document);
     find("alpha").value = String(alpha);
@@ -338,6 +345,29 @@ export class Panel {
     find("filter").value = filterOf(document);
     text("filter-note", FILTER[filterOf(document)]);
     this.#drawCanvas(document);
+  }
+
+  /**
+   * Where handles act: for pictures that have an outline, or a region.
+   * @param {Page.Document} document
+   */
+  #drawMetric(document) {
+    const { picture } = this.store.state;
+    const metric = metricOf(document);
+    const hasOutline =
+      Boolean(picture?.isCutout) || regionOf(document).parts.length > 0 || metric === "geodesic";
+    const isInside = metric === "geodesic";
+    find("metrics").hidden = find("metric-note").hidden = !hasOutline;
+    for (const [name, button] of this.#metrics) {
+      button.checked = name === metric;
+      button.disabled = !hasFocus(document);
+    }
+    text("metric-note", metricWords(document));
+    for (const id of /** @type {const} */ (["threshold-row", "threshold", "threshold-note"]))
+      find(id).hidden = !isInside;
+    const threshold = thresholdOf(document);
+    find("threshold").value = String(threshold);
+    text("threshold-value", `${Math.round(100 * threshold)} % opacity`);
   }
 
   /**

@@ -256,6 +256,8 @@ export class Plans {
     const rest = JSON.parse(session.rest ?? "null");
     // The session of a link may have other rest handles than the document.
     if (!rest || (rest.method === "tps" && rest.p.length > SPLINE)) return;
+    // Inside an outline, a place of the grid may have several vertices.
+    if (rest.metric === "geodesic") return;
     const { width, height, columns, rows } = session.grid;
     /** @type {(side: number) => number} */
     const along = (side) =>

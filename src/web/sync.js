@@ -366,7 +366,8 @@ export class Sync {
     const object = await (has
       ? api.putRegion(session.id, await maskFile(region, [width, height]))
       : api.deleteRegion(session.id));
-    if (this.session === session) Object.assign(session, { region, setup: setupOf(object) });
+    if (this.session === session)
+      Object.assign(session, { region, revision: object.rest_revision, setup: setupOf(object) });
   }
 
   /**
@@ -684,6 +685,8 @@ function setupOf(object) {
     alpha,
     point_mass: mass,
     smoothing,
+    metric,
+    mask,
     coincident_policy: coincident,
     units,
     grid,
@@ -698,6 +701,8 @@ function setupOf(object) {
     alpha,
     mass,
     smoothing,
+    metric,
+    mask,
     ownIn(object),
     coincident,
     units,

@@ -37,6 +37,7 @@ declare namespace Page {
     object: boolean;
     parameters: { name: string; default: number; sentence: string }[];
   };
+  type Metric = "euclidean" | "geodesic";
   type Filter = "nearest" | "bilinear" | "bicubic";
   type Holes = "keep" | "transparent";
   type AlignClass = "none" | "rigid" | "similarity" | "affine";
@@ -72,6 +73,10 @@ declare namespace Page {
     /** null: automatic. */
     alpha: number | null;
     grid: Grid;
+    /** Absent: that of the plane, or what is usual for a new picture. */
+    metric?: Metric;
+    /** The share of full alpha above which a pixel belongs to the outline's inside. */
+    threshold?: number;
     outside?: Outside;
     filter?: Filter;
     canvas?: Canvas;
@@ -250,6 +255,8 @@ declare namespace Page {
     alpha?: number;
     point_mass?: number;
     smoothing?: number;
+    metric?: Metric;
+    mask?: { threshold: number };
     coincident: NonNullable<Document["coincident"]>;
     grid: "auto" | { tolerance: number } | { cell: number };
     output: { outside: Outside; filter: Filter; canvas: Canvas; holes?: Holes };
@@ -286,6 +293,8 @@ declare namespace Page {
     alpha?: number;
     point_mass?: number | null;
     smoothing?: number;
+    metric?: Metric;
+    mask?: { threshold: number };
     coincident?: { handles: number[] }[];
     coincident_policy?: NonNullable<Document["coincident"]>;
     units: string;

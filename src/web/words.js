@@ -1,6 +1,6 @@
 // User-visible texts: problems, methods, alpha, folds, warnings, hints and limits.
 
-import { infoOf, mayHave, takesLinesOnly, takesPinsOnly } from "./edits.js";
+import { hasFocus, infoOf, mayHave, metricOf, takesLinesOnly, takesPinsOnly } from "./edits.js";
 import { METHODS } from "./methods.js";
 
 const number = new Intl.NumberFormat("en", { maximumFractionDigits: 2, useGrouping: false });
@@ -50,6 +50,14 @@ const PROBLEMS = {
   ],
   rate_limited: ["Too many requests", "Retrying automatically."],
   timeout: ["The request timed out", "Retrying automatically. A smaller picture takes less time."],
+  outside_mask: [
+    "A handle lies beside the outline",
+    "Put it on what the picture shows, or let handles act across gaps (Deformation).",
+  ],
+  empty_mask: [
+    "Nothing lies inside the outline",
+    "Lower “Solid from”, or let handles act across gaps (Deformation).",
+  ],
   no_such_session: [
     "The session has expired",
     "Open the picture again: the server keeps it for a limited time, and this browser has no copy.",
@@ -239,6 +247,29 @@ export function methodWords(document) {
   if (lines.length)
     words.push(`${theyDo(lines, ["is", "are"])} for lines and paths only: not with pins.`);
   return words.join(" ");
+}
+
+/**
+ * Where handles act: the metrics.
+ * @type {{ name: Page.Metric, title: string, sentence: string }[]}
+ */
+export const METRICS = [
+  {
+    name: "geodesic",
+    title: "Inside the outline",
+    sentence: "Handles act along what the picture shows: one leg bends without its neighbour.",
+  },
+  {
+    name: "euclidean",
+    title: "Across gaps",
+    sentence: "Handles act in every direction: what lies near moves along.",
+  },
+];
+
+/** @param {Page.Document} document */
+export function metricWords(document) {
+  if (!hasFocus(document)) return "This method reaches the whole picture, whatever lies between.";
+  return METRICS.find(({ name }) => name === metricOf(document))?.sentence ?? "";
 }
 
 /**
@@ -451,6 +482,7 @@ export const WARNINGS = {
     "Annotations are far outside the picture, or in other units than the handles.",
   nothing_visible: "The whole picture is outside the canvas.",
   mirrored: "The picture is mirrored.",
+  mask_is_everything: "The picture has no outline: handles act in every direction.",
   mirrored_use_affine:
     "The handles mirror the picture, which this method cannot. Choose Affine or Spline.",
   scaled_use_similarity:

@@ -204,6 +204,15 @@ fn values(schema: &str, field: &str) -> (Value, Value, Value) {
             let lines = json!({"method": "beier_neely", "p": p, "q": q});
             (lines, json!({"a": 0, "b": 0.5}), json!({"a": 50, "p": 1}))
         }
+        "metric" => (no, json!("euclidean"), json!("geodesic")),
+        "mask" if ["Points", "Report", "Map"].contains(&schema) => {
+            (no, Value::Null, json!({"threshold": 0.5}))
+        }
+        "mask" => (
+            json!({"metric": "geodesic"}),
+            json!({"threshold": 0.2}),
+            json!({"threshold": 0.8}),
+        ),
         // Points that are one, and points that are two.
         "coincident" => (twins, json!({"within": 0}), json!({"within": 3})),
         "units" => (small, json!("px"), json!("normalized")),
@@ -351,9 +360,20 @@ struct Asker {
 }
 
 impl Asker {
+    fn image_for(&self, field: &str) -> Vec<u8> {
+        if field == "mask" {
+            divided()
+        } else {
+            self.image.clone()
+        }
+    }
+
     /// A session with handles, a layer, and a region if the field is about regions.
     async fn session(&self, field: &str) -> String {
-        let id = self.server.session(&self.image, &json!({"p": p()})).await;
+        let id = self
+            .server
+            .session(&self.image_for(field), &json!({"p": p()}))
+            .await;
         let layers = [("depth", true), ("region", field == "output.holes")];
         for (layer, _) in layers.into_iter().filter(|(_, is_needed)| *is_needed) {
             let url = self.server.url(&format!("/sessions/{id}/layers/{layer}"));
@@ -384,7 +404,10 @@ impl Asker {
         let url = |id: &str| self.server.url(&route.path.replace("{id}", id));
         match route.by {
             By::Upload => {
-                let mut parts = form(&self.image, Value::Object(object.clone()).to_string());
+                let mut parts = form(
+                    &self.image_for(field),
+                    Value::Object(object.clone()).to_string(),
+                );
                 if field == "output.holes" {
                     parts = parts.part("region", Part::bytes(mask()).file_name("mask"));
                 }
@@ -440,6 +463,29 @@ impl Asker {
             }
         }
     }
+}
+
+/// A picture with a wall that shows half.
+fn divided() -> Vec<u8> {
+    let samples: Vec<u8> = (0..120)
+        .flat_map(|y| {
+            (0..160).flat_map(move |x| {
+                let alpha = if (100..110).contains(&x) && y > 20 {
+                    128
+                } else {
+                    255
+                };
+                [x, y, 90, alpha]
+            })
+        })
+        .collect();
+    png_of(
+        160,
+        120,
+        png::ColorType::Rgba,
+        png::BitDepth::Eight,
+        &samples,
+    )
 }
 
 /// A picture whose left half is white.
@@ -536,8 +582,11 @@ async fn every_field_of_every_route_has_an_effect() {
                 std::str::from_utf8(&answers[k].2)
                     .map_or("bytes", |text| &text[..text.len().min(200)])
             };
-            let is_refused =
-                field == "folds" || (route.schema, field.as_str()) == ("Points", "grid");
+            // Without an image nothing has a mask.
+            let has_no_mask = route.by == By::Whole && route.method == "POST";
+            let is_refused = field == "folds"
+                || (route.schema, field.as_str()) == ("Points", "grid")
+                || (has_no_mask && ["metric", "mask"].contains(&field.as_str()));
             let expected: &[u16] = if is_refused { &[200, 422] } else { &[200, 200] };
             let statuses = [answers[0].0, answers[1].0];
             if answers[0] == answers[1] || statuses != expected {

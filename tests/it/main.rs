@@ -34,6 +34,7 @@ mod floods;
 mod formats;
 mod frames;
 mod front_door;
+mod geodesic;
 mod geojson;
 mod golden;
 mod hostile;

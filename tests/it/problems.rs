@@ -470,6 +470,20 @@ async fn the_page_shows_what_is_said() {
     let spline = server
         .session(&image, &json!({"p": spline, "method": "tps"}))
         .await;
+    // What is visible ends 6 px before the third handle.
+    let half: Vec<u8> = (0..16 * 12)
+        .flat_map(|k| [90, if k % 16 < 8 { 255 } else { 0 }])
+        .collect();
+    let half = crate::support::picture::png(16, 12, png::ColorType::GrayscaleAlpha, &half);
+    let inside = |image: &[u8], mask: Value| {
+        let warp = json!({"p": [[2, 2], [3, 8], [14, 5]], "q": [[2, 2], [3, 8], [14, 5]],
+            "metric": "geodesic", "mask": mask});
+        server
+            .post("/warp")
+            .multipart(form(image, warp.to_string()))
+    };
+    same("outside_mask", inside(&half, json!({}))).await;
+    same("empty_mask", inside(&half, json!({"threshold": 1}))).await;
     same("no_table", server.get(&format!("/sessions/{spline}/plan"))).await;
     same(
         "misdirected",

@@ -65,6 +65,8 @@ codes! {
     ContradictoryHandles = 422, "contradictory_handles", "Contradictory handles";
     DegenerateLine = 422, "degenerate_line", "Degenerate line";
     AlphaOutOfRange = 422, "alpha_out_of_range", "Alpha out of range";
+    OutsideMask = 422, "outside_mask", "Handle outside the mask";
+    EmptyMask = 422, "empty_mask", "Empty mask";
     NoTable = 422, "no_table", "No table of coefficients";
     Folded = 422, "folded", "The warp folds";
     UpgradeRequired = 426, "upgrade_required", "Upgrade required";

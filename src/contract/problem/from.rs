@@ -69,6 +69,7 @@ impl From<WarpError> for Problem {
             WarpError::TooFewPoints { actual, .. } => Self::new(Code::BadValue, detail)
                 .pointer("/p")
                 .actual(actual),
+            WarpError::UnusedMask => Self::new(Code::BadValue, detail).pointer("/mask"),
             WarpError::NoTable { .. } => Self::new(Code::NoTable, detail),
             WarpError::NoImage | WarpError::CutGrid { .. } => {
                 Self::new(Code::NotSupported, detail).pointer("/metric")
@@ -176,10 +177,12 @@ fn handle_problem(field: &str, error: &DeformError) -> Problem {
             too_large().limit("handle_comparisons", limit, limit + 1)
         }
         DeformError::Cancelled => new(Code::Timeout),
-        DeformError::EmptyMask => new(Code::NotSupported).pointer("/metric"),
-        DeformError::OutsideMask { handle } => at_handle(Code::BadValue, handle),
+        DeformError::EmptyMask => new(Code::EmptyMask).pointer("/mask"),
+        DeformError::OutsideMask { handle } => at_handle(Code::OutsideMask, handle),
         DeformError::MaskTooLarge { limit, bytes } => too_large().limit("plan_bytes", limit, bytes),
-        DeformError::LineInMask { handle } => at_handle(Code::NotSupported, handle),
+        DeformError::MaskTooWinding { limit, operations } => {
+            too_large().limit("work", limit, operations)
+        }
         DeformError::NoMetric { .. } => new(Code::NotSupported).pointer("/metric"),
         DeformError::AlphaOutOfRange { alpha, .. } => new(Code::AlphaOutOfRange)
             .pointer("/alpha")

@@ -69,7 +69,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
         all(),
         numbers,
         coincident,
-        (all(), grid, all(), all()),
+        (all(), grid, all(), all(), prop::option::of(0.0..=1.0)),
     )
         .prop_map(
             |(
@@ -78,7 +78,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                 method,
                 (alpha, point_mass, smoothing, own),
                 coincident,
-                (units, grid, align, metric),
+                (units, grid, align, metric, mask_threshold),
             )| RestSpec {
                 p,
                 weights,
@@ -88,6 +88,7 @@ fn rest() -> impl Strategy<Value = RestSpec> {
                 smoothing,
                 own,
                 metric,
+                mask_threshold,
                 mask: None,
                 coincident,
                 units,

@@ -153,6 +153,8 @@ pub enum Matching {
 
 enum_names!(CoincidentPolicy, unsupported [], CoincidentPolicy::Mean = "mean",
     CoincidentPolicy::Reject = "reject");
+enum_names!(Metric, unsupported [], Metric::Euclidean = "euclidean",
+    Metric::Geodesic = "geodesic");
 enum_names!(Units, unsupported [], Units::Px = "px", Units::Normalized = "normalized");
 enum_names!(
     Align, unsupported [],
@@ -178,25 +180,6 @@ enum_names!(Easing, unsupported [], Easing::Linear = "linear", Easing::EaseInOut
 enum_names!(BlendSpace, unsupported [], BlendSpace::Srgb = "srgb",
     BlendSpace::Linear = "linear");
 enum_names!(Matching, unsupported [], Matching::Name = "name", Matching::Order = "order");
-
-/// The library has the other metric; the service does not offer it yet.
-impl EnumName for Metric {
-    const ALL: &'static [Self] = &[Self::Euclidean];
-    const UNSUPPORTED: &'static [&'static str] = &["geodesic"];
-
-    fn as_str(self) -> &'static str {
-        match self {
-            Self::Euclidean => "euclidean",
-            Self::Geodesic => "geodesic",
-        }
-    }
-}
-
-impl Serialize for AsJson<Metric> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.0.as_str())
-    }
-}
 
 /// Without the format of animations, which is requested by `Accept`.
 impl EnumName for Format {

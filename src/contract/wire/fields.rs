@@ -80,6 +80,7 @@ object_fields! {
         grid = "grid",
         folds = "folds",
         metric = "metric",
+        mask = "mask",
         output = "output",
         names = "names",
         format = "format",
@@ -243,6 +244,9 @@ pub const BLEND_IMAGE: [&str; 9] = [
 /// The fields of a candidate.
 pub const CANDIDATE: [&str; 3] = ["method", "alpha", "smoothing"];
 
+/// The fields of `mask`.
+pub const MASK: [&str; 1] = ["threshold"];
+
 /// The fields of `coincident`.
 pub const COINCIDENT: [&str; 2] = ["policy", "within"];
 
@@ -270,12 +274,9 @@ pub const OUTSIDE: [&str; 1] = ["value"];
 /// The fields of a box as `canvas`.
 pub const CANVAS: [&str; 4] = ["x", "y", "width", "height"];
 
-/// Fields that this version accepts with one value only: nobody needs to send them.
-const ONE_VALUED: [&str; 1] = ["metric"];
-
 /// The names without those that nobody needs to send.
 pub fn useful<'a>(known: &[&'a str]) -> Vec<&'a str> {
-    let is_useful = |name: &&str| !ONE_VALUED.contains(name) && !OF_LANDMARKS.contains(name);
+    let is_useful = |name: &&str| !OF_LANDMARKS.contains(name);
     // Objects of a format, such as `output`, have a field of that name too.
     let is_output = known.contains(&"compression");
     known

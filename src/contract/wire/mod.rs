@@ -63,7 +63,9 @@ pub use merge::{Merged, NamedObject, extent_in, of_fit, split_batch};
 pub use mesh::{MeshObject, MeshShape};
 use mlswarp::deform::Handle;
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{Alignment, Candidate, CoordinateFrame, Folds, OutputSpec, RestSpec, Units};
+use mlswarp::warp::{
+    Alignment, Candidate, CoordinateFrame, Folds, Metric, OutputSpec, RestSpec, Units,
+};
 use number::{count, whole};
 pub use output::{OutputPatch, canvas_from_text, canvas_text};
 pub use plan::{PlanQuery, Precision, plan_file, plan_file_bytes, rest_revision};
@@ -73,7 +75,8 @@ pub use reserved::Reserved;
 use reserved::reading_bytes;
 pub use rest::WarpPatch;
 pub use session::{
-    CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, session_tail,
+    CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionMask, SessionObject,
+    session_tail,
 };
 pub use socket::UnreadHandles;
 pub use socket::{BadMessage, DragMessage, FrameReport, FrameTiming};
@@ -132,6 +135,11 @@ impl WarpObject {
             ("alpha", self.rest.alpha),
             ("smoothing", self.rest.smoothing),
         ];
+        if self.rest.metric == Metric::Geodesic {
+            let detail = "the method `auto` compares methods by distances in the plane; with the \
+                metric `geodesic`, choose `rigid`, `similarity` or `affine`";
+            return Err(Problem::new(Code::NotSupported, detail).pointer("/method"));
+        }
         let own = self.rest.own.iter().next();
         let own =
             own.map(|(path, value)| (path.split_once('/').map_or(path, |(o, _)| o), Some(value)));

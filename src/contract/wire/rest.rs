@@ -45,6 +45,8 @@ pub struct WarpPatch {
     pub own: Option<Parameters>,
     /// The metric.
     pub metric: Option<Metric>,
+    /// The share of full alpha above which a pixel belongs to the mask.
+    pub mask_threshold: Option<f64>,
     /// What becomes of coincident handles.
     pub coincident: Option<Coincident>,
     /// Units of positions.
@@ -93,6 +95,7 @@ impl WarpPatch {
             smoothing: optional(fields.smoothing, |n| number(n, "a number"))?,
             own: own_parameters(objects)?,
             metric: optional(fields.metric, enum_name)?,
+            mask_threshold: optional(fields.mask, mask)?.flatten(),
             coincident: optional(fields.coincident, coincident)?,
             units: optional(fields.units, enum_name)?,
             grid: optional(fields.grid, grid)?,
@@ -159,6 +162,9 @@ impl WarpPatch {
             } else {
                 base.rest.method
             });
+        // So does a threshold to its metric.
+        let metric = self.metric.unwrap_or(base.rest.metric);
+        let kept_threshold = base.rest.mask_threshold;
         let is_like = method.info().has_parameters_of(base.rest.method.info());
         let kept = |parameter: Option<f64>| parameter.filter(|_| !is_auto && is_like);
         let kept_own = Some(base.rest.own).filter(|_| !is_auto && is_like);
@@ -178,8 +184,11 @@ impl WarpPatch {
                 point_mass: self.point_mass.or(kept(base.rest.point_mass)),
                 smoothing: self.smoothing.or(kept(base.rest.smoothing)),
                 own: self.own.or(kept_own).unwrap_or_default(),
-                metric: self.metric.unwrap_or(base.rest.metric),
-                mask: base.rest.mask,
+                metric,
+                mask_threshold: self
+                    .mask_threshold
+                    .or(kept_threshold.filter(|_| metric == base.rest.metric)),
+                mask: None,
                 coincident: self.coincident.unwrap_or(base.rest.coincident),
                 units: self.units.unwrap_or(base.rest.units),
                 grid: self.grid.unwrap_or(base.rest.grid),
@@ -274,6 +283,23 @@ pub(crate) fn strength(node: &Node<'_, '_>) -> Result<f64, Problem> {
         RestSpec::STRENGTHS,
         "a number between -10 and 10, where 1 is 100 %",
     )
+}
+
+/// The threshold of the mask; `None` if it is the default.
+fn mask(node: &Node<'_, '_>) -> Result<Option<f64>, Problem> {
+    let expected = "an object, {\"threshold\": share of full alpha}";
+    if node.kind() != Kind::Object {
+        return Err(node.unexpected(expected, node.kind().name()));
+    }
+    let [threshold] = node.fields(&fields::MASK)?;
+    let share = |node: &Node<'_, '_>| {
+        number_in(
+            node,
+            0.0..=1.0,
+            "a number between 0 and 1, where 1 is opaque",
+        )
+    };
+    optional(threshold, share)
 }
 
 fn coincident(node: &Node<'_, '_>) -> Result<Coincident, Problem> {

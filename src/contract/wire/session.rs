@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use mlswarp::deform::{Coincident, Handle, Parameters};
-use mlswarp::warp::{Align, Digest, Folds, GridSpec, Method, OutputSpec, Units};
+use mlswarp::warp::{Align, Digest, Folds, GridSpec, Method, Metric, OutputSpec, Units};
 use serde::{Serialize, Serializer};
 
 use super::AsJson;
@@ -43,6 +43,12 @@ pub struct SessionObject<'a> {
     /// The object of the method, if it has one.
     #[serde(flatten)]
     pub own: AsJson<Parameters>,
+    /// The metric; absent if it is that of the plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metric: Option<AsJson<Metric>>,
+    /// What belongs to the mask; absent if nothing needs it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask: Option<SessionMask>,
     /// The groups of points that are one handle.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub coincident: Vec<CoincidentGroup>,
@@ -74,6 +80,13 @@ pub struct SessionObject<'a> {
 pub fn session_tail(expires: &str, seq: Option<u64>) -> String {
     let seq = seq.map_or_else(|| "null".to_owned(), |seq| seq.to_string());
     format!(",\"expires\":\"{expires}\",\"seq\":{seq}}}")
+}
+
+/// The mask of a session's image.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct SessionMask {
+    /// The share of full alpha above which a pixel belongs to it.
+    pub threshold: f64,
 }
 
 /// A group of coincident points.

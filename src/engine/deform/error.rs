@@ -120,10 +120,12 @@ pub enum DeformError {
         /// The memory, bytes.
         bytes: u64,
     },
-    /// A line, and distances inside a mask are measured from points only.
-    LineInMask {
-        /// Index of the handle.
-        handle: usize,
+    /// Distances inside the mask would take too long.
+    MaskTooWinding {
+        /// The limit, operations.
+        limit: u64,
+        /// The estimate, operations.
+        operations: u64,
     },
     /// A method that does not weigh handles by their distance.
     NoMetric {
@@ -278,7 +280,7 @@ impl fmt::Display for DeformError {
             Self::EmptyMask
             | Self::OutsideMask { .. }
             | Self::MaskTooLarge { .. }
-            | Self::LineInMask { .. }
+            | Self::MaskTooWinding { .. }
             | Self::NoMetric { .. } => self.write_about_mask(f),
             Self::NotTaken {
                 handle,
@@ -307,18 +309,18 @@ impl DeformError {
             ),
             Self::OutsideMask { handle } => write!(
                 f,
-                "handle {handle} is more than 3 px outside the mask: place it on what the image \
-                    shows"
+                "handle {handle} is more than 3 px outside the mask: place it, and a line as a \
+                    whole, on what the image shows"
             ),
             Self::MaskTooLarge { limit, bytes } => write!(
                 f,
                 "distances inside the mask would take {bytes} bytes, and the limit is {limit}; \
                     send fewer handles, or a mask of fewer pieces"
             ),
-            Self::LineInMask { handle } => write!(
+            Self::MaskTooWinding { limit, operations } => write!(
                 f,
-                "handle {handle} is a line, and the metric `geodesic` takes points only; send \
-                    points along the line"
+                "distances inside the mask would take {operations} operations, and the limit is \
+                    {limit}; send fewer handles, or a mask that is less winding"
             ),
             Self::NoMetric { method } => write!(
                 f,

@@ -29,6 +29,8 @@ const LONGEST_STEP: f64 = 4.0;
 const CELL_MARGIN_PX: f64 = 1.0;
 /// Cells that are tried for a position: more overlap only where nothing can be seen.
 const MOST_CELLS: usize = 32;
+/// Those of a cut grid have a few pixels.
+const MOST_SMALL_CELLS: usize = 128;
 /// Rounding errors at the border of the picture, px.
 const BORDER_ERROR_PX: f64 = 1e-6;
 
@@ -38,6 +40,7 @@ pub struct Inverse<'a> {
     f: PosedMap<'a>,
     mesh: &'a Mesh,
     tree: CellTree,
+    most_cells: usize,
     steps: AtomicU64,
 }
 
@@ -51,6 +54,8 @@ struct InverseSearch<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Start {
     cell: usize,
+    /// Which quad of the cell, in a cut grid.
+    quad: usize,
     /// The position lies in the patch of the cell.
     is_inside: bool,
     x: Point,
@@ -106,6 +111,11 @@ impl<'a> Inverse<'a> {
             f: field.deformation(pose),
             mesh,
             tree: CellTree::new(mesh),
+            most_cells: if mesh.cut_mesh().is_some() {
+                MOST_SMALL_CELLS
+            } else {
+                MOST_CELLS
+            },
             steps: AtomicU64::new(0),
         }
     }
@@ -145,9 +155,11 @@ impl<'a> Inverse<'a> {
             .iter()
             .map(|y| {
                 self.tree.find(*y, CELL_MARGIN_PX, &mut cells);
-                cells.truncate(MOST_CELLS);
-                let mut starts: Vec<Start> =
-                    cells.iter().map(|cell| self.start(*cell, *y)).collect();
+                cells.truncate(self.most_cells);
+                let mut starts: Vec<Start> = cells
+                    .iter()
+                    .flat_map(|cell| self.starts(*cell, *y))
+                    .collect();
                 // The others only if no cell contains the position.
                 starts.sort_by_key(|start| !start.is_inside);
                 starts
@@ -166,22 +178,30 @@ impl<'a> Inverse<'a> {
                 if x.is_none() && start.is_inside {
                     x = self.newton(posed[*k], start, search)?;
                 }
-                found[*k] = x.and_then(|x| self.within(x, start.cell));
+                found[*k] = x.and_then(|x| self.within(x, start));
             }
         }
         Some(found)
     }
 
-    /// The position in the patch of a cell, or beside it.
-    fn start(&self, cell: usize, y: Point) -> Start {
-        let grid = self.mesh.grid();
+    /// The starts in what is drawn of a cell, the last quad first.
+    fn starts(&self, cell: usize, y: Point) -> Vec<Start> {
+        let [column, row] = self.column_and_row(cell);
+        let drawn: Vec<_> = self.mesh.corners(column, row).collect();
+        let of_quad = |(quad, corners)| self.start((cell, quad), corners, y);
+        drawn.into_iter().enumerate().rev().map(of_quad).collect()
+    }
+
+    fn column_and_row(&self, cell: usize) -> [u32; 2] {
+        let columns = self.mesh.grid().columns() as usize - 1;
         #[expect(clippy::cast_possible_truncation, reason = "columns and rows are u32")]
-        let (i, j) = (
-            (cell % (grid.columns() as usize - 1)) as u32,
-            (cell / (grid.columns() as usize - 1)) as u32,
-        );
-        let [a, b, c, d] =
-            [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.mesh.posed(i, j));
+        [(cell % columns) as u32, (cell / columns) as u32]
+    }
+
+    /// The position in the patch of a cell, or beside it.
+    fn start(&self, (cell, quad): (usize, usize), [a, b, d, c]: [Point; 4], y: Point) -> Start {
+        let grid = self.mesh.grid();
+        let [i, j] = self.column_and_row(cell);
         let (e, f, twist) = (b - a, c - a, (d - b) - (c - a));
         let (mut s, mut t, mut inverse) = (0.5, 0.5, None);
         for _ in 0..8 {
@@ -201,6 +221,7 @@ impl<'a> Inverse<'a> {
         let inside = -1e-6..=1.0 + 1e-6;
         Start {
             cell,
+            quad,
             is_inside: inverse.is_some() && inside.contains(&s) && inside.contains(&t),
             x: Point::new(from.x + s * size.x, from.y + t * size.y),
             inverse: inverse.map_or(Matrix::IDENTITY, at_rest),
@@ -303,8 +324,9 @@ impl<'a> Inverse<'a> {
         Some(None)
     }
 
-    /// A solution, if it lies in the picture and in the cell or beside it.
-    fn within(&self, x: Point, cell: usize) -> Option<Point> {
+    /// A solution, if it lies in the picture and in the cell or beside it; in a cut grid, where the
+    /// quad or one beside it draws.
+    fn within(&self, x: Point, start: &Start) -> Option<Point> {
         let grid = self.mesh.grid();
         let inside = |value: f64, side: f64| {
             (-BORDER_ERROR_PX..=side + BORDER_ERROR_PX)
@@ -313,16 +335,16 @@ impl<'a> Inverse<'a> {
         };
         let x = Point::new(inside(x.x, grid.width())?, inside(x.y, grid.height())?);
         let (width, height) = grid.cell();
-        #[expect(clippy::cast_precision_loss, reason = "columns and rows are u32")]
-        let (i, j) = (
-            (cell % (grid.columns() as usize - 1)) as f64,
-            (cell / (grid.columns() as usize - 1)) as f64,
-        );
-        let beside = |value: f64, first: f64, side: f64| {
+        let [i, j] = self.column_and_row(start.cell);
+        let beside = |value: f64, first: u32, side: f64| {
             (-MAX_OUTSIDE_CELLS..=1.0 + MAX_OUTSIDE_CELLS)
-                .contains(&((value - first * side) / side))
+                .contains(&((value - f64::from(first) * side) / side))
         };
-        (beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
+        let is_drawn = self.mesh.cut_mesh().is_none_or(|cut| {
+            let quad = cut.cells().of_cell(i, j)[start.quad];
+            cut.cells().is_beside(&quad, x)
+        });
+        (is_drawn && beside(x.x, i, width) && beside(x.y, j, height)).then_some(x)
     }
 }
 

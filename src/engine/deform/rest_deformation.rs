@@ -249,16 +249,16 @@ impl RestDeformation {
         })
     }
 
-    /// The same deformation inside a mask: handles act along the shortest paths to them. Its
-    /// distances take at most `most_bytes`. Work in parallel on the current pool.
+    /// The same deformation inside a mask: handles act along the shortest paths to them. `limits`:
+    /// of its distances, in bytes and operations. Work in parallel on the current pool.
     ///
     /// # Errors
-    /// A method that is not moving least squares, a line, a handle outside the mask, a mask without
-    /// a pixel or of too many parts; cancelled.
+    /// A method that is not moving least squares, a handle outside the mask, a mask without a pixel
+    /// or of too many parts; cancelled.
     pub fn inside(
         self,
         mask: &Arc<Mask>,
-        most_bytes: u64,
+        limits: (u64, u64),
         cancelled: IsCancelled<'_>,
     ) -> Result<Self, DeformError> {
         let wanted = match self.method {
@@ -270,19 +270,25 @@ impl RestDeformation {
                 return Err(DeformError::NoMetric { method });
             }
         };
-        let is_line = |handle: &Handle| matches!(handle, Handle::Polyline(_));
-        if let Some(handle) = self.client_handles().handles().iter().position(is_line) {
-            return Err(DeformError::LineInMask { handle });
-        }
         let value = |path| self.parameters.get(path).unwrap_or(1.0);
-        let weight = (Falloff::new(value("alpha"), false)?, value("point_mass"));
+        let falloff = Falloff::new(value("alpha"), self.handles.has_lines())?;
+        let weight = (falloff, value("point_mass"));
+        // Points come first there.
+        let owners = self.elements.iter().zip(&self.owners);
+        let (of_points, of_segments): (Vec<_>, Vec<_>) =
+            owners.partition(|(element, _)| matches!(element, Element::Point { .. }));
+        let owners: Vec<usize> = of_points
+            .into_iter()
+            .chain(of_segments)
+            .map(|(_, owner)| *owner)
+            .collect();
         let (map, form, warnings) = GeodesicLeastSquares::new(
             &self.set,
             wanted,
             weight,
             mask,
-            &|point| self.owners[point],
-            most_bytes,
+            &|element| owners[element],
+            limits,
             cancelled,
         )?;
         // Each part has its own rank.

@@ -38,8 +38,8 @@ impl CellTree {
         let mut boxes = vec![EMPTY_BOX; columns * rows];
         for (j, row) in (0..).zip(boxes.chunks_exact_mut(columns)) {
             for (i, cell) in (0..).zip(row) {
-                for (i, j) in [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)] {
-                    include(cell, mesh.posed(i, j));
+                for corner in mesh.corners(i, j).flatten() {
+                    include(cell, corner);
                 }
             }
         }

@@ -138,6 +138,15 @@ impl CutCells {
         Some((quad, s, t))
     }
 
+    /// Whether a position at rest is drawn by a quad, or by one that shares a vertex with it.
+    #[must_use]
+    pub fn is_beside(&self, quad: &CutCell, p: Point) -> bool {
+        self.locate(p).is_some_and(|(other, ..)| {
+            let mut vertices = other.vertices.iter();
+            vertices.any(|vertex| quad.vertices.contains(vertex))
+        })
+    }
+
     /// The pixel of a cell that has a position, along one axis.
     fn texel(&self, position: f64, cell: u32) -> u32 {
         #[expect(

@@ -85,10 +85,10 @@ impl Mesh {
             if cancelled() {
                 return None;
             }
-            for i in 0..grid.columns() - 1 {
+            let drawn = (0..grid.columns() - 1)
+                .flat_map(|i| self.corners(i, j).map(move |corners| (i, corners)));
+            for (i, [a, b, d, c]) in drawn {
                 let size = grid.vertex(i + 1, j + 1) - grid.vertex(i, j);
-                let [a, b, c, d] =
-                    [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
                 let (along, down) = (
                     ((b - a) + (d - c)) * (0.5 / size.x),
                     ((c - a) + (d - b)) * (0.5 / size.y),

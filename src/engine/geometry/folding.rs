@@ -103,12 +103,12 @@ impl Mesh {
         cells.filter(move |&(i, j)| self.is_folded(i, j, orientation))
     }
 
-    /// Whether a cell is folded in a mesh of this orientation.
+    /// Whether a cell, or a quad of a cut one, is folded in a mesh of this orientation.
     #[must_use]
     pub fn is_folded(&self, i: u32, j: u32, orientation: Orientation) -> bool {
-        let (a, b) = (self.posed(i, j), self.posed(i + 1, j));
-        let (d, c) = (self.posed(i, j + 1), self.posed(i + 1, j + 1));
-        !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a]))
+        self.corners(i, j).any(|[a, b, c, d]| {
+            !orientation.is_kept(Orientation::turns([b - a, c - b, c - d, d - a]))
+        })
     }
 
     /// Calls `cell` with column, row and corner cross products of every cell; computes a row of

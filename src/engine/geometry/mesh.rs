@@ -161,7 +161,7 @@ impl Mesh {
     pub fn bounds(&self, cancelled: &dyn Fn() -> bool) -> Option<[f64; 4]> {
         if let Some(cut) = &self.cut {
             let cells = cut.cells().cells().iter();
-            return Some(bounds(cells.flat_map(|cell| cut.posed(cell))));
+            return (!cancelled()).then(|| bounds(cells.flat_map(|cell| cut.posed(cell))));
         }
         let mut all = bounds(
             self.subdivision
@@ -184,18 +184,32 @@ impl Mesh {
         Some(all)
     }
 
-    /// Left, top, right and bottom edge of the smallest box that contains a posed cell, px.
+    /// The posed corners of what is drawn of a cell: its own, top left, top right, bottom right and
+    /// bottom left; in a cut grid those of each of its quads.
+    pub fn corners(&self, column: u32, row: u32) -> impl Iterator<Item = [Point; 4]> + '_ {
+        let (i, j) = (column, row);
+        let quads = self.cut.as_ref().map(|cut| {
+            let quads = cut.cells().of_cell(i, j).iter();
+            quads.map(move |quad| cut.posed(quad))
+        });
+        let own = self.cut.is_none().then(|| {
+            [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)].map(|(i, j)| self.posed(i, j))
+        });
+        own.into_iter().chain(quads.into_iter().flatten())
+    }
+
+    /// Left, top, right and bottom edge of the smallest box that contains what is drawn of a posed
+    /// cell, px.
     #[must_use]
     pub fn cell_bounds(&self, column: u32, row: u32) -> [f64; 4] {
         let (i, j) = (column, row);
-        let corners =
-            [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)].map(|(i, j)| self.posed(i, j));
+        let corners = self.corners(i, j).flatten();
         let subdivided = self
             .subdivision
             .find(i, j)
             .into_iter()
             .flat_map(|cell| self.subdivision.posed(&self.grid, cell));
-        bounds(corners.into_iter().chain(subdivided))
+        bounds(corners.chain(subdivided))
     }
 
     /// The number of vertices, those of subdivided cells included.

@@ -6,13 +6,16 @@ use std::collections::BinaryHeap;
 use std::sync::Arc;
 
 use super::Nodes;
-use super::mask::{INTO_PIXEL, nearest_of_pixel};
+use super::pixel::{INTO_PIXEL, nearest_of_pixel};
 use crate::geometry::Point;
 
 /// A handle that lies beside the mask counts as on its nearest pixel within this distance, px.
 const BESIDE_MASK: f64 = 3.0;
-/// Nodes that are settled between two looks at whether the work is still needed.
-const NODES_PER_CHECK: usize = 1024;
+/// Nodes that are settled between two looks at whether the work is still needed: each takes as many
+/// steps as its lines of sight.
+const NODES_PER_CHECK: usize = 64;
+/// Operations for a node beside its lines of sight.
+const NODE_OPERATIONS: u64 = 100;
 /// The turning point of a path that comes straight from the handle.
 const HANDLE: u32 = u32::MAX;
 /// The turning point of a node that no path reaches.
@@ -59,6 +62,13 @@ impl Distances {
     #[must_use]
     pub const fn bytes_for(nodes: u64) -> u64 {
         12 * nodes
+    }
+
+    /// Operations of the distances from one handle: for each node a few lines of sight.
+    #[must_use]
+    pub fn operations(nodes: &Nodes) -> u64 {
+        let of_node = NODE_OPERATIONS + 4 * nodes.mask().sight_steps();
+        of_node.saturating_mul(nodes.len() as u64)
     }
 
     /// The distances from a handle; `Err` if it is not inside the mask, `Ok(None)` when cancelled.

@@ -2,7 +2,8 @@
 //! that do not touch share no vertex (mathematics 11.1).
 
 use super::Mask;
-use super::mask::nearest_of_pixel;
+use super::cell_components::{CellComponents, NO_COMPONENT};
+use super::pixel::nearest_of_pixel;
 use crate::geometry::{CutCell, CutCells, Grid, Point};
 
 /// A quad of the lattice.
@@ -35,8 +36,8 @@ pub struct CutLattice {
     split: Vec<(u32, Box<[u16]>)>,
 }
 
-/// A pixel that no component has.
-pub(super) const NO_COMPONENT: u16 = u16::MAX;
+/// Quads after which somebody is asked whether the work is still needed.
+const QUADS_PER_CHECK: usize = 256;
 /// Cells have at most this many pixels a side, so that components have numbers.
 pub const MAX_SPACING: u32 = 128;
 
@@ -86,10 +87,36 @@ impl Merged {
 }
 
 impl CutLattice {
-    /// Bytes that a lattice of this many quads takes, with what its construction needs.
+    /// Bytes that a lattice of this many quads takes, with what its construction needs and without
+    /// sets of texels.
     #[must_use]
     pub const fn bytes_for(quads: u64) -> u64 {
-        quads * 96
+        quads * 160
+    }
+
+    /// The number of quads of a lattice, or a number above `most`; `None` when cancelled.
+    #[must_use]
+    pub fn count(
+        mask: &Mask,
+        spacing: u32,
+        most: usize,
+        cancelled: &dyn Fn() -> bool,
+    ) -> Option<usize> {
+        let side = spacing.clamp(1, MAX_SPACING) as usize;
+        let (width, height) = mask.size();
+        let (mut count, mut components) = (0, CellComponents::new(side));
+        for row in 0..height.div_ceil(side) {
+            if cancelled() {
+                return None;
+            }
+            for column in 0..width.div_ceil(side) {
+                count += usize::from(components.find(mask, column, row));
+            }
+            if count > most {
+                break;
+            }
+        }
+        Some(count)
     }
 
     /// The lattice with cells of `spacing` px, 1 to [`MAX_SPACING`]; `None` when cancelled or if it
@@ -237,20 +264,24 @@ impl CutLattice {
     }
 
     /// The quads as they are drawn. A quad draws the visible texels of its component, and those
-    /// that are not visible beside them, into which samples reach.
+    /// that are not visible beside them, into which samples reach. `None` when cancelled.
     #[must_use]
-    pub fn cells_of(&self, mask: &Mask) -> CutCells {
+    pub fn cells_of(&self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<CutCells> {
         let side = self.spacing as usize;
         let mut texels = Vec::new();
         let mut set = vec![0_u64; (side * side).div_ceil(64)];
         let mut cells = Vec::with_capacity(self.quads.len());
         for (k, quad) in self.quads.iter().enumerate() {
+            if k.is_multiple_of(QUADS_PER_CHECK) && cancelled() {
+                return None;
+            }
             set.fill(0);
             let mut is_whole = true;
-            for y in 0..side {
+            let [x0, y0] = quad.cell.map(|cell| cell as usize * side);
+            let rows = if mask.is_whole(x0, y0, side) { 0 } else { side };
+            for y in 0..rows {
                 for x in 0..side {
-                    let [px, py] = [(quad.cell[0], x), (quad.cell[1], y)]
-                        .map(|(cell, at)| cell as usize * side + at);
+                    let (px, py) = (x0 + x, y0 + y);
                     if px >= mask.size().0 || py >= mask.size().1 {
                         continue;
                     }
@@ -274,40 +305,59 @@ impl CutLattice {
         }
         let [width, height] = [mask.size().0, mask.size().1].map(|side| side as f64);
         let grid = Grid::with_cell(width, height, f64::from(self.spacing));
-        CutCells::new(grid, self.spacing, cells, self.vertices.clone(), texels)
+        let vertices = self.vertices.clone();
+        Some(CutCells::new(grid, self.spacing, cells, vertices, texels))
     }
 
     /// The pixel inside, counted row by row, to which each vertex belongs: the nearest one of its
     /// quads, or the one that their rim is attached to; none where there is only rim that touches
-    /// nothing.
+    /// nothing. `None` when cancelled.
     #[must_use]
-    pub fn pixels(&self, mask: &Mask) -> Vec<Option<u32>> {
+    pub fn pixels(&self, mask: &Mask, cancelled: &dyn Fn() -> bool) -> Option<Vec<Option<u32>>> {
         let side = self.spacing as usize;
-        let mut nearest = vec![(f64::INFINITY, None); self.vertices.len()];
+        let mut nearest = vec![(f64::INFINITY, u32::MAX); self.vertices.len()];
         let (width, height) = mask.size();
-        for y in 0..height {
-            for x in 0..width {
-                let Some(quad) = self.quad_at(mask, x, y) else {
-                    continue;
-                };
-                let Some((rx, ry)) = mask.root(x, y) else {
-                    continue;
-                };
-                for vertex in self.quads[quad].vertices {
+        for (k, quad) in self.quads.iter().enumerate() {
+            if k.is_multiple_of(QUADS_PER_CHECK) && cancelled() {
+                return None;
+            }
+            let [x0, y0] = quad.cell.map(|cell| cell as usize * side);
+            let (last_x, last_y) = ((x0 + side).min(width) - 1, (y0 + side).min(height) - 1);
+            let mut look = |x: usize, y: usize, (rx, ry): (usize, usize)| {
+                for vertex in quad.vertices {
                     let [column, row] = self.vertices[vertex as usize];
                     let at = Point::new(
                         (column as usize * side).min(width) as f64,
                         (row as usize * side).min(height) as f64,
                     );
                     let distance = nearest_of_pixel((rx, ry), at, 0.0).distance(at);
+                    let found = (distance, index(y * width + x));
                     let best = &mut nearest[vertex as usize];
-                    if distance < best.0 {
-                        *best = (distance, Some(index(ry * width + rx)));
+                    if found < *best {
+                        *best = found;
                     }
+                }
+            };
+            if mask.is_whole(x0, y0, side) {
+                for (x, y) in [(x0, y0), (last_x, y0), (x0, last_y), (last_x, last_y)] {
+                    look(x, y, (x, y));
+                }
+                continue;
+            }
+            for (y, x) in (y0..=last_y).flat_map(|y| (x0..=last_x).map(move |x| (y, x))) {
+                if self.quad_at(mask, x, y) == Some(k)
+                    && let Some(root) = mask.root(x, y)
+                {
+                    look(x, y, root);
                 }
             }
         }
-        nearest.into_iter().map(|(_, pixel)| pixel).collect()
+        let roots = nearest.into_iter().map(|(_, pixel)| {
+            let pixel = (pixel != u32::MAX).then_some(pixel as usize)?;
+            let (x, y) = mask.root(pixel % width, pixel / width)?;
+            Some(index(y * width + x))
+        });
+        Some(roots.collect())
     }
 
     /// Whether a quad draws a pixel of its cell.
@@ -375,68 +425,6 @@ impl CutLattice {
             + size_of_val(&*self.first_quad)
             + size_of_val(&*self.vertices)
             + split) as u64
-    }
-}
-
-/// The connected components of one cell.
-struct CellComponents {
-    side: usize,
-    labels: Vec<u16>,
-    stack: Vec<(usize, usize)>,
-}
-
-impl CellComponents {
-    fn new(side: usize) -> Self {
-        Self {
-            side,
-            labels: vec![NO_COMPONENT; side * side],
-            stack: Vec::new(),
-        }
-    }
-
-    /// Labels the pixels of a cell; returns the number of components.
-    fn find(&mut self, mask: &Mask, column: usize, row: usize) -> u16 {
-        let (side, (width, height)) = (self.side, mask.size());
-        let (x0, y0) = (column * side, row * side);
-        let (wide, high) = (side.min(width - x0), side.min(height - y0));
-        self.labels.fill(NO_COMPONENT);
-        let mut count = 0;
-        for y in 0..high {
-            for x in 0..wide {
-                if self.labels[y * side + x] == NO_COMPONENT && mask.is_visible(x0 + x, y0 + y) {
-                    self.labels[y * side + x] = count;
-                    self.stack.push((x, y));
-                    self.flood(mask, [x0, y0], [wide, high], count);
-                    count += 1;
-                }
-            }
-        }
-        count
-    }
-
-    fn flood(&mut self, mask: &Mask, [x0, y0]: [usize; 2], [wide, high]: [usize; 2], label: u16) {
-        while let Some((x, y)) = self.stack.pop() {
-            let mut reach = |joined: bool, x: usize, y: usize| {
-                let at = y * self.side + x;
-                if joined && self.labels[at] == NO_COMPONENT {
-                    self.labels[at] = label;
-                    self.stack.push((x, y));
-                }
-            };
-            let joined = |x: usize, y: usize, down| mask.are_joined(x0 + x, y0 + y, down);
-            if x + 1 < wide {
-                reach(joined(x, y, false), x + 1, y);
-            }
-            if x > 0 {
-                reach(joined(x - 1, y, false), x - 1, y);
-            }
-            if y + 1 < high {
-                reach(joined(x, y, true), x, y + 1);
-            }
-            if y > 0 {
-                reach(joined(x, y - 1, true), x, y - 1);
-            }
-        }
     }
 }
 

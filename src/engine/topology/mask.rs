@@ -1,6 +1,7 @@
 //! Which pixels of an image belong to its subject, and which of those are connected (mathematics
 //! 11.1).
 
+use super::pixel::{floor, nearest_of_pixel};
 use crate::geometry::Point;
 
 /// What a pixel is to the subject.
@@ -17,16 +18,29 @@ pub enum Membership {
 /// The mask of an image: pixels of the subject, and the rim that is attached to them.
 ///
 /// Pixels inside are joined to their four neighbours inside. A pixel of the rim is attached to one
-/// neighbour, breadth first. It belongs to the pixel inside at which its attachments end, and two
-/// neighbours of which one is rim are joined if these pixels are: so the rim never joins two parts.
-/// Rim that touches no pixel inside is a part of its own.
+/// neighbour, breadth first. It belongs to the pixel inside at which its attachments end, its root,
+/// and two neighbours of which one is rim are joined if these pixels are: so the rim never joins
+/// two parts. Rim that touches no pixel inside is a part of its own.
 #[derive(Debug)]
 pub struct Mask {
     width: usize,
     height: usize,
     inside: usize,
+    /// Steps of a line of sight for each px of its length, on the average.
+    steps_per_px: f64,
     /// One byte per pixel: see the constants.
     pixels: Vec<u8>,
+    /// The pixels of the rim row by row, and the first of each row.
+    rim: Vec<RimPixel>,
+    first_of_row: Vec<u32>,
+}
+
+/// A pixel that is visible and not inside.
+#[derive(Clone, Copy, Debug)]
+struct RimPixel {
+    x: u32,
+    /// The pixel inside to which it belongs, counted row by row, or [`UNATTACHED`], or [`STRAY`].
+    root: u32,
 }
 
 /// Nothing is drawn.
@@ -34,25 +48,24 @@ const OUTSIDE: u8 = 0;
 /// 1 to here: inside, with this Chebyshev distance from the nearest pixel that is not. The border
 /// of the image does not count, since no path leaves the image.
 const LARGEST_CLEARANCE: u8 = 249;
-/// Rim that is not attached yet; afterwards there is none.
-const UNATTACHED: u8 = 250;
-/// Rim that is attached to its right, left, lower, upper neighbour.
-const ATTACHED: [u8; 4] = [251, 252, 253, 254];
-/// Rim that touches nothing, and that other rim is attached to.
-const STRAY: u8 = 255;
-/// The same neighbours.
+/// Visible, and not inside.
+const RIM: u8 = 250;
+/// The root of rim that is not attached yet; afterwards there is none.
+const UNATTACHED: u32 = u32::MAX;
+/// The root of rim that touches nothing but rim.
+const STRAY: u32 = u32::MAX - 1;
+/// The neighbours to the right, left, below, above.
 const AROUND: [(isize, isize); 4] = [(1, 0), (-1, 0), (0, 1), (0, -1)];
-/// A crossing this near to the corner of a pixel passes through the corner, px.
-const ON_CORNER: f64 = 1e-9;
-/// Positions are moved this far from the border of their pixel before a line of sight is drawn, px.
-pub(super) const INTO_PIXEL: f64 = 1e-6;
+/// Pixels after which somebody is asked whether the work is still needed.
+const PIXELS_PER_CHECK: usize = 1 << 16;
 
 impl Mask {
-    /// Bytes that the mask of an image takes, with what its construction needs.
+    /// Bytes that the mask of an image takes, of whose pixels `rim` are rim, with what its
+    /// construction needs.
     #[must_use]
-    pub const fn bytes_for(width: u32, height: u32) -> u64 {
-        // One per pixel, and four for each pixel of the rim: at most all.
-        5 * width as u64 * height as u64
+    pub const fn bytes_for(width: u32, height: u32, rim: u64) -> u64 {
+        // The rim twice, since vectors grow by doubling, and the fronts from which it is attached.
+        width as u64 * height as u64 + 24 * rim + 8 * height as u64
     }
 
     /// The mask of an image; `row` fills the memberships of the pixels of a row. `None` when
@@ -64,124 +77,174 @@ impl Mask {
         cancelled: &dyn Fn() -> bool,
     ) -> Option<Self> {
         let [w, h] = [width as usize, height as usize];
-        let mut pixels = vec![OUTSIDE; w * h];
-        let mut inside = 0;
+        let mut mask = Self {
+            width: w,
+            height: h,
+            inside: 0,
+            steps_per_px: 0.0,
+            pixels: Vec::with_capacity(w * h),
+            rim: Vec::new(),
+            first_of_row: vec![0],
+        };
         let mut memberships = vec![Membership::Outside; w];
-        for (y, pixels) in (0..height).zip(pixels.chunks_exact_mut(w)) {
+        for y in 0..height {
             if cancelled() {
                 return None;
             }
             row(y, &mut memberships);
-            for (pixel, membership) in pixels.iter_mut().zip(&memberships) {
-                *pixel = match membership {
+            for (x, membership) in (0..).zip(&memberships) {
+                mask.pixels.push(match membership {
                     Membership::Outside => OUTSIDE,
-                    Membership::Rim => UNATTACHED,
+                    Membership::Rim => {
+                        let root = UNATTACHED;
+                        mask.rim.push(RimPixel { x, root });
+                        RIM
+                    }
                     Membership::Inside => {
-                        inside += 1;
+                        mask.inside += 1;
                         LARGEST_CLEARANCE
                     }
-                };
+                });
             }
+            mask.first_of_row.push(number(mask.rim.len()));
         }
-        let mut mask = Self {
-            width: w,
-            height: h,
-            inside,
-            pixels,
-        };
-        mask.measure_clearance();
+        mask.measure_clearance(cancelled)?;
         mask.attach_rim(cancelled)?;
         Some(mask)
     }
 
     /// Two passes over all pixels: the Chebyshev distance from the nearest pixel that is not
     /// inside.
-    fn measure_clearance(&mut self) {
-        let (w, h) = (self.width, self.height);
-        let near = |pixels: &[u8], x: usize, at: usize, back: bool| {
-            let value = |index: usize| match pixels[index] {
-                OUTSIDE | UNATTACHED.. => 0,
-                clearance => clearance,
-            };
-            // The four neighbours that this pass has visited.
-            let mut least = LARGEST_CLEARANCE - 1;
-            let row = if back { at + w } else { at.wrapping_sub(w) };
-            let has_row = row < pixels.len();
-            if has_row {
-                least = least.min(value(row));
+    fn measure_clearance(&mut self, cancelled: &dyn Fn() -> bool) -> Option<()> {
+        for y in 0..self.height {
+            if cancelled() {
+                return None;
             }
-            if x > 0 {
-                if has_row {
-                    least = least.min(value(row - 1));
-                }
-                if !back {
-                    least = least.min(value(at - 1));
-                }
+            for x in 0..self.width {
+                self.lower_clearance(x, y, false);
             }
-            if x + 1 < w {
-                if has_row {
-                    least = least.min(value(row + 1));
-                }
-                if back {
-                    least = least.min(value(at + 1));
-                }
+        }
+        let mut pixels_of = [0_u64; 1 + LARGEST_CLEARANCE as usize];
+        for y in (0..self.height).rev() {
+            if cancelled() {
+                return None;
             }
-            least + 1
+            for x in (0..self.width).rev() {
+                self.lower_clearance(x, y, true);
+                pixels_of[self.clearance(x, y)] += 1;
+            }
+        }
+        let steps = |clearance: usize| 1.0 / (clearance.max(2) - 1) as f64;
+        let all: f64 = (1..)
+            .zip(&pixels_of[1..])
+            .map(|(clearance, pixels)| *pixels as f64 * steps(clearance))
+            .sum();
+        self.steps_per_px = all / self.inside.max(1) as f64;
+        Some(())
+    }
+
+    /// Compares a pixel inside with the four neighbours that this pass has visited.
+    fn lower_clearance(&mut self, x: usize, y: usize, back: bool) {
+        let at = y * self.width + x;
+        if !self.is_inside_at(at) {
+            return;
+        }
+        let value = |index: usize| match self.pixels[index] {
+            OUTSIDE | RIM.. => 0,
+            clearance => clearance,
         };
-        for at in 0..w * h {
-            if self.is_inside_at(at) {
-                self.pixels[at] = near(&self.pixels, at % w, at, false);
+        let mut least = LARGEST_CLEARANCE - 1;
+        let (has_left, has_right) = (x > 0, x + 1 < self.width);
+        let row = if back {
+            at + self.width
+        } else {
+            at.wrapping_sub(self.width)
+        };
+        if row < self.pixels.len() {
+            least = least.min(value(row));
+            if has_left {
+                least = least.min(value(row - 1));
+            }
+            if has_right {
+                least = least.min(value(row + 1));
             }
         }
-        for at in (0..w * h).rev() {
-            if self.is_inside_at(at) {
-                self.pixels[at] = self.pixels[at].min(near(&self.pixels, at % w, at, true));
-            }
+        if has_left && !back {
+            least = least.min(value(at - 1));
         }
+        if has_right && back {
+            least = least.min(value(at + 1));
+        }
+        self.pixels[at] = self.pixels[at].min(least + 1);
     }
 
     /// Attaches the rim, breadth first from the pixels inside in row order, and then from the first
     /// pixel of each part that has none.
     fn attach_rim(&mut self, cancelled: &dyn Fn() -> bool) -> Option<()> {
         let (mut front, mut next) = (Vec::new(), Vec::new());
-        for at in 0..self.pixels.len() {
-            if self.is_inside_at(at) {
-                self.attach_neighbours(at, &mut front);
+        for y in 0..self.height {
+            if cancelled() {
+                return None;
+            }
+            for at in y * self.width..(y + 1) * self.width {
+                // Pixels that are farther from what is not inside touch none of it.
+                if self.pixels[at] == 1 {
+                    self.attach_neighbours(at, &mut front);
+                }
             }
         }
-        let mut at = 0;
+        let mut stray = 0;
         loop {
             while !front.is_empty() {
-                if cancelled() {
-                    return None;
-                }
-                for at in front.drain(..) {
-                    self.attach_neighbours(at, &mut next);
+                for (k, at) in front.drain(..).enumerate() {
+                    if k.is_multiple_of(PIXELS_PER_CHECK) && cancelled() {
+                        return None;
+                    }
+                    self.attach_neighbours(at as usize, &mut next);
                 }
                 std::mem::swap(&mut front, &mut next);
             }
-            while at < self.pixels.len() && self.pixels[at] != UNATTACHED {
-                at += 1;
+            while stray < self.rim.len() && self.rim[stray].root != UNATTACHED {
+                stray += 1;
             }
-            if at == self.pixels.len() {
+            if stray == self.rim.len() {
                 return Some(());
             }
-            self.pixels[at] = STRAY;
+            self.rim[stray].root = STRAY;
+            let row = self
+                .first_of_row
+                .partition_point(|first| *first as usize <= stray);
+            let at = (row - 1) * self.width + self.rim[stray].x as usize;
             self.attach_neighbours(at, &mut front);
-            at += 1;
         }
     }
 
-    fn attach_neighbours(&mut self, at: usize, found: &mut Vec<usize>) {
-        for (side, (dx, dy)) in AROUND.into_iter().enumerate() {
+    fn attach_neighbours(&mut self, at: usize, found: &mut Vec<u32>) {
+        let root = match self.rim_at(at) {
+            Some(rim) => self.rim[rim].root,
+            None => number(at),
+        };
+        for (dx, dy) in AROUND {
             if let Some(neighbour) = self.beside(at, dx, dy)
-                && self.pixels[neighbour] == UNATTACHED
+                && let Some(rim) = self.rim_at(neighbour)
+                && self.rim[rim].root == UNATTACHED
             {
-                // Its right neighbour is the one whose left neighbour it is.
-                self.pixels[neighbour] = ATTACHED[side ^ 1];
-                found.push(neighbour);
+                self.rim[rim].root = root;
+                found.push(number(neighbour));
             }
         }
+    }
+
+    /// The index of a pixel of the rim among all.
+    fn rim_at(&self, at: usize) -> Option<usize> {
+        if self.pixels[at] != RIM {
+            return None;
+        }
+        let (x, y) = (number(at % self.width), at / self.width);
+        let first = self.first_of_row[y] as usize;
+        let row = &self.rim[first..self.first_of_row[y + 1] as usize];
+        let found = row.binary_search_by_key(&x, |rim| rim.x);
+        found.ok().map(|found| first + found)
     }
 
     /// The pixel beside another one, if the image has it.
@@ -211,8 +274,34 @@ impl Mask {
 
     /// Memory of the mask, bytes.
     #[must_use]
-    pub const fn bytes(&self) -> u64 {
-        self.pixels.len() as u64
+    pub fn bytes(&self) -> u64 {
+        (self.pixels.len()
+            + size_of::<RimPixel>() * self.rim.capacity()
+            + size_of_val(&*self.first_of_row)) as u64
+    }
+
+    /// Steps of a line of sight between two positions of the mask: about as many as it has at most.
+    #[must_use]
+    pub fn sight_steps(&self) -> u64 {
+        let side = self.width.max(self.height) as f64;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "at most the side of an image"
+        )]
+        let steps = (side * self.steps_per_px).ceil() as u64;
+        steps
+    }
+
+    /// Whether all pixels of a square with this first pixel are inside, as far as its middle shows;
+    /// those beyond the image do not count.
+    pub(super) fn is_whole(&self, x: usize, y: usize, side: usize) -> bool {
+        let half = side / 2;
+        let [x, y] = [
+            (x + half).min(self.width - 1),
+            (y + half).min(self.height - 1),
+        ];
+        self.clearance(x, y) > half
     }
 
     fn is_inside_at(&self, at: usize) -> bool {
@@ -268,15 +357,15 @@ impl Mask {
     /// `None` of rim that touches no pixel inside.
     #[must_use]
     pub fn root(&self, x: usize, y: usize) -> Option<(usize, usize)> {
-        let mut at = y * self.width + x;
-        loop {
-            if self.is_inside_at(at) {
-                return Some((at % self.width, at / self.width));
-            }
-            let side = ATTACHED.iter().position(|to| *to == self.pixels[at])?;
-            let (dx, dy) = AROUND[side];
-            at = self.beside(at, dx, dy)?;
-        }
+        let at = y * self.width + x;
+        let root = match self.rim_at(at) {
+            None => self.is_inside_at(at).then_some(at)?,
+            Some(rim) => match self.rim[rim].root {
+                STRAY | UNATTACHED => return None,
+                root => root as usize,
+            },
+        };
+        Some((root % self.width, root / self.width))
     }
 
     /// The pixel inside that has a position, or whose border has it; otherwise the nearest one
@@ -307,100 +396,16 @@ impl Mask {
         best.map(|(_, pixel)| pixel)
     }
 
-    fn clearance(&self, x: usize, y: usize) -> usize {
+    pub(super) fn clearance(&self, x: usize, y: usize) -> usize {
         match self.pixels[y * self.width + x] {
-            OUTSIDE | UNATTACHED.. => 0,
+            OUTSIDE | RIM.. => 0,
             clearance => clearance as usize,
         }
     }
-
-    /// Whether the segment between two positions inside stays inside: it crosses no pixel that is
-    /// not, and passes the corner of two such pixels only beside a third one. O(1) far from the
-    /// border of the mask, at most O(length).
-    #[must_use]
-    pub fn sees(&self, a: Point, b: Point) -> bool {
-        let (dx, dy) = (b.x - a.x, b.y - a.y);
-        let steep = dy.abs() > dx.abs();
-        // Along the axis in which the segment is longer, from left to right: columns of pixels in
-        // which it touches two at most.
-        let turn = |v: Point| if steep { (v.y, v.x) } else { (v.x, v.y) };
-        let (mut from, mut to) = (turn(a), turn(b));
-        if from.0 > to.0 {
-            std::mem::swap(&mut from, &mut to);
-        }
-        let length = to.0 - from.0;
-        let slope = if length > 0.0 {
-            (to.1 - from.1) / length
-        } else {
-            0.0
-        };
-        let at = |u: f64| from.1 + slope * (u - from.0);
-        let clearance = |u: i64, v: i64| {
-            let (x, y) = if steep { (v, u) } else { (u, v) };
-            match (usize::try_from(x), usize::try_from(y)) {
-                (Ok(x), Ok(y)) if x < self.width && y < self.height => self.clearance(x, y),
-                _ => 0,
-            }
-        };
-        let (mut u, last) = (floor(from.0), floor(to.0));
-        let mut row = floor(from.1);
-        loop {
-            let here = clearance(u, row);
-            if here == 0 {
-                return false;
-            }
-            if here > 2 {
-                // Everything within `here - 1` pixels is inside, and the segment rises by one pixel
-                // a column at most.
-                let skipped = i64::try_from(here - 1).unwrap_or(1);
-                if u + skipped > last {
-                    return true;
-                }
-                u += skipped;
-                row = floor(at(u as f64));
-                continue;
-            }
-            let end = if u == last { to.1 } else { at((u + 1) as f64) };
-            let corner = end.round();
-            let through_corner = u < last && (end - corner).abs() < ON_CORNER;
-            let (side, next) = if through_corner {
-                // Rising segments leave the column below the corner, falling ones above it.
-                #[expect(clippy::cast_possible_truncation, reason = "positions of an image")]
-                let corner = corner as i64;
-                if slope > 0.0 {
-                    (corner - 1, corner)
-                } else {
-                    (corner, corner - i64::from(slope < 0.0))
-                }
-            } else {
-                (floor(end), floor(end))
-            };
-            if side != row && clearance(u, side) == 0 {
-                return false;
-            }
-            if u == last {
-                return true;
-            }
-            if next != side && clearance(u, next) == 0 && clearance(u + 1, side) == 0 {
-                return false;
-            }
-            (u, row) = (u + 1, next);
-        }
-    }
 }
 
-/// The position of a pixel that is nearest to `v`, `margin` from its border.
-pub(super) fn nearest_of_pixel((x, y): (usize, usize), v: Point, margin: f64) -> Point {
-    let (x, y) = (x as f64, y as f64);
-    Point::new(
-        v.x.clamp(x + margin, x + 1.0 - margin),
-        v.y.clamp(y + margin, y + 1.0 - margin),
-    )
-}
-
-/// The largest whole number that is not greater; saturates.
-pub(super) fn floor(v: f64) -> i64 {
-    #[expect(clippy::cast_possible_truncation, reason = "saturates")]
-    let floor = v.floor() as i64;
-    floor
+/// The number of a pixel: images have fewer than 2^32.
+#[expect(clippy::cast_possible_truncation, reason = "limited by the image")]
+const fn number(pixel: usize) -> u32 {
+    pixel as u32
 }

@@ -1,10 +1,13 @@
 //! The shape of what an image shows: its mask, a lattice that is cut where the mask is not
 //! connected, and distances inside the mask (mathematics 11).
 
+mod cell_components;
 mod distance;
 mod lattice;
 mod mask;
 mod nodes;
+mod pixel;
+mod sight;
 mod taut;
 
 pub use distance::{Distances, OutsideMask, PathOrigin};

@@ -5,13 +5,14 @@
 use std::sync::Arc;
 
 use super::Mask;
-use super::mask::INTO_PIXEL;
+use super::cell_components::NO_COMPONENT;
+use super::pixel::INTO_PIXEL;
 use crate::geometry::{PIXEL_CENTER, Point};
 
 /// Masks of at most this many pixels have a node at each.
 const FINE_PIXELS: usize = 60_000;
-/// Pixels that no component has.
-const NO_COMPONENT: u16 = u16::MAX;
+/// Pairs of neighbours after which somebody is asked whether the work is still needed.
+const PAIRS_PER_CHECK: usize = 1 << 16;
 
 /// The nodes of a mask and which of them are neighbours.
 #[derive(Debug)]
@@ -22,8 +23,9 @@ pub struct Nodes {
     blocks: usize,
     /// The first node of each block, blocks row by row.
     first_node: Vec<u32>,
-    /// The component of each pixel in its block; empty if blocks are pixels.
-    components: Vec<u16>,
+    /// Of each block with several components: its number, and the component of each pixel, row by
+    /// row; ascending.
+    split: Vec<(u32, Box<[u16]>)>,
     /// Components first, then corners row by row.
     positions: Vec<Point>,
     /// The first corner of each line between rows of pixels.
@@ -48,6 +50,12 @@ impl Nodes {
         nodes * 200
     }
 
+    /// Bytes that this many nodes hold.
+    #[must_use]
+    pub const fn kept_bytes(nodes: u64) -> u64 {
+        nodes * 72
+    }
+
     /// The side of the blocks of a mask, px.
     #[must_use]
     pub fn stride_of(mask: &Mask) -> usize {
@@ -58,13 +66,13 @@ impl Nodes {
         stride
     }
 
-    /// The number of nodes of a mask with blocks of `stride` px. O(pixels).
+    /// The number of nodes of a mask with blocks of `stride` px; `None` when cancelled. O(pixels).
     #[must_use]
-    pub fn count(mask: &Arc<Mask>, stride: usize) -> u64 {
-        match Self::new(Arc::clone(mask), stride, 0, &|| false) {
-            Ok(nodes) => nodes.len() as u64,
-            Err(NoNodes::TooMany(nodes)) => nodes,
-            Err(NoNodes::Cancelled) => 0,
+    pub fn count(mask: &Arc<Mask>, stride: usize, cancelled: &dyn Fn() -> bool) -> Option<u64> {
+        match Self::new(Arc::clone(mask), stride, 0, cancelled) {
+            Ok(nodes) => Some(nodes.len() as u64),
+            Err(NoNodes::TooMany(nodes)) => Some(nodes),
+            Err(NoNodes::Cancelled) => None,
         }
     }
 
@@ -84,7 +92,7 @@ impl Nodes {
             stride,
             blocks: width.div_ceil(stride),
             first_node: Vec::new(),
-            components: vec![NO_COMPONENT; if stride > 1 { width * height } else { 0 }],
+            split: Vec::new(),
             positions: Vec::new(),
             first_corner: Vec::with_capacity(height + 2),
             first_neighbour: Vec::new(),
@@ -109,28 +117,23 @@ impl Nodes {
     ) -> Result<usize, NoNodes> {
         let (width, height) = self.mask.size();
         let mut count = 0;
-        let mut stack = Vec::new();
+        let mut labels = vec![NO_COMPONENT; self.stride * self.stride];
+        let mut found = Vec::new();
         for y0 in (0..height).step_by(self.stride) {
             if cancelled() {
                 return Err(NoNodes::Cancelled);
             }
             for x0 in (0..width).step_by(self.stride) {
+                let block = self.first_node.len();
                 self.first_node.push(number(count.min(most)));
-                let end = [
-                    (x0 + self.stride).min(width),
-                    (y0 + self.stride).min(height),
-                ];
-                let mut component = 0;
-                for y in y0..end[1] {
-                    for x in x0..end[0] {
-                        if self.mask.is_inside(x, y) && self.component(x, y) == NO_COMPONENT {
-                            let at = self.flood([x0, y0], end, (x, y), component, &mut stack);
-                            component += 1;
-                            if count < most {
-                                self.positions.push(center(at));
-                            }
-                            count += 1;
-                        }
+                found.clear();
+                self.components_of([x0, y0], &mut labels, &mut found);
+                count += found.len();
+                if count <= most {
+                    self.positions.extend(found.iter().copied().map(center));
+                    if found.len() > 1 {
+                        self.split
+                            .push((number(block), labels.clone().into_boxed_slice()));
                     }
                 }
             }
@@ -139,31 +142,64 @@ impl Nodes {
         Ok(count)
     }
 
-    fn component(&self, x: usize, y: usize) -> u16 {
-        if self.stride == 1 {
-            NO_COMPONENT
-        } else {
-            self.components[y * self.mask.size().0 + x]
+    /// The components of a block: of each its pixel that is nearest to the centre of the block.
+    fn components_of(
+        &self,
+        [x0, y0]: [usize; 2],
+        labels: &mut [u16],
+        found: &mut Vec<(usize, usize)>,
+    ) {
+        let (width, height) = self.mask.size();
+        let stride = self.stride;
+        let last = [(x0 + stride).min(width) - 1, (y0 + stride).min(height) - 1];
+        if self.mask.is_whole(x0, y0, stride) {
+            let middle = (stride - 1) / 2;
+            found.push(((x0 + middle).min(last[0]), (y0 + middle).min(last[1])));
+            return;
+        }
+        labels.fill(NO_COMPONENT);
+        let mut stack = Vec::new();
+        for y in y0..=last[1] {
+            for x in x0..=last[0] {
+                let label = labels[(y - y0) * stride + x - x0];
+                if label == NO_COMPONENT && self.mask.is_inside(x, y) {
+                    stack.push((x, y));
+                    let own = (labels_of(found.len()), [x0, y0], last);
+                    found.push(self.flood(own, labels, &mut stack));
+                }
+            }
         }
     }
 
-    /// Labels a component; returns its pixel that is nearest to the centre of the block.
+    /// The component of a pixel in its block.
+    fn component(&self, x: usize, y: usize, block: usize) -> u32 {
+        if self.first_node[block + 1] == self.first_node[block] + 1 {
+            return 0;
+        }
+        let at = self
+            .split
+            .binary_search_by_key(&block, |(block, _)| *block as usize);
+        at.map_or(0, |at| {
+            let pixel = (y % self.stride) * self.stride + x % self.stride;
+            self.split[at].1[pixel].into()
+        })
+    }
+
+    /// Labels the component of the pixels in `stack`, in the block between two pixels; returns its
+    /// pixel that is nearest to the centre of the block.
     fn flood(
-        &mut self,
-        [x0, y0]: [usize; 2],
-        [x1, y1]: [usize; 2],
-        from: (usize, usize),
-        component: u16,
+        &self,
+        (component, [x0, y0], [x1, y1]): (u16, [usize; 2], [usize; 2]),
+        labels: &mut [u16],
         stack: &mut Vec<(usize, usize)>,
     ) -> (usize, usize) {
-        if self.stride == 1 {
-            return from;
-        }
-        let width = self.mask.size().0;
-        let mut best = (usize::MAX, from);
-        stack.push(from);
-        self.components[from.1 * width + from.0] = component;
+        let mut best = (usize::MAX, (0, 0));
         while let Some((x, y)) = stack.pop() {
+            let label = &mut labels[(y - y0) * self.stride + x - x0];
+            if *label != NO_COMPONENT {
+                continue;
+            }
+            *label = component;
             // Twice the distance from the centre, squared; row order decides between equals.
             let (dx, dy) = (
                 (2 * (x - x0) + 1).abs_diff(self.stride),
@@ -175,17 +211,16 @@ impl Nodes {
             }
             let beside = [
                 (x > x0).then(|| (x - 1, y)),
-                (x + 1 < x1).then_some((x + 1, y)),
+                (x < x1).then_some((x + 1, y)),
                 (y > y0).then(|| (x, y - 1)),
-                (y + 1 < y1).then_some((x, y + 1)),
+                (y < y1).then_some((x, y + 1)),
             ];
-            for (x, y) in beside.into_iter().flatten() {
-                let at = y * width + x;
-                if self.mask.is_inside(x, y) && self.components[at] == NO_COMPONENT {
-                    self.components[at] = component;
-                    stack.push((x, y));
-                }
-            }
+            stack.extend(
+                beside
+                    .into_iter()
+                    .flatten()
+                    .filter(|(x, y)| self.mask.is_inside(*x, *y)),
+            );
         }
         best.1
     }
@@ -247,18 +282,59 @@ impl Nodes {
                 }
             }
         }
-        let reversed: Vec<_> = pairs.iter().map(|(a, b)| (*b, *a)).collect();
-        pairs.extend(reversed);
-        pairs.sort_unstable();
-        pairs.dedup();
-        self.first_neighbour = vec![0; self.positions.len() + 1];
-        for (a, _) in &pairs {
-            self.first_neighbour[*a as usize + 1] += 1;
+        self.list_neighbours(&pairs, cancelled)
+    }
+
+    /// The neighbours of each node, ascending, from pairs that may be repeated.
+    fn list_neighbours(
+        &mut self,
+        pairs: &[(u32, u32)],
+        cancelled: &dyn Fn() -> bool,
+    ) -> Result<(), NoNodes> {
+        let mut end = vec![0_u32; self.positions.len() + 1];
+        for (a, b) in pairs {
+            end[*a as usize + 1] += 1;
+            end[*b as usize + 1] += 1;
         }
-        for k in 1..self.first_neighbour.len() {
-            self.first_neighbour[k] += self.first_neighbour[k - 1];
+        for k in 1..end.len() {
+            end[k] += end[k - 1];
         }
-        self.neighbours = pairs.into_iter().map(|(_, b)| b).collect();
+        let mut all = vec![0; 2 * pairs.len()];
+        for pairs in pairs.chunks(PAIRS_PER_CHECK) {
+            if cancelled() {
+                return Err(NoNodes::Cancelled);
+            }
+            for (a, b) in pairs {
+                for (from, to) in [(a, b), (b, a)] {
+                    let at = &mut end[*from as usize];
+                    all[*at as usize] = *to;
+                    *at += 1;
+                }
+            }
+        }
+        // Each end has moved to that of its own node.
+        self.first_neighbour = Vec::with_capacity(end.len());
+        let (mut first, mut kept) = (0, 0);
+        for (node, end) in end[..self.positions.len()].iter().enumerate() {
+            if node.is_multiple_of(PAIRS_PER_CHECK) && cancelled() {
+                return Err(NoNodes::Cancelled);
+            }
+            let own = first..*end as usize;
+            first = own.end;
+            all[own.clone()].sort_unstable();
+            self.first_neighbour.push(number(kept));
+            let mut last = None;
+            for at in own {
+                if last != Some(all[at]) {
+                    last = Some(all[at]);
+                    all[kept] = all[at];
+                    kept += 1;
+                }
+            }
+        }
+        self.first_neighbour.push(number(kept));
+        all.truncate(kept);
+        self.neighbours = all;
         Ok(())
     }
 
@@ -299,12 +375,7 @@ impl Nodes {
             return None;
         }
         let block = (y / self.stride) * self.blocks + x / self.stride;
-        let component = if self.stride == 1 {
-            0
-        } else {
-            self.component(x, y)
-        };
-        Some(self.first_node[block] + u32::from(component))
+        Some(self.first_node[block] + self.component(x, y, block))
     }
 
     pub(super) fn neighbours(&self, node: u32) -> &[u32] {
@@ -365,8 +436,9 @@ impl Nodes {
     /// Memory of the nodes, bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
+        let split = self.split.len() * self.stride * self.stride * size_of::<u16>();
         (size_of_val(&*self.first_node)
-            + size_of_val(&*self.components)
+            + split
             + size_of_val(&*self.positions)
             + size_of_val(&*self.first_corner)
             + size_of_val(&*self.first_neighbour)
@@ -381,6 +453,12 @@ const fn pixels_around(x: usize, y: usize) -> [(usize, usize); 4] {
 
 pub(super) fn center((x, y): (usize, usize)) -> Point {
     Point::new(x as f64 + PIXEL_CENTER, y as f64 + PIXEL_CENTER)
+}
+
+/// The label of a component of a block, which has at most 255 x 255 pixels.
+#[expect(clippy::cast_possible_truncation, reason = "limited by the block")]
+const fn labels_of(component: usize) -> u16 {
+    component as u16
 }
 
 /// A number of nodes, which `Nodes::new` limits.

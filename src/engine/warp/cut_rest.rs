@@ -3,18 +3,19 @@
 
 use std::sync::Arc;
 
-use super::spec::at_most;
+use super::spec::{at_most, system_bytes};
 use super::{GridSpec, Limits, Metric, RestSpec, Task, WarpError, work};
 use crate::deform::{
     CoefficientTable, DeformError, IsCancelled, Pose, PoseQuality, RestDeformation,
 };
 use crate::geometry::{CutCells, CutMesh, Grid, Mesh, Point};
 use crate::pixmap::Extent;
-use crate::topology::{CutLattice, MAX_SPACING, Mask};
+use crate::topology::{CutLattice, Distances, MAX_SPACING, Mask, Nodes};
 
 /// Cells are not subdivided, so they are small: as many pixels a side as give about this number of
-/// quads, and at least [`LEAST_CELL`].
+/// quads and not more cells of the whole image than that, and at least [`LEAST_CELL`].
 const QUADS: usize = 40_000;
+const MOST_CELLS: usize = 1 << 21;
 const LEAST_CELL: u32 = 2;
 /// The pixel of a vertex that no handle moves.
 const AT_REST: u32 = u32::MAX - 1;
@@ -51,8 +52,12 @@ impl CutRest {
                 actual,
             });
         };
-        let cells = lattice.cells_of(mask);
-        let pixels = (0..).zip(lattice.pixels(mask));
+        let cells = lattice.cells_of(mask, cancelled);
+        let pixels = lattice.pixels(mask, cancelled);
+        let (Some(cells), Some(pixels)) = (cells, pixels) else {
+            return Err(WarpError::Cancelled);
+        };
+        let pixels = (0..).zip(pixels);
         let vertices: Vec<_> = pixels
             .map(|(vertex, pixel)| (cells.vertex(vertex), pixel.unwrap_or(AT_REST)))
             .collect();
@@ -68,6 +73,21 @@ impl CutRest {
             vertices,
         };
         Ok((cut, bytes))
+    }
+
+    /// Bytes of the quads of a mask with cells of a grid, with what their construction needs, up to
+    /// a limit beyond which they are refused; `None` when cancelled.
+    pub(super) fn bytes_for(
+        mask: &Mask,
+        side: f64,
+        most: u64,
+        cancelled: IsCancelled<'_>,
+    ) -> Option<u64> {
+        let side = whole(side);
+        let of_quad = CutLattice::bytes_for(1) + u64::from(side * side) / 8;
+        let most_quads = usize::try_from(most / of_quad).unwrap_or(usize::MAX);
+        let quads = CutLattice::count(mask, side, most_quads, cancelled)?;
+        Some(quads as u64 * of_quad)
     }
 
     /// The coefficients of its vertices; `None` when cancelled.
@@ -96,6 +116,51 @@ impl CutRest {
         // Displacements and corners of vertices, and the corners of quads.
         32 * self.vertices.len() as u64 + 160 * self.cells.cells().len() as u64
     }
+}
+
+impl RestSpec {
+    /// Memory of the deformation that [`ResolvedRest::new`](super::ResolvedRest::new) computes,
+    /// beyond that of the handles; known before anything is allocated. `None` when cancelled: a
+    /// mask is looked through.
+    #[must_use]
+    pub fn field_bytes(&self, limits: &Limits, cancelled: IsCancelled<'_>) -> Option<FieldBytes> {
+        let handles = self.p.len() as u64;
+        let system = system_bytes(self.method, handles);
+        let mask = self.mask.as_ref().map(|rest| &rest.mask);
+        let Some(mask) = mask.filter(|mask| self.needs_mask() && !mask.is_everything()) else {
+            return Some(FieldBytes {
+                peak: system,
+                kept: system,
+            });
+        };
+        let nodes = Nodes::count(mask, Nodes::stride_of(mask), cancelled)?;
+        let columns: u64 = self.p.iter().map(|handle| handle.columns() as u64).sum();
+        // More is refused.
+        let of_nodes = |of_node: u64| {
+            let of_node = of_node + Distances::bytes_for(1) * columns;
+            nodes.saturating_mul(of_node).min(limits.plan_bytes)
+        };
+        // A grid that is wrong is refused before it is cut.
+        let grid = resolve_grid(self.grid, mask, limits).ok();
+        let cut = match grid.map(|grid| grid.cell().0) {
+            Some(side) => CutRest::bytes_for(mask, side, limits.plan_bytes, cancelled)?,
+            None => 0,
+        };
+        let (of_mask, cut) = (system + mask.bytes(), cut.min(limits.plan_bytes));
+        Some(FieldBytes {
+            peak: of_mask + of_nodes(Nodes::bytes_for(1)) + cut,
+            kept: of_mask + of_nodes(Nodes::kept_bytes(1)) + cut / 2,
+        })
+    }
+}
+
+/// Memory, bytes: the most while a deformation is computed, and what it holds then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FieldBytes {
+    /// The most.
+    pub peak: u64,
+    /// What is held.
+    pub kept: u64,
 }
 
 /// Errors: The grid is cut, and `what` needs all cells of a grid.
@@ -135,8 +200,12 @@ pub(super) fn resolve_grid(
 ) -> Result<Grid, WarpError> {
     let side = match spec {
         GridSpec::Auto => {
-            let mut side = LEAST_CELL;
-            while (side * side) as usize * QUADS < mask.inside() {
+            let (all, mut side) = (mask.size().0 * mask.size().1, LEAST_CELL);
+            let is_coarse = |side: u32| {
+                let pixels = (side * side) as usize;
+                pixels * QUADS >= mask.inside() && pixels * MOST_CELLS >= all
+            };
+            while !is_coarse(side) {
                 side += 1;
             }
             side

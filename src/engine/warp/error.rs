@@ -74,6 +74,8 @@ pub enum WarpError {
         /// A sentence.
         reason: &'static str,
     },
+    /// A threshold of the mask, without a metric or method that has a mask.
+    UnusedMask,
     /// A metric or method that follows the shape of what an image shows, without an image.
     NoImage,
     /// A grid that is cut along a mask, where all cells of a grid are needed.
@@ -154,6 +156,9 @@ impl fmt::Display for WarpError {
                 f,
                 "methods are compared on at least {least} distinct points; found {actual}"
             ),
+            Self::UnusedMask => {
+                f.write_str("`mask` does not apply: it belongs to the metric `geodesic`")
+            }
             Self::NoImage => {
                 f.write_str("the metric `geodesic` needs an image: send one, or use a session")
             }

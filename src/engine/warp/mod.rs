@@ -53,6 +53,7 @@ pub use self::coefficient_request::CoefficientRequest;
 pub use self::compact::CompactLattice;
 #[cfg(feature = "codec")]
 pub use self::coordinate_map::{CoordinateMap, MapFormat, MapSpec};
+pub use self::cut_rest::FieldBytes;
 pub use self::digest::Digest;
 pub use self::drawn_pixels::LabelValues;
 pub(crate) use self::drawn_pixels::{DrawnPixels, reserved};

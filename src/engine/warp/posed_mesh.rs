@@ -8,7 +8,7 @@ use super::{CompiledRest, Digest, Folds, Region, ResolvedRest, Units, Warning, W
 use super::{OutputSpec, RasterSource, Target};
 use crate::deform::{self, Conflict, IsCancelled, Pose, RestDeformation};
 use crate::geometry::{Folding, Mesh, Orientation, Point, Vec2};
-use crate::render::Canvas;
+use crate::render::{Canvas, Outside};
 
 /// Below this |m| the rotation that rigid fits is nearly arbitrary (mathematics section 2.4).
 const LEAST_ROTATION: f32 = 0.1;
@@ -142,6 +142,20 @@ impl PosedMesh {
         Self {
             region: Some(region),
             ..self
+        }
+    }
+
+    /// Checks that pixels which nothing covers can be filled so.
+    ///
+    /// # Errors
+    /// A grid that is cut along a mask has no border to continue beyond.
+    pub fn check_outside(&self, outside: Outside) -> Result<(), WarpError> {
+        match outside {
+            Outside::Edge | Outside::Reflect if self.mesh.cut_mesh().is_some() => {
+                let what = "`outside` that continues the image";
+                Err(WarpError::CutGrid { what })
+            }
+            _ => Ok(()),
         }
     }
 

@@ -202,8 +202,10 @@ fn round_trip(
         let parts = ROUND_TRIP_PARTS.min(side as u32).max(1);
         (0..parts).map(move |k| (f64::from(k) + 0.5) * side / f64::from(parts))
     };
-    let lattice =
-        centres(grid.height()).flat_map(|y| centres(grid.width()).map(move |x| Point::new(x, y)));
+    // Where a cut grid draws nothing, nothing goes round.
+    let lattice = centres(grid.height())
+        .flat_map(|y| centres(grid.width()).map(move |x| Point::new(x, y)))
+        .filter(|p| mesh.cut_mesh().is_none() || mesh.map(*p).is_some());
     // Beside a fold, f may fold in a cell whose corners do not show it.
     let is_folded = |p: Point| {
         grid.locate(p).is_some_and(|(i, j, ..)| {

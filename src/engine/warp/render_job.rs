@@ -35,7 +35,7 @@ impl RenderJob {
         limits: &Limits,
     ) -> Result<Self, WarpError> {
         subject.check(output)?;
-        check_cut(subject, posed, output)?;
+        posed.check_outside(output.outside)?;
         Ok(Self::onto(
             output.target(subject.extent(), posed, limits, &|| false)?,
             subject,
@@ -196,19 +196,4 @@ fn etag(
         }
     };
     digest.finish()
-}
-
-/// Errors: A grid that is cut along a mask has no border to continue beyond, and no coverage.
-fn check_cut(
-    subject: RasterSource<'_>,
-    posed: &PosedMesh,
-    output: &OutputSpec,
-) -> Result<(), WarpError> {
-    let what = match (subject, output.outside) {
-        _ if posed.mesh().cut_mesh().is_none() => return Ok(()),
-        (RasterSource::Coverage(_) | RasterSource::Holes(_), _) => "coverage",
-        (_, Outside::Edge | Outside::Reflect) => "`outside` that continues the image",
-        _ => return Ok(()),
-    };
-    Err(WarpError::CutGrid { what })
 }

@@ -152,15 +152,15 @@ impl ResolvedRest {
         }
         let field = field(handles, rest, is_solved, cancelled);
         let field = match &mask {
-            Some(mask) => field.and_then(|field| field.inside(mask, limits.plan_bytes, cancelled)),
+            Some(mask) => field
+                .and_then(|field| field.inside(mask, (limits.plan_bytes, limits.work), cancelled)),
             None => field,
         };
         let field = field.map_err(WarpError::of_rest)?;
-        work::at_most(
-            Task::Grid,
-            limits.work,
-            (grid.len() as u64).saturating_mul(work::of_vertex(&field)),
-        )?;
+        // Of a cut grid only some vertices are used, often few.
+        let vertices = if mask.is_some() { 0 } else { grid.len() as u64 };
+        let of_grid = vertices.saturating_mul(work::of_vertex(&field));
+        work::at_most(Task::Grid, limits.work, of_grid)?;
         let mut warnings = plausibility::of_rest(field.handles(), &grid, rest.units);
         warnings.extend(rest.left_out());
         let mut known = rest.mask.clone();
@@ -244,12 +244,10 @@ impl ResolvedRest {
     /// # Errors
     /// The grid exceeds a limit.
     pub fn to_invert(&self, limits: &Limits) -> Result<Self, WarpError> {
-        cut_rest::check_uncut(self.cut.as_ref(), "the inverse of f")?;
         let (width, height) = self.grid.cell();
-        if [width, height]
-            .iter()
-            .all(|side| (AUTO_CELL.0..=AUTO_CELL.1).contains(side))
-        {
+        // The cells of a cut grid are as small as its mask asks for.
+        let is_usual = |side: &f64| (AUTO_CELL.0..=AUTO_CELL.1).contains(side);
+        if self.cut.is_some() || [width, height].iter().all(is_usual) {
             return Ok(self.clone());
         }
         let grid = resolve_grid(

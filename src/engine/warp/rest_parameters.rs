@@ -28,6 +28,9 @@ pub(super) fn check_parameters(rest: &RestSpec) -> Result<(), WarpError> {
         let parameter = path.split_once('/').map_or(path, |(object, _)| object);
         return Err(WarpError::ForeignParameter { parameter });
     }
+    if rest.mask_threshold.is_some() && !rest.needs_mask() {
+        return Err(WarpError::UnusedMask);
+    }
     match &info.system {
         Some(system) => {
             let (what, most) = system.most_handles;

@@ -7,7 +7,6 @@ use crate::deform::{Coincident, Handle, Method, Parameters};
 use crate::format::{Compression, Encoding, Format, ImageLimits, Subsampling};
 use crate::pixmap::Depth;
 use crate::render::{Filter, Outside};
-use crate::topology::{Distances, Nodes};
 
 /// Limits of a warp; each is a flag of the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +40,7 @@ pub enum Metric {
     /// In the plane.
     #[default]
     Euclidean,
-    /// Along the shortest path inside the mask; of points, and of the methods that weigh handles.
+    /// Along the shortest path inside the mask, of the methods that weigh handles.
     Geodesic,
 }
 
@@ -138,7 +137,11 @@ pub struct RestSpec {
     pub own: Parameters,
     /// The metric.
     pub metric: Metric,
-    /// The pixels that handles can act through, if the metric or the method needs to know them.
+    /// The share of full alpha above which a pixel belongs to the mask; default
+    /// [`RestMask::THRESHOLD`].
+    pub mask_threshold: Option<f64>,
+    /// The pixels that handles can act through, if the metric or the method needs to know them:
+    /// made of the image and of what else of this says which they are.
     pub mask: Option<RestMask>,
     /// The treatment of handles that coincide at rest.
     pub coincident: Coincident,
@@ -196,21 +199,10 @@ impl RestSpec {
             .with_some("smoothing", self.smoothing)
     }
 
-    /// Memory of the deformation that [`ResolvedRest::new`](super::ResolvedRest::new) computes,
-    /// bytes, beyond that of the handles; known before anything is allocated.
+    /// Whether there must be a mask.
     #[must_use]
-    pub fn field_bytes(&self) -> u64 {
-        let of_mask = self
-            .mask
-            .as_ref()
-            .filter(|_| self.metric == Metric::Geodesic);
-        system_bytes(self.method, self.p.len() as u64)
-            + of_mask.map_or(0, |rest| {
-                let nodes = Nodes::count(&rest.mask, Nodes::stride_of(&rest.mask));
-                nodes.saturating_mul(
-                    Nodes::bytes_for(1) + Distances::bytes_for(1) * self.p.len() as u64,
-                )
-            })
+    pub fn needs_mask(&self) -> bool {
+        self.metric == Metric::Geodesic
     }
 }
 

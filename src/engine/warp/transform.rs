@@ -116,7 +116,12 @@ impl ResolvedRest {
 
 impl<'a> Transform<'a> {
     fn new(map: PositionMap<'a>, setup: &ResolvedRest) -> Self {
-        let (per_position, max_work) = (work::of_position(setup.field()), setup.max_work());
+        // A path inside a mask is sought for each position.
+        let per_position = match &setup.cut {
+            Some(_) => work::of_vertex(setup.field()),
+            None => work::of_position(setup.field()),
+        };
+        let max_work = setup.max_work();
         let source = setup.source_frame();
         Self {
             map,

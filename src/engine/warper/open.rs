@@ -164,6 +164,7 @@ impl Rendering<'_> {
         self.source().check(&output)?;
         let target = self.target(&output)?;
         let posed = self.posed().posed_mesh();
+        posed.check_outside(output.outside)?;
         Ok(RenderJob::onto(target, self.source(), posed, &output))
     }
 

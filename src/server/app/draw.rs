@@ -76,6 +76,7 @@ impl DrawJob {
             PosedMesh::new
         };
         let posed = pose_as(setup, plan, &setup.pose(q)?, *folds, is_cancelled)?;
+        posed.check_outside(output.outside)?;
         let posed = match content.region() {
             Some(region) => posed.within(region.clone()),
             None => posed,

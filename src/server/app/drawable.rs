@@ -76,9 +76,25 @@ impl DrawnContent {
         }
     }
 
+    /// The same, of which only the content of this mask moves.
+    pub(crate) fn within(self, mask: Arc<CacheEntry<Image>>) -> Self {
+        Self {
+            mask: Some(Mask::new(mask)),
+            ..self
+        }
+    }
+
     /// What the engine draws.
     pub(crate) fn subject(&self) -> RasterSource<'_> {
         self.drawable.subject()
+    }
+
+    /// The image and the region whose mask shows what is connected; none of labels and coverage.
+    pub(crate) fn shape(&self) -> Option<(&Image, Option<&Region>)> {
+        match &self.drawable {
+            Drawable::Image(image) => Some((image, self.region())),
+            Drawable::Labels(_) | Drawable::Coverage(_) | Drawable::Holes(_) => None,
+        }
     }
 
     /// The region whose content moves, if it is not the whole picture.

@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
+use mlswarp::warp::RestSummary;
 
-use super::drawable::{check_extent, find_layer};
+use super::drawable::{Drawable, check_extent, find_layer};
+use super::parts::plans::HeldSetup;
 use super::session_object::ShownSession;
 use super::sessions::forget_revision;
 use super::{App, SESSION_ATTEMPTS};
@@ -68,7 +70,9 @@ pub(crate) async fn put(
         }
         let bytes = file.clone();
         let file = Some(NamedFile { digest, bytes });
-        if let Some(session) = revise_layers(app, client, &old, layers, file).await? {
+        if let Some(session) =
+            revise_layers(app, client, &old, layers, file, Some(drawable)).await?
+        {
             return Ok(LayerPut { session, is_new });
         }
     }
@@ -88,7 +92,7 @@ pub(crate) async fn delete(
         let (name, _) = find_layer(&old, name)?;
         let mut layers = old.layers.clone();
         layers.remove(&name);
-        let revised = revise_layers(app, client, &old, layers, None).await?;
+        let revised = revise_layers(app, client, &old, layers, None, None).await?;
         if revised.is_some() {
             return Ok(());
         }
@@ -117,29 +121,43 @@ pub(crate) async fn read(
     Err(StoreError::Contended.into())
 }
 
-/// Replaces the layers of a record; they count for its client. `None`: the session has another
-/// revision by now.
+/// Replaces the layers of a record; they count for its client. `region`: the mask among them, if
+/// it is new. `None`: the session has another revision by now.
 async fn revise_layers(
     app: &App,
     client: Client,
     old: &Arc<Record>,
     layers: BTreeMap<LayerName, StoredLayer>,
     file: Option<NamedFile>,
+    region: Option<Drawable>,
 ) -> Result<Option<ShownSession>, Problem> {
     // Before the change, after which nothing may fail.
+    let new = Arc::new(Record {
+        revision: Revision::random(),
+        layers,
+        ..(**old).clone()
+    });
+    // A mask that the region is a part of changes what is posed.
+    let remasked = old.rest.needs_mask() && region_of(old) != region_of(&new);
+    let setup = match remasked {
+        true => remasked_setup(app, client, &new, region).await.map(Some),
+        false if old.rest.needs_mask() => app.plans.setup_of(client, old).await.map(Some),
+        false => Ok(None),
+    };
+    let setup = match setup {
+        Ok(setup) => setup,
+        // The image was replaced before its mask was read.
+        Err(problem) => {
+            app.sessions.newer_record(old, problem).await?;
+            return Ok(None);
+        }
+    };
+    let summary = setup.as_deref().map(|setup| RestSummary::of(setup));
     let key = QueueKey::session(client, old.id);
     let ticket = app.admission.upload(key).await?;
-    let (sessions, before) = (Arc::clone(&app.sessions), Arc::clone(old));
-    let write = move |cancel: &Cancel| {
-        let new = Arc::new(Record {
-            revision: Revision::random(),
-            layers,
-            ..(*before).clone()
-        });
-        let shown = sessions.write_new(client, &new, None, cancel)?;
-        Ok::<_, Problem>((new, shown))
-    };
-    let (new, shown) = ticket.run(write).await??;
+    let (sessions, written) = (Arc::clone(&app.sessions), Arc::clone(&new));
+    let write = move |cancel: &Cancel| sessions.write_new(client, &written, summary, cancel);
+    let shown = ticket.run(write).await??;
     drop(ticket);
     // Limits the simultaneous transfers, fairly between clients.
     let ticket = app.admission.transfer(key).await?;
@@ -148,8 +166,9 @@ async fn revise_layers(
     let Some(session) = revised? else {
         return Ok(None);
     };
-    // Layers do not change what is posed.
-    if let Some(setup) = forget_revision(app, old) {
+    // Other layers do not change what is posed.
+    let kept = forget_revision(app, old);
+    if let Some(setup) = setup.or(kept) {
         app.plans.keep_setup(client, &new, &setup);
     }
     for layer in old
@@ -160,6 +179,36 @@ async fn revise_layers(
         app.images.evict_unused(old.id.owner(), layer.digest);
     }
     Ok(Some(app.sessions.show_new(client, shown, session)))
+}
+
+fn region_of(record: &Record) -> Option<&StoredLayer> {
+    record.layers.get(&LayerName::region())
+}
+
+/// The setup of a record whose region is not stored yet.
+async fn remasked_setup(
+    app: &App,
+    client: Client,
+    new: &Arc<Record>,
+    region: Option<Drawable>,
+) -> Result<HeldSetup, Problem> {
+    let without = Record {
+        layers: BTreeMap::new(),
+        ..(**new).clone()
+    };
+    let content = app.images.content(client, &without).await?;
+    let content = match region {
+        Some(Drawable::Image(region)) if region_of(new).is_some() => content.within(region),
+        _ => content,
+    };
+    let ticket = app
+        .admission
+        .upload(QueueKey::session(client, new.id))
+        .await?;
+    let (plans, record) = (Arc::clone(&app.plans), Arc::clone(new));
+    let new =
+        move |cancel: &Cancel| plans.new_setup(&record.rest, record.extent, Some(&content), cancel);
+    Ok(Arc::new(ticket.run(new).await??))
 }
 
 fn check_count(record: &Record, name: &LayerName) -> Result<(), Problem> {

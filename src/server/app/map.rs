@@ -18,6 +18,7 @@ use super::parts::admission::Admission;
 use super::parts::plans::Planned;
 use super::reading::{Held, part};
 use super::resolved::{Resolved, resolve_on};
+use super::session_warp::newest_setup;
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::limits::memory::{MemoryClass, Reservation};
@@ -152,7 +153,7 @@ pub(crate) async fn of_session(
     json: Bytes,
     format: MapFormat,
 ) -> Result<MapFile, Problem> {
-    let setup = app.plans.setup_of(client, &record).await?;
+    let (record, setup) = newest_setup(app, client, record).await?;
     let key = QueueKey::session(client, record.id);
     let ticket = app.admission.upload(key).await?;
     let (reserve, of_session) = (

@@ -11,7 +11,7 @@ use super::App;
 use super::json_text::json_unless;
 use super::parts::plans::Planned;
 use super::reading::Held;
-use super::session_warp::{AdmittedPlan, admit_step, posed};
+use super::session_warp::{AdmittedPlan, admit_step, newest_setup, posed};
 use crate::client::Client;
 use crate::limits::client_quota::ClientQuota;
 use crate::observe::scope::stage;
@@ -123,7 +123,7 @@ pub(crate) async fn admit_mesh(
     record: &Arc<Record>,
     form: &MeshForm,
 ) -> Result<AdmittedPlan, Problem> {
-    let setup = app.plans.setup_of(client, record).await?;
+    let (_, setup) = newest_setup(app, client, Arc::clone(record)).await?;
     form.check_size(setup.dimensions())?;
     let ticket = admit_step(app, client, record, &setup, true).await?;
     let timing = Timing::queued(ticket.waited());

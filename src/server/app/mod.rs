@@ -60,7 +60,7 @@ use session_object::RevisionText;
 /// The cache of label images has the memory of the cache of images divided by this.
 const LABEL_DIVISOR: u64 = 8;
 /// The cache of setups has the memory of the cache of plans divided by this.
-const SETUP_DIVISOR: u64 = 8;
+const SETUP_DIVISOR: u64 = 4;
 /// The cache of the texts of session objects has the memory of the cache of plans divided by this.
 const TEXT_DIVISOR: u64 = 16;
 /// The smallest weight of a cached value, bytes.
@@ -161,21 +161,24 @@ impl App {
                 ("texts", Box::new(texts.clone())),
             ],
         )?);
+        let images = Arc::new(Images {
+            admission: Arc::clone(&admission),
+            store: Arc::clone(&store),
+            limits: limits.image,
+            images,
+            labels,
+            files: Cache::new(0),
+        });
+        let plans = Arc::new(Plans {
+            admission: Arc::clone(&admission),
+            images: Arc::clone(&images),
+            limits,
+            compiled,
+            setups,
+        });
         Ok(Self(Arc::new(Parts {
-            images: Arc::new(Images {
-                admission: Arc::clone(&admission),
-                store: Arc::clone(&store),
-                limits: limits.image,
-                images,
-                labels,
-                files: Cache::new(0),
-            }),
-            plans: Arc::new(Plans {
-                admission: Arc::clone(&admission),
-                limits,
-                compiled,
-                setups,
-            }),
+            images,
+            plans: Arc::clone(&plans),
             drawing: Arc::new(Drawing {
                 admission: Arc::clone(&admission),
                 limits,
@@ -190,6 +193,7 @@ impl App {
                 store,
                 sequencer: Sequencer::default(),
                 texts,
+                plans,
             }),
             lifecycle: Lifecycle::default(),
             admission,

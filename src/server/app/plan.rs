@@ -7,6 +7,7 @@ use bytes::Bytes;
 use mlswarp::warp::{CoefficientRequest, Digest, WarpError};
 
 use super::App;
+use super::session_warp::newest_setup;
 use crate::client::Client;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
@@ -70,7 +71,7 @@ pub(crate) async fn of_session(
             content: PlanContent::Known,
         });
     }
-    let setup = app.plans.setup_of(client, &record).await?;
+    let (record, setup) = newest_setup(app, client, record).await?;
     let key = QueueKey::session(client, id);
     let ticket = app.admission.upload(key).await?;
     let mut timing = Timing::queued(ticket.waited());

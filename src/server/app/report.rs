@@ -16,7 +16,7 @@ use super::mesh::PoseResponse;
 use super::parts::plans::{HeldSetup, Planned};
 use super::reading::Held;
 use super::resolved::{Resolved, resolve_on};
-use super::session_warp::{AdmittedPlan, admit_newest};
+use super::session_warp::{AdmittedPlan, admit_newest, newest_setup};
 use crate::client::Client;
 use crate::limits::memory::MemoryClass;
 use crate::observe::scope::stage;
@@ -86,7 +86,9 @@ pub(crate) async fn of_session(
 ) -> Result<PoseResponse, Problem> {
     let id = record.id;
     // Before the plan is built.
-    app.plans.setup_of(client, &record).await?.check_quality()?;
+    let (record, setup) = newest_setup(app, client, record).await?;
+    setup.check_quality()?;
+    drop(setup);
     // What is lost of the file depends on the file.
     let (record, content, AdmittedPlan { planned, .. }) =
         admit_newest(app, client, record, None).await?;

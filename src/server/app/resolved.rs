@@ -7,6 +7,7 @@ use mlswarp::pixmap::Extent;
 use mlswarp::warp::Alignment;
 
 use super::App;
+use super::drawable::DrawnContent;
 use super::fit::choose_method;
 use super::parts::plans::HeldSetup;
 use super::reading::{Held, part};
@@ -45,17 +46,18 @@ pub(crate) async fn resolve_on(
 ) -> Result<Resolved, Problem> {
     let app = app.clone();
     ticket
-        .run(move |cancel| resolve(&app, object, extent, cancel))
+        .run(move |cancel| resolve(&app, object, extent, None, cancel))
         .await?
 }
 
 /// Settles the pose, chooses the method if that was requested, resolves the handles on an image of
-/// this extent, and checks `q` if it was sent. Runs on the pool. Errors: Wrong handles, or too
-/// little memory.
+/// this extent, and checks `q` if it was sent. `content`: the image, if there is one. Runs on the
+/// pool. Errors: Wrong handles, or too little memory.
 pub(crate) fn resolve(
     app: &App,
     mut object: Held<WarpObject>,
     extent: Extent,
+    content: Option<&DrawnContent>,
     cancel: &Cancel,
 ) -> Result<Resolved, Problem> {
     object.output.check(extent, &app.plans.limits)?;
@@ -67,7 +69,7 @@ pub(crate) fn resolve(
     });
     let alignment = object.settle_pose(extent)?;
     choose_method(app, &mut object, extent, cancel)?;
-    let setup = app.plans.new_setup(&object.rest, extent, cancel)?;
+    let setup = app.plans.new_setup(&object.rest, extent, content, cancel)?;
     object.q.as_deref().map(|q| setup.pose(q)).transpose()?;
     let q = part(&mut object, |object| object.q.take().unwrap_or_default());
     Ok(Resolved {

@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 use bytes::Bytes;
 use data_encoding::HEXLOWER;
 use mlswarp::deform::Coincident;
-use mlswarp::warp::{Align, Digest, RestSummary, Warning};
+use mlswarp::warp::{Align, Digest, Metric, RestMask, RestSummary, Warning};
 
 use super::json_text::json_unless;
 use crate::cache::CacheEntry;
@@ -18,8 +18,8 @@ use crate::pool::Cancel;
 use crate::problem::Problem;
 use crate::store::{Record, Session};
 use crate::wire::{
-    AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionObject, rest_revision,
-    session_tail,
+    AsJson, CoincidentGroup, SessionGrid, SessionImage, SessionLayer, SessionMask, SessionObject,
+    rest_revision, session_tail,
 };
 
 /// Maximum length of a number and its comma in JSON, and of what precedes the numbers of a handle.
@@ -162,6 +162,10 @@ pub(crate) fn revision_text(
         point_mass: summary.point_mass,
         smoothing: summary.smoothing,
         own: AsJson(summary.own),
+        metric: (rest.metric != Metric::default()).then_some(AsJson(rest.metric)),
+        mask: rest.needs_mask().then(|| SessionMask {
+            threshold: rest.mask_threshold.unwrap_or(RestMask::THRESHOLD),
+        }),
         coincident_policy: (rest.coincident != Coincident::default())
             .then_some(AsJson(rest.coincident)),
         coincident: groups.collect(),

@@ -12,7 +12,7 @@ use mlswarp::warp::{Align, OutputSpec, ResolvedRest};
 
 use super::draw::{DrawJob, Drawn};
 use super::drawable::DrawnContent;
-use super::parts::plans::{Planned, columns};
+use super::parts::plans::{HeldSetup, Planned, columns};
 use super::reading::Held;
 use super::{App, SESSION_ATTEMPTS};
 use crate::client::Client;
@@ -182,6 +182,22 @@ pub(crate) async fn admit_newest(
     for _ in 0..SESSION_ATTEMPTS {
         match admit_drawing(app, client, &record, layer).await {
             Ok((content, plan)) => return Ok((record, content, plan)),
+            Err(problem) => record = app.sessions.newer_record(&record, problem).await?,
+        }
+    }
+    Err(StoreError::Contended.into())
+}
+
+/// The setup of a session. If the session was replaced while the files of a mask were read: that of
+/// the current session. Errors: Unknown session, or too little capacity.
+pub(crate) async fn newest_setup(
+    app: &App,
+    client: Client,
+    mut record: Arc<Record>,
+) -> Result<(Arc<Record>, HeldSetup), Problem> {
+    for _ in 0..SESSION_ATTEMPTS {
+        match app.plans.setup_of(client, &record).await {
+            Ok(setup) => return Ok((record, setup)),
             Err(problem) => record = app.sessions.newer_record(&record, problem).await?,
         }
     }

@@ -161,8 +161,11 @@ pub(crate) async fn replace_handles(
             // Another request has changed fields that this one may not have named: they are kept.
             old = app.sessions.touch(old.id, None).await?.record;
         }
-        if let Some(result) = try_replace_handles(app, client, &old, json.clone()).await? {
-            return Ok(result);
+        match try_replace_handles(app, client, &old, json.clone()).await {
+            Ok(Some(result)) => return Ok(result),
+            Ok(None) => {}
+            // The image was replaced before its mask was read.
+            Err(problem) => drop(app.sessions.newer_record(&old, problem).await?),
         }
     }
     Err(StoreError::Contended.into())
@@ -180,8 +183,8 @@ async fn try_replace_handles(
     let reserve = app
         .admission
         .reserving_pose(MemoryClass::Upload, client, old);
-    let (of_job, before) = (app.clone(), Arc::clone(old));
-    let settle = move |cancel: &Cancel| {
+    let before = Arc::clone(old);
+    let settle = move |_: &_| {
         let patch =
             Reserved::<WarpPatch, _>::parse(&json, reserve)?.try_map(WarpPatch::without_files)?;
         let (q, strength) = before
@@ -197,9 +200,19 @@ async fn try_replace_handles(
             strength,
             is_auto: false,
         };
-        let object = patch.map(|patch| patch.merge_onto(base));
-        resolve(&of_job, object, before.extent, cancel)
+        Ok::<_, Problem>(patch.map(|patch| patch.merge_onto(base)))
     };
+    let object = ticket.run(settle).await??;
+    let (ticket, content) = if object.rest.needs_mask() {
+        // The ticket is not held while the store works.
+        drop(ticket);
+        let content = app.images.content(client, old).await?;
+        (app.admission.upload(key).await?, Some(content))
+    } else {
+        (ticket, None)
+    };
+    let (of_job, extent) = (app.clone(), old.extent);
+    let settle = move |cancel: &Cancel| resolve(&of_job, object, extent, content.as_ref(), cancel);
     let Resolved {
         object,
         pose,

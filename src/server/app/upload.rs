@@ -113,19 +113,21 @@ pub(super) async fn prepare(
     stage("decode", began);
     RasterSource::Image(&image).check(&object.output)?;
     let (of_job, extent) = (app.clone(), image.extent());
+    let content = DrawnContent::image(image, mask);
+    let shape = content.clone();
     let settle = move |cancel: &Cancel| {
         let mut object = object;
         if let Some(landmarks) = landmarks {
             object = place_in(landmarks, object, extent)?;
         }
-        resolve(&of_job, object, extent, cancel)
+        resolve(&of_job, object, extent, Some(&shape), cancel)
     };
     let resolved = Resolved {
         files,
         ..ticket.run(settle).await??
     };
     let job = DrawJob {
-        content: DrawnContent::image(image, mask),
+        content,
         planned: app
             .plans
             .plan(client, ticket, &resolved.setup, timing)

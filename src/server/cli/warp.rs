@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use mlswarp::pixmap::Extent;
 use mlswarp::warp::{
     CompiledRest, Image, LabelImage, PosedMesh, RasterSource, Region, RenderJob, Report,
-    ResolvedRest,
+    ResolvedRest, RestMask,
 };
 
 use super::failure::{Failure, name_of};
@@ -240,7 +240,18 @@ impl WarpJob<'_> {
             (WarpKind::Holes, Some(region)) => RasterSource::Holes(region),
             (WarpKind::Holes, None) => return Err(no_region()),
         };
-        self.prepare(subject.extent(), landmarks)?;
+        let shape;
+        let image = match subject {
+            RasterSource::Image(image) => Some(image),
+            RasterSource::Labels(_) => None,
+            RasterSource::Coverage(_) | RasterSource::Holes(_) if self.object.rest.needs_mask() => {
+                shape = decode(&file).map_err(about)?;
+                Some(&shape)
+            }
+            RasterSource::Coverage(_) | RasterSource::Holes(_) => None,
+        };
+        let image = image.map(|image| (image, region.as_ref()));
+        self.prepare(subject.extent(), image, landmarks)?;
         self.render(subject, region.as_ref(), write)
     }
 
@@ -275,8 +286,15 @@ impl WarpJob<'_> {
     }
 
     /// Resolves the handles on an image of this size, unless they are those of the last one.
-    fn prepare(&mut self, extent: Extent, landmarks: Option<Landmarks>) -> Result<(), Failure> {
+    /// `image`: itself and its region, for handles that need its mask.
+    fn prepare(
+        &mut self,
+        extent: Extent,
+        image: Option<(&Image, Option<&Region>)>,
+        landmarks: Option<Landmarks>,
+    ) -> Result<(), Failure> {
         if !has_own_landmarks(self.args)
+            && !self.object.rest.needs_mask()
             && self
                 .prepared
                 .as_ref()
@@ -286,6 +304,10 @@ impl WarpJob<'_> {
         }
         let located = |problem| input::located(self.merged, problem);
         let mut object = self.object.clone();
+        if let Some((image, region)) = image.filter(|_| object.rest.needs_mask()) {
+            let threshold = object.rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
+            object.rest.mask = RestMask::of_image(image, region, threshold, &|| false);
+        }
         let (limits, most) = (self.config.limits(), self.config.max_fit_handles as u64);
         let setup = object
             .resolve(landmarks, extent, &limits, most, &|| false)

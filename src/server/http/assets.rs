@@ -46,7 +46,7 @@ static ASSETS: LazyLock<Vec<(&str, Asset)>> = LazyLock::new(|| {
     assets![
         "page.css" CSS, "stage.css" CSS,
         "access.js" JS, "actions.js" JS, "align.js" JS, "animationexport.js" JS,
-            "annotations.js" JS, "api.js" JS, "blend.js" JS, "canvas.js" JS,
+            "annotations.js" JS, "api.js" JS, "blend.js" JS, "canvas.js" JS, "choices.js" JS,
         "dom.js" JS, "edits.js" JS, "export.js" JS, "files.js" JS, "fit.js" JS, "frame.js" JS,
             "grid.js" JS,
         "handles.js" JS, "handlesfile.js" JS, "json.js" JS, "keep.js" JS, "keys.js" JS,

@@ -67,6 +67,7 @@ fn base() -> WarpObject {
             smoothing: None,
             own: Parameters::default(),
             metric: Metric::Euclidean,
+            mask_threshold: None,
             mask: None,
             coincident: Coincident {
                 policy: CoincidentPolicy::Mean,
@@ -138,6 +139,7 @@ impl Serialize for Warp<'_> {
             smoothing,
             own,
             metric,
+            mask_threshold,
             // It is made from files that the record names.
             mask: _,
             coincident,
@@ -177,6 +179,9 @@ impl Serialize for Warp<'_> {
         )?;
         Defaults::LeftOut.field(&mut object, "align", *align, &base.rest.align)?;
         serialize_own(&mut object, *own)?;
+        if let Some(threshold) = mask_threshold {
+            object.serialize_entry("mask", &BTreeMap::from([("threshold", threshold)]))?;
+        }
         if let Some(Pose { q, strength }) = &record.pose {
             object.serialize_entry("q", &AsJson(q.as_slice()))?;
             if strength.to_bits() != base.strength.to_bits() {
@@ -636,6 +641,26 @@ mod tests {
             assert_eq!(*read(&write(&record)).unwrap(), record);
             assert!(made(&record) != made(&plain()) && !record.is_made_like(&plain()));
         }
+    }
+
+    #[test]
+    fn a_metric_is_written_with_its_threshold_and_a_mask_never() {
+        let text = |record: &Record| String::from_utf8(write(record)).unwrap();
+        assert!(!text(&rich()).contains("metric") && !text(&rich()).contains("mask"));
+        let rest = RestSpec {
+            metric: Metric::Geodesic,
+            mask_threshold: Some(0.25),
+            ..rich().rest
+        };
+        let inside = Record { rest, ..rich() };
+        let written = text(&inside);
+        assert!(written.contains("\"metric\":\"geodesic\""), "{written}");
+        assert!(
+            written.contains("\"mask\":{\"threshold\":0.25}"),
+            "{written}"
+        );
+        assert_eq!(read(written.as_bytes()).unwrap().rest, inside.rest);
+        assert_ne!(made(&inside), made(&rich()));
     }
 
     #[test]

@@ -25,6 +25,7 @@ fn warp_reads_the_example_of_the_contract() {
             smoothing: Some(0.5),
             own: Parameters::default(),
             metric: Metric::Euclidean,
+            mask_threshold: None,
             mask: None,
             coincident: Coincident {
                 policy: CoincidentPolicy::Reject,

@@ -83,7 +83,6 @@ fn words_of_the_contract_that_are_missing_here_are_not_supported() {
     let table: &[Expected] = &[
         ("{\"method\": \"arap\"}", S, Some("/method"), None),
         ("{\"folds\": \"remove\"}", S, Some("/folds"), None),
-        ("{\"metric\": \"geodesic\"}", S, Some("/metric"), None),
     ];
     check(WarpObject::parse, table);
     assert_eq!(

@@ -12,6 +12,9 @@ use crate::geometry::Mesh;
 use crate::pixmap::{Channels, Depth, Extent, Labels, PixelLayout};
 use crate::render::{Coverage, InverseMap, RenderOptions, Renderer};
 
+/// Samples along a side of a pixel whose coverage by a cut grid is counted.
+const SAMPLES: u32 = 4;
+
 /// Draws one subject.
 #[derive(Debug)]
 pub(super) enum MeshRenderer {
@@ -28,6 +31,8 @@ pub(super) enum MeshRenderer {
     },
     /// Coverage.
     Coverage(Box<Coverage>),
+    /// Coverage of a cut grid: the positions that a target of [`SAMPLES`] times its sides shows.
+    CutCoverage { inverse: InverseMap, target: Extent },
     /// A picture, labels or coverage, of which only the content of a region moves.
     Region(Box<RegionDrawer>),
     /// The holes that a region leaves.
@@ -40,6 +45,15 @@ impl MeshRenderer {
         match subject {
             RasterSource::Image(image) => Self::image(image, mesh, options),
             RasterSource::Labels(labels) => Self::labels(labels, mesh, options),
+            RasterSource::Coverage(_) if mesh.cut_mesh().is_some() => {
+                let [width, height] = [options.target.width(), options.target.height()]
+                    .map(|side| side.saturating_mul(SAMPLES));
+                let samples = Extent::new(width, height).unwrap_or(options.target);
+                Self::CutCoverage {
+                    inverse: InverseMap::new(mesh, samples, options.canvas),
+                    target: options.target,
+                }
+            }
             RasterSource::Coverage(_) => Self::Coverage(Box::new(Coverage::new(
                 mesh,
                 options.target,
@@ -73,6 +87,7 @@ impl MeshRenderer {
             Self::Image { renderer, .. } => renderer.target(),
             Self::Labels { inverse, .. } => inverse.target(),
             Self::Coverage(coverage) => coverage.target(),
+            Self::CutCoverage { target, .. } => *target,
             Self::Region(drawer) => drawer.target(),
             Self::Holes(drawer) => drawer.target(),
         }
@@ -93,7 +108,7 @@ impl MeshRenderer {
                 extent: inverse.target(),
                 ..labels.shape
             },
-            Self::Coverage(_) | Self::Holes(_) => PixelLayout {
+            Self::Coverage(_) | Self::CutCoverage { .. } | Self::Holes(_) => PixelLayout {
                 extent: self.target(),
                 channels: Channels::Rgb,
                 grey: true,
@@ -108,7 +123,9 @@ impl MeshRenderer {
         match self {
             Self::Image { renderer, .. } => renderer.adds_alpha(),
             Self::Region(drawer) => drawer.adds_alpha(),
-            Self::Labels { .. } | Self::Coverage(_) | Self::Holes(_) => false,
+            Self::Labels { .. } | Self::Coverage(_) | Self::CutCoverage { .. } | Self::Holes(_) => {
+                false
+            }
         }
     }
 
@@ -117,7 +134,7 @@ impl MeshRenderer {
         match self {
             Self::Image { renderer, .. } => renderer.channels().count() * renderer.depth().bytes(),
             Self::Labels { labels, .. } => labels.shape.pixel_bytes(),
-            Self::Coverage(_) | Self::Holes(_) => Channels::Rgb.count(),
+            Self::Coverage(_) | Self::CutCoverage { .. } | Self::Holes(_) => Channels::Rgb.count(),
             Self::Region(drawer) => drawer.pixel_bytes(),
         }
     }
@@ -128,6 +145,7 @@ impl MeshRenderer {
             Self::Image { renderer, .. } => renderer.computed_width(),
             Self::Labels { inverse, .. } => inverse.computed_width(),
             Self::Coverage(coverage) => coverage.computed_width(),
+            Self::CutCoverage { inverse, .. } => inverse.computed_width().saturating_mul(SAMPLES),
             Self::Region(drawer) => drawer.computed_width(),
             Self::Holes(drawer) => drawer.computed_width(),
         }
@@ -137,7 +155,10 @@ impl MeshRenderer {
     #[cfg(feature = "codec")]
     pub(super) fn work_bytes(&self) -> u64 {
         match self {
-            Self::Image { .. } | Self::Labels { .. } | Self::Coverage(_) => 0,
+            Self::Image { .. }
+            | Self::Labels { .. }
+            | Self::Coverage(_)
+            | Self::CutCoverage { .. } => 0,
             Self::Region(_) | Self::Holes(_) => region::work_bytes(self.target()),
         }
     }
@@ -155,8 +176,28 @@ impl MeshRenderer {
                     *pixel = [share; 3];
                 }
             }
+            Self::CutCoverage { inverse, target } => draw_cut_coverage(inverse, *target, rows, out),
             Self::Region(drawer) => drawer.band(rows, out),
             Self::Holes(drawer) => drawer.band(rows, out),
+        }
+    }
+}
+
+/// The share of the samples of each pixel that show something.
+fn draw_cut_coverage(inverse: &InverseMap, target: Extent, rows: Range<u32>, out: &mut [u8]) {
+    let (side, width) = (SAMPLES as usize, target.width() as usize);
+    let mut positions = vec![[0.0; 2]; side * side * width];
+    for (row, out) in rows.zip(out.chunks_exact_mut(3 * width)) {
+        inverse.rows(row * SAMPLES..(row + 1) * SAMPLES, &mut positions);
+        for (x, pixel) in out.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            let samples = positions
+                .chunks_exact(side * width)
+                .flat_map(|row| &row[side * x..side * (x + 1)]);
+            let shown = samples.filter(|[x, _]| !x.is_nan()).count();
+            let all = side * side;
+            #[expect(clippy::cast_possible_truncation, reason = "at most 255")]
+            let share = ((shown * usize::from(u8::MAX) + all / 2) / all) as u8;
+            *pixel = [share; 3];
         }
     }
 }

@@ -59,6 +59,7 @@ impl RegionDrawer {
             MeshRenderer::Image { .. }
             | MeshRenderer::Labels { .. }
             | MeshRenderer::Coverage(_)
+            | MeshRenderer::CutCoverage { .. }
             | MeshRenderer::Region(_)
             | MeshRenderer::Holes(_) => Channels::Rgba,
         };
@@ -153,7 +154,10 @@ impl RegionDrawer {
                     }
                 }
             }
-            MeshRenderer::Coverage(_) | MeshRenderer::Region(_) | MeshRenderer::Holes(_) => {
+            MeshRenderer::Coverage(_)
+            | MeshRenderer::CutCoverage { .. }
+            | MeshRenderer::Region(_)
+            | MeshRenderer::Holes(_) => {
                 let pixel = self.moved.pixel_bytes();
                 for ((out, moved), weights) in out
                     .chunks_exact_mut(pixel)

@@ -226,11 +226,12 @@ fn what_has_no_distances_inside_the_mask_is_refused() {
         resolve(&rest(&[(2.0, 2.0), (12.0, 18.0)])).unwrap_err(),
         WarpError::Rest(DeformError::OutsideMask { handle: 1 })
     );
-    let line = Handle::Polyline(vec![Point::new(1.0, 1.0), Point::new(5.0, 1.0)]);
-    let with_line = inside(vec![line], Method::Rigid, &mask);
+    // From one leg to the other.
+    let line = Handle::Polyline(vec![Point::new(4.0, 9.0), Point::new(20.0, 9.0)]);
+    let across = inside(vec![points(&P).remove(0), line], Method::Rigid, &mask);
     assert_eq!(
-        resolve(&with_line).unwrap_err(),
-        WarpError::Rest(DeformError::LineInMask { handle: 0 })
+        resolve(&across).unwrap_err(),
+        WarpError::Rest(DeformError::OutsideMask { handle: 1 })
     );
     let spline = inside(points(&P), Method::ThinPlateSpline, &mask);
     assert_eq!(
@@ -267,8 +268,88 @@ fn what_has_no_distances_inside_the_mask_is_refused() {
         matches!(refused, WarpError::Rest(DeformError::MaskTooLarge { .. })),
         "{refused:?}"
     );
-    let inverse = resolve(&rest(&P)).unwrap().to_invert(&Limits::default());
-    assert!(matches!(inverse, Err(WarpError::CutGrid { .. })));
+}
+
+#[test]
+fn lines_act_inside_a_mask_as_points_do() {
+    let mask = mask(&LEGS);
+    let line = |places: &[(f64, f64)]| {
+        Handle::Polyline(places.iter().map(|(x, y)| Point::new(*x, *y)).collect())
+    };
+    let p = vec![
+        line(&[(9.0, 10.5), (9.0, 6.0), (5.0, 2.0)]),
+        line(&[(15.5, 10.0), (15.0, 5.0)]),
+        points(&P).remove(1),
+    ];
+    let q = vec![
+        line(&[(9.0, 10.5), (9.0, 6.0), (5.0, 2.0)]),
+        line(&[(18.5, 9.0), (15.0, 5.0)]),
+        points(&P).remove(1),
+    ];
+    let at: Vec<Point> = (0..24)
+        .flat_map(|x| (0..12).map(move |y| Point::new(f64::from(x) + 0.3, f64::from(y) + 0.6)))
+        .filter(|at| mask.mask.pixel_at(*at, 0.0).is_some())
+        .collect();
+    for method in [Method::Rigid, Method::Similarity, Method::Affine] {
+        let rest = inside(p.clone(), method, &mask);
+        assert_eq!(mapped(&rest, &p, &at), at);
+        let turn = |v: &Point| Point::new(0.6 * v.x - 0.8 * v.y + 4.0, 0.8 * v.x + 0.6 * v.y);
+        let turned: Vec<Handle> = p
+            .iter()
+            .map(|handle| match handle {
+                Handle::Point(at) => Handle::Point(turn(at)),
+                line => Handle::Polyline(line.places().iter().map(turn).collect()),
+            })
+            .collect();
+        for (found, at) in mapped(&rest, &turned, &at).iter().zip(&at) {
+            assert!(found.distance(turn(at)) < 1e-9, "{method:?}");
+        }
+        let on_lines = [
+            Point::new(9.0, 8.0),
+            Point::new(7.0, 4.0),
+            Point::new(15.25, 7.5),
+        ];
+        let moved = [on_lines[0], on_lines[1], Point::new(16.75, 7.0)];
+        for (found, want) in mapped(&rest, &q, &on_lines).iter().zip(moved) {
+            assert!(
+                found.distance(want) < 1e-6,
+                "{method:?}: {found:?} {want:?}"
+            );
+        }
+        // The foot beside the one that bends stays; in the plane it does not.
+        let foot = [Point::new(10.5, 11.5)];
+        let far = |rest: &RestSpec| mapped(rest, &q, &foot)[0].distance(foot[0]);
+        let plane = RestSpec {
+            metric: Metric::Euclidean,
+            ..rest.clone()
+        };
+        assert!(
+            far(&rest) < 0.5 * far(&plane),
+            "{method:?}: {} {}",
+            far(&rest),
+            far(&plane)
+        );
+    }
+    // Without a wall, a line in the mask is one in the plane.
+    let rows: Vec<String> = (0..30)
+        .map(|y| {
+            if y == 29 {
+                format!("{}0", "1".repeat(39))
+            } else {
+                "1".repeat(40)
+            }
+        })
+        .collect();
+    let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+    let nearly = inside(p.clone(), Method::Rigid, &super::geodesic::mask(&rows));
+    let plane = RestSpec {
+        metric: Metric::Euclidean,
+        alpha: Some(2.0),
+        ..nearly.clone()
+    };
+    for (a, b) in mapped(&nearly, &q, &at).iter().zip(mapped(&plane, &q, &at)) {
+        assert!(a.distance(b) < 1e-6, "{a:?} {b:?}");
+    }
 }
 
 /// A hind and a front hoof are pinned each, and one front hoof is dragged.
@@ -290,7 +371,7 @@ const HORSE: [(f64, f64); 11] = [
 fn a_dragged_hoof_leaves_the_others_where_they_are() {
     let file = include_bytes!("../../test_files/images/horse-cutout.png");
     let image = Arc::new(Image::decode(file, &ImageLimits::default()).unwrap());
-    let mask = RestMask::of_image(&image, None, &|| false).unwrap();
+    let mask = RestMask::of_image(&image, None, RestMask::THRESHOLD, &|| false).unwrap();
     let (p, mut q) = (points(&HORSE), HORSE);
     q[3] = (614.0, 584.0);
     let q = points(&q);

@@ -191,13 +191,19 @@ async fn grid_unless_handles(
     if !record.rest.p.is_empty() || !is_empty {
         return Ok((planned, None));
     }
+    let mut p = jitter_grid(record.rest.units, record.extent);
+    if let Some(mask) = planned.setup.mask() {
+        // Handles beside what the image shows act on nothing.
+        p.retain(|handle| mask.holds(handle, record.rest.units));
+    }
     let spec = RestSpec {
-        p: jitter_grid(record.rest.units, record.extent),
+        p,
         ..record.rest.clone()
     };
+    let content = app.plans.content_of(client, record).await?;
     let ticket = app.admission.upload(QueueKey::client(client)).await?;
     let (plans, rest, extent) = (Arc::clone(&app.plans), spec.clone(), record.extent);
-    let new = move |cancel: &Cancel| plans.new_setup(&rest, extent, cancel);
+    let new = move |cancel: &Cancel| plans.new_setup(&rest, extent, content.as_ref(), cancel);
     let setup = Arc::new(ticket.run(new).await??);
     Ok((
         app.plans

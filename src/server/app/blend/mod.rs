@@ -252,7 +252,10 @@ impl BlendJob {
                 p: source.shape.p.clone(),
                 ..job.object.rest.clone()
             };
-            let setup = job.app.plans.new_setup(&rest, image.extent(), cancel)?;
+            let setup = job
+                .app
+                .plans
+                .new_setup(&rest, image.extent(), None, cancel)?;
             let frame = job.images[0].extent.width();
             let mirrored_in = source.pairs.as_ref().map(|_| frame);
             let drawn = match &source.pairs {
@@ -289,7 +292,10 @@ impl BlendJob {
     ) -> Result<DrawJob, Problem> {
         let (app, extent) = (self.app.clone(), image.extent());
         let setup = ticket
-            .run(move |cancel| app.plans.new_setup(&RestSpec::default(), extent, cancel))
+            .run(move |cancel| {
+                app.plans
+                    .new_setup(&RestSpec::default(), extent, None, cancel)
+            })
             .await??;
         let planned = self
             .app

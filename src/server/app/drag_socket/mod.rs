@@ -17,7 +17,7 @@ use bytes::Bytes;
 use super::App;
 use super::mesh::{MeshForm, admit_mesh};
 use super::parts::plans::columns;
-use super::session_warp::MAX_INLINE;
+use super::session_warp::{MAX_INLINE, newest_setup};
 use crate::client::Client;
 use crate::drag::frame_scheduler::{FrameScheduler, QueuedPose, Step};
 use crate::drag::picture_ladder::PictureLadder;
@@ -138,7 +138,7 @@ pub async fn open(
         .await?
         .0
     } else {
-        let setup = app.plans.setup_of(client, &record).await?;
+        let (_, setup) = newest_setup(app, client, Arc::clone(&record)).await?;
         MeshShape::new(&setup, record.extent)
     };
     Ok(Drag {

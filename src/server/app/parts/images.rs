@@ -95,6 +95,19 @@ impl Images {
         self.decode(client, &ticket, sources).await.map(Some)
     }
 
+    /// The image of a session and its region, decoded.
+    /// Errors: Too little capacity; the files are gone.
+    pub(crate) async fn content(
+        self: &Arc<Self>,
+        client: Client,
+        record: &Record,
+    ) -> Result<DrawnContent, Problem> {
+        let sources = self.fetch(client, record, None).await?;
+        let key = QueueKey::session(client, record.id);
+        let ticket = self.admission.upload(key).await?;
+        self.decode(client, &ticket, sources).await
+    }
+
     /// A file of a session in decoded form, if that is cached, or its bytes.
     async fn fetch_source(
         self: &Arc<Self>,

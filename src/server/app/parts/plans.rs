@@ -5,10 +5,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use mlswarp::pixmap::Extent;
-use mlswarp::warp::{CompiledRest, Digest, Limits, ResolvedRest, RestSpec};
+use mlswarp::warp::{CompiledRest, Digest, Limits, ResolvedRest, RestMask, RestSpec, WarpError};
 
 use super::admission::Admission;
+use super::images::Images;
 use crate::app::MIN_WEIGHT;
+use crate::app::drawable::DrawnContent;
 use crate::cache::{Cache, CacheEntry, CacheKey, Fetched};
 use crate::client::{Client, Owner};
 use crate::limits::memory::MemoryClass;
@@ -35,30 +37,60 @@ pub(crate) struct Planned {
 #[derive(Debug)]
 pub(crate) struct Plans {
     pub(crate) admission: Arc<Admission>,
+    /// For masks.
+    pub(crate) images: Arc<Images>,
     pub(crate) limits: Limits,
     pub(crate) compiled: Cache<CompiledRest>,
     pub(crate) setups: Cache<ResolvedRest>,
 }
 
 impl Plans {
-    /// Resolves rest handles in memory that is reserved before. Runs on the pool.
-    /// Errors: Wrong handles, or too little memory.
+    /// Resolves rest handles in memory that is reserved before. `content`: the image that they lie
+    /// on, for those that need its mask. Runs on the pool. Errors: Wrong handles, or too little
+    /// memory.
     pub(crate) fn new_setup(
         &self,
         rest: &RestSpec,
         extent: Extent,
+        content: Option<&DrawnContent>,
         cancel: &Cancel,
     ) -> Result<CacheEntry<ResolvedRest>, Problem> {
-        let held = self
-            .admission
-            .reserve(MemoryClass::Plan, setup_weight(rest))?;
-        let setup =
-            ResolvedRest::new_unless(rest, extent, &self.limits, &|| cancel.is_cancelled())?;
+        let is_cancelled = || cancel.is_cancelled();
+        // A few copies of each column's position and weight.
+        let of_handles = 1024 + 256 * columns_of(rest);
+        let mut held = self.admission.reserve(MemoryClass::Plan, of_handles)?;
+        let with_mask = match content.and_then(DrawnContent::shape) {
+            Some((image, region)) if rest.needs_mask() => {
+                let threshold = rest.mask_threshold.unwrap_or(RestMask::THRESHOLD);
+                let bytes = RestMask::bytes_for(image, region, threshold, &is_cancelled);
+                let bytes = bytes.ok_or(WarpError::Cancelled)?;
+                self.admission.reserve_more(&mut held, bytes)?;
+                let mask = RestMask::of_image(image, region, threshold, &is_cancelled);
+                let mask = Some(mask.ok_or(WarpError::Cancelled)?);
+                Some(RestSpec {
+                    mask,
+                    ..rest.clone()
+                })
+            }
+            _ => None,
+        };
+        let rest = with_mask.as_ref().unwrap_or(rest);
+        let bytes = rest.field_bytes(&self.limits, &is_cancelled);
+        let bytes = bytes.ok_or(WarpError::Cancelled)?;
+        self.admission.reserve_more(&mut held, bytes.peak)?;
+        let new = || ResolvedRest::new_unless(rest, extent, &self.limits, &is_cancelled);
+        let setup = if with_mask.is_some() {
+            // Distances inside the mask are computed for many handles at once.
+            self.admission.pool.run_parallel(new)?
+        } else {
+            new()?
+        };
+        held.shrink_to(of_handles + bytes.kept);
         Ok(CacheEntry::new(setup, held))
     }
 
     /// The resolved setup of a session.
-    /// Errors: Too little capacity.
+    /// Errors: Too little capacity; the files of the mask are gone.
     pub(crate) async fn setup_of(
         self: &Arc<Self>,
         client: Client,
@@ -66,15 +98,32 @@ impl Plans {
     ) -> Result<HeldSetup, Problem> {
         let (plans, of_session) = (Arc::clone(self), Arc::clone(record));
         let build = async move {
+            let content = plans.content_of(client, &of_session).await?;
             let key = QueueKey::session(client, of_session.id);
             let ticket = plans.admission.upload(key).await?;
-            let new =
-                move |cancel: &Cancel| plans.new_setup(&of_session.rest, of_session.extent, cancel);
+            let new = move |cancel: &Cancel| {
+                let Record { rest, extent, .. } = &*of_session;
+                plans.new_setup(rest, *extent, content.as_ref(), cancel)
+            };
             ticket.run(new).await?
         };
         let key = revision_key(record);
         let setup = self.setups.get(key, client.payer(), build);
         Ok(setup.await?.value)
+    }
+
+    /// The image and the region of a session, if its handles need their mask.
+    /// Errors: Too little capacity; the files are gone.
+    pub(crate) async fn content_of(
+        &self,
+        client: Client,
+        record: &Record,
+    ) -> Result<Option<DrawnContent>, Problem> {
+        if record.rest.needs_mask() {
+            self.images.content(client, record).await.map(Some)
+        } else {
+            Ok(None)
+        }
     }
 
     /// The setup whose grid shows where to look for the inverse.
@@ -166,10 +215,4 @@ pub(crate) fn columns(record: &Record) -> u64 {
 
 fn columns_of(rest: &RestSpec) -> u64 {
     rest.p.iter().map(|h| h.columns() as u64).sum()
-}
-
-/// The approximate size of a setup: a few copies of each column's position and weight, and the
-/// system of a spline.
-fn setup_weight(rest: &RestSpec) -> u64 {
-    1024 + 256 * columns_of(rest) + rest.field_bytes()
 }

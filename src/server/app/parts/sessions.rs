@@ -7,7 +7,7 @@ use std::time::Duration;
 use mlswarp::warp::{Limits, RestSummary};
 
 use super::admission::Admission;
-use super::plans::{columns, revision_key};
+use super::plans::{Plans, columns, revision_key};
 use crate::app::client_sessions::ClientSessions;
 use crate::app::sequence::{SequencePosition, Sequencer};
 use crate::app::session_object::{
@@ -33,6 +33,8 @@ pub struct Sessions {
     pub(crate) counted: ClientSessions,
     pub(crate) sequencer: Sequencer,
     pub(crate) texts: Cache<RevisionText>,
+    /// For what sessions say of handles inside a mask.
+    pub(crate) plans: Arc<Plans>,
 }
 
 /// A request for a session, with its position among the numbered ones.
@@ -226,14 +228,29 @@ impl Sessions {
     ) -> Result<Arc<CacheEntry<RevisionText>>, Problem> {
         let (sessions, written) = (Arc::clone(self), Arc::clone(record));
         let write = async move {
+            let summary = sessions.summary_of(client, &written).await?;
             let key = QueueKey::session(client, written.id);
             let ticket = sessions.admission.upload(key).await?;
-            let write = move |cancel: &Cancel| sessions.write_text(&written, None, cancel);
+            let write = move |cancel: &Cancel| sessions.write_text(&written, summary, cancel);
             ticket.run(write).await?
         };
         let key = revision_key(record);
         let text = self.texts.get(key, client.payer(), write);
         Ok(text.await?.value)
+    }
+
+    /// The summary of a session's handles, if it takes the mask of an image to make it.
+    /// Errors: Too little capacity; the files of the mask are gone.
+    pub(crate) async fn summary_of(
+        &self,
+        client: Client,
+        record: &Arc<Record>,
+    ) -> Result<Option<RestSummary>, Problem> {
+        if !record.rest.needs_mask() {
+            return Ok(None);
+        }
+        let setup = self.plans.setup_of(client, record).await?;
+        Ok(Some(RestSummary::of(&setup)))
     }
 
     /// Writes the text of a new revision, and takes the memory of a response with it. `summary`:

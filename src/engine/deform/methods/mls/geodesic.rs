@@ -12,7 +12,7 @@ use super::falloff::Falloff;
 use super::metric::Metric;
 use super::row::RowInputs;
 use super::segments::View;
-use crate::deform::columns::{HandleElements, PointSource, Rank, RestSegment, rank};
+use crate::deform::columns::{HandleElements, Rank, rank};
 use crate::deform::form::CoefficientForm;
 use crate::deform::kernel;
 use crate::deform::lanes::{ON_PLANE, Vertices};
@@ -27,59 +27,73 @@ const BESIDE_MASK: f64 = 16.0;
 /// In the keys of plans and rest handles, beyond those of the plane.
 const KEY: u64 = 32;
 
-/// The map of points inside a mask.
+/// The map of handles inside a mask.
 #[derive(Debug)]
 pub(in crate::deform) struct GeodesicLeastSquares {
     falloff: Falloff,
     point_mass: f64,
     nodes: Arc<Nodes>,
-    /// From each point of the set.
+    /// From each point of the set, then from each segment.
     distances: Vec<Distances>,
     parts: Vec<MaskPart>,
 }
 
-/// The points of a part of the subject.
+/// The handles of a part of the subject.
 #[derive(Debug)]
 struct MaskPart {
     set: RestSet,
-    /// The number of each point in the whole set.
+    /// The number of each point and segment in the whole set.
     members: Vec<usize>,
+    /// Columns of its coefficients.
+    columns: Vec<usize>,
 }
 
-/// The distances of one position from the points of its part, squared.
+/// The distances of one position from the points of its part and then from its segments, squared.
 #[derive(Clone, Copy)]
-struct Geodesic<'a>(&'a [f64]);
+struct Geodesic<'a> {
+    points: &'a [f64],
+    segments: &'a [f64],
+}
 
 impl Metric for Geodesic<'_> {
     #[inline(always)]
     fn squared<const N: usize>(&self, index: usize, _p: Point, _v: &Vertices<N>) -> [f64; N] {
-        [self.0[index]; N]
+        [self.points[index]; N]
     }
 
     #[inline(always)]
-    fn view<const N: usize>(&self, _index: usize, s: &RestSegment, v: &Vertices<N>) -> View<N> {
-        View::new(s, v)
+    fn spread<const N: usize>(&self, index: usize, _view: &View<N>) -> [f64; N] {
+        [self.segments[index]; N]
+    }
+
+    #[inline(always)]
+    fn relative<const N: usize>(&self, index: usize, view: &View<N>, r2min: &[f64; N]) -> [f64; N] {
+        let mut relative = *r2min;
+        for (relative, r2) in relative.iter_mut().zip(view.r2) {
+            *relative *= r2 / self.segments[index];
+        }
+        relative
     }
 }
 
 impl GeodesicLeastSquares {
-    /// The map of the points of a set, which weigh as in the plane, inside a mask; and the form of
-    /// its coefficients. `handle_of`: the client's handle of each point. `most_bytes`: for the
-    /// distances.
+    /// The map of the handles of a set, which weigh as in the plane, inside a mask; and the form of
+    /// its coefficients. `handle_of`: the client's handle of each point, then of each segment.
+    /// The limits are those of the distances, in bytes and operations.
     pub(in crate::deform) fn new(
         set: &RestSet,
         form: CoefficientForm,
         (falloff, point_mass): (Falloff, f64),
         mask: &Arc<Mask>,
         handle_of: &(dyn Fn(usize) -> usize + Sync),
-        most_bytes: u64,
+        (most_bytes, most_operations): (u64, u64),
         cancelled: IsCancelled<'_>,
     ) -> Result<(Self, CoefficientForm, Vec<Warning>), DeformError> {
         if mask.inside() == 0 {
             return Err(DeformError::EmptyMask);
         }
-        let points = &set.sources.points;
-        let per_node = Distances::bytes_for(1) * points.len() as u64 + Nodes::bytes_for(1);
+        let origins = origins(&set.sources);
+        let per_node = Distances::bytes_for(1) * origins.len() as u64 + Nodes::bytes_for(1);
         let most = usize::try_from(most_bytes / per_node).unwrap_or(usize::MAX);
         let nodes = Nodes::new(Arc::clone(mask), Nodes::stride_of(mask), most, cancelled);
         let nodes = Arc::new(nodes.map_err(|none| match none {
@@ -89,13 +103,20 @@ impl GeodesicLeastSquares {
             },
             NoNodes::Cancelled => DeformError::Cancelled,
         })?);
-        let from = |(index, point): (usize, &PointSource)| {
-            let distances = Distances::new(&nodes, PathOrigin::Point(point.p), cancelled);
+        let operations = Distances::operations(&nodes).saturating_mul(origins.len() as u64);
+        if operations > most_operations {
+            return Err(DeformError::MaskTooWinding {
+                limit: most_operations,
+                operations,
+            });
+        }
+        let from = |(index, origin): (usize, &PathOrigin)| {
+            let distances = Distances::new(&nodes, *origin, cancelled);
             let handle = handle_of(index);
             let distances = distances.map_err(|_| DeformError::OutsideMask { handle })?;
             distances.ok_or(DeformError::Cancelled)
         };
-        let distances: Result<Vec<_>, _> = points.par_iter().enumerate().map(from).collect();
+        let distances: Result<Vec<_>, _> = origins.par_iter().enumerate().map(from).collect();
         let mut map = Self {
             falloff,
             point_mass,
@@ -115,8 +136,9 @@ impl GeodesicLeastSquares {
     ) -> Result<(CoefficientForm, Vec<Warning>), DeformError> {
         let mask = self.nodes.mask();
         let mut members: Vec<Vec<usize>> = Vec::new();
-        for (index, point) in set.sources.points.iter().enumerate() {
-            let pixel = mask.pixel_at(point.p, BESIDE_MASK).unwrap_or_default();
+        for (index, origin) in origins(&set.sources).iter().enumerate() {
+            let (PathOrigin::Point(at) | PathOrigin::Segment(at, _)) = *origin;
+            let pixel = mask.pixel_at(at, BESIDE_MASK).unwrap_or_default();
             let reaches =
                 |part: &&mut Vec<usize>| self.distances[part[0]].reaches(pixel.0, pixel.1);
             match members.iter_mut().find(reaches) {
@@ -126,9 +148,11 @@ impl GeodesicLeastSquares {
         }
         let (mut form, mut warnings) = (wanted, Vec::new());
         for members in members {
-            let points: Vec<_> = members.iter().map(|k| set.sources.points[*k]).collect();
-            let places = points.iter().map(|point| Handle::Point(point.p)).collect();
-            let handles = Handles::new(places, None)?;
+            let sources = part_of(&set.sources, &members);
+            let places = sources.points.iter().map(|point| Handle::Point(point.p));
+            let lines = sources.segments.iter();
+            let lines = lines.map(|segment| Handle::Polyline(vec![segment.a, segment.b]));
+            let handles = Handles::new(places.chain(lines).collect(), None)?;
             let rank = rank(&handles);
             let (own, of_part) = determined(wanted, rank);
             if own != wanted {
@@ -137,12 +161,17 @@ impl GeodesicLeastSquares {
             }
             // That a part has one handle is usual.
             warnings.extend(of_part.into_iter().filter(|_| rank != Rank::OnePlace));
+            let ends = sources.segments.iter();
+            let ends = ends.flat_map(|segment| [segment.column, segment.column + 1]);
             self.parts.push(MaskPart {
+                columns: sources
+                    .points
+                    .iter()
+                    .map(|point| point.column)
+                    .chain(ends)
+                    .collect(),
                 set: RestSet {
-                    sources: HandleElements {
-                        points,
-                        segments: Vec::new(),
-                    },
+                    sources,
                     rank,
                     form: own,
                     extent: handles.extent(),
@@ -150,6 +179,10 @@ impl GeodesicLeastSquares {
                 members,
             });
         }
+        if !set.sources.segments.is_empty() && self.falloff.alpha() < 1.0 {
+            warnings.push(Warning::LineAlphaBelowOne);
+        }
+        warnings.sort_unstable();
         warnings.dedup();
         Ok((form, warnings))
     }
@@ -186,8 +219,9 @@ impl GeodesicLeastSquares {
         let distances = part.members.iter().map(|k| self.distances[*k].at(pixel, v));
         let squared: Vec<f64> = distances.map(|distance| distance * distance).collect();
         let Workspace { rows, scratch } = workspace;
+        let (points, segments) = squared.split_at(part.set.sources.points.len());
         let inputs = RowInputs {
-            metric: Geodesic(&squared),
+            metric: Geodesic { points, segments },
             sources: &part.set.sources,
             extent: part.set.extent,
             falloff: self.falloff,
@@ -199,6 +233,30 @@ impl GeodesicLeastSquares {
         kernel::rows(&inputs, &Vertices::all(v), scratch, rows);
         Some(part)
     }
+}
+
+/// What distances are measured from: the points of a set, then its segments.
+fn origins(sources: &HandleElements) -> Vec<PathOrigin> {
+    let points = sources
+        .points
+        .iter()
+        .map(|point| PathOrigin::Point(point.p));
+    let segments = sources.segments.iter();
+    let segments = segments.map(|segment| PathOrigin::Segment(segment.a, segment.b));
+    points.chain(segments).collect()
+}
+
+/// The points and segments of these numbers, which ascend.
+fn part_of(sources: &HandleElements, members: &[usize]) -> HandleElements {
+    let points = sources.points.len();
+    let mut part = HandleElements::default();
+    for &member in members {
+        match member.checked_sub(points) {
+            None => part.points.push(sources.points[member]),
+            Some(segment) => part.segments.push(sources.segments[segment]),
+        }
+    }
+    part
 }
 
 impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
@@ -232,8 +290,7 @@ impl<const N: usize> CoefficientsOf<N> for GeodesicLeastSquares {
                 }
                 continue;
             }
-            for point in points {
-                let column = point.column;
+            for &column in &part.columns {
                 rows.h[column][0][lane] = single.rows.h[column][0][0];
                 if part.set.form != CoefficientForm::Real {
                     rows.h[column][1][lane] = single.rows.h[column][1][0];
@@ -272,7 +329,8 @@ impl PointMap for GeodesicLeastSquares {
     }
 
     fn operations(&self, columns: u64) -> u64 {
-        // A distance takes about a hundred times as long as one in the plane.
-        100 * columns
+        // A distance takes about a hundred times as long as one in the plane, and the steps of some
+        // lines of sight.
+        columns.saturating_mul(100 + self.nodes.mask().sight_steps())
     }
 }

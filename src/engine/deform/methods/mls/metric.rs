@@ -7,7 +7,6 @@
 )]
 
 use super::segments::View;
-use crate::deform::columns::RestSegment;
 use crate::deform::lanes::Vertices;
 use crate::geometry::Point;
 
@@ -18,8 +17,14 @@ pub(in crate::deform) trait Metric: Copy {
     /// px^2.
     fn squared<const N: usize>(&self, index: usize, p: Point, v: &Vertices<N>) -> [f64; N];
 
-    /// How N vertices see segment number `index` of the set.
-    fn view<const N: usize>(&self, index: usize, s: &RestSegment, v: &Vertices<N>) -> View<N>;
+    /// The squared distances of N vertices from segment number `index` of the set, which they see
+    /// so, px^2.
+    fn spread<const N: usize>(&self, index: usize, view: &View<N>) -> [f64; N];
+
+    /// What the squared distance in the plane from a position of that segment is compared with, so
+    /// that the weight of the position is relative to that of the nearest source: its squared
+    /// distance, in the measure in which the segment is as far as in the plane, px^2.
+    fn relative<const N: usize>(&self, index: usize, view: &View<N>, r2min: &[f64; N]) -> [f64; N];
 }
 
 /// The distance in the plane.
@@ -38,7 +43,17 @@ impl Metric for Euclidean {
     }
 
     #[inline(always)]
-    fn view<const N: usize>(&self, _index: usize, s: &RestSegment, v: &Vertices<N>) -> View<N> {
-        View::new(s, v)
+    fn spread<const N: usize>(&self, _index: usize, view: &View<N>) -> [f64; N] {
+        view.r2
+    }
+
+    #[inline(always)]
+    fn relative<const N: usize>(
+        &self,
+        _index: usize,
+        _view: &View<N>,
+        r2min: &[f64; N],
+    ) -> [f64; N] {
+        *r2min
     }
 }

@@ -113,10 +113,10 @@ impl<M: Metric> RowInputs<'_, M> {
         }
         let segments = self.sources.segments.iter().zip(&mut scratch.spans);
         for (index, (s, span)) in segments.enumerate() {
-            span.view = self.metric.view(index, s, v);
+            span.view = View::new(s, v);
             // The whole segment counts, not its line: beyond an end that is the distance from the
             // end.
-            lower(&mut nearest, &span.view.r2);
+            lower(&mut nearest, &self.metric.spread(index, &span.view));
         }
         nearest
     }
@@ -158,21 +158,26 @@ impl<M: Metric> RowInputs<'_, M> {
             anchor.take_point(index, w, *p);
             index += 1;
         }
+        let spans = self.sources.segments.iter().zip(&mut scratch.spans);
         for (
-            s,
-            SegmentMoments {
-                view,
-                place,
-                first,
-                second,
-                ..
-            },
-        ) in self.sources.segments.iter().zip(&mut scratch.spans)
+            number,
+            (
+                s,
+                SegmentMoments {
+                    view,
+                    place,
+                    first,
+                    second,
+                    ..
+                },
+            ),
+        ) in spans.enumerate()
         {
             // A segment weighs as the integral of w along it (mathematics 3.2), and its first and
             // second moments stand for the positions along it.
+            let relative = self.metric.relative(number, view, r2min);
             Moments([place.w, *first, *second]) =
-                view.moments(s, v, (self.falloff, self.beta), r2min, self.exact);
+                view.moments(s, v, (self.falloff, self.beta), &relative, self.exact);
             anchor.take_segment(index, &place.w, v, s.tau, &view.off_nearest(s));
             index += 1;
         }
