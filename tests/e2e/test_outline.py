@@ -129,6 +129,6 @@ def test_every_choice_has_a_picture_and_a_sentence(visits, tmp_path, width):
         "all => all.map(i => i.value)"
     )
     if width < 800:
-        visit.page.click("#settings")
+        visit.page.click("#panel-open")
     visit.page.locator("#metrics").scroll_into_view_if_needed()
     visit.keep(f"choosers-{width}")
