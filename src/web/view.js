@@ -30,6 +30,8 @@ export class View {
   /** @type {Page.Mesh | null} */
   mesh = null;
   folds = 0;
+  /** Whether the meshes are cut along an outline. */
+  isCut = false;
 
   /** @type {Page.Outside} */
   #outside = "transparent";
@@ -293,7 +295,7 @@ export class View {
   #setMesh(mesh) {
     if (mesh === this.mesh) return;
     this.mesh = mesh;
-    this.#folded = mesh ? mesh.folded() : [];
+    this.#folded = mesh ? mesh.folded(this.isCut) : [];
     this.folds = this.#folded.length;
   }
 
@@ -560,7 +562,7 @@ export class View {
     else if (inLive && this.source === "frame") this.#drawFrame(inLive);
     this.live.style.visibility = following ? "visible" : "hidden";
     this.#place();
-    const folded = this.#played ? this.#played.folded() : this.#folded;
+    const folded = this.#played ? this.#played.folded(this.isCut) : this.#folded;
     const drawn = mesh && !this.#show.peek && (this.#show.lines || folded.length > 0);
     const place = { zoom: this.zoom * scale, x: this.pan[0] * scale, y: this.pan[1] * scale };
     if (mesh && drawn)

@@ -104,6 +104,8 @@ def test_the_horse_bends_one_leg(visit):
     assert change(source, bent, (width // 2, 0, width, height)) > 100
     mean = mean_change(source, bent, hooves)
     assert mean < 2, mean
+    # Where the picture has nothing, nothing folds.
+    assert visit.data["folds"] == "0"
     visit.keep("horse-leg")
 
 
@@ -129,6 +131,6 @@ def test_every_choice_has_a_picture_and_a_sentence(visits, tmp_path, width):
         "all => all.map(i => i.value)"
     )
     if width < 800:
-        visit.page.click("#panel-open")
+        visit.page.click("#panel-toggle")
     visit.page.locator("#metrics").scroll_into_view_if_needed()
     visit.keep(f"choosers-{width}")
