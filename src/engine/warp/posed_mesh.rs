@@ -150,13 +150,12 @@ impl PosedMesh {
     /// # Errors
     /// A grid that is cut along a mask has no border to continue beyond.
     pub fn check_outside(&self, outside: Outside) -> Result<(), WarpError> {
-        match outside {
-            Outside::Edge | Outside::Reflect if self.mesh.cut_mesh().is_some() => {
-                let what = "`outside` that continues the image";
-                Err(WarpError::CutGrid { what })
-            }
-            _ => Ok(()),
+        let continues = matches!(outside, Outside::Edge | Outside::Reflect);
+        if continues && self.mesh.cut_mesh().is_some() {
+            let what = "`outside` that continues the image";
+            return Err(WarpError::CutGrid { what });
         }
+        Ok(())
     }
 
     /// The region that moves, if it is not the whole picture.
