@@ -26,6 +26,8 @@ fn session_object_is_written_in_wire_form() {
         point_mass: Some(2.5),
         smoothing: None,
         own: AsJson(Parameters::default()),
+        metric: None,
+        mask: None,
         coincident: vec![CoincidentGroup {
             handles: vec![0, 4],
         }],
